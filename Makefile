@@ -1,0 +1,60 @@
+# Everything a fresh machine needs is made here: each target works alone.
+.DEFAULT_GOAL := help
+SHELL := /bin/bash
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+DATA ?= data/embedded
+OUT ?= runs/preprocess
+EIGEN := $(VENV)/lib/python3.11/site-packages/cmeel.prefix/include/eigen3
+
+.PHONY: help env demo test test-all lint format schemas preprocess bench clean
+
+help: ## Show this page
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@echo "  DATA=$(DATA)  OUT=$(OUT)"
+
+env: $(READY) ## Make the environment in .venv with the pinned versions
+
+# pysdf ships as source and needs Eigen's headers, which cmeel-eigen carries: no system package is needed.
+$(READY): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt torch cmeel-eigen
+	CPLUS_INCLUDE_PATH=$(abspath $(EIGEN)) $(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[geometry,sim,torch,pipelines,bench,dev]'
+	touch $@
+
+demo: $(READY) ## Fresh machine to a report with pictures: embedded set, preprocess
+	$(BIN)/stable-data synth data/embedded
+	$(BIN)/python -m pipelines preprocess --data data/embedded --out runs/demo
+	@echo "open runs/demo/report/index.html"
+
+test: $(READY) ## Run the tests, the slow ones left out (what CI runs)
+	$(BIN)/python -m pytest
+
+test-all: $(READY) ## Run all tests
+	$(BIN)/python -m pytest -m ''
+
+lint: $(READY) ## Check style and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(READY) ## Format the code
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+schemas: $(READY) ## Write schemas/ from the code
+	$(BIN)/stable-data schemas
+
+data/embedded: | $(READY)
+	$(BIN)/stable-data synth $@
+
+preprocess: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA=<MesaTask-10K folder> OUT=<folder> to staged, geometry-complete tables
+	$(BIN)/python -m pipelines preprocess --data $(DATA) --out $(OUT)
+
+bench: $(READY) ## Side-by-side figures against peers (DATA=<folder with real meshes>)
+	$(BIN)/python -m benchmarks --data $(DATA) --out runs/bench
+
+clean: ## Remove the environment and what was generated
+	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis data/embedded runs

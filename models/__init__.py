@@ -1,0 +1,1 @@
+"""What is learned: point encoder, Physics Corrector, Semantic Reasoner."""

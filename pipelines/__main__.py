@@ -1,0 +1,61 @@
+"""The jobs: ``python -m pipelines VERB``."""
+
+import json
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stable_data.cli import NOT_STARTED, SOME_FAILED, with_clear_errors
+
+app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help="Jobs on tabletop scenes.")
+
+
+@app.callback()
+def main() -> None:
+    """Jobs on tabletop scenes, in this process, on a local Ray or on a cluster."""
+
+
+@app.command()
+@with_clear_errors
+def preprocess(
+    data: Annotated[str, typer.Option(help="A folder in the MesaTask-10K format.")],
+    out: Annotated[str, typer.Option(help="Run folder: a local path, or a URI such as s3://bucket/prefix.")],
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table [preprocess] is read.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
+    workers: Annotated[int, typer.Option(help="Worker processes on a local Ray; 0 runs in this process; -1 is one a core.")] = -1,
+    address: Annotated[str | None, typer.Option(help="An existing Ray cluster, such as auto or ray://host:10001.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")] = False,
+) -> None:
+    """Turn a dataset into staged, geometry-complete tables. Run again to go on where it was stopped.
+
+    Status 0: done. 1: some scenes or assets could not be used; the table failures says which and why. 2: could not start.
+    """
+    from pipelines.preprocess import PreprocessSettings, describe_plan
+    from pipelines.preprocess import preprocess as run
+    from pipelines.runner import Workers
+    from pipelines.settings import resolve
+
+    settings = resolve(PreprocessSettings, "preprocess", config, set_ or [])
+    if dry_run:
+        typer.echo(json.dumps(describe_plan(data, settings), indent=2))
+        return
+    count = workers if workers >= 0 else (os.cpu_count() or 1)
+    per_shard = settings.seconds_per_item * max(settings.scenes_per_shard, settings.assets_per_shard)
+    manifest = run(data, out, settings, Workers(count, address, per_shard))
+    counts = manifest["counts"]
+    failed = ", ".join(f"{code} {n}" for code, n in counts["failures_by_code"].items())
+    typer.echo(
+        f"{out}: {counts['scenes']} of {manifest['num_scenes']} scenes, {counts['assets']} of {manifest['num_assets']} assets, "
+        f"{counts['warnings']} warnings, {counts['failures']} failures{f' ({failed})' if failed else ''}; report/index.html"
+    )
+    if counts["failures"]:
+        raise typer.Exit(SOME_FAILED)
+
+
+if __name__ == "__main__":
+    try:
+        app()
+    except KeyboardInterrupt:
+        raise SystemExit(NOT_STARTED) from None

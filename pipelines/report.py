@@ -1,0 +1,205 @@
+"""The report page of a preprocess run: one HTML file that needs no other, with counts, histograms and pictures."""
+
+import base64
+import io
+from collections.abc import Iterable, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+import polars as pl
+from PIL import Image
+
+from stable_data.assets import AssetStore
+from stable_data.errors import ConfigError
+from stable_data.mesh import Mesh
+from stable_data.metrics.summary import summarise
+from stable_data.render import render_scene
+from stable_data.shards import RunFolder
+from stable_data.tables import scene_from_row
+
+_STYLE = """
+:root { --ink: #1d2430; --soft: #6a7485; --line: #e3e7ee; --bar: #4f7cac; --page: #fbfbfa; --bad: #b3473c; --good: #3b7d5a; }
+* { box-sizing: border-box } body { margin: 0; background: var(--page); color: var(--ink);
+  font: 15px/1.5 system-ui, -apple-system, "Segoe UI", sans-serif }
+main { max-width: 1120px; margin: 0 auto; padding: 32px 24px 64px } h1 { font-size: 26px; margin: 0 0 4px }
+h2 { font-size: 18px; margin: 40px 0 12px; border-bottom: 1px solid var(--line); padding-bottom: 6px }
+p.note { color: var(--soft); margin: 0 0 16px } .grid { display: grid; gap: 20px; grid-template-columns: repeat(auto-fill, minmax(320px, 1fr)) }
+.tiles { display: grid; gap: 12px; grid-template-columns: repeat(auto-fill, minmax(150px, 1fr)) }
+.tile { background: #fff; border: 1px solid var(--line); border-radius: 8px; padding: 12px 14px } .tile b { display: block; font-size: 24px }
+.tile span { color: var(--soft); font-size: 13px } table { border-collapse: collapse; width: 100%; background: #fff; font-size: 14px }
+th, td { text-align: left; padding: 6px 10px; border-bottom: 1px solid var(--line); vertical-align: top } td.n { text-align: right;
+  font-variant-numeric: tabular-nums } th { color: var(--soft); font-weight: 500 }
+figure { margin: 0; background: #fff; border: 1px solid var(--line); border-radius: 8px; overflow: hidden }
+figure img { width: 100%; display: block } figcaption { padding: 8px 12px; font-size: 13px; color: var(--soft) }
+figcaption b { color: var(--ink) } .chart { background: #fff; border: 1px solid var(--line); border-radius: 8px; padding: 12px 14px }
+.chart h3 { font-size: 14px; margin: 0 0 8px; font-weight: 600 } .row { display: grid; grid-template-columns: 92px 1fr 52px; gap: 8px;
+  align-items: center; font-size: 12px; color: var(--soft) } .row i { display: block; height: 12px; background: var(--bar); border-radius: 2px;
+  min-width: 1px } .row span:last-child { text-align: right; font-variant-numeric: tabular-nums } .bad { color: var(--bad) } .good { color: var(--good) }
+"""
+
+
+def write_report(folder: RunFolder, manifest: dict[str, Any], store: AssetStore, num_pictures: int) -> None:
+    """Writes ``report/index.html``.
+
+    Args:
+        folder: The run; its tables are complete.
+        manifest: Its manifest, with counts.
+        store: Geometry of the assets, for the pictures.
+        num_pictures: Scenes that are drawn: half of them the worst, half an even choice.
+    """
+    columns = [c for c in folder.dataset("scenes").schema.names if c not in ("source_json", "relations", "task", "restricted_zone")]
+    scenes = pl.from_arrow(folder.table("scenes", columns))
+    assert isinstance(scenes, pl.DataFrame)
+    body = [
+        f"<h1>{escape(manifest['dataset'])}</h1>",
+        f'<p class="note">preprocess, code {escape(manifest["code_version"])}, tables version {manifest["table_version"]}, '
+        f"inputs {manifest['input_fingerprint']}</p>",
+        _tiles(manifest["counts"], manifest),
+        *_audit(scenes),
+        *_staging(folder, scenes),
+        *_assets(folder),
+        *_notices(folder),
+        *_pictures(folder, scenes, store, num_pictures),
+    ]
+    page = (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+        f"<title>{escape(manifest['dataset'])}: preprocess</title><style>{_STYLE}</style><main>{''.join(body)}</main></html>"
+    )
+    folder.write_bytes("report/index.html", page.encode())
+
+
+def _tiles(counts: dict[str, Any], manifest: dict[str, Any]) -> str:
+    lost = manifest["num_scenes"] - counts["scenes"]
+    tiles = [
+        (f"{counts['scenes']} / {manifest['num_scenes']}", "scenes usable"),
+        (str(lost), "scenes in failures"),
+        (f"{counts['assets']} / {manifest['num_assets']}", "assets usable"),
+        (str(counts["samples"]), "staged samples"),
+        (str(counts["sdf"]), "signed-distance grids"),
+        (str(counts["warnings"]), "warnings"),
+    ]
+    return '<div class="tiles">' + "".join(f'<div class="tile"><b>{a}</b><span>{b}</span></div>' for a, b in tiles) + "</div>"
+
+
+def _audit(scenes: pl.DataFrame) -> Iterable[str]:
+    summary = summarise(scenes)
+    rows = [(x.label, f"{x.count}", f"{x.total}", f"{100 * x.share:.1f} %", str(x.unknown or "")) for x in summary.lines]
+    yield "<h2>Audit</h2><p class=note>Exact, against the triangle meshes, before anything is learned.</p>"
+    yield _table(("", "count", "of", "share", "unknown"), rows)
+    yield _table(("figure", "value"), summary.figures)
+    yield "<h2>Distributions</h2><div class=grid>"
+    yield _histogram("Objects a scene", scenes["num_objects"], [0, 4, 8, 12, 16, 20, 25, 30, 1000])
+    yield _histogram("Deepest penetration of a scene, mm", scenes["max_penetration_mm"], [0, 1e-9, 0.5, 1, 3, 10, 30, 1000])
+    yield _histogram("Largest gap of a scene, mm", scenes["max_gap_mm"], [0, 0.5, 1, 3, 10, 30, 1000])
+    yield _bars("Table type", scenes["table_type"])
+    yield _bars("Split", scenes["split"])
+    yield "</div>"
+    if summary.offenders:
+        yield "<h2>Worst offenders</h2>" + _table(("scene", "what"), [(o.scene_id, o.what) for o in summary.offenders])
+
+
+def _staging(folder: RunFolder, scenes: pl.DataFrame) -> Iterable[str]:
+    objects = scenes.select(pl.col("objects").explode()).drop_nulls().unnest("objects") if scenes.height else pl.DataFrame()
+    origins = folder.table("scenes", ["task"])["task"].to_pylist()
+    yield "<h2>Tasks and stages</h2><div class=grid>"
+    if objects.height:
+        yield _bars("Objects by stage", objects["stage"])
+    yield _bars("Task infos by origin", pl.Series("origin", [t["origin"] if t else "none" for t in origins], dtype=pl.String))
+    yield _histogram("Stacked objects a scene", scenes["num_stacked"], [0, 1, 2, 3, 5, 8, 1000])
+    yield _histogram("Contained objects a scene", scenes["num_contained"], [0, 1, 2, 3, 5, 8, 1000])
+    yield "</div>"
+
+
+def _assets(folder: RunFolder) -> Iterable[str]:
+    reports = pl.DataFrame(folder.table("assets", ["report"])["report"].to_pylist())
+    parts = folder.table("meshes", ["parts_method"])["parts_method"].to_pylist()
+    errors = folder.table("sdf", ["mean_error", "sign_error", "spacing"]).to_pylist()
+    if not reports.height:
+        return
+    rows = [
+        ("watertight before repair", f"{reports['was_watertight'].sum()} of {reports.height}"),
+        ("watertight after repair", f"{reports['is_watertight'].sum()} of {reports.height}"),
+        ("open sheets, taken as thin shells", f"{reports['is_sheet'].sum()} of {reports.height}"),
+        ("faces, median and most", f"{reports['num_faces'].median():.0f}, {reports['num_faces'].max()}"),
+        ("convex parts: the hull is enough", f"{sum(p == 'hull' for p in parts)} of {len(parts)}"),
+    ]
+    if errors:
+        share = np.median([e["mean_error"] for e in errors]), np.median([e["spacing"] for e in errors])
+        rows.append(("grid error near the surface, median", f"{100 * share[0]:.3f} % of the largest extent"))
+        rows.append(("grid spacing, median", f"{100 * share[1]:.2f} % of the largest extent"))
+        rows.append(("wrong signs off the surface, mean", f"{100 * np.mean([e['sign_errors'] for e in errors]):.3f} %"))
+    yield "<h2>Assets</h2>" + _table(("", ""), rows)
+
+
+def _notices(folder: RunFolder) -> Iterable[str]:
+    for table in ("failures", "warnings"):
+        rows = folder.table(table).to_pylist()
+        yield f"<h2>{table.capitalize()} ({len(rows)})</h2>"
+        if not rows:
+            yield '<p class="note">None.</p>'
+            continue
+        shown = sorted(rows, key=lambda r: (r["code"], r["id"]))[:200]
+        yield _table(("id", "step", "code", "message"), [(r["id"], r["step"], r["code"], r["message"]) for r in shown])
+        if len(rows) > len(shown):
+            yield f'<p class="note">and {len(rows) - len(shown)} more in the table {table}.</p>'
+
+
+def _pictures(folder: RunFolder, scenes: pl.DataFrame, store: AssetStore, count: int) -> Iterable[str]:
+    if not scenes.height or count <= 0:
+        return
+    ranked = scenes.sort(["clean", "max_penetration_mm", "scene_id"], descending=[False, True, False], nulls_last=True)["scene_id"].to_list()
+    even = scenes["scene_id"].sort().gather_every(max(1, scenes.height // max(1, count - count // 2))).to_list()
+    chosen = list(dict.fromkeys([*ranked[: count // 2], *even]))[:count]
+    import pyarrow.compute as pc  # noqa: PLC0415 - heavy, and needed here alone
+
+    rows = folder.dataset("scenes").to_table(filter=pc.field("scene_id").isin(chosen)).to_pylist()
+    yield "<h2>Pictures</h2><div class=grid>"
+    for row in sorted(rows, key=lambda r: chosen.index(r["scene_id"])):
+        scene = scene_from_row(row)
+        shapes, _ = store.shapes(scene)
+        try:
+            picture = render_scene(scene, [Mesh(s.vertices, s.faces) if s.is_exact else None for s in shapes])
+        except ConfigError as error:
+            yield f'</div><p class="note">{escape(str(error))}</p>'
+            return
+        verdict = {True: '<span class="good">clean</span>', False: '<span class="bad">not clean</span>', None: "unknown"}[row["clean"]]
+        task = escape(row["task"]["task"]) if row["task"] else ""
+        yield f'<figure><img alt="{scene.scene_id}" src="{_data_uri(picture)}"><figcaption><b>{scene.scene_id}</b> {verdict}<br>{task}</figcaption></figure>'
+    yield "</div>"
+
+
+def _data_uri(picture: Any) -> str:
+    stream = io.BytesIO()
+    Image.fromarray(picture).convert("RGB").save(stream, "JPEG", quality=88)
+    return "data:image/jpeg;base64," + base64.b64encode(stream.getvalue()).decode()
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    body = "".join("<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows)
+    return "<table><tr>" + "".join(f"<th>{escape(h)}</th>" for h in head) + f"</tr>{body}</table>"
+
+
+def _histogram(title: str, values: pl.Series, edges: Sequence[float]) -> str:
+    known = values.drop_nulls().to_numpy()
+    counts = np.histogram(known, edges)[0]
+    labels = [f"{a:g} – {b:g}" if b < 1000 else f"{a:g} or more" for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    if len(edges) > 1 and edges[1] == 1e-9:
+        labels[:2] = ["0", f"under {edges[2]:g}"]
+    rows = [*zip(labels, counts.tolist(), strict=True)]
+    if values.null_count():
+        rows.append(("unknown", values.null_count()))
+    return _chart(title, rows)
+
+
+def _bars(title: str, values: pl.Series) -> str:
+    counted = values.cast(pl.String).fill_null("none").value_counts(sort=True, name="n")
+    return _chart(title, list(counted.iter_rows()))
+
+
+def _chart(title: str, rows: Sequence[tuple[str, int]]) -> str:
+    most = max((n for _, n in rows), default=0) or 1
+    bars = "".join(
+        f'<div class="row"><span>{escape(label)}</span><i style="width:{100 * n / most:.1f}%"></i><span>{n}</span></div>' for label, n in rows
+    )
+    return f'<div class="chart"><h3>{escape(title)}</h3>{bars}</div>'

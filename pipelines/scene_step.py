@@ -1,0 +1,156 @@
+"""One scene: read, audited, related, tasked, staged; its rows."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from stable_data import tables
+from stable_data.assets import AssetStore
+from stable_data.errors import Notice
+from stable_data.mesatask import MesaTaskDataset
+from stable_data.metrics.audit import TOLERANCE, Audit, PosedScene, audit_posed
+from stable_data.relations import relations_of, scene_graph, supports
+from stable_data.scene import RelationKind, Scene
+from stable_data.staging import samples_of, stage_scene
+from stable_data.task_templates import derive_task, task_rng
+from stable_data.tasks import TaskWriter, model_task, resolve_task_objects
+
+_CONTACT_GAPS = (TOLERANCE, 3e-3)  # what the graph looks for when the audit's own gap finds nothing, metres
+
+
+@dataclass(frozen=True, slots=True)
+class SceneSettings:
+    """What shapes the rows of a scene.
+
+    Attributes:
+        important_threshold: Objects nearer than this to a task object are O^B, metres.
+        seed: For the choice among task templates and of splits.
+        train_share: Share of near-duplicate groups in the training split.
+        validation_share: Share in the validation split; the rest is the test split.
+    """
+
+    important_threshold: float = 0.02
+    seed: int = 0
+    train_share: float = 0.9
+    validation_share: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class SceneRows:
+    """Rows of one scene, by table."""
+
+    scene: tables.Row
+    samples: tuple[tables.Row, ...]
+    notices: tuple[Notice, ...]
+
+
+def preprocess_scene(
+    dataset: MesaTaskDataset, scene_id: str, store: AssetStore, settings: SceneSettings, writer: "CachedWriter | None" = None
+) -> SceneRows:
+    """Everything that preprocess makes of one scene.
+
+    Args:
+        dataset: Where it is.
+        scene_id: Its id.
+        store: Geometry of the assets.
+        settings: What shapes the rows.
+        writer: A model that writes task infos, where the user gives one.
+
+    Raises:
+        SceneError: The scene cannot be used.
+    """
+    scene, read = dataset.read(scene_id)
+    shapes, meshed = store.shapes(scene)
+    posed = PosedScene(scene, shapes)
+    audit = audit_posed(posed)
+    scene, tasked = _understood(dataset, posed, audit, settings, writer)
+    layout = dataset.layout_path(scene_id)
+    group = duplicate_group(scene)
+    row = {
+        **tables.scene_row(scene),
+        **tables.card_row(audit.card(*_counts(scene))),
+        **audit.rows(),
+        "source": dataset.root.name,
+        "split": split_of(group, settings),
+        "layout_path": layout.relative_to(dataset.root).as_posix(),
+        "layout_sha256": hashlib.sha256(layout.read_bytes()).hexdigest(),
+        "duplicate_group": group,
+    }
+    head = {k: row[k] for k in ("scene_id", "split", "table_type", "table_size", "restricted_zone", "task")}
+    samples = tuple(
+        {
+            **head,
+            "stage": str(sample.stage),
+            "objects_in": [tables.object_row(o, with_source=False) for o in sample.objects_in],
+            "objects_out": [tables.object_row(o, with_source=False) for o in sample.objects_out],
+        }
+        for sample in samples_of(scene)
+    )
+    return SceneRows(row, samples, (*read, *meshed, *tasked))
+
+
+@dataclass(frozen=True, slots=True)
+class CachedWriter:
+    """A model that writes task infos, and where its answers are kept.
+
+    Attributes:
+        write: The model.
+        cache: Folder of its answers.
+        name: Names the model in the cache's keys.
+    """
+
+    write: TaskWriter
+    cache: str
+    name: str
+
+
+def _understood(
+    dataset: MesaTaskDataset, posed: PosedScene, audit: Audit, settings: SceneSettings, writer: CachedWriter | None
+) -> tuple[Scene, tuple[Notice, ...]]:
+    """The scene with supports, relations, task and stages."""
+    scene = posed.scene
+    contacts = _contacts(posed, audit)
+    footprints = {o.instance: s.posed_footprint(p) for o, s, p in zip(scene.objects, posed.shapes, scene.poses(), strict=True)}
+    containers = {o.instance: dataset.annotation(o.asset_id).is_container if o.asset_id else None for o in scene.objects}
+    carriers = supports(scene, contacts, footprints, containers)
+    scene = replace(scene, objects=tuple(replace(o, support=carriers[o.instance]) for o in scene.objects))
+    graph = scene_graph(scene, contacts, footprints, containers)
+    scene = replace(scene, relations=relations_of(graph))
+    notices: tuple[Notice, ...] = ()
+    if scene.task is not None:
+        task, notices = resolve_task_objects(scene.task, scene, graph)
+    elif writer is not None:
+        task, notices = model_task(scene, graph, writer.write, writer.cache, writer.name, settings.seed)
+    else:
+        task = derive_task(scene, graph, task_rng(scene.scene_id, settings.seed))
+    return stage_scene(replace(scene, task=task), settings.important_threshold), notices
+
+
+def _contacts(posed: PosedScene, audit: Audit) -> Mapping[str, tuple[str, ...]]:
+    """What each object rests on: by the audit's gap, else by a larger one."""
+    found = {}
+    for index, verdict in enumerate(audit.objects):
+        found[verdict.instance] = verdict.supports or posed.supports(index, _CONTACT_GAPS[1]) or ()
+    return found
+
+
+def _counts(scene: Scene) -> tuple[int, int]:
+    """Objects on another one, and objects in another one."""
+    names = {o.instance for o in scene.objects}
+    contained = {r.subject for r in scene.relations if r.kind is RelationKind.IN and r.target in names}
+    stacked = {r.subject for r in scene.relations if r.kind is RelationKind.ON and r.target in names}
+    return len(stacked - contained), len(contained)
+
+
+def duplicate_group(scene: Scene) -> str:
+    """Scenes that may be near-duplicates share this: the same table type with the same assets, wherever they stand."""
+    content = sorted(f"{o.category}:{o.asset_id}" for o in scene.objects)
+    return hashlib.sha256("\n".join([scene.table.table_type, *content]).encode()).hexdigest()[:16]
+
+
+def split_of(group: str, settings: SceneSettings) -> str:
+    """The split of a near-duplicate group: a hash, so it stays when scenes are added."""
+    share = int(hashlib.sha256(f"{settings.seed}:{group}".encode()).hexdigest()[:8], 16) / 2**32
+    if share < settings.train_share:
+        return "train"
+    return "validation" if share < settings.train_share + settings.validation_share else "test"

@@ -1,0 +1,207 @@
+"""Geometry of assets: what a scene's objects look like at their scale and tilt, computed once."""
+
+import math
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.spatial.transform import Rotation
+
+from stable_data.errors import MeshError, Notice
+from stable_data.mesh import Mesh, MeshReport, load_glb, repair
+from stable_data.scene import QuatXyzw, Scene, SceneObject, Vec3
+from stable_data.shape import Shape
+from stable_data.sdf_build import build_grid
+from stable_data.sdf_grid import SdfGrid
+
+ASPECT_STEP = math.log(1.05)
+"""Aspects are snapped to powers of 1.05, so that assets scaled nearly alike share a grid."""
+
+_SIZE_SLACK = (2.5e-3, 0.02)  # a mesh whose box differs from `size` by more than both (metres, share) is another mesh
+
+K = TypeVar("K", bound=Hashable)
+V = TypeVar("V")
+
+
+class AssetSource(Protocol):
+    """Where meshes come from; a :class:`~stable_data.mesatask.MesaTaskDataset` is one."""
+
+    def asset_path(self, asset_id: str) -> Path | None:
+        """The asset's GLB file, or None where there is none."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AssetMesh:
+    """A mesh that was read and repaired.
+
+    Attributes:
+        mesh: Mesh units, z up, centred on its box.
+        report: What it is and what repair did.
+        notices: What was odd about it.
+    """
+
+    mesh: Mesh
+    report: MeshReport
+    notices: tuple[Notice, ...]
+
+
+class _Recent(Generic[K, V]):
+    """The most recently used values whose weights stay under a bound."""
+
+    def __init__(self, max_weight: int) -> None:
+        self._values: OrderedDict[K, tuple[V, int]] = OrderedDict()
+        self._weight, self._max_weight = 0, max_weight
+
+    def get(self, key: K, make: Callable[[], V], weigh: Callable[[V], int]) -> V:
+        if key in self._values:
+            self._values.move_to_end(key)
+            return self._values[key][0]
+        value = make()
+        weight = weigh(value)
+        self._values[key] = (value, weight)
+        self._weight += weight
+        while self._weight > self._max_weight and len(self._values) > 1:
+            self._weight -= self._values.popitem(last=False)[1][1]
+        return value
+
+
+class AssetStore:
+    """Meshes, shapes and grids of assets: each computed when first asked for, kept while memory allows.
+
+    Args:
+        source: Where the meshes are.
+        max_bytes: Bound on what meshes and grids kept take, each, bytes.
+    """
+
+    def __init__(self, source: AssetSource, max_bytes: int = 256 * 2**20) -> None:
+        self._source = source
+        self._meshes: _Recent[str, AssetMesh | MeshError] = _Recent(max_bytes)
+        self._shapes: _Recent[Hashable, Shape] = _Recent(max_bytes)
+        self._grids: _Recent[Hashable, SdfGrid] = _Recent(max_bytes)
+
+    def asset(self, asset_id: str) -> AssetMesh:
+        """The repaired mesh of an asset.
+
+        Raises:
+            MeshError: It is missing or cannot be used; the same error each time.
+        """
+        found = self._meshes.get(asset_id, lambda: self._load(asset_id), _mesh_bytes)
+        if isinstance(found, MeshError):
+            raise found.with_traceback(None)
+        return found
+
+    def shape(self, o: SceneObject) -> tuple[Shape, tuple[Notice, ...]]:
+        """The geometry of an object at its scale and tilt.
+
+        Where its scale is missing, or gives another box than ``size``, the mesh is fitted to ``size``; where the mesh itself is
+        missing or broken, a box of ``size`` stands in.
+
+        Returns:
+            The shape, metres, yaw frame; and what had to be done, with the object's instance as ``item_id``.
+        """
+        if o.asset_id is None:
+            return Shape.box(o.size), ()  # the reader has said why
+        try:
+            asset = self.asset(o.asset_id)
+        except MeshError as error:
+            message = f"object {o.instance}: {error}; a box of its size stands in, and what rests on its mesh is unknown"
+            return Shape.box(o.size), (Notice(o.instance, "mesh", error.code, message),)
+        if o.scale is not None:
+            shape = self._scaled(o.asset_id, asset, o.scale, o.tilt_quat_xyzw)
+            worst = np.abs(shape.size - o.size)
+            if not ((worst > _SIZE_SLACK[0]) & (worst > _SIZE_SLACK[1] * np.asarray(o.size))).any():
+                return shape, ()
+            found = "x".join(f"{100 * s:.1f}" for s in shape.size)
+            expected = "x".join(f"{100 * s:.1f}" for s in o.size)
+            message = (
+                f"object {o.instance}: asset {o.asset_id} at its scale is {found} cm, expected {expected} cm; "
+                "the mesh is fitted to the size; is it another mesh than the annotated one?"
+            )
+            notices: tuple[Notice, ...] = (Notice(o.instance, "mesh", "asset_differs", message),)
+        else:
+            notices = ()
+        return self._scaled(o.asset_id, asset, fitted_scale(asset.mesh, o.tilt_quat_xyzw, o.size), o.tilt_quat_xyzw), notices
+
+    def shapes(self, scene: Scene) -> tuple[list[Shape], tuple[Notice, ...]]:
+        """The geometry of every object of a scene, in its order, and the notices with the scene as ``item_id``."""
+        shapes, notices = [], []
+        for o in scene.objects:
+            shape, noticed = self.shape(o)
+            shapes.append(shape)
+            notices += [Notice(scene.scene_id, n.step, n.code, n.message) for n in noticed]
+        return shapes, tuple(notices)
+
+    def grid(self, asset_id: str, scale: Vec3) -> SdfGrid:
+        """The signed-distance grid of an asset at the aspect of a scale.
+
+        Raises:
+            MeshError: The mesh is missing or cannot be used.
+        """
+        steps = aspect_steps(scale)
+        return self._grids.get((asset_id, steps), lambda: self._grid(asset_id, steps), lambda g: g.values.nbytes)
+
+    def _grid(self, asset_id: str, steps: tuple[int, int, int]) -> SdfGrid:
+        asset = self.asset(asset_id)
+        return build_grid(asset.mesh, aspect=aspect_of(steps), is_sheet=asset.report.is_sheet)
+
+    def _scaled(self, asset_id: str, asset: AssetMesh, scale: Vec3, tilt: QuatXyzw) -> Shape:
+        key = (asset_id, scale, tilt)
+        return self._shapes.get(key, lambda: Shape.from_mesh(asset.mesh, scale, tilt), lambda s: s.vertices.nbytes)
+
+    def _load(self, asset_id: str) -> AssetMesh | MeshError:
+        path = self._source.asset_path(asset_id)
+        if path is None:
+            return MeshError(f"asset {asset_id}: no GLB file, expected one in the library; add it or preprocess without it", "glb_missing")
+        try:
+            mesh, odd = load_glb(path, asset_id)
+            mesh, report, repaired = repair(mesh, asset_id)
+        except MeshError as error:
+            return error
+        return AssetMesh(mesh, report, odd + repaired)
+
+
+def _mesh_bytes(found: AssetMesh | MeshError) -> int:
+    return 256 if isinstance(found, MeshError) else found.mesh.vertices.nbytes + found.mesh.faces.nbytes
+
+
+def aspect_steps(scale: Vec3) -> tuple[int, int, int]:
+    """Aspect of a scale, snapped to 5 %: how many steps of 1.05 each axis is below the largest one."""
+    largest = max(scale)
+    x, y, z = (round(math.log(largest / s) / ASPECT_STEP) for s in scale)
+    return x, y, z
+
+
+def aspect_of(steps: tuple[int, int, int]) -> Vec3:
+    """Aspect, (3,), largest component 1, of the steps that :func:`aspect_steps` gave."""
+    x, y, z = (math.exp(-ASPECT_STEP * k) for k in steps)
+    return x, y, z
+
+
+def fitted_scale(mesh: Mesh, tilt_quat_xyzw: QuatXyzw, size: Vec3) -> Vec3:
+    """Scale along the mesh's axes that makes the tilted mesh as large as a box.
+
+    Exact for tilts by right angles, where each axis of the box belongs to one of the mesh; a least-squares fit elsewhere, and
+    one uniform factor where that would flatten the mesh.
+
+    Args:
+        mesh: Mesh units.
+        tilt_quat_xyzw: Rotation before yaw.
+        size: Box in the yaw frame, metres.
+
+    Returns:
+        Metres per mesh unit, (3,).
+    """
+    extents, wanted = np.maximum(mesh.extents, 1e-12), np.asarray(size, np.float64)
+    turned = np.abs(Rotation.from_quat(tilt_quat_xyzw).as_matrix()) * extents
+    turned[turned < 1e-9 * extents.max()] = 0.0
+    scale, _ = nnls(turned, wanted)
+    if scale.min() < 0.05 * scale.max():
+        uniform = Shape.from_mesh(mesh, (1.0, 1.0, 1.0), tilt_quat_xyzw).size
+        scale = np.full(3, float(np.median(wanted / np.maximum(uniform, 1e-12))))
+    x, y, z = scale.tolist()
+    return x, y, z

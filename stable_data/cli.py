@@ -1,0 +1,100 @@
+"""The command line of the library: ``stable-data VERB``."""
+
+import sys
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, ParamSpec, TypeVar
+
+import typer
+
+from stable_data.errors import ConfigError, StableDataError
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help="Tabletop scenes as data.")
+
+DONE, SOME_FAILED, NOT_STARTED = 0, 1, 2
+"""Exit statuses: all well; some items failed, all accounted for; could not start."""
+
+
+def with_clear_errors(command: Callable[P, R]) -> Callable[P, R]:
+    """Ends a command with one line and status 2 where it cannot start."""
+
+    @wraps(command)
+    def run(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return command(*args, **kwargs)
+        except StableDataError as error:
+            typer.echo(f"error: {error}", err=True)
+            raise typer.Exit(NOT_STARTED) from error
+
+    return run
+
+
+@app.callback()
+def main() -> None:
+    """Tabletop scenes as data: read, audit, look at, export."""
+
+
+@app.command()
+@with_clear_errors
+def synth(
+    out: Annotated[Path, typer.Argument(help="Folder to write, in the MesaTask-10K format.")],
+    scenes: Annotated[int, typer.Option(help="How many scenes.", min=1)] = 24,
+    seed: Annotated[int, typer.Option(help="Scene k depends on the seed and k alone.")] = 0,
+) -> None:
+    """Write the embedded set: parametric assets and scenes at rest, with no download."""
+    from stable_data.synth import write_embedded_set
+
+    written = write_embedded_set(out, scenes, seed)
+    typer.echo(f"{out}: {written} scenes")
+
+
+@app.command()
+@with_clear_errors
+def lint(
+    folder: Annotated[Path, typer.Argument(help="A folder in the MesaTask-10K format.")],
+    table: Annotated[Path | None, typer.Option(help="Where to write one row a scene (Parquet).")] = None,
+    quiet: Annotated[bool, typer.Option(help="No progress bar.")] = False,
+) -> None:
+    """Audit every scene exactly: collisions with depth, floating, sunk, out of bounds.
+
+    Status 0: every scene could be read. 1: some could not; they are listed.
+    """
+    from stable_data.lint import lint_folder
+
+    result = lint_folder(folder, progress=not quiet and sys.stderr.isatty())
+    if table is not None:
+        result.write(table)
+    typer.echo(str(result))
+    if result.failures:
+        raise typer.Exit(SOME_FAILED)
+
+
+@app.command()
+@with_clear_errors
+def inspect(run: Annotated[str, typer.Argument(help="A run folder or its URI.")]) -> None:
+    """Say what a run folder holds: its tables, rows, settings and failures."""
+    from stable_data.shards import RunFolder
+    from stable_data.tables import SCHEMAS
+
+    folder = RunFolder(run)
+    content = folder.read_bytes("manifest.json")
+    if content is None:
+        raise ConfigError(f"{run}: no manifest.json, expected the folder of a run; was preprocess run into it?", "not_a_run")
+    typer.echo(content.decode())
+    for name in SCHEMAS:
+        files = folder.files(name)
+        if files:
+            typer.echo(f"{name:<10} {folder.dataset(name).count_rows():>8} rows in {len(files)} files")
+
+
+@app.command()
+@with_clear_errors
+def schemas(folder: Annotated[Path, typer.Argument(help="Where to write them.")] = Path("schemas")) -> None:
+    """Write the contracts: JSON Schemas and the columns of every table."""
+    from stable_data.contracts import write_contracts
+
+    write_contracts(folder)

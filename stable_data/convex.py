@@ -1,0 +1,279 @@
+"""Convex parts of a mesh for a physics engine: its hull where that is true enough, else cuts that keep its hollow.
+
+The solid is cut by planes, exactly (manifold3d), the worst piece first, until the hull of every piece is true enough or the
+budget of parts is spent. Two rules make containers come out hollow: a cut is judged by the empty volume that the hulls of its
+pieces still cover, and where no single plane helps (a bowl cut once is as full as before), a fan of planes through the middle
+of the hollow is tried.
+"""
+
+import heapq
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import fast_simplification
+import igl
+import manifold3d
+import numpy as np
+import vhacdx
+
+from stable_data.errors import MeshError
+from stable_data.mesh import Mesh, double_areas, is_closed, signed_volumes
+from stable_data.points import sample_surface
+from stable_data.scene import FloatArray
+
+ConvexPart: TypeAlias = Mesh
+"""A closed convex mesh, faces outward."""
+
+_MAX_FACES = 3000  # to be cut; more are first simplified, within the tolerances below, of the largest extent
+_SIMPLIFY = (0.002, 0.004, 0.008)
+_SHELL = 0.01  # thickness given to a sheet, share of its largest extent
+_FLAT = 1e-6  # a solid of less volume than this share of its cubed extent is a sheet
+_FRACTIONS = (0.15, 0.3, 0.5, 0.7, 0.85)  # where planes are tried along an axis
+_HELPS = 0.8  # share of the empty volume that must not be left for a single plane to be enough
+_FAN_PLANES = 4
+_FAN_HANDICAP = 1.2  # it spends four times the parts
+_NUM_PROBES = 2048
+_NUM_DEPTH_PROBES = 200
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConvexParts:
+    """Convex parts that stand for a mesh, and how true they are. Distances are sampled, in the mesh's unit.
+
+    Attributes:
+        parts: At least one.
+        method: ``hull``, ``cuts``, or ``vhacd`` (an open mesh that could not be given a thickness).
+        overfill_max: How far the parts stand out of the mesh at most: what fills a hollow.
+        overfill_mean: The same on average over the parts' surface; within the mesh it counts 0.
+        uncovered_max: How far the mesh stands out of the parts at most.
+        uncovered_mean: The same on average over the mesh's surface; within a part it counts 0.
+        hull_distance: ``overfill_max`` of the mesh's convex hull: what one part would have cost.
+    """
+
+    parts: tuple[ConvexPart, ...]
+    method: str
+    overfill_max: float
+    overfill_mean: float
+    uncovered_max: float
+    uncovered_mean: float
+    hull_distance: float
+
+    @property
+    def max_distance(self) -> float:
+        """The larger of the two one-sided maxima."""
+        return max(self.overfill_max, self.uncovered_max)
+
+    @property
+    def mean_distance(self) -> float:
+        """The larger of the two one-sided means."""
+        return max(self.overfill_mean, self.uncovered_mean)
+
+
+def convex_parts(mesh: Mesh, *, max_parts: int = 32, tolerance: float = 0.01) -> ConvexParts:
+    """Splits a mesh into few convex parts that follow its surface; the same mesh always gives the same parts.
+
+    Args:
+        mesh: Repaired (``stable_data.mesh.repair``), any unit. An open one is a shell of 1 % of its largest extent.
+        max_parts: Budget.
+        tolerance: Overfill to stop at, share of the largest extent; a hull that keeps it is taken as it is.
+
+    Returns:
+        The parts and their distances, in the mesh's frame and unit.
+
+    Raises:
+        MeshError: ``convex_failed``: nothing that has a volume could be made of it.
+    """
+    center, extent = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2, float(mesh.extents.max())
+    unit = Mesh((mesh.vertices - center) / extent, mesh.faces)
+    solid = _solid(unit)
+    hull = _mesh((solid or _points_hull(unit)).hull())
+    if not len(hull.faces):
+        raise MeshError(f"no hull of a mesh with extents {mesh.extents} has a volume, expected a surface; repair it", "convex_failed")
+    hull_distance, _ = _overfill(unit, (hull,))
+    parts, method = (hull,), "hull"
+    if hull_distance > max(tolerance, _SHELL):
+        if solid is not None:
+            parts, method = tuple(_mesh(piece.solid.hull()) for piece in _cut_up(solid, max_parts, tolerance)), "cuts"
+        else:
+            parts, method = _vhacd(unit, max_parts), "vhacd"
+    overfill, uncovered = _overfill(unit, parts), _uncovered(unit, parts)
+    distances = [extent * d for d in (*overfill, *uncovered, hull_distance)]
+    return ConvexParts(tuple(Mesh(part.vertices * extent + center, part.faces) for part in parts), method, *distances)
+
+
+def _manifold(mesh: Mesh) -> manifold3d.Manifold | None:
+    """The solid that a closed mesh bounds, None where its faces do not join to one."""
+    solid = manifold3d.Manifold(manifold3d.Mesh64(mesh.vertices, mesh.faces.astype(np.uint64)))
+    return solid if solid.status() == manifold3d.Error.NoError and solid.volume() > _FLAT else None
+
+
+def _mesh(solid: manifold3d.Manifold) -> Mesh:
+    raw = solid.to_mesh64()
+    return Mesh(np.asarray(raw.vert_properties, np.float64)[:, :3], np.asarray(raw.tri_verts).astype(np.int64))
+
+
+def _solid(unit: Mesh) -> manifold3d.Manifold | None:
+    """A solid to cut, few enough faces: the mesh itself, or the shell of one that encloses nothing."""
+    solid = _manifold(unit) if is_closed(unit) else None
+    solid = solid or _manifold(_shell(unit))
+    if solid is None:
+        return None
+    for tolerance in _SIMPLIFY:
+        if solid.num_tri() <= _MAX_FACES:
+            break
+        solid = solid.simplify(tolerance)
+    return solid
+
+
+def _shell(unit: Mesh) -> Mesh:
+    """Both sides of a sheet, half the shell's thickness off along its vertex normals, joined along its rim."""
+    corners = unit.triangles
+    faces_normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = np.zeros_like(unit.vertices)
+    np.add.at(normal, unit.faces.ravel(), np.repeat(faces_normal, 3, axis=0))
+    offset = _SHELL / 2 * normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    rim, num = igl.boundary_facets(unit.faces)[0], len(unit.vertices)
+    a, b = rim.astype(np.int64).T
+    joints = np.concatenate([np.stack([b, a, a + num], axis=1), np.stack([b, a + num, b + num], axis=1)])
+    return Mesh(
+        np.concatenate([unit.vertices + offset, unit.vertices - offset]),
+        np.concatenate([unit.faces, unit.faces[:, ::-1] + num, joints]),
+    )
+
+
+def _points_hull(unit: Mesh) -> manifold3d.Manifold:
+    """Hull of the vertices, moved apart across their flattest direction so that it has a volume."""
+    flattest = np.linalg.eigh(np.cov(unit.vertices.T))[1][:, 0] * _SHELL / 2
+    return manifold3d.Manifold.hull_points(np.concatenate([unit.vertices + flattest, unit.vertices - flattest]))
+
+
+@dataclass(order=True, slots=True)
+class _Piece:
+    """A piece of the solid; the one with the smallest rank is the next to be cut."""
+
+    rank: float
+    number: int
+    solid: manifold3d.Manifold = field(compare=False)
+    depth: float = field(compare=False)
+
+
+def _cut_up(solid: manifold3d.Manifold, max_parts: int, tolerance: float) -> list[_Piece]:
+    """Cuts the worst piece again and again until all hulls are true or the budget is spent."""
+    queue, done = [_piece(solid, 0)], []
+    number = 1
+    while queue and len(queue) + len(done) < max_parts:
+        worst = heapq.heappop(queue)
+        room = max_parts - len(queue) - len(done)
+        pieces = _cut(worst.solid, room) if worst.depth > tolerance else ()
+        if not pieces:
+            done.append(worst)
+        for piece in pieces:
+            heapq.heappush(queue, _piece(piece, number))
+            number += 1
+    return sorted(done + queue, key=lambda piece: piece.number)
+
+
+def _piece(solid: manifold3d.Manifold, number: int) -> _Piece:
+    """Ranks by depth and by volume: depth alone chases slits, volume alone leaves thin ones."""
+    hull, mesh = _mesh(solid.hull()), _mesh(solid)
+    probes = np.concatenate([sample_surface(hull, _NUM_DEPTH_PROBES), hull.triangles.mean(axis=1)])
+    depth = float(np.sqrt(igl.point_mesh_squared_distance(probes, mesh.vertices, mesh.faces)[0].max()))
+    return _Piece(-depth * _empty(solid) ** (1 / 3), number, solid, depth)
+
+
+def _empty(solid: manifold3d.Manifold) -> float:
+    """Volume that the hull covers and the solid does not."""
+    return max(0.0, float(solid.hull().volume() - solid.volume()))
+
+
+def _cut(solid: manifold3d.Manifold, room: int) -> tuple[manifold3d.Manifold, ...]:
+    """The pieces of the best cut: by one plane, or where none helps and there is room, by a fan of planes."""
+    best, best_left = (), np.inf
+    for normal, offset in _planes(_mesh(solid)):
+        pieces = _parts_of_cut([solid], normal, offset)
+        left = sum(map(_empty, pieces))
+        if len(pieces) == 2 and left < best_left:
+            best, best_left = tuple(pieces), left
+    if best_left < _HELPS * _empty(solid) or room < 2 * _FAN_PLANES:
+        return best
+    middle = _middle_of_hollow(solid)
+    for axis in range(3):
+        pieces = [solid]
+        for angle in (np.arange(_FAN_PLANES) + 0.5) * np.pi / _FAN_PLANES:
+            normal = np.roll([0.0, np.cos(angle), np.sin(angle)], axis)
+            pieces = _parts_of_cut(pieces, normal, float(normal @ middle))
+        left = _FAN_HANDICAP * sum(map(_empty, pieces))
+        if left < best_left:
+            best, best_left = tuple(pieces), left
+    return best
+
+
+def _planes(mesh: Mesh) -> Iterator[tuple[FloatArray, float]]:
+    """Planes worth trying, as normal and offset: across the piece's own principal axes and the mesh's."""
+    weight = double_areas(mesh)
+    middles = mesh.triangles.mean(axis=1)
+    spread = middles - weight @ middles / weight.sum()
+    for normal in (*np.linalg.eigh((spread * weight[:, None]).T @ spread)[1].T, *np.eye(3)):
+        along = mesh.vertices @ normal
+        for fraction in _FRACTIONS:
+            yield normal, float(along.min() + fraction * np.ptp(along))
+
+
+def _parts_of_cut(solids: list[manifold3d.Manifold], normal: FloatArray, offset: float) -> list[manifold3d.Manifold]:
+    cut = [piece for solid in solids for piece in solid.split_by_plane(tuple(normal), offset)]
+    return [piece for piece in cut if piece.volume() > 1e-9]
+
+
+def _middle_of_hollow(solid: manifold3d.Manifold) -> FloatArray:
+    """Centroid (3,) of what the hull covers and the solid does not."""
+    moment, volume = np.zeros(3), 0.0
+    for mesh, sign in ((_mesh(solid.hull()), 1.0), (_mesh(solid), -1.0)):
+        weight = sign * signed_volumes(mesh.triangles)
+        moment += weight @ mesh.triangles.sum(axis=1) / 4
+        volume += weight.sum()
+    return moment / max(volume, 1e-12)
+
+
+def _vhacd(unit: Mesh, max_parts: int) -> tuple[Mesh, ...]:
+    """V-HACD: coarse, but it takes any soup of triangles."""
+    vertices, faces = unit.vertices, unit.faces
+    if len(faces) > _MAX_FACES:
+        vertices, faces = fast_simplification.simplify(vertices.astype(np.float32), faces.astype(np.int32), target_count=_MAX_FACES)
+    found = vhacdx.compute_vhacd(
+        np.asarray(vertices, np.float64), np.asarray(faces, np.uint32), maxConvexHulls=max_parts, resolution=100_000, asyncACD=False
+    )
+    hulls = [_mesh(manifold3d.Manifold.hull_points(np.asarray(points, np.float64))) for points, _ in found]
+    return tuple(hull for hull in hulls if len(hull.faces)) or (_mesh(_points_hull(unit)),)
+
+
+def _overfill(unit: Mesh, parts: tuple[Mesh, ...]) -> tuple[float, float]:
+    """Largest and mean distance by which the parts' surface stands out of the mesh."""
+    points = sample_surface(_joined(parts), _NUM_PROBES)
+    distance = np.sqrt(igl.point_mesh_squared_distance(points, unit.vertices, unit.faces)[0])
+    if is_closed(unit):
+        distance[igl.fast_winding_number(unit.vertices, unit.faces, points) > 0.5] = 0
+    return float(distance.max()), float(distance.mean())
+
+
+def _uncovered(unit: Mesh, parts: tuple[Mesh, ...]) -> tuple[float, float]:
+    """Largest and mean distance by which the mesh's surface stands out of the union of the parts."""
+    points, joined = sample_surface(unit, _NUM_PROBES), _joined(parts)
+    distance = np.sqrt(igl.point_mesh_squared_distance(points, joined.vertices, joined.faces)[0])
+    distance[np.any([inside_convex(part, points) for part in parts], axis=0)] = 0
+    return float(distance.max()), float(distance.mean())
+
+
+def inside_convex(part: ConvexPart, points: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Which points (P, 3) lie in a convex part, (P,) bool."""
+    corners = part.triangles
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    heights: FloatArray = points @ normals.T - np.einsum("ij,ij->i", normals, corners[:, 0])
+    inside: np.ndarray[tuple[int], np.dtype[np.bool_]] = (heights <= 0).all(axis=1)
+    return inside
+
+
+def _joined(parts: tuple[Mesh, ...]) -> Mesh:
+    offsets = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
+    faces = [part.faces + offset for part, offset in zip(parts, offsets, strict=True)]
+    return Mesh(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))

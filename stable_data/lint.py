@@ -1,0 +1,88 @@
+"""Lint: the audit of every scene of a folder, as a page and as a table."""
+
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
+from tqdm import tqdm
+
+from stable_data import tables
+from stable_data.assets import AssetStore
+from stable_data.errors import Notice, SceneError
+from stable_data.mesatask import MesaTaskDataset
+from stable_data.metrics.audit import audit_scene
+from stable_data.metrics.card import MetricCard
+from stable_data.metrics.summary import Summary, summarise
+
+
+@dataclass(frozen=True, slots=True)
+class LintResult:
+    """What lint found.
+
+    Attributes:
+        root: The folder.
+        rows: One row a scene: its id, the metric card, pairs and verdicts.
+        failures: Scenes that could not be read.
+        warnings: What is doubtful about those that could.
+    """
+
+    root: Path
+    rows: tuple[tables.Row, ...]
+    failures: tuple[Notice, ...]
+    warnings: tuple[Notice, ...]
+
+    def frame(self) -> pl.DataFrame:
+        """The rows as a table."""
+        return pl.DataFrame(pl.from_arrow(self._arrow()))
+
+    def summary(self) -> Summary:
+        """The page's content."""
+        return summarise(self.frame())
+
+    def write(self, path: Path) -> None:
+        """Writes the rows as Parquet."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(self._arrow(), path, compression="zstd")
+
+    def __str__(self) -> str:
+        """The page."""
+        head = f"{self.root}: {len(self.rows)} scenes, {len(self.failures)} not usable, {len(self.warnings)} warnings"
+        failed = [f"not usable: {n.message}" for n in self.failures]
+        counted: dict[str, int] = {}
+        for n in self.warnings:
+            counted[n.code] = counted.get(n.code, 0) + 1
+        warned = [f"warning {code:<36} {count:>6}" for code, count in sorted(counted.items())]
+        return "\n".join([head, "", str(self.summary()), *([""] if warned or failed else []), *warned, *failed])
+
+    def _arrow(self) -> pa.Table:
+        schema = tables.SCHEMAS["scenes"]
+        names = ["scene_id", "table_type", *(f.name for f in fields(MetricCard)), "pairs", "verdicts"]
+        return pa.Table.from_pylist(list(self.rows), schema=pa.schema([schema.field(n) for n in names]))
+
+
+def lint_folder(root: Path, *, progress: bool = False) -> LintResult:
+    """Audits every scene of a folder in the MesaTask-10K format.
+
+    Args:
+        root: The folder.
+        progress: Whether to show a progress bar.
+
+    Raises:
+        ConfigError: The folder is not a dataset.
+    """
+    dataset = MesaTaskDataset(root)
+    store = AssetStore(dataset)
+    rows, failures, warnings = [], [], []
+    for scene_id in tqdm(dataset.scene_ids, desc="lint", unit="scene", disable=not progress):
+        try:
+            scene, read = dataset.read(scene_id)
+        except SceneError as error:
+            failures.append(Notice(scene_id, "read", error.code, str(error)))
+            continue
+        shapes, meshed = store.shapes(scene)
+        audit = audit_scene(scene, shapes)
+        rows.append({"scene_id": scene_id, "table_type": scene.table.table_type, **asdict(audit.card()), **audit.rows()})
+        warnings += [*read, *meshed]
+    return LintResult(root, tuple(rows), tuple(failures), tuple(warnings))

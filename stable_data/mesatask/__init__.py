@@ -1,0 +1,47 @@
+"""The MesaTask-10K format on disk, read and written. The only place that knows its centimetres, xyzw rotations and z_rotation.
+
+``dataset`` opens a folder; ``layout`` reads a layout.json or a language model's reply, with ``entry`` for one object and
+``document`` for the JSON; ``writing`` writes them; ``task_info`` reads and writes what lies beside a layout; ``library`` knows
+annotations and asset files; ``features`` the text features; ``frame`` the geometry of the pose.
+"""
+
+from stable_data.mesatask.dataset import MesaTaskDataset
+from stable_data.mesatask.entry import LayoutLimits
+from stable_data.mesatask.features import read_text_features, write_text_features
+from stable_data.mesatask.frame import (
+    PositionConvention,
+    detect_position_convention,
+    size_error,
+    to_box_centre,
+    yaw_frame_box,
+)
+from stable_data.mesatask.layout import read_layout, read_reply_layout
+from stable_data.mesatask.library import AssetAnnotation, AssetFolder, category_of, read_annotation, write_annotation
+from stable_data.mesatask.task_info import read_task_info, write_task_info
+from stable_data.mesatask.writing import write_annotations, write_asset, write_layout, write_reply_layout, write_scene
+
+__all__ = [
+    "AssetAnnotation",
+    "AssetFolder",
+    "LayoutLimits",
+    "MesaTaskDataset",
+    "PositionConvention",
+    "category_of",
+    "detect_position_convention",
+    "read_annotation",
+    "read_layout",
+    "read_reply_layout",
+    "read_task_info",
+    "read_text_features",
+    "size_error",
+    "to_box_centre",
+    "write_annotation",
+    "write_annotations",
+    "write_asset",
+    "write_layout",
+    "write_reply_layout",
+    "write_scene",
+    "write_task_info",
+    "write_text_features",
+    "yaw_frame_box",
+]

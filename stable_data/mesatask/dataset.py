@@ -1,0 +1,147 @@
+"""Opens a folder in the MesaTask-10K format."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from stable_data.errors import ConfigError, Notice, SceneError
+from stable_data.mesatask.document import Log, read_bounded
+from stable_data.mesatask.entry import LayoutLimits
+from stable_data.mesatask.layout import LAYOUT_FILE, read_layout
+from stable_data.mesatask.library import AssetAnnotation, AssetFolder
+from stable_data.mesatask.task_info import TASK_INFO_FILE, read_task_info
+from stable_data.mesatask.writing import LAYOUT_FOLDER
+from stable_data.scene import Scene, SceneObject, TaskInfo
+
+_MAX_TASK_INFO_BYTES = 1 << 20
+
+
+class MesaTaskDataset:
+    """A dataset on disk: Layout_info/<table type>/<scene>/layout.json, annotations and meshes beside it.
+
+    Args:
+        root: Its folder.
+        limits: What a layout may hold before it is refused.
+
+    Attributes:
+        root: Its folder.
+        scene_ids: Its scenes, sorted: names of their folders; where two share one, the later is ``<table type>/<name>``.
+        notices: What is odd about the folder as a whole.
+
+    Raises:
+        ConfigError: ``root_missing``, ``not_a_dataset``, ``dataset_empty``, or the annotations cannot be read.
+    """
+
+    def __init__(self, root: Path, limits: LayoutLimits | None = None) -> None:
+        self.root = Path(root)
+        self._limits = limits or LayoutLimits()
+        log = Log(self.root.name)
+        self._folders = _scene_folders(self.root, log)
+        self.scene_ids: tuple[str, ...] = tuple(sorted(self._folders))
+        self._assets = AssetFolder(self.root)
+        self.notices: tuple[Notice, ...] = (*log.notices, *self._assets.notices)
+
+    def __len__(self) -> int:
+        """Number of scenes."""
+        return len(self.scene_ids)
+
+    @property
+    def asset_ids(self) -> tuple[str, ...]:
+        """Every uid that is annotated or has a GLB, sorted."""
+        return self._assets.asset_ids
+
+    @property
+    def annotations(self) -> Mapping[str, AssetAnnotation]:
+        """What is annotated, by uid."""
+        return self._assets.annotations
+
+    def asset_path(self, asset_id: str) -> Path | None:
+        """The GLB of an asset, never outside of Assets_library; None where there is none."""
+        return self._assets.path(asset_id)
+
+    def annotation(self, asset_id: str) -> AssetAnnotation:
+        """What is annotated about an asset; defaults for one that only has a GLB.
+
+        Raises:
+            KeyError: It is neither annotated nor on disk.
+        """
+        return self._assets.annotation(asset_id)
+
+    def layout_path(self, scene_id: str) -> Path:
+        """Where a scene's layout.json lies.
+
+        Raises:
+            SceneError: There is no such scene.
+        """
+        if scene_id not in self._folders:
+            raise SceneError(f"{scene_id}: {self.root} has no such scene, expected one of its {len(self)}", "scene_unknown")
+        return self._folders[scene_id] / LAYOUT_FILE
+
+    def read(self, scene_id: str) -> tuple[Scene, tuple[Notice, ...]]:
+        """A scene with its task info, where one lies beside it.
+
+        Args:
+            scene_id: One of ``scene_ids``.
+
+        Returns:
+            The scene, and what about it deserves a look. An object whose asset is unknown has none; one whose GLB is missing
+            keeps its asset id, as does one whose GLB turns out to be broken.
+
+        Raises:
+            SceneError: The scene cannot be used; ``code`` says why.
+        """
+        path = self.layout_path(scene_id)
+        log = Log(scene_id)
+        data = read_bounded(path, self._limits.max_bytes, log)
+        table_type = path.parent.parent.name
+        scene, notices = read_layout(data, scene_id, table_type, annotations=self.annotations, limits=self._limits)
+        objects = tuple(self._with_known_asset(scene_object, log) for scene_object in scene.objects)
+        scene = replace(scene, objects=objects, task=_task_beside(path, log))
+        return scene, (*notices, *log.notices)
+
+    def _with_known_asset(self, scene_object: SceneObject, log: Log) -> SceneObject:
+        """The object, without its asset where nobody knows it."""
+        uid, name = scene_object.asset_id, scene_object.instance
+        if uid is None:
+            return scene_object
+        if uid not in self._assets:
+            message = f"object {name} has uid {uid}, neither annotated nor in Assets_library; it is kept as a box of its size"
+            log.warn("unknown_uid", message)
+            return replace(scene_object, asset_id=None)
+        if self.asset_path(uid) is None:
+            log.warn("glb_missing", f"object {name} has uid {uid}, whose GLB is missing; it is kept as a box of its size")
+        return scene_object
+
+
+def _scene_folders(root: Path, log: Log) -> dict[str, Path]:
+    """The folders of the scenes by id."""
+    if not root.is_dir():
+        raise ConfigError(f"{root} is not a folder; expected one in the MesaTask-10K format", "root_missing")
+    layouts = root / LAYOUT_FOLDER
+    if not layouts.is_dir():
+        hint = f"; did you mean {root.parent}?" if root.name == LAYOUT_FOLDER else ""
+        raise ConfigError(
+            f"{root} has no folder {LAYOUT_FOLDER}, expected {LAYOUT_FOLDER}/<table type>/<scene>{hint}", "not_a_dataset"
+        )
+    folders: dict[str, Path] = {}
+    for folder in sorted(path for path in layouts.glob("*/*") if path.is_dir() and not path.name.startswith(".")):
+        if not (folder / LAYOUT_FILE).is_file():
+            log.warn("layout_missing", f"{folder.relative_to(root)} has no {LAYOUT_FILE}; it is no scene")
+            continue
+        name = folder.name if folder.name not in folders else f"{folder.parent.name}/{folder.name}"
+        folders[name] = folder
+    if not folders:
+        raise ConfigError(f"{layouts} holds no <table type>/<scene>/{LAYOUT_FILE}; is the archive unpacked?", "dataset_empty")
+    return folders
+
+
+def _task_beside(layout_path: Path, log: Log) -> TaskInfo | None:
+    """The task info beside a layout; a bad one is a notice, for the scene is good without it."""
+    path = layout_path.with_name(TASK_INFO_FILE)
+    if not path.exists():
+        return None
+    try:
+        return read_task_info(read_bounded(path, _MAX_TASK_INFO_BYTES, log), log.item_id)
+    except SceneError as error:
+        log.warn("task_info_invalid", f"{str(error).removeprefix(log.item_id + ': ')}; the scene is read without it")
+        return None

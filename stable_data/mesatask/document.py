@@ -1,0 +1,170 @@
+"""Untrusted JSON, read with bounds, and its numbers, read strictly and written so that they read back the same."""
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from stable_data.errors import Notice, SceneError
+
+MAX_DEPTH = 64
+"""How deep JSON may nest: a layout needs 4."""
+
+
+class Log:
+    """What a reader notices about one item; the words that start each of its messages.
+
+    Attributes:
+        item_id: The scene or asset.
+        notices: What was kept but deserves a look.
+    """
+
+    def __init__(self, item_id: str) -> None:
+        self.item_id = item_id
+        self.notices: list[Notice] = []
+
+    def warn(self, code: str, message: str) -> None:
+        """Notes something that a fall-back exists for."""
+        self.notices.append(Notice(self.item_id, "read", code, f"{self.item_id}: {message}"))
+
+    def error(self, code: str, message: str) -> SceneError:
+        """The error to raise for something that no fall-back exists for."""
+        return SceneError(f"{self.item_id}: {message}", code)
+
+
+def shown(value: object) -> str:
+    """A value as a message may quote it: bounded, on one line."""
+    text = repr(value[:9] if isinstance(value, (list, str)) and len(value) > 99 else value)
+    return text if len(text) <= 99 else text[:96] + "..."
+
+
+def read_bounded(path: Path, max_bytes: int, log: Log) -> bytes:
+    """The bytes of a regular file of at most ``max_bytes``.
+
+    Raises:
+        SceneError: The file is missing, not a regular file, too big or unreadable.
+    """
+    if not path.is_file():
+        raise log.error("file_missing", f"{path} is missing or not a regular file")
+    try:
+        with path.open("rb") as file:
+            data = file.read(max_bytes + 1)
+    except OSError as error:
+        raise log.error("file_unreadable", f"{path} cannot be read: {error.strerror}") from error
+    if len(data) > max_bytes:
+        raise log.error("file_too_big", f"{path} has more than {max_bytes} bytes; raise the limit if it is right")
+    return data
+
+
+def parse_object(data: bytes | str, what: str, log: Log) -> dict[str, Any]:
+    """The JSON object of a file.
+
+    Args:
+        data: The file, UTF-8 where bytes.
+        what: Its name in messages, such as ``layout.json``.
+        log: The item that it belongs to.
+
+    Raises:
+        SceneError: ``json_not_utf8``, ``json_truncated``, ``json_invalid``, ``json_duplicate_key``, ``json_too_deep`` or
+            ``json_not_object``.
+    """
+    text = _decoded(data, what, log)
+
+    def without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        entry = dict(pairs)
+        if len(entry) < len(pairs):
+            keys = [key for key, _ in pairs]
+            repeated = next(key for key in keys if keys.count(key) > 1)
+            raise log.error("json_duplicate_key", f"{what} gives key {shown(repeated)} twice in one object; keep one of them")
+        return entry
+
+    try:
+        document = json.loads(text, object_pairs_hook=without_repeats)
+    except json.JSONDecodeError as error:
+        is_cut = error.pos >= len(text.rstrip()) or error.msg.startswith("Unterminated string")
+        where = f"line {error.lineno} column {error.colno} (character {error.pos} of {len(text)})"
+        code, hint = ("json_truncated", "is the file cut?") if is_cut else ("json_invalid", "expected JSON")
+        raise log.error(code, f"{what} is not valid JSON at {where}: {error.msg}; {hint}") from None
+    except RecursionError:
+        raise log.error("json_too_deep", f"{what} nests far deeper than {MAX_DEPTH} levels, expected a layout") from None
+    except SceneError:
+        raise
+    except ValueError as error:  # an integer of thousands of digits
+        raise log.error("json_invalid", f"{what} is not valid JSON: {shown(str(error))}") from None
+    if not isinstance(document, dict):
+        raise log.error("json_not_object", f"{what} holds a {type(document).__name__} at its top level, expected an object")
+    if _is_deep(document):
+        raise log.error("json_too_deep", f"{what} nests deeper than {MAX_DEPTH} levels, expected a layout")
+    return document
+
+
+def _decoded(data: bytes | str, what: str, log: Log) -> str:
+    """Text that can be encoded again."""
+    try:
+        text = data.decode("utf-8-sig") if isinstance(data, bytes) else data
+    except UnicodeDecodeError as error:
+        byte = error.object[error.start]
+        raise log.error(
+            "json_not_utf8", f"{what} is not UTF-8: byte 0x{byte:02x} at offset {error.start}; save it as UTF-8"
+        ) from None
+    if "\\ud" in text.lower() or not text.isascii():  # half of a surrogate pair survives in Python and breaks every writer
+        try:
+            json.dumps(json.loads(text), ensure_ascii=False).encode()
+        except UnicodeEncodeError:
+            raise log.error("json_not_utf8", f"{what} holds half of a surrogate pair, expected whole characters") from None
+        except (ValueError, RecursionError):
+            pass  # parse_object says what is wrong
+    return text
+
+
+def _is_deep(document: object) -> bool:
+    """Whether containers nest deeper than MAX_DEPTH."""
+    level: list[Any] = [document]
+    for _ in range(MAX_DEPTH):
+        level = [
+            child
+            for parent in level
+            for child in (parent.values() if isinstance(parent, dict) else parent)
+            if isinstance(child, (dict, list))
+        ]
+        if not level:
+            return False
+    return True
+
+
+def numbers(value: object, count: int) -> tuple[float, ...] | None:
+    """A JSON list of ``count`` numbers as floats, possibly not finite; None where it is anything else.
+
+    A boolean is not a number, nor is a string that spells one; an integer beyond a double is infinite.
+    """
+    if not isinstance(value, (list, tuple)) or len(value) != count:
+        return None
+    floats = [number(item) for item in value]
+    return None if None in floats else tuple(item for item in floats if item is not None)
+
+
+def number(value: object) -> float | None:
+    """A JSON number as a float, possibly not finite; None where it is anything else."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return None
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+
+
+def are_finite(values: Sequence[float] | None) -> bool:
+    """Whether there are values and all are finite."""
+    return values is not None and all(map(math.isfinite, values))
+
+
+def inverse(forward: Callable[[float], float], guess: float, target: float) -> float:
+    """The double near ``guess`` that ``forward`` takes to ``target`` exactly, or ``guess`` where no double does."""
+    below = above = guess
+    for _ in range(4):
+        for candidate in (below, above):
+            if forward(candidate) == target:
+                return candidate
+        below, above = math.nextafter(below, -math.inf), math.nextafter(above, math.inf)
+    return guess

@@ -1,0 +1,234 @@
+"""Reads one object of a layout: names, pose, scale and size, each with its fall-back or its reason to refuse the scene."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from stable_data.mesatask.document import Log, are_finite, number, numbers, shown
+from stable_data.mesatask.frame import SIZE_TOLERANCE, heading, is_yaw_of, normalised, tilt_of, turned_extents
+from stable_data.mesatask.library import AssetAnnotation, category_of, is_inside, stem_of
+from stable_data.scene import UPRIGHT, QuatXyzw, SceneObject, Vec3
+
+POSE_KEYS = ("rotation", "scale_factor")
+"""Keys of an object that only the dataset's form has."""
+BOX_YAW = "box_yaw"
+"""An addition to the format: repeats ``z_rotation`` where it is meant although it is no Euler angle of ``rotation``."""
+MAX_NAME_LENGTH = 200
+
+_UPRIGHT = 1e-3  # radians: below it, scale_factor times original_size is the box in the yaw frame
+_UNIT_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class LayoutLimits:
+    """What a layout may hold before it is refused.
+
+    Attributes:
+        max_bytes: Size of a file.
+        max_objects: Objects of a scene.
+        max_reach: Largest distance of an object from the table, and largest extent of anything, metres.
+    """
+
+    max_bytes: int = 64 << 20
+    max_objects: int = 500
+    max_reach: float = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Border:
+    """What one layout's objects are read with.
+
+    Attributes:
+        log: Takes the notices.
+        origin_cm: x_min, y_min of the zone: what becomes the origin.
+        size_xy: The table, metres.
+        is_reply: Whether the layout is a language model's.
+        annotations: What is known about assets.
+        limits: What may be read.
+    """
+
+    log: Log
+    origin_cm: tuple[float, float]
+    size_xy: tuple[float, float]
+    is_reply: bool = False
+    annotations: Mapping[str, AssetAnnotation] = field(default_factory=dict)
+    limits: LayoutLimits = field(default_factory=LayoutLimits)
+
+
+def read_object(entry: Mapping[str, Any], instance: str, border: Border) -> SceneObject:
+    """One object of a layout.
+
+    Args:
+        entry: Its entry in the file.
+        instance: Its name, made unique.
+        border: What it is read with.
+    """
+    log = border.log
+    asset_id = _asset_id(entry, instance, border)
+    annotation = _annotation(asset_id, border.annotations)
+    position = _position(entry, instance, border)
+    if border.is_reply:
+        yaw, tilt, scale = _reply_yaw(entry, instance, log), UPRIGHT, None
+    else:
+        yaw, tilt = _rotation(entry, instance, log)
+        scale = _scale(entry, instance, log)
+    return SceneObject(
+        instance,
+        category_of(annotation.category if annotation and annotation.category else instance),
+        position,
+        yaw,
+        _size(entry, instance, scale, tilt, border),
+        asset_id=asset_id,
+        scale=scale,
+        tilt_quat_xyzw=tilt,
+        description=_description(entry, annotation),
+        source=entry,
+    )
+
+
+def _asset_id(entry: Mapping[str, Any], instance: str, border: Border) -> str | None:
+    """The uid: selected, else retrieved."""
+    uid = entry.get("selected_uid") or entry.get("retrieved_uid")
+    if not uid:
+        if not border.is_reply:
+            border.log.warn("uid_missing", f"object {instance} names no asset; it is kept as a box of its size")
+        return None
+    if not isinstance(uid, str) or len(uid) > MAX_NAME_LENGTH:
+        border.log.warn(
+            "uid_invalid", f"object {instance} has uid {shown(uid)}, expected a name; it is kept as a box of its size"
+        )
+        return None
+    if not is_inside(uid):
+        message = f"object {instance} has uid {shown(uid)}, which leads out of the asset folder; expected a plain name"
+        raise border.log.error("uid_path_traversal", message)
+    return uid
+
+
+def _position(entry: Mapping[str, Any], instance: str, border: Border) -> Vec3:
+    """Centre of the box, metres, from the zone's corner."""
+    value, log = entry.get("position"), border.log
+    found = numbers(value, 3)
+    if found is None:
+        code = "position_missing" if value is None else "position_invalid"
+        raise log.error(code, f"object {instance} has position {shown(value)}, expected three numbers in centimetres")
+    if not are_finite(found):
+        code = "position_nan" if any(map(math.isnan, found)) else "position_inf"
+        raise log.error(code, f"object {instance} has position {shown(value)}, expected finite centimetres")
+    x, y = border.origin_cm
+    position = ((found[0] - x) / 100, (found[1] - y) / 100, found[2] / 100)
+    reach = border.limits.max_reach
+    beyond = max(max(-p, p - side) for p, side in zip(position, (*border.size_xy, 0.0), strict=True))
+    if beyond > reach:
+        message = f"object {instance} has position {shown(value)} cm, {beyond:g} m off the table; expected at most {reach:g} m"
+        raise log.error("coordinates_huge", message)
+    return position
+
+
+def _scale(entry: Mapping[str, Any], instance: str, log: Log) -> Vec3 | None:
+    """Metres per mesh unit; None where the file's factor cannot be used."""
+    value = entry.get("scale_factor")
+    found = numbers(value, 3)
+    if found is not None and are_finite(found) and min(found) > 0:
+        return (found[0] / 100, found[1] / 100, found[2] / 100)
+    if value is None:
+        code = "scale_factor_missing"
+    elif found is None or not are_finite(found):
+        code = "scale_invalid"
+    else:
+        code = "scale_negative" if min(found) < 0 else "scale_zero"
+    message = f"object {instance} has scale_factor {shown(value)}, expected three positive numbers; its mesh is fitted to size"
+    log.warn(code, message)
+    return None
+
+
+def _rotation(entry: Mapping[str, Any], instance: str, log: Log) -> tuple[float, QuatXyzw]:
+    """Yaw, radians, and tilt. ``rotation`` is the truth; ``z_rotation`` says which of its yaw frames ``size`` belongs to."""
+    z_rotation = entry.get("z_rotation")
+    yaw = number(z_rotation)
+    if yaw is None or not math.isfinite(yaw):
+        yaw = None
+    rotation = _unit_rotation(entry, instance, log)
+    if rotation is None:
+        return (yaw or 0.0), UPRIGHT
+    angle = heading(rotation)[0] if heading(rotation)[1] > 0 else 0.0
+    if z_rotation is None:
+        return angle, tilt_of(rotation, angle)
+    if yaw is None or not (is_yaw_of(yaw, rotation) or entry.get(BOX_YAW) == yaw):
+        message = (
+            f"object {instance} has z_rotation {shown(z_rotation)}, but its rotation turns by {angle:g} rad; rotation is used"
+        )
+        log.warn("z_rotation_disagrees", message)
+        yaw = angle
+    return yaw, tilt_of(rotation, yaw)
+
+
+def _unit_rotation(entry: Mapping[str, Any], instance: str, log: Log) -> QuatXyzw | None:
+    """The file's quaternion, normalised; None where it cannot be used."""
+    value = entry.get("rotation")
+    found = numbers(value, 4)
+    norm = math.hypot(*found) if found is not None else math.nan
+    if found is not None and math.isfinite(norm) and norm > 1e-6:
+        if abs(norm - 1) > _UNIT_TOLERANCE:
+            log.warn("rotation_not_unit", f"object {instance} has a quaternion of norm {norm:g}, expected 1; it is normalised")
+        return normalised((found[0], found[1], found[2], found[3]))
+    is_short = isinstance(value, list) and len(value) != 4
+    code = "rotation_missing" if value is None else "rotation_wrong_length" if is_short else "rotation_invalid"
+    message = f"object {instance} has rotation {shown(value)}, expected a quaternion [x, y, z, w]; upright by z_rotation"
+    log.warn(code, message)
+    return None
+
+
+def _reply_yaw(entry: Mapping[str, Any], instance: str, log: Log) -> float:
+    """A reply's z_rotation, which is in degrees, as radians."""
+    yaw_deg = number(entry.get("z_rotation"))
+    if yaw_deg is not None and math.isfinite(yaw_deg):
+        return math.radians(yaw_deg)
+    message = f"object {instance} has z_rotation {shown(entry.get('z_rotation'))}, expected degrees; it faces the viewer"
+    log.warn("z_rotation_invalid", message)
+    return 0.0
+
+
+def _size(entry: Mapping[str, Any], instance: str, scale: Vec3 | None, tilt: QuatXyzw, border: Border) -> Vec3:
+    """The box in the yaw frame, metres: the file's, or the product that it was rounded from."""
+    value, log, reach = entry.get("size"), border.log, border.limits.max_reach
+    found = numbers(value, 3)
+    exact = _extents(entry, scale)
+    if found is None or not are_finite(found) or min(found) < 0 or max(found) <= 0:
+        code = "size_missing" if value is None else "size_invalid"
+        if exact is None or math.hypot(*exact) > reach:
+            raise log.error(code, f"object {instance} has size {shown(value)}, expected three positive numbers in centimetres")
+        log.warn(code, f"object {instance} has size {shown(value)}; the turned box of original_size and scale_factor is used")
+        return turned_extents(exact, tilt)
+    size = (found[0] / 100, found[1] / 100, found[2] / 100)
+    if max(size) > reach:
+        raise log.error("size_huge", f"object {instance} has size {shown(value)} cm, expected at most {reach:g} m")
+    if exact is None or abs(tilt[3]) < math.cos(_UPRIGHT / 2):
+        return size
+    if max(abs(a - b) for a, b in zip(exact, size, strict=True)) <= SIZE_TOLERANCE:
+        return exact
+    message = f"object {instance} has size {shown(value)} cm, but original_size and scale_factor give {exact} m; size is used"
+    log.warn("size_disagrees", message)
+    return size
+
+
+def _extents(entry: Mapping[str, Any], scale: Vec3 | None) -> Vec3 | None:
+    """Extents of the scaled mesh along its own axes, metres, where the file gives what they follow from."""
+    found = numbers(entry.get("original_size"), 3)
+    if scale is None or found is None or not are_finite(found) or min(found) < 0 or max(found) <= 0:
+        return None
+    extents = (found[0] * scale[0], found[1] * scale[1], found[2] * scale[2])
+    return extents if max(extents) > 0 and are_finite(extents) else None
+
+
+def _annotation(asset_id: str | None, annotations: Mapping[str, AssetAnnotation]) -> AssetAnnotation | None:
+    """What is known about an asset, or about the one that it is a turned variant of."""
+    return None if asset_id is None else annotations.get(asset_id) or annotations.get(stem_of(asset_id))
+
+
+def _description(entry: Mapping[str, Any], annotation: AssetAnnotation | None) -> str:
+    """The file's own words, else the annotation's."""
+    own = entry.get("description")
+    if isinstance(own, str) and own.strip():
+        return own
+    return annotation.words if annotation else ""

@@ -1,0 +1,234 @@
+"""sbert_text_features.pkl: text features by uid. A pickle, so it is opened without letting it build anything.
+
+The format needs four names from numpy to describe an array. They are answered by stand-ins that hold plain values; the array is
+made here, from its bytes, after the pickle has been read. Nothing that the file names is imported or called.
+"""
+
+import gzip
+import io
+import math
+import pickle
+import pickletools
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import numpy.typing as npt
+
+from stable_data.errors import ConfigError
+from stable_data.mesatask.document import shown
+
+FEATURES_FILE = "sbert_text_features.pkl"
+_MAX_BYTES = 1 << 30
+_MAX_MEMO = 1 << 22
+_GZIP_MAGIC = b"\x1f\x8b"
+_FLOATS = ("f2", "f4", "f8")
+_MULTIARRAY = ("numpy.core.multiarray", "numpy._core.multiarray")
+_NUMERIC = ("numpy.core.numeric", "numpy._core.numeric")
+
+
+def read_text_features(path: Path, max_bytes: int = _MAX_BYTES) -> tuple[tuple[str, ...], npt.NDArray[np.float32]]:
+    """Text features of the assets, plain or gzip-compressed.
+
+    Args:
+        path: A pickle of {"uids": list of N strings, "text_features": array (N, D)}.
+        max_bytes: Refuse more than this, also after decompression.
+
+    Returns:
+        The uids and their features, (N, D) float32.
+
+    Raises:
+        ConfigError: The file is missing, too big, not a pickle, asks for anything but numpy arrays (``pickle_refused``), or
+            does not hold what is expected.
+    """
+    data = _unpacked(path, max_bytes)
+    _check_memo(data, path)
+    try:
+        document = _PlainUnpickler(data, path).load()
+    except ConfigError:
+        raise
+    except (
+        pickle.UnpicklingError,
+        EOFError,
+        ValueError,
+        TypeError,
+        IndexError,
+        KeyError,
+        AttributeError,
+        MemoryError,
+    ) as error:
+        raise ConfigError(f"{path} is not a sound pickle: {shown(str(error))}; fetch it again", "features_invalid") from error
+    if not isinstance(document, dict) or not {"uids", "text_features"} <= document.keys():
+        raise _invalid(path, f"holds a {type(document).__name__}")
+    return _checked(document["uids"], document["text_features"], path)
+
+
+def write_text_features(path: Path, uids: Sequence[str], features: npt.ArrayLike) -> None:
+    """Writes text features as the format has them.
+
+    Args:
+        path: The file.
+        uids: N uids.
+        features: (N, D); rows are compared by dot product and should be of unit length.
+
+    Raises:
+        ConfigError: The numbers of uids and rows differ, or a feature is not finite.
+    """
+    array = np.ascontiguousarray(features, np.float32)
+    if array.ndim != 2 or len(array) != len(uids) or not np.isfinite(array).all():
+        message = f"{len(uids)} uids and features of shape {array.shape}, expected finite (N, D)"
+        raise ConfigError(f"{path} cannot be written: {message}", "features_invalid")
+    path.write_bytes(pickle.dumps({"uids": list(uids), "text_features": array}, protocol=4))
+
+
+class _Described:
+    """What a pickle says about a numpy value. It has no behaviour but to take its state."""
+
+    def __init__(self, *arguments: Any) -> None:
+        self.arguments = arguments
+        self.state: Any = None
+
+    def __setstate__(self, state: Any) -> None:
+        self.state = state
+
+
+class _Array(_Described):
+    """numpy.ndarray: state (version, shape, dtype, is Fortran order, bytes or list)."""
+
+
+class _Buffer(_Described):
+    """An array of pickle protocol 5: arguments (bytes, dtype, shape, order)."""
+
+
+class _Dtype(_Described):
+    """numpy.dtype: arguments (type string, …), state (version, byte order, …)."""
+
+
+class _Scalar(_Described):
+    """A numpy scalar: arguments (dtype, bytes)."""
+
+
+class _Bytes(_Described):
+    """bytes as protocol 2 spells them: arguments (text, "latin1")."""
+
+
+_STAND_INS: dict[tuple[str, str], Any] = {
+    ("numpy", "ndarray"): _Array,
+    ("numpy", "dtype"): _Dtype,
+    ("_codecs", "encode"): _Bytes,
+    **{(module, "_reconstruct"): _Array for module in _MULTIARRAY},
+    **{(module, "scalar"): _Scalar for module in _MULTIARRAY},
+    **{(module, "_frombuffer"): _Buffer for module in _NUMERIC},
+}
+
+
+class _PlainUnpickler(pickle.Unpickler):
+    """Reads plain containers and descriptions of numpy values; refuses everything else."""
+
+    def __init__(self, data: bytes, path: Path) -> None:
+        super().__init__(io.BytesIO(data))
+        self._path = path
+
+    def find_class(self, module: str, name: str) -> Any:
+        stand_in = _STAND_INS.get((module, name))
+        if stand_in is None:
+            self._refuse(f"{module}.{name}")
+        return stand_in
+
+    def persistent_load(self, pid: Any) -> Any:
+        self._refuse("a persistent id")
+
+    def _refuse(self, what: str) -> NoReturn:
+        message = (
+            f"{self._path} asks for {shown(what)}, expected numpy arrays in plain containers; it was not run, do not trust it"
+        )
+        raise ConfigError(message, "pickle_refused")
+
+
+def _unpacked(path: Path, max_bytes: int) -> bytes:
+    """The pickle's bytes, decompressed, bounded."""
+    if not path.is_file():
+        raise ConfigError(f"{path} is missing or not a regular file", "features_missing")
+    try:
+        with path.open("rb") as file:
+            is_gzip = file.read(2) == _GZIP_MAGIC
+        with gzip.open(path) if is_gzip else path.open("rb") as file:
+            data = file.read(max_bytes + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise ConfigError(f"{path} cannot be read: {error}; fetch it again", "features_invalid") from error
+    if len(data) > max_bytes:
+        raise ConfigError(f"{path} has more than {max_bytes} bytes; raise the limit if it is right", "file_too_big")
+    return data
+
+
+def _check_memo(data: bytes, path: Path) -> None:
+    """Refuses an index that would make the unpickler allocate a table of that length."""
+    try:
+        for operation, argument, _ in pickletools.genops(data):
+            if operation.name in ("PUT", "BINPUT", "LONG_BINPUT") and argument is not None and argument > _MAX_MEMO:
+                raise ConfigError(f"{path} holds memo index {argument}, expected at most {_MAX_MEMO}", "pickle_refused")
+    except ConfigError:
+        raise
+    except (ValueError, OverflowError, MemoryError) as error:
+        raise ConfigError(f"{path} is not a sound pickle: {shown(str(error))}; fetch it again", "features_invalid") from error
+
+
+def _checked(uids: Any, described: Any, path: Path) -> tuple[tuple[str, ...], npt.NDArray[np.float32]]:
+    """The document's two values, once they are what they should be."""
+    names = _plain(uids, path)
+    rows = _plain(described, path)
+    if not isinstance(names, (list, tuple)) or not all(isinstance(name, str) for name in names):
+        raise _invalid(path, f"has a {type(names).__name__} of uids")
+    try:
+        features = np.asarray(rows, np.float32) if len(rows) else np.zeros((0, 0), np.float32)
+    except (TypeError, ValueError) as error:
+        raise _invalid(path, f"has features that are no table ({shown(str(error))})") from error
+    if features.ndim != 2 or len(features) != len(names) or not np.isfinite(features).all():
+        raise _invalid(path, f"has {len(names)} uids and features of shape {features.shape}, or values that are not finite")
+    return tuple(names), features
+
+
+def _invalid(path: Path, what: str) -> ConfigError:
+    expected = 'expected {"uids": N strings, "text_features": finite array (N, D)}'
+    return ConfigError(f"{path} {what}, {expected}; fetch it again", "features_invalid")
+
+
+def _plain(value: Any, path: Path) -> Any:
+    """A list or array for a described one, one level of nesting down."""
+    if isinstance(value, (list, tuple)):
+        return [_plain_array(item, path) if isinstance(item, _Described) else item for item in value]
+    return _plain_array(value, path) if isinstance(value, _Described) else value
+
+
+def _plain_array(value: _Described, path: Path) -> Any:
+    """The array that a description speaks of: floats as an array, strings and objects as a list."""
+    try:
+        if isinstance(value, _Scalar):
+            dtype, data = value.arguments
+            return _from_bytes(data, dtype, (1,), False)[0]
+        if isinstance(value, _Buffer):
+            data, dtype, shape, order = value.arguments
+            return _from_bytes(data, dtype, shape, order == "F")
+        _, shape, dtype, is_fortran, data = value.state
+        if isinstance(data, list):
+            if len(data) != math.prod(shape) or any(isinstance(item, _Described) for item in data):
+                raise ValueError(f"{len(data)} plain items for shape {shape}")
+            return data
+        return _from_bytes(data, dtype, shape, is_fortran)
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
+        raise _invalid(path, f"describes an array that cannot be ({shown(str(error))})") from error
+
+
+def _from_bytes(data: bytes | _Bytes, dtype: _Dtype, shape: tuple[int, ...], is_fortran: bool) -> Any:
+    """An array of floats, or a list of strings, from its bytes."""
+    if isinstance(data, _Bytes):
+        data = str(data.arguments[0]).encode("latin-1")
+    kind = str(dtype.arguments[0]).lstrip("<>=|")
+    is_big = bool(dtype.state) and dtype.state[1] == ">"
+    if kind not in _FLOATS and not (kind[:1] == "U" and kind[1:].isdigit()):
+        raise ValueError(f"dtype {shown(kind)}, expected floats or strings")
+    array = np.frombuffer(data, np.dtype((">" if is_big else "<") + kind))
+    array = array.reshape(shape, order="F" if is_fortran else "C")
+    return array.tolist() if kind[0] == "U" else array

@@ -1,0 +1,198 @@
+"""The geometry of a MesaTask pose: yaw and tilt of a rotation, the box in the yaw frame, and what ``position`` is."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from enum import StrEnum
+
+import numpy as np
+
+from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, SceneObject, Vec3
+
+SIZE_TOLERANCE = 2e-3
+"""How far the box of the annotated mesh may be from ``size``, metres: sizes are rounded to 1 mm."""
+
+_UPRIGHT_TILT = math.radians(1.0)
+_GIMBAL = 1e-5  # horizontal length of the x axis below which its heading is noise
+_HEADING_TOLERANCE = 1e-3
+
+
+class PositionConvention(StrEnum):
+    """What the position of a tilted mesh is the centre of."""
+
+    BOX_CENTRE = "box_centre"
+    """Of the box in the yaw frame, tilt included: this library's own meaning, and the one that resting heights support."""
+
+    MESH_CENTRE = "mesh_centre"
+    """Of the mesh's own box, turned with the mesh, as the format's official viewer places it."""
+
+
+def quat_product(a: QuatXyzw, b: QuatXyzw) -> QuatXyzw:
+    """The rotation ``b`` followed by the rotation ``a``, xyzw."""
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )
+
+
+def yaw_quat(yaw: float) -> QuatXyzw:
+    """The rotation by ``yaw`` radians about +z, xyzw."""
+    return (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+
+
+def normalised(quat_xyzw: QuatXyzw) -> QuatXyzw:
+    """The unit quaternion of the same direction, xyzw."""
+    norm = math.sqrt(math.fsum(q * q for q in quat_xyzw))
+    x, y, z, w = quat_xyzw
+    return (x / norm, y / norm, z / norm, w / norm)
+
+
+def rotation_matrix(quat_xyzw: QuatXyzw) -> FloatArray:
+    """The matrix of a unit quaternion, (3, 3) float64."""
+    x, y, z, w = quat_xyzw
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def heading(quat_xyzw: QuatXyzw) -> tuple[float, float]:
+    """Where the turned x axis points, seen from above.
+
+    Returns:
+        Its angle atan2(R10, R00), radians, and its horizontal length, 0 where the angle means nothing.
+    """
+    x, y, z, w = quat_xyzw
+    east, north = 1 - 2 * (y * y + z * z), 2 * (x * y + z * w)
+    return math.atan2(north, east), math.hypot(east, north)
+
+
+def tilt_angle(quat_xyzw: QuatXyzw) -> float:
+    """Angle between the turned z axis and z, radians."""
+    x, y, z, w = quat_xyzw
+    return 2 * math.atan2(math.hypot(x, y), math.hypot(z, w))
+
+
+def is_yaw_of(yaw: float, quat_xyzw: QuatXyzw) -> bool:
+    """Whether an angle is the z angle of some Euler form x-y-z of a rotation.
+
+    That is its heading modulo 2 pi; for a tilted object also the heading plus pi, the equivalent Euler form; for an x axis
+    that points straight up or down any angle.
+    """
+    angle, length = heading(quat_xyzw)
+    if length < _GIMBAL:
+        return True
+    period = math.pi if tilt_angle(quat_xyzw) > _UPRIGHT_TILT else 2 * math.pi
+    return abs(math.remainder(yaw - angle, period)) <= _HEADING_TOLERANCE + 1e-6 / length
+
+
+def tilt_of(quat_xyzw: QuatXyzw, yaw: float) -> QuatXyzw:
+    """What is left of a rotation once ``yaw`` is taken off: Rz(-yaw) · R, unit, xyzw."""
+    x, y, z, w = quat_xyzw
+    if x == 0 and y == 0 and abs(math.remainder(yaw - 2 * math.atan2(z, w), 2 * math.pi)) < 1e-6:
+        return UPRIGHT  # a pure yaw: what is left is rounding
+    return normalised(quat_product(yaw_quat(-yaw), quat_xyzw))
+
+
+def turned_extents(extents: Vec3, quat_xyzw: QuatXyzw) -> Vec3:
+    """Extents of the axis-aligned box around a turned box; exact for a box, an upper bound for what it holds."""
+    if quat_xyzw == UPRIGHT:
+        return extents
+    x, y, z = (np.abs(rotation_matrix(quat_xyzw)) @ np.asarray(extents)).tolist()
+    return (x, y, z)
+
+
+def yaw_frame_box(vertices: FloatArray, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> tuple[FloatArray, FloatArray]:
+    """The box of a scaled and tilted mesh, in the yaw frame.
+
+    Args:
+        vertices: (V, 3) float64, mesh units, z up, the mesh's own box centred on the origin.
+        scale: Metres per mesh unit along the mesh's own axes.
+        tilt_quat_xyzw: Rotation before yaw, unit.
+
+    Returns:
+        Lowest and highest corner, (3,) float64 each, metres, measured from the centre of the mesh's own box.
+    """
+    turned = (np.asarray(vertices, np.float64) * np.asarray(scale)) @ rotation_matrix(tilt_quat_xyzw).T
+    return turned.min(axis=0), turned.max(axis=0)
+
+
+def size_error(scene_object: SceneObject, vertices: FloatArray) -> float:
+    """How far a mesh's box is from the object's ``size``: the test of whether it is the mesh that the scene was made with.
+
+    Args:
+        scene_object: The object.
+        vertices: Its mesh, (V, 3) float64, mesh units, z up.
+
+    Returns:
+        The worst axis, metres; NaN where the object has no scale and the test cannot run.
+    """
+    if scene_object.scale is None:
+        return math.nan
+    low, high = yaw_frame_box(vertices, scene_object.scale, scene_object.tilt_quat_xyzw)
+    return float(np.abs(high - low - scene_object.size).max())
+
+
+def to_box_centre(scene_object: SceneObject, vertices: FloatArray) -> SceneObject:
+    """The object whose position was read as its mesh's centre, with the position that this library means.
+
+    Args:
+        scene_object: Position: turned centre of the mesh's own box (``mesh_centre``), metres, world frame.
+        vertices: Its mesh, (V, 3) float64, mesh units, z up, the mesh's own box centred on the origin.
+
+    Returns:
+        The same object; position: centre of its box in its yaw frame. Unchanged where it has no scale.
+    """
+    if scene_object.scale is None:
+        return scene_object
+    low, high = yaw_frame_box(vertices, scene_object.scale, scene_object.tilt_quat_xyzw)
+    right, back, up = ((low + high) / 2).tolist()
+    c, s = math.cos(scene_object.yaw), math.sin(scene_object.yaw)
+    x, y, z = scene_object.position
+    return replace(scene_object, position=(x + c * right - s * back, y + s * right + c * back, z + up))
+
+
+def detect_position_convention(
+    samples: Iterable[tuple[SceneObject, FloatArray]], tolerance: float = 1.5e-3
+) -> PositionConvention:
+    """Which of the two conventions a dataset follows, judged by how many objects rest on the table under each.
+
+    Only objects tell that are tilted, whose mesh is the annotated one (:func:`size_error`), whose two centres differ in
+    height by more than the two tolerances together, and that stand on or near the table (within 2 cm under either reading).
+
+    Args:
+        samples: Objects with their meshes, vertices as for :func:`to_box_centre`.
+        tolerance: How far the bottom of a resting object may be from z = 0, metres.
+
+    Returns:
+        The convention that leaves more of them resting; ``box_centre`` where neither does.
+    """
+    resting = {PositionConvention.BOX_CENTRE: 0, PositionConvention.MESH_CENTRE: 0}
+    for scene_object, vertices in samples:
+        bottoms = _bottoms(scene_object, vertices, tolerance)
+        for convention, bottom in bottoms.items():
+            resting[convention] += abs(bottom) <= tolerance
+    box_votes, mesh_votes = resting[PositionConvention.BOX_CENTRE], resting[PositionConvention.MESH_CENTRE]
+    return PositionConvention.MESH_CENTRE if mesh_votes > box_votes else PositionConvention.BOX_CENTRE
+
+
+def _bottoms(scene_object: SceneObject, vertices: FloatArray, tolerance: float) -> dict[PositionConvention, float]:
+    """Height of an object's lowest point under each convention, metres; empty where it says nothing about them."""
+    if scene_object.scale is None or scene_object.tilt_angle < _UPRIGHT_TILT:
+        return {}
+    low, high = yaw_frame_box(vertices, scene_object.scale, scene_object.tilt_quat_xyzw)
+    if np.abs(high - low - scene_object.size).max() > SIZE_TOLERANCE or abs(low[2] + high[2]) / 2 <= 2 * tolerance:
+        return {}
+    z = scene_object.position[2]
+    bottoms = {
+        PositionConvention.BOX_CENTRE: z - float(high[2] - low[2]) / 2,
+        PositionConvention.MESH_CENTRE: z + float(low[2]),
+    }
+    return bottoms if min(map(abs, bottoms.values())) <= 0.02 else {}

@@ -1,0 +1,233 @@
+"""Reads a layout: the dataset's layout.json, or the JSON that a language model replies with.
+
+The two forms differ: the dataset gives ``rotation``, ``scale_factor`` and ``z_rotation`` in radians, a reply ``description``
+and ``z_rotation`` in degrees. Which one a file is, its objects tell. Lengths are centimetres in both.
+
+What no sane fall-back exists for raises SceneError, everything else that is odd is a Notice, and either way the ``code`` says
+which thing it was.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from stable_data.errors import Notice
+from stable_data.mesatask.document import Log, are_finite, numbers, parse_object, shown
+from stable_data.mesatask.entry import MAX_NAME_LENGTH, POSE_KEYS, Border, LayoutLimits, read_object
+from stable_data.mesatask.library import AssetAnnotation
+from stable_data.scene import TABLE, Rectangle, Scene, Tabletop
+
+LAYOUT_FILE = "layout.json"
+
+_FINAL_ANSWER = "**Final Answer**"
+
+
+def read_layout(
+    data: bytes | str | Mapping[str, Any],
+    scene_id: str,
+    table_type: str,
+    *,
+    annotations: Mapping[str, AssetAnnotation] | None = None,
+    limits: LayoutLimits | None = None,
+) -> tuple[Scene, tuple[Notice, ...]]:
+    """A scene from a layout of either form.
+
+    Args:
+        data: layout.json, UTF-8 where bytes, or its content.
+        scene_id: Id of the scene.
+        table_type: Type of its table; the file does not say it.
+        annotations: By uid; gives categories and descriptions.
+        limits: What to refuse.
+
+    Returns:
+        The scene in SI units with the origin at the zone's corner, and what deserves a look. Every entry is kept as ``source``.
+
+    Raises:
+        SceneError: The layout cannot be used; ``code`` says why.
+    """
+    log = Log(scene_id)
+    limits = limits or LayoutLimits()
+    document = _document(data, limits, log)
+    scene = _read(document, table_type, Border(log, (0, 0), (0, 0), is_reply_form(document), annotations or {}, limits))
+    return scene, tuple(log.notices)
+
+
+def read_reply_layout(
+    reply: str | bytes | Mapping[str, Any],
+    scene_id: str = "reply",
+    table_type: str = TABLE,
+    *,
+    annotations: Mapping[str, AssetAnnotation] | None = None,
+    limits: LayoutLimits | None = None,
+) -> Scene:
+    """A scene from what a language model replied, reasoning, code fences and end marks around the JSON included.
+
+    Args:
+        reply: The reply, or its JSON as text or content.
+        scene_id: Id of the scene.
+        table_type: Type of its table.
+        annotations: As for :func:`read_layout`.
+        limits: As for :func:`read_layout`.
+
+    Returns:
+        The scene. Of two objects with one instance, both are kept, under two names.
+
+    Raises:
+        SceneError: The reply cannot be used.
+    """
+    if isinstance(reply, bytes):
+        reply = reply.decode("utf-8", errors="replace")
+    if isinstance(reply, str):
+        reply = _json_of_reply(reply)
+    log = Log(scene_id)
+    limits = limits or LayoutLimits()
+    document = _document(reply, limits, log)
+    return _read(
+        document, table_type, Border(log, (0, 0), (0, 0), not _has_key(document, POSE_KEYS), annotations or {}, limits)
+    )
+
+
+def is_reply_form(document: Mapping[str, Any]) -> bool:
+    """Whether a layout is a language model's: objects are described, and none has a rotation or scale."""
+    return not _has_key(document, POSE_KEYS) and _has_key(document, ("description",))
+
+
+def read_table(document: Mapping[str, Any], table_type: str, log: Log) -> tuple[Tabletop, tuple[float, float]]:
+    """The table of a layout, and the corner of its zone that becomes the origin (x_min, y_min, centimetres)."""
+    zone = _zone(document, "item_placement_zone", log)
+    if zone is None:
+        raise log.error("zone_missing", "item_placement_zone is missing, expected [x_min, x_max, y_min, y_max]")
+    if not (zone[0] < zone[1] and zone[2] < zone[3]):
+        raise log.error("zone_max_below_min", f"item_placement_zone is {list(zone)}: a maximum is not above its minimum")
+    x, y = zone[0], zone[2]
+    restricted = _restricted_zone(document, log)
+    if restricted is not None:
+        x_min, x_max, y_min, y_max = restricted
+        restricted = ((x_min - x) / 100, (x_max - x) / 100, (y_min - y) / 100, (y_max - y) / 100)
+    return Tabletop(table_type, ((zone[1] - x) / 100, (zone[3] - y) / 100), restricted), (x, y)
+
+
+def _document(data: bytes | str | Mapping[str, Any], limits: LayoutLimits, log: Log) -> Mapping[str, Any]:
+    """The content of a layout, of bounded size."""
+    if isinstance(data, Mapping):
+        return data
+    if len(data) > limits.max_bytes:
+        raise log.error("file_too_big", f"{LAYOUT_FILE} has more than {limits.max_bytes} bytes; raise the limit if it is right")
+    return parse_object(data, LAYOUT_FILE, log)
+
+
+def _read(document: Mapping[str, Any], table_type: str, border: Border) -> Scene:
+    """The scene, once it is known of which form the document is; notices go to the border's log."""
+    log = border.log
+    _check_settings(document, log)
+    table, origin_cm = read_table(document, table_type, log)
+    entries = _entries(document, border.limits, log)
+    border = replace(border, origin_cm=origin_cm, size_xy=table.size_xy)
+    objects = tuple(read_object(entry, name, border) for entry, name in zip(entries, _instances(entries, log), strict=True))
+    source = {key: value for key, value in document.items() if key != "objects"}
+    return Scene(log.item_id, table, objects, source=source)
+
+
+def _has_key(document: Mapping[str, Any], keys: tuple[str, ...]) -> bool:
+    """Whether any object has any of the keys."""
+    entries = document.get("objects")
+    return isinstance(entries, list) and any(isinstance(e, Mapping) and any(key in e for key in keys) for e in entries)
+
+
+def _json_of_reply(reply: str) -> str:
+    """The JSON in a reply: after the last final-answer mark, between the outermost braces."""
+    answer = reply.rpartition(_FINAL_ANSWER)[2].replace("<|im_end|>", "")
+    first, last = answer.find("{"), answer.rfind("}")
+    return answer[first : last + 1] if 0 <= first < last else answer
+
+
+def _check_settings(document: Mapping[str, Any], log: Log) -> None:
+    """Refuses another unit, up axis or order of quaternions; where the file is silent it means the format's."""
+    settings = document.get("scene_settings", {})
+    if not isinstance(settings, Mapping):
+        raise log.error("scene_settings_invalid", f"scene_settings is {shown(settings)}, expected an object")
+    expected = {
+        "units": ("centimeters", "centimetres", "cm"),
+        "up_axis": ("z", "+z"),
+        "rotation_convention": ("absolute_quaternion_xyzw",),
+    }
+    for key, values in expected.items():
+        found = settings.get(key, values[0])
+        if not isinstance(found, str) or found.lower() not in values:
+            raise log.error(
+                f"{key}_unknown", f"scene_settings.{key} is {shown(found)}, expected {values[0]!r}; convert the file"
+            )
+
+
+def _entries(document: Mapping[str, Any], limits: LayoutLimits, log: Log) -> list[dict[str, Any]]:
+    """The entries of the objects: some, not too many, all JSON objects."""
+    entries = document.get("objects")
+    if not isinstance(entries, list):
+        raise log.error("objects_invalid", f"objects is {shown(entries)}, expected a list")
+    if not entries:
+        raise log.error("objects_empty", "objects is an empty list, expected at least one object; nothing to load")
+    if len(entries) > limits.max_objects:
+        message = f"{len(entries)} objects, expected at most {limits.max_objects}; raise max_objects if the scene is meant"
+        raise log.error("too_many_objects", message)
+    for index, entry in enumerate(entries):
+        if not isinstance(entry, dict):
+            raise log.error(
+                "object_invalid", f"objects[{index}] is {shown(entry)}, expected an object with instance and position"
+            )
+    return entries
+
+
+def _instances(entries: list[dict[str, Any]], log: Log) -> list[str]:
+    """A unique name for every object; the first of several keeps it."""
+    taken = {entry.get("instance") for entry in entries if isinstance(entry.get("instance"), str)} | {TABLE}
+    names: list[str] = []
+    for index, entry in enumerate(entries):
+        name = entry.get("instance")
+        if not isinstance(name, str) or not name.strip() or len(name) > MAX_NAME_LENGTH:
+            free = _free_name(f"{index + 1}_object_0", taken)
+            log.warn("instance_missing", f"objects[{index}] has instance {shown(name)}, expected a name; it is called {free}")
+        elif name in names or name == TABLE:
+            free = _free_name(name, taken)
+            reason = "reserved for the table" if name == TABLE else "used before"
+            log.warn("duplicate_instance", f"objects[{index}] has instance {name}, which is {reason}; it is called {free}")
+        else:
+            free = name
+        names.append(free)
+        taken.add(free)
+    return names
+
+
+def _free_name(name: str, taken: set[Any]) -> str:
+    """The name with the next counter that is free."""
+    match = re.fullmatch(r"(.*)_(\d{1,9})", name, re.DOTALL)
+    stem, count = (match[1], int(match[2])) if match else (name, 0)
+    while name in taken:
+        count += 1
+        name = f"{stem}_{count}"
+    return name
+
+
+def _zone(document: Mapping[str, Any], key: str, log: Log) -> Rectangle | None:
+    """A rectangle as it stands in the file, centimetres; None where it is absent."""
+    value = document.get(key)
+    if value is None:
+        return None
+    zone = numbers(value, 4)
+    if zone is None or not are_finite(zone) or max(map(abs, zone)) > 1e5:
+        raise log.error("zone_invalid", f"{key} is {shown(value)}, expected [x_min, x_max, y_min, y_max] in centimetres")
+    return (zone[0], zone[1], zone[2], zone[3])
+
+
+def _restricted_zone(document: Mapping[str, Any], log: Log) -> Rectangle | None:
+    """The sink, under either of its names, centimetres."""
+    for key in ("restricted_zone", "sink_zone"):
+        zone = _zone(document, key, log)
+        if zone is None:
+            continue
+        if zone[0] > zone[1] or zone[2] > zone[3]:
+            raise log.error("restricted_zone_inverted", f"{key} is {list(zone)}: a maximum is below its minimum")
+        if zone[0] < zone[1] and zone[2] < zone[3]:
+            return zone
+        log.warn("restricted_zone_empty", f"{key} is {list(zone)}, which has no area; left out")
+    return None

@@ -1,0 +1,279 @@
+"""What the format says about assets: annotations, categories, and the files under Assets_library."""
+
+import bisect
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from stable_data.errors import ConfigError, SceneError
+from stable_data.mesatask.document import Log, are_finite, number, numbers, parse_object, read_bounded, shown
+from stable_data.scene import Vec3
+
+ANNOTATION_FILE = "Asset_annotation.json"
+LIBRARY_FOLDER = "Assets_library"
+
+_MAX_ANNOTATION_BYTES = 1 << 29
+_VARIANT_SUFFIX = re.compile(r"_x_-?\d+(?:\.\d+)?(?:_[yz]_-?\d+(?:\.\d+)?)+$")
+_HEX = "[0-9a-fA-F]"
+_KNOWN_FORM = re.compile(rf"{_HEX}{{32}}|(?:gen_)?{_HEX}{{8}}-{_HEX}{{4}}-{_HEX}{{4}}-{_HEX}{{4}}-{_HEX}{{12}}")
+_MAX_ID_LENGTH = 200
+
+
+@dataclass(frozen=True, slots=True)
+class AssetAnnotation:
+    """What Asset_annotation.json says about one asset; defaults where it says nothing.
+
+    Attributes:
+        asset_id: Its uid.
+        category: Its kind, as annotated.
+        description: A few words for it.
+        caption: A sentence about it (``detailed_caption``).
+        source: Where it comes from, such as ``gen``.
+        mass: Kilograms, if given.
+        is_container: Whether things can lie in it, if given.
+        on_table: Whether it belongs on a table.
+        mark_deletion: Whether the annotators wanted it removed.
+        is_composite: Whether it is several things in one mesh.
+        extents_z_up: Its box in mesh units along the z-up axes, if given. The format gives it y-up.
+        raw: The entry of the file, so that writing loses nothing. Not compared.
+    """
+
+    asset_id: str
+    category: str = ""
+    description: str = ""
+    caption: str = ""
+    source: str = ""
+    mass: float | None = None
+    is_container: bool | None = None
+    on_table: bool = True
+    mark_deletion: bool = False
+    is_composite: bool = False
+    extents_z_up: Vec3 | None = None
+    raw: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def words(self) -> str:
+        """Its description, else its caption."""
+        return self.description or self.caption
+
+
+def read_annotation(asset_id: str, entry: Mapping[str, Any]) -> AssetAnnotation:
+    """One entry of Asset_annotation.json. What is missing or of the wrong type gets its default.
+
+    Keys are told apart without case, ``-`` and ``_``: the same flag occurs as isContainer, is_container and is-container.
+
+    Args:
+        asset_id: Its uid.
+        entry: Its value in the file.
+    """
+    values = {re.sub(r"[-_ ]", "", key).lower(): value for key, value in entry.items()}
+    container = _flag(values.get("iscontainer"))
+    return AssetAnnotation(
+        asset_id,
+        category=_text(values.get("category")),
+        description=_text(values.get("description")),
+        caption=_text(values.get("detailedcaption")) or _text(values.get("caption")),
+        source=_text(values.get("source")),
+        mass=_mass(values.get("mass")),
+        is_container=container,
+        on_table=_flag(values.get("ontable")) is not False,
+        mark_deletion=_flag(values.get("markdeletion")) is True,
+        is_composite=_flag(values.get("iscomposite")) is True,
+        extents_z_up=_extents_z_up(values),
+        raw=entry,
+    )
+
+
+def write_annotation(annotation: AssetAnnotation) -> dict[str, Any]:
+    """The entry of Asset_annotation.json for an asset; untouched where it was read from one that still says the same."""
+    if annotation.raw and read_annotation(annotation.asset_id, annotation.raw) == annotation:
+        return dict(annotation.raw)
+    entry: dict[str, Any] = {
+        "category": annotation.category,
+        "detailed_caption": annotation.caption,
+        "description": annotation.description,
+        "source": annotation.source,
+        "mass": annotation.mass,
+        "isContainer": annotation.is_container,
+        "onTable": annotation.on_table,
+        "mark_deletion": annotation.mark_deletion,
+        "is_composite": annotation.is_composite,
+    }
+    if annotation.extents_z_up is not None:
+        x, y, z = annotation.extents_z_up
+        entry["bbox"] = {"x": x, "y": z, "z": y}
+    known = {re.sub(r"[-_ ]", "", key).lower() for key in entry} | {"bbox", "minpoint", "maxpoint", "caption"}
+    unknown = {key: value for key, value in annotation.raw.items() if re.sub(r"[-_ ]", "", key).lower() not in known}
+    return {key: value for key, value in entry.items() if value is not None} | unknown
+
+
+def category_of(instance: str) -> str:
+    """The kind that an instance name speaks of: words joined by ``_``, lower case, without numbers and tokenizer debris.
+
+    Args:
+        instance: Such as ``12_Paper##clip_0`` or ``pen_0``.
+
+    Returns:
+        Such as ``paperclip`` or ``pen``; ``object`` where nothing is left.
+    """
+    words = re.sub(r"^\d+_|_\d+(?:\.\d+)?$", "", instance).replace("##", "").lower()
+    return re.sub(r"[\W_]+", "_", words).strip("_") or "object"
+
+
+def is_inside(asset_id: str) -> bool:
+    """Whether an asset id is a plain name, with no part that leads to another folder."""
+    return not (re.search(r"[/\\\x00]", asset_id) or asset_id in {".", ".."})
+
+
+def stem_of(asset_id: str) -> str:
+    """The id without the suffix of a turned variant, such as ``_x_90_y_0``."""
+    return _VARIANT_SUFFIX.sub("", asset_id)
+
+
+class AssetFolder:
+    """The assets of a dataset: annotations and GLB files. Either may be missing.
+
+    Args:
+        root: The dataset's folder.
+
+    Attributes:
+        annotations: By uid.
+        notices: What was odd about the annotations.
+
+    Raises:
+        ConfigError: Asset_annotation.json exists but cannot be used.
+    """
+
+    def __init__(self, root: Path) -> None:
+        log = Log(root.name)
+        self.annotations: Mapping[str, AssetAnnotation] = _read_annotations(root / ANNOTATION_FILE, log)
+        self._folder = root / LIBRARY_FOLDER
+        self._resolved = self._folder.resolve()
+        self._files = {path.stem: path for path in self._glb_files()}
+        self._stems = sorted(self._files)
+        if not self._files:
+            log.warn("assets_missing", f"{LIBRARY_FOLDER} holds no GLB: objects are boxes; unpack the asset archive there")
+        self.notices = tuple(log.notices)
+
+    def _glb_files(self) -> Iterator[Path]:
+        """Files with the ending .glb, in order of their names."""
+        if self._folder.is_dir():
+            yield from (path for path in sorted(self._folder.iterdir()) if path.suffix.lower() == ".glb")
+
+    @property
+    def asset_ids(self) -> tuple[str, ...]:
+        """Every uid that is annotated or has a file, sorted."""
+        return tuple(sorted({*self.annotations, *self._files}))
+
+    def path(self, asset_id: str) -> Path | None:
+        """The GLB of an asset; None where there is none, or where it would lie outside of the library.
+
+        A turned variant (``<uid>_x_90_y_0``) is served by its own file, else by its stem's. A uid without a file of its own is
+        served by a variant's, the first by name.
+        """
+        if not is_inside(asset_id) or len(asset_id) > _MAX_ID_LENGTH:
+            return None
+        stem = stem_of(asset_id)
+        path = self._files.get(asset_id) or self._files.get(stem) or self._variant(stem)
+        if path is None or not path.is_file() or not path.resolve().is_relative_to(self._resolved):
+            return None
+        return path
+
+    def _variant(self, stem: str) -> Path | None:
+        """A file named ``<stem>_...``, where the stem is a full uid: ``mug`` is not served by ``mug_red``."""
+        if not _KNOWN_FORM.fullmatch(stem):
+            return None
+        index = bisect.bisect_left(self._stems, stem + "_")
+        found = self._stems[index] if index < len(self._stems) else ""
+        return self._files[found] if found.startswith(stem + "_") else None
+
+    def annotation(self, asset_id: str) -> AssetAnnotation:
+        """What is annotated about an asset, a variant's stem included; defaults for one that only has a file.
+
+        Raises:
+            KeyError: It is neither annotated nor on disk.
+        """
+        found = self.annotations.get(asset_id) or self.annotations.get(stem_of(asset_id))
+        if found is None and self.path(asset_id) is None:
+            raise KeyError(asset_id)
+        return found or AssetAnnotation(asset_id)
+
+    def __contains__(self, asset_id: object) -> bool:
+        """Whether an asset is annotated or on disk."""
+        if not isinstance(asset_id, str):
+            return False
+        return bool({asset_id, stem_of(asset_id)} & self.annotations.keys()) or self.path(asset_id) is not None
+
+
+def _read_annotations(path: Path, log: Log) -> dict[str, AssetAnnotation]:
+    """Every usable entry of Asset_annotation.json; empty where the file is missing."""
+    if not path.exists():
+        log.warn("annotation_missing", f"{path} is missing: categories come from instance names, descriptions are empty")
+        return {}
+    try:
+        document = parse_object(read_bounded(path, _MAX_ANNOTATION_BYTES, log), ANNOTATION_FILE, log)
+    except SceneError as error:
+        raise ConfigError(f"{error}; fetch {path} again", error.code) from error
+    annotations = {}
+    for asset_id, entry in document.items():
+        if isinstance(entry, dict):
+            annotations[asset_id] = read_annotation(asset_id, entry)
+        else:
+            log.warn(
+                "annotation_invalid", f"asset {shown(asset_id)} is annotated with {shown(entry)}, expected an object; left out"
+            )
+    return annotations
+
+
+def _text(value: object) -> str:
+    return value.strip() if isinstance(value, str) else ""
+
+
+def _flag(value: object) -> bool | None:
+    """A boolean, also one written as 0, 1 or a word."""
+    if isinstance(value, str):
+        value = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}.get(value.strip().lower())
+    return bool(value) if value in (True, False) else None
+
+
+def _mass(value: object) -> float | None:
+    """Kilograms, also where written with the unit."""
+    if isinstance(value, str):
+        match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(?:kg)?\s*", value)
+        value = float(match[1]) if match else None
+    mass = number(value)
+    return mass if mass is not None and math.isfinite(mass) and mass > 0 else None
+
+
+def _extents_z_up(values: Mapping[str, Any]) -> Vec3 | None:
+    """The y-up box of an annotation, whichever way it is given, as z-up extents."""
+    box = values.get("bbox")
+    if isinstance(box, dict) and isinstance(box.get("size"), (dict, list)):
+        box = box["size"]
+    if isinstance(box, dict) and "min" in box and "max" in box:
+        extents = _difference(box["max"], box["min"])
+    elif box is not None:
+        extents = _triple(box)
+    else:
+        extents = _difference(values.get("maxpoint"), values.get("minpoint"))
+    if extents is None or not are_finite(extents) or min(extents) < 0 or max(extents) <= 0:
+        return None
+    x, y, z = extents
+    return (x, z, y)
+
+
+def _difference(high: object, low: object) -> Vec3 | None:
+    """``high`` - ``low``, each {x, y, z} or a list."""
+    top, bottom = _triple(high), _triple(low)
+    if top is None or bottom is None:
+        return None
+    return (top[0] - bottom[0], top[1] - bottom[1], top[2] - bottom[2])
+
+
+def _triple(value: object) -> Vec3 | None:
+    """Three numbers given as {x, y, z} or as a list."""
+    found = numbers([value.get(axis) for axis in "xyz"] if isinstance(value, dict) else value, 3)
+    return None if found is None else (found[0], found[1], found[2])

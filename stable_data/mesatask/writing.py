@@ -1,0 +1,237 @@
+"""Writes scenes and annotations in the MesaTask-10K format.
+
+What was read and not changed is written as it stood, entry by entry and key by key; what was changed or is new is written in
+full precision, so that it reads back the same to the last bit or the one before.
+"""
+
+import copy
+import json
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from stable_data.errors import ConfigError, SceneError
+from stable_data.mesatask.document import Log, inverse
+from stable_data.mesatask.entry import BOX_YAW, POSE_KEYS, Border, LayoutLimits, read_object
+from stable_data.mesatask.frame import is_yaw_of, normalised, quat_product, yaw_quat
+from stable_data.mesatask.layout import LAYOUT_FILE, read_table
+from stable_data.mesatask.library import ANNOTATION_FILE, LIBRARY_FOLDER, AssetAnnotation, is_inside, write_annotation
+from stable_data.mesatask.task_info import TASK_INFO_FILE, write_task_info
+from stable_data.scene import UPRIGHT, QuatXyzw, Scene, SceneObject, Vec3
+
+LAYOUT_FOLDER = "Layout_info"
+SCENE_SETTINGS = {"units": "centimeters", "up_axis": "Z"}
+
+_NAME_LENGTH = 63  # what Blender leaves of an object's name
+_UNLIMITED = LayoutLimits(max_reach=math.inf)
+
+
+def write_layout(scene: Scene, *, extents: Mapping[str, Vec3] | None = None, decimals: int | None = None) -> dict[str, Any]:
+    """The content of a scene's layout.json.
+
+    Stages, supports, relations and the task info have no place in it.
+
+    Args:
+        scene: The scene.
+        extents: Box of each asset's mesh by uid, mesh units, z up: becomes ``original_size`` where an object has none.
+        decimals: Round the positions and sizes that are written anew to so many decimals of a centimetre; the format's own
+            files have 1. None: full precision.
+    """
+    source = copy.deepcopy(dict(scene.source or {}))
+    is_dataset_form = any(_has_pose(o) for o in scene.objects)
+    origin_cm, zones = _zones(scene, source, is_dataset_form)
+    rest = {key: value for key, value in source.items() if key not in ("sink_zone", "restricted_zone")}
+    objects = [_object_entry(o, origin_cm, extents or {}, decimals) for o in scene.objects]
+    settings = {} if is_dataset_form else {"scene_settings": dict(SCENE_SETTINGS)}
+    return settings | rest | zones | {"objects": objects}
+
+
+def write_reply_layout(scene: Scene, *, decimals: int | None = None) -> dict[str, Any]:
+    """The scene as a language model replies with it: centimetres, degrees, words; neither tilt nor asset.
+
+    Args:
+        scene: The scene; objects stay in its order.
+        decimals: Round lengths and angles to so many decimals. None: full precision.
+    """
+    width, depth = (_centimetres(side, decimals=decimals) for side in scene.table.size_xy)
+    layout: dict[str, Any] = {"item_placement_zone": [0.0, width, 0.0, depth]}
+    if scene.table.restricted_zone is not None:
+        layout["sink_zone"] = [_centimetres(side, decimals=decimals) for side in scene.table.restricted_zone]
+    layout["objects"] = [
+        {
+            "instance": o.instance,
+            "description": o.description,
+            "z_rotation": _rounded(inverse(math.radians, math.degrees(o.yaw), o.yaw), decimals),
+            "size": [_centimetres(side, decimals=decimals) for side in o.size],
+            "position": [_centimetres(side, decimals=decimals) for side in o.position],
+        }
+        for o in scene.objects
+    ]
+    return layout
+
+
+def write_scene(
+    root: Path,
+    scene: Scene,
+    front_png: bytes | None = None,
+    *,
+    extents: Mapping[str, Vec3] | None = None,
+    decimals: int | None = None,
+) -> Path:
+    """Writes a scene's folder: layout.json, front.png and task_info.json where there is one.
+
+    Args:
+        root: The dataset's folder.
+        scene: The scene; its id is the folder's name, its table type the name of the folder above.
+        front_png: The picture, if there is one.
+        extents: As for :func:`write_layout`.
+        decimals: As for :func:`write_layout`.
+
+    Returns:
+        The folder.
+
+    Raises:
+        SceneError: The id or the table type cannot be the name of a folder.
+    """
+    name = scene.scene_id.removeprefix(f"{scene.table.table_type}/")
+    for part in (name, scene.table.table_type):
+        if not part or not is_inside(part):
+            raise SceneError(f"{scene.scene_id}: {part!r} cannot name a folder, expected a plain name", "scene_id_invalid")
+    folder = root / LAYOUT_FOLDER / scene.table.table_type / name
+    folder.mkdir(parents=True, exist_ok=True)
+    if front_png is not None:
+        _write(folder / "front.png", front_png)
+    if scene.task is not None:
+        _write(folder / TASK_INFO_FILE, _json(write_task_info(scene.task, scene.table)))
+    _write(folder / LAYOUT_FILE, _json(write_layout(scene, extents=extents, decimals=decimals)))
+    return folder
+
+
+def write_annotations(root: Path, annotations: Mapping[str, AssetAnnotation]) -> Path:
+    """Writes Asset_annotation.json, uids sorted, and returns its path."""
+    root.mkdir(parents=True, exist_ok=True)
+    path = root / ANNOTATION_FILE
+    _write(path, _json({asset_id: write_annotation(annotations[asset_id]) for asset_id in sorted(annotations)}))
+    return path
+
+
+def write_asset(root: Path, asset_id: str, glb: bytes) -> Path:
+    """Writes a mesh, y up, to Assets_library and returns its path.
+
+    Raises:
+        ConfigError: The id cannot be the name of a file.
+    """
+    if not asset_id or not is_inside(asset_id):
+        raise ConfigError(f"asset id {asset_id!r} cannot name a file, expected a plain name", "uid_path_traversal")
+    folder = root / LIBRARY_FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{asset_id}.glb"
+    _write(path, glb)
+    return path
+
+
+def _zones(scene: Scene, source: Mapping[str, Any], is_dataset_form: bool) -> tuple[tuple[float, float], dict[str, Any]]:
+    """The corner that positions are written from, centimetres, and the zones: as they stood, where they still say the same."""
+    keys = ("item_placement_zone", "restricted_zone", "sink_zone")
+    x = y = 0.0
+    if source.get("item_placement_zone") is not None:
+        table, (x, y) = read_table(source, scene.table.table_type, Log(scene.scene_id))
+        if table == scene.table and is_dataset_form:
+            return (x, y), {key: source[key] for key in keys if key in source}
+    width, depth = scene.table.size_xy
+    zones: dict[str, Any] = {"item_placement_zone": [x, _centimetres(width, x), y, _centimetres(depth, y)]}
+    if scene.table.restricted_zone is not None:
+        x_min, x_max, y_min, y_max = scene.table.restricted_zone
+        zones["restricted_zone"] = [
+            _centimetres(x_min, x),
+            _centimetres(x_max, x),
+            _centimetres(y_min, y),
+            _centimetres(y_max, y),
+        ]
+    return (x, y), zones
+
+
+def _object_entry(
+    o: SceneObject, origin_cm: tuple[float, float], extents: Mapping[str, Vec3], decimals: int | None
+) -> dict[str, Any]:
+    """The entry of an object: its source, with what has changed since."""
+    entry = copy.deepcopy(dict(o.source or {}))
+    was = _as_read(o, origin_cm)
+    is_other_asset = was is None or (o.asset_id is not None and was.asset_id != o.asset_id)
+    if is_other_asset or entry.get("instance") != o.instance:
+        _put_names(entry, o)
+    if is_other_asset:
+        entry.pop("original_size", None)  # in a reply's form it meant another thing, and another asset has another size
+        if o.asset_id is not None and o.asset_id in extents:
+            entry["original_size"] = list(extents[o.asset_id])
+    if was is None and o.description:
+        entry["description"] = o.description
+    if o.scale is not None and (was is None or was.scale != o.scale):
+        entry["scale_factor"] = [_centimetres(factor) for factor in o.scale]
+    if was is None or (was.yaw, was.tilt_quat_xyzw) != (o.yaw, o.tilt_quat_xyzw):
+        _put_rotation(entry, o)
+    if was is None or was.size != o.size:
+        entry["size"] = [_centimetres(side, decimals=decimals) for side in o.size]
+    if was is None or was.position != o.position:
+        entry["position"] = [
+            _centimetres(side, offset, decimals) for side, offset in zip(o.position, (*origin_cm, 0.0), strict=True)
+        ]
+    return entry
+
+
+def _has_pose(o: SceneObject) -> bool:
+    """Whether the object was read from an entry of the dataset's form."""
+    return o.source is not None and any(key in o.source for key in POSE_KEYS)
+
+
+def _as_read(o: SceneObject, origin_cm: tuple[float, float]) -> SceneObject | None:
+    """The object as its source reads; None where it has none, or one of a reply's form."""
+    if o.source is None or not _has_pose(o):
+        return None
+    return read_object(o.source, o.instance, Border(Log(o.instance), origin_cm, (0.0, 0.0), limits=_UNLIMITED))
+
+
+def _put_names(entry: dict[str, Any], o: SceneObject) -> None:
+    """Instance, Blender's name and both uid keys. An asset that could not be used keeps its uid."""
+    uid = o.asset_id or entry.get("selected_uid") or entry.get("retrieved_uid")
+    entry["name"] = (f"{o.instance}_{uid}" if isinstance(uid, str) else o.instance)[:_NAME_LENGTH]
+    entry["instance"] = o.instance
+    if o.asset_id is not None:
+        entry["retrieved_uid"] = entry["selected_uid"] = o.asset_id
+
+
+def _put_rotation(entry: dict[str, Any], o: SceneObject) -> None:
+    """The whole rotation, and the yaw of the box; marked where the tilt has a heading of its own."""
+    rotation: QuatXyzw = yaw_quat(o.yaw)
+    if o.tilt_quat_xyzw != UPRIGHT:
+        rotation = normalised(quat_product(rotation, o.tilt_quat_xyzw))
+    entry["rotation"] = list(rotation)
+    entry["z_rotation"] = yaw = math.remainder(o.yaw, 2 * math.pi)
+    entry.pop(BOX_YAW, None)
+    if not is_yaw_of(yaw, rotation):
+        entry[BOX_YAW] = yaw
+
+
+def _centimetres(metres: float, offset_cm: float = 0.0, decimals: int | None = None) -> float:
+    """The number of centimetres that reads back as so many metres from ``offset_cm``."""
+    if decimals is not None:
+        return _rounded(metres * 100 + offset_cm, decimals)
+    return inverse(lambda found: (found - offset_cm) / 100, metres * 100 + offset_cm, metres)
+
+
+def _rounded(value: float, decimals: int | None) -> float:
+    return value if decimals is None else round(value, decimals) + 0.0  # no -0.0
+
+
+def _json(document: object) -> bytes:
+    """JSON as the format's files have it."""
+    return (json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
+
+
+def _write(path: Path, data: bytes) -> None:
+    """Writes a file aside and puts it in place in one step."""
+    aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    aside.write_bytes(data)
+    aside.replace(path)

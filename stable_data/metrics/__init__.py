@@ -1,0 +1,1 @@
+"""Verdicts on scenes: collision, support, bounds."""

@@ -1,0 +1,287 @@
+"""The audit of a scene: every verdict on collision, support and bounds, pair by pair and object by object.
+
+Definitions are those of DESIGN section 7, against the scaled, tilted triangle meshes. An object whose mesh is missing is a
+box: what its box rules out is known (boxes that do not meet do not collide), the rest is unknown and never a pass.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from stable_data.metrics.bounds import enters_zone, leaves_table
+from stable_data.metrics.card import MetricCard
+from stable_data.metrics.collision import NEAR, penetration
+from stable_data.metrics.crossing import MeshPair
+from stable_data.metrics.support import carries, distance_to_surface
+from stable_data.points import bottom_points
+from stable_data.scene import TABLE, FloatArray, Scene
+from stable_data.shape import Shape
+
+TOLERANCE = 5e-4
+"""The headline tolerance of collision, table penetration and floating, metres."""
+
+BOUNDS_SLACK = 1e-3
+"""How far a footprint may reach over an edge, metres: the format's own rounding."""
+
+_GAP_RANGE = 0.1  # supports farther than this are not looked for by the paper's gap, metres
+
+
+@dataclass(frozen=True, slots=True)
+class PairVerdict:
+    """How deep two objects are in each other.
+
+    Attributes:
+        first: Instance.
+        second: Instance.
+        penetration: Metres; None where a mesh is missing and the boxes meet.
+    """
+
+    first: str
+    second: str
+    penetration: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectVerdict:
+    """How one object stands.
+
+    Attributes:
+        instance: Its name.
+        floats: Lowered by the tolerance it meets nothing that carries; None where a missing mesh leaves it open.
+        supports: What it meets then: instances, or ``table``.
+        gap: The paper's smallest distance of the bottom region to a support, metres; None where unknown.
+        table_penetration: How far it reaches below the table top, metres.
+        leaves_table: Its footprint reaches over the edge.
+        enters_restricted_zone: Its footprint reaches into the restricted zone.
+        has_mesh: Whether its mesh was there.
+    """
+
+    instance: str
+    floats: bool | None
+    supports: tuple[str, ...]
+    gap: float | None
+    table_penetration: float
+    leaves_table: bool
+    enters_restricted_zone: bool
+    has_mesh: bool
+
+
+@dataclass(frozen=True)
+class Audit:
+    """All verdicts on one scene.
+
+    Attributes:
+        scene_id: The scene.
+        pairs: Pairs that touch or are unknown; every other pair is apart.
+        objects: One verdict an object, in the scene's order.
+        num_tilted: Objects tilted by more than 5 degrees.
+        tolerance: What floating and the card's headline were judged at, metres.
+    """
+
+    scene_id: str
+    pairs: tuple[PairVerdict, ...]
+    objects: tuple[ObjectVerdict, ...]
+    num_tilted: int
+    tolerance: float = TOLERANCE
+
+    def share_deeper(self, depth: float) -> float | None:
+        """Pairs that collide deeper than a depth in metres, as a share of all; None where a pair is unknown."""
+        if any(p.penetration is None for p in self.pairs):
+            return None
+        count = len(self.objects)
+        return sum(p.penetration is not None and p.penetration > depth for p in self.pairs) / max(1, count * (count - 1) // 2)
+
+    def card(self, num_stacked: int | None = None, num_contained: int | None = None) -> MetricCard:
+        """The figures of the scene.
+
+        Args:
+            num_stacked: Objects on another one, where the scene graph is known.
+            num_contained: Objects in another one, likewise.
+        """
+        depths = [p.penetration for p in self.pairs if p.penetration is not None]
+        unknown = len(self.pairs) - len(depths)
+        collisions = sum(d > self.tolerance for d in depths)
+        sunk = max((o.table_penetration for o in self.objects), default=0.0)
+        floats = [o.floats for o in self.objects]
+        outside = sum(o.leaves_table or o.enters_restricted_zone for o in self.objects)
+        gaps = [o.gap for o in self.objects]
+        count = max(1, len(self.objects))
+        fails = collisions > 0 or any(floats) or sunk > self.tolerance or outside > 0
+        return MetricCard(
+            num_objects=len(self.objects),
+            num_stacked=num_stacked,
+            num_contained=num_contained,
+            num_tilted=self.num_tilted,
+            num_without_mesh=sum(not o.has_mesh for o in self.objects),
+            num_unknown_pairs=unknown,
+            num_collisions=collisions,
+            oc=self.share_deeper(self.tolerance),
+            oc_0mm=self.share_deeper(0.0),
+            oc_1mm=self.share_deeper(1e-3),
+            oc_10mm=self.share_deeper(1e-2),
+            max_penetration_mm=None if unknown else 1e3 * max(depths, default=0.0),
+            table_penetration_mm=1e3 * sunk,
+            float_rate=None if None in floats else sum(map(bool, floats)) / count,
+            max_gap_mm=None if None in gaps else 1e3 * max((g for g in gaps if g is not None), default=0.0),
+            out_of_bounds_rate=outside / count,
+            clean=False if fails else None if unknown or None in floats else True,
+        )
+
+
+    def rows(self) -> dict[str, list[dict[str, Any]]]:
+        """Columns ``pairs`` and ``verdicts`` of the table ``scenes``."""
+        pairs = [(p.first, p.second, None if p.penetration is None else 1e3 * p.penetration) for p in self.pairs]
+        return {
+            "pairs": [dict(zip(("first", "second", "penetration_mm"), pair, strict=True)) for pair in pairs],
+            "verdicts": [
+                {
+                    "instance": o.instance,
+                    "floats": o.floats,
+                    "supports": o.supports,
+                    "gap_mm": None if o.gap is None else 1e3 * o.gap,
+                    "table_penetration_mm": 1e3 * o.table_penetration,
+                    "leaves_table": o.leaves_table,
+                    "enters_restricted_zone": o.enters_restricted_zone,
+                    "has_mesh": o.has_mesh,
+                }
+                for o in self.objects
+            ],
+        }
+
+
+class PosedScene:
+    """A scene's meshes where they stand, with their boxes.
+
+    Args:
+        scene: The scene.
+        shapes: The geometry of each object, in the scene's order.
+    """
+
+    def __init__(self, scene: Scene, shapes: Sequence[Shape]) -> None:
+        self.scene, self.shapes = scene, shapes
+        self.instances = [o.instance for o in scene.objects]
+        self.vertices = [shape.posed(pose) for shape, pose in zip(shapes, scene.poses(), strict=True)]
+        self.low = np.array([v.min(axis=0) for v in self.vertices]).reshape(-1, 3)
+        self.high = np.array([v.max(axis=0) for v in self.vertices]).reshape(-1, 3)
+        self._triangles: dict[int, FloatArray] = {}
+        self._pairs: dict[tuple[int, int], MeshPair] = {}
+
+    def triangles(self, index: int) -> FloatArray:
+        """Triangles of one object, (F, 3, 3) float64, metres, world frame."""
+        if index not in self._triangles:
+            self._triangles[index] = self.vertices[index][self.shapes[index].faces]
+        return self._triangles[index]
+
+    def pair(self, first: int, second: int, margin: float) -> MeshPair:
+        """Two objects of the scene, first < second, that may be moved by a margin; kept where that is NEAR."""
+        if margin > NEAR:
+            return MeshPair(self.triangles(first), self.triangles(second), margin)
+        if (first, second) not in self._pairs:
+            self._pairs[first, second] = MeshPair(self.triangles(first), self.triangles(second), NEAR)
+        return self._pairs[first, second]
+
+    def penetration(self, first: int, second: int) -> float:
+        """How deep two objects are in each other, metres."""
+        return penetration(self.triangles(first), self.triangles(second), self.pair(first, second, NEAR))
+
+    @cached_property
+    def meeting_boxes(self) -> list[tuple[int, int]]:
+        """Pairs of objects whose axis-aligned boxes meet."""
+        apart = (self.low[:, None] > self.high[None]).any(axis=2)
+        apart |= apart.T
+        first, second = np.nonzero(np.triu(~apart, 1))
+        return list(zip(first.tolist(), second.tolist(), strict=True))
+
+    def below(self, index: int, gap: float) -> Iterator[int]:
+        """Objects whose boxes the object's box meets when lowered by up to a gap, metres."""
+        lowered = self.low[index] - (0, 0, gap)
+        meets = (lowered <= self.high).all(axis=1) & (self.high[index] >= self.low).all(axis=1)
+        return (int(j) for j in np.nonzero(meets)[0] if j != index)
+
+    def stands_on_table(self, index: int, gap: float) -> bool:
+        """Does the object reach the table top when lowered by a gap, metres?"""
+        over = (self.low[index, :2] < self.scene.table.size_xy).all() and (self.high[index, :2] > 0).all()
+        return bool(over and self.low[index, 2] <= gap)
+
+    def nears_zone(self, index: int) -> bool:
+        """Does the object's axis-aligned box meet the restricted zone?"""
+        zone = self.scene.table.restricted_zone
+        if zone is None:
+            return False
+        low, high = self.low[index], self.high[index]
+        return bool(low[0] < zone[1] and high[0] > zone[0] and low[1] < zone[3] and high[1] > zone[2])
+
+    def supports(self, index: int, gap: float) -> tuple[str, ...] | None:
+        """What carries an object when it is lowered by a gap.
+
+        Args:
+            index: The object.
+            gap: Metres.
+
+        Returns:
+            Instances and ``table``; None where nothing known carries it and a missing mesh might.
+        """
+        found, is_open = [TABLE] if self.stands_on_table(index, gap) else [], False
+        for other in self.below(index, gap):
+            if not (self.shapes[index].is_exact and self.shapes[other].is_exact):
+                is_open = True
+            elif carries(self.pair(min(index, other), max(index, other), gap), gap, upper_is_first=index < other):
+                found.append(self.instances[other])
+        return None if is_open and not found else tuple(found)
+
+    def gap(self, index: int) -> float | None:
+        """The paper's distance of the bottom region to the nearest support (L_sup, delta), metres; None where unknown."""
+        bottom = bottom_points(self.vertices[index], self.shapes[index].faces)
+        best = float(min(np.abs(bottom[:, 2]).min(), _GAP_RANGE)) if self.stands_on_table(index, _GAP_RANGE) else _GAP_RANGE
+        if best <= TOLERANCE:
+            return best
+        for other in self.below(index, best):
+            if not (self.shapes[index].is_exact and self.shapes[other].is_exact):
+                return None
+            best = distance_to_surface(bottom.astype(np.float64), self.triangles(other), best)
+        return best
+
+
+def audit_scene(scene: Scene, shapes: Sequence[Shape], tolerance: float = TOLERANCE) -> Audit:
+    """Judges a scene exactly.
+
+    Args:
+        scene: The scene.
+        shapes: The geometry of each object, in the scene's order (``AssetStore.shapes``).
+        tolerance: Depth, gap and sinking that are let pass, metres.
+
+    Returns:
+        Every verdict.
+    """
+    return audit_posed(PosedScene(scene, shapes), tolerance)
+
+
+def audit_posed(posed: PosedScene, tolerance: float = TOLERANCE) -> Audit:
+    """Judges a scene whose meshes are posed already; see :func:`audit_scene`."""
+    pairs = []
+    for i, j in posed.meeting_boxes:
+        known = posed.shapes[i].is_exact and posed.shapes[j].is_exact
+        depth = posed.penetration(i, j) if known else None
+        if depth != 0.0:
+            pairs.append(PairVerdict(posed.instances[i], posed.instances[j], depth))
+    objects = tuple(_judge_object(posed, index, tolerance) for index in range(len(posed.instances)))
+    num_tilted = sum(o.tilt_angle > np.radians(5) for o in posed.scene.objects)
+    return Audit(posed.scene.scene_id, tuple(pairs), objects, num_tilted, tolerance)
+
+
+def _judge_object(posed: PosedScene, index: int, tolerance: float) -> ObjectVerdict:
+    supports = posed.supports(index, tolerance)
+    zone = posed.scene.table.restricted_zone
+    return ObjectVerdict(
+        instance=posed.instances[index],
+        floats=None if supports is None else not supports,
+        supports=supports or (),
+        gap=posed.gap(index),
+        table_penetration=max(0.0, -float(posed.low[index, 2])),
+        leaves_table=leaves_table(posed.vertices[index], posed.scene.table, BOUNDS_SLACK),
+        enters_restricted_zone=posed.nears_zone(index) and enters_zone(posed.triangles(index), zone, BOUNDS_SLACK),
+        has_mesh=posed.shapes[index].is_exact,
+    )

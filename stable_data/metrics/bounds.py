@@ -1,0 +1,42 @@
+"""Does an object stay on its table and out of the restricted zone?"""
+
+import numpy as np
+import shapely
+
+from stable_data.metrics.crossing import boxes
+from stable_data.scene import FloatArray, Rectangle, Tabletop
+
+
+def leaves_table(vertices: FloatArray, table: Tabletop, slack: float) -> bool:
+    """Does the footprint reach over the edge by more than a slack?
+
+    Args:
+        vertices: (V, 3) float64, metres, world frame.
+        table: The table.
+        slack: Metres.
+    """
+    low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
+    return bool((low < -slack).any() or (high > np.asarray(table.size_xy) + slack).any())
+
+
+def enters_zone(triangles: FloatArray, zone: Rectangle | None, slack: float) -> bool:
+    """Does the mesh, seen from above, reach into a rectangle by more than a slack?
+
+    Args:
+        triangles: (F, 3, 3) float64, metres, world frame.
+        zone: Rectangle, metres; None is never entered.
+        slack: Metres.
+    """
+    if zone is None or zone[0] + 2 * slack >= zone[1] or zone[2] + 2 * slack >= zone[3]:
+        return False
+    low, high = np.array([zone[0], zone[2]]) + slack, np.array([zone[1], zone[3]]) - slack
+    flat = triangles[:, :, :2]
+    lowest, highest = boxes(flat)
+    near = flat[(lowest < high[:, None]).all(axis=0) & (highest > low[:, None]).all(axis=0)]
+    if not len(near):
+        return False
+    if ((near > low) & (near < high)).all(axis=2).any():
+        return True
+    return bool(shapely.intersects(shapely.box(*low, *high), shapely.linearrings(near)).any()) or bool(
+        shapely.contains_xy(shapely.polygons(near), *((low + high) / 2)).any()
+    )

@@ -1,0 +1,46 @@
+"""The metric card: the figures of one scene, columns of the ``scenes`` table."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class MetricCard:
+    """The figures of a scene (DESIGN section 7). None is unknown.
+
+    Attributes:
+        num_objects: Objects.
+        num_stacked: Objects that stand on another one.
+        num_contained: Objects that are in another one.
+        num_tilted: Objects tilted by more than 5 degrees.
+        num_without_mesh: Objects whose mesh is missing or broken.
+        num_unknown_pairs: Pairs that could not be judged.
+        num_collisions: Pairs that collide deeper than 0.5 mm, of those that could be judged.
+        oc: Share of pairs that collide deeper than 0.5 mm.
+        oc_0mm: The same at 0 mm: the meshes touch.
+        oc_1mm: At 1 mm.
+        oc_10mm: At 10 mm.
+        max_penetration_mm: Deepest object-object penetration.
+        table_penetration_mm: Deepest object-table penetration.
+        float_rate: Share of objects that float.
+        max_gap_mm: The paper's largest gap.
+        out_of_bounds_rate: Share of objects that leave the table or enter the restricted zone.
+        clean: Nothing collides, floats, sinks or is out of bounds at 0.5 mm.
+    """
+
+    num_objects: int
+    num_stacked: int | None
+    num_contained: int | None
+    num_tilted: int
+    num_without_mesh: int
+    num_unknown_pairs: int
+    num_collisions: int
+    oc: float | None
+    oc_0mm: float | None
+    oc_1mm: float | None
+    oc_10mm: float | None
+    max_penetration_mm: float | None
+    table_penetration_mm: float
+    float_rate: float | None
+    max_gap_mm: float | None
+    out_of_bounds_rate: float
+    clean: bool | None

@@ -1,0 +1,85 @@
+"""Object-object collision: the smallest translation that parts two meshes that cross or nest."""
+
+import itertools
+
+import numpy as np
+
+from stable_data.metrics.crossing import MeshPair
+from stable_data.scene import FloatArray
+from stable_data.shape import winding_number
+
+_axes = np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+DIRECTIONS: FloatArray = _axes / np.linalg.norm(_axes, axis=1, keepdims=True)
+"""The 26 fixed directions along which a pair may be parted, (26, 3) float64, unit, world frame."""
+
+LEVELS = (1e-5, 5e-4, 1e-3, 2e-3, 3e-3, 5e-3, 1e-2, 2e-2, 5e-2)
+"""Translations that are tried outright, metres; every tolerance that is reported is among them."""
+
+DEEPEST = 0.1
+"""What is reported for a pair that none of LEVELS parts, metres."""
+
+NEAR = 5e-4
+"""Margin of the pair that a depth search starts with, metres: the first levels, and the lowering of the support check."""
+
+_RESOLUTION = 0.02  # of the depth itself
+_MARGINS = (NEAR, 3e-3, 1e-2, 5e-2)  # trees are rebuilt for these: most pairs part within the first
+
+
+def penetration(a: FloatArray, b: FloatArray, pair: MeshPair | None = None) -> float:
+    """How deep two meshes are in each other (DESIGN section 7).
+
+    Zero when they neither cross nor nest; else the smallest translation along a contact normal or one of 26 fixed directions
+    that parts them. Tested at LEVELS, then refined between them to 2 %.
+
+    Args:
+        a: Triangles of one object, (F, 3, 3) float64, metres, world frame.
+        b: Triangles of the other, (G, 3, 3).
+        pair: The two as a pair with a margin of NEAR, where there is one already.
+
+    Returns:
+        Depth, metres; DEEPEST where nothing up to 50 mm parts them, and for a mesh inside a solid.
+    """
+    pair = pair or MeshPair(a, b, NEAR)
+    contact = pair.contact()
+    if contact is None:
+        return DEEPEST if nested(a, b) or nested(b, a) else 0.0
+    directions = np.concatenate([DIRECTIONS, contact.normals, -contact.normals])
+    below, reach = 0.0, NEAR
+    for level in LEVELS:
+        if level > reach:
+            reach = next(m for m in _MARGINS if m >= level)
+            pair = MeshPair(a, b, reach)
+        parting = [d for d in directions if not pair.cross(level * d)]
+        if parting:
+            return _refine(pair, parting, below, level)
+        below = level
+    return DEEPEST
+
+
+def _refine(pair: MeshPair, directions: list[FloatArray], below: float, above: float) -> float:
+    """Bisects between a depth that does not part the pair and one that does, direction by direction."""
+    if above <= LEVELS[0]:
+        return above
+    best = above
+    for direction in directions:
+        low, high = below, best
+        if best < above and pair.cross(best * (1 - _RESOLUTION) * direction):
+            continue  # cannot beat the best by more than the resolution
+        while high - low > _RESOLUTION * high:
+            middle = (low + high) / 2
+            low, high = (middle, high) if pair.cross(middle * direction) else (low, middle)
+        best = high
+    return best
+
+
+def nested(inner: FloatArray, outer: FloatArray) -> bool:
+    """Does one mesh lie wholly inside the solid that another one bounds, without crossing it?
+
+    Args:
+        inner: Triangles, (F, 3, 3) float64, metres, world frame.
+        outer: Triangles, (G, 3, 3).
+    """
+    low, high = outer.min(axis=(0, 1)), outer.max(axis=(0, 1))
+    if (inner.min(axis=(0, 1)) < low - 1e-9).any() or (inner.max(axis=(0, 1)) > high + 1e-9).any():
+        return False
+    return bool(abs(winding_number(inner[0, :1], outer)[0]) > 0.5)

@@ -1,0 +1,304 @@
+"""The scene graph: what carries or holds what, and where things are, from boxes, footprints and exact contacts.
+
+``on`` and ``in`` are the two relations that physics must keep. They rest on contacts, which the caller measures against the
+meshes (lower an object by 0.5 to 3 mm and see what it meets with an upward normal). Two notions of "carried" are kept apart:
+
+* the audit's: an object without contact floats, however small the gap;
+* the scene graph's: an object without contact still belongs to what is within 10 mm below it, or to the container that its
+  bottom is in. Layouts settled as convex hulls hold gaps of some millimetres, and a graph that lost those objects would let a
+  correction take a ball out of its bowl.
+
+The other relations are MesaTask's, by boxes. Overlap is a share of the smaller footprint.
+"""
+
+import itertools
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, TypeAlias
+
+import networkx as nx
+import numpy as np
+import shapely
+
+from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, Scene, SceneObject
+
+if TYPE_CHECKING:
+    SceneGraph: TypeAlias = nx.MultiDiGraph[str]
+else:
+    SceneGraph: TypeAlias = nx.MultiDiGraph
+
+Contacts: TypeAlias = Mapping[str, tuple[str, ...]]
+"""What each object rests on by contact: instances and ``table``."""
+
+NEAREST = 3
+"""Directional relations link an object to so many nearest others."""
+
+REACH = 0.4
+"""Farthest centre distance of a directional relation, as a share of the table's longer side."""
+
+INSIDE_SLACK = 5e-3  # how far a content's centre may lie outside its container's outline, metres
+_GAP = 1e-2  # what is this close below an object without contact counts as carrying it, metres
+_SINK = 1.5e-2  # how deep such an object may reach into the box of what carries it (a plate's hollow), metres
+_BOTTOM = 5e-3  # a carrier's bottom is not higher than the carried object's, but for this much, metres
+_FLOOR = 1.5e-3  # a content lies at least this much above its container's bottom, metres
+_RIM_SHARE = 0.15  # the bottom of a content is below the rim by at least this share of the container's height
+_RIM_SHARE_UNKNOWN = 0.3  # the same where it is not known whether the thing is a container
+_OVERLAP_UNKNOWN = 0.5  # and at least this share of the smaller outline is common, so that what leans on it is not in it
+_ABOVE_SLACK = 5e-3  # metres
+_ABOVE_OVERLAP = 0.5
+_EVEN = 0.1  # steps of a row differ from their mean by at most this share
+_ROW_WIDTH = 0.25  # and its members leave the row by at most this share of a step
+
+_FACINGS = ("front", "front_right", "right", "back_right", "back", "back_left", "left", "front_left")
+_COLUMNS = ("left", "middle", "right")
+_ROWS = ("front", "middle", "back")
+
+
+class _Layout:
+    """Boxes and outlines of a scene's objects, ready to be compared."""
+
+    def __init__(
+        self, scene: Scene, footprints: Mapping[str, FloatArray] | None, containers: Mapping[str, bool | None] | None
+    ) -> None:
+        self.objects = {o.instance: o for o in scene.objects}
+        self.low = {o.instance: o.position[2] - o.size[2] / 2 for o in scene.objects}
+        self.high = {o.instance: o.position[2] + o.size[2] / 2 for o in scene.objects}
+        self.outline = {
+            o.instance: shapely.convex_hull(
+                shapely.multipoints((footprints or {}).get(o.instance, yawed_rectangle(o))),
+            ).buffer(1e-6)
+            for o in scene.objects
+        }
+        self.containers = containers or {}
+
+    def beyond(self, child: str, parent: str) -> float:
+        """How far a child's centre lies outside its parent's outline, metres; negative inside."""
+        centre, outline = shapely.Point(self.objects[child].position[:2]), self.outline[parent]
+        distance = float(outline.exterior.distance(centre))
+        return -distance if outline.contains(centre) else distance
+
+    def depth(self, child: str, parent: str) -> float:
+        """How far a child's bottom is below its parent's top, metres."""
+        return self.high[parent] - self.low[child]
+
+    def holds(self, parent: str, child: str) -> bool:
+        """Is a child well inside a container, by outline and height?"""
+        flag = self.containers.get(parent)
+        if flag is False or self.beyond(child, parent) > INSIDE_SLACK:
+            return False
+        if flag is None and self.overlap(parent, child) < _OVERLAP_UNKNOWN:
+            return False
+        share = _RIM_SHARE if flag else _RIM_SHARE_UNKNOWN
+        deep = self.depth(child, parent) >= share * (self.high[parent] - self.low[parent])
+        return deep and self.low[child] > self.low[parent] + _FLOOR
+
+    def overlap(self, one: str, other: str) -> float:
+        """Common area of two outlines as a share of the smaller."""
+        a, b = self.outline[one], self.outline[other]
+        return float(a.intersection(b).area / min(a.area, b.area))
+
+
+def yawed_rectangle(item: SceneObject) -> FloatArray:
+    """Corners of an object's box seen from above, (4, 2) float64, metres, world frame, counter-clockwise."""
+    half = np.array(item.size[:2]) / 2
+    c, s = np.cos(item.yaw), np.sin(item.yaw)
+    corners = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]) * half
+    return np.asarray(corners @ np.array([[c, s], [-s, c]]) + item.position[:2])
+
+
+def supports(
+    scene: Scene,
+    contacts: Contacts,
+    footprints: Mapping[str, FloatArray] | None = None,
+    containers: Mapping[str, bool | None] | None = None,
+) -> dict[str, str | None]:
+    """The one thing that carries each object, in the scene graph's sense; never a circle.
+
+    Of several contacts the table wins, unless the object lies on the floor of a container; then what is under the object's
+    centre; then the highest. Without contact it is what is closest below (see the module).
+
+    Args:
+        scene: The scene.
+        contacts: What each object rests on; an object that is missing rests on nothing.
+        footprints: Convex outline of each mesh, (K, 2) float64, metres, world frame; the yawed box where missing.
+        containers: Whether things can be put into an object; None or missing where it is not known.
+
+    Returns:
+        Instance to instance, ``table``, or None where nothing is near below.
+    """
+    return _carriers(_Layout(scene, footprints, containers), contacts)
+
+
+def _carriers(layout: _Layout, contacts: Contacts) -> dict[str, str | None]:
+    carriers: dict[str, str | None] = {}
+    for child in sorted(layout.objects, key=lambda name: layout.low[name]):  # stable: ties keep the scene's order
+        touched = [p for p in contacts.get(child, ()) if p == TABLE or _may_carry(layout, carriers, p, child)]
+        carriers[child] = _best_contact(layout, child, touched) if touched else _closest_below(layout, carriers, child)
+    return {name: carriers[name] for name in layout.objects}
+
+
+def _may_carry(layout: _Layout, carriers: Mapping[str, str | None], parent: str, child: str) -> bool:
+    low_enough = parent in layout.objects and parent != child and layout.low[parent] <= layout.low[child] + _BOTTOM
+    return low_enough and child not in _ancestors(carriers, parent)
+
+
+def _ancestors(carriers: Mapping[str, str | None], name: str) -> Iterator[str]:
+    """What carries a thing, directly and through others, nearest first, without the table."""
+    above = carriers.get(name)
+    while above is not None and above != TABLE:
+        yield above
+        above = carriers.get(above)
+
+
+def _best_contact(layout: _Layout, child: str, touched: list[str]) -> str:
+    others = [p for p in touched if p != TABLE]
+    if TABLE in touched and not any(layout.holds(p, child) for p in others):
+        return TABLE
+    return min(others, key=lambda p: (max(0.0, layout.beyond(child, p)), layout.depth(child, p), p))
+
+
+def _closest_below(layout: _Layout, carriers: Mapping[str, str | None], child: str) -> str | None:
+    below = [p for p in layout.objects if _may_carry(layout, carriers, p, child) and layout.beyond(child, p) <= INSIDE_SLACK]
+    solid = [p for p in below if -_GAP <= layout.depth(child, p) <= _SINK]
+    if solid:
+        return min(solid, key=lambda p: (abs(layout.depth(child, p)), p))
+    hollow = [p for p in below if layout.holds(p, child)]
+    if hollow:
+        return min(hollow, key=lambda p: (layout.depth(child, p), p))
+    return TABLE if layout.low[child] <= _GAP else None
+
+
+def scene_graph(
+    scene: Scene,
+    contacts: Contacts,
+    footprints: Mapping[str, FloatArray] | None = None,
+    containers: Mapping[str, bool | None] | None = None,
+) -> SceneGraph:
+    """The scene graph.
+
+    Nodes are the instances and ``table``; an object's node has ``category``, ``support`` (see :func:`supports`),
+    ``container``, ``cell`` and ``facing``. Edges run from subject to target, keyed by their :class:`RelationKind`; the graph's
+    ``rows`` are the equally spaced ones, (instances, axis). Of two opposite relations the one whose subject comes first in the
+    scene is kept.
+
+    Args:
+        scene: The scene.
+        contacts: What each object rests on; an object that is missing rests on nothing.
+        footprints: Convex outline of each mesh, (K, 2) float64, metres, world frame; the yawed box where missing.
+        containers: Whether things can be put into an object; None or missing where it is not known.
+
+    Returns:
+        The graph; :func:`relations_of` lists it.
+    """
+    layout = _Layout(scene, footprints, containers)
+    carriers = _carriers(layout, contacts)
+    graph: SceneGraph = nx.MultiDiGraph(scene_id=scene.scene_id, rows=_rows(scene, carriers))
+    graph.add_node(TABLE)
+    for o in scene.objects:
+        graph.add_node(
+            o.instance,
+            category=o.category,
+            support=carriers[o.instance],
+            container=layout.containers.get(o.instance),
+            cell=cell_of(o.position, scene.table.size_xy),
+            facing=facing_of(o.yaw),
+        )
+    for child in carriers:
+        _link_to_parent(graph, layout, carriers, child)
+    for one, other in _near_pairs(scene):
+        kind = _between(scene, layout, one, other)
+        tied = other in _ancestors(carriers, one) or one in _ancestors(carriers, other)
+        if kind is not None and not tied:
+            graph.add_edge(one, other, key=kind)
+    return graph
+
+
+def _link_to_parent(graph: SceneGraph, layout: _Layout, carriers: Mapping[str, str | None], child: str) -> None:
+    carrier = carriers[child]
+    if carrier is None:
+        return
+    container = next((p for p in _ancestors(carriers, child) if layout.holds(p, child)), None)
+    graph.add_edge(child, container or carrier, key=RelationKind.IN if container else RelationKind.ON)
+
+
+def _near_pairs(scene: Scene) -> list[tuple[str, str]]:
+    """Every object with its nearest ones within reach, each pair once, in the scene's order."""
+    names = [o.instance for o in scene.objects]
+    centres = scene.poses()[:, :2]
+    distance = np.linalg.norm(centres[:, None] - centres[None], axis=2)
+    np.fill_diagonal(distance, np.inf)
+    pairs = set()
+    for i, row in enumerate(distance):
+        near = np.argsort(row, kind="stable")[:NEAREST]
+        pairs |= {(min(i, int(j)), max(i, int(j))) for j in near if row[j] <= REACH * max(scene.table.size_xy)}
+    return [(names[i], names[j]) for i, j in sorted(pairs)]
+
+
+def _between(scene: Scene, layout: _Layout, one: str, other: str) -> RelationKind | None:
+    over = layout.low[one] > layout.high[other] - _ABOVE_SLACK
+    under = layout.high[one] < layout.low[other] + _ABOVE_SLACK
+    if (over or under) and layout.overlap(one, other) >= _ABOVE_OVERLAP:
+        return RelationKind.ABOVE if over else RelationKind.BELOW
+    dx, dy, _ = np.subtract(scene[one].position, scene[other].position)
+    if abs(dx) == abs(dy):
+        return None
+    if abs(dx) > abs(dy):
+        return RelationKind.LEFT_OF if dx < 0 else RelationKind.RIGHT_OF
+    return RelationKind.IN_FRONT_OF if dy < 0 else RelationKind.BEHIND
+
+
+def cell_of(position: tuple[float, ...], size_xy: tuple[float, float]) -> str:
+    """The ninth of the table that a point is in, such as ``back_left``; beyond the edge it is the nearest."""
+    column, row = (min(2, max(0, int(3 * p / s))) for p, s in zip(position, size_xy, strict=False))
+    return f"{_ROWS[row]}_{_COLUMNS[column]}"
+
+
+def facing_of(yaw: float) -> str:
+    """The direction an object faces, to 45 degrees; ``front`` is towards the viewer, where yaw 0 faces."""
+    return _FACINGS[round(np.degrees(yaw) / 45) % 8]
+
+
+def _rows(scene: Scene, carriers: Mapping[str, str | None]) -> tuple[tuple[tuple[str, ...], str], ...]:
+    """Longest evenly spaced rows of three or more objects that stand on the table."""
+    standing = [o for o in scene.objects if carriers[o.instance] == TABLE]
+    found: list[tuple[tuple[str, ...], str]] = []
+    for axis in (0, 1):
+        ordered = sorted(standing, key=lambda o: (o.position[axis], o.instance))
+        starts = itertools.combinations(range(len(ordered)), 2)
+        rows = {row for first, second in starts if len(row := _row_from(ordered, first, second, axis)) >= 3}
+        longest = [row for row in rows if not any(set(row) < set(other) for other in rows)]
+        found += [(row, "xy"[axis]) for row in sorted(longest)]
+    return tuple(found)
+
+
+def _row_from(ordered: list[SceneObject], first: int, second: int, axis: int) -> tuple[str, ...]:
+    """Instances of the row that two objects start."""
+    members = [ordered[first], ordered[second]]
+    step = members[1].position[axis] - members[0].position[axis]
+    if step <= 0 or abs(members[1].position[1 - axis] - members[0].position[1 - axis]) > _ROW_WIDTH * step:
+        return ()
+    for o in ordered[second + 1 :]:
+        if o.position[axis] - members[-1].position[axis] > (1 + 3 * _EVEN) * step:
+            break  # farther than any even step can be
+        if abs(o.position[1 - axis] - members[0].position[1 - axis]) > _ROW_WIDTH * step:
+            continue
+        steps = np.diff([m.position[axis] for m in (*members, o)])
+        if np.abs(steps - steps.mean()).max() <= _EVEN * steps.mean():
+            members.append(o)
+    return tuple(m.instance for m in members)
+
+
+def relations_of(graph: SceneGraph) -> tuple[Relation, ...]:
+    """Every relation of a scene graph, sorted.
+
+    Args:
+        graph: From :func:`scene_graph`.
+
+    Returns:
+        Edges, then ``face to`` and ``is at`` of every object, and the equally spaced rows, all in :class:`Relation`'s order.
+    """
+    found = [Relation(subject, RelationKind(kind), target) for subject, target, kind in graph.edges(keys=True)]
+    for name, about in graph.nodes(data=True):
+        if name != TABLE:
+            found += [Relation(name, RelationKind.FACE_TO, about["facing"]), Relation(name, RelationKind.IS_AT, about["cell"])]
+    found += [Relation(", ".join(row), RelationKind.EQUALLY_SPACED, axis) for row, axis in graph.graph["rows"]]
+    return tuple(sorted(found))

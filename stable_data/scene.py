@@ -1,0 +1,216 @@
+"""What a tabletop scene is: frozen values, validated once, in SI units.
+
+Frame: metres, radians; z up; the table top is z = 0; the origin is the table's near-left corner, +x right, +y away from the
+viewer. Yaw is counter-clockwise about +z; an object at yaw 0 faces -y. Quaternions are xyzw.
+
+An object's pose: ``world = position + Rz(yaw) · R(tilt) · diag(scale) · mesh``, where ``position`` is the centre of the
+object's box in its yaw frame. The corrector changes ``position`` and ``yaw`` alone.
+
+Dimension letters used in shapes: S scenes, N objects, P points, V vertices, F faces, C channels, T tokens.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from stable_data.errors import SceneError
+
+FloatArray: TypeAlias = npt.NDArray[np.float64]
+IntArray: TypeAlias = npt.NDArray[np.int64]
+Vec3: TypeAlias = tuple[float, float, float]
+QuatXyzw: TypeAlias = tuple[float, float, float, float]
+Rectangle: TypeAlias = tuple[float, float, float, float]  # x_min, x_max, y_min, y_max
+
+TABLE = "table"
+"""The name that stands for the table top where an instance is expected (``SceneObject.support``)."""
+
+UPRIGHT: QuatXyzw = (0.0, 0.0, 0.0, 1.0)
+
+
+class Stage(StrEnum):
+    """The paper's three groups of objects: O^t, O^B and O^b, in the order in which they are generated."""
+
+    TASK = "task"
+    IMPORTANT = "important"
+    SECONDARY = "secondary"
+
+
+class RelationKind(StrEnum):
+    """The scene graph's vocabulary. ``on`` and ``in`` are by contact and containment, the others by boxes."""
+
+    ON = "on"
+    IN = "in"
+    LEFT_OF = "left of"
+    RIGHT_OF = "right of"
+    IN_FRONT_OF = "in front of"
+    BEHIND = "behind"
+    ABOVE = "above"
+    BELOW = "below"
+    FACE_TO = "face to"
+    IS_AT = "is at"
+    EQUALLY_SPACED = "are equally spaced along"
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Relation:
+    """One edge of the scene graph: ``subject kind target``.
+
+    Attributes:
+        subject: Instance; for ``are equally spaced along`` the instances joined by ``, ``.
+        kind: The relation.
+        target: Instance, or ``table``; a cell, direction or axis for the last three kinds.
+    """
+
+    subject: str
+    kind: RelationKind
+    target: str
+
+
+@dataclass(frozen=True, slots=True)
+class Tabletop:
+    """The table: a rectangle at z = 0 from the origin to ``size_xy``.
+
+    Attributes:
+        table_type: Such as ``office_table``.
+        size_xy: Extent along x and y, metres.
+        restricted_zone: Where nothing may stand (a sink), (x_min, x_max, y_min, y_max), metres.
+    """
+
+    table_type: str
+    size_xy: tuple[float, float]
+    restricted_zone: Rectangle | None = None
+
+    def __post_init__(self) -> None:
+        """Refuses a rectangle without area."""
+        if not all(math.isfinite(s) and s > 0 for s in self.size_xy):
+            raise SceneError(f"table has size {self.size_xy}, expected two positive lengths in metres", "zone_invalid")
+        zone = self.restricted_zone
+        if zone is not None and not (all(map(math.isfinite, zone)) and zone[0] < zone[1] and zone[2] < zone[3]):
+            raise SceneError(f"restricted zone is {zone}, expected (x_min, x_max, y_min, y_max)", "zone_invalid")
+
+
+@dataclass(frozen=True, slots=True)
+class SceneObject:
+    """One object of a scene.
+
+    Attributes:
+        instance: Id, unique in the scene, ``<k>_<category>_<n>``.
+        category: Its kind, cleaned words joined by ``_``.
+        position: Centre of its box in its yaw frame, metres, world frame.
+        yaw: Rotation about +z, radians.
+        size: Box in the yaw frame, tilt included, metres.
+        asset_id: The mesh, or None where the scene names none that can be used.
+        scale: Metres per mesh unit along the mesh's own axes (z up), or None: fit the tilted mesh to ``size``.
+        tilt_quat_xyzw: Rotation before yaw, unit.
+        description: Words for it, possibly empty.
+        stage: Its stage, once staged.
+        support: Instance that carries it, ``table``, or None where nothing does or it is not known.
+        source: The entry of the file that it was read from, so that writing loses nothing. Not compared.
+    """
+
+    instance: str
+    category: str
+    position: Vec3
+    yaw: float
+    size: Vec3
+    asset_id: str | None = None
+    scale: Vec3 | None = None
+    tilt_quat_xyzw: QuatXyzw = UPRIGHT
+    description: str = ""
+    stage: Stage | None = None
+    support: str | None = None
+    source: Mapping[str, Any] | None = field(default=None, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Refuses what no geometry can be built on."""
+        numbers = (*self.position, self.yaw, *self.size, *(self.scale or ()), *self.tilt_quat_xyzw)
+        if not all(map(math.isfinite, numbers)):
+            raise SceneError(f"object {self.instance}: pose, size or scale is not finite: {numbers}", "not_finite")
+        if min(self.size) < 0 or max(self.size) <= 0:
+            raise SceneError(f"object {self.instance}: size is {self.size}, expected positive metres", "size_invalid")
+        if self.scale is not None and min(self.scale) <= 0:
+            raise SceneError(f"object {self.instance}: scale is {self.scale}, expected positive", "scale_invalid")
+        norm = math.sqrt(sum(q * q for q in self.tilt_quat_xyzw))
+        if abs(norm - 1) > 1e-6:
+            raise SceneError(f"object {self.instance}: tilt quaternion has norm {norm}, expected 1", "rotation_not_unit")
+
+    @property
+    def tilt_angle(self) -> float:
+        """Angle between the mesh's up axis and the world's, radians."""
+        x, y, _, _ = self.tilt_quat_xyzw
+        return math.acos(max(-1.0, min(1.0, 1 - 2 * (x * x + y * y))))
+
+    def moved(self, position: Vec3, yaw: float) -> "SceneObject":
+        """The same object elsewhere."""
+        return replace(self, position=position, yaw=yaw)
+
+
+@dataclass(frozen=True, slots=True)
+class TaskInfo:
+    """What is to be done in a scene: MesaTask's keys plus what the instruction entails.
+
+    Attributes:
+        environment: Where it happens, a sentence.
+        task: The instruction.
+        goal: Conditions that hold when it is done, sentences.
+        action_sequence: Primitive actions such as ``Pick(Cup)``.
+        objects_cluster: Types of the task objects, such as ``NestingCup``.
+        task_objects: Instances of O^t.
+        relations: Relations that the instruction entails of the scene it starts from.
+        origin: ``file``, ``template`` or ``model``.
+        source: The file's content, so that writing loses nothing. Not compared.
+    """
+
+    environment: str
+    task: str
+    goal: tuple[str, ...] = ()
+    action_sequence: tuple[str, ...] = ()
+    objects_cluster: tuple[str, ...] = ()
+    task_objects: tuple[str, ...] = ()
+    relations: tuple[Relation, ...] = ()
+    origin: str = "file"
+    source: Mapping[str, Any] | None = field(default=None, compare=False, repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A table, what stands on it, and what is to be done there.
+
+    Attributes:
+        scene_id: Unique in its dataset.
+        table: The table top.
+        objects: The objects; instances are unique.
+        task: The task info, where there is one.
+        relations: The scene graph, once derived.
+        source: Top-level entries of the file other than the objects. Not compared.
+    """
+
+    scene_id: str
+    table: Tabletop
+    objects: tuple[SceneObject, ...]
+    task: TaskInfo | None = None
+    relations: tuple[Relation, ...] = ()
+    source: Mapping[str, Any] | None = field(default=None, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Refuses two objects of one name, and an object named like the table."""
+        names = [o.instance for o in self.objects]
+        if len(set(names)) < len(names) or TABLE in names:
+            twice = sorted({n for n in names if names.count(n) > 1 or n == TABLE})
+            raise SceneError(f"{self.scene_id}: instances {twice} are not unique, expected one name an object", "duplicate_instance")
+
+    def __getitem__(self, instance: str) -> SceneObject:
+        """The object of that name."""
+        for o in self.objects:
+            if o.instance == instance:
+                return o
+        raise KeyError(instance)
+
+    def poses(self) -> FloatArray:
+        """Position and yaw of every object, (N, 4) float64: x, y, z in metres, yaw in radians, world frame."""
+        return np.array([(*o.position, o.yaw) for o in self.objects], np.float64).reshape(-1, 4)

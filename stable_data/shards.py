@@ -1,0 +1,209 @@
+"""Parquet shards in a run folder, on a local path or an object store.
+
+A run folder::
+
+    manifest.json                  resolved configuration, input fingerprint, code and table versions
+    <table>/part-<id>.parquet      shards, named by the content of what they were made from
+    report/index.html
+
+A shard is written aside and put in place in one step: it exists, so it is complete.
+"""
+
+import fcntl
+import hashlib
+import json
+import os
+import uuid
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, cast
+
+import pyarrow as pa
+import pyarrow.dataset as ds
+import pyarrow.fs as pafs
+import pyarrow.parquet as pq
+
+from stable_data.errors import ConfigError
+from stable_data.tables import SCHEMAS, arrow_table, check_version
+
+MAX_BYTES = 96 * 10**6
+"""A file holds at most this much before compression, so it stays under 100 MB."""
+
+_ROW_GROUP = 1024
+
+
+def content_id(*parts: Any) -> str:
+    """Name of a shard: 16 hex digits of the hash of JSON-able parts."""
+    text = json.dumps(parts, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+class RunFolder:
+    """The folder of one run.
+
+    Args:
+        uri: A local path, or a URI that pyarrow knows such as
+            ``s3://bucket/prefix?endpoint_override=http%3A//host%3A9000``; credentials come from the environment.
+
+    Raises:
+        ConfigError: No file system takes the URI.
+    """
+
+    def __init__(self, uri: str) -> None:
+        self.uri = uri
+        try:
+            if "://" in uri:
+                self.filesystem, self.root = pafs.FileSystem.from_uri(uri)
+            else:
+                self.filesystem, self.root = pafs.LocalFileSystem(), str(Path(uri).expanduser().absolute())
+        except (pa.ArrowInvalid, ValueError, OSError) as error:
+            raise ConfigError(f"{uri}: {error}; expected a local path or an s3:// or gs:// URI", "output_invalid") from error
+
+    def __reduce__(self) -> tuple[type["RunFolder"], tuple[str]]:
+        return type(self), (self.uri,)  # file systems are opened anew in each worker
+
+    @property
+    def is_local(self) -> bool:
+        """Whether it lies on this machine's file system."""
+        return isinstance(self.filesystem, pafs.LocalFileSystem)
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Holds a local folder for one run; the lock goes with the process, however it ends.
+
+        An object store has no such lock: two runs there write the same bytes under the same names.
+
+        Raises:
+            ConfigError: Another run holds it, or it cannot be written.
+        """
+        self.make(".")
+        if not self.is_local:
+            yield
+            return
+        try:
+            handle = (Path(self.root) / ".lock").open("w")
+        except OSError as error:
+            raise unwritable(self.uri, error) from error
+        with handle:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise ConfigError(
+                    f"{self.uri}: another run is writing here, expected one at a time; wait for it or choose another folder", "locked"
+                ) from error
+            for stale in Path(self.root).glob("*/.part-*.tmp-*"):
+                stale.unlink(missing_ok=True)  # left by a run that was killed
+            yield
+
+    def make(self, folder: str) -> None:
+        """Creates a folder below the root.
+
+        Raises:
+            ConfigError: It cannot be created.
+        """
+        try:
+            self.filesystem.create_dir(self._path(folder), recursive=True)
+        except OSError as error:
+            raise unwritable(self.uri, error) from error
+
+    def write_bytes(self, name: str, content: bytes) -> None:
+        """Puts a file in place in one step.
+
+        Raises:
+            ConfigError: It cannot be written: no permission, or the disk is full.
+        """
+        target = self._path(name)
+        folder, _, base = target.rpartition("/")
+        aside = f"{folder}/.{base}.tmp-{uuid.uuid4().hex}" if self.is_local else target
+        try:
+            if self.is_local:
+                Path(folder).mkdir(parents=True, exist_ok=True)
+                _write_local(Path(aside), content)
+                Path(aside).replace(target)
+            else:  # an object appears when its upload ends
+                with self.filesystem.open_output_stream(target) as stream:
+                    stream.write(content)
+        except OSError as error:
+            if self.is_local:
+                Path(aside).unlink(missing_ok=True)
+            raise unwritable(f"{self.uri}/{name}", error) from error
+
+    def read_bytes(self, name: str) -> bytes | None:
+        """Content of a file, or None where there is none."""
+        path = self._path(name)
+        if self.filesystem.get_file_info(path).type != pafs.FileType.File:
+            return None
+        with self.filesystem.open_input_stream(path) as stream:
+            return cast(bytes, stream.read())
+
+    def write_shard(self, table: str, shard_id: str, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Writes one shard of a table, in several files where it would pass MAX_BYTES.
+
+        The first file is put in place last: where it exists, the others do.
+
+        Args:
+            table: Name in SCHEMAS.
+            shard_id: ``content_id`` of what the rows were made from.
+            rows: Column -> value.
+        """
+        pieces = list(_pieces(arrow_table(table, rows)))
+        for number, piece in reversed(list(enumerate(pieces))):
+            sink = pa.BufferOutputStream()
+            pq.write_table(piece, sink, compression="zstd", row_group_size=_ROW_GROUP)
+            suffix = f"-{number}" if number else ""
+            self.write_bytes(f"{table}/part-{shard_id}{suffix}.parquet", sink.getvalue().to_pybytes())
+
+    def shard_ids(self, table: str) -> set[str]:
+        """Ids of the shards of a table that are complete."""
+        names = (Path(path).name for path in self.files(table))
+        return {n.removeprefix("part-").removesuffix(".parquet") for n in names if n.count("-") == 1}
+
+    def files(self, table: str) -> list[str]:
+        """Paths of a table's files, sorted, as the file system names them."""
+        selector = pafs.FileSelector(self._path(table), allow_not_found=True)
+        infos = self.filesystem.get_file_info(selector)
+        return sorted(i.path for i in infos if i.base_name.startswith("part-") and i.base_name.endswith(".parquet"))
+
+    def dataset(self, table: str) -> ds.Dataset:
+        """A table of the run, lazily, in the order of its files.
+
+        Raises:
+            ConfigError: The table is not there, or was written by another version.
+        """
+        files = self.files(table)
+        if not files:
+            known = ", ".join(SCHEMAS)
+            raise ConfigError(f"{self.uri}: no table {table}, expected a folder of part-*.parquet ({known})", "table_missing")
+        check_version(pq.read_schema(files[0], filesystem=self.filesystem), f"{self.uri}/{table}")
+        return ds.dataset(files, format="parquet", filesystem=self.filesystem, schema=SCHEMAS[table])
+
+    def table(self, table: str, columns: Sequence[str] | None = None) -> pa.Table:
+        """A table of the run, whole; see :meth:`dataset`."""
+        return self.dataset(table).to_table(columns=None if columns is None else list(columns))
+
+    def _path(self, name: str) -> str:
+        return self.root if name == "." else f"{self.root}/{name}"
+
+
+def unwritable(where: str, error: OSError) -> ConfigError:
+    """The error for a place that cannot be written."""
+    reason = error.strerror or str(error)
+    return ConfigError(f"{where}: cannot be written ({reason}); free space or choose a folder you may write, then run again", "output_unwritable")
+
+
+def _write_local(path: Path, content: bytes) -> None:
+    with path.open("wb") as stream:
+        stream.write(content)
+        stream.flush()
+        os.fsync(stream.fileno())  # a rename must not outlive its content
+
+
+def _pieces(table: pa.Table) -> Iterator[pa.Table]:
+    """The table in slices of at most MAX_BYTES, or of one row."""
+    if table.nbytes <= MAX_BYTES or table.num_rows <= 1:
+        yield table
+        return
+    half = table.num_rows // 2
+    yield from _pieces(table.slice(0, half))
+    yield from _pieces(table.slice(half))

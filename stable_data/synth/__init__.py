@@ -1,0 +1,1 @@
+"""The embedded world: parametric assets and physically clean scenes in the MesaTask-10K format."""

@@ -1,0 +1,378 @@
+"""What is to be done in a scene: task infos read, understood, or made up from the scene graph.
+
+A task info names types (``NestingCup``); training needs instances and what the instruction says of the scene it starts from.
+:func:`resolve_task_objects` finds both in the words. Where a scene has no task info, :func:`derive_task` fills a template with
+things that are true in the scene, or :func:`model_task` asks a model of the caller's.
+"""
+
+import hashlib
+import json
+import math
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from stable_data.errors import Notice, SceneError
+from stable_data.relations import SceneGraph, relations_of
+from stable_data.scene import TABLE, Relation, RelationKind, Scene, SceneObject, TaskInfo
+from stable_data.task_templates import derive_task, task_rng, type_words
+
+TaskWriter: TypeAlias = Callable[[Scene, tuple[Relation, ...]], Mapping[str, Any]]
+"""A model that writes a task info, with MesaTask's keys, for a scene and its scene graph."""
+
+STEP = "task"
+"""The step that this module's notices name."""
+
+# --- validation ---------------------------------------------------------------------------------------------------------------
+
+
+def validate_task_info(data: Mapping[str, Any]) -> None:
+    """Refuses a task info that MesaTask's own validator would refuse.
+
+    Args:
+        data: The content of a ``task_info.json``.
+
+    Raises:
+        SceneError: A key is missing or of the wrong type (``task_info_invalid``).
+    """
+    for key in ("Environment", "Task"):
+        if not isinstance(data.get(key), str) or not data[key].strip():
+            raise _invalid(key, data.get(key), "a sentence")
+    for key in ("Goal", "Action Sequence", "Objects cluster"):
+        if not isinstance(data.get(key), list) or not all(isinstance(x, str) for x in data[key]):
+            raise _invalid(key, data.get(key), "a list of strings")
+    zone = data.get("item_placement_zone")
+    if not isinstance(zone, list) or len(zone) != 4 or not all(_is_number(x) for x in zone):
+        raise _invalid("item_placement_zone", zone, "[x_min, x_max, y_min, y_max] in centimetres")
+
+
+def _is_number(x: Any) -> bool:
+    return isinstance(x, int | float) and not isinstance(x, bool) and math.isfinite(x)
+
+
+def _invalid(key: str, found: Any, expected: str) -> SceneError:
+    return SceneError(
+        f"task info: {key!r} is {str(found)[:80]!r}, expected {expected}; write the key again", "task_info_invalid"
+    )
+
+
+def task_info_of(data: Mapping[str, Any], origin: str = "file") -> TaskInfo:
+    """The task info that a ``task_info.json`` holds, task objects still unknown.
+
+    Args:
+        data: The file's content.
+        origin: ``file`` or ``model``.
+
+    Returns:
+        The task info.
+
+    Raises:
+        SceneError: See :func:`validate_task_info`.
+    """
+    validate_task_info(data)
+    goal, actions, cluster = (tuple(data[key]) for key in ("Goal", "Action Sequence", "Objects cluster"))
+    return TaskInfo(data["Environment"], data["Task"], goal, actions, cluster, origin=origin, source=data)
+
+
+# --- names --------------------------------------------------------------------------------------------------------------------
+
+
+def _instances_of(scene: Scene, name: str) -> list[SceneObject]:
+    """Objects of a type: by category, else by an end of it, else by their description."""
+    words = type_words(name)
+    tests: tuple[Callable[[SceneObject], bool], ...] = (
+        lambda o: _singular(type_words(o.category)) == _singular(words),
+        lambda o: _is_part(_singular(type_words(o.category)), _singular(words)),
+        lambda o: bool(words) and set(words) <= set(type_words(o.description)),
+    )
+    for test in tests:
+        if words and (found := [o for o in scene.objects if test(o)]):
+            return found
+    return []
+
+
+def _singular(words: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(w[:-1] if w.endswith("s") and not w.endswith("ss") and len(w) > 3 else w for w in words)
+
+
+def _is_part(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
+    """Does the longer start or end with the shorter?"""
+    short, long = sorted((one, other), key=len)
+    return bool(short) and (long[: len(short)] == short or long[-len(short) :] == short)
+
+
+# --- task objects and what the instruction says of the start ------------------------------------------------------------------
+
+_LIST = r"(?P<a><\d+>(?:(?:, and |, | and )<\d+>)*)"
+_PLACING = (
+    r"\b(?:put|place|set|lay|drop|stack|insert|collect|gather|arrange|pile|store|load"
+    r"|move|bring|slide|push|hang|lean|rest)\b"
+)
+_TAKING = r"\b(?:pick|take|grab|grasp|lift|get|fetch|hand|give|pass|remove|use|press|open|close|leave|keep)\b"
+_WISH = r"\b(?:so that|so|until|make sure|ensure)(?: that)? $"
+_OUTERMOST = {"leftmost": 1, "rightmost": -1}
+_SPOTS = {
+    "in": RelationKind.IN,
+    "inside": RelationKind.IN,
+    "on": RelationKind.ON,
+    "on top of": RelationKind.ON,
+    "left of": RelationKind.LEFT_OF,
+    "right of": RelationKind.RIGHT_OF,
+    "in front of": RelationKind.IN_FRONT_OF,
+    "behind": RelationKind.BEHIND,
+}
+_SPOT = r"(?P<spot>inside|on top of|in front of|behind|(?:to the |on the )?(?:left|right)(?: side)? of|in|on)"
+_BE = (
+    r"(?:,? (?:which|that))? ?(?:is|are|sits?|rests?|lies|stands?|sitting|resting|lying|standing|placed|kept)"
+    r"(?: currently| now)?"
+)
+_HOW = r"(?P<how>out of|off|from)"
+_AWAY = re.compile(_LIST + r"(?: up| away| gently| carefully)? " + _HOW + r"(?: of| inside| within| the top of)? (?P<b><\d+>)")
+_AWAY_IT = re.compile(r"(?P<b><\d+>)[^.;]* by (?:removing|taking|lifting|picking) " + _LIST + r"(?: up)? " + _HOW + r" it\b")
+_STATED = re.compile(_LIST + _BE + " " + _SPOT + r" (?P<b><\d+>)")
+_NOUN = re.compile(_LIST + " " + _SPOT + r" (?P<b><\d+>)")
+
+
+@dataclass(frozen=True, slots=True)
+class _Claim:
+    """What an instruction says of the start: type number ``a`` is ``kind`` of ``b``; None: in or on, as the scene has it."""
+
+    a: int
+    kind: RelationKind | None
+    b: int
+
+
+def _claims(text: str, types: Sequence[str]) -> list[_Claim]:
+    """What an instruction says of the scene it starts from, about types by number."""
+    marked = _mark(text, types)
+    found: dict[_Claim, None] = {}
+    for match in (*_AWAY.finditer(marked), *_AWAY_IT.finditer(marked)):
+        kind = {"out of": RelationKind.IN, "off": RelationKind.ON}.get(match["how"])
+        found |= dict.fromkeys(_pairs(match, kind))
+    for pattern in (_STATED, _NOUN):
+        for match in pattern.finditer(marked):
+            before = re.split(r"[.;:]", marked[: match.start()])[-1]
+            verbs = re.findall(f"{_PLACING}|{_TAKING}", before) if pattern is _NOUN else []
+            # "Put a on b" says where a shall be, "pick up a on b" where it is: the last verb tells.
+            if re.search(_WISH, before) or (verbs and re.fullmatch(_PLACING, verbs[-1])):
+                continue
+            spot = re.sub(r"^(?:to|on) the | side", "", match["spot"])
+            found |= dict.fromkeys(_pairs(match, _SPOTS[spot]))
+    return list(found)
+
+
+def _pairs(match: re.Match[str], kind: RelationKind | None) -> Iterator[_Claim]:
+    target = int(match["b"][1:-1])
+    return (_Claim(int(a), kind, target) for a in re.findall(r"\d+", match["a"]) if int(a) != target)
+
+
+def _mark(text: str, types: Sequence[str]) -> str:
+    """The instruction in lower case, each type that it mentions as ``<number>``, longest names first, articles gone."""
+    marked = text.lower()
+    lead = rf"(?:\b(?:the|a|an|both|all|each|{'|'.join(_OUTERMOST)}) )*"
+    for index in sorted(range(len(types)), key=lambda k: -len(" ".join(type_words(types[k])))):
+        if spelt := _spelt(types[index]):
+            marked = re.sub(rf"{lead}\b{spelt}(?:e?s)?\b(?!>)", f"<{index}>", marked)
+    return marked
+
+
+def _spelt(name: str) -> str:
+    """A pattern for a type in an instruction."""
+    return "[ _-]".join(re.escape(word) for word in type_words(name))
+
+
+def resolve_task_objects(task: TaskInfo, scene: Scene, graph: SceneGraph) -> tuple[TaskInfo, tuple[Notice, ...]]:
+    """Finds the instances that a task is about, and what its instruction says of the scene it starts from.
+
+    Of several instances of a type those are kept that agree with the instruction (``the spice jar in the cup``); among the
+    rest the one nearest to the other task objects is taken and a notice says so, or all where the words ask for all.
+    Relations to the table itself are not listed. A task info that names its instances already is left as it is.
+
+    Args:
+        task: The task info; its types come from ``objects_cluster`` and the action sequence, else from the instruction.
+        scene: The scene that it starts from.
+        graph: Its scene graph.
+
+    Returns:
+        The task info with ``task_objects`` and ``relations``, and notices: ``task_object_missing``,
+        ``task_object_ambiguous``, ``task_relation_not_held``.
+    """
+    if task.task_objects:
+        absent = sorted(set(task.task_objects) - {o.instance for o in scene.objects})
+        return task, tuple(_notice(scene, "task_object_missing", f"no object is called {name}") for name in absent)
+    types = _types_of(task, scene)
+    claims = _claims(task.task, types)
+    found = {k: [o.instance for o in _instances_of(scene, name)] for k, name in enumerate(types)}
+    notices = [_notice(scene, "task_object_missing", f"no object is a {types[k]}") for k, names in found.items() if not names]
+    wanted = {k: max(1, sum(type_words(c) == type_words(types[k]) for c in task.objects_cluster)) for k in found}
+    notices += _settle(scene, graph, task, types, claims, found, wanted)
+    chosen = [o.instance for o in scene.objects if any(o.instance in names for names in found.values())]
+    # "From" is in or on: as the scene has it, else as the goal's words have it.
+    default = RelationKind.ON if re.search(r"\brests? on\b|\boff\b", " ".join(task.goal)) else RelationKind.IN
+    relations = tuple(sorted({r for claim in claims for r in _relations_said(graph, claim, found, default)}))
+    for r in relations:
+        if not _holds(scene, graph, r.subject, r.kind, r.target):
+            notices.append(_notice(scene, "task_relation_not_held", f"the instruction says {r.subject} {r.kind} {r.target}"))
+    return replace(task, task_objects=tuple(chosen), relations=relations), tuple(notices)
+
+
+def _notice(scene: Scene, code: str, message: str) -> Notice:
+    return Notice(scene.scene_id, STEP, code, f"{scene.scene_id}: {message}; check the task info against the layout")
+
+
+def _types_of(task: TaskInfo, scene: Scene) -> list[str]:
+    """Types of the task objects, each once."""
+    arguments = re.findall(r"\b(?!PlaceAt)\w+\(\s*([^,()]+)", " ".join(task.action_sequence))
+    named = [*task.objects_cluster, *(a for a in arguments if _instances_of(scene, a))]
+    if not named:
+        categories = sorted({o.category for o in scene.objects})
+        marked = _mark(task.task, categories)
+        named = [category for k, category in enumerate(categories) if f"<{k}>" in marked]
+    unique = {type_words(name): name for name in reversed(named) if type_words(name) not in ((), (TABLE,))}
+    return list(reversed(unique.values()))
+
+
+def _settle(
+    scene: Scene,
+    graph: SceneGraph,
+    task: TaskInfo,
+    types: Sequence[str],
+    claims: Sequence[_Claim],
+    found: dict[int, list[str]],
+    wanted: Mapping[int, int],
+) -> list[Notice]:
+    """Narrows ``found`` to the instances that are meant."""
+    notices = []
+    for k, names in found.items():
+        asked = re.search(
+            rf"\b({'|'.join(_OUTERMOST)}) {'[ _-]'.join(map(re.escape, type_words(types[k])))}\b", task.task.lower()
+        )
+        if asked and names:
+            found[k] = [min(names, key=lambda n: (_OUTERMOST[asked[1]] * scene[n].position[0], n))]
+    _keep_agreeing(scene, graph, claims, found)
+    for k in sorted(found, key=lambda k: len(found[k])):
+        if len(found[k]) <= wanted[k] or _asks_for_all(task.task, types[k]):
+            continue
+        anchors = [names[0] for other, names in found.items() if other != k and len(names) == 1]
+        message = f"{len(found[k])} objects are a {types[k]} ({', '.join(found[k])}), the nearest is taken"
+        notices.append(_notice(scene, "task_object_ambiguous", message))
+        found[k] = _nearest(scene, found[k], anchors)[: wanted[k]]
+        _keep_agreeing(scene, graph, claims, found)
+    return notices
+
+
+def _keep_agreeing(scene: Scene, graph: SceneGraph, claims: Sequence[_Claim], found: dict[int, list[str]]) -> None:
+    for c in claims:
+        pairs = [(a, b) for a in found[c.a] for b in found[c.b] if a != b and _holds(scene, graph, a, c.kind, b)]
+        if pairs:
+            found[c.a] = [a for a in found[c.a] if any(a == pair[0] for pair in pairs)]
+            found[c.b] = [b for b in found[c.b] if any(b == pair[1] for pair in pairs)]
+
+
+def _asks_for_all(text: str, name: str) -> bool:
+    last = type_words(name)[-1]
+    return bool(
+        re.search(rf"\b(?:all|every|each|both)\b[^.;]*\b{last}|\b(?:two|three|four|five) [^.;]*\b{last}e?s\b", text.lower())
+    )
+
+
+def _nearest(scene: Scene, names: Sequence[str], anchors: Sequence[str]) -> list[str]:
+    """Instances by distance to the other task objects, else to the viewer."""
+    viewer = (scene.table.size_xy[0] / 2, 0.0)
+    points = [scene[a].position[:2] for a in anchors] or [viewer]
+    return sorted(names, key=lambda n: (round(sum(math.dist(scene[n].position[:2], p) for p in points), 6), n))
+
+
+def _holds(scene: Scene, graph: SceneGraph, a: str, kind: RelationKind | None, b: str) -> bool:
+    dx, dy, _ = np.subtract(scene[a].position, scene[b].position)
+    sides = {
+        RelationKind.LEFT_OF: dx < 0,
+        RelationKind.RIGHT_OF: dx > 0,
+        RelationKind.IN_FRONT_OF: dy < 0,
+        RelationKind.BEHIND: dy > 0,
+    }
+    if kind in sides:
+        return bool(sides[kind])
+    return any(graph.has_edge(a, b, key=k) for k in (RelationKind.IN, RelationKind.ON) if kind in (k, None))
+
+
+def _relations_said(
+    graph: SceneGraph, claim: _Claim, found: Mapping[int, list[str]], default: RelationKind
+) -> Iterator[Relation]:
+    if len(found[claim.b]) != 1:
+        return
+    b = found[claim.b][0]
+    for a in found[claim.a]:
+        linked = next((k for k in (RelationKind.IN, RelationKind.ON) if graph.has_edge(a, b, key=k)), default)
+        yield Relation(a, claim.kind or linked, b)
+
+
+# --- a model's task infos -----------------------------------------------------------------------------------------------------
+
+
+def model_task(
+    scene: Scene, graph: SceneGraph, write: TaskWriter, cache_dir: Path | str, writer_id: str = "", seed: int = 0
+) -> tuple[TaskInfo, tuple[Notice, ...]]:
+    """The task that a model writes for a scene, or a template's where its answer cannot be used.
+
+    A usable answer is kept on disk under the content of what the model was shown, so that a rerun asks nothing and gives the
+    same rows; an answer that cannot be used is not kept.
+
+    Args:
+        scene: The scene; at least one object.
+        graph: Its scene graph.
+        write: The model. Its ``OSError``, ``ValueError`` and ``LookupError`` count as answers that cannot be used.
+        cache_dir: Folder of the kept answers; made where it is missing.
+        writer_id: What the answer depends on besides the scene: the model's name, its prompt's version.
+        seed: For the template that stands in.
+
+    Returns:
+        The task info, ``origin`` ``model`` or ``template``, and notices: ``task_model_failed`` or those of
+        :func:`resolve_task_objects`.
+    """
+    relations = relations_of(graph)
+    path = Path(cache_dir) / f"{_content_key(scene, relations, writer_id)}.json"
+    try:
+        data, is_new = _kept(path), False
+        if data is None:
+            data, is_new = dict(write(scene, relations)), True
+        task, notices = resolve_task_objects(task_info_of(data, origin="model"), scene, graph)
+        if not task.task_objects:
+            raise SceneError(
+                f"task {task.task!r} names {task.objects_cluster}, expected types of the scene", "task_objects_unknown"
+            )
+        if is_new:
+            _keep(path, data)
+    except (OSError, ValueError, LookupError) as error:
+        told = derive_task(scene, graph, task_rng(scene.scene_id, seed))
+        return told, (_notice(scene, "task_model_failed", f"the model's task cannot be used ({error}), a template's is taken"),)
+    return task, notices
+
+
+def _content_key(scene: Scene, relations: Iterable[Relation], writer_id: str) -> str:
+    objects = [(o.instance, o.category, o.description, o.position, o.yaw, o.size, o.asset_id) for o in scene.objects]
+    shown = json.dumps([writer_id, asdict(scene.table), objects, [asdict(r) for r in relations]], sort_keys=True)
+    return hashlib.sha256(shown.encode()).hexdigest()
+
+
+def _kept(path: Path) -> dict[str, Any] | None:
+    """An answer kept before, or None where there is none that can be read."""
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        validate_task_info(data)
+    except (OSError, ValueError, AttributeError):
+        return None
+    return dict(data)
+
+
+def _keep(path: Path, data: Mapping[str, Any]) -> None:
+    """Written aside and put in place in one step, so that a reader never sees half of it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    aside = path.with_suffix(f".{os.getpid()}.tmp")
+    aside.write_text(json.dumps(data, indent=2, sort_keys=True), encoding="utf-8")
+    aside.replace(path)

@@ -1,0 +1,26 @@
+"""The files in schemas/ are in step with the code, and accept what the code writes."""
+
+import json
+from pathlib import Path
+
+import jsonschema
+
+from stable_data.contracts import contract_files, scene_schema
+from stable_data.tables import SCHEMAS
+
+FOLDER = Path(__file__).resolve().parents[1] / "schemas"
+
+
+def test_the_checked_in_contracts_are_in_step_with_the_code() -> None:
+    found = {p.name: p.read_text("utf-8") for p in FOLDER.iterdir()}
+    assert found == contract_files(), "run `make schemas`"
+
+
+def test_every_contract_is_a_valid_json_schema() -> None:
+    for name, content in contract_files().items():
+        if name.endswith(".schema.json"):
+            jsonschema.Draft202012Validator.check_schema(json.loads(content))
+
+
+def test_the_scene_schema_names_every_column() -> None:
+    assert list(scene_schema()["properties"]) == SCHEMAS["scenes"].names
