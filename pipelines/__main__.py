@@ -24,7 +24,9 @@ def preprocess(
     out: Annotated[str, typer.Option(help="Run folder: a local path, or a URI such as s3://bucket/prefix.")],
     config: Annotated[Path | None, typer.Option(help="TOML file; its table [preprocess] is read.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
-    workers: Annotated[int, typer.Option(help="Worker processes on a local Ray; 0 runs in this process; -1 is one a core.")] = -1,
+    workers: Annotated[
+        int, typer.Option(help="Worker processes on a local Ray; 0 runs in this process; -1 is one a core.")
+    ] = -1,
     address: Annotated[str | None, typer.Option(help="An existing Ray cluster, such as auto or ray://host:10001.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")] = False,
 ) -> None:
@@ -32,7 +34,8 @@ def preprocess(
 
     Status 0: done. 1: some scenes or assets could not be used; the table failures says which and why. 2: could not start.
     """
-    from pipelines.preprocess import PreprocessSettings, describe_plan
+    from pipelines.plan import PreprocessSettings
+    from pipelines.preprocess import describe_plan
     from pipelines.preprocess import preprocess as run
     from pipelines.runner import Workers
     from pipelines.settings import resolve

@@ -9,8 +9,8 @@ from stable_data import tables
 from stable_data.assets import AssetMesh, AssetStore, aspect_of
 from stable_data.convex import convex_parts
 from stable_data.errors import Notice
-from stable_data.mesatask import AssetAnnotation
 from stable_data.export.glb import write_glb
+from stable_data.mesatask import AssetAnnotation
 from stable_data.mesh import Mesh, mass_properties
 from stable_data.points import surface_points
 from stable_data.scene import QuatXyzw, Vec3
@@ -73,7 +73,9 @@ def preprocess_asset(
     """
     asset = store.asset(use.asset_id)
     grids = tuple(_grid_row(use.asset_id, steps, store) for steps in use.aspects)
-    return AssetRows(_asset_row(use, annotation, asset, settings, embedding), _mesh_row(use.asset_id, asset), grids, asset.notices)
+    return AssetRows(
+        _asset_row(use, annotation, asset, settings, embedding), _mesh_row(use.asset_id, asset), grids, asset.notices
+    )
 
 
 def _asset_row(

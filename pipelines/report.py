@@ -4,39 +4,24 @@ import base64
 import io
 from collections.abc import Iterable, Sequence
 from html import escape
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
+import pyarrow.compute as pc
 from PIL import Image
+from stable_data.render import render_scene
 
 from stable_data.assets import AssetStore
 from stable_data.errors import ConfigError
 from stable_data.mesh import Mesh
 from stable_data.metrics.summary import summarise
-from stable_data.render import render_scene
 from stable_data.shards import RunFolder
 from stable_data.tables import scene_from_row
 
-_STYLE = """
-:root { --ink: #1d2430; --soft: #6a7485; --line: #e3e7ee; --bar: #4f7cac; --page: #fbfbfa; --bad: #b3473c; --good: #3b7d5a; }
-* { box-sizing: border-box } body { margin: 0; background: var(--page); color: var(--ink);
-  font: 15px/1.5 system-ui, -apple-system, "Segoe UI", sans-serif }
-main { max-width: 1120px; margin: 0 auto; padding: 32px 24px 64px } h1 { font-size: 26px; margin: 0 0 4px }
-h2 { font-size: 18px; margin: 40px 0 12px; border-bottom: 1px solid var(--line); padding-bottom: 6px }
-p.note { color: var(--soft); margin: 0 0 16px } .grid { display: grid; gap: 20px; grid-template-columns: repeat(auto-fill, minmax(320px, 1fr)) }
-.tiles { display: grid; gap: 12px; grid-template-columns: repeat(auto-fill, minmax(150px, 1fr)) }
-.tile { background: #fff; border: 1px solid var(--line); border-radius: 8px; padding: 12px 14px } .tile b { display: block; font-size: 24px }
-.tile span { color: var(--soft); font-size: 13px } table { border-collapse: collapse; width: 100%; background: #fff; font-size: 14px }
-th, td { text-align: left; padding: 6px 10px; border-bottom: 1px solid var(--line); vertical-align: top } td.n { text-align: right;
-  font-variant-numeric: tabular-nums } th { color: var(--soft); font-weight: 500 }
-figure { margin: 0; background: #fff; border: 1px solid var(--line); border-radius: 8px; overflow: hidden }
-figure img { width: 100%; display: block } figcaption { padding: 8px 12px; font-size: 13px; color: var(--soft) }
-figcaption b { color: var(--ink) } .chart { background: #fff; border: 1px solid var(--line); border-radius: 8px; padding: 12px 14px }
-.chart h3 { font-size: 14px; margin: 0 0 8px; font-weight: 600 } .row { display: grid; grid-template-columns: 92px 1fr 52px; gap: 8px;
-  align-items: center; font-size: 12px; color: var(--soft) } .row i { display: block; height: 12px; background: var(--bar); border-radius: 2px;
-  min-width: 1px } .row span:last-child { text-align: right; font-variant-numeric: tabular-nums } .bad { color: var(--bad) } .good { color: var(--good) }
-"""
+_STYLE = Path(__file__).with_name("report.css")
 
 
 def write_report(folder: RunFolder, manifest: dict[str, Any], store: AssetStore, num_pictures: int) -> None:
@@ -48,7 +33,9 @@ def write_report(folder: RunFolder, manifest: dict[str, Any], store: AssetStore,
         store: Geometry of the assets, for the pictures.
         num_pictures: Scenes that are drawn: half of them the worst, half an even choice.
     """
-    columns = [c for c in folder.dataset("scenes").schema.names if c not in ("source_json", "relations", "task", "restricted_zone")]
+    columns = [
+        c for c in folder.dataset("scenes").schema.names if c not in ("source_json", "relations", "task", "restricted_zone")
+    ]
     scenes = pl.from_arrow(folder.table("scenes", columns))
     assert isinstance(scenes, pl.DataFrame)
     body = [
@@ -63,8 +50,9 @@ def write_report(folder: RunFolder, manifest: dict[str, Any], store: AssetStore,
         *_pictures(folder, scenes, store, num_pictures),
     ]
     page = (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>{escape(manifest['dataset'])}: preprocess</title><style>{_STYLE}</style><main>{''.join(body)}</main></html>"
+        '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+        f"<title>{escape(manifest['dataset'])}: preprocess</title><style>{_STYLE.read_text('utf-8')}</style>"
+        f"<main>{''.join(body)}</main></html>"
     )
     folder.write_bytes("report/index.html", page.encode())
 
@@ -125,7 +113,7 @@ def _assets(folder: RunFolder) -> Iterable[str]:
         ("convex parts: the hull is enough", f"{sum(p == 'hull' for p in parts)} of {len(parts)}"),
     ]
     if errors:
-        share = np.median([e["mean_error"] for e in errors]), np.median([e["spacing"] for e in errors])
+        share = [float(np.median([e[key] for e in errors])) for key in ("mean_error", "spacing")]
         rows.append(("grid error near the surface, median", f"{100 * share[0]:.3f} % of the largest extent"))
         rows.append(("grid spacing, median", f"{100 * share[1]:.2f} % of the largest extent"))
         rows.append(("wrong signs off the surface, mean", f"{100 * np.mean([e['sign_errors'] for e in errors]):.3f} %"))
@@ -148,11 +136,10 @@ def _notices(folder: RunFolder) -> Iterable[str]:
 def _pictures(folder: RunFolder, scenes: pl.DataFrame, store: AssetStore, count: int) -> Iterable[str]:
     if not scenes.height or count <= 0:
         return
-    ranked = scenes.sort(["clean", "max_penetration_mm", "scene_id"], descending=[False, True, False], nulls_last=True)["scene_id"].to_list()
+    worst_first = scenes.sort(["clean", "max_penetration_mm", "scene_id"], descending=[False, True, False], nulls_last=True)
+    ranked = worst_first["scene_id"].to_list()
     even = scenes["scene_id"].sort().gather_every(max(1, scenes.height // max(1, count - count // 2))).to_list()
     chosen = list(dict.fromkeys([*ranked[: count // 2], *even]))[:count]
-    import pyarrow.compute as pc  # noqa: PLC0415 - heavy, and needed here alone
-
     rows = folder.dataset("scenes").to_table(filter=pc.field("scene_id").isin(chosen)).to_pylist()
     yield "<h2>Pictures</h2><div class=grid>"
     for row in sorted(rows, key=lambda r: chosen.index(r["scene_id"])):
@@ -163,9 +150,12 @@ def _pictures(folder: RunFolder, scenes: pl.DataFrame, store: AssetStore, count:
         except ConfigError as error:
             yield f'</div><p class="note">{escape(str(error))}</p>'
             return
-        verdict = {True: '<span class="good">clean</span>', False: '<span class="bad">not clean</span>', None: "unknown"}[row["clean"]]
+        verdict = {True: '<span class="good">clean</span>', False: '<span class="bad">not clean</span>', None: "unknown"}[
+            row["clean"]
+        ]
         task = escape(row["task"]["task"]) if row["task"] else ""
-        yield f'<figure><img alt="{scene.scene_id}" src="{_data_uri(picture)}"><figcaption><b>{scene.scene_id}</b> {verdict}<br>{task}</figcaption></figure>'
+        caption = f"<figcaption><b>{escape(scene.scene_id)}</b> {verdict}<br>{task}</figcaption>"
+        yield f'<figure><img alt="{escape(scene.scene_id)}" src="{_data_uri(picture)}">{caption}</figure>'
     yield "</div>"
 
 
@@ -183,7 +173,7 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def _histogram(title: str, values: pl.Series, edges: Sequence[float]) -> str:
     known = values.drop_nulls().to_numpy()
     counts = np.histogram(known, edges)[0]
-    labels = [f"{a:g} – {b:g}" if b < 1000 else f"{a:g} or more" for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    labels = [f"{a:g} – {b:g}" if b < 1000 else f"{a:g} or more" for a, b in pairwise(edges)]
     if len(edges) > 1 and edges[1] == 1e-9:
         labels[:2] = ["0", f"under {edges[2]:g}"]
     rows = [*zip(labels, counts.tolist(), strict=True)]
@@ -200,6 +190,7 @@ def _bars(title: str, values: pl.Series) -> str:
 def _chart(title: str, rows: Sequence[tuple[str, int]]) -> str:
     most = max((n for _, n in rows), default=0) or 1
     bars = "".join(
-        f'<div class="row"><span>{escape(label)}</span><i style="width:{100 * n / most:.1f}%"></i><span>{n}</span></div>' for label, n in rows
+        f'<div class="row"><span>{escape(label)}</span><i style="width:{100 * n / most:.1f}%"></i><span>{n}</span></div>'
+        for label, n in rows
     )
     return f'<div class="chart"><h3>{escape(title)}</h3>{bars}</div>'

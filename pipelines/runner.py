@@ -84,7 +84,8 @@ class _RayRun(Generic[T, R]):
                 ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, ValueError, RuntimeError) as error:
             raise ConfigError(
-                f"Ray at {address or 'this machine'} cannot be reached ({error}); start it, or leave out --address", "ray_unreachable"
+                f"Ray at {address or 'this machine'} cannot be reached ({error}); start it, or leave out --address",
+                "ray_unreachable",
             ) from error
 
     def results(self) -> Iterator[R]:
@@ -103,7 +104,11 @@ class _RayRun(Generic[T, R]):
                         ray.cancel(reference, force=True)
                     try:
                         yield ray.get(reference)
-                    except (ray.exceptions.WorkerCrashedError, ray.exceptions.TaskCancelledError, ray.exceptions.OutOfMemoryError):
+                    except (
+                        ray.exceptions.WorkerCrashedError,
+                        ray.exceptions.TaskCancelledError,
+                        ray.exceptions.OutOfMemoryError,
+                    ):
                         if isolated:
                             raise
                         waiting.appendleft((shard, True))

@@ -8,14 +8,14 @@ from stable_data import tables
 from stable_data.assets import AssetStore
 from stable_data.errors import Notice
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.metrics.audit import TOLERANCE, Audit, PosedScene, audit_posed
+from stable_data.metrics.audit import Audit, PosedScene, audit_posed
 from stable_data.relations import relations_of, scene_graph, supports
-from stable_data.scene import RelationKind, Scene
+from stable_data.scene import TABLE, RelationKind, Scene
 from stable_data.staging import samples_of, stage_scene
 from stable_data.task_templates import derive_task, task_rng
 from stable_data.tasks import TaskWriter, model_task, resolve_task_objects
 
-_CONTACT_GAPS = (TOLERANCE, 3e-3)  # what the graph looks for when the audit's own gap finds nothing, metres
+_CONTACT_GAP = 3e-3  # layouts are written to 1 mm, so what carries an object may be a little below it, metres
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,11 +127,11 @@ def _understood(
 
 
 def _contacts(posed: PosedScene, audit: Audit) -> Mapping[str, tuple[str, ...]]:
-    """What each object rests on: by the audit's gap, else by a larger one."""
-    found = {}
-    for index, verdict in enumerate(audit.objects):
-        found[verdict.instance] = verdict.supports or posed.supports(index, _CONTACT_GAPS[1]) or ()
-    return found
+    """What each object rests on: the table where the audit finds nothing else, or all that is within a larger gap."""
+    return {
+        verdict.instance: verdict.supports if verdict.supports == (TABLE,) else posed.supports(index, _CONTACT_GAP) or ()
+        for index, verdict in enumerate(audit.objects)
+    }
 
 
 def _counts(scene: Scene) -> tuple[int, int]:

@@ -41,14 +41,17 @@ def resolve(kind: type[C], section: str, file: Path | None, overrides: Iterable[
             values[key] = float(value)
         elif type(value) is not wanted:
             raise ConfigError(
-                f"setting {section}.{key} is {value!r}, expected {wanted.__name__} such as {_default(kind, key)!r}", "config_invalid"
+                f"setting {section}.{key} is {value!r}, expected {wanted.__name__} such as {_default(kind, key)!r}",
+                "config_invalid",
             )
     return kind(**values)
 
 
 def differences(was: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     """``key: was -> now`` for every setting that differs."""
-    return [f"{key}: {was.get(key)} -> {now.get(key)}" for key in sorted(was.keys() | now.keys()) if was.get(key) != now.get(key)]
+    return [
+        f"{key}: {was.get(key)} -> {now.get(key)}" for key in sorted(was.keys() | now.keys()) if was.get(key) != now.get(key)
+    ]
 
 
 def _section(file: Path, section: str) -> Mapping[str, Any]:

@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 from stable_data.errors import MeshError, Notice
 from stable_data.mesh import Mesh, MeshReport, load_glb, repair
 from stable_data.scene import QuatXyzw, Scene, SceneObject, Vec3
-from stable_data.shape import Shape
 from stable_data.sdf_build import build_grid
 from stable_data.sdf_grid import SdfGrid
+from stable_data.shape import Shape
 
 ASPECT_STEP = math.log(1.05)
 """Aspects are snapped to powers of 1.05, so that assets scaled nearly alike share a grid."""
@@ -111,21 +111,20 @@ class AssetStore:
         except MeshError as error:
             message = f"object {o.instance}: {error}; a box of its size stands in, and what rests on its mesh is unknown"
             return Shape.box(o.size), (Notice(o.instance, "mesh", error.code, message),)
+        odd = tuple(Notice(o.instance, n.step, n.code, f"object {o.instance}: {n.message}") for n in asset.notices)
         if o.scale is not None:
             shape = self._scaled(o.asset_id, asset, o.scale, o.tilt_quat_xyzw)
             worst = np.abs(shape.size - o.size)
             if not ((worst > _SIZE_SLACK[0]) & (worst > _SIZE_SLACK[1] * np.asarray(o.size))).any():
-                return shape, ()
+                return shape, odd
             found = "x".join(f"{100 * s:.1f}" for s in shape.size)
             expected = "x".join(f"{100 * s:.1f}" for s in o.size)
             message = (
                 f"object {o.instance}: asset {o.asset_id} at its scale is {found} cm, expected {expected} cm; "
                 "the mesh is fitted to the size; is it another mesh than the annotated one?"
             )
-            notices: tuple[Notice, ...] = (Notice(o.instance, "mesh", "asset_differs", message),)
-        else:
-            notices = ()
-        return self._scaled(o.asset_id, asset, fitted_scale(asset.mesh, o.tilt_quat_xyzw, o.size), o.tilt_quat_xyzw), notices
+            odd = (*odd, Notice(o.instance, "mesh", "asset_differs", message))
+        return self._scaled(o.asset_id, asset, fitted_scale(asset.mesh, o.tilt_quat_xyzw, o.size), o.tilt_quat_xyzw), odd
 
     def shapes(self, scene: Scene) -> tuple[list[Shape], tuple[Notice, ...]]:
         """The geometry of every object of a scene, in its order, and the notices with the scene as ``item_id``."""
@@ -156,7 +155,9 @@ class AssetStore:
     def _load(self, asset_id: str) -> AssetMesh | MeshError:
         path = self._source.asset_path(asset_id)
         if path is None:
-            return MeshError(f"asset {asset_id}: no GLB file, expected one in the library; add it or preprocess without it", "glb_missing")
+            return MeshError(
+                f"asset {asset_id}: no GLB file, expected one in the library; add it or preprocess without it", "glb_missing"
+            )
         try:
             mesh, odd = load_glb(path, asset_id)
             mesh, report, repaired = repair(mesh, asset_id)

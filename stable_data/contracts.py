@@ -80,7 +80,12 @@ def json_schema_of(type_: pa.DataType) -> dict[str, Any]:
     """JSON Schema of a value of an Arrow type; null is always allowed, as in Arrow."""
     if pa.types.is_struct(type_):
         properties = {f.name: json_schema_of(f.type) for f in type_}
-        return {"type": ["object", "null"], "properties": properties, "required": list(properties), "additionalProperties": False}
+        return {
+            "type": ["object", "null"],
+            "properties": properties,
+            "required": list(properties),
+            "additionalProperties": False,
+        }
     if pa.types.is_list(type_):
         return {"type": ["array", "null"], "items": json_schema_of(type_.value_type)}
     if pa.types.is_boolean(type_):
@@ -113,7 +118,12 @@ def tables_document() -> dict[str, Any]:
         "table_version": TABLE_VERSION,
         "tables": {
             name: [
-                {"name": c.name, "type": str(c.type), "unit": c.metadata[b"unit"].decode(), "meaning": c.metadata[b"meaning"].decode()}
+                {
+                    "name": c.name,
+                    "type": str(c.type),
+                    "unit": c.metadata[b"unit"].decode(),
+                    "meaning": c.metadata[b"meaning"].decode(),
+                }
                 for c in schema
             ]
             for name, schema in SCHEMAS.items()

@@ -25,9 +25,12 @@ from stable_data.scene import FloatArray
 ConvexPart: TypeAlias = Mesh
 """A closed convex mesh, faces outward."""
 
-_MAX_FACES = 3000  # to be cut; more are first simplified, within the tolerances below, of the largest extent
-_SIMPLIFY = (0.002, 0.004, 0.008)
+_MAX_FACES = 3000  # to be cut; more are first simplified
+_SIMPLIFY = 0.002
 _SHELL = 0.01  # thickness given to a sheet, share of its largest extent
+_PLATE = 1e-3  # and to a flat part of a solid
+_PLATE_AREA = 1e-3  # share of the surface below which a flat part is debris
+_SLAB = 0.1  # two parallel flat parts nearer than this are the two sides of one slab
 _FLAT = 1e-6  # a solid of less volume than this share of its cubed extent is a sheet
 _FRACTIONS = (0.15, 0.3, 0.5, 0.7, 0.85)  # where planes are tried along an axis
 _HELPS = 0.8  # share of the empty volume that must not be left for a single plane to be enough
@@ -86,15 +89,18 @@ def convex_parts(mesh: Mesh, *, max_parts: int = 32, tolerance: float = 0.01) ->
     """
     center, extent = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2, float(mesh.extents.max())
     unit = Mesh((mesh.vertices - center) / extent, mesh.faces)
-    solid = _solid(unit)
-    hull = _mesh((solid or _points_hull(unit)).hull())
+    solid, plates = _solid_and_plates(unit)
+    hull = _mesh(manifold3d.Manifold.hull_points(unit.vertices))
+    if not len(hull.faces):
+        hull = _mesh(_points_hull(unit))
     if not len(hull.faces):
         raise MeshError(f"no hull of a mesh with extents {mesh.extents} has a volume, expected a surface; repair it", "convex_failed")
     hull_distance, _ = _overfill(unit, (hull,))
     parts, method = (hull,), "hull"
     if hull_distance > max(tolerance, _SHELL):
         if solid is not None:
-            parts, method = tuple(_mesh(piece.solid.hull()) for piece in _cut_up(solid, max_parts, tolerance)), "cuts"
+            pieces = _cut_up(solid, max(1, max_parts - len(plates)), tolerance)
+            parts, method = (*(_mesh(piece.solid.hull()) for piece in pieces), *plates[: max_parts - 1]), "cuts"
         else:
             parts, method = _vhacd(unit, max_parts), "vhacd"
     overfill, uncovered = _overfill(unit, parts), _uncovered(unit, parts)
@@ -113,17 +119,62 @@ def _mesh(solid: manifold3d.Manifold) -> Mesh:
     return Mesh(np.asarray(raw.vert_properties, np.float64)[:, :3], np.asarray(raw.tri_verts).astype(np.int64))
 
 
-def _solid(unit: Mesh) -> manifold3d.Manifold | None:
-    """A solid to cut, few enough faces: the mesh itself, or the shell of one that encloses nothing."""
+def _solid_and_plates(unit: Mesh) -> tuple[manifold3d.Manifold | None, tuple[Mesh, ...]]:
+    """A solid to cut, of few enough faces and without overlaps, and what has no thickness in it, as thin convex parts.
+
+    An open mesh is taken as a shell. None where nothing solid can be made of the mesh.
+    """
     solid = _manifold(unit) if is_closed(unit) else None
-    solid = solid or _manifold(_shell(unit))
     if solid is None:
-        return None
-    for tolerance in _SIMPLIFY:
-        if solid.num_tri() <= _MAX_FACES:
-            break
-        solid = solid.simplify(tolerance)
-    return solid
+        solid = _manifold(_shell(unit))
+        return (None, ()) if solid is None else (_simplified(solid), ())
+    pieces, area = solid.decompose(), solid.surface_area()
+    flat = [piece for piece in pieces if abs(piece.volume()) < _FLAT and piece.surface_area() > _PLATE_AREA * area]
+    thick = [piece for piece in pieces if abs(piece.volume()) >= _FLAT]
+    if thick and all(piece.volume() > 0 for piece in thick):  # a cavity has a negative volume and must stay with its shell
+        solid = manifold3d.Manifold.batch_boolean(thick, manifold3d.OpType.Add)
+    plates = sorted((_mesh(piece).vertices for piece in flat), key=lambda corners: corners.mean(axis=0).tolist())
+    return _simplified(solid), tuple(_plates(plates))
+
+
+def _simplified(solid: manifold3d.Manifold) -> manifold3d.Manifold:
+    """At most about ``_MAX_FACES`` faces: by quadric collapse where its result still bounds a solid."""
+    if solid.num_tri() <= _MAX_FACES:
+        return solid
+    collapsed = _manifold(_collapsed(_mesh(solid)))
+    if collapsed is not None and abs(collapsed.volume() / solid.volume() - 1) < 0.02:
+        return collapsed
+    return solid.simplify(_SIMPLIFY)
+
+
+def _collapsed(mesh: Mesh) -> Mesh:
+    if len(mesh.faces) <= _MAX_FACES:
+        return mesh
+    vertices, faces = fast_simplification.simplify(
+        mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32), target_count=_MAX_FACES
+    )
+    return Mesh(vertices, faces)
+
+
+def _plates(sheets: list[FloatArray]) -> Iterator[Mesh]:
+    """Thin convex parts of flat sheets (V, 3); two that lie close above each other are the two sides of one slab."""
+    while sheets:
+        sheet = sheets.pop(0)
+        normal = _flattest_direction(sheet)
+        for k, other in enumerate(sheets):
+            is_parallel = abs(float(normal @ _flattest_direction(other))) > 0.99
+            if is_parallel and np.linalg.norm(sheet.mean(axis=0) - other.mean(axis=0)) < _SLAB:
+                sheet = np.concatenate([sheet, sheets.pop(k)])
+                break
+        part = _mesh(manifold3d.Manifold.hull_points(np.concatenate([sheet + _PLATE / 2 * normal, sheet - _PLATE / 2 * normal])))
+        if len(part.faces):
+            yield part
+
+
+def _flattest_direction(points: FloatArray) -> FloatArray:
+    spread = points - points.mean(axis=0)
+    direction: FloatArray = np.linalg.eigh(spread.T @ spread)[1][:, 0]
+    return direction
 
 
 def _shell(unit: Mesh) -> Mesh:
@@ -144,7 +195,7 @@ def _shell(unit: Mesh) -> Mesh:
 
 def _points_hull(unit: Mesh) -> manifold3d.Manifold:
     """Hull of the vertices, moved apart across their flattest direction so that it has a volume."""
-    flattest = np.linalg.eigh(np.cov(unit.vertices.T))[1][:, 0] * _SHELL / 2
+    flattest = _flattest_direction(unit.vertices) * _SHELL / 2
     return manifold3d.Manifold.hull_points(np.concatenate([unit.vertices + flattest, unit.vertices - flattest]))
 
 
@@ -237,11 +288,9 @@ def _middle_of_hollow(solid: manifold3d.Manifold) -> FloatArray:
 
 def _vhacd(unit: Mesh, max_parts: int) -> tuple[Mesh, ...]:
     """V-HACD: coarse, but it takes any soup of triangles."""
-    vertices, faces = unit.vertices, unit.faces
-    if len(faces) > _MAX_FACES:
-        vertices, faces = fast_simplification.simplify(vertices.astype(np.float32), faces.astype(np.int32), target_count=_MAX_FACES)
+    few = _collapsed(unit)
     found = vhacdx.compute_vhacd(
-        np.asarray(vertices, np.float64), np.asarray(faces, np.uint32), maxConvexHulls=max_parts, resolution=100_000, asyncACD=False
+        few.vertices, few.faces.astype(np.uint32), maxConvexHulls=max_parts, resolution=100_000, asyncACD=False
     )
     hulls = [_mesh(manifold3d.Manifold.hull_points(np.asarray(points, np.float64))) for points, _ in found]
     return tuple(hull for hull in hulls if len(hull.faces)) or (_mesh(_points_hull(unit)),)

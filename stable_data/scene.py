@@ -202,7 +202,9 @@ class Scene:
         names = [o.instance for o in self.objects]
         if len(set(names)) < len(names) or TABLE in names:
             twice = sorted({n for n in names if names.count(n) > 1 or n == TABLE})
-            raise SceneError(f"{self.scene_id}: instances {twice} are not unique, expected one name an object", "duplicate_instance")
+            raise SceneError(
+                f"{self.scene_id}: instances {twice} are not unique, expected one name an object", "duplicate_instance"
+            )
 
     def __getitem__(self, instance: str) -> SceneObject:
         """The object of that name."""

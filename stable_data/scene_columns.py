@@ -29,7 +29,10 @@ ARRAY_LEAVES = (
     "scene_id",
     "table_size",
     "task.task",
-    *(f"objects.list.element.{name}" for name in ("instance", "asset_id", "position", "yaw", "size", "tilt_quat_xyzw", "stage")),
+    *(
+        f"objects.list.element.{name}"
+        for name in ("instance", "asset_id", "position", "yaw", "size", "tilt_quat_xyzw", "stage")
+    ),
 )
 """Leaves of ``scenes`` that :meth:`SceneArrays.from_table` needs."""
 

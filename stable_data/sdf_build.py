@@ -26,6 +26,7 @@ _VOTE_STRIDE = 8
 _SAMPLE_GAP = 0.5  # spacings between the surface and its nearest sample, at most
 _MANY = 3 << 12  # rows or columns of samples of one face, at most
 _STEPS_OF_COUNT = np.sort(np.concatenate([1 << np.arange(14), 3 << np.arange(13)]))
+_REACHES = (6.0,)  # spacings from the surface within which nodes try the surface points of their neighbours
 _MAX_SAMPLES = 1 << 20  # held at a time
 _STEPS = (1.0, 1.7)  # spacings walked off the surface to meet a node whose side is known
 _AXES = (0, 1, 2)
@@ -305,29 +306,33 @@ def _distances(lattice: _Lattice, band: _Band) -> FloatArray:
 
 
 def _passed_on(source: npt.NDArray[np.int32], band: _Band, lattice: _Lattice) -> Float32Array:
-    """Squared distance of every node to the best of the surface points that it and its six neighbours know, (nodes,)."""
-    x, y, z = np.indices(lattice.shape, np.int32).reshape(3, -1)
+    """Squared distance of every node to its surface point, or to a better one that a neighbour knows, (nodes,)."""
     lines = [line.astype(np.float32) for line in lattice.lines()]
     columns = [np.ascontiguousarray(band.place[:, a], np.float32) for a in _AXES]
-
-    def squared_to(point: npt.NDArray[np.int32], node: IntArray | slice) -> Float32Array:
-        dx, dy, dz = (lines[a][n[node]] - columns[a][point] for a, n in enumerate((x, y, z)))
-        found: Float32Array = dx * dx + dy * dy + dz * dz
-        return found
-
-    best = squared_to(source, slice(None))
+    coordinates = [np.broadcast_to(line.reshape(np.roll([-1, 1, 1], a)), lattice.shape).ravel() for a, line in enumerate(lines)]
+    best = _squared(coordinates, columns, source)
+    is_beside = np.zeros(len(source), np.bool_)
+    is_beside[band.nodes] = True
     _, ny, nz = lattice.shape
-    for stride in (ny * nz, nz, 1):
-        for there in (stride, -stride):
+    for reach in _REACHES:
+        near = np.flatnonzero((best < (reach * lattice.spacing) ** 2) & ~is_beside)
+        at = [c[near] for c in coordinates]
+        held, least = source[near], best[near]
+        for stride in (ny * nz, nz, 1, -1, -nz, -ny * nz):
             # Past an edge of the grid this offers a point from elsewhere, which is no nearer and does no harm.
-            offered = np.roll(source, there)
-            node = np.flatnonzero(offered != source)
-            squared = squared_to(offered[node], node)
-            is_better = squared < best[node]
-            node = node[is_better]
-            best[node] = squared[is_better]
-            source[node] = offered[node]
+            offered = source.take(near + stride, mode="clip")
+            squared = _squared(at, columns, offered)
+            is_better = squared < least
+            held, least = np.where(is_better, offered, held), np.where(is_better, squared, least)
+        source[near], best[near] = held, least
     return best
+
+
+def _squared(at: list[Float32Array], columns: list[Float32Array], point: npt.NDArray[np.int32]) -> Float32Array:
+    """Squared distances of places to chosen points, both given by column."""
+    dx, dy, dz = (a - c[point] for a, c in zip(at, columns, strict=True))
+    found: Float32Array = dx * dx + dy * dy + dz * dz
+    return found
 
 
 def _inside(exact: SignedDistance, lattice: _Lattice, band: _Band, distance: FloatArray) -> BoolArray:

@@ -13,7 +13,20 @@ from stable_data.scene import FloatArray, IntArray, QuatXyzw, Vec3
 
 _BOX_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _BOX_FACES = np.array(
-    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+    [
+        [0, 1, 3],
+        [0, 3, 2],
+        [4, 6, 7],
+        [4, 7, 5],
+        [0, 4, 5],
+        [0, 5, 1],
+        [2, 3, 7],
+        [2, 7, 6],
+        [0, 2, 6],
+        [0, 6, 4],
+        [1, 5, 7],
+        [1, 7, 3],
+    ]
 )
 
 
@@ -55,7 +68,8 @@ class Shape:
     @cached_property
     def size(self) -> FloatArray:
         """Extent of the box, (3,) float64, metres, yaw frame."""
-        return np.ptp(self.vertices, axis=0)
+        extent: FloatArray = np.ptp(self.vertices, axis=0)
+        return extent
 
     @cached_property
     def footprint(self) -> FloatArray:
@@ -83,7 +97,8 @@ class Shape:
         """Footprint in the world frame, (K, 2) float64, metres."""
         x, y, _, yaw = np.asarray(pose, np.float64)
         c, s = np.cos(yaw), np.sin(yaw)
-        return self.footprint @ np.array([[c, s], [-s, c]]) + (x, y)
+        posed: FloatArray = self.footprint @ np.array([[c, s], [-s, c]]) + (x, y)
+        return posed
 
 
 def winding_number(points: FloatArray, triangles: FloatArray) -> FloatArray:

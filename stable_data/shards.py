@@ -90,7 +90,8 @@ class RunFolder:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
                 raise ConfigError(
-                    f"{self.uri}: another run is writing here, expected one at a time; wait for it or choose another folder", "locked"
+                    f"{self.uri}: another run is writing here, expected one at a time; wait for it or choose another folder",
+                    "locked",
                 ) from error
             for stale in Path(self.root).glob("*/.part-*.tmp-*"):
                 stale.unlink(missing_ok=True)  # left by a run that was killed
@@ -189,7 +190,10 @@ class RunFolder:
 def unwritable(where: str, error: OSError) -> ConfigError:
     """The error for a place that cannot be written."""
     reason = error.strerror or str(error)
-    return ConfigError(f"{where}: cannot be written ({reason}); free space or choose a folder you may write, then run again", "output_unwritable")
+    return ConfigError(
+        f"{where}: cannot be written ({reason}); free space or choose a folder you may write, then run again",
+        "output_unwritable",
+    )
 
 
 def _write_local(path: Path, content: bytes) -> None:

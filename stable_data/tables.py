@@ -98,11 +98,18 @@ _CARD_TYPES: dict[type, pa.DataType] = {int: _count, float: _number, bool: _trut
 def _card_columns() -> list[pa.Field]:
     """One column for each field of the metric card; its docstring is where they are explained."""
     meanings = dict(
-        line.strip().split(": ", 1) for line in (MetricCard.__doc__ or "").splitlines() if line.startswith("        ") and ": " in line
+        line.strip().split(": ", 1)
+        for line in (MetricCard.__doc__ or "").splitlines()
+        if line.startswith("        ") and ": " in line
     )
     types = get_type_hints(MetricCard)
     return [
-        _column(f.name, _CARD_TYPES[(get_args(types[f.name]) or (types[f.name],))[0]], meanings[f.name], "mm" if f.name.endswith("_mm") else "")
+        _column(
+            f.name,
+            _CARD_TYPES[(get_args(types[f.name]) or (types[f.name],))[0]],
+            meanings[f.name],
+            "mm" if f.name.endswith("_mm") else "",
+        )
         for f in fields(MetricCard)
     ]
 
@@ -125,7 +132,9 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column("objects", pa.list_(OBJECT), "objects; position is the centre of the box in the yaw frame", "m, rad"),
             _column("relations", pa.list_(RELATION), "scene graph"),
             *_card_columns(),
-            _column("pairs", pa.list_(PAIR), "pairs that touch, nest or could not be judged (null); all others are apart", "mm"),
+            _column(
+                "pairs", pa.list_(PAIR), "pairs that touch, nest or could not be judged (null); all others are apart", "mm"
+            ),
             _column("verdicts", pa.list_(VERDICT), "one an object, in the order of objects", "mm"),
             _column("layout_path", _text, "where the layout was read, relative to the dataset"),
             _column("layout_sha256", _text, "content of that file"),
@@ -158,7 +167,9 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column("volume", _number, "enclosed, at the typical scale", "m^3"),
             _column("center_of_mass", _numbers, "of the mesh, centred on its box, at the typical scale", "m"),
             _column("inertia_per_mass", _numbers, "3 x 3 about the centre of mass, row by row, at the typical scale", "m^2"),
-            _column("points", pa.list_(pa.float32()), "(1024, 3) on the surface, farthest-point ordered, row by row", "mesh units"),
+            _column(
+                "points", pa.list_(pa.float32()), "(1024, 3) on the surface, farthest-point ordered, row by row", "mesh units"
+            ),
             _column("normals", pa.list_(pa.float32()), "(1024, 3) outward at the points, row by row"),
             _column("text_embedding", pa.list_(pa.float32()), "unit row of the library's text features, or null"),
             _column("mesh_sha256", _text, "content of the mesh file"),
@@ -215,7 +226,10 @@ SCHEMAS: dict[str, pa.Schema] = {
     ),
 }
 SCHEMAS["failures"] = SCHEMAS["warnings"].set(0, _column("id", _text, "scene or asset that could not be used"))
-SCHEMAS = {name: schema.with_metadata({"stable_data.table": name, "stable_data.version": str(TABLE_VERSION)}) for name, schema in SCHEMAS.items()}
+SCHEMAS = {
+    name: schema.with_metadata({"stable_data.table": name, "stable_data.version": str(TABLE_VERSION)})
+    for name, schema in SCHEMAS.items()
+}
 """Name of a table -> its schema."""
 
 

@@ -9,7 +9,11 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-MAY_IMPORT = {"stable_data": {"stable_data"}, "models": {"stable_data", "models"}, "pipelines": {"stable_data", "models", "pipelines"}}
+MAY_IMPORT = {
+    "stable_data": {"stable_data"},
+    "models": {"stable_data", "models"},
+    "pipelines": {"stable_data", "models", "pipelines"},
+}
 OURS = set(MAY_IMPORT)
 
 

@@ -208,7 +208,8 @@ def unit_normals(triangles: FloatArray) -> FloatArray:
     """Unit normals of triangles (F, 3, 3), (F, 3) float64; zero where a triangle has no area."""
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    unit: FloatArray = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    return unit
 
 
 def _tree(triangles: FloatArray) -> fcl.BVHModel:

@@ -88,10 +88,11 @@ def summarise(scenes: pl.DataFrame) -> Summary:
         hits = [0 if e is None or not verdicts.height else _count(verdicts, e) for e in (condition, unknown)]
         return Line(label, hits[0], verdicts.height, hits[1])
 
+    collides = pl.col("num_collisions") > 0
     outside = pl.col("leaves_table") | pl.col("enters_restricted_zone")
     lines = (
         of_scenes("scenes clean (0.5 mm)", pl.col("clean"), pl.col("clean").is_null()),
-        of_scenes("scenes with a collision (0.5 mm)", pl.col("num_collisions") > 0, (pl.col("num_collisions") == 0) & pl.col("oc").is_null()),
+        of_scenes("scenes with a collision (0.5 mm)", collides, ~collides & pl.col("oc").is_null()),
         of_scenes("scenes with a collision deeper than 10 mm", pl.col("oc_10mm") > 0, pl.col("oc_10mm").is_null()),
         of_scenes("scenes that sink into the table (0.5 mm)", pl.col("table_penetration_mm") > 0.5),
         of_scenes("scenes with a floating object", pl.col("verdicts").list.eval(pl.element().struct.field("floats")).list.any()),

@@ -1,0 +1,147 @@
+"""The row groups of a table: listed once, read one by one in whichever process holds a copy."""
+
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import groupby, pairwise
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from stable_data.errors import ConfigError
+from stable_data.scene import IntArray
+from stable_data.shards import RunFolder, content_id
+from stable_data.tables import SCHEMAS, Row, check_version
+
+_FOOTER_THREADS = 16
+_ARRAYS = (pa.float16(), pa.float32(), pa.int32())
+_SLICE_BYTES = 4 * 2**20
+
+
+@dataclass(frozen=True, slots=True)
+class RowGroup:
+    """One row group of one file.
+
+    Attributes:
+        path: The file, as its file system names it.
+        index: Which of the file's row groups.
+        num_rows: Rows.
+        num_bytes: All columns, decompressed.
+    """
+
+    path: str
+    index: int
+    num_rows: int
+    num_bytes: int
+
+
+class TableFiles:
+    """The row groups of a table in the order of its files.
+
+    Args:
+        uri: The run folder.
+        table: Name in SCHEMAS.
+        leaves: Columns or leaves of columns, as Parquet names them, or None: all.
+
+    Attributes:
+        uri: The run folder.
+        groups: The row groups that hold rows.
+        starts: Number of the first row of each, and of the row after the last, (groups + 1,) int64.
+
+    Raises:
+        ConfigError: The table is not there, was written by another version, or cannot be read.
+    """
+
+    def __init__(self, uri: str, table: str, leaves: Sequence[str] | None) -> None:
+        self.uri = uri
+        self._leaves = None if leaves is None else list(leaves)
+        self._folder, self._process = RunFolder(uri), os.getpid()
+        paths = self._folder.files(table)
+        if not paths:
+            self._folder.dataset(table)  # says what is missing
+        with ThreadPoolExecutor(_FOOTER_THREADS) as pool:
+            self.groups = [group for groups in pool.map(self._list_groups, paths) for group in groups]
+        self.starts: IntArray = np.cumsum([0, *(group.num_rows for group in self.groups)], dtype=np.int64)
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return int(self.starts[-1])
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of which rows there are, in which order."""
+        return content_id([(group.path.rpartition("/")[2], group.index, group.num_rows) for group in self.groups])
+
+    def read(self, groups: Sequence[int], *, use_threads: bool = False) -> pa.Table:
+        """The rows of some row groups, in that order.
+
+        Raises:
+            ConfigError: A file was changed or removed since.
+        """
+        if self._process != os.getpid():  # forked: a file system is not shared with the parent
+            self._folder, self._process = RunFolder(self.uri), os.getpid()
+        chosen = [self.groups[group] for group in groups]
+        of_file = groupby(chosen, lambda group: group.path)
+        return pa.concat_tables([self._read_file(path, [group.index for group in of], use_threads) for path, of in of_file])
+
+    def _read_file(self, path: str, indices: list[int], use_threads: bool) -> pa.Table:
+        try:
+            with pq.ParquetFile(path, filesystem=self._folder.filesystem, pre_buffer=True) as file:
+                return file.read_row_groups(indices, columns=self._leaves, use_threads=use_threads)
+        except (pa.ArrowInvalid, OSError) as error:
+            raise self._unreadable(path, error) from error
+
+    def _list_groups(self, path: str) -> list[RowGroup]:
+        try:
+            footer = pq.read_metadata(path, filesystem=self._folder.filesystem)
+        except (pa.ArrowInvalid, OSError) as error:
+            raise self._unreadable(path, error) from error
+        check_version(pa.schema([], metadata=footer.metadata), f"{self.uri}: {path}")
+        groups = [footer.row_group(index) for index in range(footer.num_row_groups)]
+        return [RowGroup(path, index, g.num_rows, g.total_byte_size) for index, g in enumerate(groups) if g.num_rows]
+
+    def _unreadable(self, path: str, error: Exception) -> ConfigError:
+        reason = str(error).strip().partition("\n")[0]
+        return ConfigError(
+            f"{self.uri}: {path} cannot be read ({reason}), expected a Parquet file of this run; "
+            "if it is there, delete it and preprocess again",
+            "shard_unreadable",
+        )
+
+
+def check_columns(table: str, columns: Sequence[str] | None) -> None:
+    """Refuses columns that a table does not have.
+
+    Raises:
+        ConfigError: ``column_unknown``.
+    """
+    known = SCHEMAS[table].names if table in SCHEMAS else []
+    unknown = [name for name in columns or () if name not in known]
+    if unknown and known:
+        raise ConfigError(f"table {table} has no columns {unknown}, expected some of {', '.join(known)}", "column_unknown")
+
+
+def slices(table: pa.Table) -> Iterator[pa.Table]:
+    """A table in slices of about 4 MB: as Python objects its rows take many times the room."""
+    step = max(1, table.num_rows * _SLICE_BYTES // max(1, table.nbytes))
+    return (table.slice(start, step) for start in range(0, table.num_rows, step))
+
+
+def rows_from_table(table: pa.Table) -> list[Row]:
+    """Rows as dictionaries; lists of float16, float32 and int32, which are clouds and grids, as numpy arrays."""
+    columns = [_values(column) for column in table.columns]
+    return [dict(zip(table.column_names, values, strict=True)) for values in zip(*columns, strict=True)]
+
+
+def _values(column: pa.ChunkedArray) -> list[Any]:
+    if not (pa.types.is_list(column.type) and column.type.value_type in _ARRAYS):
+        return list(column.to_pylist())
+    flat = column.combine_chunks().flatten().to_numpy(zero_copy_only=False)
+    ends = np.cumsum(pc.fill_null(pc.list_value_length(column), 0).to_numpy()).tolist()
+    # Copies: an array that keeps a whole row group alive, and that torch may not write to, helps nobody.
+    arrays = (flat[start:end].copy() for start, end in pairwise([0, *ends]))
+    return [array if valid else None for array, valid in zip(arrays, column.is_valid().to_pylist(), strict=True)]
