@@ -157,7 +157,7 @@ def plan_run(dataset: MesaTaskDataset, settings: PreprocessSettings) -> Plan:
     for scene_id in tqdm(dataset.scene_ids, desc="plan", unit="scene", leave=False):
         digests[scene_id] = _scene_digest(dataset, scene_id)
         used_by_scene[scene_id] = _count_uses(dataset, scene_id, uses)
-    wanted = sorted(set(uses) | (set(dataset.asset_ids) if settings.all_assets else set()))
+    wanted = sorted(set(uses) | (set(dataset.annotations) if settings.all_assets else set()))
     mesh_digests = {a: _file_digest(path) for a in wanted if (path := dataset.asset_path(a)) is not None}
     asset_uses = [_asset_use(a, mesh_digests[a], uses.get(a, _Use())) for a in wanted if a in mesh_digests]
     asset_shards = [

@@ -105,11 +105,12 @@ def _assets(folder: RunFolder) -> Iterable[str]:
     errors = folder.table("sdf", ["mean_error", "sign_error", "spacing"]).to_pylist()
     if not reports.height:
         return
+    faces = reports["num_faces"].to_numpy()
     rows = [
         ("watertight before repair", f"{reports['was_watertight'].sum()} of {reports.height}"),
         ("watertight after repair", f"{reports['is_watertight'].sum()} of {reports.height}"),
         ("open sheets, taken as thin shells", f"{reports['is_sheet'].sum()} of {reports.height}"),
-        ("faces, median and most", f"{reports['num_faces'].median():.0f}, {reports['num_faces'].max()}"),
+        ("faces, median and most", f"{np.median(faces):.0f}, {faces.max()}"),
         ("convex parts: the hull is enough", f"{sum(p == 'hull' for p in parts)} of {len(parts)}"),
     ]
     if errors:

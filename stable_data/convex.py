@@ -26,10 +26,8 @@ ConvexPart: TypeAlias = Mesh
 """A closed convex mesh, faces outward."""
 
 _MAX_FACES = 3000  # to be cut; more are first simplified
-_SIMPLIFY = 0.002
 _SHELL = 0.01  # thickness given to a sheet, share of its largest extent
 _PLATE = 1e-3  # and to a flat part of a solid
-_PLATE_AREA = 1e-3  # share of the surface below which a flat part is debris
 _SLAB = 0.1  # two parallel flat parts nearer than this are the two sides of one slab
 _FLAT = 1e-6  # a solid of less volume than this share of its cubed extent is a sheet
 _FRACTIONS = (0.15, 0.3, 0.5, 0.7, 0.85)  # where planes are tried along an axis
@@ -120,31 +118,24 @@ def _mesh(solid: manifold3d.Manifold) -> Mesh:
 
 
 def _solid_and_plates(unit: Mesh) -> tuple[manifold3d.Manifold | None, tuple[Mesh, ...]]:
-    """A solid to cut, of few enough faces and without overlaps, and what has no thickness in it, as thin convex parts.
+    """A solid to cut, without overlaps, and the flat parts of the mesh that have no thickness, as thin convex parts.
 
     An open mesh is taken as a shell. None where nothing solid can be made of the mesh.
     """
-    solid = _manifold(unit) if is_closed(unit) else None
+    if not is_closed(unit):
+        return _manifold(_shell(unit)), ()
+    patch = igl.bfs_orient(unit.faces)[1]
+    corners = {n: unit.vertices[np.unique(unit.faces[patch == n])] for n in range(patch.max() + 1)}
+    flat = [n for n in corners if _is_plate(corners[n])]
+    sheets = [corners[n] for n in flat]
+    is_sheet = np.isin(patch, flat)
+    solid = _manifold(Mesh(unit.vertices, unit.faces[~is_sheet]))
     if solid is None:
-        solid = _manifold(_shell(unit))
-        return (None, ()) if solid is None else (_simplified(solid), ())
-    pieces, area = solid.decompose(), solid.surface_area()
-    flat = [piece for piece in pieces if abs(piece.volume()) < _FLAT and piece.surface_area() > _PLATE_AREA * area]
-    thick = [piece for piece in pieces if abs(piece.volume()) >= _FLAT]
-    if thick and all(piece.volume() > 0 for piece in thick):  # a cavity has a negative volume and must stay with its shell
-        solid = manifold3d.Manifold.batch_boolean(thick, manifold3d.OpType.Add)
-    plates = sorted((_mesh(piece).vertices for piece in flat), key=lambda corners: corners.mean(axis=0).tolist())
-    return _simplified(solid), tuple(_plates(plates))
-
-
-def _simplified(solid: manifold3d.Manifold) -> manifold3d.Manifold:
-    """At most about ``_MAX_FACES`` faces: by quadric collapse where its result still bounds a solid."""
-    if solid.num_tri() <= _MAX_FACES:
-        return solid
-    collapsed = _manifold(_collapsed(_mesh(solid)))
-    if collapsed is not None and abs(collapsed.volume() / solid.volume() - 1) < 0.02:
-        return collapsed
-    return solid.simplify(_SIMPLIFY)
+        return _manifold(_shell(unit)), ()
+    pieces = solid.decompose()
+    if len(pieces) > 1 and all(piece.volume() > 0 for piece in pieces):  # a cavity has a negative volume and must stay in its shell
+        solid = manifold3d.Manifold.batch_boolean(pieces, manifold3d.OpType.Add)
+    return solid, tuple(_plates(sheets))
 
 
 def _collapsed(mesh: Mesh) -> Mesh:
@@ -154,6 +145,10 @@ def _collapsed(mesh: Mesh) -> Mesh:
         mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32), target_count=_MAX_FACES
     )
     return Mesh(vertices, faces)
+
+
+def _is_plate(corners: FloatArray) -> bool:
+    return float(np.ptp((corners - corners.mean(axis=0)) @ _flattest_direction(corners))) < _PLATE
 
 
 def _plates(sheets: list[FloatArray]) -> Iterator[Mesh]:
@@ -265,9 +260,10 @@ def _planes(mesh: Mesh) -> Iterator[tuple[FloatArray, float]]:
     weight = double_areas(mesh)
     middles = mesh.triangles.mean(axis=1)
     spread = middles - weight @ middles / weight.sum()
+    fractions = _FRACTIONS if len(mesh.faces) <= _MAX_FACES else _FRACTIONS[1:4]  # large pieces are dear, and soon smaller
     for normal in (*np.linalg.eigh((spread * weight[:, None]).T @ spread)[1].T, *np.eye(3)):
         along = mesh.vertices @ normal
-        for fraction in _FRACTIONS:
+        for fraction in fractions:
             yield normal, float(along.min() + fraction * np.ptp(along))
 
 

@@ -15,6 +15,7 @@ import pyarrow as pa
 import torch
 from torch.utils.data import Dataset, IterableDataset, get_worker_info
 
+from stable_data.epoch_order import EpochOrder
 from stable_data.errors import ConfigError
 from stable_data.scene import IntArray, Scene
 from stable_data.scene_columns import ARRAY_LEAVES, SCENE_LEAVES, SceneArrays, scenes_from_table
@@ -25,7 +26,6 @@ Decode: TypeAlias = Callable[[Row], Any]
 Collate: TypeAlias = Callable[[list[Any]], Any]
 
 _CACHE_BYTES = 256 * 2**20
-_WINDOW_BYTES = 256 * 2**20
 
 
 class SceneBatch(TypedDict):
@@ -179,11 +179,11 @@ class TableStream(IterableDataset[Any]):
         self._is_columnar = collate is collate_scenes and leaves is SCENE_LEAVES and batch_size is not None
         self._files = TableFiles(uri, table, ARRAY_LEAVES if self._is_columnar else leaves)
         self._batch_size, self._step = batch_size, batch_size or 1
-        self._seed, self._window_rows = shuffle_seed, window_rows
+        self._order = EpochOrder(self._files.groups, shuffle_seed, window_rows)
         self._rank, self._world_size, self._drop_remainder = rank, world_size, drop_remainder
         # Epoch and first row. Shared memory, so that workers that outlive an epoch see the next one.
         self._plan = torch.zeros(2, dtype=torch.int64)
-        self._plan.untyped_storage()._share_filename_cpu_() if False else self._plan.share_memory_()
+        self._plan.share_memory_()  # type: ignore[no-untyped-call]
         self._first, self._given, self._skip, self._num_workers = 0, 0, 0, 1
 
     @property
@@ -268,8 +268,8 @@ class TableStream(IterableDataset[Any]):
         """What shapes the order of the rows and must not change within an epoch."""
         return {
             "table_fingerprint": self._files.fingerprint,
-            "shuffle_seed": self._seed,
-            "window_rows": self._window_rows,
+            "shuffle_seed": self._order.seed,
+            "window_rows": self._order.window_rows,
             "batch_size": self._batch_size,
             "world_size": self._world_size,
             "drop_remainder": self._drop_remainder,
@@ -283,38 +283,16 @@ class TableStream(IterableDataset[Any]):
             return range(rank * share, (rank + 1) * share)
         return range(rank * total // ranks, (rank + 1) * total // ranks)
 
-    def _windows(self, epoch: int) -> Iterator[tuple[int, list[int]]]:
-        """The row groups that are held together, and where the first of their rows stands in the epoch."""
-        order = list(range(len(self._files.groups)))
-        if self._seed is not None:
-            order = np.random.default_rng([self._seed, epoch]).permutation(len(order)).tolist()
-        window: list[int] = []
-        start = rows = num_bytes = 0
-        for index in order:
-            group = self._files.groups[index]
-            is_full = rows + group.num_rows > self._window_rows or num_bytes + group.num_bytes > _WINDOW_BYTES
-            if window and (self._seed is None or is_full):
-                yield start, window
-                window, start, rows, num_bytes = [], start + rows, 0, 0
-            window, rows, num_bytes = [*window, index], rows + group.num_rows, num_bytes + group.num_bytes
-        if window:
-            yield start, window
-
     def _read(self, epoch: int, rows: range, is_ours: Callable[[IntArray], npt.NDArray[np.bool_]], skip: int) -> Iterator[Any]:
-        """The items of those places of an epoch that are ours, but for the first ``skip`` items."""
+        """The items at those places of an epoch that are ours, but for the first ``skip`` items."""
         rest, skip_rows = None, skip * self._step
-        for start, window in self._windows(epoch):
-            num_rows = sum(self._files.groups[group].num_rows for group in window)
-            places = np.arange(max(start, rows.start), min(start + num_rows, rows.stop))
+        for window in self._order.windows(epoch):
+            places = np.arange(max(window.start, rows.start), min(window.stop, rows.stop))
             places = places[is_ours(places - rows.start)]
             places, skip_rows = places[skip_rows:], max(0, skip_rows - len(places))
             if not len(places):
                 continue
-            table = self._files.read(window, use_threads=get_worker_info() is None)
-            inside = places - start
-            if self._seed is not None:
-                inside = np.random.default_rng([self._seed, epoch, start]).permutation(num_rows)[inside]
-            table = table.take(inside)
+            table = self._files.read(window.groups, use_threads=get_worker_info() is None).take(window.rows_at(places))
             if self._batch_size is None:
                 for part in slices(table):
                     yield from self._items(part)
@@ -323,7 +301,7 @@ class TableStream(IterableDataset[Any]):
             whole = table.num_rows // self._step * self._step
             yield from self._batches(table.slice(0, whole))
             rest = table.slice(whole)
-        if rest is not None and rest.num_rows:
+        if rest is not None:
             yield from self._batches(rest)
 
     def _batches(self, table: pa.Table) -> Iterator[Any]:

@@ -24,6 +24,7 @@ FEATURES_FILE = "sbert_text_features.pkl"
 _MAX_BYTES = 1 << 30
 _MAX_MEMO = 1 << 22
 _GZIP_MAGIC = b"\x1f\x8b"
+_UNSOUND = (pickle.UnpicklingError, EOFError, OverflowError, AttributeError, LookupError, MemoryError, TypeError, ValueError)
 _FLOATS = ("f2", "f4", "f8")
 _MULTIARRAY = ("numpy.core.multiarray", "numpy._core.multiarray")
 _NUMERIC = ("numpy.core.numeric", "numpy._core.numeric")
@@ -49,16 +50,7 @@ def read_text_features(path: Path, max_bytes: int = _MAX_BYTES) -> tuple[tuple[s
         document = _PlainUnpickler(data, path).load()
     except ConfigError:
         raise
-    except (
-        pickle.UnpicklingError,
-        EOFError,
-        ValueError,
-        TypeError,
-        IndexError,
-        KeyError,
-        AttributeError,
-        MemoryError,
-    ) as error:
+    except _UNSOUND as error:
         raise ConfigError(f"{path} is not a sound pickle: {shown(str(error))}; fetch it again", "features_invalid") from error
     if not isinstance(document, dict) or not {"uids", "text_features"} <= document.keys():
         raise _invalid(path, f"holds a {type(document).__name__}")
@@ -171,7 +163,7 @@ def _check_memo(data: bytes, path: Path) -> None:
                 raise ConfigError(f"{path} holds memo index {argument}, expected at most {_MAX_MEMO}", "pickle_refused")
     except ConfigError:
         raise
-    except (ValueError, OverflowError, MemoryError) as error:
+    except _UNSOUND as error:
         raise ConfigError(f"{path} is not a sound pickle: {shown(str(error))}; fetch it again", "features_invalid") from error
 
 
@@ -217,7 +209,7 @@ def _plain_array(value: _Described, path: Path) -> Any:
                 raise ValueError(f"{len(data)} plain items for shape {shape}")
             return data
         return _from_bytes(data, dtype, shape, is_fortran)
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
+    except _UNSOUND as error:
         raise _invalid(path, f"describes an array that cannot be ({shown(str(error))})") from error
 
 

@@ -1,7 +1,6 @@
 """A scene at rest: placed things settled by the engine, read back as poses, and taken only where they stay and are clean."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -104,11 +103,3 @@ def audit(scene: Scene, placed: Sequence[Placed]) -> Audit:
     ]
     return audit_scene(scene, shapes)
 
-
-IsClean = Callable[[Scene], bool]
-
-
-def with_supports(scene: Scene, judged: Audit) -> Scene:
-    """The scene with what carries each object filled in where that is one thing."""
-    found = {o.instance: o.supports[0] if len(o.supports) == 1 else None for o in judged.objects}
-    return replace(scene, objects=tuple(replace(o, support=found[o.instance]) for o in scene.objects))

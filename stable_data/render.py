@@ -1,0 +1,283 @@
+"""Pictures of scenes, drawn off screen, and contact sheets.
+
+The camera follows the format's rule: it looks at the middle of what is there (objects and table) through a 50 mm lens on a
+36 mm sensor, from 1.5 times the largest dimension away.
+"""
+
+import ctypes.util
+import hashlib
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Literal, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from stable_data.errors import ConfigError
+from stable_data.mesh import Mesh
+from stable_data.scene import FloatArray, Scene, SceneObject, Tabletop, Vec3
+
+if sys.platform == "linux" and ctypes.util.find_library("EGL"):
+    os.environ.setdefault("MUJOCO_GL", "egl")  # read once, at the first import of mujoco, whichever module does it
+
+import fast_simplification
+import mujoco
+from PIL import Image, ImageDraw, ImageFont
+
+Picture: TypeAlias = npt.NDArray[np.uint8]
+"""(H, W, 3) uint8, red, green, blue."""
+
+View: TypeAlias = Literal["front", "perspective", "top", "left"]
+
+_DIRECTIONS: Mapping[str, Vec3] = {
+    "front": (0.0, -1.0, 0.6),
+    "perspective": (-0.7, -0.7, 0.7),
+    "top": (0.0, 0.0, 1.0),
+    "left": (-1.0, 0.0, 0.3),
+}
+_FIELD_OF_VIEW = float(np.degrees(2 * np.arctan(18 / 50)))  # 36 mm sensor, 50 mm lens
+_DISTANCE = 1.5
+_TABLE_THICKNESS = 0.03
+_SINK_RISE = 4e-4  # above the table top, so that it is seen
+_MAX_FACES = 6000
+_CREASE = np.cos(np.radians(35))  # edges sharper than this are drawn sharp
+
+PALETTE: tuple[str, ...] = (
+    "#d1495b", "#edae49", "#3f88c5", "#66a182", "#8d6b94", "#e07a5f", "#457b9d", "#84a98c", "#f2cc8f", "#b56576",
+    "#6d9dc5", "#c97c5d", "#7fb7be", "#a3b18a", "#e9c46a", "#9c89b8",
+)  # fmt: skip
+"""Colours that a category takes by its name."""
+
+OWN_COLOURS: Mapping[str, str] = {
+    "apple": "#c8323c", "banana": "#f2d14b", "bowl": "#e8e3d8", "bread": "#c58a4a", "crate": "#b98a56", "basket": "#c9a26b",
+    "cutting_board": "#cfa06a", "knife": "#8d99a6", "laptop": "#5c6670", "lemon": "#f4de4e", "orange": "#f08a24",
+    "plate": "#f3f1ec", "saucepan": "#8a949e", "soap": "#f3c9d0", "spoon": "#aab4bd", "tray": "#8f6a48", "mirror": "#b9d3df",
+    "candle": "#f6ecd2", "box": "#cda777", "can": "#b5484b", "toothbrush": "#3fa7a0",
+}  # fmt: skip
+"""Colours of kinds that everyone knows the colour of."""
+
+_TABLE_COLOUR, _SINK_COLOUR = "#a8794f", "#eef0f2"
+
+
+def render_scene(
+    scene: Scene,
+    meshes: Sequence[Mesh | None],
+    *,
+    size: tuple[int, int] = (512, 512),
+    view: View = "front",
+    colors: Sequence[str] | None = None,
+) -> Picture:
+    """A picture of a scene.
+
+    Args:
+        scene: The scene.
+        meshes: Of each object, metres, yaw frame, centred on its box; None draws the object's box, see-through.
+        size: Width and height, pixels.
+        view: Where from.
+        colors: Of each object, ``#rrggbb``; by default its category's.
+
+    Returns:
+        The picture.
+
+    Raises:
+        ConfigError: The machine cannot draw (``no_gl``), or the view is not known (``unknown_view``).
+    """
+    if view not in _DIRECTIONS:
+        raise ConfigError(f"view is {view!r}, expected one of {sorted(_DIRECTIONS)}", "unknown_view")
+    chosen = [category_colour(o.category) for o in scene.objects] if colors is None else list(colors)
+    spec = mujoco.MjSpec()
+    _set_mood(spec, size)
+    _add_table(spec, scene.table)
+    for k, (o, mesh, colour) in enumerate(zip(scene.objects, meshes, chosen, strict=True)):
+        _add_object(spec, o, mesh, colour, k)
+    low, high = scene_bounds(scene, meshes)
+    _add_lights(spec, low, high)
+    _add_camera(spec, low, high, view)
+    return _draw(spec.compile(), size)
+
+
+def category_colour(category: str) -> str:
+    """The colour of a category, ``#rrggbb``: the same everywhere."""
+    if category in OWN_COLOURS:
+        return OWN_COLOURS[category]
+    return PALETTE[hashlib.sha256(category.encode()).digest()[0] % len(PALETTE)]
+
+
+def scene_bounds(scene: Scene, meshes: Sequence[Mesh | None]) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest corner of objects and table, (3,) float64 each, metres, world frame."""
+    corners = [np.array([[0.0, 0.0, -_TABLE_THICKNESS], [*scene.table.size_xy, 0.0]])]
+    for o, mesh in zip(scene.objects, meshes, strict=True):
+        half = np.asarray(o.size) / 2 if mesh is None else np.abs(mesh.vertices).max(axis=0)
+        reach = np.array([np.hypot(half[0], half[1])] * 2 + [half[2]])
+        corners.append(np.array([o.position - reach, o.position + reach]))
+    every = np.concatenate(corners)
+    return every.min(axis=0), every.max(axis=0)
+
+
+def contact_sheet(images: Sequence[Picture], labels: Sequence[str], columns: int) -> Picture:
+    """Pictures side by side, each with its label under it.
+
+    Args:
+        images: Of one size.
+        labels: One for each picture.
+        columns: Pictures in a row.
+
+    Returns:
+        The sheet.
+
+    Raises:
+        ConfigError: There is no picture, or their sizes differ (``invalid_sheet``).
+    """
+    if not images or columns < 1 or len({image.shape for image in images}) > 1:
+        raise ConfigError(f"a sheet of {len(images)} pictures in {columns} columns, expected pictures of one size", "invalid_sheet")
+    height, width, _ = images[0].shape
+    strip, gap = max(16, height // 14), max(2, width // 64)
+    rows = -(-len(images) // columns)
+    sheet = Image.new("RGB", (columns * (width + gap) + gap, rows * (height + strip + gap) + gap), "white")
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=strip * 0.62)
+    for k, (image, label) in enumerate(zip(images, labels, strict=True)):
+        x, y = gap + k % columns * (width + gap), gap + k // columns * (height + strip + gap)
+        sheet.paste(Image.fromarray(image), (x, y))
+        draw.text((x + width / 2, y + height + strip / 2), label, fill="#333333", font=font, anchor="mm")
+    return np.asarray(sheet)
+
+
+def _set_mood(spec: mujoco.MjSpec, size: tuple[int, int]) -> None:
+    """Background, buffers, quality."""
+    spec.add_texture(
+        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.93, 0.95, 0.97], rgb2=[0.80, 0.83, 0.87], width=64, height=384,
+    )  # fmt: skip
+    visual = spec.visual
+    visual.global_.offwidth, visual.global_.offheight = size
+    visual.quality.shadowsize, visual.quality.offsamples = 2048, 4
+    visual.headlight.ambient, visual.headlight.diffuse, visual.headlight.specular = [0.34] * 3, [0.22] * 3, [0.0] * 3
+    visual.map.znear, visual.map.zfar = 0.01, 50.0
+    spec.stat.extent = 1.0
+
+
+def _add_table(spec: mujoco.MjSpec, table: Tabletop) -> None:
+    x, y = table.size_xy
+    _add_box(spec, (x / 2, y / 2, -_TABLE_THICKNESS / 2), (x / 2, y / 2, _TABLE_THICKNESS / 2), _rgba(_TABLE_COLOUR))
+    if table.restricted_zone is not None:
+        x_min, x_max, y_min, y_max = table.restricted_zone
+        centre = ((x_min + x_max) / 2, (y_min + y_max) / 2, 0.0)
+        _add_box(spec, centre, ((x_max - x_min) / 2, (y_max - y_min) / 2, _SINK_RISE), _rgba(_SINK_COLOUR))
+
+
+def _add_box(spec: mujoco.MjSpec, centre: Vec3, half: Vec3, rgba: list[float], yaw: float = 0.0) -> None:
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX, pos=list(centre), size=list(half), quat=_yaw_wxyz(yaw), rgba=rgba, contype=0, conaffinity=0
+    )
+
+
+def _add_object(spec: mujoco.MjSpec, o: SceneObject, mesh: Mesh | None, colour: str, index: int) -> None:
+    drawn = None if mesh is None else _drawn(mesh)
+    if drawn is None:
+        _add_box(spec, o.position, _half(o.size), _rgba(colour, 0.45), o.yaw)
+        return
+    vertices, normals = drawn
+    corners = np.arange(len(vertices), dtype=np.int32)
+    spec.add_mesh(
+        name=f"object_{index}", uservert=vertices.ravel(), usernormal=normals.ravel(), userface=corners, userfacenormal=corners,
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )  # fmt: skip
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"object_{index}", pos=list(o.position), quat=_yaw_wxyz(o.yaw),
+        rgba=_rgba(colour), contype=0, conaffinity=0,
+    )  # fmt: skip
+
+
+def _half(size: Vec3) -> Vec3:
+    x, y, z = (max(side / 2, 1e-4) for side in size)
+    return (x, y, z)
+
+
+def _add_lights(spec: mujoco.MjSpec, low: FloatArray, high: FloatArray) -> None:
+    centre, reach = (low + high) / 2, float((high - low).max())
+    sun = np.array([-0.45, -0.55, 1.3])
+    spec.worldbody.add_light(
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=(centre + reach * sun).tolist(), dir=(-sun).tolist(), castshadow=True,
+        diffuse=[0.55] * 3, specular=[0.12] * 3, ambient=[0.0] * 3,
+    )  # fmt: skip
+    spec.worldbody.add_light(
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=(centre + [reach, 0, reach]).tolist(), dir=[-0.8, 0.3, -0.7],
+        castshadow=False, diffuse=[0.16] * 3, specular=[0.0] * 3, ambient=[0.0] * 3,
+    )  # fmt: skip
+
+
+def _add_camera(spec: mujoco.MjSpec, low: FloatArray, high: FloatArray, view: str) -> None:
+    direction = np.array(_DIRECTIONS[view]) / np.linalg.norm(_DIRECTIONS[view])
+    right = np.cross([0.0, 0.0, 1.0], direction) if abs(direction[2]) < 0.999 else np.array([1.0, 0.0, 0.0])
+    right /= np.linalg.norm(right)
+    up = np.cross(direction, right)
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, np.stack([right, up, direction], axis=1).ravel())
+    position = (low + high) / 2 + _DISTANCE * (high - low).max() * direction
+    spec.worldbody.add_camera(name="view", pos=position.tolist(), quat=quat.tolist(), fovy=_FIELD_OF_VIEW)
+
+
+def _draw(model: mujoco.MjModel, size: tuple[int, int]) -> Picture:
+    try:
+        renderer = mujoco.Renderer(model, height=size[1], width=size[0])
+    except (ImportError, AttributeError, RuntimeError, mujoco.FatalError) as error:
+        raise ConfigError(
+            f"no picture: OpenGL does not start ({type(error).__name__}: {error}); "
+            "install libegl1 and libgl1-mesa-dri, or set MUJOCO_GL to egl, osmesa or glfw, or go on without pictures",
+            "no_gl",
+        ) from error
+    data = mujoco.MjData(model)
+    try:
+        mujoco.mj_forward(model, data)
+        renderer.update_scene(data, camera="view")
+        return np.array(renderer.render())
+    finally:
+        renderer.close()  # the driver keeps a context until told
+
+
+def _rgba(colour: str, alpha: float = 1.0) -> list[float]:
+    return [*(int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)), alpha]
+
+
+def _yaw_wxyz(yaw: float) -> list[float]:
+    return [float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2))]
+
+
+def _drawn(mesh: Mesh) -> tuple[FloatArray, FloatArray] | None:
+    """Corners and normals (3F, 3) of what is drawn, or None where there is nothing to see. Kept for meshes drawn lately."""
+    return _drawn_of(mesh.vertices.tobytes(), mesh.faces.tobytes())
+
+
+@lru_cache(maxsize=256)
+def _drawn_of(vertex_bytes: bytes, face_bytes: bytes) -> tuple[FloatArray, FloatArray] | None:
+    vertices = np.frombuffer(vertex_bytes, np.float64).reshape(-1, 3)
+    faces = np.frombuffer(face_bytes, np.int64).reshape(-1, 3)
+    if len(faces) > _MAX_FACES:
+        light, few = fast_simplification.simplify(vertices.astype(np.float32), faces.astype(np.int32), target_count=_MAX_FACES)
+        vertices, faces = light.astype(np.float64), few.astype(np.int64)
+    triangles = vertices[faces]
+    areas = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    solid = np.linalg.norm(areas, axis=1) > 1e-14
+    if not solid.any():
+        return None
+    return triangles[solid].reshape(-1, 3), _corner_normals(faces[solid], areas[solid])
+
+
+def _corner_normals(faces: npt.NDArray[np.int64], areas: FloatArray) -> FloatArray:
+    """Normal of every corner, (3F, 3): the mean of the faces around it that meet its own face at a blunt angle."""
+    units = areas / np.linalg.norm(areas, axis=1)[:, None]
+    corner_vertex = faces.ravel()
+    order = np.argsort(corner_vertex, kind="stable")
+    starts = np.flatnonzero(np.r_[True, np.diff(corner_vertex[order]) != 0])
+    counts = np.diff(np.r_[starts, len(order)])
+    # Every corner with every corner at the same vertex: pair k of corner c is the k-th of its vertex.
+    size = counts.repeat(counts)
+    first = order.repeat(size)
+    offset = np.arange(len(first)) - (np.cumsum(size) - size).repeat(size)
+    second = order[starts.repeat(counts).repeat(size) + offset]
+    near = (units[first // 3] * units[second // 3]).sum(axis=1) > _CREASE
+    normals = np.zeros((len(corner_vertex), 3))
+    np.add.at(normals, first[near], areas[second[near] // 3])
+    return normals / np.linalg.norm(normals, axis=1)[:, None]
