@@ -21,7 +21,7 @@ from pipelines.preprocess import PreprocessShard
 from pipelines.runner import Workers
 from stable_data.mesatask import MesaTaskDataset
 
-SETTINGS = PreprocessSettings(num_pictures=0, all_assets=False)
+SETTINGS = PreprocessSettings(num_pictures=0, all_assets=False, position_convention="box_centre")
 
 
 def repeated(dataset: Path, root: Path, count: int) -> Path:

@@ -7,7 +7,7 @@ the plan of the same dataset and settings is the same, whoever makes it.
 import hashlib
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,9 +18,9 @@ import stable_data
 from pipelines.asset_step import AssetUse
 from pipelines.scene_step import SceneSettings
 from stable_data import tables
-from stable_data.assets import aspect_steps
+from stable_data.assets import AssetStore, aspect_steps, position_convention
 from stable_data.errors import ConfigError, SceneError
-from stable_data.mesatask import MesaTaskDataset
+from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.scene import QuatXyzw, Vec3
 from stable_data.shards import content_id
 
@@ -39,6 +39,7 @@ class PreprocessSettings:
         seed: For task templates and splits.
         train_share: Share of near-duplicate groups in the training split.
         validation_share: Share in the validation split; the rest is the test split.
+        position_convention: ``box_centre``, ``mesh_centre``, or ``auto``: judged on the dataset.
         num_points: Surface points of an asset.
         all_assets: Process every annotated asset with a mesh, not only those that a scene uses.
         scenes_per_shard: Scenes of one shard.
@@ -53,6 +54,7 @@ class PreprocessSettings:
     seed: int = 0
     train_share: float = 0.9
     validation_share: float = 0.05
+    position_convention: str = "auto"
     num_points: int = 1024
     all_assets: bool = True
     scenes_per_shard: int = 32
@@ -70,6 +72,11 @@ class PreprocessSettings:
                 raise ConfigError(
                     f"setting preprocess.{key} is {getattr(self, key)}, expected a positive number", "config_invalid"
                 )
+        if self.position_convention not in ("auto", *PositionConvention):
+            raise ConfigError(
+                f"setting preprocess.position_convention is {self.position_convention}, expected auto, box_centre or mesh_centre",
+                "config_invalid",
+            )
         shares = (self.train_share, self.validation_share)
         if min(shares) < 0 or sum(shares) > 1:
             raise ConfigError(f"splits are {shares}, expected shares that add up to at most 1", "config_invalid")
@@ -81,7 +88,14 @@ class PreprocessSettings:
 
     def scene_settings(self) -> SceneSettings:
         """Those of the scene step."""
-        return SceneSettings(self.important_threshold, self.seed, self.train_share, self.validation_share)
+        convention = PositionConvention(self.position_convention)  # settled() has replaced auto
+        return SceneSettings(self.important_threshold, self.seed, self.train_share, self.validation_share, convention)
+
+    def settled(self, dataset: MesaTaskDataset) -> "PreprocessSettings":
+        """The settings with ``auto`` replaced by what the dataset shows."""
+        if self.position_convention != "auto":
+            return self
+        return replace(self, position_convention=str(position_convention(dataset, AssetStore(dataset))))
 
 
 @dataclass(frozen=True, slots=True)

@@ -145,6 +145,7 @@ def preprocess(data: str, out: str, settings: PreprocessSettings, workers: Worke
         ConfigError: The run cannot start or go on; what is in place stays.
     """
     dataset = MesaTaskDataset(Path(data))
+    settings = settings.settled(dataset)
     _writer(settings)
     _embeddings(data)
     folder = RunFolder(out)
@@ -163,7 +164,9 @@ def preprocess(data: str, out: str, settings: PreprocessSettings, workers: Worke
 
 def describe_plan(data: str, settings: PreprocessSettings) -> dict[str, Any]:
     """What a run would do: settings and counts, for ``--dry-run``."""
-    plan = plan_run(MesaTaskDataset(Path(data)), settings)
+    dataset = MesaTaskDataset(Path(data))
+    settings = settings.settled(dataset)
+    plan = plan_run(dataset, settings)
     counts = {k: v for k, v in asdict(plan).items() if k.startswith("num_")}
     return {"settings": asdict(settings), "input_fingerprint": plan.fingerprint, "num_shards": len(plan.shards), **counts}
 

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from stable_data import tables
-from stable_data.assets import AssetStore
+from stable_data.assets import AssetStore, with_box_centres
 from stable_data.errors import Notice
-from stable_data.mesatask import MesaTaskDataset
+from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed
 from stable_data.relations import relations_of, scene_graph, supports
 from stable_data.scene import TABLE, RelationKind, Scene
@@ -27,12 +27,14 @@ class SceneSettings:
         seed: For the choice among task templates and of splits.
         train_share: Share of near-duplicate groups in the training split.
         validation_share: Share in the validation split; the rest is the test split.
+        position_convention: Which point of a tilted object the files call its position.
     """
 
     important_threshold: float = 0.02
     seed: int = 0
     train_share: float = 0.9
     validation_share: float = 0.05
+    position_convention: PositionConvention = PositionConvention.BOX_CENTRE
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +62,7 @@ def preprocess_scene(
         SceneError: The scene cannot be used.
     """
     scene, read = dataset.read(scene_id)
+    scene = with_box_centres(scene, store, settings.position_convention)
     shapes, meshed = store.shapes(scene)
     posed = PosedScene(scene, shapes)
     audit = audit_posed(posed)

@@ -2,8 +2,8 @@
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
@@ -11,9 +11,10 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
-from stable_data.errors import MeshError, Notice
+from stable_data.errors import MeshError, Notice, SceneError
+from stable_data.mesatask import MesaTaskDataset, PositionConvention, detect_position_convention, to_box_centre
 from stable_data.mesh import Mesh, MeshReport, load_glb, repair
-from stable_data.scene import QuatXyzw, Scene, SceneObject, Vec3
+from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject, Vec3
 from stable_data.sdf_build import build_grid
 from stable_data.sdf_grid import SdfGrid
 from stable_data.shape import Shape
@@ -135,6 +136,13 @@ class AssetStore:
             notices += [Notice(scene.scene_id, n.step, n.code, n.message) for n in noticed]
         return shapes, tuple(notices)
 
+    def mesh_of(self, o: SceneObject) -> Mesh | None:
+        """The repaired mesh of an object, mesh units, or None where it has none that can be used."""
+        try:
+            return None if o.asset_id is None else self.asset(o.asset_id).mesh
+        except MeshError:
+            return None
+
     def grid(self, asset_id: str, scale: Vec3) -> SdfGrid:
         """The signed-distance grid of an asset at the aspect of a scale.
 
@@ -164,6 +172,39 @@ class AssetStore:
         except MeshError as error:
             return error
         return AssetMesh(mesh, report, odd + repaired)
+
+
+def position_convention(dataset: MesaTaskDataset, store: AssetStore, num_scenes: int = 64) -> PositionConvention:
+    """Which point of a tilted object a dataset calls its position, judged on an even choice of its scenes.
+
+    Args:
+        dataset: The dataset.
+        store: Geometry of its assets.
+        num_scenes: Scenes that are looked at.
+
+    Returns:
+        The convention, see :func:`stable_data.mesatask.detect_position_convention`.
+    """
+    every = max(1, len(dataset.scene_ids) // num_scenes)
+
+    def samples() -> Iterator[tuple[SceneObject, FloatArray]]:
+        for scene_id in dataset.scene_ids[::every]:
+            try:
+                scene, _ = dataset.read(scene_id)
+            except SceneError:
+                continue  # says nothing about positions; its own step reports it
+            yield from ((o, mesh.vertices) for o in scene.objects if (mesh := store.mesh_of(o)) is not None)
+
+    return detect_position_convention(samples())
+
+
+def with_box_centres(scene: Scene, store: AssetStore, convention: PositionConvention) -> Scene:
+    """The scene with every position at the centre of its object's box in the yaw frame, which is what this library means."""
+    if convention is PositionConvention.BOX_CENTRE:
+        return scene
+    meshes = [store.mesh_of(o) for o in scene.objects]
+    moved = (o if mesh is None else to_box_centre(o, mesh.vertices) for o, mesh in zip(scene.objects, meshes, strict=True))
+    return replace(scene, objects=tuple(moved))
 
 
 def _mesh_bytes(found: AssetMesh | MeshError) -> int:

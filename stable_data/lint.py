@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 from tqdm import tqdm
 
 from stable_data import tables
-from stable_data.assets import AssetStore
+from stable_data.assets import AssetStore, position_convention, with_box_centres
 from stable_data.errors import Notice, SceneError
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.audit import audit_scene
@@ -74,6 +74,7 @@ def lint_folder(root: Path, *, progress: bool = False) -> LintResult:
     """
     dataset = MesaTaskDataset(root)
     store = AssetStore(dataset)
+    convention = position_convention(dataset, store)
     rows, failures, warnings = [], [], []
     for scene_id in tqdm(dataset.scene_ids, desc="lint", unit="scene", disable=not progress):
         try:
@@ -81,6 +82,7 @@ def lint_folder(root: Path, *, progress: bool = False) -> LintResult:
         except SceneError as error:
             failures.append(Notice(scene_id, "read", error.code, str(error)))
             continue
+        scene = with_box_centres(scene, store, convention)
         shapes, meshed = store.shapes(scene)
         audit = audit_scene(scene, shapes)
         rows.append({"scene_id": scene_id, "table_type": scene.table.table_type, **asdict(audit.card()), **audit.rows()})

@@ -26,7 +26,7 @@ _VOTE_STRIDE = 8
 _SAMPLE_GAP = 0.5  # spacings between the surface and its nearest sample, at most
 _MANY = 3 << 12  # rows or columns of samples of one face, at most
 _STEPS_OF_COUNT = np.sort(np.concatenate([1 << np.arange(14), 3 << np.arange(13)]))
-_REACHES = (4.0,3.0,3.0)  # spacings from the surface within which nodes try the surface points of their neighbours
+_REACHES = (3.0,)  # spacings from the surface within which nodes try the surface points of their neighbours
 _MAX_SAMPLES = 1 << 20  # held at a time
 _STEPS = (1.0, 1.7)  # spacings walked off the surface to meet a node whose side is known
 _AXES = (0, 1, 2)
@@ -297,7 +297,7 @@ class _Band:
 def _distances(lattice: _Lattice, band: _Band) -> FloatArray:
     """Distance without sign at every node, exact in the band, the grid's shape."""
     slot = np.full(lattice.size, -1, np.int32)
-    slot[band.nodes] = np.arange(len(band.nodes), dtype=np.int32)
+    _k = np.flatnonzero(band.distance <= 0.5 * lattice.spacing); slot[band.nodes[_k]] = _k.astype(np.int32)
     slot = slot.reshape(lattice.shape)
     x, y, z = ndimage.distance_transform_edt(slot < 0, return_distances=False, return_indices=True)
     distance = np.sqrt(_passed_on(slot[x, y, z].ravel(), band, lattice), dtype=np.float64)

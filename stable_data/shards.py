@@ -93,8 +93,9 @@ class RunFolder:
                     f"{self.uri}: another run is writing here, expected one at a time; wait for it or choose another folder",
                     "locked",
                 ) from error
-            for stale in Path(self.root).glob("*/.part-*.tmp-*"):
-                stale.unlink(missing_ok=True)  # left by a run that was killed
+            for pattern in (".*.tmp-*", "*/.*.tmp-*"):
+                for stale in Path(self.root).glob(pattern):
+                    stale.unlink(missing_ok=True)  # left by a run that was killed
             yield
 
     def make(self, folder: str) -> None:
@@ -161,22 +162,27 @@ class RunFolder:
         return {n.removeprefix("part-").removesuffix(".parquet") for n in names if n.count("-") == 1}
 
     def files(self, table: str) -> list[str]:
-        """Paths of a table's files, sorted, as the file system names them."""
+        """Paths of the files of a table's complete shards, sorted, as the file system names them."""
         selector = pafs.FileSelector(self._path(table), allow_not_found=True)
         infos = self.filesystem.get_file_info(selector)
-        return sorted(i.path for i in infos if i.base_name.startswith("part-") and i.base_name.endswith(".parquet"))
+        paths = {i.base_name: i.path for i in infos if i.base_name.startswith("part-") and i.base_name.endswith(".parquet")}
+        return sorted(path for name, path in paths.items() if _first_file(name) in paths)
 
     def dataset(self, table: str) -> ds.Dataset:
         """A table of the run, lazily, in the order of its files.
 
         Raises:
-            ConfigError: The table is not there, or was written by another version.
+            ConfigError: The table is not there, cannot be read, or was written by another version.
         """
         files = self.files(table)
         if not files:
             known = ", ".join(SCHEMAS)
             raise ConfigError(f"{self.uri}: no table {table}, expected a folder of part-*.parquet ({known})", "table_missing")
-        check_version(pq.read_schema(files[0], filesystem=self.filesystem), f"{self.uri}/{table}")
+        try:
+            schema = pq.read_schema(files[0], filesystem=self.filesystem)
+        except (pa.ArrowInvalid, OSError) as error:
+            raise unreadable(self.uri, files[0], error) from error
+        check_version(schema, f"{self.uri}/{table}")
         return ds.dataset(files, format="parquet", filesystem=self.filesystem, schema=SCHEMAS[table])
 
     def table(self, table: str, columns: Sequence[str] | None = None) -> pa.Table:
@@ -187,12 +193,28 @@ class RunFolder:
         return self.root if name == "." else f"{self.root}/{name}"
 
 
+def _first_file(name: str) -> str:
+    """Name of the first file of the shard that a file belongs to: it is put in place last."""
+    _, shard_id, *_ = name.removesuffix(".parquet").split("-")
+    return f"part-{shard_id}.parquet"
+
+
 def unwritable(where: str, error: OSError) -> ConfigError:
     """The error for a place that cannot be written."""
     reason = error.strerror or str(error)
     return ConfigError(
         f"{where}: cannot be written ({reason}); free space or choose a folder you may write, then run again",
         "output_unwritable",
+    )
+
+
+def unreadable(where: str, path: str, error: Exception) -> ConfigError:
+    """The error for a shard that is no Parquet any more."""
+    reason = str(error).strip().partition("\n")[0]
+    return ConfigError(
+        f"{where}: {path} cannot be read ({reason}), expected a Parquet file of this run; "
+        "if it is there, delete it and run again what wrote it",
+        "shard_unreadable",
     )
 
 

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 
 from stable_data.errors import ConfigError
 from stable_data.scene import IntArray
-from stable_data.shards import RunFolder, content_id
+from stable_data.shards import RunFolder, content_id, unreadable
 from stable_data.tables import SCHEMAS, Row, check_version
 
 _FOOTER_THREADS = 16
@@ -93,24 +93,16 @@ class TableFiles:
             with pq.ParquetFile(path, filesystem=self._folder.filesystem, pre_buffer=True) as file:
                 return file.read_row_groups(indices, columns=self._leaves, use_threads=use_threads)
         except (pa.ArrowInvalid, OSError) as error:
-            raise self._unreadable(path, error) from error
+            raise unreadable(self.uri, path, error) from error
 
     def _list_groups(self, path: str) -> list[RowGroup]:
         try:
             footer = pq.read_metadata(path, filesystem=self._folder.filesystem)
         except (pa.ArrowInvalid, OSError) as error:
-            raise self._unreadable(path, error) from error
+            raise unreadable(self.uri, path, error) from error
         check_version(pa.schema([], metadata=footer.metadata), f"{self.uri}: {path}")
         groups = [footer.row_group(index) for index in range(footer.num_row_groups)]
         return [RowGroup(path, index, g.num_rows, g.total_byte_size) for index, g in enumerate(groups) if g.num_rows]
-
-    def _unreadable(self, path: str, error: Exception) -> ConfigError:
-        reason = str(error).strip().partition("\n")[0]
-        return ConfigError(
-            f"{self.uri}: {path} cannot be read ({reason}), expected a Parquet file of this run; "
-            "if it is there, delete it and preprocess again",
-            "shard_unreadable",
-        )
 
 
 def check_columns(table: str, columns: Sequence[str] | None) -> None:
