@@ -25,7 +25,7 @@ from stable_data import tables
 from stable_data.assets import AssetStore
 from stable_data.errors import ConfigError, Notice, StableDataError
 from stable_data.mesatask import MesaTaskDataset, read_text_features
-from stable_data.shards import RunFolder
+from stable_data.shards import RunFolder, content_id
 
 SCENE_TABLES = ("warnings", "failures", "samples", "scenes")
 """Tables of a scene shard, in the order in which they are put in place: the last one says that the shard is complete."""
@@ -154,6 +154,7 @@ def preprocess(data: str, out: str, settings: PreprocessSettings, workers: Worke
         manifest = _manifest(dataset, plan, settings)
         _check_resume(folder, manifest)
         folder.write_bytes("manifest.json", _json(manifest))
+        _write_dataset_notices(folder, dataset)
         _run_shards(folder, plan, PreprocessShard(str(dataset.root), out, settings), workers)
         manifest |= {"status": "complete", "counts": _counts(folder)}
         if report:
@@ -169,6 +170,16 @@ def describe_plan(data: str, settings: PreprocessSettings) -> dict[str, Any]:
     plan = plan_run(dataset, settings)
     counts = {k: v for k, v in asdict(plan).items() if k.startswith("num_")}
     return {"settings": asdict(settings), "input_fingerprint": plan.fingerprint, "num_shards": len(plan.shards), **counts}
+
+
+def _write_dataset_notices(folder: RunFolder, dataset: MesaTaskDataset) -> None:
+    """What is odd about the dataset as a whole; a scene folder without a layout is a failure like any other."""
+    lost = [n for n in dataset.notices if n.code == "layout_missing"]
+    odd = [n for n in dataset.notices if n.code != "layout_missing"]
+    for table, notices in (("failures", lost), ("warnings", odd)):
+        if notices:
+            rows = [tables.notice_row(n) for n in notices]
+            folder.write_shard(table, content_id("dataset", rows), rows)
 
 
 def _run_shards(folder: RunFolder, plan: Plan, work: PreprocessShard, workers: Workers) -> None:

@@ -12,12 +12,12 @@ import numpy as np
 import polars as pl
 import pyarrow.compute as pc
 from PIL import Image
-from stable_data.render import render_scene
 
 from stable_data.assets import AssetStore
 from stable_data.errors import ConfigError
 from stable_data.mesh import Mesh
 from stable_data.metrics.summary import summarise
+from stable_data.render import render_scene
 from stable_data.shards import RunFolder
 from stable_data.tables import scene_from_row
 

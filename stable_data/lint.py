@@ -75,7 +75,9 @@ def lint_folder(root: Path, *, progress: bool = False) -> LintResult:
     dataset = MesaTaskDataset(root)
     store = AssetStore(dataset)
     convention = position_convention(dataset, store)
-    rows, failures, warnings = [], [], []
+    rows: list[tables.Row] = []
+    failures = [n for n in dataset.notices if n.code == "layout_missing"]
+    warnings = [n for n in dataset.notices if n.code != "layout_missing"]
     for scene_id in tqdm(dataset.scene_ids, desc="lint", unit="scene", disable=not progress):
         try:
             scene, read = dataset.read(scene_id)

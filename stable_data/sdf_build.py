@@ -297,7 +297,7 @@ class _Band:
 def _distances(lattice: _Lattice, band: _Band) -> FloatArray:
     """Distance without sign at every node, exact in the band, the grid's shape."""
     slot = np.full(lattice.size, -1, np.int32)
-    _k = np.flatnonzero(band.distance <= 0.5 * lattice.spacing); slot[band.nodes[_k]] = _k.astype(np.int32)
+    _k = np.flatnonzero(band.distance <= 0.7 * lattice.spacing); slot[band.nodes[_k]] = _k.astype(np.int32)
     slot = slot.reshape(lattice.shape)
     x, y, z = ndimage.distance_transform_edt(slot < 0, return_distances=False, return_indices=True)
     distance = np.sqrt(_passed_on(slot[x, y, z].ravel(), band, lattice), dtype=np.float64)
