@@ -44,10 +44,10 @@ def write_report(folder: RunFolder, manifest: dict[str, Any], store: AssetStore,
         f"inputs {manifest['input_fingerprint']}</p>",
         _tiles(manifest["counts"], manifest),
         *_audit(scenes),
+        *_pictures(folder, scenes, store, num_pictures),
         *_staging(folder, scenes),
         *_assets(folder),
         *_notices(folder),
-        *_pictures(folder, scenes, store, num_pictures),
     ]
     page = (
         '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
@@ -75,7 +75,7 @@ def _audit(scenes: pl.DataFrame) -> Iterable[str]:
     rows = [(x.label, f"{x.count}", f"{x.total}", f"{100 * x.share:.1f} %", str(x.unknown or "")) for x in summary.lines]
     yield "<h2>Audit</h2><p class=note>Exact, against the triangle meshes, before anything is learned.</p>"
     yield _table(("", "count", "of", "share", "unknown"), rows)
-    yield _table(("figure", "value"), summary.figures)
+    yield _table(("", ""), summary.figures)
     yield "<h2>Distributions</h2><div class=grid>"
     yield _histogram("Objects a scene", scenes["num_objects"], [0, 4, 8, 12, 16, 20, 25, 30, 1000])
     yield _histogram("Deepest penetration of a scene, mm", scenes["max_penetration_mm"], [0, 1e-9, 0.5, 1, 3, 10, 30, 1000])
@@ -117,7 +117,7 @@ def _assets(folder: RunFolder) -> Iterable[str]:
         share = [float(np.median([e[key] for e in errors])) for key in ("mean_error", "spacing")]
         rows.append(("grid error near the surface, median", f"{100 * share[0]:.3f} % of the largest extent"))
         rows.append(("grid spacing, median", f"{100 * share[1]:.2f} % of the largest extent"))
-        rows.append(("wrong signs off the surface, mean", f"{100 * np.mean([e['sign_errors'] for e in errors]):.3f} %"))
+        rows.append(("wrong signs off the surface, mean", f"{100 * np.mean([e['sign_error'] for e in errors]):.3f} %"))
     yield "<h2>Assets</h2>" + _table(("", ""), rows)
 
 
@@ -174,7 +174,10 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def _histogram(title: str, values: pl.Series, edges: Sequence[float]) -> str:
     known = values.drop_nulls().to_numpy()
     counts = np.histogram(known, edges)[0]
-    labels = [f"{a:g} – {b:g}" if b < 1000 else f"{a:g} or more" for a, b in pairwise(edges)]
+    step = 1 if values.dtype.is_integer() else 0  # 4 – 7, but 0.5 – 1
+    labels = [
+        f"{a:g}" if a == b - step else f"{a:g} – {b - step:g}" if b < 1000 else f"{a:g} or more" for a, b in pairwise(edges)
+    ]
     if len(edges) > 1 and edges[1] == 1e-9:
         labels[:2] = ["0", f"under {edges[2]:g}"]
     rows = [*zip(labels, counts.tolist(), strict=True)]
