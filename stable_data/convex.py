@@ -16,6 +16,7 @@ import igl
 import manifold3d
 import numpy as np
 import vhacdx
+from scipy.spatial import ConvexHull, QhullError
 
 from stable_data.errors import MeshError
 from stable_data.mesh import Mesh, double_areas, is_closed, signed_volumes
@@ -25,11 +26,15 @@ from stable_data.scene import FloatArray
 ConvexPart: TypeAlias = Mesh
 """A closed convex mesh, faces outward."""
 
+Solid: TypeAlias = manifold3d.Manifold
+
 _MAX_FACES = 3000  # to be cut; more are first simplified
+_SIMPLIFY = 0.002  # tolerance of the second-best way to do so, share of the largest extent
 _SHELL = 0.01  # thickness given to a sheet, share of its largest extent
 _PLATE = 1e-3  # and to a flat part of a solid
 _SLAB = 0.1  # two parallel flat parts nearer than this are the two sides of one slab
 _FLAT = 1e-6  # a solid of less volume than this share of its cubed extent is a sheet
+_NOTHING = 1e-9  # and one of less than this is nothing
 _FRACTIONS = (0.15, 0.3, 0.5, 0.7, 0.85)  # where planes are tried along an axis
 _HELPS = 0.8  # share of the empty volume that must not be left for a single plane to be enough
 _FAN_PLANES = 4
@@ -87,37 +92,40 @@ def convex_parts(mesh: Mesh, *, max_parts: int = 32, tolerance: float = 0.01) ->
     """
     center, extent = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2, float(mesh.extents.max())
     unit = Mesh((mesh.vertices - center) / extent, mesh.faces)
-    solid, plates = _solid_and_plates(unit)
-    hull = _mesh(manifold3d.Manifold.hull_points(unit.vertices))
-    if not len(hull.faces):
-        hull = _mesh(_points_hull(unit))
-    if not len(hull.faces):
-        raise MeshError(f"no hull of a mesh with extents {mesh.extents} has a volume, expected a surface; repair it", "convex_failed")
+    hull = _hull(unit.vertices) or _thick_hull(unit.vertices, _SHELL)
+    if hull is None:
+        raise MeshError(f"no hull of a mesh with extents {mesh.extents} has a volume, expected a surface", "convex_failed")
     hull_distance, _ = _overfill(unit, (hull,))
-    parts, method = (hull,), "hull"
-    if hull_distance > max(tolerance, _SHELL):
-        if solid is not None:
-            pieces = _cut_up(solid, max(1, max_parts - len(plates)), tolerance)
-            parts, method = (*(_mesh(piece.solid.hull()) for piece in pieces), *plates[: max_parts - 1]), "cuts"
-        else:
-            parts, method = _vhacd(unit, max_parts), "vhacd"
+    parts, method = ((hull,), "hull") if hull_distance <= max(tolerance, _SHELL) else _divided(unit, max_parts, tolerance)
+    if not parts:
+        parts, method = (hull,), "hull"
     overfill, uncovered = _overfill(unit, parts), _uncovered(unit, parts)
     distances = [extent * d for d in (*overfill, *uncovered, hull_distance)]
     return ConvexParts(tuple(Mesh(part.vertices * extent + center, part.faces) for part in parts), method, *distances)
 
 
-def _manifold(mesh: Mesh) -> manifold3d.Manifold | None:
+def _divided(unit: Mesh, max_parts: int, tolerance: float) -> tuple[tuple[Mesh, ...], str]:
+    """Several parts and the method that made them; none where it found nothing."""
+    solid, plates = _solid_and_plates(unit)
+    if solid is None:
+        return _vhacd(unit, max_parts), "vhacd"
+    plates = plates[: max_parts // 2]
+    hulls = [_hull(_mesh(piece.solid).vertices) for piece in _cut_up(solid, max_parts - len(plates), tolerance)]
+    return (*(hull for hull in hulls if hull is not None), *plates), "cuts"
+
+
+def _manifold(mesh: Mesh) -> Solid | None:
     """The solid that a closed mesh bounds, None where its faces do not join to one."""
     solid = manifold3d.Manifold(manifold3d.Mesh64(mesh.vertices, mesh.faces.astype(np.uint64)))
     return solid if solid.status() == manifold3d.Error.NoError and solid.volume() > _FLAT else None
 
 
-def _mesh(solid: manifold3d.Manifold) -> Mesh:
+def _mesh(solid: Solid) -> Mesh:
     raw = solid.to_mesh64()
     return Mesh(np.asarray(raw.vert_properties, np.float64)[:, :3], np.asarray(raw.tri_verts).astype(np.int64))
 
 
-def _solid_and_plates(unit: Mesh) -> tuple[manifold3d.Manifold | None, tuple[Mesh, ...]]:
+def _solid_and_plates(unit: Mesh) -> tuple[Solid | None, tuple[Mesh, ...]]:
     """A solid to cut, without overlaps, and the flat parts of the mesh that have no thickness, as thin convex parts.
 
     An open mesh is taken as a shell. None where nothing solid can be made of the mesh.
@@ -133,9 +141,19 @@ def _solid_and_plates(unit: Mesh) -> tuple[manifold3d.Manifold | None, tuple[Mes
     if solid is None:
         return _manifold(_shell(unit)), ()
     pieces = solid.decompose()
-    if len(pieces) > 1 and all(piece.volume() > 0 for piece in pieces):  # a cavity has a negative volume and must stay in its shell
+    if len(pieces) > 1 and all(
+        piece.volume() > 0 for piece in pieces
+    ):  # a cavity has a negative volume and must stay in its shell
         solid = manifold3d.Manifold.batch_boolean(pieces, manifold3d.OpType.Add)
-    return solid, tuple(_plates(sheets))
+    return _simplified(solid), tuple(_plates(sheets))
+
+
+def _simplified(solid: Solid) -> Solid:
+    """About ``_MAX_FACES`` faces at most, by quadric collapse where its result still bounds a solid."""
+    if solid.num_tri() <= _MAX_FACES:
+        return solid
+    collapsed = _manifold(_collapsed(_mesh(solid)))
+    return solid.simplify(_SIMPLIFY) if collapsed is None else collapsed
 
 
 def _collapsed(mesh: Mesh) -> Mesh:
@@ -161,8 +179,8 @@ def _plates(sheets: list[FloatArray]) -> Iterator[Mesh]:
             if is_parallel and np.linalg.norm(sheet.mean(axis=0) - other.mean(axis=0)) < _SLAB:
                 sheet = np.concatenate([sheet, sheets.pop(k)])
                 break
-        part = _mesh(manifold3d.Manifold.hull_points(np.concatenate([sheet + _PLATE / 2 * normal, sheet - _PLATE / 2 * normal])))
-        if len(part.faces):
+        part = _thick_hull(sheet, _PLATE)
+        if part is not None:
             yield part
 
 
@@ -188,10 +206,34 @@ def _shell(unit: Mesh) -> Mesh:
     )
 
 
-def _points_hull(unit: Mesh) -> manifold3d.Manifold:
-    """Hull of the vertices, moved apart across their flattest direction so that it has a volume."""
-    flattest = _flattest_direction(unit.vertices) * _SHELL / 2
-    return manifold3d.Manifold.hull_points(np.concatenate([unit.vertices + flattest, unit.vertices - flattest]))
+def _hull(points: FloatArray) -> Mesh | None:
+    """Convex hull of points (P, 3), None where they are flat. By Qhull: the hulls of manifold3d may fold at slivers."""
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        return None
+    faces = np.searchsorted(np.sort(hull.vertices), hull.simplices).astype(np.int64)
+    corners = points[np.sort(hull.vertices)]
+    normals = np.cross(corners[faces[:, 1]] - corners[faces[:, 0]], corners[faces[:, 2]] - corners[faces[:, 0]])
+    is_inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0
+    return Mesh(corners, np.where(is_inward[:, None], faces[:, ::-1], faces))
+
+
+def _thick_hull(points: FloatArray, thickness: float) -> Mesh | None:
+    """Hull of flat points (P, 3), moved apart across their plane so that it has a volume."""
+    offset = _flattest_direction(points) * thickness / 2
+    return _hull(np.concatenate([points + offset, points - offset]))
+
+
+def _empty(solid: Solid) -> float:
+    """Volume that the hull covers and the solid does not."""
+    return max(0.0, float(solid.hull().volume() - solid.volume()))
+
+
+def _halves(solid: Solid, normal: FloatArray, offset: float) -> tuple[Solid, ...]:
+    """The one or two solids that a plane leaves."""
+    halves = tuple(half for half in solid.split_by_plane(tuple(normal), offset) if half.volume() > _NOTHING)
+    return halves if len(halves) == 2 else (solid,)
 
 
 @dataclass(order=True, slots=True)
@@ -200,27 +242,26 @@ class _Piece:
 
     rank: float
     number: int
-    solid: manifold3d.Manifold = field(compare=False)
+    solid: Solid = field(compare=False)
     depth: float = field(compare=False)
 
 
-def _cut_up(solid: manifold3d.Manifold, max_parts: int, tolerance: float) -> list[_Piece]:
+def _cut_up(solid: Solid, max_parts: int, tolerance: float) -> list[_Piece]:
     """Cuts the worst piece again and again until all hulls are true or the budget is spent."""
-    queue, done = [_piece(solid, 0)], []
+    queue, done = [_piece(solid, 0)], list[_Piece]()
     number = 1
     while queue and len(queue) + len(done) < max_parts:
         worst = heapq.heappop(queue)
-        room = max_parts - len(queue) - len(done)
-        pieces = _cut(worst.solid, room) if worst.depth > tolerance else ()
-        if not pieces:
+        solids = _cut(worst.solid, max_parts - len(queue) - len(done)) if worst.depth > tolerance else ()
+        if not solids:
             done.append(worst)
-        for piece in pieces:
-            heapq.heappush(queue, _piece(piece, number))
+        for part in solids:
+            heapq.heappush(queue, _piece(part, number))
             number += 1
     return sorted(done + queue, key=lambda piece: piece.number)
 
 
-def _piece(solid: manifold3d.Manifold, number: int) -> _Piece:
+def _piece(solid: Solid, number: int) -> _Piece:
     """Ranks by depth and by volume: depth alone chases slits, volume alone leaves thin ones."""
     hull, mesh = _mesh(solid.hull()), _mesh(solid)
     probes = np.concatenate([sample_surface(hull, _NUM_DEPTH_PROBES), hull.triangles.mean(axis=1)])
@@ -228,30 +269,26 @@ def _piece(solid: manifold3d.Manifold, number: int) -> _Piece:
     return _Piece(-depth * _empty(solid) ** (1 / 3), number, solid, depth)
 
 
-def _empty(solid: manifold3d.Manifold) -> float:
-    """Volume that the hull covers and the solid does not."""
-    return max(0.0, float(solid.hull().volume() - solid.volume()))
-
-
-def _cut(solid: manifold3d.Manifold, room: int) -> tuple[manifold3d.Manifold, ...]:
-    """The pieces of the best cut: by one plane, or where none helps and there is room, by a fan of planes."""
-    best, best_left = (), np.inf
+def _cut(solid: Solid, room: int) -> tuple[Solid, ...]:
+    """The solids of the best cut: by one plane, or where none helps and there is room, by a fan of planes; () for none."""
+    best: tuple[Solid, ...] = ()
+    best_left = np.inf
     for normal, offset in _planes(_mesh(solid)):
-        pieces = _parts_of_cut([solid], normal, offset)
-        left = sum(map(_empty, pieces))
-        if len(pieces) == 2 and left < best_left:
-            best, best_left = tuple(pieces), left
+        halves = _halves(solid, normal, offset)
+        left = sum(_empty(half) for half in halves)
+        if len(halves) == 2 and left < best_left:
+            best, best_left = halves, left
     if best_left < _HELPS * _empty(solid) or room < 2 * _FAN_PLANES:
         return best
     middle = _middle_of_hollow(solid)
     for axis in range(3):
-        pieces = [solid]
+        fan: tuple[Solid, ...] = (solid,)
         for angle in (np.arange(_FAN_PLANES) + 0.5) * np.pi / _FAN_PLANES:
             normal = np.roll([0.0, np.cos(angle), np.sin(angle)], axis)
-            pieces = _parts_of_cut(pieces, normal, float(normal @ middle))
-        left = _FAN_HANDICAP * sum(map(_empty, pieces))
-        if left < best_left:
-            best, best_left = tuple(pieces), left
+            fan = tuple(half for part in fan for half in _halves(part, normal, float(normal @ middle)))
+        left = _FAN_HANDICAP * sum(_empty(part) for part in fan)
+        if len(fan) > 1 and left < best_left:
+            best, best_left = fan, left
     return best
 
 
@@ -267,12 +304,7 @@ def _planes(mesh: Mesh) -> Iterator[tuple[FloatArray, float]]:
             yield normal, float(along.min() + fraction * np.ptp(along))
 
 
-def _parts_of_cut(solids: list[manifold3d.Manifold], normal: FloatArray, offset: float) -> list[manifold3d.Manifold]:
-    cut = [piece for solid in solids for piece in solid.split_by_plane(tuple(normal), offset)]
-    return [piece for piece in cut if piece.volume() > 1e-9]
-
-
-def _middle_of_hollow(solid: manifold3d.Manifold) -> FloatArray:
+def _middle_of_hollow(solid: Solid) -> FloatArray:
     """Centroid (3,) of what the hull covers and the solid does not."""
     moment, volume = np.zeros(3), 0.0
     for mesh, sign in ((_mesh(solid.hull()), 1.0), (_mesh(solid), -1.0)):
@@ -283,13 +315,12 @@ def _middle_of_hollow(solid: manifold3d.Manifold) -> FloatArray:
 
 
 def _vhacd(unit: Mesh, max_parts: int) -> tuple[Mesh, ...]:
-    """V-HACD: coarse, but it takes any soup of triangles."""
+    """V-HACD: coarse, but it takes any soup of triangles. May find nothing."""
     few = _collapsed(unit)
     found = vhacdx.compute_vhacd(
         few.vertices, few.faces.astype(np.uint32), maxConvexHulls=max_parts, resolution=100_000, asyncACD=False
     )
-    hulls = [_mesh(manifold3d.Manifold.hull_points(np.asarray(points, np.float64))) for points, _ in found]
-    return tuple(hull for hull in hulls if len(hull.faces)) or (_mesh(_points_hull(unit)),)
+    return tuple(filter(None, (_hull(np.asarray(points, np.float64)) for points, _ in found)))
 
 
 def _overfill(unit: Mesh, parts: tuple[Mesh, ...]) -> tuple[float, float]:
@@ -313,8 +344,11 @@ def inside_convex(part: ConvexPart, points: FloatArray) -> np.ndarray[tuple[int]
     """Which points (P, 3) lie in a convex part, (P,) bool."""
     corners = part.triangles
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=1)
+    has_area = length > 1e-12 * length.max()  # a sliver's normal is noise
+    normals, corners = normals[has_area] / length[has_area, None], corners[has_area]
     heights: FloatArray = points @ normals.T - np.einsum("ij,ij->i", normals, corners[:, 0])
-    inside: np.ndarray[tuple[int], np.dtype[np.bool_]] = (heights <= 0).all(axis=1)
+    inside: np.ndarray[tuple[int], np.dtype[np.bool_]] = (heights <= 1e-6 * part.extents.max()).all(axis=1)
     return inside
 
 

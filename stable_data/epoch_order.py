@@ -52,14 +52,18 @@ class EpochOrder:
 
     def windows(self, epoch: int) -> Iterator[Window]:
         """The windows of an epoch; every row group is in one of them."""
-        start, window = 0, list[int]()
+        window: list[int] = []
+        start = stop = num_bytes = 0
         for index in self._groups_of(epoch):
-            if window and not self._has_room(window, index):
-                yield self._window(epoch, start, window)
-                start, window = start + self._num_rows(window), []
+            group = self.groups[index]
+            is_full = stop - start + group.num_rows > self.window_rows or num_bytes + group.num_bytes > _WINDOW_BYTES
+            if window and (is_full or self.seed is None):
+                yield self._window(epoch, start, stop, window)
+                window, start, num_bytes = [], stop, 0
             window.append(index)
+            stop, num_bytes = stop + group.num_rows, num_bytes + group.num_bytes
         if window:
-            yield self._window(epoch, start, window)
+            yield self._window(epoch, start, stop, window)
 
     def _groups_of(self, epoch: int) -> Sequence[int]:
         order = np.arange(len(self.groups))
@@ -67,13 +71,5 @@ class EpochOrder:
             np.random.default_rng((self.seed, epoch)).shuffle(order)
         return [int(index) for index in order]
 
-    def _has_room(self, window: list[int], index: int) -> bool:
-        num_bytes = sum(self.groups[group].num_bytes for group in (*window, index))
-        return self.seed is not None and self._num_rows([*window, index]) <= self.window_rows and num_bytes <= _WINDOW_BYTES
-
-    def _num_rows(self, window: Sequence[int]) -> int:
-        return sum(self.groups[group].num_rows for group in window)
-
-    def _window(self, epoch: int, start: int, window: list[int]) -> Window:
-        seed = None if self.seed is None else (self.seed, epoch, start)
-        return Window(start, start + self._num_rows(window), tuple(window), seed)
+    def _window(self, epoch: int, start: int, stop: int, groups: list[int]) -> Window:
+        return Window(start, stop, tuple(groups), None if self.seed is None else (self.seed, epoch, start))

@@ -123,9 +123,10 @@ class TableDataset(Dataset[Any]):
 
     def _group(self, group: int) -> pa.Table:
         """A row group, from the cache where it is there."""
-        if group not in self._cache:
-            self._cache[group] = self._files.read([group], use_threads=get_worker_info() is None)
-        self._cache.move_to_end(group)
+        if group in self._cache:
+            self._cache.move_to_end(group)
+            return self._cache[group]
+        self._cache[group] = self._files.read([group], use_threads=get_worker_info() is None)
         while len(self._cache) > 1 and sum(table.nbytes for table in self._cache.values()) > self._cache_bytes:
             self._cache.popitem(last=False)
         return self._cache[group]
@@ -152,7 +153,8 @@ class TableStream(IterableDataset[Any]):
         rank: This process among those that train together.
         world_size: Number of those processes.
         drop_remainder: Give every rank the same number of rows and whole batches only, as collective training needs; fewer
-            than ``world_size * batch_size`` rows are left out, others in each epoch. Else ranks differ by at most one row.
+            than ``world_size * batch_size`` rows are left out, others in each shuffled epoch. Else ranks differ by at most one
+            row.
 
     Raises:
         ConfigError: As in :class:`TableDataset`, or a setting cannot be.

@@ -19,6 +19,7 @@ from stable_data.scene import FloatArray, IntArray
 
 _WELD = 1e-6  # vertices nearer than this share of the largest extent are one
 _FLAT = 1e-12  # a face of less area than this share of the squared extent is no face
+_SMALLEST = 1e-30  # extents beyond this and its inverse lose their squares and cubes to rounding
 _CRACK = 0.03  # a hole narrower than this share of the largest extent is damage, not a mouth
 _SLIVER = 1e-4  # so is one of less area than this share of the surface
 _SMALL_MOUTH = 0.02  # share of the surface up to which a hole that does not look up is a cut end, not a hollow
@@ -29,9 +30,27 @@ _MAGIC, _JSON_CHUNK, _BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 # Required extensions that change how a surface looks, or that the accessor reader covers, not where it is.
-_HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_", "KHR_xmp", "KHR_mesh_quantization")
+_HARMLESS = (
+    "KHR_materials_",
+    "KHR_texture_",
+    "EXT_texture_",
+    "MSFT_texture_",
+    "KHR_lights_",
+    "KHR_xmp",
+    "KHR_mesh_quantization",
+)
 # What json, struct, numpy and plain indexing raise on hostile content.
-_HOSTILE = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, RecursionError, MemoryError, struct.error)
+_HOSTILE = (
+    KeyError,
+    IndexError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+    MemoryError,
+    struct.error,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +73,8 @@ class Mesh:
     @property
     def extents(self) -> FloatArray:
         """Size of the box, (3,) float64."""
-        return np.ptp(self.vertices, axis=0)
+        extents: FloatArray = np.ptp(self.vertices, axis=0)
+        return extents
 
     @property
     def triangles(self) -> FloatArray:
@@ -77,7 +97,7 @@ class MeshLimits:
     max_nodes: int = 10_000
 
 
-def load_glb(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits()) -> tuple[Mesh, tuple[Notice, ...]]:  # noqa: B008
+def load_glb(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits()) -> tuple[Mesh, tuple[Notice, ...]]:
     """Reads a binary glTF as one mesh: geometry only, no texture, no second file.
 
     Args:
@@ -96,12 +116,13 @@ def load_glb(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimi
     reader = _GlbReader(asset_id, limits)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # huge numbers end as a MeshError below, not as a warning
-            soup, faces = reader.read(content)
+            return _welded(*reader.read(content), reader), tuple(reader.notices)
+    except MeshError:
+        raise
     except _HOSTILE as error:
-        if isinstance(error, MeshError):
-            raise
-        reader.fail("glb_invalid", f"breaks the glTF 2.0 format ({type(error).__name__}: {error})", "a valid GLB; export it again")
-    return _welded(soup, faces, reader), tuple(reader.notices)
+        reader.fail(
+            "glb_invalid", f"breaks the glTF 2.0 format ({type(error).__name__}: {error})", "a valid GLB; export it again"
+        )
 
 
 def _read_bytes(path: Path, asset_id: str, limits: MeshLimits) -> bytes:
@@ -159,7 +180,11 @@ class _GlbReader:
             self.fail("glb_truncated", f"file has {size} bytes", "a GLB header and a chunk; copy it again")
         magic, version, claimed, json_length, json_type = struct.unpack_from("<5I", content)
         if magic != _MAGIC or version != 2 or json_type != _JSON_CHUNK:
-            self.fail("glb_invalid", f"starts with {content[:8]!r} and chunk {json_type:#x}", "binary glTF 2.0 with its JSON chunk first")
+            self.fail(
+                "glb_invalid",
+                f"starts with {content[:8]!r} and chunk {json_type:#x}",
+                "binary glTF 2.0 with its JSON chunk first",
+            )
         document, end = self._chunk(content, 20, json_length)
         self.document = json.loads(document)
         if end + 8 <= size and struct.unpack_from("<I", content, end + 4)[0] == _BIN_CHUNK:
@@ -169,7 +194,9 @@ class _GlbReader:
 
     def _chunk(self, content: bytes, start: int, length: int) -> tuple[bytes, int]:
         if start + length > len(content):
-            self.fail("glb_truncated", f"a chunk ends at byte {start + length} of {len(content)}", "a whole file; copy it again")
+            self.fail(
+                "glb_truncated", f"a chunk ends at byte {start + length} of {len(content)}", "a whole file; copy it again"
+            )
         return content[start : start + length], start + length
 
     def _refuse_unsupported(self) -> None:
@@ -204,7 +231,9 @@ class _GlbReader:
         for primitive in mesh["primitives"]:
             mode = primitive.get("mode", _TRIANGLES)
             if mode not in (_TRIANGLES, _STRIP, _FAN):
-                self.note("glb_primitive_skipped", f"a primitive of points or lines (mode {mode}) has no surface and is left out")
+                self.note(
+                    "glb_primitive_skipped", f"a primitive of points or lines (mode {mode}) has no surface and is left out"
+                )
                 continue
             corners = self._accessor(primitive["attributes"]["POSITION"], 3).astype(np.float64)
             indices = np.arange(len(corners))
@@ -215,28 +244,44 @@ class _GlbReader:
     def _indices(self, accessor: int, num_corners: int) -> IntArray:
         indices = self._accessor(accessor, 1)[:, 0]
         if indices.dtype.kind != "u" or (len(indices) and indices.max() >= num_corners):
-            self.fail("glb_invalid", f"a face index reaches beyond the {num_corners} vertices", "unsigned indices of vertices that exist")
+            self.fail(
+                "glb_invalid",
+                f"a face index reaches beyond the {num_corners} vertices",
+                "unsigned indices of vertices that exist",
+            )
         return indices.astype(np.int64)
 
     def _accessor(self, index: int, width: int) -> npt.NDArray[Any]:
         """Values (count, width) of an accessor, a view of the file."""
         accessor = self.document["accessors"][index]
         if "sparse" in accessor or "bufferView" not in accessor:
-            self.fail("glb_unsupported", f"accessor {index} is sparse or has no data", "plain accessors; export it without compression")
+            self.fail(
+                "glb_unsupported",
+                f"accessor {index} is sparse or has no data",
+                "plain accessors; export it without compression",
+            )
         if accessor["type"] != {1: "SCALAR", 3: "VEC3"}[width]:
             self.fail("glb_invalid", f"accessor {index} holds {accessor['type']}", f"{width} numbers an element")
         view = self.document["bufferViews"][accessor["bufferView"]]
         buffer = self.document["buffers"][view["buffer"]]
         if view["buffer"] != 0 or "uri" in buffer:
-            self.fail("glb_unsupported", "its geometry lies in a second file or a URI", "one self-contained GLB; nothing outside is opened")
+            self.fail(
+                "glb_unsupported",
+                "its geometry lies in a second file or a URI",
+                "one self-contained GLB; nothing outside is opened",
+            )
         start, length = view.get("byteOffset", 0), view["byteLength"]
         if min(start, length) < 0 or start + length > len(self.binary):
-            self.fail("glb_truncated", f"data end at byte {start + length} of {len(self.binary)}", "a whole file; copy it again")
+            self.fail(
+                "glb_truncated", f"data end at byte {start + length} of {len(self.binary)}", "a whole file; copy it again"
+            )
         kind = np.dtype(_COMPONENTS[accessor["componentType"]])
         stride, offset = view.get("byteStride") or kind.itemsize * width, accessor.get("byteOffset", 0)
         if stride < kind.itemsize * width or min(offset, accessor["count"]) < 0:
             self.fail("glb_invalid", f"accessor {index} has stride {stride}, offset {offset}", "elements that do not overlap")
-        values = np.ndarray((accessor["count"], width), kind, self.binary[start : start + length], offset, (stride, kind.itemsize))
+        values = np.ndarray(
+            (accessor["count"], width), kind, self.binary[start : start + length], offset, (stride, kind.itemsize)
+        )
         return values / np.iinfo(kind).max if accessor.get("normalized") and kind.kind != "f" else values
 
 
@@ -276,12 +321,14 @@ def _welded(soup: FloatArray, faces: IntArray, reader: _GlbReader) -> Mesh:
         bad = int((~np.isfinite(soup)).any(axis=1).sum())
         reader.fail("glb_nan_vertices", f"{bad} of {len(soup)} vertices are not finite", "finite coordinates; export it again")
     extent = float(np.ptp(soup, axis=0).max())
-    if extent > 0 and np.isfinite(extent * extent):
-        vertices, faces = _weld(soup, faces, _WELD * extent)
-        mesh = _centred(vertices, faces)
-        if len(faces) and (double_areas(mesh) > _FLAT * extent * extent).any():
-            return mesh
-    reader.fail("glb_degenerate_only", f"all faces have no area (extent {extent:.3g})", "a surface; export it again")
+    if not _SMALLEST < extent < 1 / _SMALLEST:
+        reader.fail(
+            "glb_degenerate_only", f"its largest extent is {extent:.3g}", "a surface of a size that can be computed with"
+        )
+    mesh = _centred(*_weld(soup, faces, _WELD * extent))
+    if not (double_areas(mesh) > _FLAT * extent * extent).any():
+        reader.fail("glb_degenerate_only", f"none of {len(faces)} faces has an area", "a surface; export it again")
+    return mesh
 
 
 def _compact(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
@@ -292,8 +339,11 @@ def _compact(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArra
 
 
 def _weld(vertices: FloatArray, faces: IntArray, cell: float) -> tuple[FloatArray, IntArray]:
-    """Makes one of vertices in one cell, on two staggered grids because rounding may part twins on one; drops collapsed faces."""
-    for shift in (0.0, 0.5):
+    """Makes one of vertices in one cell and drops faces that collapse.
+
+    An edge of a grid may part twins, along each axis on one of four staggered grids at most; so one of the four joins them.
+    """
+    for shift in (0.0, 0.25, 0.5, 0.75):
         grid = np.floor((vertices - vertices.min(axis=0)) / cell + shift).astype(np.int64)
         key = (grid[:, 0] << 42) | (grid[:, 1] << 21) | grid[:, 2]
         _, first, index = np.unique(key, return_index=True, return_inverse=True)
@@ -312,7 +362,8 @@ def _centred(vertices: FloatArray, faces: IntArray) -> Mesh:
 def double_areas(mesh: Mesh) -> FloatArray:
     """Twice the area of every face, (F,) float64, squared mesh units."""
     a, b, c = (mesh.triangles[:, n] for n in range(3))
-    return np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    areas: FloatArray = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return areas
 
 
 @dataclass(frozen=True, slots=True)
@@ -375,7 +426,9 @@ def repair(mesh: Mesh, asset_id: str) -> tuple[Mesh, MeshReport, tuple[Notice, .
     num_flipped = int((faces != given).any(axis=1).sum())
     if num_flipped:
         actions.append(f"turned {num_flipped} of {len(faces)} faces")
-    filled = [cap for cap in caps if _is_back_of_sheet(vertices, faces, component, cap) or _is_safe_to_fill(vertices, faces, cap)]
+    filled = [
+        cap for cap in caps if _is_back_of_sheet(vertices, faces, component, cap) or _is_safe_to_fill(vertices, faces, cap)
+    ]
     if filled:
         actions.append(f"closed {len(filled)} of {len(caps)} holes")
     repaired = _centred(vertices, np.concatenate([faces, *filled]))
@@ -420,7 +473,11 @@ def _without_duplicates(faces: IntArray) -> IntArray:
     index = index.reshape(-1)
     if len(first) == len(faces):
         return faces
-    is_even = (faces == corners).all(axis=1) | (faces == corners[:, [1, 2, 0]]).all(axis=1) | (faces == corners[:, [2, 0, 1]]).all(axis=1)
+    is_even = (
+        (faces == corners).all(axis=1)
+        | (faces == corners[:, [1, 2, 0]]).all(axis=1)
+        | (faces == corners[:, [2, 0, 1]]).all(axis=1)
+    )
     cancels = (np.bincount(index, np.where(is_even, 1, -1)) == 0) & (count > 1)
     if cancels.sum() <= 0.1 * len(first):
         first = first[~cancels]
@@ -497,7 +554,8 @@ def _is_back_of_sheet(vertices: FloatArray, faces: IntArray, component: IntArray
     own = component == component[(faces == cap[0, 0]).any(axis=1)][0]
     beneath = np.isin(faces, cap[:, 0]).all(axis=1)
     area = double_areas(Mesh(vertices, cap)).sum()
-    return any(0.95 * double_areas(Mesh(vertices, faces[some])).sum() <= area for some in (own, beneath) if some.any())
+    ratios = [double_areas(Mesh(vertices, faces[some])).sum() / max(area, 1e-300) for some in (own, beneath)]
+    return any(0.95 < ratio < 1.05 for ratio in ratios)
 
 
 def _is_safe_to_fill(vertices: FloatArray, faces: IntArray, cap: IntArray) -> bool:
@@ -520,7 +578,8 @@ def _is_safe_to_fill(vertices: FloatArray, faces: IntArray, cap: IntArray) -> bo
 
 def signed_volumes(triangles: FloatArray) -> FloatArray:
     """Volume of the tetrahedra from the origin to triangles (F, 3, 3), (F,) float64, negative where they look inwards."""
-    return np.einsum("ij,ij->i", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2])) / 6
+    volumes: FloatArray = np.einsum("ij,ij->i", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2])) / 6
+    return volumes
 
 
 def _report(mesh: Mesh, was_watertight: bool, num_flipped: int, actions: tuple[str, ...]) -> MeshReport:
@@ -547,7 +606,7 @@ def _report(mesh: Mesh, was_watertight: bool, num_flipped: int, actions: tuple[s
 
 def is_closed(mesh: Mesh) -> bool:
     """Whether every edge is run as often one way as the other: then winding numbers are whole."""
-    return not _Edges.of(mesh.faces).balance.any()
+    return bool((_Edges.of(mesh.faces).balance == 0).all())
 
 
 def glb_bytes(mesh: Mesh) -> bytes:
@@ -592,7 +651,9 @@ def _encloses(mesh: Mesh, edges: _Edges) -> bool:
         return True
     double_area = double_areas(mesh)
     mouths = [mesh.vertices[loop] for loop in _loops(edges.boundary())]
-    widest = max((float(np.linalg.norm(np.cross(m - m[0], np.roll(m, -1, axis=0) - m[0]).sum(axis=0))) for m in mouths), default=0.0)
+    widest = max(
+        (float(np.linalg.norm(np.cross(m - m[0], np.roll(m, -1, axis=0) - m[0]).sum(axis=0))) for m in mouths), default=0.0
+    )
     if widest > 10 * _SLIVER * double_area.sum():
         return False
     picked = np.searchsorted(np.cumsum(double_area), (np.arange(_NUM_PROBES) + 0.5) / _NUM_PROBES * double_area.sum())
@@ -639,14 +700,18 @@ def mass_properties(
     """
     given = [m for m in (mass, density) if m is not None]
     if len(given) != 1 or not (0 < given[0] < float("inf") and thickness > 0):
-        raise MeshError(f"mass is {mass}, density {density}, thickness {thickness}, expected one of the first two, positive", "mass_invalid")
+        raise MeshError(
+            f"mass is {mass}, density {density}, thickness {thickness}, expected one of the first two, positive", "mass_invalid"
+        )
     corners = mesh.triangles
     total = corners.sum(axis=1)
     # Exact integrals of 1, x and x xᵀ: over a triangle (d = 2), or over the tetrahedron from the origin to it (d = 3).
     weight, d = (double_areas(mesh) / 2 * thickness, 2) if is_sheet else (signed_volumes(corners), 3)
     content = float(weight.sum())
     if content <= 0:
-        raise MeshError(f"mesh encloses {content:.3g} m3, expected more than 0; is it a sheet, or inside out?", "mass_no_volume")
+        raise MeshError(
+            f"mesh encloses {content:.3g} m3, expected more than 0; is it a sheet, or inside out?", "mass_no_volume"
+        )
     center = weight @ total / ((d + 1) * content)
     second = np.einsum("f,fni,fnj->ij", weight, corners, corners) + np.einsum("f,fi,fj->ij", weight, total, total)
     second = second / ((d + 1) * (d + 2)) - content * np.outer(center, center)

@@ -113,7 +113,7 @@ class SettleResult:
     reason: str = ""
 
 
-def settle(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = EngineOptions()) -> SettleResult:  # noqa: B008
+def settle(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = EngineOptions()) -> SettleResult:
     """Lets a scene settle under gravity and watches it.
 
     Args:
@@ -143,7 +143,7 @@ def settle(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = Eng
     return _verdict(names, np.concatenate([start[None], settled]), watched, penetration, options)
 
 
-def compile_bodies(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = EngineOptions()) -> mujoco.MjModel:  # noqa: B008
+def compile_bodies(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = EngineOptions()) -> mujoco.MjModel:
     """Builds the engine's model in memory.
 
     Args:
@@ -170,7 +170,9 @@ def compile_bodies(bodies: Sequence[Body], table: Tabletop, options: EngineOptio
     try:
         return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
-        raise MeshError(f"the engine refuses the scene: {' '.join(str(error).split())}; repair its convex parts", "engine") from error
+        raise MeshError(
+            f"the engine refuses the scene: {' '.join(str(error).split())}; repair its convex parts", "engine"
+        ) from error
 
 
 def deepest_contact(data: mujoco.MjData) -> float:
@@ -187,7 +189,12 @@ def _configure(spec: mujoco.MjSpec, options: EngineOptions) -> None:
 
 
 def _contact(options: EngineOptions) -> dict[str, object]:
-    return {"friction": list(options.friction), "solref": list(options.solref), "solimp": [*options.solimp, 0.5, 2.0], "condim": 4}
+    return {
+        "friction": list(options.friction),
+        "solref": list(options.solref),
+        "solimp": [*options.solimp, 0.5, 2.0],
+        "condim": 4,
+    }
 
 
 def _add_body(spec: mujoco.MjSpec, body: Body, meshes: dict[int, str], options: EngineOptions) -> None:
@@ -198,7 +205,9 @@ def _add_body(spec: mujoco.MjSpec, body: Body, meshes: dict[int, str], options: 
         added.add_freejoint()
     volumes = [hull_volume(part) for part in body.parts]
     if not sum(volumes) > 0:
-        raise MeshError(f"body {body.name}: none of its {len(volumes)} convex parts is solid; decompose its mesh again", "no_collider")
+        raise MeshError(
+            f"body {body.name}: none of its {len(volumes)} convex parts is solid; decompose its mesh again", "no_collider"
+        )
     for part, volume in zip(body.parts, volumes, strict=True):
         if volume > 0:
             if id(part) not in meshes:  # objects of one asset share its colliders
@@ -285,7 +294,7 @@ def _angles(first: FloatArray, second: FloatArray) -> FloatArray:
     # The arccosine of the product would be blind below 1e-4 rad.
     sign = np.where((first * second).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)
     chord = np.linalg.norm(first - sign * second, axis=-1)
-    return 4 * np.arcsin(np.minimum(chord / 2, 1.0))
+    return np.asarray(4 * np.arcsin(np.minimum(chord / 2, 1.0)))
 
 
 def _quat_of_yaw(yaw: float) -> tuple[float, float, float, float]:

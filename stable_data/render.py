@@ -51,9 +51,9 @@ PALETTE: tuple[str, ...] = (
 """Colours that a category takes by its name."""
 
 OWN_COLOURS: Mapping[str, str] = {
-    "apple": "#c8323c", "banana": "#f2d14b", "bowl": "#e8e3d8", "bread": "#c58a4a", "crate": "#b98a56", "basket": "#c9a26b",
+    "apple": "#c8323c", "banana": "#f2d14b", "bowl": "#dfe6ea", "bread": "#c58a4a", "crate": "#b98a56", "basket": "#c9a26b",
     "cutting_board": "#cfa06a", "knife": "#8d99a6", "laptop": "#5c6670", "lemon": "#f4de4e", "orange": "#f08a24",
-    "plate": "#f3f1ec", "saucepan": "#8a949e", "soap": "#f3c9d0", "spoon": "#aab4bd", "tray": "#8f6a48", "mirror": "#b9d3df",
+    "plate": "#ece7da", "saucepan": "#8a949e", "soap": "#f3c9d0", "spoon": "#aab4bd", "tray": "#8f6a48", "mirror": "#b9d3df",
     "candle": "#f6ecd2", "box": "#cda777", "can": "#b5484b", "toothbrush": "#3fa7a0",
 }  # fmt: skip
 """Colours of kinds that everyone knows the colour of."""
@@ -76,7 +76,7 @@ def render_scene(
         meshes: Of each object, metres, yaw frame, centred on its box; None draws the object's box, see-through.
         size: Width and height, pixels.
         view: Where from.
-        colors: Of each object, ``#rrggbb``; by default its category's.
+        colors: Of each object, ``#rrggbb``; by default its category's, a little lighter or darker by its asset.
 
     Returns:
         The picture.
@@ -86,7 +86,7 @@ def render_scene(
     """
     if view not in _DIRECTIONS:
         raise ConfigError(f"view is {view!r}, expected one of {sorted(_DIRECTIONS)}", "unknown_view")
-    chosen = [category_colour(o.category) for o in scene.objects] if colors is None else list(colors)
+    chosen = [object_colour(o) for o in scene.objects] if colors is None else list(colors)
     spec = mujoco.MjSpec()
     _set_mood(spec, size)
     _add_table(spec, scene.table)
@@ -103,6 +103,14 @@ def category_colour(category: str) -> str:
     if category in OWN_COLOURS:
         return OWN_COLOURS[category]
     return PALETTE[hashlib.sha256(category.encode()).digest()[0] % len(PALETTE)]
+
+
+def object_colour(o: SceneObject) -> str:
+    """Its category's colour, ``#rrggbb``, shaded so that the assets of a category can be told apart."""
+    share = hashlib.sha256((o.asset_id or "").encode()).digest()[0] / 255
+    red, green, blue, _ = _rgba(category_colour(o.category))
+    shaded = (min(255, round(255 * (0.84 + 0.26 * share) * channel)) for channel in (red, green, blue))
+    return "#" + "".join(f"{channel:02x}" for channel in shaded)
 
 
 def scene_bounds(scene: Scene, meshes: Sequence[Mesh | None]) -> tuple[FloatArray, FloatArray]:
@@ -131,7 +139,9 @@ def contact_sheet(images: Sequence[Picture], labels: Sequence[str], columns: int
         ConfigError: There is no picture, or their sizes differ (``invalid_sheet``).
     """
     if not images or columns < 1 or len({image.shape for image in images}) > 1:
-        raise ConfigError(f"a sheet of {len(images)} pictures in {columns} columns, expected pictures of one size", "invalid_sheet")
+        raise ConfigError(
+            f"a sheet of {len(images)} pictures in {columns} columns, expected pictures of one size", "invalid_sheet"
+        )
     height, width, _ = images[0].shape
     strip, gap = max(16, height // 14), max(2, width // 64)
     rows = -(-len(images) // columns)
@@ -153,7 +163,7 @@ def _set_mood(spec: mujoco.MjSpec, size: tuple[int, int]) -> None:
     visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = size
     visual.quality.shadowsize, visual.quality.offsamples = 2048, 4
-    visual.headlight.ambient, visual.headlight.diffuse, visual.headlight.specular = [0.34] * 3, [0.22] * 3, [0.0] * 3
+    visual.headlight.ambient, visual.headlight.diffuse, visual.headlight.specular = [0.3] * 3, [0.16] * 3, [0.0] * 3
     visual.map.znear, visual.map.zfar = 0.01, 50.0
     spec.stat.extent = 1.0
 
@@ -169,7 +179,13 @@ def _add_table(spec: mujoco.MjSpec, table: Tabletop) -> None:
 
 def _add_box(spec: mujoco.MjSpec, centre: Vec3, half: Vec3, rgba: list[float], yaw: float = 0.0) -> None:
     spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX, pos=list(centre), size=list(half), quat=_yaw_wxyz(yaw), rgba=rgba, contype=0, conaffinity=0
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=list(centre),
+        size=list(half),
+        quat=_yaw_wxyz(yaw),
+        rgba=rgba,
+        contype=0,
+        conaffinity=0,
     )
 
 
@@ -200,11 +216,11 @@ def _add_lights(spec: mujoco.MjSpec, low: FloatArray, high: FloatArray) -> None:
     sun = np.array([-0.45, -0.55, 1.3])
     spec.worldbody.add_light(
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=(centre + reach * sun).tolist(), dir=(-sun).tolist(), castshadow=True,
-        diffuse=[0.55] * 3, specular=[0.12] * 3, ambient=[0.0] * 3,
+        diffuse=[0.5] * 3, specular=[0.12] * 3, ambient=[0.0] * 3,
     )  # fmt: skip
     spec.worldbody.add_light(
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=(centre + [reach, 0, reach]).tolist(), dir=[-0.8, 0.3, -0.7],
-        castshadow=False, diffuse=[0.16] * 3, specular=[0.0] * 3, ambient=[0.0] * 3,
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=(centre + np.array([reach, 0.0, reach])).tolist(), dir=[-0.8, 0.3, -0.7],
+        castshadow=False, diffuse=[0.1] * 3, specular=[0.0] * 3, ambient=[0.0] * 3,
     )  # fmt: skip
 
 
@@ -280,4 +296,4 @@ def _corner_normals(faces: npt.NDArray[np.int64], areas: FloatArray) -> FloatArr
     near = (units[first // 3] * units[second // 3]).sum(axis=1) > _CREASE
     normals = np.zeros((len(corner_vertex), 3))
     np.add.at(normals, first[near], areas[second[near] // 3])
-    return normals / np.linalg.norm(normals, axis=1)[:, None]
+    return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])

@@ -1,21 +1,18 @@
 """Builds signed-distance grids: exact where the surface is, passed on from there, signed by regions.
 
-Surface cells are marked from points sampled densely on the faces. Their corners get exact distances; every other node gets the
-distance to the best surface point that its neighbourhood knows, found by a distance transform and improved by passing points
-on. Nodes farther than half a spacing from the surface form connected regions that no surface crosses, so that one winding
-query signs a whole region. How it measures against evaluating every node: docs/signed_distance.md.
+Nodes farther than half a spacing from the surface form connected regions that no surface crosses, so that one winding query
+signs a whole region. How it measures against evaluating every node: docs/signed_distance.md.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
 from stable_data.errors import MeshError
 from stable_data.mesh import Mesh
 from stable_data.scene import FloatArray, IntArray, Vec3
+from stable_data.sdf_band import Band, Lattice, unsigned_distances
 from stable_data.sdf_grid import SdfGrid, sample_grid
 from stable_data.signed_distance import BoolArray, SignedDistance
 
@@ -23,17 +20,9 @@ _NUM_PROBES = 512
 _THIN_SHARE = 20  # percentile of the inward rays that counts as the wall: thinner spots are edges and tips
 _DOUBT = 0.2  # winding number this far from a whole number: near a hole, where a region may leak
 _VOTE_STRIDE = 8
-_SAMPLE_GAP = 0.5  # spacings between the surface and its nearest sample, at most
-_MANY = 3 << 12  # rows or columns of samples of one face, at most
-_STEPS_OF_COUNT = np.sort(np.concatenate([1 << np.arange(14), 3 << np.arange(13)]))
-_REACHES = (3.0,)  # spacings from the surface within which nodes try the surface points of their neighbours
-_MAX_SAMPLES = 1 << 20  # held at a time
 _STEPS = (1.0, 1.7)  # spacings walked off the surface to meet a node whose side is known
-_AXES = (0, 1, 2)
 _NUM_NEAR, _NUM_FAR = 512, 256
 _GOLDEN = 0.6180339887498949
-
-Float32Array = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,32 +36,10 @@ class GridLimits:
         padding: Nodes around the mesh's box on each side.
     """
 
-    min_nodes: int = 32**3
-    max_nodes: int = 64**3
+    min_nodes: int = 56**3
+    max_nodes: int = 96**3
     nodes_per_wall: float = 3.0
     padding: int = 2
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Lattice:
-    """Where the nodes of a grid are."""
-
-    origin: FloatArray
-    spacing: float
-    shape: tuple[int, int, int]
-
-    @property
-    def size(self) -> int:
-        """Number of nodes."""
-        return int(np.prod(self.shape))
-
-    def lines(self) -> list[FloatArray]:
-        """Coordinates along x, y and z."""
-        return [self.origin[a] + self.spacing * np.arange(self.shape[a]) for a in _AXES]
-
-    def places(self, nodes: IntArray) -> FloatArray:
-        """Coordinates of flat node indices, (K, 3)."""
-        return self.origin + self.spacing * np.stack(np.unravel_index(nodes, self.shape), axis=1)
 
 
 def unit_mesh(mesh: Mesh, aspect: Vec3 = (1.0, 1.0, 1.0)) -> tuple[Mesh, float]:
@@ -95,7 +62,7 @@ def unit_mesh(mesh: Mesh, aspect: Vec3 = (1.0, 1.0, 1.0)) -> tuple[Mesh, float]:
     return Mesh(vertices / extent, mesh.faces), extent
 
 
-def surface_points(mesh: Mesh, num_points: int) -> tuple[FloatArray, FloatArray]:
+def probe_points(mesh: Mesh, num_points: int) -> tuple[FloatArray, FloatArray]:
     """Points spread over the surface by area, the same ones every time, and the unit normals of their faces, (P, 3) each."""
     triangles = mesh.triangles
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
@@ -138,30 +105,32 @@ def build_grid(
         MeshError: The mesh has no extent, or the thickness of a sheet is negative or not finite.
     """
     unit, extent = unit_mesh(mesh, aspect)
-    exact = SignedDistance(unit)
+    exact = SignedDistance(unit, is_sheet=is_sheet, shell_thickness=shell_thickness / extent)
     wall = 0.0 if is_sheet else wall_thickness(exact)
     lattice = _lattice(unit, wall, limits)
     if is_sheet:
         exact = SignedDistance(unit, is_sheet=True, shell_thickness=max(shell_thickness / extent, lattice.spacing))
-    band = _Band.around(exact, lattice)
-    distance = _distances(lattice, band)
+    band = Band.around(exact, lattice)
+    distance = unsigned_distances(exact, lattice, band)
     inside = np.zeros(lattice.shape, np.bool_) if is_sheet else _inside(exact, lattice, band, distance)
     values = exact.signed(distance, inside).astype(np.float16)
     grid = SdfGrid(values, lattice.origin, lattice.spacing, extent, 2 * exact.half_thickness, wall)
     return with_errors(grid, exact)
 
 
-def with_errors(grid: SdfGrid, exact: SignedDistance) -> SdfGrid:
+def with_errors(grid: SdfGrid, exact: SignedDistance, *, num_near: int = _NUM_NEAR, num_far: int = _NUM_FAR) -> SdfGrid:
     """The grid with its errors measured at points that are not nodes.
 
     Args:
         grid: The grid.
         exact: What it stands for, unit frame.
+        num_near: Points within a spacing of the surface.
+        num_far: Points all over the box.
 
     Returns:
         The grid with ``mean_error``, ``max_error``, ``far_error`` and ``sign_error`` filled in.
     """
-    points = _held_out(grid, exact.mesh)
+    points = _held_out(grid, exact.mesh, num_near, num_far)
     truth = exact(points)
     read = sample_grid(grid, points)[0]
     error, depth = np.abs(read - truth), np.abs(truth)
@@ -176,33 +145,33 @@ def with_errors(grid: SdfGrid, exact: SignedDistance) -> SdfGrid:
     )
 
 
-def _held_out(grid: SdfGrid, mesh: Mesh) -> FloatArray:
+def _held_out(grid: SdfGrid, mesh: Mesh, num_near: int, num_far: int) -> FloatArray:
     """Points between the nodes: on both sides of the surface within a spacing, and all over the box."""
-    surface, normals = surface_points(mesh, _NUM_NEAR)
-    k = np.arange(_NUM_NEAR)
+    surface, normals = probe_points(mesh, num_near)
+    k = np.arange(num_near)
     offset = grid.spacing * (2 * ((0.5 + _GOLDEN * k) % 1) - 1)
     # The R3 sequence: the golden ratio's analogue in space.
-    spread = (0.5 + np.outer(np.arange(_NUM_FAR), [0.8191725133961645, 0.6710436067037893, 0.5497004779019703])) % 1
+    spread = (0.5 + np.outer(np.arange(num_far), [0.8191725133961645, 0.6710436067037893, 0.5497004779019703])) % 1
     box = grid.spacing * (np.array(grid.values.shape) - 1)
     return np.concatenate([surface + offset[:, None] * normals, grid.origin + spread * box])
 
 
 def wall_thickness(exact: SignedDistance) -> float:
     """How thick the wall is where it is thin, from rays shot inwards: their lower quintile, mesh units; 0 for none."""
-    points, normals = surface_points(exact.mesh, _NUM_PROBES)
+    points, normals = probe_points(exact.mesh, _NUM_PROBES)
     travelled = exact.first_hit(points - 1e-6 * exact.mesh.extents.max() * normals, -normals)
     travelled = travelled[np.isfinite(travelled)]
     return float(np.percentile(travelled, _THIN_SHARE)) if len(travelled) else 0.0
 
 
-def _lattice(unit: Mesh, wall: float, limits: GridLimits) -> _Lattice:
+def _lattice(unit: Mesh, wall: float, limits: GridLimits) -> Lattice:
     """The nodes: as fine as the wall asks, within the limits, centred on the mesh's box."""
     low, high = unit.triangles.min(axis=(0, 1)), unit.triangles.max(axis=(0, 1))
     finest, coarsest = (_spacing(high - low, n, limits.padding) for n in (limits.max_nodes, limits.min_nodes))
     wanted = wall / limits.nodes_per_wall if wall > 0 else finest
     spacing = float(np.clip(wanted, finest, coarsest))
     shape = _shape(high - low, spacing, limits.padding)
-    return _Lattice((low + high) / 2 - spacing * (np.array(shape) - 1) / 2, spacing, shape)
+    return Lattice((low + high) / 2 - spacing * (np.array(shape) - 1) / 2, spacing, shape)
 
 
 def _shape(size: FloatArray, spacing: float, padding: int) -> tuple[int, int, int]:
@@ -220,122 +189,7 @@ def _spacing(size: FloatArray, num_nodes: int, padding: int) -> float:
     return high
 
 
-def _surface_nodes(triangles: FloatArray, lattice: _Lattice) -> IntArray:
-    """Flat indices, ascending, of the corners of every cell that a sample of the surface lies in."""
-    mark = np.zeros(lattice.size, np.bool_)
-    _, ny, nz = lattice.shape
-    for samples in _samples(((triangles - lattice.origin) / lattice.spacing).astype(np.float32)):
-        x, y, z = samples.astype(np.int32)
-        mark[(x * ny + y) * nz + z] = True
-    nodes = mark.reshape(lattice.shape)
-    for axis in _AXES:
-        low, high = [slice(None)] * 3, [slice(None)] * 3
-        low[axis], high[axis] = slice(None, -1), slice(1, None)
-        nodes[tuple(high)] |= nodes[tuple(low)].copy()
-    return np.flatnonzero(nodes)
-
-
-def _samples(triangles: Float32Array) -> Iterator[Float32Array]:
-    """Points of the faces, in nodes, none of whose points is farther than `_SAMPLE_GAP` from one, (3, ...) at a time.
-
-    Faces that want about as many rows and columns are done together; rows run from the corner opposite the shortest side to it.
-    """
-    length = np.linalg.norm(np.roll(triangles, -1, axis=1) - np.roll(triangles, -2, axis=1), axis=2)  # of the side opposite
-    order = (length.argmin(axis=1)[:, None] + np.arange(3)) % 3
-    apex, b, c = np.take_along_axis(triangles, order[:, :, None], axis=1).transpose(1, 2, 0)  # (3, F) each
-    rows, columns = _rounded_up(length.max(axis=1) / _SAMPLE_GAP), _rounded_up(length.min(axis=1) / _SAMPLE_GAP)
-    kind = rows * (_MANY + 1) + columns
-    for each in np.unique(kind):
-        face = np.flatnonzero(kind == each)
-        num_rows, num_columns = divmod(int(each), _MANY + 1)
-        per_turn = max(1, _MAX_SAMPLES // (num_rows * num_columns))
-        s = ((np.arange(num_rows, dtype=np.float32) + np.float32(0.5)) / num_rows)[:, None]
-        t = ((np.arange(num_columns, dtype=np.float32) + np.float32(0.5)) / num_columns)[None, :]
-        for turn in range(0, len(face), per_turn):
-            corner, along, across = (x[:, face[turn : turn + per_turn], None, None] for x in (apex, b - apex, c - b))
-            yield corner + s * along + (s * t) * across
-
-
-def _rounded_up(count: Float32Array) -> IntArray:
-    """The next of 1, 2, 3, 4, 6, 8, 12, 16 ... so that few kinds of faces are left, (F,) int64."""
-    return _STEPS_OF_COUNT[np.searchsorted(_STEPS_OF_COUNT, np.minimum(count, _MANY))]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Band:
-    """The nodes beside the surface, B of them, and what is exact about them.
-
-    Attributes:
-        nodes: Flat indices, ascending, (B,) int64.
-        distance: Without sign, (B,).
-        away: Unit vectors from the nearest surface point to the node, (B, 3); 0 on the surface.
-        place: Nearest surface points, (B, 3).
-        is_behind: The node lies straight behind the inner part of its nearest face, (B,) bool.
-    """
-
-    nodes: IntArray
-    distance: FloatArray
-    away: FloatArray
-    place: FloatArray
-    is_behind: BoolArray
-
-    @classmethod
-    def around(cls, exact: SignedDistance, lattice: _Lattice) -> "_Band":
-        """The nodes of the cells that hold the surface, asked one by one."""
-        nodes = _surface_nodes(exact.mesh.triangles, lattice)
-        start = lattice.places(nodes)
-        distance, face, place = exact.nearest(start)
-        away = (start - place) / np.maximum(distance, np.finfo(np.float64).tiny)[:, None]
-        a, b, c = exact.mesh.triangles[face].transpose(1, 0, 2)
-        normal = np.cross(b - a, c - a)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1), np.finfo(np.float64).tiny)[:, None]
-        # Straight: the foot of a node on an edge or a corner is not opposite to the normal.
-        is_behind = (away * normal).sum(axis=1) < -1 + 1e-9
-        return cls(nodes, distance, away, place, is_behind)
-
-
-def _distances(lattice: _Lattice, band: _Band) -> FloatArray:
-    """Distance without sign at every node, exact in the band, the grid's shape."""
-    slot = np.full(lattice.size, -1, np.int32)
-    _k = np.flatnonzero(band.distance <= 0.7 * lattice.spacing); slot[band.nodes[_k]] = _k.astype(np.int32)
-    slot = slot.reshape(lattice.shape)
-    x, y, z = ndimage.distance_transform_edt(slot < 0, return_distances=False, return_indices=True)
-    distance = np.sqrt(_passed_on(slot[x, y, z].ravel(), band, lattice), dtype=np.float64)
-    distance[band.nodes] = band.distance
-    return distance.reshape(lattice.shape)
-
-
-def _passed_on(source: npt.NDArray[np.int32], band: _Band, lattice: _Lattice) -> Float32Array:
-    """Squared distance of every node to its surface point, or to a better one that a neighbour knows, (nodes,)."""
-    lines = [line.astype(np.float32) for line in lattice.lines()]
-    columns = [np.ascontiguousarray(band.place[:, a], np.float32) for a in _AXES]
-    coordinates = [np.broadcast_to(line.reshape(np.roll([-1, 1, 1], a)), lattice.shape).ravel() for a, line in enumerate(lines)]
-    best = _squared(coordinates, columns, source)
-    is_beside = np.zeros(len(source), np.bool_)
-    is_beside[band.nodes] = True
-    _, ny, nz = lattice.shape
-    for reach in _REACHES:
-        near = np.flatnonzero((best < (reach * lattice.spacing) ** 2) & ~is_beside)
-        at = [c[near] for c in coordinates]
-        held, least = source[near], best[near]
-        for stride in (ny * nz, nz, 1, -1, -nz, -ny * nz):
-            # Past an edge of the grid this offers a point from elsewhere, which is no nearer and does no harm.
-            offered = source.take(near + stride, mode="clip")
-            squared = _squared(at, columns, offered)
-            is_better = squared < least
-            held, least = np.where(is_better, offered, held), np.where(is_better, squared, least)
-        source[near], best[near] = held, least
-    return best
-
-
-def _squared(at: list[Float32Array], columns: list[Float32Array], point: npt.NDArray[np.int32]) -> Float32Array:
-    """Squared distances of places to chosen points, both given by column."""
-    dx, dy, dz = (a - c[point] for a, c in zip(at, columns, strict=True))
-    found: Float32Array = dx * dx + dy * dy + dz * dz
-    return found
-
-
-def _inside(exact: SignedDistance, lattice: _Lattice, band: _Band, distance: FloatArray) -> BoolArray:
+def _inside(exact: SignedDistance, lattice: Lattice, band: Band, distance: FloatArray) -> BoolArray:
     """Side of every node.
 
     Two neighbours whose distances add up to more than what lies between them have no surface between them. So nodes farther
@@ -344,7 +198,7 @@ def _inside(exact: SignedDistance, lattice: _Lattice, band: _Band, distance: Flo
     surface is closed and turned outwards. What is left asks for its own winding number.
     """
     regions, num_regions = ndimage.label(distance > lattice.spacing / 2)
-    region = regions.ravel()
+    region = regions.ravel().astype(np.int64)
     is_inside, is_doubtful, is_closed = _sides(exact, lattice, region, num_regions, distance.ravel())
     inside = is_inside[region]
     is_close = region[band.nodes] == 0
@@ -358,7 +212,7 @@ def _inside(exact: SignedDistance, lattice: _Lattice, band: _Band, distance: Flo
 
 
 def _sides(
-    exact: SignedDistance, lattice: _Lattice, region: IntArray, num_regions: int, distance: FloatArray
+    exact: SignedDistance, lattice: Lattice, region: IntArray, num_regions: int, distance: FloatArray
 ) -> tuple[BoolArray, BoolArray, bool]:
     """Whether each region is inside, (R + 1,); whether it leaks, so that its nodes must be asked; and whether none does."""
     voter = np.zeros(num_regions + 1, np.int64)
@@ -377,7 +231,7 @@ def _sides(
     return is_inside, is_doubtful, bool(is_whole.all() and (winding > -_DOUBT).all())
 
 
-def _met(lattice: _Lattice, close: IntArray, away: FloatArray, distance: FloatArray, region: IntArray) -> IntArray:
+def _met(lattice: Lattice, close: IntArray, away: FloatArray, distance: FloatArray, region: IntArray) -> IntArray:
     """For each node near the surface one that certainly lies on its side and in a region, flat index, or −1."""
     start = lattice.places(close)
     met = np.full(len(close), -1, np.int64)

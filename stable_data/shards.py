@@ -13,9 +13,10 @@ import fcntl
 import hashlib
 import json
 import os
+import re
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
 
@@ -31,6 +32,7 @@ MAX_BYTES = 96 * 10**6
 """A file holds at most this much before compression, so it stays under 100 MB."""
 
 _ROW_GROUP = 1024
+_PART = re.compile(r"part-([^-]+)(?:-(\d+))?\.parquet")
 
 
 def content_id(*parts: Any) -> str:
@@ -59,6 +61,8 @@ class RunFolder:
                 self.filesystem, self.root = pafs.LocalFileSystem(), str(Path(uri).expanduser().absolute())
         except (pa.ArrowInvalid, ValueError, OSError) as error:
             raise ConfigError(f"{uri}: {error}; expected a local path or an s3:// or gs:// URI", "output_invalid") from error
+        if not self.root:
+            raise ConfigError(f"{uri}: names no bucket; expected a local path or an s3:// or gs:// URI", "output_invalid")
 
     def __reduce__(self) -> tuple[type["RunFolder"], tuple[str]]:
         return type(self), (self.uri,)  # file systems are opened anew in each worker
@@ -128,7 +132,8 @@ class RunFolder:
                     stream.write(content)
         except OSError as error:
             if self.is_local:
-                Path(aside).unlink(missing_ok=True)
+                with suppress(OSError):  # where a part of the path is a file, there is nothing to remove
+                    Path(aside).unlink()
             raise unwritable(f"{self.uri}/{name}", error) from error
 
     def read_bytes(self, name: str) -> bytes | None:
@@ -152,7 +157,9 @@ class RunFolder:
         pieces = list(_pieces(arrow_table(table, rows)))
         for number, piece in reversed(list(enumerate(pieces))):
             sink = pa.BufferOutputStream()
-            pq.write_table(piece, sink, compression="zstd", row_group_size=_ROW_GROUP)
+            with pq.ParquetWriter(sink, piece.schema, compression="zstd") as writer:
+                if piece.num_rows:  # Hugging Face datasets stumbles over a row group without rows
+                    writer.write_table(piece, row_group_size=_ROW_GROUP)
             suffix = f"-{number}" if number else ""
             self.write_bytes(f"{table}/part-{shard_id}{suffix}.parquet", sink.getvalue().to_pybytes())
 
@@ -162,11 +169,11 @@ class RunFolder:
         return {n.removeprefix("part-").removesuffix(".parquet") for n in names if n.count("-") == 1}
 
     def files(self, table: str) -> list[str]:
-        """Paths of the files of a table's complete shards, sorted, as the file system names them."""
+        """Paths of the files of a table's complete shards, by shard and number, as the file system names them."""
         selector = pafs.FileSelector(self._path(table), allow_not_found=True)
-        infos = self.filesystem.get_file_info(selector)
-        paths = {i.base_name: i.path for i in infos if i.base_name.startswith("part-") and i.base_name.endswith(".parquet")}
-        return sorted(path for name, path in paths.items() if _first_file(name) in paths)
+        matches = ((_PART.fullmatch(info.base_name), info.path) for info in self.filesystem.get_file_info(selector))
+        paths = {(match[1], int(match[2] or 0)): path for match, path in matches if match}
+        return [path for (shard_id, _), path in sorted(paths.items()) if (shard_id, 0) in paths]
 
     def dataset(self, table: str) -> ds.Dataset:
         """A table of the run, lazily, in the order of its files.
@@ -191,12 +198,6 @@ class RunFolder:
 
     def _path(self, name: str) -> str:
         return self.root if name == "." else f"{self.root}/{name}"
-
-
-def _first_file(name: str) -> str:
-    """Name of the first file of the shard that a file belongs to: it is put in place last."""
-    _, shard_id, *_ = name.removesuffix(".parquet").split("-")
-    return f"part-{shard_id}.parquet"
 
 
 def unwritable(where: str, error: OSError) -> ConfigError:

@@ -17,7 +17,7 @@ from stable_data.scene import IntArray
 from stable_data.shards import RunFolder, content_id, unreadable
 from stable_data.tables import SCHEMAS, Row, check_version
 
-_FOOTER_THREADS = 16
+_REQUESTS = 16
 _ARRAYS = (pa.float16(), pa.float32(), pa.int32())
 _SLICE_BYTES = 4 * 2**20
 
@@ -63,7 +63,7 @@ class TableFiles:
         paths = self._folder.files(table)
         if not paths:
             self._folder.dataset(table)  # says what is missing
-        with ThreadPoolExecutor(_FOOTER_THREADS) as pool:
+        with ThreadPoolExecutor(_REQUESTS) as pool:
             self.groups = [group for groups in pool.map(self._list_groups, paths) for group in groups]
         self.starts: IntArray = np.cumsum([0, *(group.num_rows for group in self.groups)], dtype=np.int64)
 
@@ -84,9 +84,12 @@ class TableFiles:
         """
         if self._process != os.getpid():  # forked: a file system is not shared with the parent
             self._folder, self._process = RunFolder(self.uri), os.getpid()
-        chosen = [self.groups[group] for group in groups]
-        of_file = groupby(chosen, lambda group: group.path)
-        return pa.concat_tables([self._read_file(path, [group.index for group in of], use_threads) for path, of in of_file])
+        chosen = groupby((self.groups[group] for group in groups), lambda group: group.path)
+        of_files = [(path, [group.index for group in of_file]) for path, of_file in chosen]
+        if self._folder.is_local or len(of_files) == 1:
+            return pa.concat_tables([self._read_file(path, indices, use_threads) for path, indices in of_files])
+        with ThreadPoolExecutor(_REQUESTS) as pool:  # an object store answers late, but many at once
+            return pa.concat_tables(pool.map(lambda file: self._read_file(file[0], file[1], False), of_files))
 
     def _read_file(self, path: str, indices: list[int], use_threads: bool) -> pa.Table:
         try:

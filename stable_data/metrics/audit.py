@@ -14,7 +14,7 @@ import numpy as np
 from stable_data.metrics.bounds import enters_zone, leaves_table
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.collision import NEAR, penetration
-from stable_data.metrics.crossing import MeshPair
+from stable_data.metrics.crossing import MeshPair, Surface
 from stable_data.metrics.support import carries, distance_to_surface
 from stable_data.points import bottom_points
 from stable_data.scene import TABLE, FloatArray, Scene
@@ -164,28 +164,34 @@ class PosedScene:
         self.scene, self.shapes = scene, shapes
         self.instances = [o.instance for o in scene.objects]
         self.vertices = [shape.posed(pose) for shape, pose in zip(shapes, scene.poses(), strict=True)]
-        self.low = np.array([v.min(axis=0) for v in self.vertices]).reshape(-1, 3)
-        self.high = np.array([v.max(axis=0) for v in self.vertices]).reshape(-1, 3)
-        self._triangles: dict[int, FloatArray] = {}
+        # Column by column: reducing along the long axis of (V, 3) is slow.
+        self.low = np.array([[v[:, axis].min() for axis in range(3)] for v in self.vertices]).reshape(-1, 3)
+        self.high = np.array([[v[:, axis].max() for axis in range(3)] for v in self.vertices]).reshape(-1, 3)
+        self._surfaces: dict[int, Surface] = {}
         self._pairs: dict[tuple[int, int], MeshPair] = {}
+        self._bottoms: dict[int, FloatArray] = {}
+
+    def surface(self, index: int) -> Surface:
+        """Triangles of one object with their boxes, metres, world frame."""
+        if index not in self._surfaces:
+            self._surfaces[index] = Surface(self.vertices[index][self.shapes[index].faces])
+        return self._surfaces[index]
 
     def triangles(self, index: int) -> FloatArray:
         """Triangles of one object, (F, 3, 3) float64, metres, world frame."""
-        if index not in self._triangles:
-            self._triangles[index] = self.vertices[index][self.shapes[index].faces]
-        return self._triangles[index]
+        return self.surface(index).triangles
 
     def pair(self, first: int, second: int, margin: float) -> MeshPair:
         """Two objects of the scene, first < second, that may be moved by a margin; kept where that is NEAR."""
         if margin > NEAR:
-            return MeshPair(self.triangles(first), self.triangles(second), margin)
+            return MeshPair(self.surface(first), self.surface(second), margin)
         if (first, second) not in self._pairs:
-            self._pairs[first, second] = MeshPair(self.triangles(first), self.triangles(second), NEAR)
+            self._pairs[first, second] = MeshPair(self.surface(first), self.surface(second), NEAR)
         return self._pairs[first, second]
 
     def penetration(self, first: int, second: int) -> float:
         """How deep two objects are in each other, metres."""
-        return penetration(self.triangles(first), self.triangles(second), self.pair(first, second, NEAR))
+        return penetration(self.surface(first), self.surface(second), self.pair(first, second, NEAR))
 
     @cached_property
     def meeting_boxes(self) -> list[tuple[int, int]]:
@@ -234,15 +240,22 @@ class PosedScene:
 
     def gap(self, index: int) -> float | None:
         """The paper's distance of the bottom region to the nearest support (L_sup, delta), metres; None where unknown."""
-        bottom = bottom_points(self.vertices[index], self.shapes[index].faces)
-        best = float(min(np.abs(bottom[:, 2]).min(), _GAP_RANGE)) if self.stands_on_table(index, _GAP_RANGE) else _GAP_RANGE
-        if best <= TOLERANCE:
-            return best
+        best, lowest = _GAP_RANGE, float(self.low[index, 2])
+        if self.stands_on_table(index, _GAP_RANGE):
+            if -TOLERANCE <= lowest <= TOLERANCE:
+                return max(0.0, lowest)  # the region is higher than that, so it meets the table top where it reaches below
+            best = min(best, lowest) if lowest > 0 else float(min(best, np.abs(self._bottom(index)[:, 2]).min()))
         for other in self.below(index, best):
             if not (self.shapes[index].is_exact and self.shapes[other].is_exact):
                 return None
-            best = distance_to_surface(bottom.astype(np.float64), self.triangles(other), best)
+            best = distance_to_surface(self._bottom(index), self.surface(other), best)
         return best
+
+    def _bottom(self, index: int) -> FloatArray:
+        """Points of an object's bottom region, (P, 3) float64, metres, world frame."""
+        if index not in self._bottoms:
+            self._bottoms[index] = bottom_points(self.vertices[index], self.shapes[index].faces).astype(np.float64)
+        return self._bottoms[index]
 
 
 def audit_scene(scene: Scene, shapes: Sequence[Shape], tolerance: float = TOLERANCE) -> Audit:

@@ -4,7 +4,8 @@ import itertools
 
 import numpy as np
 
-from stable_data.metrics.crossing import MeshPair
+from stable_data.mesh import Mesh, is_closed
+from stable_data.metrics.crossing import MeshPair, Surface
 from stable_data.scene import FloatArray
 from stable_data.shape import winding_number
 
@@ -22,10 +23,8 @@ NEAR = 5e-4
 """Margin of the pair that a depth search starts with, metres: the first levels, and the lowering of the support check."""
 
 _RESOLUTION = 0.02  # of the depth itself
-_MARGINS = (NEAR, 3e-3, 1e-2, 5e-2)  # trees are rebuilt for these: most pairs part within the first
 
-
-def penetration(a: FloatArray, b: FloatArray, pair: MeshPair | None = None) -> float:
+def penetration(a: FloatArray | Surface, b: FloatArray | Surface, pair: MeshPair | None = None) -> float:
     """How deep two meshes are in each other (DESIGN section 7).
 
     Zero when they neither cross nor nest; else the smallest translation along a contact normal or one of 26 fixed directions
@@ -39,6 +38,7 @@ def penetration(a: FloatArray, b: FloatArray, pair: MeshPair | None = None) -> f
     Returns:
         Depth, metres; DEEPEST where nothing up to 50 mm parts them, and for a mesh inside a solid.
     """
+    a, b = (x if isinstance(x, Surface) else Surface(x) for x in (a, b))
     pair = pair or MeshPair(a, b, NEAR)
     contact = pair.contact()
     if contact is None:
@@ -47,7 +47,7 @@ def penetration(a: FloatArray, b: FloatArray, pair: MeshPair | None = None) -> f
     below, reach = 0.0, NEAR
     for level in LEVELS:
         if level > reach:
-            reach = next(m for m in _MARGINS if m >= level)
+            reach = LEVELS[-1]
             pair = MeshPair(a, b, reach)
         parting = [d for d in directions if not pair.cross(level * d)]
         if parting:
@@ -72,14 +72,19 @@ def _refine(pair: MeshPair, directions: list[FloatArray], below: float, above: f
     return best
 
 
-def nested(inner: FloatArray, outer: FloatArray) -> bool:
+def nested(inner: FloatArray | Surface, outer: FloatArray | Surface) -> bool:
     """Does one mesh lie wholly inside the solid that another one bounds, without crossing it?
+
+    An open mesh bounds none: a die at the bottom of a vase without thickness is not inside its wall.
 
     Args:
         inner: Triangles, (F, 3, 3) float64, metres, world frame.
         outer: Triangles, (G, 3, 3).
     """
-    low, high = outer.min(axis=(0, 1)), outer.max(axis=(0, 1))
-    if (inner.min(axis=(0, 1)) < low - 1e-9).any() or (inner.max(axis=(0, 1)) > high + 1e-9).any():
+    inner, outer = (x if isinstance(x, Surface) else Surface(x) for x in (inner, outer))
+    if (inner.box[0] < outer.box[0] - 1e-9).any() or (inner.box[1] > outer.box[1] + 1e-9).any():
         return False
-    return bool(abs(winding_number(inner[0, :1], outer)[0]) > 0.5)
+    if abs(winding_number(inner.triangles[0, :1], outer.triangles)[0]) <= 0.5:
+        return False
+    vertices, faces = np.unique(outer.triangles.reshape(-1, 3), axis=0, return_inverse=True)
+    return is_closed(Mesh(vertices, faces.reshape(-1, 3)))

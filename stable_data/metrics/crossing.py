@@ -1,11 +1,14 @@
 """Do two meshes cross? Exact triangle tests on the few triangles that are near the other mesh.
 
-Building a bounding-volume tree for a whole mesh costs far more than asking it. Almost no triangle of a pair is near the
-other mesh, so both meshes are first thinned on a shared voxel grid, which is exact (a triangle that is dropped shares no
-voxel with any triangle of the other mesh), and trees are built for what is left.
+Building a bounding-volume tree for a whole mesh costs far more than asking it, and almost no triangle of a pair is near the
+other mesh. Both meshes are therefore thinned first, on a shared voxel grid, which is exact (a triangle that is dropped shares
+no voxel with any triangle of the other mesh). What is left is cut into clusters, and a cluster gets its tree when it is first
+asked: a pair that crosses shows it in the first cluster or two, a pair that does not is mostly told apart by boxes.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import fcl
@@ -14,10 +17,16 @@ import numpy.typing as npt
 
 from stable_data.scene import FloatArray, IntArray
 
-_MAX_CONTACTS = 256
+_MAX_CONTACTS = 256  # kept of one pair: enough directions to part it along
+_EVERY_CONTACT = 1_000_000
 _CELLS = 24  # voxels along the longest edge of the shared region, at most
 _MAX_ENTRIES = 60_000  # (triangle, voxel) pairs before a coarser grid is taken
 _FEW = 64  # triangles for which thinning costs more than a tree
+_USELESS_MARGIN = 5e-3  # metres; voxels as wide as this tell too little apart to pay
+_CLUSTER = 96  # triangles of one tree
+_WITNESSES = 8
+_ANY_CONTACT = fcl.CollisionRequest()
+_MORTON = np.array([sum((n >> bit & 1) << 3 * bit for bit in range(5)) for n in range(32)], np.uint16)
 
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
 
@@ -35,16 +44,40 @@ def boxes(triangles: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
+class Surface:
+    """Triangles that stand somewhere, with their boxes computed once.
+
+    Args:
+        triangles: (F, 3, 3) float64, metres, world frame.
+    """
+
+    def __init__(self, triangles: FloatArray) -> None:
+        self.triangles = triangles
+
+    @cached_property
+    def boxes(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest corner of each triangle's box, two (3, F) float64."""
+        return boxes(self.triangles)
+
+    @cached_property
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest corner of all, two (3,) float64."""
+        low, high = self.boxes
+        return low.min(axis=1, initial=np.inf), high.max(axis=1, initial=-np.inf)
+
+
 class _Soup:
     """Triangles of one mesh, with their boxes, that become fewer and fewer."""
 
-    def __init__(self, triangles: FloatArray, margin: float) -> None:
-        self.index = np.arange(len(triangles))
-        self.triangles = triangles
+    def __init__(self, surface: Surface, margin: float, low: FloatArray, high: FloatArray) -> None:
+        lowest, highest = surface.boxes
+        mask = (lowest[0] <= high[0] + margin) & (highest[0] >= low[0] - margin)
+        for axis in (1, 2):
+            mask &= (lowest[axis] <= high[axis] + margin) & (highest[axis] >= low[axis] - margin)
+        self.index = np.nonzero(mask)[0]
+        self.triangles = surface.triangles[self.index]
         self.margin = margin
-        self.low, self.high = boxes(triangles)
-        if margin:
-            self.low, self.high = self.low - margin, self.high + margin
+        self.low, self.high = lowest[:, self.index] - margin, highest[:, self.index] + margin
 
     def keep(self, mask: BoolArray) -> None:
         if not mask.all():
@@ -94,7 +127,7 @@ class _Soup:
         return reached
 
 
-def near_triangles(a: FloatArray, b: FloatArray, margin: float) -> tuple[IntArray, IntArray]:
+def near_triangles(a: FloatArray | Surface, b: FloatArray | Surface, margin: float) -> tuple[IntArray, IntArray]:
     """Triangles that may come within a distance of the other mesh: a superset, exact in what it drops.
 
     Args:
@@ -105,20 +138,26 @@ def near_triangles(a: FloatArray, b: FloatArray, margin: float) -> tuple[IntArra
     Returns:
         Indices into ``a`` and into ``b``, int64.
     """
-    one, other = _Soup(a, margin), _Soup(b, 0.0)
+    a, b = (x if isinstance(x, Surface) else Surface(x) for x in (a, b))
+    low, high = np.maximum(a.box[0] - margin, b.box[0]), np.minimum(a.box[1] + margin, b.box[1])
     none = np.arange(0)
+    if (low > high).any():
+        return none, none
+    one, other = _Soup(a, margin, low, high), _Soup(b, 0.0, low, high)
     for _ in range(4):
+        before = len(one.index) + len(other.index)
         if not len(one.index) or not len(other.index):
             return none, none
+        if before <= _FEW or margin > _USELESS_MARGIN:
+            break
         low = np.maximum(one.low.min(axis=1), other.low.min(axis=1))
         high = np.minimum(one.high.max(axis=1), other.high.max(axis=1))
         if (low > high).any():
             return none, none
         one.crop(low, high)
         other.crop(low, high)
-        before = len(one.index) + len(other.index)
-        if before <= _FEW or not len(one.index) or not len(other.index):
-            break
+        if not len(one.index) or not len(other.index):
+            return none, none
         _thin(one, other, low, high)
         if len(one.index) + len(other.index) > 0.8 * before:
             break
@@ -156,11 +195,13 @@ class PairContact:
         normals: Distinct contact normals, (K, 3) float64, unit, world frame.
         normals_a: Outward normals of the touching triangles of the first mesh, (C, 3).
         normals_b: Of the second mesh, (C, 3).
+        is_cut_short: Whether there are more contacts than were asked for.
     """
 
     normals: FloatArray
     normals_a: FloatArray
     normals_b: FloatArray
+    is_cut_short: bool
 
 
 class MeshPair:
@@ -172,36 +213,97 @@ class MeshPair:
         margin: The farthest that the first will be moved, metres.
     """
 
-    def __init__(self, a: FloatArray, b: FloatArray, margin: float) -> None:
+    def __init__(self, a: FloatArray | Surface, b: FloatArray | Surface, margin: float) -> None:
+        a, b = (x if isinstance(x, Surface) else Surface(x) for x in (a, b))
         index_a, index_b = near_triangles(a, b, margin)
-        self._a, self._b = a[index_a], b[index_b]
-        self._trees = (_tree(self._a), _tree(self._b)) if len(index_a) and len(index_b) else None
+        self._a, self._b = _Clusters(a, index_a), _Clusters(b, index_b)
+        self._witnesses: list[tuple[int, int]] = []  # clusters that crossed lately: most likely they still do
 
     def cross(self, shift: tuple[float, float, float] | FloatArray = (0.0, 0.0, 0.0)) -> bool:
         """Do they touch when the first is moved by a vector (3,), metres?"""
-        if self._trees is None:
-            return False
-        return bool(fcl.collide(*self._bodies(shift), fcl.CollisionRequest(), fcl.CollisionResult()) > 0)
+        moved, result = np.asarray(shift, np.float64), fcl.CollisionResult()
+        for number, clusters in enumerate(self._witnesses):
+            if self._clusters_cross(*clusters, moved, result):
+                self._witnesses.insert(0, self._witnesses.pop(number))
+                return True
+        for clusters in self._meeting(moved):
+            if clusters not in self._witnesses and self._clusters_cross(*clusters, moved, result):
+                self._witnesses = [clusters, *self._witnesses[: _WITNESSES - 1]]
+                return True
+        return False
 
-    def contact(self, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> PairContact | None:
-        """Where they touch when the first is moved by a vector (3,), metres; None where they do not."""
-        if self._trees is None:
-            return None
-        result = fcl.CollisionResult()
-        request = fcl.CollisionRequest(num_max_contacts=_MAX_CONTACTS, enable_contact=True)
-        if fcl.collide(*self._bodies(shift), request, result) == 0:
-            return None
-        contacts = result.contacts
-        normals = np.array([c.normal for c in contacts]).reshape(-1, 3)
-        normals = normals[np.linalg.norm(normals, axis=1) > 0.5]
-        _, first = np.unique(np.round(normals, 2), axis=0, return_index=True)
-        return PairContact(
-            normals[np.sort(first)], unit_normals(self._a[[c.b1 for c in contacts]]), unit_normals(self._b[[c.b2 for c in contacts]])
-        )
+    def contact(self, shift: tuple[float, float, float] = (0.0, 0.0, 0.0), *, every: bool = False) -> PairContact | None:
+        """Where they touch when the first is moved by a vector (3,), metres; None where they do not.
 
-    def _bodies(self, shift: tuple[float, float, float] | FloatArray) -> tuple[fcl.CollisionObject, fcl.CollisionObject]:
-        assert self._trees is not None
-        return fcl.CollisionObject(self._trees[0], fcl.Transform(np.asarray(shift, np.float64))), fcl.CollisionObject(self._trees[1])
+        Args:
+            shift: The vector.
+            every: All contacts instead of a few hundred.
+        """
+        normals, of_a, of_b = [], [], []
+        moved, left = np.asarray(shift, np.float64), _EVERY_CONTACT if every else _MAX_CONTACTS
+        for first, second in self._meeting(moved):
+            result = fcl.CollisionResult()
+            request = fcl.CollisionRequest(num_max_contacts=left, enable_contact=True)
+            if fcl.collide(self._a.body(first, moved), self._b.body(second), request, result) == 0:
+                continue
+            contacts = result.contacts
+            normals += [c.normal for c in contacts]
+            of_a.append(self._a.members(first)[[c.b1 for c in contacts]])
+            of_b.append(self._b.members(second)[[c.b2 for c in contacts]])
+            left -= len(contacts)
+            if left <= 0:
+                break
+        if not normals:
+            return None
+        found = np.array(normals)
+        found = found[np.linalg.norm(found, axis=1) > 0.5]
+        _, distinct = np.unique(np.round(found, 2), axis=0, return_index=True)
+        touching = (unit_normals(np.concatenate(triangles)) for triangles in (of_a, of_b))
+        return PairContact(found[np.sort(distinct)], *touching, left <= 0)
+
+    def _meeting(self, shift: FloatArray) -> Iterator[tuple[int, int]]:
+        """Pairs of clusters whose boxes meet when the first mesh is moved, those that share most first."""
+        (low, high), (other_low, other_high) = self._a.boxes, self._b.boxes
+        shared = np.ones((low.shape[1], other_low.shape[1]))
+        for axis in range(3):
+            lowest = np.maximum((low[axis] + shift[axis])[:, None], other_low[axis])
+            extent = np.minimum((high[axis] + shift[axis])[:, None], other_high[axis]) - lowest
+            shared *= np.where(extent < 0, 0.0, extent + 1e-4)
+        first, second = np.nonzero(shared)
+        order = np.argsort(-shared[first, second], kind="stable")
+        return zip(first[order].tolist(), second[order].tolist(), strict=True)
+
+    def _clusters_cross(self, first: int, second: int, shift: FloatArray, result: fcl.CollisionResult) -> bool:
+        return bool(fcl.collide(self._a.body(first, shift), self._b.body(second), _ANY_CONTACT, result) > 0)
+
+
+class _Clusters:
+    """Triangles of a mesh in groups that lie together, each with a box and, once asked for, a tree."""
+
+    def __init__(self, surface: Surface, index: IntArray) -> None:
+        low, high = (bound[:, index] for bound in surface.boxes)
+        if len(index) > 2 * _CLUSTER:
+            centre = low + high
+            least = centre.min(axis=1, keepdims=True)
+            cell = ((centre - least) * (31.999 / max(float((centre - least).max()), 1e-12))).astype(np.uint8)
+            order = np.argsort(_MORTON[cell[0]] | _MORTON[cell[1]] << 1 | _MORTON[cell[2]] << 2, kind="stable")
+            index, low, high = index[order], low[:, order], high[:, order]
+        self._triangles = surface.triangles[index]
+        starts = np.arange(0, len(index), _CLUSTER)
+        self.boxes = tuple(f.reduceat(x, starts, axis=1) if len(index) else x for f, x in ((np.minimum, low), (np.maximum, high)))
+        self._bodies: dict[int, fcl.CollisionObject] = {}
+
+    def members(self, cluster: int) -> FloatArray:
+        """Triangles of a cluster, (F, 3, 3)."""
+        return self._triangles[cluster * _CLUSTER : (cluster + 1) * _CLUSTER]
+
+    def body(self, cluster: int, shift: FloatArray | None = None) -> fcl.CollisionObject:
+        """A cluster as FCL takes it, moved by a vector (3,)."""
+        if cluster not in self._bodies:
+            self._bodies[cluster] = fcl.CollisionObject(_tree(self.members(cluster)))
+        if shift is not None:
+            self._bodies[cluster].setTranslation(shift)
+        return self._bodies[cluster]
 
 
 def unit_normals(triangles: FloatArray) -> FloatArray:

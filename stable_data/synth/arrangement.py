@@ -125,7 +125,12 @@ def crate_of_jars(rng: np.random.Generator) -> Group:
 def crate_with_bowl(rng: np.random.Generator) -> Group:
     """A crate that holds a jar and a bowl, which holds a fruit."""
     fruit = ("orange/ripe", "apple/red")[rng.integers(2)]
-    return [Item("crate/wooden"), Item("jar/jam", 0.1, 0.03), Item("bowl/deep", -0.055), Item(fruit, -0.055, 0.004, _around(rng, 3))]
+    return [
+        Item("crate/wooden"),
+        Item("jar/jam", 0.1, 0.03),
+        Item("bowl/deep", -0.055),
+        Item(fruit, -0.055, 0.004, _around(rng, 3)),
+    ]
 
 
 def basket_of_fruit(rng: np.random.Generator) -> Group:
@@ -164,7 +169,11 @@ def soap_dish(rng: np.random.Generator) -> Group:
 
 def jars_on_box(rng: np.random.Generator) -> Group:
     """A storage box with a jar of cream and a perfume on its lid."""
-    return [Item("box/storage", scale=0.95), Item("jar/cream", -0.045, _around(rng, 0.01)), Item("perfume/square", 0.045, 0.0, _around(rng, 0.3))]
+    return [
+        Item("box/storage", scale=0.95),
+        Item("jar/cream", -0.045, _around(rng, 0.01)),
+        Item("perfume/square", 0.045, 0.0, _around(rng, 0.3)),
+    ]
 
 
 def _ring_of(keys: Sequence[str], radius: float, rng: np.random.Generator) -> Group:

@@ -4,7 +4,7 @@ import hashlib
 import json
 import struct
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 
@@ -55,7 +55,7 @@ class Asset:
         )
 
 
-@lru_cache(maxsize=None)
+@cache
 def asset(key: str) -> Asset:
     """The asset of that name.
 
@@ -137,5 +137,3 @@ def _pack(vertices: FloatArray, faces: FloatArray, node: dict[str, object]) -> b
     size = 12 + 8 + len(text) + 8 + len(binary)
     header = struct.pack("<4sII", b"glTF", 2, size)
     return b"".join((header, struct.pack("<I4s", len(text), b"JSON"), text, struct.pack("<I4s", len(binary), b"BIN\0"), binary))
-
-

@@ -90,7 +90,9 @@ def toothbrush(length: float) -> Solid:
 
 def pump_bottle(radius: float, height: float) -> Solid:
     """A soap dispenser with a spout that looks to -y."""
-    body = lathe([(radius - 0.003, 0.0), (radius, 0.004), (radius, 0.66 * height), (0.6 * radius, 0.75 * height), (0.012, 0.76 * height)])
+    body = lathe(
+        [(radius - 0.003, 0.0), (radius, 0.004), (radius, 0.66 * height), (0.6 * radius, 0.75 * height), (0.012, 0.76 * height)]
+    )
     collar = lathe([(0.015, 0.75 * height), (0.015, 0.82 * height)])
     stem = lathe([(0.005, 0.8 * height), (0.005, 0.95 * height)])
     head = slab(0.024, 0.062, 0.05 * height, 0.003).moved(0.0, -0.014, 0.95 * height - 0.001)
@@ -107,14 +109,21 @@ def perfume(width: float, height: float) -> Solid:
 
 def candle(radius: float, height: float) -> Solid:
     """A pillar candle with a wick."""
-    return lathe([(radius, 0.0), (radius, height - 0.002), (radius - 0.002, height)]) + lathe([(0.0015, height - 0.004), (0.001, height + 0.012)])
+    return lathe([(radius, 0.0), (radius, height - 0.002), (radius - 0.002, height)]) + lathe(
+        [(0.0015, height - 0.004), (0.001, height + 0.012)]
+    )
 
 
 def vase(radius: float, height: float) -> Solid:
     """A slender vase, narrow at the neck and open at the top."""
     share = [(0.62, 0.0), (0.86, 0.14), (1.0, 0.34), (0.86, 0.58), (0.5, 0.8), (0.46, 0.9), (0.62, 1.0)]
     outer = [(r * radius, z * height) for r, z in share]
-    inner = [(0.7 * radius, 0.58 * height), (0.38 * radius, 0.8 * height), (0.36 * radius, 0.9 * height), (0.52 * radius, height)]
+    inner = [
+        (0.7 * radius, 0.58 * height),
+        (0.38 * radius, 0.8 * height),
+        (0.36 * radius, 0.9 * height),
+        (0.52 * radius, height),
+    ]
     return turned_vessel(outer, inner)
 
 

@@ -64,9 +64,28 @@ OFFICE = TablePlan(
     (0.58, 0.68),
     (
         (_LAPTOP, Spot(a.cup_of_pens, _RIGHT, _BACK), Spot(a.books, _LEFT, (0.3, 0.75)), _WORK_FRONT, _MUG),
-        (Spot(a.books, _RIGHT, _MIDDLE), _LAMP_LEFT, _LAPTOP, Spot(a.one("stapler/long"), _LEFT, _FRONT), _MUG, Spot(a.laid("pen/ball"), _RIGHT, _FRONT)),
-        (_WORK_FRONT, Spot(a.boxes, _RIGHT, _BACK), _LAMP_LEFT, Spot(a.cup_of_pens, _CENTRE, _BACK), Spot(a.one("stapler/long"), _ANY, _FRONT)),
-        (_LAMP_RIGHT, Spot(a.books, _LEFT, _BACK), Spot(a.books, _CENTRE, _MIDDLE), Spot(a.cup_of_pens, _LEFT, _FRONT), Spot(a.laid("bottle/sauce"), _RIGHT, _FRONT)),
+        (
+            Spot(a.books, _RIGHT, _MIDDLE),
+            _LAMP_LEFT,
+            _LAPTOP,
+            Spot(a.one("stapler/long"), _LEFT, _FRONT),
+            _MUG,
+            Spot(a.laid("pen/ball"), _RIGHT, _FRONT),
+        ),
+        (
+            _WORK_FRONT,
+            Spot(a.boxes, _RIGHT, _BACK),
+            _LAMP_LEFT,
+            Spot(a.cup_of_pens, _CENTRE, _BACK),
+            Spot(a.one("stapler/long"), _ANY, _FRONT),
+        ),
+        (
+            _LAMP_RIGHT,
+            Spot(a.books, _LEFT, _BACK),
+            Spot(a.books, _CENTRE, _MIDDLE),
+            Spot(a.cup_of_pens, _LEFT, _FRONT),
+            Spot(a.laid("bottle/sauce"), _RIGHT, _FRONT),
+        ),
     ),
 )
 
@@ -81,7 +100,12 @@ DINING = TablePlan(
         (_NEAR, _FAR, Spot(a.fruit_bowl, (0.4, 0.6), (0.45, 0.55))),
         (_NEAR, _NEAR_RIGHT, Spot(a.row("candle/pillar", "vase/slender", "candle/pillar", step=0.14), (0.4, 0.6), (0.6, 0.75))),
         (_NEAR, _FAR, Spot(a.laid("bottle/wine"), _CENTRE, _MIDDLE), Spot(a.plates, _LEFT, _BACK)),
-        (Spot(a.tea_tray, (0.4, 0.6), (0.3, 0.5)), Spot(a.fruit_bowl, _RIGHT, _BACK), Spot(a.one("bottle/wine"), _LEFT, _BACK), Spot(a.plates, _LEFT, _FRONT)),
+        (
+            Spot(a.tea_tray, (0.4, 0.6), (0.3, 0.5)),
+            Spot(a.fruit_bowl, _RIGHT, _BACK),
+            Spot(a.one("bottle/wine"), _LEFT, _BACK),
+            Spot(a.plates, _LEFT, _FRONT),
+        ),
     ),
 )
 
@@ -89,10 +113,26 @@ COFFEE = TablePlan(
     (0.85, 1.0),
     (0.52, 0.62),
     (
-        (Spot(a.tea_tray, (0.55, 0.7), (0.3, 0.5)), Spot(a.books, _LEFT, (0.4, 0.7)), Spot(a.one("candle/pillar"), _ANY, _BACK)),
-        (Spot(a.fruit_bowl, (0.2, 0.4), (0.4, 0.7)), Spot(a.books, (0.7, 0.85), _MIDDLE), Spot(a.one("mug/wide", wobble=0.9), _CENTRE, _FRONT)),
-        (Spot(a.books, (0.2, 0.4), _MIDDLE), Spot(a.one("vase/slender"), (0.5, 0.7), _BACK), Spot(a.basket_of_fruit, (0.6, 0.8), (0.2, 0.5))),
-        (Spot(a.row("mug/wide", "bowl/deep", "mug/tall", step=0.2), (0.35, 0.5), (0.2, 0.4)), Spot(a.laid("bottle/wine"), _CENTRE, _BACK), Spot(a.one("book/novel"), _RIGHT, (0.1, 0.9))),
+        (
+            Spot(a.tea_tray, (0.55, 0.7), (0.3, 0.5)),
+            Spot(a.books, _LEFT, (0.4, 0.7)),
+            Spot(a.one("candle/pillar"), _ANY, _BACK),
+        ),
+        (
+            Spot(a.fruit_bowl, (0.2, 0.4), (0.4, 0.7)),
+            Spot(a.books, (0.7, 0.85), _MIDDLE),
+            Spot(a.one("mug/wide", wobble=0.9), _CENTRE, _FRONT),
+        ),
+        (
+            Spot(a.books, (0.2, 0.4), _MIDDLE),
+            Spot(a.one("vase/slender"), (0.5, 0.7), _BACK),
+            Spot(a.basket_of_fruit, (0.6, 0.8), (0.2, 0.5)),
+        ),
+        (
+            Spot(a.row("mug/wide", "bowl/deep", "mug/tall", step=0.2), (0.35, 0.5), (0.2, 0.4)),
+            Spot(a.laid("bottle/wine"), _CENTRE, _BACK),
+            Spot(a.one("book/novel"), _RIGHT, (0.1, 0.9)),
+        ),
     ),
 )
 
@@ -100,10 +140,29 @@ KITCHEN = TablePlan(
     (1.05, 1.25),
     (0.56, 0.66),
     (
-        (Spot(a.crate_with_bowl, (0.2, 0.3), (0.55, 0.7)), Spot(a.bread_board, (0.55, 0.7), (0.2, 0.35)), Spot(a.row("bottle/sauce", "bottle/sauce", "bottle/sauce", step=0.1), (0.6, 0.8), _BACK)),
-        (Spot(a.bread_board, (0.4, 0.6), (0.2, 0.35)), Spot(a.one("saucepan/small", wobble=0.6), (0.6, 0.75), (0.65, 0.8)), Spot(a.plates, (0.15, 0.25), (0.6, 0.75)), Spot(a.one("can/soup"), _ANY, _ANY)),
-        (Spot(a.crate_of_jars, (0.65, 0.8), (0.55, 0.75)), Spot(a.fruit_bowl, (0.2, 0.35), (0.3, 0.6)), Spot(a.laid("bottle/wine"), (0.4, 0.6), _FRONT), Spot(a.one("banana/ripe"), _RIGHT, _FRONT)),
-        (Spot(a.row("jar/jam", "can/soup", "jar/jam", "can/soup", step=0.11), (0.3, 0.5), (0.75, 0.85)), Spot(a.one("saucepan/small", wobble=0.6), (0.15, 0.4), (0.2, 0.4)), Spot(a.one("box/cereal"), _RIGHT, _BACK), Spot(a.basket_of_fruit, (0.6, 0.8), _FRONT)),
+        (
+            Spot(a.crate_with_bowl, (0.2, 0.3), (0.55, 0.7)),
+            Spot(a.bread_board, (0.55, 0.7), (0.2, 0.35)),
+            Spot(a.row("bottle/sauce", "bottle/sauce", "bottle/sauce", step=0.1), (0.6, 0.8), _BACK),
+        ),
+        (
+            Spot(a.bread_board, (0.4, 0.6), (0.2, 0.35)),
+            Spot(a.one("saucepan/small", wobble=0.6), (0.6, 0.75), (0.65, 0.8)),
+            Spot(a.plates, (0.15, 0.25), (0.6, 0.75)),
+            Spot(a.one("can/soup"), _ANY, _ANY),
+        ),
+        (
+            Spot(a.crate_of_jars, (0.65, 0.8), (0.55, 0.75)),
+            Spot(a.fruit_bowl, (0.2, 0.35), (0.3, 0.6)),
+            Spot(a.laid("bottle/wine"), (0.4, 0.6), _FRONT),
+            Spot(a.one("banana/ripe"), _RIGHT, _FRONT),
+        ),
+        (
+            Spot(a.row("jar/jam", "can/soup", "jar/jam", "can/soup", step=0.11), (0.3, 0.5), (0.75, 0.85)),
+            Spot(a.one("saucepan/small", wobble=0.6), (0.15, 0.4), (0.2, 0.4)),
+            Spot(a.one("box/cereal"), _RIGHT, _BACK),
+            Spot(a.basket_of_fruit, (0.6, 0.8), _FRONT),
+        ),
     ),
 )
 
@@ -114,10 +173,33 @@ DRESSING = TablePlan(
     (0.9, 1.1),
     (0.44, 0.5),
     (
-        (_MIRROR, _CREAMS, Spot(a.jars_on_box, _LEFT, (0.5, 0.8)), Spot(a.one("perfume/square"), _RIGHT, _ANY), Spot(a.one("vase/slender"), _RIGHT, _BACK)),
-        (_MIRROR, Spot(a.row("perfume/square", "perfume/square", "perfume/square", step=0.11), _LEFT, (0.3, 0.6)), Spot(a.boxes, _RIGHT, (0.5, 0.7)), Spot(a.one("jar/cream"), _CENTRE, _FRONT)),
-        (_LAMP_LEFT, _MIRROR, Spot(a.soap_dish, _CENTRE, _FRONT), Spot(a.jars_on_box, _RIGHT, (0.4, 0.7)), Spot(a.one("candle/pillar"), _ANY, _ANY)),
-        (_MIRROR, Spot(a.books, (0.15, 0.25), (0.4, 0.7)), _CREAMS, Spot(a.laid("toothbrush/soft"), _CENTRE, _FRONT), Spot(a.one("candle/pillar"), _RIGHT, _BACK)),
+        (
+            _MIRROR,
+            _CREAMS,
+            Spot(a.jars_on_box, _LEFT, (0.5, 0.8)),
+            Spot(a.one("perfume/square"), _RIGHT, _ANY),
+            Spot(a.one("vase/slender"), _RIGHT, _BACK),
+        ),
+        (
+            _MIRROR,
+            Spot(a.row("perfume/square", "perfume/square", "perfume/square", step=0.11), _LEFT, (0.3, 0.6)),
+            Spot(a.boxes, _RIGHT, (0.5, 0.7)),
+            Spot(a.one("jar/cream"), _CENTRE, _FRONT),
+        ),
+        (
+            _LAMP_LEFT,
+            _MIRROR,
+            Spot(a.soap_dish, _CENTRE, _FRONT),
+            Spot(a.jars_on_box, _RIGHT, (0.4, 0.7)),
+            Spot(a.one("candle/pillar"), _ANY, _ANY),
+        ),
+        (
+            _MIRROR,
+            Spot(a.books, (0.15, 0.25), (0.4, 0.7)),
+            _CREAMS,
+            Spot(a.laid("toothbrush/soft"), _CENTRE, _FRONT),
+            Spot(a.one("candle/pillar"), _RIGHT, _BACK),
+        ),
     ),
 )
 
@@ -127,10 +209,30 @@ VANITY = TablePlan(
     (1.1, 1.3),
     (0.5, 0.58),
     (
-        (Spot(a.cup_of_brushes, _SIDE_RIGHT, (0.5, 0.8)), Spot(a.soap_dish, _SIDE_RIGHT, _FRONT), Spot(a.one("soap_dispenser/pump"), _SIDE_LEFT, _MIDDLE), Spot(a.one("jar/cream"), _SIDE_LEFT, _FRONT)),
-        (Spot(a.one("mirror/round"), _SIDE_LEFT, _BACK), Spot(a.cup_of_brushes, _SIDE_RIGHT, _BACK), Spot(a.row("jar/cream", "jar/cream", step=0.1), _SIDE_LEFT, _FRONT), Spot(a.one("soap_dispenser/pump"), _SIDE_RIGHT, _FRONT)),
-        (Spot(a.jars_on_box, _SIDE_LEFT, _MIDDLE), Spot(a.soap_dish, _SIDE_RIGHT, _FRONT), Spot(a.cup_of_brushes, _SIDE_RIGHT, _BACK), Spot(a.laid("toothbrush/soft"), _SIDE_LEFT, _FRONT)),
-        (Spot(a.one("vase/slender"), _SIDE_LEFT, _BACK), Spot(a.cup_of_brushes, _SIDE_LEFT, _FRONT), Spot(a.one("candle/pillar"), _SIDE_RIGHT, _BACK), Spot(a.soap_dish, _SIDE_RIGHT, _FRONT)),
+        (
+            Spot(a.cup_of_brushes, _SIDE_RIGHT, (0.5, 0.8)),
+            Spot(a.soap_dish, _SIDE_RIGHT, _FRONT),
+            Spot(a.one("soap_dispenser/pump"), _SIDE_LEFT, _MIDDLE),
+            Spot(a.one("jar/cream"), _SIDE_LEFT, _FRONT),
+        ),
+        (
+            Spot(a.one("mirror/round"), _SIDE_LEFT, _BACK),
+            Spot(a.cup_of_brushes, _SIDE_RIGHT, _BACK),
+            Spot(a.row("jar/cream", "jar/cream", step=0.1), _SIDE_LEFT, _FRONT),
+            Spot(a.one("soap_dispenser/pump"), _SIDE_RIGHT, _FRONT),
+        ),
+        (
+            Spot(a.jars_on_box, _SIDE_LEFT, _MIDDLE),
+            Spot(a.soap_dish, _SIDE_RIGHT, _FRONT),
+            Spot(a.cup_of_brushes, _SIDE_RIGHT, _BACK),
+            Spot(a.laid("toothbrush/soft"), _SIDE_LEFT, _FRONT),
+        ),
+        (
+            Spot(a.one("vase/slender"), _SIDE_LEFT, _BACK),
+            Spot(a.cup_of_brushes, _SIDE_LEFT, _FRONT),
+            Spot(a.one("candle/pillar"), _SIDE_RIGHT, _BACK),
+            Spot(a.soap_dish, _SIDE_RIGHT, _FRONT),
+        ),
     ),
     has_sink=True,
 )

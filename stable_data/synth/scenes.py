@@ -143,14 +143,19 @@ def make_scene(number: int, seed: int = 0, *, is_clean: IsClean | None = None) -
         judged = audit(scene, placed)
         if judged.card().clean and (is_clean is None or is_clean(scene)) and is_at_rest(scene, placed):
             return MadeScene(_with_task(scene, judged, placed) if number % 2 == 0 else scene, tuple(placed))
-    raise SceneError(f"{scene_id_of(number)}: none of {_ATTEMPTS} attempts came to rest clean, expected one; use another seed", "synth_failed")
+    raise SceneError(
+        f"{scene_id_of(number)}: none of {_ATTEMPTS} attempts came to rest clean, expected one; use another seed",
+        "synth_failed",
+    )
 
 
 def _table(table_type: str, plan: TablePlan, rng: np.random.Generator) -> Tabletop:
     width, depth = (round(float(rng.uniform(*bounds)), 3) for bounds in (plan.width, plan.depth))
     if not plan.has_sink:
         return Tabletop(table_type, (width, depth))
-    x_min, x_max, y_min, y_max = (round(share * side, 3) for share, side in zip(_SINK, (width, width, depth, depth), strict=True))
+    x_min, x_max, y_min, y_max = (
+        round(share * side, 3) for share, side in zip(_SINK, (width, width, depth, depth), strict=True)
+    )
     return Tabletop(table_type, (width, depth), (x_min, x_max, y_min, y_max))
 
 
@@ -176,7 +181,12 @@ def _cube_annotations() -> list[tuple[str, AssetAnnotation]]:
     """The table top and the sink are no objects: they are marked as not standing on a table."""
     words = ((TABLE_UID, "table", "A table top."), (SINK_UID, "sink", "A sink."))
     return [
-        (uid, AssetAnnotation(uid, category, text.rstrip(".").lower(), text, "synth", on_table=False, extents_z_up=(1.0, 1.0, 1.0)))
+        (
+            uid,
+            AssetAnnotation(
+                uid, category, text.rstrip(".").lower(), text, "synth", on_table=False, extents_z_up=(1.0, 1.0, 1.0)
+            ),
+        )
         for uid, category, text in words
     ]
 

@@ -102,4 +102,3 @@ def audit(scene: Scene, placed: Sequence[Placed]) -> Audit:
         for o, thing in zip(scene.objects, placed, strict=True)
     ]
     return audit_scene(scene, shapes)
-

@@ -6,6 +6,7 @@ Frame: z up, metres. Round things have 48 corners around, and a hollow has 24, s
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
+from itertools import pairwise
 from operator import add
 from typing import Any, TypeAlias
 
@@ -45,7 +46,7 @@ class Solid:
 
     def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> "Solid":
         """The same solid elsewhere, metres."""
-        return Solid(self.body.translate((x, y, z)), tuple(part + (x, y, z) for part in self.parts))
+        return Solid(self.body.translate((x, y, z)), tuple(part + np.array([x, y, z]) for part in self.parts))
 
     def turned(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> "Solid":
         """The same solid turned about x, then y, then z, degrees."""
@@ -240,10 +241,10 @@ def _between(rings: Sequence[Ring], low: float, high: float) -> list[Ring]:
 
 def _cut(rings: Sequence[Ring], z: float) -> Ring:
     """The outside at one height: the ring there, or the one between its neighbours."""
-    for low, high in zip(rings[:-1], rings[1:], strict=True):
+    for low, high in pairwise(rings):
         if low[0, 2] - 1e-12 <= z <= high[0, 2] + 1e-12:
             share = (z - low[0, 2]) / (high[0, 2] - low[0, 2])
-            return low + share * (high - low)
+            return np.asarray(low + share * (high - low))
     raise MeshError(f"the hollow reaches z = {z}, outside of the vessel", "vessel")
 
 

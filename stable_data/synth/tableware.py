@@ -17,7 +17,11 @@ def mug(radius: float, height: float, taper: float = 0.93, wall: float = 0.0042)
     reach, rise = 0.62 * radius, 0.34 * height
     arc = [(math.cos(math.radians(a)), math.sin(math.radians(a))) for a in _HANDLE_DEGREES]
     middle, root = 0.52 * height, radius * (taper + 1) / 2 - wall / 2
-    path = [(root, middle - 0.92 * rise), *((root + 0.2 * reach + reach * c, middle + rise * s) for c, s in arc), (root, middle + 0.92 * rise)]
+    path = [
+        (root, middle - 0.92 * rise),
+        *((root + 0.2 * reach + reach * c, middle + rise * s) for c, s in arc),
+        (root, middle + 0.92 * rise),
+    ]
     return cup + bar(path, width=0.011, thickness=0.007)
 
 
@@ -45,7 +49,9 @@ def plate(radius: float, height: float = 0.022) -> Solid:
 
 def saucepan(radius: float, height: float) -> Solid:
     """A pan with a long handle on its right."""
-    pot = turned_vessel([(0.95 * radius, 0.0), (radius, 0.01), (radius, height)], [(radius - 0.004, 0.006), (radius - 0.004, height)])
+    pot = turned_vessel(
+        [(0.95 * radius, 0.0), (radius, 0.01), (radius, height)], [(radius - 0.004, 0.006), (radius - 0.004, height)]
+    )
     path = [(radius - 0.002, 0.8 * height), (1.25 * radius, 0.86 * height), (2.7 * radius, 1.02 * height)]
     return pot + bar(path, width=0.022, thickness=0.011)
 
@@ -82,7 +88,13 @@ def bottle(radius: float, height: float, neck: float, shoulder: float) -> Solid:
     """
     z = shoulder * height
     rise = 0.42 * (0.88 * height - z)
-    body = [(radius - 0.003, 0.0), (radius, 0.004), (radius, z), (0.86 * radius + 0.14 * neck, z + 0.4 * rise), (1.25 * neck, z + rise)]
+    body = [
+        (radius - 0.003, 0.0),
+        (radius, 0.004),
+        (radius, z),
+        (0.86 * radius + 0.14 * neck, z + 0.4 * rise),
+        (1.25 * neck, z + rise),
+    ]
     glass = lathe([*body, (neck, z + 1.3 * rise), (neck, 0.9 * height)])
     cap = lathe([(1.2 * neck, 0.9 * height - 0.002), (1.2 * neck, height - 0.002), (1.2 * neck - 0.002, height)])
     return glass + cap

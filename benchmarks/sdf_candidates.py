@@ -1,0 +1,162 @@
+"""Which library measures signed distance: how right, how robust, how fast, on real meshes.
+
+``python -m benchmarks.sdf_candidates DIR [--limit N] [--json FILE]``, DIR a folder of GLBs; meshes that are closed after repair
+count. Points lie half in the box, half within 2 % of the largest extent of the surface.
+
+- distance: against every triangle of the mesh, in numpy, with no library;
+- sign: against the exact winding number of the closed mesh, asked of the mesh as it is, with a tenth of its faces turned round,
+  and with a patch of 2 % of its faces cut out.
+
+Times are processor seconds of this process, the building of trees included. Run with ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``.
+"""
+
+import json
+import time
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated, TypeAlias
+
+import igl
+import numpy as np
+import pysdf
+import trimesh
+import typer
+from tqdm import tqdm
+from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+from stable_data.mesh import Mesh, load_glb, repair
+from stable_data.scene import FloatArray
+from stable_data.sdf_band import distance_to_faces
+from stable_data.sdf_build import probe_points, unit_mesh
+from stable_data.signed_distance import SignedDistance
+
+Candidate: TypeAlias = Callable[[Mesh, FloatArray], FloatArray]
+Row: TypeAlias = dict[str, list[float]]
+
+_NUM_SIGN, _NUM_DISTANCE, _NUM_SPEED, _NUM_SLOW = 1000, 100, 20_000, 200
+_TURNED, _PATCH, _NEAR = 0.1, 0.02, 0.02
+_SIGN_ONLY = ("embree parity",)
+_SLOW = ("trimesh",)
+
+
+def _pysdf(is_robust: bool) -> Candidate:
+    """pysdf, whose sign is turned: it is positive inside."""
+
+    def signed(mesh: Mesh, points: FloatArray) -> FloatArray:
+        tree = pysdf.SDF(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32), robust=is_robust)
+        return -np.asarray(tree.calc(points.astype(np.float32), n_threads=1), np.float64)
+
+    return signed
+
+
+def _pseudonormal(mesh: Mesh, points: FloatArray) -> FloatArray:
+    """As libigl signs by the normal at the nearest point."""
+    kind = igl.SignedDistanceType.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
+    found: FloatArray = igl.signed_distance(points, mesh.vertices, mesh.faces, sign_type=kind)[0]
+    return found
+
+
+def _parity(mesh: Mesh, points: FloatArray) -> FloatArray:
+    """Embree's ray parity: −1 inside, 1 outside."""
+    given = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    return np.where(RayMeshIntersector(given).contains_points(points), -1.0, 1.0)
+
+
+def _trimesh(mesh: Mesh, points: FloatArray) -> FloatArray:
+    """trimesh, turned: it is positive inside."""
+    given = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    return -np.asarray(trimesh.proximity.signed_distance(given, points), np.float64)
+
+
+CANDIDATES: dict[str, Candidate] = {
+    "libigl tree + winding": lambda mesh, points: SignedDistance(mesh)(points),
+    "libigl pseudonormal": _pseudonormal,
+    "pysdf robust": _pysdf(True),
+    "pysdf": _pysdf(False),
+    "embree parity": _parity,
+}
+if find_spec("rtree"):  # which trimesh needs for this and does not bring
+    CANDIDATES["trimesh"] = _trimesh
+
+
+def _points(mesh: Mesh, num: int, rng: np.random.Generator) -> FloatArray:
+    """Half in the box and a little around it, half beside the surface."""
+    surface, normals = probe_points(mesh, num // 2)
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    beside = surface + rng.uniform(-_NEAR, _NEAR, (len(surface), 1)) * normals
+    return rng.permutation(np.concatenate([rng.uniform(low - 0.1, high + 0.1, (num - len(surface), 3)), beside]))
+
+
+def _turned(mesh: Mesh, rng: np.random.Generator) -> Mesh:
+    """A tenth of the faces turned round."""
+    faces = mesh.faces.copy()
+    chosen = rng.choice(len(faces), max(1, int(_TURNED * len(faces))), replace=False)
+    faces[chosen] = faces[chosen, ::-1]
+    return Mesh(mesh.vertices, faces)
+
+
+def _cut(mesh: Mesh, rng: np.random.Generator) -> Mesh:
+    """The faces around a place of the surface taken out."""
+    centre = mesh.triangles.mean(axis=1)
+    gap = np.linalg.norm(centre - centre[rng.integers(len(centre))], axis=1)
+    return Mesh(mesh.vertices, mesh.faces[np.argsort(gap)[max(1, int(_PATCH * len(gap))) :]])
+
+
+def _truth(mesh: Mesh, points: FloatArray) -> FloatArray:
+    """Distance without sign by trying every triangle, (P,)."""
+    triangles = mesh.triangles
+    return np.array([distance_to_faces(np.tile(p, (len(triangles), 1)), triangles).min() for p in points])
+
+
+def measure(mesh: Mesh, rng: np.random.Generator, rows: dict[str, Row]) -> None:
+    """Adds one mesh to the figures of every candidate."""
+    many = _points(mesh, _NUM_SPEED, rng)
+    asked = many[:_NUM_SIGN]
+    inside = igl.winding_number(mesh.vertices, mesh.faces, asked) > 0.5
+    truth = _truth(mesh, asked[:_NUM_DISTANCE])
+    variants = {"whole": mesh, "turned": _turned(mesh, rng), "cut": _cut(mesh, rng)}
+    for name, candidate in CANDIDATES.items():
+        row = rows[name]
+        for kind, variant in variants.items():
+            found = candidate(variant, asked)
+            row.setdefault(f"wrong_sign_{kind}", []).append(float(np.mean((found < 0) != inside)))
+            if kind == "whole" and name not in _SIGN_ONLY:
+                error = np.abs(np.abs(found[:_NUM_DISTANCE]) - truth)
+                row.setdefault("max_error", []).append(float(error.max()))
+        timed = many[:_NUM_SLOW] if name in _SLOW else many
+        start = time.process_time()
+        candidate(mesh, timed)
+        row.setdefault("microseconds", []).append((time.process_time() - start) / len(timed) * 1e6)
+
+
+def main(
+    folder: Annotated[Path, typer.Argument(help="GLB files")],
+    limit: Annotated[int, typer.Option(help="assets, spread evenly over the folder; 0 for all")] = 0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="leave the figures there")] = None,
+) -> None:
+    """Prints a line a candidate, and keeps the figures as JSON."""
+    assets = sorted(folder.glob("*.glb"))
+    if limit:
+        assets = [assets[i] for i in np.linspace(0, len(assets) - 1, min(limit, len(assets))).astype(int)]
+    rng = np.random.default_rng(0)
+    rows: dict[str, Row] = {name: {} for name in CANDIDATES}
+    for path in tqdm(assets):
+        mesh, report, _ = repair(load_glb(path, path.stem)[0], path.stem)
+        if report.is_watertight:
+            measure(unit_mesh(mesh)[0], rng, rows)
+    print(
+        f"{'candidate':<24}{'max error':>11}{'wrong sign':>12}{'turned':>9}{'cut':>9}{'us/point':>10}  (shares in %, times median)"
+    )
+    for name, row in rows.items():
+        error = f"{max(row['max_error']):.1e}" if "max_error" in row else "-"
+        shares = [100 * float(np.mean(row[f"wrong_sign_{kind}"])) for kind in ("whole", "turned", "cut")]
+        print(
+            f"{name:<24}{error:>11}{shares[0]:>12.3f}{shares[1]:>9.2f}{shares[2]:>9.2f}{np.median(row['microseconds']):>10.2f}"
+        )
+    if json_file:
+        json_file.write_text(json.dumps(rows, indent=2) + "\n", "utf-8")
+
+
+if __name__ == "__main__":
+    typer.run(main)

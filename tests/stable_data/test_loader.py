@@ -1,0 +1,484 @@
+"""Tables as torch datasets: every row once, in an order that can be resumed."""
+
+import itertools
+import pickle
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch.utils.data import DataLoader
+
+from stable_data import epoch_order, table_files
+from stable_data.epoch_order import EpochOrder
+from stable_data.errors import ConfigError
+from stable_data.loader import TableDataset, TableStream, collate_scenes
+from stable_data.metrics.card import MetricCard
+from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Stage, Tabletop, TaskInfo
+from stable_data.scene_columns import SceneArrays
+from stable_data.shards import RunFolder
+from stable_data.table_files import RowGroup, rows_from_table
+from stable_data.tables import SCHEMAS, Row, arrow_table, card_row, scene_from_row, scene_row
+
+SHARDS = (7, 1, 12, 0, 9, 8)
+NUM_ROWS = sum(SHARDS)
+CARD = MetricCard(2, 0, 0, 0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0, True)
+
+
+def scene(number: int) -> Scene:
+    stages = [None, *Stage]
+    objects = tuple(
+        SceneObject(
+            instance=f"{k}_cup_0",
+            category="cup",
+            position=(0.1 * k + 0.001 * number, 0.2, 0.05),
+            yaw=0.3 * k,
+            size=(0.1, 0.1, 0.1 + 0.01 * k),
+            asset_id=None if k == 2 else f"asset{k}",
+            scale=(1.0, 1.0, 2.0) if k % 2 else None,
+            tilt_quat_xyzw=(0.6, 0.0, 0.0, 0.8) if k == 1 else (0.0, 0.0, 0.0, 1.0),
+            stage=stages[(number + k) % 4],
+            support="table",
+            source={"k": k},
+        )
+        for k in range(number % 5)
+    )
+    task = TaskInfo("An office.", f"Do {number}.", task_objects=("0_cup_0",)) if number % 3 else None
+    relations = (Relation("0_cup_0", RelationKind.ON, "table"),) * (number % 2)
+    zone = (0.0, 0.1, 0.0, 0.2) if number % 4 == 1 else None
+    return Scene(f"scene-{number:03}", Tabletop("office_table", (1.2, 0.6), zone), objects, task, relations, {"n": number})
+
+
+SCENES = [scene(number) for number in range(NUM_ROWS)]
+IDS = [s.scene_id for s in SCENES]
+
+
+def write(folder: RunFolder) -> None:
+    blank = (
+        dict.fromkeys(SCHEMAS["scenes"].names)
+        | {"source": "test", "split": "train", "pairs": [], "verdicts": []}
+        | card_row(CARD)
+    )
+    rest = iter(SCENES)
+    for number, size in enumerate(SHARDS):
+        folder.write_shard("scenes", f"{number:016x}", [blank | scene_row(next(rest)) for _ in range(size)])
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> str:
+    folder = RunFolder(str(tmp_path_factory.mktemp("loader") / "run"))
+    write(folder)
+    rows = [
+        dict.fromkeys(SCHEMAS["features"].names)
+        | {"asset_id": f"asset{i}", "feature": [float(i)] * 64, "log_extents": [0.0, 1.0, 2.0]}
+        for i in range(5)
+    ]
+    folder.write_shard("features", "00", rows)
+    return folder.uri
+
+
+def stream(run: str, **settings: Any) -> TableStream:
+    return TableStream(run, **{"shuffle_seed": 5, "window_rows": 10, **settings})
+
+
+def ids(items: Any) -> list[str]:
+    """Scene ids of scenes, lists of scenes or batches, in order."""
+    found = [[i.scene_id] if isinstance(i, Scene) else i["scene_ids"] if isinstance(i, dict) else ids(i) for i in items]
+    return [name for names in found for name in names]
+
+
+def scene_id(row: Row) -> str:
+    return str(row["scene_id"])
+
+
+# By index
+
+
+def test_scenes_come_by_index(run: str) -> None:
+    data = TableDataset(run)
+    assert len(data) == NUM_ROWS
+    assert [data[i] for i in range(NUM_ROWS)] == SCENES
+    assert data[-1] == SCENES[-1]
+    assert data[0].source is None
+    assert TableDataset(run, decode=scene_from_row)[3].source == {"n": 3}
+    for index in (NUM_ROWS, -NUM_ROWS - 1):
+        with pytest.raises(IndexError, match=f"of {NUM_ROWS}"):
+            data[index]
+
+
+@given(st.lists(st.integers(-NUM_ROWS, NUM_ROWS - 1), max_size=12))
+@settings(max_examples=25, deadline=None)
+def test_a_batch_by_index_is_its_items(run: str, indices: list[int]) -> None:
+    assert TableDataset(run, cache_bytes=0).__getitems__(indices) == [SCENES[i] for i in indices]
+
+
+def test_only_as_many_row_groups_are_kept_as_fit(run: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    reads: Counter[int] = Counter()
+    read = table_files.TableFiles.read
+
+    def count(self: table_files.TableFiles, groups: list[int], **options: Any) -> Any:
+        reads.update(groups)
+        return read(self, groups, **options)
+
+    monkeypatch.setattr(table_files.TableFiles, "read", count)
+    roomy, tight = TableDataset(run), TableDataset(run, cache_bytes=0)
+    for _ in range(2):
+        assert [roomy[0], roomy[10], roomy[1]] == [SCENES[0], SCENES[10], SCENES[1]]
+    assert set(reads.values()) == {1}
+    reads.clear()
+    assert [tight[i] for i in (0, 1, 10, 11, 2)] == [SCENES[i] for i in (0, 1, 10, 11, 2)]
+    assert reads == {0: 2, 2: 1}
+    assert len(tight._cache) == 1
+
+
+def test_columns_give_rows(run: str) -> None:
+    assert TableDataset(run, columns=["scene_id", "oc"])[4] == {"scene_id": "scene-004", "oc": 0.0}
+    assert TableDataset(run, columns=["scene_id"], decode=scene_id)[4] == "scene-004"
+    assert set(TableDataset(run, decode=dict)[0]) == set(SCHEMAS["scenes"].names)
+
+
+def test_clouds_and_features_come_as_arrays_that_torch_takes(run: str) -> None:
+    row = TableDataset(run, "features")[2]
+    assert isinstance(row["feature"], np.ndarray)
+    assert row["log_extents"] == [0.0, 1.0, 2.0]
+    [batch] = DataLoader(TableDataset(run, "features", columns=["asset_id", "feature"]), batch_size=5)
+    assert torch.equal(batch["feature"], torch.arange(5.0)[:, None].expand(5, 64))
+
+
+def test_arrays_may_be_null_or_empty() -> None:
+    blank = dict.fromkeys(SCHEMAS["features"].names)
+    table = arrow_table("features", [blank | {"feature": feature} for feature in ([1.0, 2.0], None, [], [3.0])])
+    found = [row["feature"] for row in rows_from_table(table.slice(1))]
+    assert found[0] is None
+    assert [f.tolist() for f in found[1:]] == [[], [3.0]]
+
+
+def test_a_table_that_is_not_there_is_refused(run: str) -> None:
+    for kind in (TableDataset, TableStream):
+        with pytest.raises(ConfigError, match="no table samples") as caught:
+            kind(run, "samples")
+        assert caught.value.code == "table_missing"
+        with pytest.raises(ConfigError, match=r"no columns \['scale'\], expected some of scene_id") as caught:
+            kind(run, columns=["scene_id", "scale"])
+        assert caught.value.code == "column_unknown"
+
+
+def test_a_shard_of_another_version_is_refused_wherever_it_lies(tmp_path: Path) -> None:
+    folder = RunFolder(str(tmp_path))
+    write(folder)
+    path = folder.files("scenes")[2]
+    table = pq.read_table(path)
+    pq.write_table(table.replace_schema_metadata({"stable_data.version": "0"}), path)
+    with pytest.raises(ConfigError, match="written as table version 0"):
+        TableStream(folder.uri)
+
+
+def test_a_shard_that_breaks_or_goes_is_named(tmp_path: Path) -> None:
+    folder = RunFolder(str(tmp_path))
+    write(folder)
+    stream, path = TableStream(folder.uri), Path(folder.files("scenes")[-1])
+    path.unlink()
+    with pytest.raises(ConfigError, match=rf"{path.name} cannot be read"):
+        list(stream)
+    path.write_bytes(b"PAR1 no more")
+    with pytest.raises(ConfigError, match=rf"{path.name} cannot be read") as caught:
+        TableStream(folder.uri)
+    assert caught.value.code == "shard_unreadable"
+
+
+# As a stream
+
+
+def test_without_a_seed_the_order_is_that_of_the_files(run: str) -> None:
+    assert list(TableStream(run)) == SCENES
+    assert ids(TableStream(run, batch_size=4)) == IDS
+
+
+@given(
+    seed=st.none() | st.integers(0, 9),
+    epoch=st.integers(0, 3),
+    batch_size=st.none() | st.integers(1, 11),
+    window_rows=st.sampled_from([1, 10, 100]),
+    world_size=st.integers(1, 5),
+    drop=st.booleans(),
+)
+@settings(max_examples=40, deadline=None)
+def test_every_row_is_given_once_over_the_ranks(
+    run: str, seed: int | None, epoch: int, batch_size: int | None, window_rows: int, world_size: int, drop: bool
+) -> None:
+    shares = []
+    for rank in range(world_size):
+        part = TableStream(
+            run,
+            shuffle_seed=seed,
+            batch_size=batch_size,
+            window_rows=window_rows,
+            rank=rank,
+            world_size=world_size,
+            drop_remainder=drop,
+        )
+        part.set_epoch(epoch)
+        items = list(part)
+        assert len(items) == len(part)
+        assert len(ids(items)) == part.num_rows
+        if batch_size:
+            assert all(len(batch) == batch_size for batch in (items if drop else items[:-1]))
+        shares.append(ids(items))
+    seen, sizes = [name for share in shares for name in share], [len(share) for share in shares]
+    assert len(set(seen)) == len(seen)
+    assert max(sizes) - min(sizes) <= (0 if drop else 1)
+    assert (NUM_ROWS - len(seen) < world_size * (batch_size or 1)) if drop else (sorted(seen) == IDS)
+
+
+def test_epochs_differ_and_repeat(run: str) -> None:
+    one = stream(run)
+    first, again = ids(one), ids(one)
+    one.set_epoch(1)
+    second = ids(one)
+    assert first == again != second
+    assert sorted(first) == sorted(second) == IDS
+    assert ids(stream(run, shuffle_seed=6)) != first
+
+
+def test_rows_of_a_shard_do_not_stay_together(run: str) -> None:
+    order = ids(stream(run, window_rows=100))
+    neighbours = [abs(int(a[-3:]) - int(b[-3:])) for a, b in itertools.pairwise(order)]
+    assert np.mean(neighbours) > NUM_ROWS / 5  # of a random order: a third
+
+
+def test_a_window_is_bounded_by_rows_and_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    groups = [RowGroup("f", i, 10, 100) for i in range(20)] + [RowGroup("f", 20, 500, 100)]
+    windows = list(EpochOrder(groups, 0, 35).windows(0))
+    assert sorted(g for window in windows for g in window.groups) == list(range(21))
+    assert all(w.stop - w.start <= 35 or len(w.groups) == 1 for w in windows)
+    assert [w.start for w in windows] == [0, *[w.stop for w in windows[:-1]]]
+    monkeypatch.setattr(epoch_order, "_WINDOW_BYTES", 250)
+    assert max(len(w.groups) for w in EpochOrder(groups, 0, 10**6).windows(0)) == 2
+
+
+@pytest.mark.parametrize("num_workers", [1, 2])
+def test_batches_do_not_depend_on_the_number_of_workers(run: str, num_workers: int) -> None:
+    one = stream(run, batch_size=4, collate=collate_scenes)
+    loader = DataLoader(one, batch_size=None, num_workers=num_workers)
+    assert len(loader) == len(one)
+    assert ids(loader) == ids(stream(run, batch_size=4))
+    assert ids(DataLoader(stream(run, decode=None), batch_size=3, num_workers=num_workers, collate_fn=list)) != []
+
+
+def test_a_loader_that_batches_by_itself_gives_every_row_once(run: str) -> None:
+    loader = DataLoader(stream(run), batch_size=5, num_workers=2, collate_fn=collate_scenes)
+    assert sorted(ids(loader)) == IDS
+
+
+def test_workers_that_stay_see_the_next_epoch(run: str) -> None:
+    one = stream(run, batch_size=4, collate=collate_scenes)
+    loader = DataLoader(one, batch_size=None, num_workers=2, persistent_workers=True)
+    expected = stream(run)
+    for epoch in (0, 3):
+        one.set_epoch(epoch)
+        expected.set_epoch(epoch)
+        assert ids(loader) == ids(expected)
+    one.resume_from(8)
+    assert ids(loader) == ids(expected)[8:]
+
+
+def test_datasets_travel_to_spawned_workers(run: str) -> None:
+    data = TableDataset(run)
+    data[0]
+    copy = pickle.loads(pickle.dumps(data))
+    assert not copy._cache
+    assert copy[8] == SCENES[8]
+    assert pickle.loads(pickle.dumps(TableDataset(run, decode=scene_id)))[8] == "scene-008"
+    assert ids(pickle.loads(pickle.dumps(stream(run, batch_size=4, collate=collate_scenes)))) == ids(stream(run))
+    assert ids(DataLoader(data, batch_size=8, num_workers=1, collate_fn=collate_scenes)) == IDS
+
+
+@given(
+    seen=st.integers(0, NUM_ROWS),
+    batch_size=st.none() | st.integers(1, 9),
+    rank=st.integers(0, 1),
+    drop=st.booleans(),
+)
+@settings(max_examples=25, deadline=None)
+def test_a_saved_state_continues_exactly(run: str, seen: int, batch_size: int | None, rank: int, drop: bool) -> None:
+    options: dict[str, Any] = {"batch_size": batch_size, "rank": rank, "world_size": 2, "drop_remainder": drop}
+    one = stream(run, **options)
+    one.set_epoch(2)
+    whole = ids(one)
+    iterator: Iterator[Any] = iter(one)
+    before = list(itertools.islice(iterator, seen))
+    other = stream(run, **options)
+    other.load_state_dict(pickle.loads(pickle.dumps(one.state_dict() if seen else other.state_dict() | {"epoch": 2})))
+    assert other.epoch == 2
+    assert ids(before) + ids(other) == whole
+    assert ids(other) == whole  # the iteration after that is a whole one
+
+
+def test_a_state_saved_after_an_epoch_leaves_nothing_of_it(run: str) -> None:
+    one = stream(run, batch_size=4)
+    list(one)
+    other = stream(run, batch_size=4)
+    other.load_state_dict(one.state_dict())
+    assert ids(other) == []
+    other.load_state_dict(one.state_dict())
+    other.set_epoch(1)
+    assert sorted(ids(other)) == IDS
+
+
+@pytest.mark.parametrize("num_workers", [0, 2])
+def test_a_row_count_continues_exactly_with_any_number_of_workers(run: str, num_workers: int) -> None:
+    whole = ids(stream(run, batch_size=4))
+    one = stream(run, batch_size=4)
+    one.resume_from(12)
+    assert ids(DataLoader(one, batch_size=None, num_workers=num_workers)) == whole[12:]
+    one.set_epoch(1)
+    assert len(ids(one)) == NUM_ROWS
+    with pytest.raises(ConfigError, match=f"expected 0 to {NUM_ROWS}"):
+        one.resume_from(NUM_ROWS + 1)
+
+
+class StatePerBatch(TableStream):
+    """What torchdata's loader does: each worker hands its state over with every batch."""
+
+    def __iter__(self) -> Iterator[Any]:
+        for batch in super().__iter__():
+            worker = torch.utils.data.get_worker_info()
+            assert worker is not None
+            yield worker.id, batch, self.state_dict()
+
+
+class ResumedWorkers(TableStream):
+    """Each worker continues from its own saved state."""
+
+    states: dict[int, dict[str, Any]]
+
+    def __iter__(self) -> Iterator[Any]:
+        worker = torch.utils.data.get_worker_info()
+        assert worker is not None
+        if worker.id in self.states:
+            self.load_state_dict(self.states[worker.id])
+        yield from super().__iter__()
+
+
+@pytest.mark.parametrize("seen", [2, 3, 6])
+def test_the_states_of_workers_continue_exactly(run: str, seen: int) -> None:
+    options: dict[str, Any] = {"batch_size": 4, "shuffle_seed": 5, "window_rows": 10}
+    loader = DataLoader(StatePerBatch(run, **options), batch_size=None, num_workers=2)
+    taken = list(itertools.islice(loader, seen))
+    resumed = ResumedWorkers(run, **options)
+    resumed.states = {worker: state for worker, _, state in taken}
+    rest = ids(DataLoader(resumed, batch_size=None, num_workers=2))
+    before = ids(batch for _, batch, _ in taken)
+    whole = ids(stream(run, batch_size=4))
+    assert before == whole[: 4 * seen]
+    assert sorted(before + rest) == IDS
+    alone = stream(run, batch_size=4)
+    alone.load_state_dict(resumed.states[0])
+    with pytest.raises(ConfigError, match="num_workers: 2 -> 1"):
+        next(iter(alone))
+
+
+@pytest.mark.parametrize(
+    "change", [{"shuffle_seed": 6}, {"batch_size": 3}, {"window_rows": 9}, {"world_size": 2}, {"drop_remainder": True}]
+)
+def test_a_state_of_other_settings_is_refused(run: str, change: dict[str, Any]) -> None:
+    [key] = change
+    with pytest.raises(ConfigError, match=f"{key}: .* -> {change[key]}") as caught:
+        stream(run, **change).load_state_dict(stream(run).state_dict())
+    assert caught.value.code == "resume_changed"
+
+
+def test_a_state_of_another_table_is_refused(run: str) -> None:
+    with pytest.raises(ConfigError, match="table_fingerprint"):
+        stream(run, table="features").load_state_dict(stream(run).state_dict())
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"batch_size": 0}, {"shuffle_seed": -1}, {"window_rows": 0}, {"rank": 2, "world_size": 2}, {"rank": -1}]
+)
+def test_a_setting_that_cannot_be_is_refused(run: str, wrong: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match=f"{next(iter(wrong))} is .* expected") as caught:
+        stream(run, **wrong)
+    assert caught.value.code == "setting_invalid"
+
+
+# Padded batches
+
+
+def test_a_batch_holds_the_scenes_and_zeros() -> None:
+    scenes = [SCENES[4], SCENES[0], SCENES[2]]
+    batch = collate_scenes(scenes)
+    assert batch["mask"].tolist() == [[True] * 4, [False] * 4, [True, True, False, False]]
+    for row, one in enumerate(scenes):
+        num_objects = len(one.objects)
+        assert torch.equal(batch["poses"][row, :num_objects], torch.tensor(one.poses(), dtype=torch.float32))
+        for name in ("poses", "size", "tilt_quat_xyzw"):
+            assert not batch[name][row, num_objects:].any()
+        assert (batch["stage"][row, num_objects:] == -1).all()
+        assert batch["instances"][row] == tuple(o.instance for o in one.objects)
+        assert batch["asset_ids"][row] == tuple(o.asset_id for o in one.objects)
+    assert batch["stage"][0].tolist() == [-1, 0, 1, 2]
+    assert batch["instructions"] == ["Do 4.", None, "Do 2."]
+    assert batch["poses"].dtype == batch["size"].dtype == batch["table_size"].dtype == torch.float32
+
+
+def test_padding_leaks_nothing() -> None:
+    alone, padded = collate_scenes([SCENES[2]]), collate_scenes([SCENES[2], SCENES[9]])
+    moved = replace(SCENES[9], objects=tuple(o.moved((9.0, 9.0, 9.0), 9.0) for o in SCENES[9].objects))
+    beside = collate_scenes([SCENES[2], moved])
+    for name in ("poses", "size", "tilt_quat_xyzw", "stage", "mask"):
+        assert torch.equal(padded[name][0], beside[name][0])
+        assert torch.equal(padded[name][0, :2], alone[name][0])
+
+
+@pytest.mark.parametrize("scenes", [[], [SCENES[0]], [SCENES[0], SCENES[5]]])
+def test_scenes_without_objects_make_a_batch(scenes: list[Scene]) -> None:
+    assert collate_scenes(scenes)["poses"].shape == (len(scenes), 0, 4)
+    assert collate_scenes(scenes)["size"].shape == (len(scenes), 0, 3)
+
+
+def test_columns_make_the_same_tensors_as_scenes(run: str) -> None:
+    direct = list(stream(run, batch_size=4, collate=collate_scenes))
+    by_scene = [collate_scenes(scenes) for scenes in stream(run, batch_size=4)]
+    for one, other in zip(direct, by_scene, strict=True):
+        found, expected = ({name: _plain(value) for name, value in batch.items()} for batch in (one, other))
+        assert found == expected
+
+
+def _plain(value: Any) -> Any:
+    return (value.dtype, value.tolist()) if isinstance(value, torch.Tensor) else value
+
+
+def test_arrays_of_columns_are_those_of_the_scenes(run: str) -> None:
+    table = RunFolder(run).table("scenes").slice(5, 20)
+    found, expected = SceneArrays.from_table(table), SceneArrays.from_scenes(SCENES[5:25])
+    for field in fields(SceneArrays):
+        assert np.array_equal(getattr(found, field.name), getattr(expected, field.name)), field.name
+
+
+def test_an_object_store_streams_the_same(run: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    boto3 = pytest.importorskip("boto3")
+    server = pytest.importorskip("moto.server").ThreadedMotoServer(ip_address="127.0.0.1", port=0)
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+        monkeypatch.setenv(name, "test")
+    server.start()
+    try:
+        host, port = server.get_host_and_port()
+        boto3.client("s3", endpoint_url=f"http://{host}:{port}", region_name="us-east-1").create_bucket(Bucket="scenes")
+        uri = f"s3://scenes/run?region=us-east-1&scheme=http&endpoint_override={quote(f'{host}:{port}')}"
+        write(RunFolder(uri))
+        assert [TableDataset(uri)[i] for i in (0, 20)] == [SCENES[0], SCENES[20]]
+        remote = stream(uri, batch_size=4, collate=collate_scenes)
+        expected = ids(stream(run))
+        assert ids(remote) == expected
+        assert ids(DataLoader(remote, batch_size=None, num_workers=1, multiprocessing_context="spawn")) == expected
+    finally:
+        server.stop()
