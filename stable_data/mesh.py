@@ -353,6 +353,7 @@ def _weld(vertices: FloatArray, faces: IntArray, cell: float) -> tuple[FloatArra
 
 
 def _centred(vertices: FloatArray, faces: IntArray) -> Mesh:
+    """A mesh without unused vertices, its box centred on the origin."""
     vertices, faces = _compact(vertices, faces)
     if len(vertices):
         vertices = vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
@@ -449,6 +450,7 @@ class _Edges:
 
     @classmethod
     def of(cls, faces: IntArray) -> "_Edges":
+        """The edges of faces (F, 3)."""
         directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
         low, high, num = directed.min(axis=1), directed.max(axis=1), faces.max() + 1
         key, index, count = np.unique(low * num + high, return_inverse=True, return_counts=True)
@@ -457,6 +459,7 @@ class _Edges:
 
     @property
     def is_watertight(self) -> bool:
+        """Whether each joins two faces that run against each other."""
         return bool((self.count == 2).all() and (self.balance == 0).all())
 
     def boundary(self) -> IntArray:
@@ -607,42 +610,6 @@ def _report(mesh: Mesh, was_watertight: bool, num_flipped: int, actions: tuple[s
 def is_closed(mesh: Mesh) -> bool:
     """Whether every edge is run as often one way as the other: then winding numbers are whole."""
     return bool((_Edges.of(mesh.faces).balance == 0).all())
-
-
-def glb_bytes(mesh: Mesh) -> bytes:
-    """A mesh as binary glTF: single precision, y up as the format wants; ``load_glb`` gives it back, centred.
-
-    Args:
-        mesh: Any unit, z up.
-
-    Returns:
-        The file's content, the same for the same mesh.
-    """
-    corners = (mesh.vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)).astype("<f4")
-    indices = mesh.faces.astype("<u4").tobytes()
-    views = [
-        {"buffer": 0, "byteOffset": 0, "byteLength": len(indices), "target": 34963},
-        {"buffer": 0, "byteOffset": len(indices), "byteLength": corners.nbytes, "target": 34962},
-    ]
-    bounds = {"min": corners.min(axis=0).tolist(), "max": corners.max(axis=0).tolist()}
-    document = {
-        "asset": {"version": "2.0"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 1}, "indices": 0}]}],
-        "accessors": [
-            {"bufferView": 0, "componentType": 5125, "count": mesh.faces.size, "type": "SCALAR"},
-            {"bufferView": 1, "componentType": 5126, "count": len(corners), "type": "VEC3", **bounds},
-        ],
-        "bufferViews": views,
-        "buffers": [{"byteLength": len(indices) + corners.nbytes}],
-    }
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    binary = indices + corners.tobytes()
-    header = struct.pack("<5I", _MAGIC, 2, 28 + len(text) + len(binary), len(text), _JSON_CHUNK)
-    return header + text + struct.pack("<2I", len(binary), _BIN_CHUNK) + binary
 
 
 def _encloses(mesh: Mesh, edges: _Edges) -> bool:

@@ -6,7 +6,8 @@ Colliders are the convex parts of the objects; the table is a box whose top is z
 import ctypes.util
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,7 +65,7 @@ class Body:
     """An object as the engine sees it.
 
     Attributes:
-        name: Unique among the bodies, not ``table``.
+        name: Named in reasons.
         parts: Convex colliders, metres, yaw frame, centred on the object's box. Their hulls are what collides.
         mass: Kilograms, spread evenly over the parts.
         position: Centre of its box in its yaw frame, metres, world frame.
@@ -133,11 +134,12 @@ def settle(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = Eng
         model = compile_bodies(bodies, table, options)
     except MeshError as error:
         return _unknown(names, start, str(error))
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    penetration = deepest_contact(data)
-    settled = _run(model, data, options.settle_seconds, options)
-    watched = _run(model, data, options.watch_seconds, options) if np.isfinite(settled).all() else settled
+    with _without_log_file():
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        penetration = deepest_contact(data)
+        settled = _run(model, data, options.settle_seconds, options)
+        watched = _run(model, data, options.watch_seconds, options) if np.isfinite(settled).all() else settled
     if not (np.isfinite(settled).all() and np.isfinite(watched).all()):
         return _exploded(names, start, penetration)
     return _verdict(names, np.concatenate([start[None], settled]), watched, penetration, options)
@@ -198,9 +200,11 @@ def _contact(options: EngineOptions) -> dict[str, object]:
 
 
 def _add_body(spec: mujoco.MjSpec, body: Body, meshes: dict[int, str], options: EngineOptions) -> None:
+    if not np.isfinite((*body.position, body.yaw)).all():
+        raise MeshError(f"body {body.name}: its pose is {body.position}, yaw {body.yaw}, expected finite numbers", "not_finite")
     if not body.mass > 0:
         raise MeshError(f"body {body.name}: mass is {body.mass} kg, expected more than 0", "no_mass")
-    added = spec.worldbody.add_body(name=body.name, pos=list(body.position), quat=_wxyz(_quat_of_yaw(body.yaw)))
+    added = spec.worldbody.add_body(pos=list(body.position), quat=_wxyz(_quat_of_yaw(body.yaw)))
     if body.movable:
         added.add_freejoint()
     volumes = [hull_volume(part) for part in body.parts]
@@ -244,6 +248,16 @@ def _run(model: mujoco.MjModel, data: mujoco.MjData, seconds: float, options: En
             break
         samples.append(pose)
     return np.stack(samples)
+
+
+@contextmanager
+def _without_log_file() -> Iterator[None]:
+    """Keeps the engine from writing its warnings to a file in the working directory; the verdict says what they say."""
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(None)
 
 
 def _has_exploded(data: mujoco.MjData) -> bool:

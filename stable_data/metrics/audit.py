@@ -294,7 +294,7 @@ def _judge_object(posed: PosedScene, index: int, tolerance: float) -> ObjectVerd
         supports=supports or (),
         gap=posed.gap(index),
         table_penetration=max(0.0, -float(posed.low[index, 2])),
-        leaves_table=leaves_table(posed.vertices[index], posed.scene.table, BOUNDS_SLACK),
+        leaves_table=leaves_table(posed.low[index], posed.high[index], posed.scene.table, BOUNDS_SLACK),
         enters_restricted_zone=posed.nears_zone(index) and enters_zone(posed.triangles(index), zone, BOUNDS_SLACK),
         has_mesh=posed.shapes[index].is_exact,
     )

@@ -7,16 +7,16 @@ from stable_data.metrics.crossing import boxes
 from stable_data.scene import FloatArray, Rectangle, Tabletop
 
 
-def leaves_table(vertices: FloatArray, table: Tabletop, slack: float) -> bool:
+def leaves_table(low: FloatArray, high: FloatArray, table: Tabletop, slack: float) -> bool:
     """Does the footprint reach over the edge by more than a slack?
 
     Args:
-        vertices: (V, 3) float64, metres, world frame.
+        low: Lowest corner of the mesh's box, (3,) float64, metres, world frame.
+        high: Highest corner, (3,).
         table: The table.
         slack: Metres.
     """
-    low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
-    return bool((low < -slack).any() or (high > np.asarray(table.size_xy) + slack).any())
+    return bool((low[:2] < -slack).any() or (high[:2] > np.asarray(table.size_xy) + slack).any())
 
 
 def enters_zone(triangles: FloatArray, zone: Rectangle | None, slack: float) -> bool:

@@ -23,6 +23,7 @@ NEAR = 5e-4
 """Margin of the pair that a depth search starts with, metres: the first levels, and the lowering of the support check."""
 
 _RESOLUTION = 0.02  # of the depth itself
+_ALIKE = 0.1  # normals that differ by less, about 6 degrees, part a pair at depths that differ by less than the resolution
 
 def penetration(a: FloatArray | Surface, b: FloatArray | Surface, pair: MeshPair | None = None) -> float:
     """How deep two meshes are in each other (DESIGN section 7).
@@ -43,32 +44,37 @@ def penetration(a: FloatArray | Surface, b: FloatArray | Surface, pair: MeshPair
     contact = pair.contact()
     if contact is None:
         return DEEPEST if nested(a, b) or nested(b, a) else 0.0
-    directions = np.concatenate([DIRECTIONS, contact.normals, -contact.normals])
+    directions = _directions(contact.normals)
     below, reach = 0.0, NEAR
     for level in LEVELS:
         if level > reach:
             reach = LEVELS[-1]
             pair = MeshPair(a, b, reach)
-        parting = [d for d in directions if not pair.cross(level * d)]
-        if parting:
-            return _refine(pair, parting, below, level)
+        depth = _parting(pair, directions, below, level)
+        if depth is not None:
+            return depth
         below = level
     return DEEPEST
 
 
-def _refine(pair: MeshPair, directions: list[FloatArray], below: float, above: float) -> float:
-    """Bisects between a depth that does not part the pair and one that does, direction by direction."""
-    if above <= LEVELS[0]:
-        return above
-    best = above
-    for direction in directions:
-        low, high = below, best
-        if best < above and pair.cross(best * (1 - _RESOLUTION) * direction):
-            continue  # cannot beat the best by more than the resolution
-        while high - low > _RESOLUTION * high:
-            middle = (low + high) / 2
-            low, high = (middle, high) if pair.cross(middle * direction) else (low, middle)
-        best = high
+def _directions(normals: FloatArray) -> FloatArray:
+    """The fixed directions, then both ways along contact normals; of normals nearly alike one stands for all."""
+    both = np.concatenate([normals, -normals])
+    _, first = np.unique(np.round(both / _ALIKE), axis=0, return_index=True)
+    return np.concatenate([DIRECTIONS, both[np.sort(first)]])
+
+
+def _parting(pair: MeshPair, directions: FloatArray, below: float, level: float) -> float | None:
+    """Smallest translation up to a level that parts a pair, to 2 %, or None; none of ``below`` does."""
+    best = None
+    for number, direction in enumerate(directions):
+        wanted = level if best is None else best * (1 - _RESOLUTION)  # what gains less is not looked for
+        if wanted <= below or pair.cross(wanted * direction, number):
+            continue
+        low, best = below, wanted
+        while best > LEVELS[0] and best - low > _RESOLUTION * best:
+            middle = (low + best) / 2
+            low, best = (middle, best) if pair.cross(middle * direction, number) else (low, middle)
     return best
 
 

@@ -23,8 +23,7 @@ _CELLS = 24  # voxels along the longest edge of the shared region, at most
 _MAX_ENTRIES = 60_000  # (triangle, voxel) pairs before a coarser grid is taken
 _FEW = 64  # triangles for which thinning costs more than a tree
 _USELESS_MARGIN = 5e-3  # metres; voxels as wide as this tell too little apart to pay
-_CLUSTER = 96  # triangles of one tree
-_WITNESSES = 8
+_CLUSTER = 256  # triangles of one tree
 _ANY_CONTACT = fcl.CollisionRequest()
 _MORTON = np.array([sum((n >> bit & 1) << 3 * bit for bit in range(5)) for n in range(32)], np.uint16)
 
@@ -93,19 +92,20 @@ class _Soup:
 
     def voxels(self, origin: FloatArray, spacing: float, shape: IntArray) -> tuple[IntArray, IntArray] | None:
         """(triangle, voxel) for each voxel that a triangle may reach into, or None where there are too many."""
-        first = np.clip((self.low - origin[:, None]) // spacing, 0, shape[:, None] - 1).astype(np.int64)
-        last = np.clip((self.high - origin[:, None]) // spacing, 0, shape[:, None] - 1).astype(np.int64)
+        # Truncation is monotonic, so boxes that overlap share a cell; division by multiplication and 32 bits because it is faster.
+        last_cell = shape[:, None] - 1
+        first = np.clip((self.low - origin[:, None]) * (1 / spacing), 0, last_cell).astype(np.int32)
+        last = np.clip((self.high - origin[:, None]) * (1 / spacing), 0, last_cell).astype(np.int32)
         span = last - first + 1
         count = span[0] * span[1] * span[2]
         total = int(count.sum())
         if total > _MAX_ENTRIES:
             return None
         owner = np.repeat(np.arange(len(self.index)), count)
-        step = np.arange(total) - np.repeat(np.cumsum(count) - count, count)
-        span_z, span_yz = span[2][owner], (span[1] * span[2])[owner]
-        x = first[0][owner] + step // span_yz
-        y = first[1][owner] + step % span_yz // span_z
-        z = first[2][owner] + step % span_z
+        step = np.arange(total, dtype=np.int32) - np.repeat((np.cumsum(count) - count).astype(np.int32), count)
+        row, z = np.divmod(step, span[2][owner])
+        x, y = np.divmod(row, span[1][owner])
+        x, y, z = x + first[0][owner], y + first[1][owner], z + first[2][owner]
         reached = self._reach(owner, count, origin, spacing, (x, y, z))
         return owner[reached], ((x * shape[1] + y) * shape[2] + z)[reached]
 
@@ -217,18 +217,24 @@ class MeshPair:
         a, b = (x if isinstance(x, Surface) else Surface(x) for x in (a, b))
         index_a, index_b = near_triangles(a, b, margin)
         self._a, self._b = _Clusters(a, index_a), _Clusters(b, index_b)
-        self._witnesses: list[tuple[int, int]] = []  # clusters that crossed lately: most likely they still do
+        self._witnesses: dict[int, tuple[int, int]] = {}
+        self._latest: tuple[int, int] | None = None
 
-    def cross(self, shift: tuple[float, float, float] | FloatArray = (0.0, 0.0, 0.0)) -> bool:
-        """Do they touch when the first is moved by a vector (3,), metres?"""
+    def cross(self, shift: tuple[float, float, float] | FloatArray = (0.0, 0.0, 0.0), direction: int = 0) -> bool:
+        """Do they touch when the first is moved by a vector (3,), metres?
+
+        Args:
+            shift: The vector.
+            direction: Any number for the vector's direction. The clusters that crossed last along it are asked first.
+        """
         moved, result = np.asarray(shift, np.float64), fcl.CollisionResult()
-        for number, clusters in enumerate(self._witnesses):
+        first = {self._witnesses.get(direction), self._latest} - {None}
+        for clusters in first:
             if self._clusters_cross(*clusters, moved, result):
-                self._witnesses.insert(0, self._witnesses.pop(number))
                 return True
         for clusters in self._meeting(moved):
-            if clusters not in self._witnesses and self._clusters_cross(*clusters, moved, result):
-                self._witnesses = [clusters, *self._witnesses[: _WITNESSES - 1]]
+            if clusters not in first and self._clusters_cross(*clusters, moved, result):
+                self._witnesses[direction] = self._latest = clusters
                 return True
         return False
 

@@ -142,11 +142,16 @@ def make_scene(number: int, seed: int = 0, *, is_clean: IsClean | None = None) -
         scene = Scene(scene_id_of(number), table, objects)
         judged = audit(scene, placed)
         if judged.card().clean and (is_clean is None or is_clean(scene)) and is_at_rest(scene, placed):
-            return MadeScene(_with_task(scene, judged, placed) if number % 2 == 0 else scene, tuple(placed))
+            return MadeScene(_with_task(scene, judged, placed) if _has_task(number) else scene, tuple(placed))
     raise SceneError(
         f"{scene_id_of(number)}: none of {_ATTEMPTS} attempts came to rest clean, expected one; use another seed",
         "synth_failed",
     )
+
+
+def _has_task(number: int) -> bool:
+    """Every second scene, of every kind of table."""
+    return (number + number // len(TABLES)) % 2 == 0
 
 
 def _table(table_type: str, plan: TablePlan, rng: np.random.Generator) -> Tabletop:

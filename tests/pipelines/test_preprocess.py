@@ -9,8 +9,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import boto3
 import polars as pl
 import pytest
 
@@ -184,9 +186,71 @@ def run_cli(dataset: Path, out: Path, *more: str) -> subprocess.CompletedProcess
 
 def command_of(dataset: Path, out: Path, *more: str) -> list[str]:
     settings = [f"--set={k}={json.dumps(v)}" for k, v in SMALL.shaping().items()]
-    return [
-        sys.executable, "-m", "pipelines", "preprocess", "--data", str(dataset), "--out", str(out), "--set=num_pictures=0", *settings, *more,
-    ]  # fmt: skip
+    where = ["--data", str(dataset), "--out", str(out)]
+    return [sys.executable, "-m", "pipelines", "preprocess", *where, "--set=num_pictures=0", *settings, *more]
+
+
+def test_a_run_into_an_object_store_gives_the_same_rows(
+    dataset: Path, clean_run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from moto.server import ThreadedMotoServer
+
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "test")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "test")
+    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0)
+    server.start()
+    try:
+        host, port = server.get_host_and_port()
+        endpoint = f"http://{host}:{port}"
+        boto3.client("s3", endpoint_url=endpoint, region_name="us-east-1").create_bucket(Bucket="scenes")
+        uri = f"s3://scenes/run?endpoint_override={host}%3A{port}&scheme=http&region=us-east-1"
+        preprocess(str(dataset), uri, SMALL, Workers())
+        stored, local = RunFolder(uri), RunFolder(str(clean_run))
+        for table in TABLES:
+            assert stored.table(table).equals(local.table(table)), table
+        assert stored.read_bytes("report/index.html") is not None
+        preprocess(str(dataset), uri, SMALL, Workers())  # resumes: nothing to do
+    finally:
+        server.stop()
+
+
+def test_a_task_writer_writes_the_tasks_and_is_asked_once(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = tmp_path / "my_writer.py"
+    module.write_text(
+        """
+calls = 0
+def write(scene, relations):
+    global calls
+    calls += 1
+    name = scene.objects[0].category.title().replace("_", "")
+    return {"Environment": "A room.", "item_placement_zone": [0, 100, 0, 60], "Task": f"Pick up the {name}.", "Goal": ["Held."],
+            "Action Sequence": [f"Pick({name})"], "Objects cluster": [name]}
+""",
+        "utf-8",
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    bare = tmp_path / "data"
+    shutil.copytree(dataset, bare)
+    for task in bare.glob("Layout_info/*/*/task_info.json"):
+        task.unlink()
+    settings = replace(SMALL, task_writer="my_writer:write", task_cache=str(tmp_path / "cache"))
+    for number in range(2):
+        preprocess(str(bare), str(tmp_path / f"out{number}"), settings, Workers())
+    rows = RunFolder(str(tmp_path / "out0")).table("scenes", ["task"]).to_pylist()
+    assert {r["task"]["origin"] for r in rows} == {"model"}
+    assert sys.modules["my_writer"].calls == len(rows)
+
+
+def test_positions_that_mean_the_mesh_centre_are_converted(dataset: Path, clean_run: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    preprocess(str(dataset), str(out), replace(SMALL, position_convention="mesh_centre"), Workers())
+    moved = {r["scene_id"]: r for r in RunFolder(str(out)).table("scenes").to_pylist()}
+    for row in RunFolder(str(clean_run)).table("scenes").to_pylist():
+        for was, now in zip(row["objects"], moved[row["scene_id"]]["objects"], strict=True):
+            upright = was["tilt_quat_xyzw"] == [0.0, 0.0, 0.0, 1.0]
+            assert not upright or now["position"] == pytest.approx(was["position"], abs=1e-6)
 
 
 @pytest.mark.ray

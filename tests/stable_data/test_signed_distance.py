@@ -247,3 +247,27 @@ def test_hollow_of_real_open_vessels_is_outside(shared_data: Path) -> None:
         inside_hollow = np.array([[0.0, 0.0, unit.vertices[:, 2].max() - depth / 2]])
         assert sample_grid(grid, inside_hollow)[0][0] > 0
         assert grid.sign_error < 0.01
+
+
+@pytest.mark.parametrize("share", [0.01, 0.1, 0.3])
+def test_grid_of_a_mesh_with_a_hole_has_the_sides_of_its_winding_number(share: float) -> None:
+    mesh = sphere()
+    height = mesh.triangles[:, :, 0].mean(axis=1)
+    holed = Mesh(mesh.vertices, mesh.faces[height < np.quantile(height, 1 - share)])
+    unit, _ = unit_mesh(holed)
+    grid = build_grid(holed, limits=SMALL)
+    nodes = grid.origin + grid.spacing * np.indices(grid.values.shape).reshape(3, -1).T
+    inside = SignedDistance(unit).is_inside(nodes).reshape(grid.values.shape)
+    wrong = (grid.values < 0) != inside
+    assert wrong.mean() < 2e-3
+
+
+def test_grid_of_a_mesh_with_turned_faces_has_the_sides_of_its_winding_number(rng: np.random.Generator) -> None:
+    mesh = bowl()
+    faces = mesh.faces.copy()
+    turned = rng.choice(len(faces), len(faces) // 10, replace=False)
+    faces[turned] = faces[turned, ::-1]
+    grid = build_grid(Mesh(mesh.vertices, faces), limits=SMALL)
+    right = build_grid(mesh, limits=SMALL)
+    is_clear = np.abs(right.values) > 0.5 * right.spacing
+    assert ((grid.values < 0) != (right.values < 0))[is_clear].mean() < 0.01

@@ -1,0 +1,58 @@
+"""Settings: a file, then --set, and every mistake named."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from pipelines.plan import PreprocessSettings
+from pipelines.settings import differences, resolve
+from stable_data.errors import ConfigError
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@dataclass(frozen=True)
+class Sample:
+    steps: int = 3
+    share: float = 0.5
+    name: str = "a"
+    quick: bool = False
+
+
+def test_set_is_stronger_than_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "run.toml"
+    file.write_text("[sample]\nsteps = 7\nshare = 1\n", "utf-8")
+    found = resolve(Sample, "sample", file, ["sample.steps=9", "name=b", "quick=true"])
+    assert found == Sample(9, 1.0, "b", True)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("stops=1", "did you mean steps"),
+        ("steps=many", "expected int"),
+        ("steps=1.5", "expected int"),
+        ("quick=1", "expected bool"),
+        ("steps", "expected key=value"),
+    ],
+)
+def test_a_mistake_is_named(text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        resolve(Sample, "sample", None, [text])
+
+
+def test_a_file_that_is_no_toml_is_an_error(tmp_path: Path) -> None:
+    file = tmp_path / "run.toml"
+    file.write_text("[sample", "utf-8")
+    with pytest.raises(ConfigError, match="cannot be read as TOML"):
+        resolve(Sample, "sample", file, [])
+
+
+def test_differences_say_was_and_now() -> None:
+    assert differences({"a": 1, "b": 2}, {"a": 1, "b": 3}) == ["b: 2 -> 3"]
+
+
+@pytest.mark.parametrize("workflow", sorted((ROOT / "workflows").glob("*.toml")), ids=lambda p: p.stem)
+def test_every_workflow_is_a_valid_configuration(workflow: Path) -> None:
+    resolve(PreprocessSettings, "preprocess", workflow, [])
