@@ -16,9 +16,9 @@ from typing import Any
 
 from torch.utils.data import DataLoader
 
+from stable_data.glb import load_glb
 from stable_data.loader import TableDataset, TableStream, collate_scenes
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.mesh import load_glb
 
 BATCH_SIZE = 64
 

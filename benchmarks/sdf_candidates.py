@@ -25,7 +25,9 @@ import typer
 from tqdm import tqdm
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-from stable_data.mesh import Mesh, load_glb, repair
+from stable_data.glb import load_glb
+from stable_data.mesh import Mesh
+from stable_data.repair import repair
 from stable_data.scene import FloatArray
 from stable_data.sdf_band import distance_to_faces
 from stable_data.sdf_build import probe_points, unit_mesh

@@ -20,7 +20,9 @@ import numpy as np
 import typer
 from tqdm import tqdm
 
-from stable_data.mesh import Mesh, load_glb, repair
+from stable_data.glb import load_glb
+from stable_data.mesh import Mesh
+from stable_data.repair import repair
 from stable_data.scene import FloatArray
 from stable_data.sdf_band import Lattice
 from stable_data.sdf_build import build_grid, unit_mesh, with_errors

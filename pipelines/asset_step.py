@@ -10,8 +10,9 @@ from stable_data.assets import AssetMesh, AssetStore, aspect_of
 from stable_data.convex import convex_parts
 from stable_data.errors import Notice
 from stable_data.export.glb import write_glb
+from stable_data.mass import mass_properties
 from stable_data.mesatask import AssetAnnotation
-from stable_data.mesh import Mesh, mass_properties
+from stable_data.mesh import Mesh
 from stable_data.points import surface_points
 from stable_data.scene import QuatXyzw, Vec3
 

@@ -1,6 +1,7 @@
 """Runs shards: in this process, or on Ray. What a shard does, and where its rows go, is the caller's."""
 
 import logging
+import socket
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -75,6 +76,8 @@ class _RayRun(Generic[T, R]):
     def _connect(self) -> None:
         address = self._workers.address
         try:
+            if address not in (None, "auto", "local"):
+                _knock(address)  # Ray itself waits for minutes before it says that nobody is there
             if address is None:
                 ray.init(
                     num_cpus=self._workers.count, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR
@@ -82,7 +85,7 @@ class _RayRun(Generic[T, R]):
                 self._started_ray = True
             else:
                 ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
-        except (ConnectionError, ValueError, RuntimeError) as error:
+        except (OSError, ValueError, RuntimeError) as error:
             raise ConfigError(
                 f"Ray at {address or 'this machine'} cannot be reached ({error}); start it, or leave out --address",
                 "ray_unreachable",
@@ -117,6 +120,12 @@ class _RayRun(Generic[T, R]):
         finally:
             if self._started_ray:
                 ray.shutdown()
+
+
+def _knock(address: str) -> None:
+    """Opens and closes a connection to ``host:port`` or ``ray://host:port``."""
+    host, _, port = address.rpartition("://")[2].rpartition(":")
+    socket.create_connection((host, int(port)), timeout=10).close()
 
 
 def _call(work: Work[T, R], shard: T, isolated: bool) -> R:

@@ -12,8 +12,10 @@ from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
 from stable_data.errors import MeshError, Notice, SceneError
+from stable_data.glb import load_glb
 from stable_data.mesatask import MesaTaskDataset, PositionConvention, detect_position_convention, to_box_centre
-from stable_data.mesh import Mesh, MeshReport, load_glb, repair
+from stable_data.mesh import Mesh
+from stable_data.repair import MeshReport, repair
 from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject, Vec3
 from stable_data.sdf_build import build_grid
 from stable_data.sdf_grid import SdfGrid

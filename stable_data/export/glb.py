@@ -4,6 +4,7 @@ import json
 import struct
 
 import numpy as np
+import numpy.typing as npt
 
 from stable_data.mesh import Mesh
 
@@ -33,7 +34,7 @@ def write_glb(mesh: Mesh, *, unit: float = 1.0, is_z_up: bool = False) -> bytes:
     return _pack(vertices.astype("<f4"), mesh.faces.astype("<u4"), node)
 
 
-def _pack(vertices: np.ndarray[tuple[int, ...], np.dtype[np.float32]], faces: np.ndarray[tuple[int, ...], np.dtype[np.uint32]], node: dict[str, object]) -> bytes:
+def _pack(vertices: npt.NDArray[np.float32], faces: npt.NDArray[np.uint32], node: dict[str, object]) -> bytes:
     positions, indices = vertices.tobytes(), faces.tobytes()
     document = {
         "asset": {"version": "2.0", "generator": "stable-data"},

@@ -59,9 +59,10 @@ def test_a_shard_that_takes_too_long_is_run_again_alone() -> None:
     assert list(Workers(1, seconds_per_shard=2.0).run(Slow(), [0])) == ["alone"]
 
 
-def test_a_cluster_that_is_not_there_is_an_error_of_one_line() -> None:
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1", "nowhere"])
+def test_a_cluster_that_is_not_there_is_an_error_of_one_line(address: str) -> None:
     with pytest.raises(ConfigError, match="cannot be reached"):
-        list(Workers(1, address="127.0.0.1:1").run(Double(), [1]))
+        list(Workers(1, address=address).run(Double(), [1]))
 
 
 def test_an_item_alone_gives_its_result() -> None:

@@ -10,7 +10,9 @@ import pytest
 import trimesh
 
 from stable_data.convex import ConvexParts, convex_parts, inside_convex
-from stable_data.mesh import Mesh, load_glb, repair, signed_volumes
+from stable_data.glb import load_glb
+from stable_data.mesh import Mesh, signed_volumes
+from stable_data.repair import repair
 from stable_data.scene import FloatArray
 
 

@@ -14,7 +14,10 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from stable_data.errors import MeshError
-from stable_data.mesh import Mesh, MeshLimits, is_closed, load_glb, mass_properties, repair, signed_volumes
+from stable_data.glb import MeshLimits, load_glb
+from stable_data.mass import mass_properties
+from stable_data.mesh import Mesh, is_closed, signed_volumes
+from stable_data.repair import repair
 from stable_data.scene import FloatArray
 
 

@@ -9,7 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stable_data.errors import MeshError
-from stable_data.mesh import Mesh, load_glb, repair
+from stable_data.glb import load_glb
+from stable_data.mesh import Mesh
+from stable_data.repair import repair
 from stable_data.scene import FloatArray
 from stable_data.sdf_band import distance_to_faces
 from stable_data.sdf_build import GridLimits, build_grid, probe_points, unit_mesh, wall_thickness

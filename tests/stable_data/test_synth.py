@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from stable_data.errors import ConfigError, SceneError
+from stable_data.glb import load_glb
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.mesh import load_glb, repair
+from stable_data.repair import repair
 from stable_data.scene import Tabletop
 from stable_data.synth import arrangement, write_embedded_set
 from stable_data.synth.assets import asset, unit_cube, write_glb

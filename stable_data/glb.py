@@ -1,0 +1,307 @@
+"""Meshes from binary glTF, which is not trusted."""
+
+import json
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import numpy.typing as npt
+
+from stable_data.errors import MeshError, Notice
+from stable_data.mesh import Mesh, centred, compact, double_areas
+from stable_data.scene import FloatArray, IntArray
+
+_WELD = 1e-6  # vertices nearer than this share of the largest extent are one
+_FLAT = 1e-12  # a face of less area than this share of the squared extent is no face
+_SMALLEST = 1e-30  # extents beyond this and its inverse lose their squares and cubes to rounding
+_MAGIC, _JSON_CHUNK, _BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
+_COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+# Required extensions that change how a surface looks, or that the accessor reader covers, not where it is.
+_HARMLESS = (
+    "KHR_materials_",
+    "KHR_texture_",
+    "EXT_texture_",
+    "MSFT_texture_",
+    "KHR_lights_",
+    "KHR_xmp",
+    "KHR_mesh_quantization",
+)
+# What json, struct, numpy and plain indexing raise on hostile content.
+_HOSTILE = (
+    KeyError,
+    IndexError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+    MemoryError,
+    struct.error,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class MeshLimits:
+    """What a mesh file may cost.
+
+    Attributes:
+        max_bytes: Size of the file.
+        max_faces: Triangles, instances of a mesh counted each.
+        max_nodes: Nodes of the file's scene.
+    """
+
+    max_bytes: int = 128 * 2**20
+    max_faces: int = 1_000_000
+    max_nodes: int = 10_000
+
+
+def load_glb(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits()) -> tuple[Mesh, tuple[Notice, ...]]:
+    """Reads a binary glTF as one mesh: geometry only, no texture, no second file.
+
+    Args:
+        data: The file, or its content. Not trusted: sizes are checked against its true length, and no URI in it is opened.
+        asset_id: Named in messages.
+        limits: Sizes beyond which the file is refused.
+
+    Returns:
+        The mesh, file units, z up, node transforms applied, vertices welded, centred on its box; and what was odd about it.
+
+    Raises:
+        MeshError: It cannot be used; ``code`` is ``glb_truncated``, ``glb_zero_bytes``, ``glb_nan_vertices``, ``glb_no_faces``,
+            ``glb_degenerate_only``, ``glb_too_large``, ``glb_unsupported`` or ``glb_invalid``.
+    """
+    content = _read_bytes(data, asset_id, limits) if isinstance(data, Path) else data
+    reader = _GlbReader(asset_id, limits)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # huge numbers end as a MeshError below, not as a warning
+            return _welded(*reader.read(content), reader), tuple(reader.notices)
+    except MeshError:
+        raise
+    except _HOSTILE as error:
+        reader.fail(
+            "glb_invalid", f"breaks the glTF 2.0 format ({type(error).__name__}: {error})", "a valid GLB; export it again"
+        )
+
+
+def _read_bytes(path: Path, asset_id: str, limits: MeshLimits) -> bytes:
+    size = path.stat().st_size
+    if size > limits.max_bytes:
+        raise MeshError(f"asset {asset_id}: file has {size} bytes, expected at most {limits.max_bytes}", "glb_too_large")
+    return path.read_bytes()
+
+
+@dataclass(slots=True)
+class _GlbReader:
+    """One pass over one file: every size in it is checked against the bytes that are really there."""
+
+    asset_id: str
+    limits: MeshLimits
+    notices: list[Notice] = field(default_factory=list)
+    document: dict[str, Any] = field(default_factory=dict)
+    binary: bytes = b""
+
+    def fail(self, code: str, found: str, expected: str) -> NoReturn:
+        raise MeshError(f"asset {self.asset_id}: {found}, expected {expected}", code)
+
+    def note(self, code: str, message: str) -> None:
+        self.notices.append(Notice(self.asset_id, "mesh", code, f"asset {self.asset_id}: {message}"))
+
+    def read(self, content: bytes) -> tuple[FloatArray, IntArray]:
+        """Corners (V, 3) in the file's frame, z up, and faces (F, 3), instances placed; nothing welded yet."""
+        self._open(content)
+        self._refuse_unsupported()
+        vertices, faces, num_vertices, num_faces = [], [], 0, 0
+        primitives: dict[int, list[tuple[FloatArray, IntArray]]] = {}
+        for mesh_index, world_from_node in self._placed_meshes():
+            if mesh_index not in primitives:
+                primitives[mesh_index] = list(self._primitives(self.document["meshes"][mesh_index]))
+            for corners, triangles in primitives[mesh_index]:
+                num_faces += len(triangles)
+                if num_faces > self.limits.max_faces or num_vertices + len(corners) > 3 * self.limits.max_faces:
+                    self.fail("glb_too_large", "has too many faces", f"at most {self.limits.max_faces}; decimate it")
+                is_mirrored = np.linalg.det(world_from_node[:3, :3]) < 0
+                faces.append((triangles[:, ::-1] if is_mirrored else triangles) + num_vertices)
+                vertices.append(corners @ world_from_node[:3, :3].T + world_from_node[:3, 3])
+                num_vertices += len(corners)
+        if not num_faces:
+            self.fail("glb_no_faces", "has no triangle", "at least one; is it a point cloud, a skeleton or an empty node?")
+        return np.concatenate(vertices)[:, [0, 2, 1]] * (1.0, -1.0, 1.0), np.concatenate(faces)
+
+    def _open(self, content: bytes) -> None:
+        """Splits the file into its two chunks."""
+        size = len(content)
+        if size == 0:
+            self.fail("glb_zero_bytes", "file is empty", "a GLB; copy it again")
+        if size > self.limits.max_bytes:
+            self.fail("glb_too_large", f"file has {size} bytes", f"at most {self.limits.max_bytes}")
+        if size < 20:
+            self.fail("glb_truncated", f"file has {size} bytes", "a GLB header and a chunk; copy it again")
+        magic, version, claimed, json_length, json_type = struct.unpack_from("<5I", content)
+        if magic != _MAGIC or version != 2 or json_type != _JSON_CHUNK:
+            self.fail(
+                "glb_invalid",
+                f"starts with {content[:8]!r} and chunk {json_type:#x}",
+                "binary glTF 2.0 with its JSON chunk first",
+            )
+        document, end = self._chunk(content, 20, json_length)
+        self.document = json.loads(document)
+        if end + 8 <= size and struct.unpack_from("<I", content, end + 4)[0] == _BIN_CHUNK:
+            self.binary, end = self._chunk(content, end + 8, struct.unpack_from("<I", content, end)[0])
+        if claimed != size:
+            self.note("glb_length_mismatch", f"header claims {claimed} bytes, the file has {size}; read by its true length")
+
+    def _chunk(self, content: bytes, start: int, length: int) -> tuple[bytes, int]:
+        if start + length > len(content):
+            self.fail(
+                "glb_truncated", f"a chunk ends at byte {start + length} of {len(content)}", "a whole file; copy it again"
+            )
+        return content[start : start + length], start + length
+
+    def _refuse_unsupported(self) -> None:
+        required = [e for e in self.document.get("extensionsRequired", []) if not e.startswith(_HARMLESS)]
+        if required:
+            self.fail("glb_unsupported", f"requires {required}", "plain accessors; export it without compression or instancing")
+
+    def _placed_meshes(self) -> Iterator[tuple[int, FloatArray]]:
+        """(mesh index, world_from_node (4, 4)) of every mesh in the scene, in file order."""
+        nodes = self.document.get("nodes", [])
+        stack = [(root, np.eye(4)) for root in reversed(self._roots(nodes))]
+        seen: set[int] = set()
+        while stack:
+            index, world_from_parent = stack.pop()
+            if index in seen or len(seen) >= self.limits.max_nodes:
+                self.fail("glb_invalid", f"node {index} is one too many or has two parents", "a tree of nodes")
+            seen.add(index)
+            node = nodes[index]
+            world_from_node = world_from_parent @ _parent_from_node(node)
+            if "mesh" in node:
+                yield node["mesh"], world_from_node
+            stack.extend((child, world_from_node) for child in reversed(node.get("children", [])))
+
+    def _roots(self, nodes: list[dict[str, Any]]) -> list[int]:
+        if self.document.get("scenes"):
+            return list(self.document["scenes"][self.document.get("scene", 0)].get("nodes", []))
+        children = {child for node in nodes for child in node.get("children", [])}
+        return [index for index in range(len(nodes)) if index not in children]
+
+    def _primitives(self, mesh: dict[str, Any]) -> Iterator[tuple[FloatArray, IntArray]]:
+        """Corners (V, 3) float64 and triangles (F, 3) int64 of every primitive that has triangles."""
+        for primitive in mesh["primitives"]:
+            mode = primitive.get("mode", _TRIANGLES)
+            if mode not in (_TRIANGLES, _STRIP, _FAN):
+                self.note(
+                    "glb_primitive_skipped", f"a primitive of points or lines (mode {mode}) has no surface and is left out"
+                )
+                continue
+            corners = self._accessor(primitive["attributes"]["POSITION"], 3).astype(np.float64)
+            indices = np.arange(len(corners))
+            if "indices" in primitive:
+                indices = self._indices(primitive["indices"], len(corners))
+            yield corners, _triangles(indices, mode)
+
+    def _indices(self, accessor: int, num_corners: int) -> IntArray:
+        indices = self._accessor(accessor, 1)[:, 0]
+        if indices.dtype.kind != "u" or (len(indices) and indices.max() >= num_corners):
+            self.fail(
+                "glb_invalid",
+                f"a face index reaches beyond the {num_corners} vertices",
+                "unsigned indices of vertices that exist",
+            )
+        return indices.astype(np.int64)
+
+    def _accessor(self, index: int, width: int) -> npt.NDArray[Any]:
+        """Values (count, width) of an accessor, a view of the file."""
+        accessor = self.document["accessors"][index]
+        if "sparse" in accessor or "bufferView" not in accessor:
+            self.fail(
+                "glb_unsupported",
+                f"accessor {index} is sparse or has no data",
+                "plain accessors; export it without compression",
+            )
+        if accessor["type"] != {1: "SCALAR", 3: "VEC3"}[width]:
+            self.fail("glb_invalid", f"accessor {index} holds {accessor['type']}", f"{width} numbers an element")
+        view = self.document["bufferViews"][accessor["bufferView"]]
+        buffer = self.document["buffers"][view["buffer"]]
+        if view["buffer"] != 0 or "uri" in buffer:
+            self.fail(
+                "glb_unsupported",
+                "its geometry lies in a second file or a URI",
+                "one self-contained GLB; nothing outside is opened",
+            )
+        start, length = view.get("byteOffset", 0), view["byteLength"]
+        if min(start, length) < 0 or start + length > len(self.binary):
+            self.fail(
+                "glb_truncated", f"data end at byte {start + length} of {len(self.binary)}", "a whole file; copy it again"
+            )
+        kind = np.dtype(_COMPONENTS[accessor["componentType"]])
+        stride, offset = view.get("byteStride") or kind.itemsize * width, accessor.get("byteOffset", 0)
+        if stride < kind.itemsize * width or min(offset, accessor["count"]) < 0:
+            self.fail("glb_invalid", f"accessor {index} has stride {stride}, offset {offset}", "elements that do not overlap")
+        values = np.ndarray(
+            (accessor["count"], width), kind, self.binary[start : start + length], offset, (stride, kind.itemsize)
+        )
+        return values / np.iinfo(kind).max if accessor.get("normalized") and kind.kind != "f" else values
+
+
+def _parent_from_node(node: dict[str, Any]) -> FloatArray:
+    if "matrix" in node:
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    x, y, z, w = np.array(node.get("rotation", (0, 0, 0, 1)), np.float64)
+    s = 2 / (x * x + y * y + z * z + w * w)
+    rotation = np.array(
+        [
+            [1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
+            [s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)],
+            [s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)],
+        ]
+    )
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation * np.array(node.get("scale", (1, 1, 1)), np.float64).reshape(3)
+    matrix[:3, 3] = np.array(node.get("translation", (0, 0, 0)), np.float64).reshape(3)
+    return matrix
+
+
+def _triangles(indices: IntArray, mode: int) -> IntArray:
+    if mode == _TRIANGLES:
+        return indices[: len(indices) // 3 * 3].reshape(-1, 3)
+    num = max(len(indices) - 2, 0)
+    if mode == _FAN:
+        return np.stack([np.broadcast_to(indices[:1], num), indices[1 : num + 1], indices[2 : num + 2]], axis=1)
+    strip = np.stack([indices[:num], indices[1 : num + 1], indices[2 : num + 2]], axis=1)
+    strip[1::2] = strip[1::2, ::-1]  # every second triangle of a strip runs the other way round
+    return strip
+
+
+def _welded(soup: FloatArray, faces: IntArray, reader: _GlbReader) -> Mesh:
+    """One clean mesh of placed corners (V, 3) and faces (F, 3)."""
+    soup, faces = compact(soup, faces)
+    if not np.isfinite(soup).all():
+        bad = int((~np.isfinite(soup)).any(axis=1).sum())
+        reader.fail("glb_nan_vertices", f"{bad} of {len(soup)} vertices are not finite", "finite coordinates; export it again")
+    extent = float(np.ptp(soup, axis=0).max())
+    if not _SMALLEST < extent < 1 / _SMALLEST:
+        reader.fail(
+            "glb_degenerate_only", f"its largest extent is {extent:.3g}", "a surface of a size that can be computed with"
+        )
+    mesh = centred(*_weld(soup, faces, _WELD * extent))
+    if not (double_areas(mesh) > _FLAT * extent * extent).any():
+        reader.fail("glb_degenerate_only", f"none of {len(faces)} faces has an area", "a surface; export it again")
+    return mesh
+
+
+def _weld(vertices: FloatArray, faces: IntArray, cell: float) -> tuple[FloatArray, IntArray]:
+    """Makes one of vertices in one cell and drops faces that collapse.
+
+    An edge of a grid may part twins, along each axis on one of four staggered grids at most; so one of the four joins them.
+    """
+    for shift in (0.0, 0.25, 0.5, 0.75):
+        grid = np.floor((vertices - vertices.min(axis=0)) / cell + shift).astype(np.int64)
+        key = (grid[:, 0] << 42) | (grid[:, 1] << 21) | grid[:, 2]
+        _, first, index = np.unique(key, return_index=True, return_inverse=True)
+        vertices, faces = vertices[first], index[faces]
+    a, b, c = faces.T
+    return vertices, faces[(a != b) & (b != c) & (c != a)]
