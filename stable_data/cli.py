@@ -46,10 +46,13 @@ def synth(
     seed: Annotated[int, typer.Option(help="Scene k depends on the seed and k alone.")] = 0,
 ) -> None:
     """Write the embedded set: parametric assets and scenes at rest, with no download."""
+    from tqdm import tqdm
+
     from stable_data.synth import write_embedded_set
 
-    written = write_embedded_set(out, scenes, seed)
-    typer.echo(f"{out}: {written} scenes")
+    with tqdm(total=scenes, desc="synth", unit="scene") as bar:
+        written = write_embedded_set(out, scenes, seed, progress=lambda done, _: bar.update(done - bar.n))
+    typer.echo(f"{out}: {scenes} scenes, {written} of them new")
 
 
 @app.command()

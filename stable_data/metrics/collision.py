@@ -68,6 +68,8 @@ def _parting(pair: MeshPair, directions: FloatArray, below: float, level: float)
     """Smallest translation up to a level that parts a pair, to 2 %, or None; none of ``below`` does."""
     best = None
     for number, direction in enumerate(directions):
+        if best is not None and best <= LEVELS[0]:
+            break  # touching, and no more
         wanted = level if best is None else best * (1 - _RESOLUTION)  # what gains less is not looked for
         if wanted <= below or pair.cross(wanted * direction, number):
             continue

@@ -11,6 +11,7 @@ import numpy as np
 from PIL import Image
 
 from stable_data.errors import ConfigError, SceneError
+from stable_data.export.glb import write_glb
 from stable_data.mesatask.layout import LAYOUT_FILE
 from stable_data.mesatask.library import AssetAnnotation
 from stable_data.mesatask.writing import LAYOUT_FOLDER, write_annotations, write_asset, write_scene
@@ -20,7 +21,7 @@ from stable_data.relations import scene_graph
 from stable_data.render import render_scene
 from stable_data.scene import Scene, Tabletop, Vec3
 from stable_data.shape import Shape
-from stable_data.synth.assets import Asset, asset, unit_cube, write_glb
+from stable_data.synth.assets import Asset, asset, unit_cube
 from stable_data.synth.catalogue import CATALOGUE
 from stable_data.synth.placing import Placed, place
 from stable_data.synth.plans import TABLES, TablePlan
