@@ -51,8 +51,13 @@ def synth(
     from stable_data.synth import write_embedded_set
 
     with tqdm(total=scenes, desc="synth", unit="scene") as bar:
-        written = write_embedded_set(out, scenes, seed, progress=lambda done, _: bar.update(done - bar.n))
-    typer.echo(f"{out}: {scenes} scenes, {written} of them new")
+
+        def show(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        written = write_embedded_set(out, scenes, seed, progress=show)
+    typer.echo(f"{out}: {written} scenes")
 
 
 @app.command()

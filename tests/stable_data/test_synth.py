@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from stable_data.errors import ConfigError, SceneError
+from stable_data.export.glb import write_glb
 from stable_data.glb import load_glb
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.repair import repair
 from stable_data.scene import Tabletop
 from stable_data.synth import arrangement, write_embedded_set
-from stable_data.synth.assets import asset, unit_cube, write_glb
+from stable_data.synth.assets import asset, unit_cube
 from stable_data.synth.catalogue import CATALOGUE, LAID
 from stable_data.synth.placing import place, yaw_frame_parts
 from stable_data.synth.plans import TABLES, Spot
