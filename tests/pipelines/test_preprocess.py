@@ -32,8 +32,26 @@ SMALL = PreprocessSettings(scenes_per_shard=2, assets_per_shard=4, num_points=64
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("embedded") / "data"
-    write_embedded_set(root, 6, seed=3, pictures=False)
+    write_embedded_set(root, 4, seed=3, pictures=False)
     return root
+
+
+@pytest.fixture(scope="module")
+def tiny(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The dataset's scene with the fewest objects, alone."""
+    root = tmp_path_factory.mktemp("tiny") / "data"
+    shutil.copytree(dataset, root)
+    layouts = sorted(root.glob("Layout_info/*/*/layout.json"), key=lambda p: len(json.loads(p.read_text("utf-8"))["objects"]))
+    for layout in layouts[1:]:
+        shutil.rmtree(layout.parent)
+    return root
+
+
+@pytest.fixture(scope="module")
+def tiny_run(tiny: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("tiny_run") / "out"
+    preprocess(str(tiny), str(out), SMALL, Workers())
+    return out
 
 
 @pytest.fixture(scope="module")
@@ -91,13 +109,13 @@ def test_the_report_names_the_scenes(clean_run: Path) -> None:
     assert "scenes usable" in page
 
 
-def test_what_is_missing_is_done_again(dataset: Path, clean_run: Path, tmp_path: Path) -> None:
+def test_what_is_missing_is_done_again(tiny: Path, tiny_run: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    shutil.copytree(clean_run, out)
-    for table in ("scenes", "assets"):
+    shutil.copytree(tiny_run, out)
+    for table in ("scenes", "assets"):  # the last tables of a shard
         next(iter(sorted((out / table).glob("part-*")))).unlink()
-    preprocess(str(dataset), str(out), SMALL, Workers())
-    assert content(out) == content(clean_run)
+    preprocess(str(tiny), str(out), SMALL, Workers())
+    assert content(out) == content(tiny_run)
 
 
 def test_a_changed_setting_stops_with_was_and_now(dataset: Path, clean_run: Path) -> None:
@@ -106,10 +124,10 @@ def test_a_changed_setting_stops_with_was_and_now(dataset: Path, clean_run: Path
         preprocess(str(dataset), str(clean_run), changed, Workers())
 
 
-def test_a_changed_input_stops(dataset: Path, clean_run: Path, tmp_path: Path) -> None:
+def test_a_changed_input_stops(tiny: Path, tiny_run: Path, tmp_path: Path) -> None:
     copied, out = tmp_path / "data", tmp_path / "out"
-    shutil.copytree(dataset, copied)
-    shutil.copytree(clean_run, out)
+    shutil.copytree(tiny, copied)
+    shutil.copytree(tiny_run, out)
     layout = next(copied.glob("Layout_info/*/*/layout.json"))
     layout.write_text(layout.read_text("utf-8") + "\n", "utf-8")
     with pytest.raises(ConfigError, match="input_fingerprint"):
@@ -122,7 +140,7 @@ def test_a_second_run_into_the_same_folder_is_refused(dataset: Path, clean_run: 
 
 
 def test_a_full_disk_ends_with_one_line_and_the_run_can_go_on(
-    dataset: Path, clean_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tiny: Path, tiny_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import stable_data.shards as shards
 
@@ -131,17 +149,17 @@ def test_a_full_disk_ends_with_one_line_and_the_run_can_go_on(
     def fills_up(path: Path, data: bytes) -> None:
         nonlocal written
         written += 1
-        if written > 7:
+        if written > 4:
             raise OSError(28, "No space left on device")
         write(path, data)
 
     out = tmp_path / "out"
     monkeypatch.setattr(shards, "_write_local", fills_up)
     with pytest.raises(ConfigError, match="No space left on device"):
-        preprocess(str(dataset), str(out), SMALL, Workers())
+        preprocess(str(tiny), str(out), SMALL, Workers())
     monkeypatch.undo()
-    preprocess(str(dataset), str(out), SMALL, Workers())
-    assert content(out) == content(clean_run)
+    preprocess(str(tiny), str(out), SMALL, Workers())
+    assert content(out) == content(tiny_run)
 
 
 def test_an_older_table_is_refused(dataset: Path, clean_run: Path, tmp_path: Path) -> None:
@@ -190,9 +208,7 @@ def command_of(dataset: Path, out: Path, *more: str) -> list[str]:
     return [sys.executable, "-m", "pipelines", "preprocess", *where, "--set=num_pictures=0", *settings, *more]
 
 
-def test_a_run_into_an_object_store_gives_the_same_rows(
-    dataset: Path, clean_run: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_into_an_object_store_gives_the_same_rows(tiny: Path, tiny_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from moto.server import ThreadedMotoServer
 
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "test")
@@ -202,21 +218,19 @@ def test_a_run_into_an_object_store_gives_the_same_rows(
     try:
         host, port = server.get_host_and_port()
         endpoint = f"http://{host}:{port}"
-        boto3.client("s3", endpoint_url=endpoint, region_name="us-east-1").create_bucket(Bucket="scenes")
-        uri = f"s3://scenes/run?endpoint_override={host}%3A{port}&scheme=http&region=us-east-1"
-        preprocess(str(dataset), uri, SMALL, Workers())
-        stored, local = RunFolder(uri), RunFolder(str(clean_run))
+        boto3.client("s3", endpoint_url=endpoint, region_name="us-east-1").create_bucket(Bucket="preprocess")
+        uri = f"s3://preprocess/run?endpoint_override={host}%3A{port}&scheme=http&region=us-east-1"
+        preprocess(str(tiny), uri, SMALL, Workers())
+        stored, local = RunFolder(uri), RunFolder(str(tiny_run))
         for table in TABLES:
             assert stored.table(table).equals(local.table(table)), table
         assert stored.read_bytes("report/index.html") is not None
-        preprocess(str(dataset), uri, SMALL, Workers())  # resumes: nothing to do
+        preprocess(str(tiny), uri, SMALL, Workers())  # resumes: nothing to do
     finally:
         server.stop()
 
 
-def test_a_task_writer_writes_the_tasks_and_is_asked_once(
-    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_task_writer_writes_the_tasks_and_is_asked_once(tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     module = tmp_path / "my_writer.py"
     module.write_text(
         """
@@ -232,7 +246,7 @@ def write(scene, relations):
     )
     monkeypatch.syspath_prepend(tmp_path)
     bare = tmp_path / "data"
-    shutil.copytree(dataset, bare)
+    shutil.copytree(tiny, bare)
     for task in bare.glob("Layout_info/*/*/task_info.json"):
         task.unlink()
     settings = replace(SMALL, task_writer="my_writer:write", task_cache=str(tmp_path / "cache"))
@@ -243,11 +257,11 @@ def write(scene, relations):
     assert sys.modules["my_writer"].calls == len(rows)
 
 
-def test_positions_that_mean_the_mesh_centre_are_converted(dataset: Path, clean_run: Path, tmp_path: Path) -> None:
+def test_positions_that_mean_the_mesh_centre_are_converted(tiny: Path, tiny_run: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    preprocess(str(dataset), str(out), replace(SMALL, position_convention="mesh_centre"), Workers())
+    preprocess(str(tiny), str(out), replace(SMALL, position_convention="mesh_centre"), Workers())
     moved = {r["scene_id"]: r for r in RunFolder(str(out)).table("scenes").to_pylist()}
-    for row in RunFolder(str(clean_run)).table("scenes").to_pylist():
+    for row in RunFolder(str(tiny_run)).table("scenes").to_pylist():
         for was, now in zip(row["objects"], moved[row["scene_id"]]["objects"], strict=True):
             upright = was["tilt_quat_xyzw"] == [0.0, 0.0, 0.0, 1.0]
             assert not upright or now["position"] == pytest.approx(was["position"], abs=1e-6)
@@ -302,11 +316,18 @@ def test_mesa_real_is_accounted_for(shared_data: Path, tmp_path: Path) -> None:
     assert manifest["counts"]["samples"] == 360
 
 
-def test_mesa_broken_is_handled_case_by_case(shared_data: Path, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def broken_run(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> subprocess.CompletedProcess[str]:
+    out = tmp_path_factory.mktemp("broken") / "out"
+    done = run_cli(shared_data / "mesa_broken", out, "--workers", "0")
+    done.args = out
+    return done
+
+
+def test_mesa_broken_is_handled_case_by_case(shared_data: Path, broken_run: subprocess.CompletedProcess[str]) -> None:
     root = shared_data / "mesa_broken"
-    done = run_cli(root, tmp_path / "out", "--workers", "0")
-    assert done.returncode == 1, done.stderr
-    run = RunFolder(str(tmp_path / "out"))
+    assert broken_run.returncode == 1, broken_run.stderr
+    run = RunFolder(str(broken_run.args))
     scenes = set(run.table("scenes", ["scene_id"])["scene_id"].to_pylist())
     failures = pl.DataFrame(pl.from_arrow(run.table("failures")))
     warnings = pl.DataFrame(pl.from_arrow(run.table("warnings")))
@@ -328,11 +349,8 @@ def test_mesa_broken_is_handled_case_by_case(shared_data: Path, tmp_path: Path) 
     assert len(set(codes.values())) >= len(codes) - 1, "each case has its own reason"
 
 
-def test_objects_with_a_broken_mesh_are_kept_as_boxes_of_unknown_verdict(shared_data: Path, tmp_path: Path) -> None:
-    root = shared_data / "mesa_broken"
-    settings = PreprocessSettings(num_points=64, num_pictures=0, all_assets=False)
-    preprocess(str(root), str(tmp_path / "out"), settings, Workers())
-    rows = {r["scene_id"]: r for r in RunFolder(str(tmp_path / "out")).table("scenes").to_pylist()}
+def test_objects_with_a_broken_mesh_are_kept_as_boxes_of_unknown_verdict(broken_run: subprocess.CompletedProcess[str]) -> None:
+    rows = {r["scene_id"]: r for r in RunFolder(str(broken_run.args)).table("scenes").to_pylist()}
     assert rows["dining_table_0017"]["num_without_mesh"] == 1
     assert rows["coffee_table_0052"]["num_without_mesh"] == 0
     assert rows["bathroom_vanity_0003"]["num_without_mesh"] == 0
