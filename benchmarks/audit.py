@@ -96,7 +96,9 @@ def run(root: Path, num_scenes: int | None = None, repeats: int = 3) -> AuditBen
     """
     dataset = MesaTaskDataset(root)
     store = AssetStore(dataset, max_bytes=2**31)
-    scenes = [scene for scene in (dataset.read(scene_id)[0] for scene_id in dataset.scene_ids) if len(scene.objects) in _NUM_OBJECTS]
+    scenes = [
+        scene for scene in (dataset.read(scene_id)[0] for scene_id in dataset.scene_ids) if len(scene.objects) in _NUM_OBJECTS
+    ]
     timings = []
     for scene in scenes[:num_scenes]:
         shapes = store.shapes(scene)[0]
@@ -110,7 +112,9 @@ def _shifted(scene: Scene) -> Scene:
     rng = np.random.default_rng(len(scene.objects))
     noise = rng.normal(0.0, (_SHIFT, _SHIFT, _SHIFT, _TURN), (len(scene.objects), 4))
     x, y, z, yaw = (scene.poses() + noise).T.tolist()
-    return replace(scene, objects=tuple(o.moved(p, a) for o, p, a in zip(scene.objects, zip(x, y, z, strict=True), yaw, strict=True)))
+    return replace(
+        scene, objects=tuple(o.moved(p, a) for o, p, a in zip(scene.objects, zip(x, y, z, strict=True), yaw, strict=True))
+    )
 
 
 def _time(scene: Scene, shapes: Sequence[Shape], is_shifted: bool, repeats: int) -> Timing:
@@ -135,7 +139,12 @@ def _alternately(scene: Scene, shapes: Sequence[Shape], repeats: int) -> Iterato
         start = time.process_time()
         manager = trimesh.collision.CollisionManager()
         for o, mesh, pose in zip(scene.objects, meshes, scene.poses(), strict=True):
-            manager.add_object(o.instance, mesh, trimesh.transformations.translation_matrix(pose[:3]) @ trimesh.transformations.rotation_matrix(pose[3], (0, 0, 1)))
+            manager.add_object(
+                o.instance,
+                mesh,
+                trimesh.transformations.translation_matrix(pose[:3])
+                @ trimesh.transformations.rotation_matrix(pose[3], (0, 0, 1)),
+            )
         crossing = manager.in_collision_internal(return_names=True)[1]
         middle = time.process_time()
         audit = audit_scene(scene, fresh)

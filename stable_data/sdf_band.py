@@ -20,7 +20,7 @@ _MANY = 3 << 12  # rows or columns of samples of one face, at most
 _STEPS_OF_COUNT = np.sort(np.concatenate([1 << np.arange(14), 3 << np.arange(13)]))
 _MAX_SAMPLES = 1 << 20  # held at a time
 _SEED = 0.72  # spacings from the surface within which a band node passes its surface point on
-_REACH = 2.75  # spacings within which a node measures to that face, not to that point alone
+_REACH = 2.75  # spacings within which a node tries the points of its neighbours and measures to a face
 
 Float32Array = npt.NDArray[np.float32]
 
@@ -85,8 +85,9 @@ class Band:
 def unsigned_distances(exact: SignedDistance, lattice: Lattice, band: Band) -> FloatArray:
     """Distance without sign at every node, exact in the band, the grid's shape.
 
-    Every other node measures to the surface point of the nearest band node that lies close to the surface; where the node is
-    near itself, to the whole face that this point is on. So a distance is never too short.
+    Every other node measures to the surface point of the nearest band node that lies close to the surface. Where the node is near
+    itself it tries the points of its neighbours too, and measures to the whole face that the best is on. So a distance is never
+    too short.
     """
     slot = np.full(lattice.size, -1, np.int32)
     seed = np.flatnonzero(band.distance <= max(_SEED * lattice.spacing, band.distance.min()))
@@ -100,9 +101,28 @@ def unsigned_distances(exact: SignedDistance, lattice: Lattice, band: Band) -> F
     is_near = distance < _REACH * lattice.spacing
     is_near[band.nodes] = False
     near = np.flatnonzero(is_near)
-    distance[near] = distance_to_faces(lattice.places(near), exact.mesh.triangles[band.face[source[near]]])
+    chosen = _best_of_neighbours(near, source, at[:, near], place, lattice)
+    distance[near] = distance_to_faces(lattice.places(near), exact.mesh.triangles[band.face[chosen]])
     distance[band.nodes] = band.distance
     return distance.reshape(lattice.shape)
+
+
+def _best_of_neighbours(
+    near: IntArray, source: npt.NDArray[np.int32], at: Float32Array, place: Float32Array, lattice: Lattice
+) -> npt.NDArray[np.int32]:
+    """Of the surface points that a node and its six neighbours know the nearest to the node, for the nodes given, (K,)."""
+    _, ny, nz = lattice.shape
+    held = source[near]
+    least = _squared(at, place, held)
+    for stride in (ny * nz, nz, 1, -1, -nz, -ny * nz):
+        # Past an edge of the grid this offers a point from elsewhere, which is no nearer and does no harm.
+        offered = source.take(near + stride, mode="clip")
+        other = np.flatnonzero(offered != held)
+        squared = _squared(at[:, other], place, offered[other])
+        is_better = squared < least[other]
+        other = other[is_better]
+        held[other], least[other] = offered[other], squared[is_better]
+    return held
 
 
 def _squared(at: Float32Array, place: Float32Array, chosen: npt.NDArray[np.int32]) -> Float32Array:

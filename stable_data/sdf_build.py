@@ -195,7 +195,7 @@ def _inside(exact: SignedDistance, lattice: Lattice, band: Band, distance: Float
     Two neighbours whose distances add up to more than what lies between them have no surface between them. So nodes farther
     than half a spacing from the surface form regions of one side each; a node nearer than that takes the side of a node met
     when walking away from its nearest surface point. One of the rest that lies straight behind a face is inside, where the
-    surface is closed and turned outwards. What is left asks for its own winding number.
+    surface is closed and turned outwards and no sample of them says otherwise. What is left asks for its own winding number.
     """
     regions, num_regions = ndimage.label(distance > lattice.spacing / 2)
     region = regions.ravel().astype(np.int64)
@@ -204,11 +204,25 @@ def _inside(exact: SignedDistance, lattice: Lattice, band: Band, distance: Float
     is_close = region[band.nodes] == 0
     close = band.nodes[is_close]
     met = _met(lattice, close, band.away[is_close], distance.ravel(), region)
-    inside[close] = np.where(met >= 0, inside[met], band.is_behind[is_close])
-    is_asked = (met < 0) & ~(band.is_behind[is_close] & is_closed) | is_doubtful[region[met]]
-    unknown = np.concatenate([close[is_asked], np.flatnonzero(is_doubtful[region])])
+    inside[close] = inside[met]
+    is_left = (met < 0) | is_doubtful[region[met]]
+    left = close[is_left]
+    if is_closed and _behind_is_inside(exact, lattice, band, left):
+        is_asked = ~band.is_behind[is_close][is_left]
+        inside[left] = True
+        left = left[is_asked]
+    unknown = np.concatenate([left, np.flatnonzero(is_doubtful[region])])
     inside[unknown] = exact.is_inside(lattice.places(unknown))
     return inside.reshape(lattice.shape)
+
+
+def _behind_is_inside(exact: SignedDistance, lattice: Lattice, band: Band, left: IntArray) -> bool:
+    """Whether every sampled node of those that lies straight behind a face is inside: it is not where two faces coincide."""
+    slot = np.searchsorted(band.nodes, left)
+    slot = slot[band.is_behind[slot]]
+    one_a_face = slot[np.unique(band.face[slot], return_index=True)[1]]
+    sample = one_a_face[:: 1 + len(one_a_face) // _NUM_PROBES]
+    return bool(exact.is_inside(lattice.places(band.nodes[sample])).all())
 
 
 def _sides(

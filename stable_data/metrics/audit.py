@@ -130,7 +130,6 @@ class Audit:
             clean=False if fails else None if unknown or None in floats else True,
         )
 
-
     def rows(self) -> dict[str, list[dict[str, Any]]]:
         """Columns ``pairs`` and ``verdicts`` of the table ``scenes``."""
         pairs = [(p.first, p.second, None if p.penetration is None else 1e3 * p.penetration) for p in self.pairs]

@@ -65,6 +65,11 @@ class Surface:
         return low.min(axis=1, initial=np.inf), high.max(axis=1, initial=-np.inf)
 
 
+def as_surface(triangles: FloatArray | Surface) -> Surface:
+    """Triangles (F, 3, 3), metres, world frame, with their boxes; a surface stays what it is."""
+    return triangles if isinstance(triangles, Surface) else Surface(triangles)
+
+
 class _Soup:
     """Triangles of one mesh, with their boxes, that become fewer and fewer."""
 
@@ -138,12 +143,12 @@ def near_triangles(a: FloatArray | Surface, b: FloatArray | Surface, margin: flo
     Returns:
         Indices into ``a`` and into ``b``, int64.
     """
-    a, b = (x if isinstance(x, Surface) else Surface(x) for x in (a, b))
-    low, high = np.maximum(a.box[0] - margin, b.box[0]), np.minimum(a.box[1] + margin, b.box[1])
+    first, second = as_surface(a), as_surface(b)
+    low, high = np.maximum(first.box[0] - margin, second.box[0]), np.minimum(first.box[1] + margin, second.box[1])
     none = np.arange(0)
     if (low > high).any():
         return none, none
-    one, other = _Soup(a, margin, low, high), _Soup(b, 0.0, low, high)
+    one, other = _Soup(first, margin, low, high), _Soup(second, 0.0, low, high)
     for _ in range(4):
         before = len(one.index) + len(other.index)
         if not len(one.index) or not len(other.index):
@@ -214,9 +219,9 @@ class MeshPair:
     """
 
     def __init__(self, a: FloatArray | Surface, b: FloatArray | Surface, margin: float) -> None:
-        a, b = (x if isinstance(x, Surface) else Surface(x) for x in (a, b))
-        index_a, index_b = near_triangles(a, b, margin)
-        self._a, self._b = _Clusters(a, index_a), _Clusters(b, index_b)
+        first, second = as_surface(a), as_surface(b)
+        index_a, index_b = near_triangles(first, second, margin)
+        self._a, self._b = _Clusters(first, index_a), _Clusters(second, index_b)
         self._witnesses: dict[int, tuple[int, int]] = {}
         self._latest: tuple[int, int] | None = None
 
@@ -228,17 +233,18 @@ class MeshPair:
             direction: Any number for the vector's direction. The clusters that crossed last along it are asked first.
         """
         moved, result = np.asarray(shift, np.float64), fcl.CollisionResult()
-        first = {self._witnesses.get(direction), self._latest} - {None}
-        for clusters in first:
-            if self._clusters_cross(*clusters, moved, result):
-                return True
+        asked = {clusters for clusters in (self._witnesses.get(direction), self._latest) if clusters is not None}
+        if any(self._clusters_cross(*clusters, moved, result) for clusters in asked):
+            return True
         for clusters in self._meeting(moved):
-            if clusters not in first and self._clusters_cross(*clusters, moved, result):
+            if clusters not in asked and self._clusters_cross(*clusters, moved, result):
                 self._witnesses[direction] = self._latest = clusters
                 return True
         return False
 
-    def contact(self, shift: tuple[float, float, float] = (0.0, 0.0, 0.0), *, every: bool = False) -> PairContact | None:
+    def contact(
+        self, shift: tuple[float, float, float] | FloatArray = (0.0, 0.0, 0.0), *, every: bool = False
+    ) -> PairContact | None:
         """Where they touch when the first is moved by a vector (3,), metres; None where they do not.
 
         Args:
@@ -264,8 +270,8 @@ class MeshPair:
         found = np.array(normals)
         found = found[np.linalg.norm(found, axis=1) > 0.5]
         _, distinct = np.unique(np.round(found, 2), axis=0, return_index=True)
-        touching = (unit_normals(np.concatenate(triangles)) for triangles in (of_a, of_b))
-        return PairContact(found[np.sort(distinct)], *touching, left <= 0)
+        touching_a, touching_b = (unit_normals(np.concatenate(triangles)) for triangles in (of_a, of_b))
+        return PairContact(found[np.sort(distinct)], touching_a, touching_b, left <= 0)
 
     def _meeting(self, shift: FloatArray) -> Iterator[tuple[int, int]]:
         """Pairs of clusters whose boxes meet when the first mesh is moved, those that share most first."""
@@ -296,7 +302,9 @@ class _Clusters:
             index, low, high = index[order], low[:, order], high[:, order]
         self._triangles = surface.triangles[index]
         starts = np.arange(0, len(index), _CLUSTER)
-        self.boxes = tuple(f.reduceat(x, starts, axis=1) if len(index) else x for f, x in ((np.minimum, low), (np.maximum, high)))
+        self.boxes = tuple(
+            f.reduceat(x, starts, axis=1) if len(index) else x for f, x in ((np.minimum, low), (np.maximum, high))
+        )
         self._bodies: dict[int, fcl.CollisionObject] = {}
 
     def members(self, cluster: int) -> FloatArray:

@@ -95,7 +95,9 @@ def summarise(scenes: pl.DataFrame) -> Summary:
         of_scenes("scenes with a collision (0.5 mm)", collides, ~collides & pl.col("oc").is_null()),
         of_scenes("scenes with a collision deeper than 10 mm", pl.col("oc_10mm") > 0, pl.col("oc_10mm").is_null()),
         of_scenes("scenes that sink into the table (0.5 mm)", pl.col("table_penetration_mm") > 0.5),
-        of_scenes("scenes with a floating object", pl.col("verdicts").list.eval(pl.element().struct.field("floats")).list.any()),
+        of_scenes(
+            "scenes with a floating object", pl.col("verdicts").list.eval(pl.element().struct.field("floats")).list.any()
+        ),
         of_scenes("scenes with an object out of bounds", pl.col("out_of_bounds_rate") > 0),
         of_scenes("scenes with a tilted object (5 degrees)", pl.col("num_tilted") > 0),
         of_scenes("scenes with a missing or broken mesh", pl.col("num_without_mesh") > 0),

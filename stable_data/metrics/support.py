@@ -3,39 +3,56 @@
 import igl
 import numpy as np
 
-from stable_data.metrics.crossing import MeshPair, Surface, near_triangles
+from stable_data.metrics.collision import DIRECTIONS
+from stable_data.metrics.crossing import MeshPair, Surface, as_surface, near_triangles
 from stable_data.scene import FloatArray
 
 _UPWARD = 0.01
 """Least vertical part of a contact normal that carries: half a degree from a vertical wall."""
 
-
+_ASIDE: FloatArray = DIRECTIONS[DIRECTIONS[:, 2] == 0]
 _PROBES = 128  # corners that bound a distance from above before it is computed
 
 
 def carries(pair: MeshPair, gap: float, upper_is_first: bool = True) -> bool:
-    """Does one object of a pair meet the other one with an upward normal when lowered?
+    """Does one object of a pair rest on the other one: does it meet it from above when lowered?
 
-    A contact carries when the lower face looks up or the upper face looks down; two vertical walls that touch do not.
+    It does where a face of the lower looks up. A face of the upper that looks down shows it too (a plate on a narrow post meets
+    the post's sides alone), unless it merely scratches a wall: then a step aside frees it and lifting does not. And what lifting
+    frees was carried, whichever way the faces of an open sheet are wound. Two vertical walls that touch never carry.
 
     Args:
         pair: The two meshes, with a margin of at least the gap.
-        gap: How far it is lowered, metres.
+        gap: How far it is lowered, lifted and stepped aside, metres.
         upper_is_first: Whether the first of the pair is the one that is lowered.
     """
+    up = np.array([0.0, 0.0, 1.0 if upper_is_first else -1.0])  # moves the upper up, or, the same, the lower down
     for lowered in (gap, 0.0):
-        # Lifting the lower one is the same as lowering the upper one.
-        shift = (0.0, 0.0, -lowered if upper_is_first else lowered)
-        for every in (False, True):
-            contact = pair.contact(shift, every=every)
-            if contact is None:
-                break
-            upper, lower = (contact.normals_a, contact.normals_b) if upper_is_first else (contact.normals_b, contact.normals_a)
-            if ((lower[:, 2] > _UPWARD) | (upper[:, 2] < -_UPWARD)).any():
-                return True
-            if not contact.is_cut_short:
-                break
+        touching = _touching(pair, -lowered * up, upper_is_first)
+        if touching is None:
+            continue
+        upper, lower = touching
+        if lower.max() > _UPWARD:
+            return True
+        is_slanted = max(np.abs(lower).max(), np.abs(upper).max()) > _UPWARD
+        if is_slanted and not pair.cross(gap * up):
+            return True
+        if upper.min() < -_UPWARD and all(pair.cross(gap * aside - lowered * up) for aside in _ASIDE):
+            return True
     return False
+
+
+def _touching(pair: MeshPair, shift: FloatArray, upper_is_first: bool) -> tuple[FloatArray, FloatArray] | None:
+    """Vertical parts of the normals of the faces that touch, (C,) of the upper and (C,) of the lower; None where none do."""
+    for every in (False, True):
+        contact = pair.contact(shift, every=every)
+        if contact is None:
+            return None
+        of_a, of_b = contact.normals_a[:, 2], contact.normals_b[:, 2]
+        upper, lower = (of_a, of_b) if upper_is_first else (of_b, of_a)
+        if lower.max() > _UPWARD or not contact.is_cut_short:
+            break
+    return upper, lower
 
 
 def distance_to_surface(points: FloatArray, triangles: FloatArray | Surface, at_most: float) -> float:
@@ -46,7 +63,7 @@ def distance_to_surface(points: FloatArray, triangles: FloatArray | Surface, at_
         triangles: (F, 3, 3) float64, metres, world frame.
         at_most: Bound beyond which the distance does not matter, metres.
     """
-    surface = triangles if isinstance(triangles, Surface) else Surface(triangles)
+    surface = as_surface(triangles)
     corners = surface.triangles[:: max(1, len(surface.triangles) // _PROBES), 0]
     probe = np.linalg.norm(points[:, None] - corners[None], axis=2).min(initial=at_most)
     at_most = min(at_most, float(probe))  # some corner is this near, so the surface is

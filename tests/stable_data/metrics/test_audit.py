@@ -1,0 +1,149 @@
+"""The audit of whole scenes: every verdict, and what becomes of what is not known."""
+
+from dataclasses import asdict
+
+import pytest
+
+from stable_data.metrics.audit import Audit, ObjectVerdict, PairVerdict, audit_scene
+from stable_data.scene import Scene
+from stable_data.shape import Shape
+from tests.scenes import Placed, ball, ball_in_bowl, box, box_on_table, leaning_plate, overlapping_balls, scene_of
+
+CUBE = box(0.1, 0.1, 0.1)
+UNKNOWN = Shape.box((0.1, 0.1, 0.1))
+
+
+def good(instance: str, floats: bool | None = False) -> ObjectVerdict:
+    return ObjectVerdict(
+        instance, floats, ("table",), 0.0, 0.0, leaves_table=False, enters_restricted_zone=False, has_mesh=True
+    )
+
+
+@pytest.mark.parametrize(
+    "built", [box_on_table(), ball_in_bowl(), leaning_plate()], ids=["box", "ball in bowl", "leaning plate"]
+)
+def test_scenes_that_are_right_are_clean(built: tuple[Scene, list[Shape]]) -> None:
+    card = audit_scene(*built).card()
+    assert card.clean is True
+    assert card.oc == card.float_rate == card.out_of_bounds_rate == card.max_penetration_mm == 0.0
+
+
+def test_two_overlapping_balls_collide_at_the_tolerances_below_their_depth() -> None:
+    card = audit_scene(*overlapping_balls(0.004)).card()
+    assert card.max_penetration_mm == pytest.approx(4.0, rel=0.05)
+    assert (card.oc_0mm, card.oc, card.oc_1mm, card.oc_10mm) == (1.0, 1.0, 1.0, 0.0)
+    assert card.num_collisions == 1
+    assert card.clean is False
+
+
+def test_a_shallow_overlap_is_let_pass_at_the_tolerance() -> None:
+    card = audit_scene(*overlapping_balls(3e-4)).card()
+    assert (card.oc_0mm, card.oc, card.clean) == (1.0, 0.0, True)
+
+
+def test_shares_are_of_all_unordered_pairs_and_of_all_objects() -> None:
+    placed: list[Placed] = [
+        ("a", CUBE, (0.2, 0.2, 0.05, 0.0)),
+        ("b", CUBE, (0.29, 0.2, 0.05, 0.0)),
+        ("c", CUBE, (0.7, 0.7, 0.06, 0.0)),
+        ("d", CUBE, (0.99, 0.2, 0.05, 0.0)),
+    ]
+    card = audit_scene(*scene_of(placed)).card()
+    assert card.oc == pytest.approx(1 / 6)
+    assert card.float_rate == 1 / 4
+    assert card.out_of_bounds_rate == 1 / 4
+    assert card.max_gap_mm == pytest.approx(10.0)
+
+
+def test_an_object_that_leaves_the_table_and_enters_the_zone_counts_once() -> None:
+    card = audit_scene(*scene_of([("box", CUBE, (0.0, 0.5, 0.05, 0.0))], zone=(0.0, 0.2, 0.4, 0.6))).card()
+    assert card.out_of_bounds_rate == 1.0
+
+
+@pytest.mark.parametrize(("sunk", "clean"), [(4e-4, True), (6e-4, False), (0.03, False)])
+def test_sinking_into_the_table_is_measured_and_bounded(sunk: float, clean: bool) -> None:
+    card = audit_scene(*box_on_table(-sunk)).card()
+    assert card.table_penetration_mm == pytest.approx(1e3 * sunk)
+    assert card.clean is clean
+    assert card.float_rate == 0.0
+
+
+def test_the_tolerance_moves_every_verdict() -> None:
+    placed: list[Placed] = [
+        ("sunk", CUBE, (0.2, 0.2, 0.048, 0.0)),
+        ("lifted", CUBE, (0.5, 0.5, 0.052, 0.0)),
+        ("left", CUBE, (0.2, 0.7, 0.05, 0.0)),
+        ("right", CUBE, (0.298, 0.7, 0.05, 0.0)),
+    ]
+    assert audit_scene(*scene_of(placed)).card().clean is False
+    assert audit_scene(*scene_of(placed), tolerance=3e-3).card().clean is True
+
+
+def test_an_empty_scene_is_clean() -> None:
+    card = audit_scene(*scene_of([])).card()
+    assert (card.clean, card.num_objects, card.oc, card.float_rate, card.max_gap_mm) == (True, 0, 0.0, 0.0, 0.0)
+
+
+def test_boxes_that_do_not_meet_settle_what_a_missing_mesh_leaves_open() -> None:
+    card = audit_scene(*scene_of([("known", CUBE, (0.2, 0.2, 0.05, 0.0)), ("unknown", UNKNOWN, (0.7, 0.7, 0.05, 0.0))])).card()
+    assert (card.num_unknown_pairs, card.oc, card.num_without_mesh) == (0, 0.0, 1)
+
+
+def test_a_missing_mesh_that_may_collide_is_unknown_and_never_a_pass() -> None:
+    audit = audit_scene(*scene_of([("known", CUBE, (0.2, 0.2, 0.05, 0.0)), ("unknown", UNKNOWN, (0.29, 0.2, 0.05, 0.0))]))
+    assert audit.pairs == (PairVerdict("known", "unknown", None),)
+    card = audit.card()
+    assert (card.num_unknown_pairs, card.num_collisions) == (1, 0)
+    assert card.oc is card.oc_0mm is card.oc_1mm is card.oc_10mm is card.max_penetration_mm is card.clean is None
+
+
+def test_a_known_failure_decides_although_something_is_unknown() -> None:
+    placed: list[Placed] = [
+        ("known", CUBE, (0.2, 0.2, 0.05, 0.0)),
+        ("unknown", UNKNOWN, (0.29, 0.2, 0.05, 0.0)),
+        ("in the air", CUBE, (0.7, 0.7, 0.2, 0.0)),
+    ]
+    assert audit_scene(*scene_of(placed)).card().clean is False
+
+
+def test_unknown_support_makes_the_rate_and_clean_unknown() -> None:
+    placed: list[Placed] = [("unknown", UNKNOWN, (0.2, 0.2, 0.05, 0.0)), ("upper", CUBE, (0.2, 0.2, 0.1503, 0.0))]
+    card = audit_scene(*scene_of(placed)).card()
+    assert card.float_rate is card.max_gap_mm is card.clean is None
+
+
+@pytest.mark.parametrize(
+    ("pairs", "floats", "clean"),
+    [
+        ((), False, True),
+        ((PairVerdict("a", "b", 1e-4),), False, True),
+        ((PairVerdict("a", "b", None),), False, None),
+        ((), None, None),
+        ((PairVerdict("a", "b", None),), True, False),
+        ((PairVerdict("a", "b", 1e-2),), None, False),
+    ],
+)
+def test_clean_is_decided_by_failures_first_and_unknowns_second(
+    pairs: tuple[PairVerdict, ...], floats: bool | None, clean: bool | None
+) -> None:
+    assert Audit("s", pairs, (good("a", floats), good("b")), 0).card().clean is clean
+
+
+def test_pairs_that_are_apart_are_not_listed() -> None:
+    placed: list[Placed] = [("a", ball(0.05), (0.2, 0.2, 0.05, 0.0)), ("b", ball(0.05), (0.28, 0.28, 0.05, 0.0))]
+    assert audit_scene(*scene_of(placed)).pairs == ()
+
+
+def test_rows_say_the_same_in_millimetres() -> None:
+    audit = audit_scene(*overlapping_balls(0.004))
+    rows = audit.rows()
+    assert rows["pairs"] == [{"first": "left", "second": "right", "penetration_mm": 1e3 * (audit.pairs[0].penetration or 0)}]
+    assert [row["supports"] for row in rows["verdicts"]] == [o.supports for o in audit.objects]
+    assert set(rows["verdicts"][0]) == {
+        n.removesuffix("_mm") + ("_mm" if n in ("gap", "table_penetration") else "") for n in asdict(audit.objects[0])
+    }
+
+
+def test_the_card_takes_counts_from_the_scene_graph() -> None:
+    card = audit_scene(*box_on_table()).card(num_stacked=2, num_contained=1)
+    assert (card.num_stacked, card.num_contained) == (2, 1)
