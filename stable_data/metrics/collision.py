@@ -71,11 +71,10 @@ def _parted_surely(a: Surface, b: Surface, directions: FloatArray) -> tuple[Floa
 
     For convex objects that is the depth itself, found without one question to a tree.
     """
-    steps = (max(1, len(surface.triangles) // _PROBES) for surface in (a, b))
-    rough_a, rough_b = (surface.triangles[::step, 0] @ directions.T for surface, step in zip((a, b), steps, strict=True))
-    directions = directions[np.argsort(rough_b.max(axis=0) - rough_a.min(axis=0), kind="stable")]
-    first_a, first_b = (surface.triangles.reshape(-1, 3) @ directions[:_PROMISING].T for surface in (a, b))
-    return directions, float((first_b.max(axis=0) - first_a.min(axis=0)).min()) + 1e-7
+    rough_a, rough_b = (directions @ surface.triangles[:: max(1, len(surface.triangles) // _PROBES), 0].T for surface in (a, b))
+    directions = directions[np.argsort(rough_b.max(axis=1) - rough_a.min(axis=1), kind="stable")]
+    first_a, first_b = (directions[:_PROMISING] @ surface.triangles.reshape(-1, 3).T for surface in (a, b))
+    return directions, float((first_b.max(axis=1) - first_a.min(axis=1)).min()) + 1e-7
 
 
 def _parting(pair: MeshPair, directions: FloatArray, below: float, level: float, bound: float) -> float | None:
