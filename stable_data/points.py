@@ -62,10 +62,13 @@ def bottom_points(
         (num, 3) float32, metres, same frame, farthest first.
     """
     rng = np.random.default_rng(0) if rng is None else rng
-    used = vertices[np.unique(faces)]
-    low, high = used[:, 2].min(), used[:, 2].max()
+    heights = np.ascontiguousarray(vertices[:, 2][faces].T)
+    lowest_corner = np.minimum(np.minimum(heights[0], heights[1]), heights[2])
+    low, high = lowest_corner.min(), heights.max()
     band = float(np.clip(_BAND_SHARE * (high - low), _BAND_MIN, _BAND_MAX)) if band is None else band
-    lowest = used[used[:, 2] <= low + 0.01 * band]
+    faces = faces[lowest_corner <= low + band]  # the rest cannot reach into the band
+    lowest = vertices[np.unique(faces)]
+    lowest = lowest[lowest[:, 2] <= low + 0.01 * band]
     lowest = lowest[_farthest_first(lowest, max(1, int(num * _LOWEST_SHARE)), [int(np.argmin(lowest[:, 2]))])]
     triangles = _below(vertices[faces], low + band)
     normals, areas = _normals_and_areas(triangles)

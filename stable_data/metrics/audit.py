@@ -5,10 +5,11 @@ box: what its box rules out is known (boxes that do not meet do not collide), th
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+import networkx as nx
 import numpy as np
 
 from stable_data.metrics.bounds import enters_zone, leaves_table
@@ -50,7 +51,8 @@ class ObjectVerdict:
 
     Attributes:
         instance: Its name.
-        floats: Lowered by the tolerance it meets nothing that carries; None where a missing mesh leaves it open.
+        floats: Lowered by the tolerance it meets nothing that carries, or only what it carries itself; None where a missing
+            mesh leaves it open.
         supports: What it meets then: instances, or ``table``.
         gap: The paper's smallest distance of the bottom region to a support, metres; None where unknown.
         table_penetration: How far it reaches below the table top, metres.
@@ -279,7 +281,7 @@ def audit_posed(posed: PosedScene, tolerance: float = TOLERANCE) -> Audit:
         depth = posed.penetration(i, j) if known else None
         if depth != 0.0:
             pairs.append(PairVerdict(posed.instances[i], posed.instances[j], depth))
-    objects = tuple(_judge_object(posed, index, tolerance) for index in range(len(posed.instances)))
+    objects = _without_circles(tuple(_judge_object(posed, index, tolerance) for index in range(len(posed.instances))))
     num_tilted = sum(o.tilt_angle > np.radians(5) for o in posed.scene.objects)
     return Audit(posed.scene.scene_id, tuple(pairs), objects, num_tilted, tolerance)
 
@@ -297,3 +299,15 @@ def _judge_object(posed: PosedScene, index: int, tolerance: float) -> ObjectVerd
         enters_restricted_zone=posed.nears_zone(index) and enters_zone(posed.triangles(index), zone, BOUNDS_SLACK),
         has_mesh=posed.shapes[index].is_exact,
     )
+
+
+def _without_circles(objects: tuple[ObjectVerdict, ...]) -> tuple[ObjectVerdict, ...]:
+    """Lets objects float that only carry each other: as one body, lowered, they meet nothing."""
+    carriers: nx.DiGraph[str] = nx.DiGraph((o.instance, below) for o in objects for below in o.supports)
+    hovering = {
+        name
+        for circle in nx.strongly_connected_components(carriers)
+        if len(circle) > 1 and all(below in circle for one in circle for below in carriers.successors(one))
+        for name in circle
+    }
+    return tuple(replace(o, floats=True) if o.instance in hovering else o for o in objects)

@@ -4,7 +4,7 @@ from dataclasses import asdict
 
 import pytest
 
-from stable_data.metrics.audit import Audit, ObjectVerdict, PairVerdict, audit_scene
+from stable_data.metrics.audit import Audit, ObjectVerdict, PairVerdict, _without_circles, audit_scene
 from stable_data.scene import Scene
 from stable_data.shape import Shape
 from tests.scenes import Placed, ball, ball_in_bowl, box, box_on_table, leaning_plate, overlapping_balls, scene_of
@@ -147,3 +147,17 @@ def test_rows_say_the_same_in_millimetres() -> None:
 def test_the_card_takes_counts_from_the_scene_graph() -> None:
     card = audit_scene(*box_on_table()).card(num_stacked=2, num_contained=1)
     assert (card.num_stacked, card.num_contained) == (2, 1)
+
+
+def _verdict(instance: str, *supports: str) -> ObjectVerdict:
+    return ObjectVerdict(instance, not supports, supports, 0.0, 0.0, False, False, True)
+
+
+def test_things_that_only_carry_each_other_float() -> None:
+    objects = (_verdict("cup", "toy"), _verdict("toy", "cup"), _verdict("ball", "toy"))
+    assert [o.floats for o in _without_circles(objects)] == [True, True, False]
+
+
+def test_a_circle_that_stands_on_something_does_not_float() -> None:
+    objects = (_verdict("cup", "toy", "table"), _verdict("toy", "cup"))
+    assert [o.floats for o in _without_circles(objects)] == [False, False]
