@@ -4,6 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
+
+settings.register_profile(
+    "repeatable", derandomize=True
+)  # a run that fails fails again; `--hypothesis-profile=default` explores
+settings.load_profile("repeatable")
 
 
 @pytest.fixture(scope="session")

@@ -22,7 +22,7 @@ from stable_data.mesatask import (
     write_task_info,
 )
 from stable_data.mesatask.frame import normalised
-from stable_data.scene import UPRIGHT, Relation, RelationKind, Scene, SceneObject, Tabletop, TaskInfo
+from stable_data.scene import UPRIGHT, QuatXyzw, Relation, RelationKind, Scene, SceneObject, Tabletop, TaskInfo
 from tests.stable_data.mesatask.layouts import LAID_FLAT, UID, make_dataset
 
 lengths = st.floats(0.001, 3.0)
@@ -49,6 +49,11 @@ def made_scenes(draw: st.DrawFn) -> Scene:
     )
     table = Tabletop("kitchen_counter", draw(st.tuples(lengths, lengths)), draw(st.one_of(st.none(), zones)))
     return Scene("scene_0", table, objects)
+
+
+def signless(quat_xyzw: QuatXyzw) -> tuple[float, ...]:
+    """A rotation has two quaternions; this is the same for both."""
+    return tuple(a * b for a in quat_xyzw for b in quat_xyzw)
 
 
 @settings(deadline=None, max_examples=150)
