@@ -22,6 +22,7 @@ def main() -> None:
     (arguments.out / "machine.json").write_text(json.dumps(machine, indent=2) + "\n", "utf-8")
     print(machine)
     few = arguments.quick
+    os.environ |= {"OMP_NUM_THREADS": "1", "IGL_NUM_THREADS": "1"}  # one process is one core, on both sides of a comparison
     jobs = {
         "sdf_grid": ["-m", "benchmarks.sdf_grid", f"{arguments.data}/Assets_library", *(["--limit", "12"] if few else [])],
         "audit": ["-m", "benchmarks.audit", str(arguments.data), *(["--scenes", "6"] if few else [])],
