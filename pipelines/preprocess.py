@@ -155,6 +155,9 @@ def preprocess(data: str, out: str, settings: PreprocessSettings, workers: Worke
         _check_resume(folder, manifest)
         folder.write_bytes("manifest.json", _json(manifest))
         _write_dataset_notices(folder, dataset)
+        if not plan.num_assets:  # a table without rows is still a table
+            for table in ASSET_TABLES:
+                folder.write_shard(table, content_id("no assets"), [])
         _run_shards(folder, plan, PreprocessShard(str(dataset.root), out, settings), workers)
         manifest |= {"status": "complete", "counts": _counts(folder)}
         if report:
@@ -214,10 +217,10 @@ def _check_resume(folder: RunFolder, manifest: dict[str, Any]) -> None:
     if content is None:
         return
     try:
-        was = json.loads(content)
-    except json.JSONDecodeError as error:
+        was = dict(json.loads(content))
+    except (ValueError, TypeError) as error:
         raise ConfigError(
-            f"{folder.uri}/manifest.json: not JSON ({error}); is this the folder of a run?", "manifest_invalid"
+            f"{folder.uri}/manifest.json: not a JSON object ({error}); is this the folder of a run?", "manifest_invalid"
         ) from error
     shaping = PreprocessSettings(**manifest["settings"]).shaping()
     compared = ("job", "code_version", "table_version", "input_fingerprint")

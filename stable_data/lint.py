@@ -15,6 +15,7 @@ from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.summary import Summary, summarise
+from stable_data.shards import unwritable
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +43,16 @@ class LintResult:
         return summarise(self.frame())
 
     def write(self, path: Path) -> None:
-        """Writes the rows as Parquet."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        pq.write_table(self._arrow(), path, compression="zstd")
+        """Writes the rows as Parquet.
+
+        Raises:
+            ConfigError: The place cannot be written.
+        """
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            pq.write_table(self._arrow(), path, compression="zstd")
+        except OSError as error:
+            raise unwritable(str(path), error) from error
 
     def __str__(self) -> str:
         """The page."""

@@ -162,6 +162,23 @@ def test_a_full_disk_ends_with_one_line_and_the_run_can_go_on(
     assert content(out) == content(tiny_run)
 
 
+def test_a_dataset_without_any_mesh_is_audited_as_unknown(tiny: Path, tmp_path: Path) -> None:
+    bare = tmp_path / "data"
+    shutil.copytree(tiny, bare)
+    shutil.rmtree(bare / "Assets_library")
+    manifest = preprocess(str(bare), str(tmp_path / "out"), SMALL, Workers())
+    assert (manifest["counts"]["scenes"], manifest["counts"]["assets"]) == (1, 0)
+    row = RunFolder(str(tmp_path / "out")).table("scenes").to_pylist()[0]
+    assert row["num_without_mesh"] == row["num_objects"]
+    assert row["clean"] is not True
+
+
+def test_a_manifest_that_is_no_object_is_refused(tiny: Path, tmp_path: Path) -> None:
+    (tmp_path / "manifest.json").write_text("[1]", "utf-8")
+    with pytest.raises(ConfigError, match="not a JSON object"):
+        preprocess(str(tiny), str(tmp_path), SMALL, Workers())
+
+
 def test_an_older_table_is_refused(dataset: Path, clean_run: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     shutil.copytree(clean_run, out)
