@@ -75,7 +75,7 @@ def preprocess_asset(
     asset = store.asset(use.asset_id)
     grids = tuple(_grid_row(use.asset_id, steps, store) for steps in use.aspects)
     return AssetRows(
-        _asset_row(use, annotation, asset, settings, embedding), _mesh_row(use.asset_id, asset), grids, asset.notices
+        _asset_row(use, annotation, asset, settings, embedding), _mesh_row(use.asset_id, asset, store), grids, asset.notices
     )
 
 
@@ -109,8 +109,8 @@ def _asset_row(
     }
 
 
-def _mesh_row(asset_id: str, asset: AssetMesh) -> tables.Row:
-    parts = convex_parts(asset.mesh)
+def _mesh_row(asset_id: str, asset: AssetMesh, store: AssetStore) -> tables.Row:
+    parts = convex_parts(asset.mesh, given=store.colliders(asset_id))
     glb = write_glb(asset.mesh)
     return {
         "asset_id": asset_id,

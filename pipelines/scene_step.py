@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 from stable_data import tables
 from stable_data.assets import AssetStore, with_box_centres
 from stable_data.errors import Notice
+from stable_data.instructions import derive_task, task_rng
 from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed
 from stable_data.relations import relations_of, scene_graph, supports
 from stable_data.scene import TABLE, RelationKind, Scene
 from stable_data.staging import samples_of, stage_scene
-from stable_data.task_templates import derive_task, task_rng
 from stable_data.tasks import TaskWriter, model_task, resolve_task_objects
 
 _CONTACT_GAP = 3e-3  # layouts are written to 1 mm, so what carries an object may be a little below it, metres

@@ -12,7 +12,7 @@ from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
 from stable_data.errors import MeshError, Notice, SceneError
-from stable_data.glb import load_glb
+from stable_data.glb import load_colliders, load_glb
 from stable_data.mesatask import MesaTaskDataset, PositionConvention, detect_position_convention, to_box_centre
 from stable_data.mesh import Mesh
 from stable_data.repair import MeshReport, repair
@@ -97,6 +97,14 @@ class AssetStore:
         if isinstance(found, MeshError):
             raise found.with_traceback(None)
         return found
+
+    def colliders(self, asset_id: str) -> tuple[Mesh, ...]:
+        """The convex parts that came with an asset's file, in the frame of its mesh; none where it has none that can be used."""
+        path = self._source.asset_path(asset_id)
+        try:
+            return () if path is None else load_colliders(path, asset_id)
+        except MeshError:
+            return ()  # the mesh itself is there: it is cut up instead
 
     def shape(self, o: SceneObject) -> tuple[Shape, tuple[Notice, ...]]:
         """The geometry of an object at its scale and tilt.

@@ -7,7 +7,7 @@ of the hollow is tried.
 """
 
 import heapq
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -49,7 +49,8 @@ class ConvexParts:
 
     Attributes:
         parts: At least one.
-        method: ``hull``, ``cuts``, or ``vhacd`` (an open mesh that could not be given a thickness).
+        method: ``given`` (they came with the mesh), ``hull``, ``cuts``, or ``vhacd`` (an open mesh that could not be given a
+            thickness).
         overfill_max: How far the parts stand out of the mesh at most: what fills a hollow.
         overfill_mean: The same on average over the parts' surface; within the mesh it counts 0.
         uncovered_max: How far the mesh stands out of the parts at most.
@@ -76,11 +77,15 @@ class ConvexParts:
         return max(self.overfill_mean, self.uncovered_mean)
 
 
-def convex_parts(mesh: Mesh, *, max_parts: int = 32, tolerance: float = 0.01) -> ConvexParts:
+def convex_parts(
+    mesh: Mesh, *, given: Sequence[ConvexPart] = (), max_parts: int = 32, tolerance: float = 0.01
+) -> ConvexParts:
     """Splits a mesh into few convex parts that follow its surface; the same mesh always gives the same parts.
 
     Args:
         mesh: Repaired (``stable_data.mesh.repair``), any unit. An open one is a shell of 1 % of its largest extent.
+        given: Parts that came with it, in its frame. They are taken where they are convex and true to the tolerance, whatever
+            their number.
         max_parts: Budget.
         tolerance: Overfill to stop at, share of the largest extent; a hull that keeps it is taken as it is.
 
@@ -96,7 +101,14 @@ def convex_parts(mesh: Mesh, *, max_parts: int = 32, tolerance: float = 0.01) ->
     if hull is None:
         raise MeshError(f"no hull of a mesh with extents {mesh.extents} has a volume, expected a surface", "convex_failed")
     hull_distance, _ = _overfill(unit, (hull,))
-    parts, method = ((hull,), "hull") if hull_distance <= max(tolerance, _SHELL) else _divided(unit, max_parts, tolerance)
+    parts = tuple(filter(None, (_hull((part.vertices - center) / extent) for part in given)))
+    is_true = bool(parts) and max(_overfill(unit, parts)[0], _uncovered(unit, parts)[0]) <= tolerance
+    if is_true:
+        method = "given"
+    elif hull_distance <= max(tolerance, _SHELL):
+        parts, method = (hull,), "hull"
+    else:
+        parts, method = _divided(unit, max_parts, tolerance)
     if not parts:
         parts, method = (hull,), "hull"
     overfill, uncovered = _overfill(unit, parts), _uncovered(unit, parts)

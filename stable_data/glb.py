@@ -17,6 +17,12 @@ from stable_data.scene import FloatArray, IntArray
 _WELD = 1e-6  # vertices nearer than this share of the largest extent are one
 _FLAT = 1e-12  # a face of less area than this share of the squared extent is no face
 _SMALLEST = 1e-30  # extents beyond this and its inverse lose their squares and cubes to rounding
+COLLIDERS = "colliders"
+"""Name of the mesh of a file that holds its convex parts; no node shows it."""
+
+PART_FACES = "part_faces"
+"""Key of that mesh's ``extras``: how many faces each part has, in order."""
+
 _MAGIC, _JSON_CHUNK, _BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -87,6 +93,30 @@ def load_glb(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimi
         )
 
 
+def load_colliders(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits()) -> tuple[Mesh, ...]:
+    """The convex parts that a file brings with it, as :func:`stable_data.export.glb.write_glb` stores them.
+
+    Args:
+        data: The file, or its content; not trusted.
+        asset_id: Named in messages.
+        limits: Sizes beyond which the file is refused.
+
+    Returns:
+        Closed convex meshes, in the frame and unit of :func:`load_glb`'s mesh; none where the file has no ``colliders``.
+
+    Raises:
+        MeshError: They are there and cannot be used (``glb_invalid`` and the codes of :func:`load_glb`).
+    """
+    content = _read_bytes(data, asset_id, limits) if isinstance(data, Path) else data
+    reader = _GlbReader(asset_id, limits)
+    try:
+        return reader.colliders(content)
+    except MeshError:
+        raise
+    except _HOSTILE as error:
+        reader.fail("glb_invalid", f"its colliders break the format ({type(error).__name__}: {error})", "convex parts")
+
+
 def _read_bytes(path: Path, asset_id: str, limits: MeshLimits) -> bytes:
     size = path.stat().st_size
     if size > limits.max_bytes:
@@ -130,6 +160,24 @@ class _GlbReader:
         if not num_faces:
             self.fail("glb_no_faces", "has no triangle", "at least one; is it a point cloud, a skeleton or an empty node?")
         return np.concatenate(vertices)[:, [0, 2, 1]] * (1.0, -1.0, 1.0), np.concatenate(faces)
+
+    def colliders(self, content: bytes) -> tuple[Mesh, ...]:
+        """The convex parts of the mesh ``colliders``, centred on the box of all, placed as the one mesh that the scene shows."""
+        self._open(content)
+        found = [mesh for mesh in self.document.get("meshes", []) if mesh.get("name") == COLLIDERS and "extras" in mesh]
+        placed = list(self._placed_meshes())
+        if not found or len(placed) != 1:
+            return ()
+        world_from_node = placed[0][1]
+        (corners, faces), counts = next(self._primitives(found[0])), np.array(found[0]["extras"][PART_FACES], np.int64)
+        if counts.sum() != len(faces) or (counts < 4).any() or len(faces) > self.limits.max_faces:
+            self.fail("glb_invalid", f"{len(counts)} colliders have {counts.sum()} faces", f"the {len(faces)} that are there")
+        corners = corners @ world_from_node[:3, :3].T + world_from_node[:3, 3]
+        corners = corners[:, [0, 2, 1]] * (1.0, -1.0, 1.0)
+        if not np.isfinite(corners).all():
+            self.fail("glb_nan_vertices", "a collider has a corner that is not finite", "finite coordinates")
+        corners = corners - (corners.min(axis=0) + corners.max(axis=0)) / 2
+        return tuple(Mesh(*compact(corners, part)) for part in np.split(faces, np.cumsum(counts)[:-1]))
 
     def _open(self, content: bytes) -> None:
         """Splits the file into its two chunks."""

@@ -29,6 +29,9 @@ from PIL import Image, ImageDraw, ImageFilter, ImageFont
 Picture: TypeAlias = npt.NDArray[np.uint8]
 """(H, W, 3) uint8, red, green, blue."""
 
+Paint: TypeAlias = str | Sequence[tuple[str, npt.NDArray[np.int64]]]
+"""``#rrggbb`` for all of a mesh, or for some of its faces each: (colour, indices of faces)."""
+
 View: TypeAlias = Literal["front", "perspective", "top", "left"]
 
 _DIRECTIONS: Mapping[str, Vec3] = {
@@ -67,7 +70,7 @@ def render_scene(
     *,
     size: tuple[int, int] = (512, 512),
     view: View = "front",
-    colors: Sequence[str] | None = None,
+    colors: Sequence[Paint] | None = None,
 ) -> Picture:
     """A picture of a scene.
 
@@ -76,7 +79,7 @@ def render_scene(
         meshes: Of each object, metres, yaw frame, centred on its box; None draws the object's box, see-through.
         size: Width and height, pixels.
         view: Where from.
-        colors: Of each object, ``#rrggbb``; by default its category's, a little lighter or darker by its asset.
+        colors: Of each object; by default its category's colour, a little lighter or darker by its asset.
 
     Returns:
         The picture.
@@ -86,7 +89,7 @@ def render_scene(
     """
     if view not in _DIRECTIONS:
         raise ConfigError(f"view is {view!r}, expected one of {sorted(_DIRECTIONS)}", "unknown_view")
-    chosen = [object_colour(o) for o in scene.objects] if colors is None else list(colors)
+    chosen: list[Paint] = [object_colour(o) for o in scene.objects] if colors is None else list(colors)
     spec = mujoco.MjSpec()
     _set_mood(spec, size)
     _add_table(spec, scene.table)
@@ -189,21 +192,28 @@ def _add_box(spec: mujoco.MjSpec, centre: Vec3, half: Vec3, rgba: list[float], y
     )
 
 
-def _add_object(spec: mujoco.MjSpec, o: SceneObject, mesh: Mesh | None, colour: str, index: int) -> None:
-    drawn = None if mesh is None else _drawn(mesh)
-    if drawn is None:
+def _add_object(spec: mujoco.MjSpec, o: SceneObject, mesh: Mesh | None, paint: Paint, index: int) -> None:
+    coats = _coats(mesh, paint) if mesh is not None else []
+    if not coats:
+        colour = paint if isinstance(paint, str) else object_colour(o)
         _add_box(spec, o.position, _half(o.size), _rgba(colour, 0.45), o.yaw)
-        return
-    vertices, normals = drawn
-    corners = np.arange(len(vertices), dtype=np.int32)
-    spec.add_mesh(
-        name=f"object_{index}", uservert=vertices.ravel(), usernormal=normals.ravel(), userface=corners, userfacenormal=corners,
-        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-    )  # fmt: skip
-    spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"object_{index}", pos=list(o.position), quat=_yaw_wxyz(o.yaw),
-        rgba=_rgba(colour), contype=0, conaffinity=0,
-    )  # fmt: skip
+    for k, (colour, vertices, normals) in enumerate(coats):
+        name, corners = f"object_{index}_{k}", np.arange(len(vertices), dtype=np.int32)
+        spec.add_mesh(
+            name=name, uservert=vertices.ravel(), usernormal=normals.ravel(), userface=corners, userfacenormal=corners,
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )  # fmt: skip
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=list(o.position), quat=_yaw_wxyz(o.yaw), rgba=_rgba(colour),
+            contype=0, conaffinity=0,
+        )  # fmt: skip
+
+
+def _coats(mesh: Mesh, paint: Paint) -> list[tuple[str, FloatArray, FloatArray]]:
+    """Colour, corners and normals of each part of a mesh that has one colour; nothing where there is nothing to see."""
+    pairs = [(paint, mesh)] if isinstance(paint, str) else [(c, Mesh(mesh.vertices, mesh.faces[rows])) for c, rows in paint]
+    drawn = [(colour, _drawn(part)) for colour, part in pairs]
+    return [(colour, *found) for colour, found in drawn if found is not None]
 
 
 def _half(size: Vec3) -> Vec3:

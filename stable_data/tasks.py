@@ -11,16 +11,20 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from stable_data.errors import Notice, SceneError
+from stable_data.instructions import derive_task, task_rng, type_name, type_words
+from stable_data.instructions.claims import OUTERMOST, Claim, emptied, mark, read_claims
+from stable_data.instructions.naming import Mention, Namer, involved, mentions
+from stable_data.instructions.situation import OPPOSITE
+from stable_data.instructions.words import singular
 from stable_data.relations import SceneGraph, relations_of
 from stable_data.scene import TABLE, Relation, RelationKind, Scene, SceneObject, TaskInfo
-from stable_data.task_templates import derive_task, task_rng, type_words
 
 TaskWriter: TypeAlias = Callable[[Scene, tuple[Relation, ...]], Mapping[str, Any]]
 """A model that writes a task info, with MesaTask's keys, for a scene and its scene graph."""
@@ -86,18 +90,14 @@ def _instances_of(scene: Scene, name: str) -> list[SceneObject]:
     """Objects of a type: by category, else by an end of it, else by their description."""
     words = type_words(name)
     tests: tuple[Callable[[SceneObject], bool], ...] = (
-        lambda o: _singular(type_words(o.category)) == _singular(words),
-        lambda o: _is_part(_singular(type_words(o.category)), _singular(words)),
+        lambda o: singular(type_words(o.category)) == singular(words),
+        lambda o: _is_part(singular(type_words(o.category)), singular(words)),
         lambda o: bool(words) and set(words) <= set(type_words(o.description)),
     )
     for test in tests:
         if words and (found := [o for o in scene.objects if test(o)]):
             return found
     return []
-
-
-def _singular(words: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(w[:-1] if w.endswith("s") and not w.endswith("ss") and len(w) > 3 else w for w in words)
 
 
 def _is_part(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
@@ -108,90 +108,14 @@ def _is_part(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
 
 # --- task objects and what the instruction says of the start ------------------------------------------------------------------
 
-_LIST = r"(?P<a><\d+>(?:(?:, and |, | and )<\d+>)*)"
-_PLACING = (
-    r"\b(?:put|place|set|lay|drop|stack|insert|collect|gather|arrange|pile|store|load"
-    r"|move|bring|slide|push|hang|lean|rest)\b"
-)
-_TAKING = r"\b(?:pick|take|grab|grasp|lift|get|fetch|hand|give|pass|remove|use|press|open|close|leave|keep)\b"
-_WISH = r"\b(?:so that|so|until|make sure|ensure)(?: that)? $"
-_OUTERMOST = {"leftmost": 1, "rightmost": -1}
-_SPOTS = {
-    "in": RelationKind.IN,
-    "inside": RelationKind.IN,
-    "on": RelationKind.ON,
-    "on top of": RelationKind.ON,
-    "left of": RelationKind.LEFT_OF,
-    "right of": RelationKind.RIGHT_OF,
-    "in front of": RelationKind.IN_FRONT_OF,
-    "behind": RelationKind.BEHIND,
-}
-_SPOT = r"(?P<spot>inside|on top of|in front of|behind|(?:to the |on the )?(?:left|right)(?: side)? of|in|on)"
-_BE = (
-    r"(?:,? (?:which|that))? ?(?:is|are|sits?|rests?|lies|stands?|sitting|resting|lying|standing|placed|kept)"
-    r"(?: currently| now)?"
-)
-_HOW = r"(?P<how>out of|off|from)"
-_AWAY = re.compile(_LIST + r"(?: up| away| gently| carefully)? " + _HOW + r"(?: of| inside| within| the top of)? (?P<b><\d+>)")
-_AWAY_IT = re.compile(r"(?P<b><\d+>)[^.;]* by (?:removing|taking|lifting|picking) " + _LIST + r"(?: up)? " + _HOW + r" it\b")
-_STATED = re.compile(_LIST + _BE + " " + _SPOT + r" (?P<b><\d+>)")
-_NOUN = re.compile(_LIST + " " + _SPOT + r" (?P<b><\d+>)")
-
-
-@dataclass(frozen=True, slots=True)
-class _Claim:
-    """What an instruction says of the start: type number ``a`` is ``kind`` of ``b``; None: in or on, as the scene has it."""
-
-    a: int
-    kind: RelationKind | None
-    b: int
-
-
-def _claims(text: str, types: Sequence[str]) -> list[_Claim]:
-    """What an instruction says of the scene it starts from, about types by number."""
-    marked = _mark(text, types)
-    found: dict[_Claim, None] = {}
-    for match in (*_AWAY.finditer(marked), *_AWAY_IT.finditer(marked)):
-        kind = {"out of": RelationKind.IN, "off": RelationKind.ON}.get(match["how"])
-        found |= dict.fromkeys(_pairs(match, kind))
-    for pattern in (_STATED, _NOUN):
-        for match in pattern.finditer(marked):
-            before = re.split(r"[.;:]", marked[: match.start()])[-1]
-            verbs = re.findall(f"{_PLACING}|{_TAKING}", before) if pattern is _NOUN else []
-            # "Put a on b" says where a shall be, "pick up a on b" where it is: the last verb tells.
-            if re.search(_WISH, before) or (verbs and re.fullmatch(_PLACING, verbs[-1])):
-                continue
-            spot = re.sub(r"^(?:to|on) the | side", "", match["spot"])
-            found |= dict.fromkeys(_pairs(match, _SPOTS[spot]))
-    return list(found)
-
-
-def _pairs(match: re.Match[str], kind: RelationKind | None) -> Iterator[_Claim]:
-    target = int(match["b"][1:-1])
-    return (_Claim(int(a), kind, target) for a in re.findall(r"\d+", match["a"]) if int(a) != target)
-
-
-def _mark(text: str, types: Sequence[str]) -> str:
-    """The instruction in lower case, each type that it mentions as ``<number>``, longest names first, articles gone."""
-    marked = text.lower()
-    lead = rf"(?:\b(?:the|a|an|both|all|each|{'|'.join(_OUTERMOST)}) )*"
-    for index in sorted(range(len(types)), key=lambda k: -len(" ".join(type_words(types[k])))):
-        if spelt := _spelt(types[index]):
-            marked = re.sub(rf"{lead}\b{spelt}(?:e?s)?\b(?!>)", f"<{index}>", marked)
-    return marked
-
-
-def _spelt(name: str) -> str:
-    """A pattern for a type in an instruction."""
-    return "[ _-]".join(re.escape(word) for word in type_words(name))
-
 
 def resolve_task_objects(task: TaskInfo, scene: Scene, graph: SceneGraph) -> tuple[TaskInfo, tuple[Notice, ...]]:
     """Finds the instances that a task is about, and what its instruction says of the scene it starts from.
 
-    Of several instances of a type those are kept that agree with the instruction (``the spice jar in the cup``); among the
-    rest the one nearest to the other task objects is taken and a notice says so, or all where the words ask for all.
-    Relations to the table itself are not listed. A task info that names its instances already is left as it is.
+    Words that single an object out (``the red mug``, ``the leftmost mug``) decide. Of several instances of a type those are
+    kept that agree with the instruction (``the spice jar in the cup``); among the rest the one nearest to the other task
+    objects is taken and a notice says so, or all where the words ask for all. Relations to the table itself are not listed. A
+    task info that names its instances already is left as it is.
 
     Args:
         task: The task info; its types come from ``objects_cluster`` and the action sequence, else from the instruction.
@@ -205,18 +129,30 @@ def resolve_task_objects(task: TaskInfo, scene: Scene, graph: SceneGraph) -> tup
     if task.task_objects:
         absent = sorted(set(task.task_objects) - {o.instance for o in scene.objects})
         return task, tuple(_notice(scene, "task_object_missing", f"no object is called {name}") for name in absent)
-    types = _types_of(task, scene)
-    claims = _claims(task.task, types)
+    said = mentions(task.task, Namer(scene, graph))
+    types = _types_of(task, scene, said)
     found = {k: [o.instance for o in _instances_of(scene, name)] for k, name in enumerate(types)}
     notices = [_notice(scene, "task_object_missing", f"no object is a {types[k]}") for k, names in found.items() if not names]
     wanted = {k: max(1, sum(type_words(c) == type_words(types[k]) for c in task.objects_cluster)) for k in found}
-    notices += _settle(scene, graph, task, types, claims, found, wanted)
+    known = {name for names in found.values() for name in names}
+    said = tuple(m for m in said if m.instance in known)
+    pins = [n for n in dict.fromkeys([*(m.instance for m in said), *involved([m.name for m in said])]) if n in known]
+    marked = mark(task.task, types, said, pins)
+    claims = read_claims(marked)
+    _pin(found, wanted, pins)
+    slots = [*types, *(type_name(scene[name].category) for name in pins)]
+    notices += _settle(scene, graph, task, slots, claims, found, wanted)
     chosen = [o.instance for o in scene.objects if any(o.instance in names for names in found.values())]
     # "From" is in or on: as the scene has it, else as the goal's words have it.
     default = RelationKind.ON if re.search(r"\brests? on\b|\boff\b", " ".join(task.goal)) else RelationKind.IN
-    relations = tuple(sorted({r for claim in claims for r in _relations_said(graph, claim, found, default)}))
+    relations_said = {r for claim in claims for r in _relations_said(graph, claim, found, default)}
+    linked = ((a, k, b) for a, b, k in graph.edges(keys=True) if a in chosen and k in (RelationKind.IN, RelationKind.ON))
+    emptied_ones = {name for k in emptied(marked) for name in found[k] if len(found[k]) == 1}
+    relations_said |= {Relation(a, RelationKind(k), b) for a, k, b in linked if b in emptied_ones}
+    relations_said |= {_as_said(m.name.relation, m.instance) for m in said if m.name.relation is not None}
+    relations = tuple(sorted(relations_said))
     for r in relations:
-        if not _holds(scene, graph, r.subject, r.kind, r.target):
+        if r.kind is not RelationKind.IS_AT and not _holds(scene, graph, r.subject, r.kind, r.target):
             notices.append(_notice(scene, "task_relation_not_held", f"the instruction says {r.subject} {r.kind} {r.target}"))
     return replace(task, task_objects=tuple(chosen), relations=relations), tuple(notices)
 
@@ -225,14 +161,30 @@ def _notice(scene: Scene, code: str, message: str) -> Notice:
     return Notice(scene.scene_id, STEP, code, f"{scene.scene_id}: {message}; check the task info against the layout")
 
 
-def _types_of(task: TaskInfo, scene: Scene) -> list[str]:
+def _pin(found: dict[int, list[str]], wanted: dict[int, int], pins: Sequence[str]) -> None:
+    """Gives each object that the words single out a number of its own; its type is not sought any further than that."""
+    for k, names in found.items():
+        pinned = [name for name in names if name in pins]
+        rest = [name for name in names if name not in pins]
+        wanted[k] -= len(pinned)
+        if pinned:
+            found[k] = rest if wanted[k] > 0 else pinned
+            wanted[k] = wanted[k] if wanted[k] > 0 else len(pinned)
+    for name in pins:
+        wanted[len(found)] = 1
+        found[len(found)] = [name]
+
+
+def _types_of(task: TaskInfo, scene: Scene, said: Sequence[Mention]) -> list[str]:
     """Types of the task objects, each once."""
     arguments = re.findall(r"\b(?!PlaceAt)\w+\(\s*([^,()]+)", " ".join(task.action_sequence))
     named = [*task.objects_cluster, *(a for a in arguments if _instances_of(scene, a))]
     if not named:
         categories = sorted({o.category for o in scene.objects})
-        marked = _mark(task.task, categories)
+        singled = list(dict.fromkeys(m.instance for m in said))
+        marked = mark(task.task, categories, said, singled)
         named = [category for k, category in enumerate(categories) if f"<{k}>" in marked]
+        named += [scene[name].category for name in (*singled, *involved([m.name for m in said]))]
     unique = {type_words(name): name for name in reversed(named) if type_words(name) not in ((), (TABLE,))}
     return list(reversed(unique.values()))
 
@@ -242,7 +194,7 @@ def _settle(
     graph: SceneGraph,
     task: TaskInfo,
     types: Sequence[str],
-    claims: Sequence[_Claim],
+    claims: Sequence[Claim],
     found: dict[int, list[str]],
     wanted: Mapping[int, int],
 ) -> list[Notice]:
@@ -250,10 +202,10 @@ def _settle(
     notices = []
     for k, names in found.items():
         asked = re.search(
-            rf"\b({'|'.join(_OUTERMOST)}) {'[ _-]'.join(map(re.escape, type_words(types[k])))}\b", task.task.lower()
+            rf"\b({'|'.join(OUTERMOST)}) {'[ _-]'.join(map(re.escape, type_words(types[k])))}\b", task.task.lower()
         )
         if asked and names:
-            found[k] = [min(names, key=lambda n: (_OUTERMOST[asked[1]] * scene[n].position[0], n))]
+            found[k] = [min(names, key=lambda n: (OUTERMOST[asked[1]] * scene[n].position[0], n))]
     _keep_agreeing(scene, graph, claims, found)
     for k in sorted(found, key=lambda k: len(found[k])):
         if len(found[k]) <= wanted[k] or _asks_for_all(task.task, types[k]):
@@ -266,7 +218,7 @@ def _settle(
     return notices
 
 
-def _keep_agreeing(scene: Scene, graph: SceneGraph, claims: Sequence[_Claim], found: dict[int, list[str]]) -> None:
+def _keep_agreeing(scene: Scene, graph: SceneGraph, claims: Sequence[Claim], found: dict[int, list[str]]) -> None:
     for c in claims:
         pairs = [(a, b) for a in found[c.a] for b in found[c.b] if a != b and _holds(scene, graph, a, c.kind, b)]
         if pairs:
@@ -302,7 +254,7 @@ def _holds(scene: Scene, graph: SceneGraph, a: str, kind: RelationKind | None, b
 
 
 def _relations_said(
-    graph: SceneGraph, claim: _Claim, found: Mapping[int, list[str]], default: RelationKind
+    graph: SceneGraph, claim: Claim, found: Mapping[int, list[str]], default: RelationKind
 ) -> Iterator[Relation]:
     if len(found[claim.b]) != 1:
         return
@@ -310,6 +262,13 @@ def _relations_said(
     for a in found[claim.a]:
         linked = next((k for k in (RelationKind.IN, RelationKind.ON) if graph.has_edge(a, b, key=k)), default)
         yield Relation(a, claim.kind or linked, b)
+
+
+def _as_said(relation: Relation, instance: str) -> Relation:
+    """A relation with the object as its subject, as the words have it."""
+    if relation.subject == instance:
+        return relation
+    return Relation(instance, OPPOSITE[relation.kind], relation.subject)
 
 
 # --- a model's task infos -----------------------------------------------------------------------------------------------------

@@ -11,17 +11,18 @@ from scipy.spatial.transform import Rotation
 
 from stable_data.mesh import Mesh
 from stable_data.physics import Body
-from stable_data.scene import FloatArray, QuatXyzw, Tabletop
+from stable_data.scene import FloatArray, QuatXyzw, Tabletop, Vec3
 from stable_data.shape import Shape
-from stable_data.synth.arrangement import Group, Item
-from stable_data.synth.assets import Asset, asset
-from stable_data.synth.plans import Spot
+from stable_data.synth.arrangement import Group, Item, Kit
+from stable_data.synth.catalogue import Asset, asset
+from stable_data.synth.plans import Spot, TablePlan
 
 _MARGIN = 0.008  # between groups, metres
 _EDGE = 0.012  # between a group and the edge of the table, metres
-_TRIES = 60
+_TRIES = 40
 _STEP = 0.004  # how far a thing is lowered before the next look, metres; thinner than what it could pass through
 _CLEARANCE = 5e-5  # what is left under it, metres
+_TALL = 0.24  # metres; what is taller than this stands at the back, where it hides nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +32,12 @@ class Placed:
     Attributes:
         item: The thing.
         z: Height of its box's centre, metres.
+        group: Number of its group in the scene.
     """
 
     item: Item
     z: float = 0.0
+    group: int = 0
 
     @cached_property
     def asset(self) -> Asset:
@@ -44,26 +47,12 @@ class Placed:
     @cached_property
     def shape(self) -> Shape:
         """Its mesh in the yaw frame, centred on its box, metres."""
-        return Shape.from_mesh(self.asset.mesh, (self.item.scale,) * 3, self.item.tilt_quat_xyzw)
-
-    @cached_property
-    def pose(self) -> FloatArray:
-        """x, y, z, yaw, (4,) float64."""
-        return np.array([self.item.x, self.item.y, self.z, self.item.yaw])
-
-    @cached_property
-    def outline(self) -> shapely.Polygon:
-        """Its footprint on the table."""
-        return shapely.Polygon(self.shape.posed_footprint(self.pose))
+        return Shape.from_mesh(self.asset.mesh, self.item.scale, self.item.tilt_quat_xyzw)
 
     @cached_property
     def mass(self) -> float:
         """Kilograms, at its scale."""
-        return self.asset.mass * self.item.scale**3
-
-    def at(self, z: float) -> "Placed":
-        """The same thing at another height."""
-        return Placed(self.item, z)
+        return self.asset.mass * float(np.prod(self.item.scale))
 
     def body(self, name: str) -> Body:
         """What the engine is given."""
@@ -71,72 +60,101 @@ class Placed:
         return Body(name, parts, self.mass, (self.item.x, self.item.y, self.z), self.item.yaw)
 
 
-def yaw_frame_parts(source: Asset, scale: float, tilt_quat_xyzw: QuatXyzw) -> tuple[Mesh, ...]:
+def yaw_frame_parts(source: Asset, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> tuple[Mesh, ...]:
     """The convex parts of a scaled and tilted asset, metres, yaw frame, centred on the box of its mesh there."""
-    rotation = Rotation.from_quat(tilt_quat_xyzw).as_matrix().T * scale
-    tilted = source.mesh.vertices @ rotation
+    turn = (Rotation.from_quat(tilt_quat_xyzw).as_matrix() * scale).T
+    tilted = source.mesh.vertices @ turn
     centre = (tilted.min(axis=0) + tilted.max(axis=0)) / 2
-    return tuple(Mesh(part.vertices @ rotation - centre, part.faces) for part in source.parts)
+    return tuple(Mesh(part.vertices @ turn - centre, part.faces) for part in source.parts)
 
 
-def place(spots: Sequence[Spot], table: Tabletop, rng: np.random.Generator) -> list[Placed] | None:
-    """Puts groups on a table.
+def compose(plan: TablePlan, table: Tabletop, kit: Kit, target: int, most: int) -> list[Placed]:
+    """Lays a table: what it is about, then other groups, each once, until it is as full as wanted.
 
     Args:
-        spots: The groups, the most important first.
+        plan: Its kind.
         table: The table; its restricted zone stays free.
-        rng: Draws.
+        kit: Draws.
+        target: How many things are wanted.
+        most: How many things may be on it.
 
     Returns:
-        Every thing, clear of every other by at least 0.05 mm; None where a group that must be there found no place.
+        Every thing, clear of every other by at least 0.05 mm.
     """
-    taken = [] if table.restricted_zone is None else [_rectangle(*table.restricted_zone)]
+    theme = plan.themes[kit.rng.integers(len(plan.themes))]
+    ground = Ground(table)
     placed: list[Placed] = []
-    for spot in spots:
-        found = _free_place(spot, table, taken, rng)
-        if found is None:
-            if spot.may_miss:
-                continue
-            return None
-        group, outline = found
-        taken.append(outline)
-        placed += _lowered(group)
+    done = set()
+    for spot in theme(kit, table):
+        done.add(spot.arrange)
+        placed += ground.placed(spot.arrange(kit), spot, kit, most - len(placed))
+    others = [arrange for arrange in plan.others if arrange not in done]
+    for k in kit.rng.permutation(len(others)):
+        if len(placed) >= target:
+            break
+        placed += ground.placed(others[k](kit), Spot(others[k]), kit, most - len(placed))
     return placed
 
 
-def _free_place(
-    spot: Spot, table: Tabletop, taken: Sequence[shapely.Polygon], rng: np.random.Generator
-) -> tuple[Group, shapely.Polygon] | None:
-    width, depth = table.size_xy
-    allowed = _rectangle(_EDGE, width - _EDGE, _EDGE, depth - _EDGE)
-    group = spot.arrange(rng)
-    for attempt in range(_TRIES):
-        slack = 0.3 * max(0, attempt - _TRIES // 2) / _TRIES  # look farther around before giving up
-        x = width * rng.uniform(spot.x[0] - slack, spot.x[1] + slack)
-        y = depth * rng.uniform(spot.y[0] - slack, spot.y[1] + slack)
-        there = [item.placed(x, y, spot.yaw) for item in group]
-        outline = shapely.union_all([Placed(item).outline for item in there])
-        wide = outline.buffer(_MARGIN)
-        if allowed.contains(outline) and not any(wide.intersects(other) for other in taken):
-            return there, outline
-    return None
+class Ground:
+    """A table top and what of it is taken.
+
+    Args:
+        table: The table.
+    """
+
+    def __init__(self, table: Tabletop) -> None:
+        self._table = table
+        width, depth = table.size_xy
+        self._allowed = shapely.box(_EDGE, _EDGE, width - _EDGE, depth - _EDGE)
+        self._taken: list[shapely.Geometry] = []
+        self._num_groups = 0
+        if table.restricted_zone is not None:
+            x_min, x_max, y_min, y_max = table.restricted_zone
+            self._taken.append(shapely.box(x_min, y_min, x_max, y_max))
+
+    def take(self, outline: shapely.Geometry) -> None:
+        """Keeps an area free."""
+        self._taken.append(outline)
+
+    def allows(self, outline: shapely.Geometry) -> bool:
+        """Whether an area is on the table, clear of its edges."""
+        return bool(self._allowed.contains(outline))
+
+    def is_free(self, outline: shapely.Geometry) -> bool:
+        """Whether an area is on the table and nothing taken is near it."""
+        return self.allows(outline) and not shapely.dwithin(outline, self._taken, _MARGIN).any()
+
+    def placed(self, group: Group, spot: Spot, kit: Kit, most: int) -> list[Placed]:
+        """The things of a group at a free place within its spot, lowered; nothing where there is no room, or for so many."""
+        if not group or len(group) > most:
+            return []
+        width, depth = self._table.size_xy
+        outline = shapely.union_all([item.outline() for item in group])
+        (x_low, x_high), (y_low, y_high) = spot.x, spot.y
+        if y_low < 0.6 and y_high > 0.85 and max(item.size[2] for item in group) > _TALL:
+            y_low = 0.6
+        for attempt in range(_TRIES):
+            slack = 0.5 * max(0, attempt - _TRIES // 3) / _TRIES  # look farther around before giving up
+            x = width * kit.between(x_low - slack, x_high + slack)
+            y = depth * kit.between(y_low - slack, y_high + slack)
+            there = shapely.affinity.translate(shapely.affinity.rotate(outline, spot.yaw, (0, 0), use_radians=True), x, y)
+            if self.is_free(there):
+                self._taken.append(there)
+                self._num_groups += 1
+                return lowered([item.moved(x, y, spot.yaw) for item in group], self._num_groups)
+        return []
 
 
-def _rectangle(x_min: float, x_max: float, y_min: float, y_max: float) -> shapely.Polygon:
-    return shapely.box(x_min, y_min, x_max, y_max)
-
-
-def _lowered(group: Group) -> list[Placed]:
+def lowered(group: Group, number: int = 0) -> list[Placed]:
     """The things of a group, each lowered until it is just clear of what is under it."""
     placed: list[Placed] = []
     for item in group:
-        thing = Placed(item)
-        below = [other for other in placed if thing.outline.intersects(other.outline)]
+        thing, outline = Placed(item, 0.0, number), item.outline()
+        below = [other for other in placed if outline.intersects(other.item.outline())]
         floor = float(thing.shape.size[2]) / 2 + _CLEARANCE
-        if not below:
-            placed.append(thing.at(floor))
-            continue
-        placed.append(thing.at(max(floor, _lowest(thing, below, floor) + _CLEARANCE)))
+        z = floor if not below else max(floor, _lowest(thing, below, floor) + _CLEARANCE)
+        placed.append(Placed(item, z, number))
     return placed
 
 
@@ -166,4 +184,9 @@ def _collider(thing: Placed) -> fcl.CollisionObject:
     tree.endModel()
     c, s = np.cos(thing.item.yaw), np.sin(thing.item.yaw)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return fcl.CollisionObject(tree, fcl.Transform(turn, thing.pose[:3]))
+    return fcl.CollisionObject(tree, fcl.Transform(turn, np.array([thing.item.x, thing.item.y, thing.z])))
+
+
+def pose_of(thing: Placed) -> FloatArray:
+    """x, y, z, yaw, (4,) float64."""
+    return np.array([thing.item.x, thing.item.y, thing.z, thing.item.yaw])

@@ -1,50 +1,34 @@
-"""The embedded set: scenes at rest on six kinds of table, made from a seed and written in the MesaTask-10K format."""
+"""Scenes of the embedded world: composed, settled, and kept once they are at rest and clean."""
 
-import shutil
-import tempfile
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from io import BytesIO
-from pathlib import Path
+from typing import Any
 
+import networkx as nx
 import numpy as np
-from PIL import Image
 
 from stable_data.errors import ConfigError, SceneError
-from stable_data.export.glb import write_glb
-from stable_data.mesatask.layout import LAYOUT_FILE
-from stable_data.mesatask.library import AssetAnnotation
-from stable_data.mesatask.writing import LAYOUT_FOLDER, write_annotations, write_asset, write_scene
-from stable_data.mesh import Mesh
+from stable_data.instructions import derive_task, task_rng
 from stable_data.metrics.audit import Audit
-from stable_data.relations import scene_graph
-from stable_data.render import render_scene
-from stable_data.scene import Scene, Tabletop, Vec3
-from stable_data.shape import Shape
-from stable_data.synth.assets import Asset, asset, unit_cube
-from stable_data.synth.catalogue import CATALOGUE
-from stable_data.synth.placing import Placed, place
-from stable_data.synth.plans import TABLES, TablePlan
-from stable_data.synth.settling import audit, is_at_rest, settled_objects
-from stable_data.task_templates import derive_task, task_rng
+from stable_data.relations import SceneGraph, scene_graph
+from stable_data.scene import TABLE, RelationKind, Scene, Tabletop
+from stable_data.synth.arrangement import Kit
+from stable_data.synth.placing import Placed, compose
+from stable_data.synth.plans import TABLES, UNSEEN_TABLES, TablePlan
+from stable_data.synth.settling import audit, restless, settled_objects, unclean
 
-TABLE_UID = "3cc47c3f78d34985bf4314de2f8196dd"
-"""What the format calls its table top: a unit cube."""
-
-SINK_UID = "sink_cube"
-"""What the format calls its sink: a unit cube."""
-
-FEWEST, MOST = 4, 12
+FEWEST, MOST = 4, 30
 """Objects in a scene."""
 
-_ATTEMPTS = 40
-_SINK = (0.36, 0.64, 0.22, 0.86)  # of the table's width and depth
+RECORD = "synth"
+"""Key of layout.json under which a scene says how it was made."""
 
-IsClean = Callable[[Scene], bool]
-"""A further condition on a scene; one that fails is made anew from the next draw."""
-
-Progress = Callable[[int, int], None]
-"""Told how many scenes are done, and of how many."""
+_ATTEMPTS = 30
+_MENDINGS = 5  # times that a composition may lose what does not stay or is not clean
+_SPREAD = 0.4  # of the number of objects around a table's own mean, as a share of it
+_SINK = (0.34, 0.66, 0.2, 0.84)  # of the table's width and depth
+_UNSEEN_EVERY = 25  # one scene in so many stands on a kind of table that training never sees
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +36,7 @@ class MadeScene:
     """A scene at rest and what it was made from.
 
     Attributes:
-        scene: The scene, with a task info where it has one.
+        scene: The scene, with a task info.
         placed: The things, in the order of its objects.
     """
 
@@ -60,99 +44,97 @@ class MadeScene:
     placed: tuple[Placed, ...]
 
 
-def write_embedded_set(
-    out: Path,
-    num_scenes: int = 24,
-    seed: int = 0,
-    progress: Progress | None = None,
-    *,
-    is_clean: IsClean | None = None,
-    pictures: bool = True,
-) -> int:
-    """Writes the embedded set, or what is missing of it.
-
-    Scene k depends on the seed and k alone. A folder appears whole or not at all, and one that exists is left alone. Pictures
-    are left out where the machine cannot draw.
-
-    Args:
-        out: The folder, in the MesaTask-10K format once written.
-        num_scenes: How many scenes.
-        seed: Any whole number from 0 on.
-        progress: Called after every scene.
-        is_clean: A further condition on scenes, beside rest and the exact audit.
-        pictures: Draw front.png.
-
-    Returns:
-        How many scenes the folder holds of those asked for.
+def plan_of(table_type: str) -> TablePlan:
+    """The plan of a kind of table.
 
     Raises:
-        ConfigError: The folder cannot be written (``out_not_writable``), or the numbers make no sense (``invalid_count``).
-        SceneError: A scene came out unclean at every attempt (``synth_failed``).
+        ConfigError: There is no such kind (``unknown_table``).
     """
-    if num_scenes < 1 or seed < 0:
-        raise ConfigError(f"num_scenes is {num_scenes} and seed {seed}, expected at least 1 and 0", "invalid_count")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        write_library(out)
-        for number in range(num_scenes):
-            folder = out / LAYOUT_FOLDER / table_type_of(number) / scene_id_of(number)
-            if not (folder / LAYOUT_FILE).is_file():
-                made = make_scene(number, seed, is_clean=is_clean)
-                _write_whole(out, folder, made, pictures=pictures)
-            if progress is not None:
-                progress(number + 1, num_scenes)
-    except OSError as error:
-        raise ConfigError(f"{out} cannot be written: {error.strerror}; name another folder", "out_not_writable") from error
-    return num_scenes
+    plans = {**TABLES, **UNSEEN_TABLES}
+    if table_type not in plans:
+        raise ConfigError(f"table is {table_type!r}, expected one of {sorted(plans)}", "unknown_table")
+    return plans[table_type]
 
 
-def table_type_of(number: int) -> str:
-    """Scenes take the kinds of table in turn."""
-    return tuple(TABLES)[number % len(TABLES)]
+def table_type_of(number: int, tables: Sequence[str] = ()) -> str:
+    """Scenes take the kinds of table in turn, and one in 25 a kind that training never sees; or those asked for."""
+    if tables:
+        return tables[number % len(tables)]
+    unseen = tuple(UNSEEN_TABLES)
+    if number % _UNSEEN_EVERY == _UNSEEN_EVERY - 1:
+        return unseen[number // _UNSEEN_EVERY % len(unseen)]
+    return tuple(TABLES)[(number - number // _UNSEEN_EVERY) % len(TABLES)]
 
 
-def scene_id_of(number: int) -> str:
+def scene_id_of(number: int, tables: Sequence[str] = ()) -> str:
     """The name of a scene's folder."""
-    return f"{table_type_of(number)}_{number:04d}"
+    return f"{table_type_of(number, tables)}_{number:05d}"
 
 
-def make_scene(number: int, seed: int = 0, *, is_clean: IsClean | None = None) -> MadeScene:
-    """Makes one scene: arranged by plan, settled, and kept once it stays at rest and the exact audit finds it clean.
+def make_scene(number: int, seed: int = 0, tables: Sequence[str] = ()) -> MadeScene:
+    """Makes one scene.
+
+    Groups are composed and settled. What falls over, does not stay or is not clean is taken away with its group, and the rest
+    is settled again; where too little is left, another composition is drawn. The scene records both.
 
     Args:
         number: Which scene.
         seed: Which set.
-        is_clean: A further condition.
+        tables: Kinds of table to take in turn; all of them where empty.
 
     Returns:
-        The scene, the same for the same number and seed.
+        The scene, the same for the same arguments.
 
     Raises:
-        SceneError: Every attempt came out unclean (``synth_failed``).
+        ConfigError: A kind of table is not known (``unknown_table``).
+        SceneError: No attempt came out (``synth_failed``); the message says what went wrong how often.
     """
-    plan = TABLES[table_type_of(number)]
+    table_type = table_type_of(number, tables)
+    plan, scene_id = plan_of(table_type), scene_id_of(number, tables)
+    rejected: Counter[str] = Counter()
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([seed, number, attempt])
-        table = _table(table_type_of(number), plan, rng)
-        placed = place(plan.plans[number // len(TABLES) % len(plan.plans)], table, rng)
-        if placed is None or not FEWEST <= len(placed) <= MOST:
+        table = _table(table_type, plan, rng)
+        mean = plan.density * _free_area(table)
+        target = int(np.clip(round(mean * rng.lognormal(0.0, _SPREAD)), FEWEST + 1, MOST - 2))
+        placed = compose(plan, table, Kit(rng), target, MOST)
+        made = _mended(scene_id, table, placed, rejected)
+        if made is None:
+            rejected["too little left"] += 1
             continue
-        objects = settled_objects(placed, table)
-        if objects is None:
-            continue
-        scene = Scene(scene_id_of(number), table, objects)
-        judged = audit(scene, placed)
-        if judged.card().clean and (is_clean is None or is_clean(scene)) and is_at_rest(scene, placed):
-            return MadeScene(_with_task(scene, judged, placed) if _has_task(number) else scene, tuple(placed))
+        record = {"seed": seed, "number": number, "attempt": attempt, "rejected": dict(sorted(rejected.items()))}
+        return _finished(*made, record)
     raise SceneError(
-        f"{scene_id_of(number)}: none of {_ATTEMPTS} attempts came to rest clean, expected one; use another seed",
+        f"{scene_id}: none of {_ATTEMPTS} compositions came to rest clean ({dict(rejected)}), expected one; use another seed",
         "synth_failed",
     )
 
 
-def _has_task(number: int) -> bool:
-    """Every second scene, of every kind of table."""
-    return (number + number // len(TABLES)) % 2 == 0
+def _mended(
+    scene_id: str, table: Tabletop, placed: Sequence[Placed], rejected: Counter[str]
+) -> tuple[Scene, Audit, Sequence[Placed]] | None:
+    """A composition without the groups that do not stay or are not clean; None where too little is left of it."""
+    for _ in range(_MENDINGS):
+        if len(placed) < FEWEST:
+            return None
+        settled = settled_objects(placed, table)
+        if settled is None:
+            rejected["blew up"] += 1
+            return None
+        objects, bad = settled
+        reason = "fell over or strayed"
+        if not bad:
+            scene = Scene(scene_id, table, objects)
+            judged = audit(scene, placed)
+            bad, reason = unclean(judged), "not clean"
+        if not bad:
+            bad, reason = restless(scene, placed), "not at rest"
+        if not bad:
+            return scene, judged, placed
+        groups = {placed[k].group for k in bad}
+        rejected[reason] += len(groups)
+        placed = [thing for thing in placed if thing.group not in groups]
+    return None
 
 
 def _table(table_type: str, plan: TablePlan, rng: np.random.Generator) -> Tabletop:
@@ -165,76 +147,31 @@ def _table(table_type: str, plan: TablePlan, rng: np.random.Generator) -> Tablet
     return Tabletop(table_type, (width, depth), (x_min, x_max, y_min, y_max))
 
 
-def _with_task(scene: Scene, judged: Audit, placed: Sequence[Placed]) -> Scene:
-    """The scene with a task that makes sense in it, by template."""
+def _free_area(table: Tabletop) -> float:
+    """Square metres."""
+    zone = table.restricted_zone
+    taken = 0.0 if zone is None else (zone[1] - zone[0]) * (zone[3] - zone[2])
+    return table.size_xy[0] * table.size_xy[1] - taken
+
+
+def graph_of(scene: Scene, judged: Audit, placed: Sequence[Placed]) -> SceneGraph:
+    """The scene graph of a judged scene."""
     contacts = {o.instance: o.supports for o in judged.objects}
-    containers = {o.instance: thing.asset.spec.is_container for o, thing in zip(scene.objects, placed, strict=True)}
-    graph = scene_graph(scene, contacts, containers=containers)
-    return replace(scene, task=derive_task(scene, graph, task_rng(scene.scene_id)))
+    containers = {o.instance: thing.asset.hollow is not None for o, thing in zip(scene.objects, placed, strict=True)}
+    return scene_graph(scene, contacts, containers=containers)
 
 
-def write_library(out: Path) -> None:
-    """Writes every asset of the catalogue and the annotations, where they are not there yet."""
-    library = [asset(key) for key in CATALOGUE]
-    cube = write_glb(unit_cube())
-    files = {found.uid: found.glb for found in library} | {TABLE_UID: cube, SINK_UID: cube}
-    for uid, glb in files.items():
-        write_asset(out, uid, glb)
-    write_annotations(out, {found.uid: found.annotation for found in library} | dict(_cube_annotations()))
+def _finished(scene: Scene, judged: Audit, placed: Sequence[Placed], record: dict[str, Any]) -> MadeScene:
+    """The scene with a task that makes sense in it, by pattern, and with the record of how it was made."""
+    graph = graph_of(scene, judged, placed)
+    kinds = Counter(kind for _, target, kind in graph.edges(keys=True) if target != TABLE)
+    record["keys"] = [thing.item.key for thing in placed]
+    nested = {"stacked": kinds[RelationKind.ON], "contained": kinds[RelationKind.IN], "depth": _depth(graph)}
+    task = derive_task(scene, graph, task_rng(scene.scene_id))
+    return MadeScene(replace(scene, task=task, source={RECORD: record | nested}), tuple(placed))
 
 
-def _cube_annotations() -> list[tuple[str, AssetAnnotation]]:
-    """The table top and the sink are no objects: they are marked as not standing on a table."""
-    words = ((TABLE_UID, "table", "A table top."), (SINK_UID, "sink", "A sink."))
-    return [
-        (
-            uid,
-            AssetAnnotation(
-                uid, category, text.rstrip(".").lower(), text, "synth", on_table=False, extents_z_up=(1.0, 1.0, 1.0)
-            ),
-        )
-        for uid, category, text in words
-    ]
-
-
-def _write_whole(out: Path, folder: Path, made: MadeScene, *, pictures: bool) -> None:
-    """Writes a scene's folder aside and puts it in place in one step."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    aside = Path(tempfile.mkdtemp(prefix=".scene_", dir=out))
-    try:
-        written = write_scene(aside, made.scene, _picture(made) if pictures else None, extents=_extents(made.placed))
-        if folder.exists():  # left by an earlier version or a hand, without a layout
-            shutil.rmtree(folder)
-        written.replace(folder)
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
-
-
-def _extents(placed: Sequence[Placed]) -> dict[str, Vec3]:
-    return {thing.asset.uid: _extent(thing.asset) for thing in placed}
-
-
-def _extent(source: Asset) -> Vec3:
-    """Box of its file's mesh, file units, z up."""
-    x, y, z = (source.mesh.extents / source.spec.unit).tolist()
-    return (x, y, z)
-
-
-def _picture(made: MadeScene) -> bytes | None:
-    """The front view as PNG; None where the machine cannot draw."""
-    try:
-        image = render_scene(made.scene, yaw_frame_meshes(made))
-    except ConfigError as error:
-        if error.code != "no_gl":
-            raise
-        return None
-    stream = BytesIO()
-    Image.fromarray(image).save(stream, "png", optimize=False, compress_level=6)
-    return stream.getvalue()
-
-
-def yaw_frame_meshes(made: MadeScene) -> list[Mesh | None]:
-    """The mesh of every object, metres, yaw frame, centred on its box."""
-    pairs = zip(made.scene.objects, made.placed, strict=True)
-    shapes = [Shape.from_mesh(thing.asset.mesh, (thing.item.scale,) * 3, o.tilt_quat_xyzw) for o, thing in pairs]
-    return [Mesh(shape.vertices, shape.faces) for shape in shapes]
+def _depth(graph: SceneGraph) -> int:
+    """Longest chain of things in or on things: 1 for what stands on the table alone."""
+    kept = [(a, b) for a, b, kind in graph.edges(keys=True) if kind in (RelationKind.ON, RelationKind.IN)]
+    return int(nx.dag_longest_path_length(nx.DiGraph(kept)))

@@ -1,6 +1,6 @@
 """Solids as unions of convex parts: lofts, vessels, bars. The parts that make a solid are also its colliders.
 
-Frame: z up, metres. Round things have 48 corners around, and a hollow has 24, so that each part of a wall is convex.
+Frame: z up, metres. Round things have 48 corners around, and a hollow has 16, so that each part of a wall is convex.
 """
 
 from collections.abc import Iterable, Sequence
@@ -20,10 +20,11 @@ from stable_data.scene import FloatArray, IntArray
 NUM_AROUND = 48
 """Corners of a circle seen from outside."""
 
-NUM_INSIDE = 24
+NUM_INSIDE = 16
 """Corners of a round hollow: one for each part of its wall."""
 
 Ring: TypeAlias = FloatArray  # (M, 3), counter-clockwise seen from where the loft goes to
+Profile: TypeAlias = Sequence[tuple[float, float]]  # (radius, z) from the bottom up, metres
 
 _CONVEX = 1e-9  # share of the volume by which the hull of a convex stack may exceed it
 
@@ -35,23 +36,46 @@ class Solid:
     Attributes:
         body: The solid, a ``manifold3d.Manifold``.
         parts: Corners of every convex part, each (P, 3) float64, metres.
+        paints: Colours of the surfaces that have one of their own: (manifold's number of the original, colour).
     """
 
     body: Any
     parts: tuple[FloatArray, ...]
+    paints: tuple[tuple[int, str], ...] = ()
 
     def __add__(self, other: "Solid") -> "Solid":
         """The union."""
-        return Solid(self.body + other.body, self.parts + other.parts)
+        return Solid(self.body + other.body, self.parts + other.parts, self.paints + other.paints)
+
+    def painted(self, color: str) -> "Solid":
+        """The same solid in one colour, which its surface keeps in unions."""
+        body = self.body.as_original()
+        return Solid(body, self.parts, ((body.original_id(), color),))
 
     def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> "Solid":
         """The same solid elsewhere, metres."""
-        return Solid(self.body.translate((x, y, z)), tuple(part + np.array([x, y, z]) for part in self.parts))
+        return Solid(self.body.translate((x, y, z)), tuple(part + np.array([x, y, z]) for part in self.parts), self.paints)
 
     def turned(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> "Solid":
         """The same solid turned about x, then y, then z, degrees."""
         rotation = _rotation(x, y, z)
-        return Solid(self.body.transform(np.c_[rotation, np.zeros(3)]), tuple(part @ rotation.T for part in self.parts))
+        body = self.body.transform(np.c_[rotation, np.zeros(3)])
+        return Solid(body, tuple(part @ rotation.T for part in self.parts), self.paints)
+
+    def resized(self, share: float) -> "Solid":
+        """The same solid, larger or smaller about the origin."""
+        return Solid(self.body.scale((share, share, share)), tuple(part * share for part in self.parts), self.paints)
+
+    def leaned(self, slope: float) -> "Solid":
+        """The same solid sheared backwards by ``slope`` metres in a metre, so that its foot stays level."""
+        shear = np.eye(3)
+        shear[1, 2] = slope
+        body = self.body.transform(np.c_[shear, np.zeros(3)])
+        return Solid(body, tuple(part @ shear.T for part in self.parts), self.paints)
+
+    def grounded(self) -> "Solid":
+        """The same solid with its lowest point at z = 0."""
+        return self.moved(z=-self.body.bounding_box()[2])
 
 
 def join(solids: Iterable[Solid]) -> Solid:
@@ -99,13 +123,19 @@ def chain(rings: Sequence[Ring]) -> Solid:
     return Solid(manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add), tuple(parts))
 
 
-def lathe(profile: Sequence[tuple[float, float]]) -> Solid:
+def hull(points: FloatArray) -> Solid:
+    """The convex solid around points, (N, 3), metres."""
+    return Solid(manifold3d.Manifold.hull_points(points), (points,))
+
+
+def lathe(profile: Profile, corners: int = NUM_AROUND) -> Solid:
     """A solid of revolution.
 
     Args:
-        profile: (radius, z) from the bottom up, metres.
+        profile: Of its outside.
+        corners: Of its section.
     """
-    return loft([circle(r, z) for r, z in profile])
+    return loft([circle(r, z, corners) for r, z in profile])
 
 
 def vessel(outer: Sequence[Ring], inner: Sequence[Ring]) -> Solid:
@@ -128,8 +158,8 @@ def vessel(outer: Sequence[Ring], inner: Sequence[Ring]) -> Solid:
     return Solid(body, tuple(parts))
 
 
-def turned_vessel(outer: Sequence[tuple[float, float]], inner: Sequence[tuple[float, float]]) -> Solid:
-    """A vessel of revolution: (radius, z) of the outside and of the hollow, each from the bottom up, metres."""
+def turned_vessel(outer: Profile, inner: Profile) -> Solid:
+    """A vessel of revolution, from the profiles of its outside and of its hollow."""
     return vessel([circle(r, z) for r, z in outer], [circle(r, z, NUM_INSIDE) for r, z in inner])
 
 
@@ -170,11 +200,11 @@ def bar(path: Sequence[tuple[float, float]], width: float, thickness: float, cor
     return loft(rings)
 
 
-def mesh_of(solid: Solid) -> tuple[Mesh, tuple[Mesh, ...]]:
+def mesh_of(solid: Solid) -> tuple[Mesh, tuple[Mesh, ...], FloatArray]:
     """The triangle mesh and its convex parts, both moved so that the mesh is centred on its box.
 
     Returns:
-        The closed mesh and the hull of every part, metres.
+        The closed mesh and the hull of every part, metres, and where the centre was before, (3,) float64.
 
     Raises:
         MeshError: The union failed.
@@ -184,7 +214,17 @@ def mesh_of(solid: Solid) -> tuple[Mesh, tuple[Mesh, ...]]:
     mesh = _mesh(solid.body)
     centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
     parts = (_mesh(manifold3d.Manifold.hull_points(part - centre)) for part in solid.parts)
-    return Mesh(mesh.vertices - centre, mesh.faces), tuple(parts)
+    return Mesh(mesh.vertices - centre, mesh.faces), tuple(parts), centre
+
+
+def coats(solid: Solid) -> dict[str | None, IntArray]:
+    """Which faces of :func:`mesh_of` have which colour: indices by colour, None for those that nobody painted."""
+    raw, color_of = solid.body.to_mesh64(), dict(solid.paints)
+    bounds = np.asarray(raw.run_index, np.int64) // 3
+    found: dict[str | None, list[IntArray]] = {}
+    for original, first, last in zip(raw.run_original_id, bounds[:-1], bounds[1:], strict=True):
+        found.setdefault(color_of.get(int(original)), []).append(np.arange(first, last))
+    return {color: np.concatenate(rows) for color, rows in found.items()}
 
 
 def volume(mesh: Mesh) -> float:

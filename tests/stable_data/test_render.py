@@ -12,13 +12,13 @@ from stable_data.render import (
     scene_bounds,
 )
 from stable_data.scene import Scene, SceneObject, Tabletop
-from stable_data.synth.assets import asset
+from stable_data.synth.catalogue import asset
 
 pytestmark = pytest.mark.sim
 
 
 def thing(key: str, x: float, y: float) -> tuple[SceneObject, Mesh]:
-    mesh, category = asset(key).mesh, asset(key).spec.category
+    mesh, category = asset(key).mesh, asset(key).category
     a, b, c = mesh.extents.tolist()
     return SceneObject(f"1_{category}_0", category, (x, y, c / 2), 0.3, (a, b, c), asset_id=asset(key).uid), mesh
 
@@ -42,7 +42,7 @@ def reddish(picture: Picture) -> int:
 
 
 def test_picture_has_the_size_and_shows_the_object() -> None:
-    o, mesh = thing("mug/tall", 0.4, 0.25)
+    o, mesh = thing("mug/0", 0.4, 0.25)
     picture = drawn(scene_of(o), [mesh], size=(160, 120), colors=["#ff0000"])
     assert picture.shape == (120, 160, 3)
     assert picture.dtype == np.uint8
@@ -51,34 +51,34 @@ def test_picture_has_the_size_and_shows_the_object() -> None:
 
 
 def test_same_scene_gives_the_same_bytes() -> None:
-    o, mesh = thing("mug/tall", 0.4, 0.25)
+    o, mesh = thing("mug/0", 0.4, 0.25)
     first, second = (drawn(scene_of(o), [mesh], size=(96, 96)) for _ in range(2))
     np.testing.assert_array_equal(first, second)
 
 
 def test_object_on_the_left_is_drawn_on_the_left() -> None:
-    o, mesh = thing("can/soup", 0.1, 0.25)
+    o, mesh = thing("can/0", 0.1, 0.25)
     picture = drawn(scene_of(o), [mesh], size=(128, 128), colors=["#ff0000"])
     assert reddish(picture[:, :64]) > 0
     assert reddish(picture[:, 64:]) == 0
 
 
 def test_view_from_the_top_has_far_things_at_the_top() -> None:
-    o, mesh = thing("can/soup", 0.4, 0.4)
+    o, mesh = thing("can/0", 0.4, 0.4)
     picture = drawn(scene_of(o), [mesh], size=(128, 128), view="top", colors=["#ff0000"])
     assert reddish(picture[:64]) > 0
     assert reddish(picture[64:]) == 0
 
 
 def test_view_from_the_left_has_near_things_at_the_right() -> None:
-    o, mesh = thing("can/soup", 0.4, 0.05)
+    o, mesh = thing("can/0", 0.4, 0.05)
     picture = drawn(scene_of(o), [mesh], size=(128, 128), view="left", colors=["#ff0000"])
     assert reddish(picture[:, 64:]) > 0
     assert reddish(picture[:, :64]) == 0
 
 
 def test_object_without_mesh_is_a_box_that_lets_the_table_through() -> None:
-    o, mesh = thing("box/cereal", 0.4, 0.25)
+    o, mesh = thing("cereal_box/0", 0.4, 0.25)
     solid = drawn(scene_of(o), [mesh], size=(96, 96), colors=["#0000ff"])
     ghost = drawn(scene_of(o), [None], size=(96, 96), colors=["#0000ff"])
     empty = drawn(scene_of(), [], size=(96, 96))
@@ -93,7 +93,7 @@ def test_restricted_zone_is_seen() -> None:
 
 
 def test_heavy_mesh_is_drawn() -> None:
-    o, mesh = thing("orange/ripe", 0.4, 0.25)
+    o, mesh = thing("orange/0", 0.4, 0.25)
     heavy = mesh
     while len(heavy.faces) < 8000:
         heavy = _subdivided(heavy)
@@ -109,7 +109,7 @@ def _subdivided(mesh: Mesh) -> Mesh:
 
 
 def test_mesh_without_area_is_drawn_as_its_box() -> None:
-    o, mesh = thing("can/soup", 0.4, 0.25)
+    o, mesh = thing("can/0", 0.4, 0.25)
     speck = Mesh(mesh.vertices * 0, mesh.faces)
     assert (drawn(scene_of(o), [speck], size=(64, 64)) != drawn(scene_of(), [], size=(64, 64))).any()
 
@@ -120,7 +120,7 @@ def test_unknown_view_is_refused() -> None:
 
 
 def test_bounds_hold_objects_and_table() -> None:
-    o, mesh = thing("vase/slender", 0.0, 0.0)
+    o, mesh = thing("vase/0", 0.0, 0.0)
     low, high = scene_bounds(scene_of(o), [mesh])
     assert low[0] < -0.05
     assert high[2] == pytest.approx(mesh.extents[2])
@@ -130,7 +130,7 @@ def test_bounds_hold_objects_and_table() -> None:
 def test_colours_are_stable_and_of_the_category() -> None:
     assert category_colour("banana") == "#f2d14b"
     assert category_colour("gizmo") == category_colour("gizmo")
-    o, _ = thing("mug/tall", 0.1, 0.1)
+    o, _ = thing("mug/0", 0.1, 0.1)
     assert object_colour(o).startswith("#")
     assert len(object_colour(o)) == 7
 

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stable_data.errors import SceneError
+from stable_data.instructions import derive_task, task_rng
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.relations import scene_graph, supports
 from stable_data.scene import TABLE, Scene, SceneObject, Stage, Tabletop, TaskInfo, Vec3
 from stable_data.staging import box_distance, samples_of, stage_scene, stage_shares
-from stable_data.task_templates import derive_task, task_rng
 
 TABLETOP = Tabletop("office_table", (1.2, 0.6))
 

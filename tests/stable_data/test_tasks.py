@@ -2,18 +2,16 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from stable_data.errors import SceneError
+from stable_data.instructions import derive_task, task_rng
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.relations import SceneGraph, relations_of, scene_graph
+from stable_data.relations import SceneGraph, scene_graph
 from stable_data.scene import TABLE, Relation, RelationKind, Scene, SceneObject, Tabletop, TaskInfo, Vec3
-from stable_data.task_templates import derive_task, task_rng, type_name, type_words
 from stable_data.tasks import model_task, resolve_task_objects, task_info_of, validate_task_info
 
 IN, ON = RelationKind.IN, RelationKind.ON
@@ -44,18 +42,6 @@ GRAPH = scene_graph(SCENE, {}, containers={"1_nesting_cup_0": True, "6_mug_0": T
 def resolved(text: str, *cluster: str, goal: tuple[str, ...] = ()) -> tuple[TaskInfo, list[str]]:
     task, notices = resolve_task_objects(TaskInfo("", text, goal=goal, objects_cluster=cluster), SCENE, GRAPH)
     return task, [n.code for n in notices]
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [("NestingCup", ("nesting", "cup")), ("nesting_cup", ("nesting", "cup")), ("TVRemote 2", ("tv", "remote", "2"))],
-)
-def test_types_and_categories_are_the_same_words(name: str, words: tuple[str, ...]) -> None:
-    assert type_words(name) == words
-
-
-def test_a_category_becomes_a_type() -> None:
-    assert type_name("nesting_cup") == "NestingCup"
 
 
 JAR_IN_CUP = Relation("2_spice_jar_0", IN, "1_nesting_cup_0")
@@ -162,60 +148,6 @@ def test_recorded_task_objects_are_found(shared_data: Path) -> None:
         named, wanted = named + len(task.task_objects), wanted + len(truth_objects)
         assert bool(task.relations) == (truth["task"]["kind"] in ("take_out", "unstack", "transfer")), task
     assert (right / named, right / wanted) == (1.0, 1.0)
-
-
-def test_made_up_tasks_are_true_and_mean_what_they_name(shared_data: Path) -> None:
-    dataset = MesaTaskDataset(shared_data / "mesa_real")
-    kinds = set()
-    for scene_id in dataset.scene_ids:
-        scene, _ = dataset.read(scene_id)
-        containers = {o.instance: dataset.annotation(o.asset_id).is_container for o in scene.objects if o.asset_id}
-        graph = scene_graph(scene, {}, containers=containers)
-        task = derive_task(scene, graph, task_rng(scene_id))
-        assert task == derive_task(scene, graph, task_rng(scene_id))
-        assert set(task.relations) <= set(relations_of(graph))
-        understood, _ = resolve_task_objects(replace(task, task_objects=(), relations=()), scene, graph)
-        assert (understood.task_objects, understood.relations) == (task.task_objects, task.relations), task.task
-        assert {type_words(t) for t in task.objects_cluster} == {type_words(scene[n].category) for n in task.task_objects}
-        kinds.add(kind_of(task))
-    assert len(kinds) >= 12
-
-
-def kind_of(task: TaskInfo) -> tuple[str, tuple[str, ...], int]:
-    """What tells tasks apart, without the objects: first word, primitives, number of relations."""
-    return task.task.split()[0], tuple(a.split("(")[0] for a in task.action_sequence), len(task.relations)
-
-
-def test_a_rich_scene_gives_at_least_twelve_kinds_of_task() -> None:
-    assert len({kind_of(derive_task(SCENE, GRAPH, np.random.default_rng(k))) for k in range(200)}) >= 12
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_a_made_up_task_fits_its_scene(seed: int) -> None:
-    task = derive_task(SCENE, GRAPH, np.random.default_rng(seed))
-    assert "{" not in " ".join((task.task, *task.goal, *task.action_sequence))
-    assert task.origin == "template"
-    assert set(task.task_objects) <= {o.instance for o in SCENE.objects}
-    assert all(GRAPH.has_edge(r.subject, r.target, key=r.kind) for r in task.relations)
-    validate_task_info(content(task))
-
-
-def test_one_object_that_floats_without_a_mesh_still_gets_a_task() -> None:
-    lone = Scene("lone", SCENE.table, (replace(thing("1_lamp_0", 0.5, 0.3, 0.3), asset_id=None),))
-    assert derive_task(lone, scene_graph(lone, {}), task_rng("lone")).task == "Pick up the lamp."
-
-
-def test_objects_that_float_or_have_no_mesh_are_left_alone_where_there_are_others() -> None:
-    objects = (thing("1_cup_0", 0.3, 0.3), thing("2_fork_0", 0.5, 0.3, 0.2), replace(thing("3_pen_0", 0.7, 0.3), asset_id=None))
-    scene = Scene("three", SCENE.table, objects)
-    graph = scene_graph(scene, {})
-    assert {derive_task(scene, graph, np.random.default_rng(k)).task_objects for k in range(30)} == {("1_cup_0",)}
-
-
-def test_an_empty_scene_has_no_task() -> None:
-    empty = Scene("empty", SCENE.table, ())
-    with pytest.raises(SceneError, match="no objects"):
-        derive_task(empty, scene_graph(empty, {}), task_rng("empty"))
 
 
 # --- a model's task infos ---

@@ -1,0 +1,137 @@
+"""What an instruction says of the scene it starts from, read from its words.
+
+``take the jar out of the cup`` says that the jar is in the cup; ``put the jar into the cup`` says nothing of where it is. Types,
+and objects that the words single out, are replaced by numbers first (:func:`mark`); claims are about numbers.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from stable_data.instructions.naming import Mention
+from stable_data.instructions.words import type_words
+from stable_data.scene import RelationKind
+
+OUTERMOST = {"leftmost": 1, "rightmost": -1}
+"""Words for the one of several that is farthest out, with the sign of x that is least there."""
+
+_LIST = r"(?P<a><\d+>(?:(?:, and |, | and )<\d+>)*)"
+_B = r"(?P<b><\d+>)"
+_PLACING = (
+    r"\b(?:put|place|set|lay|drop|stack|insert|collect|gather|arrange|pile|store|load|move|bring|slide|push|hang|lean|rest"
+    r"|carry|transfer|shift|nudge|serve|return|want|belongs?|goes|go)\b"
+)
+_TAKING = r"\b(?:pick|take|grab|grasp|lift|get|fetch|hand|give|pass|remove|use|press|open|close|leave|keep)\b"
+_WISH = r"\b(?:so that|so|until|make sure|ensure)(?: that)? $"
+_FILLING = r"\b(?:fill|pour)\b[^.;]*$"
+_SPOTS = {
+    "in": RelationKind.IN,
+    "inside": RelationKind.IN,
+    "on": RelationKind.ON,
+    "on top of": RelationKind.ON,
+    "left of": RelationKind.LEFT_OF,
+    "right of": RelationKind.RIGHT_OF,
+    "in front of": RelationKind.IN_FRONT_OF,
+    "behind": RelationKind.BEHIND,
+}
+_SPOT = r"(?P<spot>inside|on top of|in front of|behind|(?:to the |on the )?(?:left|right)(?: side)? of|in|on)"
+_BE = (
+    r"(?:,? (?:which|that))? ?(?:is|are|sits?|rests?|lies|stands?|sitting|resting|lying|standing|placed|kept)"
+    r"(?: currently| now| in the way)?"
+)
+_WITHIN = r"(?: of| inside| within| the top of)? "
+_TAKE = r"(?:removing|taking|lifting|picking)"
+
+_AWAY = re.compile(rf"{_LIST}(?: up| gently| carefully)?(?P<gone> away)? (?P<how>out of|off|from){_WITHIN}{_B}")
+_AWAY_IT = re.compile(rf"{_B}[^.;]* (?:by|after) {_TAKE} {_LIST}(?: up)? (?P<how>out of|off|from) it\b")
+_IT_AWAY = re.compile(rf"{_LIST}\. (?:take|get|lift|remove) (?:it|them) (?P<how>out of|off|from) {_B}")
+_OUT = re.compile(rf"(?:reach into|empty) {_B} (?:and|by) (?:take|get|taking|getting) out {_LIST}")
+_ILL_PLACED = re.compile(rf"{_LIST} do(?:es)? not belong (?P<spot>in|on) {_B}")
+_BEFORE = re.compile(rf"in front of {_B} by (?:moving|pushing|taking) {_LIST}")
+_STATED = re.compile(rf"{_LIST}{_BE} {_SPOT} {_B}")
+_NOUN = re.compile(rf"{_LIST} {_SPOT} {_B}")
+_EMPTIED = re.compile(
+    r"\b(?:(?:everything|nothing)(?: that is| should be)? (?:in|on|out of|off|from)|empty|clear(?: out)?) <(\d+)>"
+    r"|<(\d+)> empty\b|<(\d+)>\. take (?:what lies on top off|everything off)"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """What an instruction says of the start: number ``a`` is ``kind`` of ``b``; None: in or on, as the scene has it."""
+
+    a: int
+    kind: RelationKind | None
+    b: int
+
+
+def mark(text: str, types: Sequence[str], said: Sequence[Mention] = (), pins: Sequence[str] = ()) -> str:
+    """The instruction in lower case, what it mentions as ``<number>``, articles gone.
+
+    Args:
+        text: The instruction.
+        types: Each has its index as its number; the longest are looked for first.
+        said: Words that single objects out; they go before the types.
+        pins: The objects; their numbers come after those of the types.
+    """
+    marked = text.lower()
+    for m in reversed(said):
+        marked = f"{marked[: m.start]}<{len(types) + pins.index(m.instance)}>{marked[m.end :]}"
+    lead = rf"(?:\b(?:the|a|an|both|all|each|{'|'.join(OUTERMOST)}) )*"
+    for index in sorted(range(len(types)), key=lambda k: -len(" ".join(type_words(types[k])))):
+        if spelt := spelling(types[index]):
+            marked = re.sub(rf"{lead}\b{spelt}(?:e?s)?\b(?!>)", f"<{index}>", marked)
+    return marked
+
+
+def spelling(name: str) -> str:
+    """A pattern for a type in an instruction."""
+    return "[ _-]".join(re.escape(word) for word in type_words(name))
+
+
+def read_claims(marked: str) -> tuple[Claim, ...]:
+    """What a marked instruction says of the scene it starts from, each claim once."""
+    found = [*_taken(marked), *_stated(marked)]
+    found += [c for m in _BEFORE.finditer(marked) for c in _pairs(m, RelationKind.IN_FRONT_OF)]
+    return tuple(dict.fromkeys(found))
+
+
+def _taken(marked: str) -> Iterator[Claim]:
+    """Claims in words of taking away."""
+    for match in _AWAY.finditer(marked):
+        is_other = match["how"] == "from" and (match["gone"] or re.search(_FILLING, marked[: match.start()]))
+        if not is_other:  # "move a away from b" and "fill a from b" do not say where a is
+            yield from _pairs(match, _left(match))
+    for pattern in (_AWAY_IT, _IT_AWAY):
+        for match in pattern.finditer(marked):
+            yield from _pairs(match, _left(match))
+    for match in _OUT.finditer(marked):
+        yield from _pairs(match, RelationKind.IN)
+
+
+def _left(match: re.Match[str]) -> RelationKind | None:
+    return {"out of": RelationKind.IN, "off": RelationKind.ON}.get(match["how"])
+
+
+def _stated(marked: str) -> Iterator[Claim]:
+    """Claims in words of being somewhere."""
+    for match in _ILL_PLACED.finditer(marked):
+        yield from _pairs(match, _SPOTS[match["spot"]])
+    for pattern in (_STATED, _NOUN):
+        for match in pattern.finditer(marked):
+            before = re.split(r"[.;:]", marked[: match.start()])[-1]
+            verbs = re.findall(f"{_PLACING}|{_TAKING}", before) if pattern is _NOUN else []
+            # "Put a on b" says where a shall be, "pick up a on b" where it is: the last verb tells.
+            if re.search(_WISH, before) or (verbs and re.fullmatch(_PLACING, verbs[-1])):
+                continue
+            yield from _pairs(match, _SPOTS[re.sub(r"^(?:to|on) the | side", "", match["spot"])])
+
+
+def _pairs(match: re.Match[str], kind: RelationKind | None) -> Iterator[Claim]:
+    target = int(match["b"][1:-1])
+    return (Claim(int(a), kind, target) for a in re.findall(r"\d+", match["a"]) if int(a) != target)
+
+
+def emptied(marked: str) -> tuple[int, ...]:
+    """The numbers of what a marked instruction wants emptied or cleared, whatever is in or on it."""
+    return tuple(int(next(filter(None, groups))) for groups in _EMPTIED.findall(marked))

@@ -1,0 +1,280 @@
+"""Kinds of task about what is in what: put in, taken out, moved from one container to another, filled, emptied."""
+
+import itertools
+from collections.abc import Iterator
+
+from stable_data.instructions.kind import MOST_LISTED, Kind, Roles
+from stable_data.instructions.situation import Situation
+from stable_data.instructions.vocabulary import classes_of
+from stable_data.scene import RelationKind
+
+IN = RelationKind.IN
+
+
+def _put_ins(s: Situation) -> Iterator[Roles]:
+    for y, x in s.pairs(s.containers, s.loose):
+        if s.fits(x, y):
+            yield {"x": x, "y": y}
+
+
+def _put_aways(s: Situation) -> Iterator[Roles]:
+    for y, x in s.pairs(s.of("tidy_place", s.containers), s.loose):
+        if s.fits(x, y) and not classes_of(s.objects[x].category) & {"tidy_place", "pot"}:
+            yield {"x": x, "y": y}
+
+
+def _take_outs(s: Situation) -> Iterator[Roles]:
+    return ({"x": x, "y": y} for x, y in s.linked(IN))
+
+
+def _transfers(s: Situation) -> Iterator[Roles]:
+    for (x, y), z in itertools.product(s.linked(IN), s.mixed(s.containers)):
+        if z != y and s.fits(x, z):
+            yield {"x": x, "y": y, "z": z}
+
+
+def _gathers(s: Situation) -> Iterator[Roles]:
+    """Two or three things that fit into one container together."""
+    for y in s.mixed(s.containers):
+        fitting = s.mixed(x for x in s.loose if s.fits(x, y))
+        for count in s.mixed((2, 3)):
+            xs = tuple(fitting[:count])
+            if len(xs) == count and s.all_fit(xs, y):
+                yield {"xs": xs, "y": y}
+
+
+def _all_of_a_kind(s: Situation) -> Iterator[Roles]:
+    """Every object of a category, all of them loose."""
+    for y, xs in itertools.product(s.mixed(s.containers), s.mixed(s.kinds(s.every_loose))):
+        if len(xs) > 1 and s.all_fit(xs, y) and s.is_every(xs):
+            yield {"xs": tuple(xs), "y": y}
+
+
+def _shares(s: Situation) -> Iterator[Roles]:
+    """Two things, each into a container of its own."""
+    for x, z in s.pairs(s.loose, s.loose):
+        places = ((y, w) for y, w in itertools.permutations(s.mixed(s.containers)[:4], 2) if s.fits(x, y) and s.fits(z, w))
+        yield from ({"x": x, "y": y, "z": z, "w": w} for y, w in places)
+
+
+def _full(s: Situation, least: int) -> Iterator[tuple[str, tuple[str, ...]]]:
+    for y in s.mixed(n for n in s.objects if n in s.steady & s.named and n in s.load):
+        xs = s.parts(y, IN)
+        if least <= len(xs) and set(xs) <= set(s.free):
+            yield y, tuple(xs)
+
+
+def _emptied(s: Situation) -> Iterator[Roles]:
+    return ({"y": y, "xs": xs} for y, xs in _full(s, 2) if len(xs) <= MOST_LISTED)
+
+
+def _emptied_at_once(s: Situation) -> Iterator[Roles]:
+    return ({"y": y, "xs": xs} for y, xs in _full(s, 1))
+
+
+def _poured_over(s: Situation) -> Iterator[Roles]:
+    """All that is in one container into another."""
+    for (y, xs), z in itertools.product(_full(s, 2), s.mixed(s.containers)):
+        if z != y and s.all_fit(xs, z):
+            yield {"y": y, "xs": xs, "z": z}
+
+
+def _replaced(s: Situation) -> Iterator[Roles]:
+    for (x, y), z in itertools.product(s.linked(IN), s.mixed(s.loose)):
+        if s.graph.nodes[y]["container"] and s.fits(z, y):
+            yield {"x": x, "y": y, "z": z}
+
+
+def _loaded(s: Situation) -> Iterator[Roles]:
+    """A container that can be carried with what is put into it."""
+    return (roles for roles in _put_ins(s) if roles["y"] in s.loose)
+
+
+def _loaded_off_centre(s: Situation) -> Iterator[Roles]:
+    return (roles for roles in _loaded(s) if s.graph.nodes[str(roles["y"])]["cell"] != "middle_middle")
+
+
+KINDS = (
+    Kind(
+        "put_in",
+        _put_ins,
+        (
+            "[put] {x} [into] {y}",
+            "pick up {x} and drop {x:it} [into] {y}",
+            "{y} should hold {x}. [Put] {x:it} in there.",
+            "put {x:short} away in {y}",
+            "use {y} to hold {x}",
+            "I want to find {x} in {y} later. [Put] {x:it} there.",
+        ),
+        ("{x} {x:is} in {y}.",),
+        ("Pick({x}); PlaceOn({y})",),
+    ),
+    Kind(
+        "put_away",
+        _put_aways,
+        (
+            "clear {x:short} away into {y}",
+            "I do not need {x} any more. [Put] {x:it} [into] {y}.",
+            "tidy {x:short} away by putting {x:it} into {y}",
+            "[put] {x} [into] {y} to get {x:it} off the table",
+            "store {x} in {y}",
+        ),
+        ("{x} {x:is} in {y}.",),
+        ("Pick({x}); PlaceOn({y})",),
+        theme="tidy",
+    ),
+    Kind(
+        "take_out",
+        _take_outs,
+        (
+            "[take] {x} out of {y} and [put] {x:it} on the table",
+            "[take] {x} out of {y}",
+            "remove {x} from {y}",
+            "{x} {x:is} in {y}. [Lift|Take] {x:it} out and [lay] {x:it} on the table.",
+            "reach into {y} and take out {x}",
+            "{x} do{x:es} not belong in {y}. Take {x:it} out.",
+        ),
+        ("{x} {x:is} on the table.", "{x} {x:is} not in {y}."),
+        ("Pick({x}); PlaceAt(Table)",),
+        (("x", None, "y"),),
+    ),
+    Kind(
+        "transfer",
+        _transfers,
+        (
+            "[take] {x} out of {y} and [put] {x:it} [into] {z}",
+            "move {x} from {y} to {z}",
+            "transfer {x} from {y} into {z}",
+            "{x} {x:is} in {y} but belong{x:s} in {z}. Move {x:it} over.",
+            "[take] {x} out of {y} and drop {x:it} into {z}",
+        ),
+        ("{x} {x:is} in {z}.", "{x} {x:is} not in {y}."),
+        ("Pick({x}); PlaceOn({z})",),
+        (("x", None, "y"),),
+    ),
+    Kind(
+        "gather",
+        _gathers,
+        (
+            "[collect] {xs} in {y}",
+            "[put] {xs} [into] {y}",
+            "{xs} belong in {y}. [Put] them there.",
+            "[put] {xs} [into] {y}, one after the other",
+        ),
+        ("{xs} are in {y}.",),
+        ("Pick({xs}); PlaceOn({y})",),
+        theme="tidy",
+    ),
+    Kind(
+        "gather_kind",
+        _all_of_a_kind,
+        (
+            "[collect] {xs} in {y}",
+            "[put] {xs} [into] {y}",
+            "pick up {xs} one by one and drop them into {y}",
+            "I want to see {xs} in {y}.",
+            "use {y} to collect {xs}",
+        ),
+        ("{xs} are in {y}.",),
+        ("Pick({xs}); PlaceOn({y})",),
+        theme="tidy",
+    ),
+    Kind(
+        "share_out",
+        _shares,
+        (
+            "[put] {x} [into] {y} and {z} [into] {w}",
+            "sort these: {x} goes into {y}, {z} into {w}.",
+            "{x} belong{x:s} in {y} and {z} in {w}. Sort them.",
+        ),
+        ("{x} {x:is} in {y}.", "{z} {z:is} in {w}."),
+        ("Pick({x}); PlaceOn({y}); Pick({z}); PlaceOn({w})",),
+        theme="tidy",
+    ),
+    Kind(
+        "empty",
+        _emptied,
+        (
+            "empty {y} by taking out {xs}",
+            "[take] {xs} out of {y}",
+            "{xs} are in {y}. Take them out one by one.",
+            "remove {xs} from {y} and [put] them on the table",
+        ),
+        ("{xs} are on the table.", "Nothing is in {y}."),
+        ("Pick({xs}); PlaceAt(Table)",),
+        (("xs", None, "y"),),
+    ),
+    Kind(
+        "empty_all",
+        _emptied_at_once,
+        (
+            "empty {y}{xs:=}",
+            "take {xs:=everything} out of {y}",
+            "clear out {y}: {xs:=whatever is in there} goes onto the table.",
+            "I need {y} empty. Put {xs:=what is in there} on the table.",
+        ),
+        ("Nothing is in {y}.",),
+        ("Pick({xs}); PlaceAt(Table)",),
+        (("xs", None, "y"),),
+    ),
+    Kind(
+        "move_contents",
+        _poured_over,
+        (
+            "move {xs:=everything} that is in {y} over to {z}",
+            "empty {y} into {z}, {xs:=piece by piece}",
+            "take {xs:=everything} out of {y} and put it all into {z}",
+        ),
+        ("Nothing is in {y}.", "What was in {y} is now in {z}."),
+        ("Pick({xs}); PlaceOn({z})",),
+        (("xs", None, "y"),),
+    ),
+    Kind(
+        "replace_in",
+        _replaced,
+        (
+            "[take] {x} out of {y} and put {z} in instead",
+            "replace {x} in {y} with {z}",
+            "{y} should hold {z} instead of {x}. Take {x} out first.",
+            "first take {x} out of {y}, then put {z} in.",
+        ),
+        ("{x} {x:is} on the table.", "{z} {z:is} in {y}."),
+        ("Pick({x}); PlaceAt(Table); Pick({z}); PlaceOn({y})",),
+        (("x", None, "y"),),
+    ),
+    Kind(
+        "load_and_bring",
+        _loaded,
+        (
+            "[put] {x} [into] {y:short} and [then|after that] bring {y:short} to me",
+            "[put] {x} [into] {y}, then hand me both together",
+            "first [put] {x} [into] {y:short}. After that, bring {y:short} to the front edge.",
+        ),
+        ("{x} {x:is} in {y}.", "{y} {y:is} at the front edge."),
+        ("Pick({x}); PlaceOn({y}); Pick({y}); PlaceAt(front edge)",),
+    ),
+    Kind(
+        "load_and_centre",
+        _loaded_off_centre,
+        (
+            "[put] {x} [into] {y:short} and move {y:short} to the [middle] of the table",
+            "first [put] {x} [into] {y:short}. Then move {y:short} to the middle of the table.",
+            "[put] {x} [into] {y}, which shall then stand in the middle of the table",
+        ),
+        ("{x} {x:is} in {y}.", "{y} {y:is} in the middle of the table."),
+        ("Pick({x}); PlaceOn({y}); Pick({y}); PlaceAt(middle)",),
+    ),
+    Kind(
+        "unload_and_hand_over",
+        _take_outs,
+        (
+            "[take] {x} out of {y} and [hand] {x:it} to me",
+            "I need {x}. [Get|Take] {x:it} out of {y} and hand {x:it} over.",
+            "[hand] me {x} from {y}",
+            "first take {x} out of {y}, then give {x:it} to me.",
+        ),
+        ("The person in front of the table holds {x}.", "{x} {x:is} not in {y}."),
+        ("Pick({x}); PlaceAt(hand of the person)",),
+        (("x", None, "y"),),
+    ),
+)

@@ -1,0 +1,313 @@
+"""Kinds of task around a meal: the table set and cleared, drinks poured, food served and made ready to be cut."""
+
+import itertools
+from collections.abc import Iterator
+
+from stable_data.instructions.kind import MOST_LISTED, Kind, Roles
+from stable_data.instructions.situation import Situation
+from stable_data.instructions.vocabulary import classes_of
+from stable_data.instructions.words import type_words
+from stable_data.scene import RelationKind
+
+LEFT, RIGHT, BEHIND = RelationKind.LEFT_OF, RelationKind.RIGHT_OF, RelationKind.BEHIND
+
+
+def _lies(s: Situation, x: str, y: str, side: RelationKind) -> bool:
+    return s.is_beside(x, y, side, reach=0.06)
+
+
+def _plate_fork_knife(s: Situation) -> Iterator[Roles]:
+    for x in s.mixed(s.of("plate", s.loose)):
+        for y, z in s.pairs(s.of("fork", s.loose), s.of("knife", s.loose)):
+            done = _lies(s, y, x, LEFT) and _lies(s, z, x, RIGHT)
+            if not done and s.has_room(y, x, LEFT, (z,)) and s.has_room(z, x, RIGHT, (y,)):
+                yield {"x": x, "y": y, "z": z}
+
+
+def _with_drink(s: Situation) -> Iterator[Roles]:
+    for roles, w in itertools.product(_plate_fork_knife(s), s.mixed(s.of("drinkware", s.loose))):
+        x, y, z = str(roles["x"]), str(roles["y"]), str(roles["z"])
+        if s.has_room(w, x, BEHIND, (y, z)):
+            yield {**roles, "w": w}
+
+
+def _plate_cutlery(s: Situation) -> Iterator[Roles]:
+    for x, y in s.pairs(s.of("plate", s.loose), s.of("cutlery", s.loose)):
+        side = LEFT if "fork" in classes_of(s.objects[y].category) else RIGHT
+        if not _lies(s, y, x, side) and s.has_room(y, x, side):
+            yield {"x": x, "y": y, "side": str(side)}
+
+
+def _bowl_spoon(s: Situation) -> Iterator[Roles]:
+    for x, y in s.pairs(s.of("bowl", s.standing), s.of("spoon", s.loose)):
+        if not _lies(s, y, x, RIGHT) and s.has_room(y, x, RIGHT):
+            yield {"x": x, "y": y}
+
+
+def _plate_drink(s: Situation) -> Iterator[Roles]:
+    for x, y in s.pairs(s.of("plate", s.standing), s.of("drinkware", s.loose)):
+        if not _lies(s, y, x, BEHIND) and s.has_room(y, x, BEHIND):
+            yield {"x": x, "y": y}
+
+
+def _for_several(s: Situation) -> Iterator[Roles]:
+    """As many plates as there are of one kind of cutlery or cup, two to four of each."""
+    plates = s.of("plate", s.every_loose)
+    things = s.kinds(s.of("cutlery", s.every_loose)) + s.kinds(s.of("drinkware", s.every_loose))
+    for zs in s.mixed(things):
+        is_set = all(any(s.gap(z, x) < 0.06 for x in plates) for z in zs)
+        if 2 <= len(plates) == len(zs) <= MOST_LISTED and s.is_every(zs) and s.is_every(plates) and not is_set:
+            yield {"xs": tuple(plates), "zs": tuple(zs), "thing": " ".join(type_words(s.objects[zs[0]].category))}
+
+
+def _servings(s: Situation) -> Iterator[Roles]:
+    for y, x in s.pairs(s.of("serving", s.standing), s.of("food", s.loose)):
+        if s.can_carry(x, y) or (y in s.containers and s.fits(x, y)):
+            yield {"x": x, "y": y}
+
+
+def _used(s: Situation) -> list[str]:
+    return s.of("tableware", s.loose)
+
+
+def _cleared_away(s: Situation) -> Iterator[Roles]:
+    """Tableware into something to carry it away in."""
+    places = [n for n in s.containers if "tidy_place" in classes_of(s.objects[n].category)]
+    for y in s.mixed(places):
+        for count in (4, 3, 2):
+            xs = tuple(s.mixed(n for n in _used(s) if s.fits(n, y))[:count])
+            if len(xs) == count and s.all_fit(xs, y):
+                yield {"xs": xs, "y": y}
+
+
+def _to_one_side(s: Situation) -> Iterator[Roles]:
+    for count in (4, 3, 2):
+        xs = tuple(s.mixed(_used(s))[:count])
+        if len(xs) == count and all("back" not in s.graph.nodes[n]["cell"] for n in xs):
+            yield {"xs": xs}
+
+
+def _all_of_a_kind(s: Situation) -> Iterator[Roles]:
+    """Every thing of a category, none of them at the back."""
+    for xs in s.mixed(s.kinds(s.of("tableware", s.every_loose))):
+        if 2 <= len(xs) <= 6 and s.is_every(xs) and not any("back" in s.graph.nodes[n]["cell"] for n in xs):
+            yield {"xs": tuple(xs)}
+
+
+def _all_cutlery(s: Situation) -> Iterator[Roles]:
+    every = s.all_of("cutlery")
+    for y in s.mixed(s.containers):
+        if len(every) > 1 and set(every) <= set(s.every_loose) and s.all_fit(every, y):
+            yield {"xs": tuple(every), "y": y}
+
+
+def _pourings(s: Situation) -> Iterator[Roles]:
+    vessels = [n for n in s.loose if s.objects[n].tilt_angle < 0.5 or s.graph.nodes[n]["container"]]
+    for y, x in s.pairs(s.of("drinkware", s.standing), s.of("pourer", vessels)):
+        if s.objects[x].size[2] > 0.06 and y not in s.load:
+            yield {"x": x, "y": y}
+
+
+def _waterings(s: Situation) -> Iterator[Roles]:
+    return ({"x": x, "y": y} for x, y in s.pairs(s.of("waterer", s.loose), s.of("plant", s.standing)))
+
+
+def _cuttings(s: Situation) -> Iterator[Roles]:
+    for x, y in s.pairs(s.of("choppable", s.loose), s.of("board", s.standing)):
+        item, board = s.objects[x].size, s.objects[y].size
+        if y not in s.load and max(item[:2]) <= max(board[:2]) and min(item[:2]) <= min(board[:2]):
+            yield {"x": x, "y": y}
+
+
+def _cuttings_with_knife(s: Situation) -> Iterator[Roles]:
+    for roles, z in itertools.product(_cuttings(s), s.mixed(s.of("blade", s.loose))):
+        if s.has_room(z, str(roles["y"]), RIGHT):
+            yield {**roles, "z": z}
+
+
+KINDS = (
+    Kind(
+        "set_place",
+        _plate_fork_knife,
+        (
+            "set the table for one: {y:short} to the left of {x}, {z} to its right.",
+            "lay {y:short} to the left of {x} and {z:short} to the right of {x:it}",
+            "prepare a place setting with {x}, {y} on its left and {z} on its right",
+            "one guest is coming. Lay {y} and {z} to the left and right of {x}.",
+        ),
+        ("{y} {y:is} left of {x}.", "{z} {z:is} right of {x}."),
+        ("Pick({y}); PlaceAt(left of {x}); Pick({z}); PlaceAt(right of {x})",),
+        theme="meal",
+    ),
+    Kind(
+        "set_place_with_drink",
+        _with_drink,
+        (
+            "set the table for one with {x}, {y}, {z} and {w}",
+            "lay a full place setting: {y:short} to the left of {x}, {z:short} to the right and {w} behind {x:it}.",
+            "lay {y:short} to the left of {x}, {z:short} to the right of {x:it} and put {w} behind",
+        ),
+        ("{y} {y:is} left of {x}.", "{z} {z:is} right of {x}.", "{w} {w:is} behind {x}."),
+        ("Pick({y}); PlaceAt(left of {x}); Pick({z}); PlaceAt(right of {x}); Pick({w}); PlaceAt(behind {x})",),
+        theme="meal",
+    ),
+    Kind(
+        "lay_cutlery",
+        _plate_cutlery,
+        (
+            "lay {y:short} to the {side} {x}",
+            "{y} {y:is} missing at its place to the {side} {x}. Lay {y:it} there.",
+            "set the table: {y:short} go{y:es} to the {side} {x}.",
+        ),
+        ("{y} {y:is} {side} {x}.",),
+        ("Pick({y}); PlaceAt({side} {x})",),
+        theme="meal",
+    ),
+    Kind(
+        "set_soup",
+        _bowl_spoon,
+        (
+            "lay {y:short} to the right of {x}",
+            "there is soup today. Lay {y:short} to the right of {x}.",
+            "set the table for soup with {y} beside {x}, on the right",
+        ),
+        ("{y} {y:is} right of {x}.",),
+        ("Pick({y}); PlaceAt(right of {x})",),
+        theme="meal",
+    ),
+    Kind(
+        "set_drink",
+        _plate_drink,
+        (
+            "set {y} behind {x} for the drinks",
+            "[put] {y} behind {x}, where a drink belongs",
+            "complete the place at {x}: {y} go{y:es} behind {x:it}.",
+        ),
+        ("{y} {y:is} behind {x}.",),
+        ("Pick({y}); PlaceAt(behind {x})",),
+        theme="meal",
+    ),
+    Kind(
+        "set_for_several",
+        _for_several,
+        (
+            "set the table with {xs} and {zs}, one of each for every guest",
+            "lay one {thing} beside each plate{xs:=}{zs:=}",
+            "every guest gets a place: arrange {xs} and {zs} in pairs.",
+        ),
+        ("Beside each plate there is one {thing}.",),
+        ("Pick({zs}); PlaceAt(beside a plate)",),
+        theme="meal",
+    ),
+    Kind(
+        "serve",
+        _servings,
+        (
+            "serve {x} on {y}",
+            "[put] {x} on {y} to be eaten",
+            "arrange {x} on {y} for the guests",
+            "I would like to eat {x}. Serve {x:it} on {y}.",
+        ),
+        ("{x} {x:is} on {y}.",),
+        ("Pick({x}); PlaceOn({y})",),
+        theme="meal",
+    ),
+    Kind(
+        "clear_table",
+        _cleared_away,
+        (
+            "clear the table: put {xs} into {y}.",
+            "collect {xs} in {y} to clear the table",
+            "put {xs} into {y} so that they can be carried to the kitchen",
+            "use {y} to clear away {xs}",
+        ),
+        ("{xs} are in {y}.",),
+        ("Pick({xs}); PlaceOn({y})",),
+        theme="after_meal",
+    ),
+    Kind(
+        "clear_to_back",
+        _to_one_side,
+        (
+            "clear the front of the table: move {xs} to the back.",
+            "move {xs} to the back of the table after the meal",
+            "make room at the front: {xs} go to the back of the table.",
+        ),
+        ("{xs} are at the back of the table.",),
+        ("Pick({xs}); PlaceAt(back)",),
+        theme="after_meal",
+    ),
+    Kind(
+        "clear_kind",
+        _all_of_a_kind,
+        (
+            "clear away {xs}: move them to the back of the table.",
+            "move {xs} out of the way, to the back of the table",
+            "nobody needs {xs} any more. Put them at the back of the table.",
+        ),
+        ("{xs} are at the back of the table.",),
+        ("Pick({xs}); PlaceAt(back)",),
+        theme="after_meal",
+    ),
+    Kind(
+        "collect_cutlery",
+        _all_cutlery,
+        (
+            "put {xs:=all the cutlery} into {y}",
+            "collect {xs:=every piece of cutlery} in {y}",
+            "{xs:=the cutlery} belongs in {y}. Put all of it there.",
+        ),
+        ("All the cutlery is in {y}.",),
+        ("Pick({xs}); PlaceOn({y})",),
+        theme="after_meal",
+    ),
+    Kind(
+        "pour",
+        _pourings,
+        (
+            "pour something from {x} into {y}",
+            "fill {y} from {x}",
+            "use {x} to fill {y}",
+            "take {x} and pour a drink into {y}",
+            "{y} {y:is} empty. Pour something in from {x}.",
+        ),
+        ("{y} {y:is} filled from {x}.", "{x} {x:is} back on the table."),
+        ("Pick({x}); PlaceAt(above {y}); PlaceAt(Table)",),
+        theme="drink",
+    ),
+    Kind(
+        "water",
+        _waterings,
+        (
+            "water {y} with {x}",
+            "{y} need{y:s} water. Take {x} and give {y:it} some.",
+            "pour a little water from {x} over {y}",
+        ),
+        ("{y} {y:is} watered from {x}.", "{x} {x:is} back on the table."),
+        ("Pick({x}); PlaceAt(above {y}); PlaceAt(Table)",),
+    ),
+    Kind(
+        "prepare_to_cut",
+        _cuttings,
+        (
+            "[put] {x} on {y} so that {x:they} can be cut",
+            "get {x} ready for cutting on {y}",
+            "I am going to slice {x}. [Put] {x:it} on {y}.",
+        ),
+        ("{x} {x:is} on {y}.",),
+        ("Pick({x}); PlaceOn({y})",),
+        theme="cook",
+    ),
+    Kind(
+        "prepare_to_cut_with_knife",
+        _cuttings_with_knife,
+        (
+            "[put] {x} on {y:short} and lay {z} to the right of {y:short}",
+            "prepare the cutting of {x}: {x:it} on {y}, {z} to the right of {y:it}.",
+            "first put {x} on {y}, then lay {z} down to the right of {y:it}.",
+        ),
+        ("{x} {x:is} on {y}.", "{z} {z:is} right of {y}."),
+        ("Pick({x}); PlaceOn({y}); Pick({z}); PlaceAt(right of {y})",),
+        theme="cook",
+    ),
+)

@@ -1,0 +1,337 @@
+"""How an object is told apart: words that are true of it and of no other object in the scene that would answer to its noun.
+
+An object of which there is one needs no more than its noun. Among several, one is told by its colour, material or pattern where
+the descriptions give all of theirs, by its size, by its place in their row, by the part of the table that only it is in, or by
+what it is in, on or next to. The same words, looked for in an instruction, tell which object it means.
+"""
+
+import math
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from stable_data.instructions.situation import OPPOSITE, SIDES
+from stable_data.instructions.vocabulary import answers_to, nouns_of
+from stable_data.instructions.words import is_plural, type_words
+from stable_data.relations import SceneGraph
+from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, Scene
+
+
+class Telling(StrEnum):
+    """What tells an object apart."""
+
+    NOUN = "noun"
+    SYNONYM = "synonym"
+    LOOK = "look"
+    SIZE = "size"
+    PLACE = "place"
+    CARRIER = "carrier"
+    SIDE = "side"
+    BESIDE = "beside"
+    CELL = "cell"
+    LINK = "link"
+
+
+WEIGHTS = {
+    Telling.NOUN: 8.0,
+    Telling.SYNONYM: 3.0,
+    Telling.LOOK: 3.0,
+    Telling.SIZE: 3.0,
+    Telling.PLACE: 3.0,
+    Telling.CARRIER: 1.5,
+    Telling.SIDE: 1.0,
+    Telling.BESIDE: 1.0,
+    Telling.CELL: 1.0,
+    Telling.LINK: 4.0,
+}
+"""How often each is drawn, relative to the others that tell the same object apart."""
+
+_LASTING = frozenset({Telling.NOUN, Telling.SYNONYM, Telling.LOOK, Telling.SIZE})
+
+_LOOKS = (
+    {  # near colours share a value, so that "the blue mug" is not said beside a navy one
+        **dict.fromkeys(("white", "cream", "ivory"), "white"),
+        **dict.fromkeys(("grey", "gray", "silver"), "grey"),
+        **dict.fromkeys(("black",), "black"),
+        **dict.fromkeys(("brown", "beige", "tan", "walnut", "oak"), "brown"),
+        **dict.fromkeys(("red", "crimson", "maroon", "terracotta"), "red"),
+        **dict.fromkeys(("orange", "amber", "copper"), "orange"),
+        **dict.fromkeys(("yellow", "gold", "golden"), "yellow"),
+        **dict.fromkeys(("green", "olive", "teal", "turquoise"), "green"),
+        **dict.fromkeys(("blue", "navy"), "blue"),
+        **dict.fromkeys(("purple", "violet", "lilac"), "purple"),
+        **dict.fromkeys(("pink",), "pink"),
+    },
+    {w: w for w in ("wooden", "ceramic", "porcelain", "metal", "plastic", "leather", "cardboard", "wicker", "steel", "bamboo")},
+    {w: w for w in ("striped", "spotted", "plain", "floral", "checkered", "patterned")},
+    {w: w for w in ("round", "square", "oval", "rectangular", "cylindrical", "hexagonal")},
+)
+_SHADES = frozenset({"light", "dark", "pale", "bright", "deep"})
+_SIZE_WORDS = frozenset(
+    ("small", "large", "big", "tall", "short", "tiny", "mini", "medium", "long", "wide", "narrow", "extra", "little")
+)
+
+_APART = 0.025  # an outermost object is farther out than the next by at least this, metres
+_LARGER = 1.5  # and a largest one has at least so many times the volume of the next
+_TALLER = 1.25
+_NEAR, _FAR = 0.05, 0.15  # what is next to a thing is this near, and nothing else of its kind within this, metres
+
+# Of axis and direction: what is said of one of two, and of one of more.
+_PLACES = (
+    (0, -1, ("the left-hand {}", "the {} that {} on the left"), ("the leftmost {}", "the {} that {} farthest to the left")),
+    (0, 1, ("the right-hand {}", "the {} that {} on the right"), ("the rightmost {}", "the {} that {} farthest to the right")),
+    (1, -1, ("the nearer {}", "the {} that {} closer to me"), ("the nearest {}", "the {} that {} closest to the front edge")),
+    (1, 1, ("the farther {}", "the {} that {} farther back"), ("the farthest {}", "the {} that {} farthest back")),
+)
+_SIDE_WORDS = {
+    RelationKind.LEFT_OF: "to the left of",
+    RelationKind.RIGHT_OF: "to the right of",
+    RelationKind.IN_FRONT_OF: "in front of",
+    RelationKind.BEHIND: "behind",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Name:
+    """Words for one object.
+
+    Attributes:
+        words: With article, such as ``the leftmost mug``.
+        noun: What it is called in them.
+        telling: What tells it apart.
+        anchor: Another object that the words name.
+        relation: What they say of the scene, in the form in which the scene graph holds it.
+    """
+
+    words: str
+    noun: str
+    telling: Telling
+    anchor: str | None = None
+    relation: Relation | None = None
+
+    @property
+    def is_short(self) -> bool:
+        """Does the noun end them, so that a particle can follow?"""
+        return self.words.endswith(self.noun)
+
+    @property
+    def is_lasting(self) -> bool:
+        """Are they still true once things have been moved?"""
+        return self.telling in _LASTING
+
+
+class Namer:
+    """Finds names in a scene.
+
+    Args:
+        scene: The scene.
+        graph: Its scene graph.
+    """
+
+    def __init__(self, scene: Scene, graph: SceneGraph) -> None:
+        self.scene, self.graph = scene, graph
+        self.objects = {o.instance: o for o in scene.objects}
+        self._centre = {o.instance: np.array(o.position) for o in scene.objects}
+        self._answering: dict[str, tuple[str, ...]] = {}
+        self._names: dict[str, tuple[Name, ...]] = {}
+
+    def answering(self, noun: str) -> tuple[str, ...]:
+        """Every object of the scene that the noun could mean."""
+        if noun not in self._answering:
+            found = (o.instance for o in self.scene.objects if answers_to(o.category, noun))
+            self._answering[noun] = tuple(found)
+        return self._answering[noun]
+
+    def own_noun(self, instance: str) -> str:
+        """What the object's category calls it, possibly nothing."""
+        return " ".join(type_words(self.objects[instance].category))
+
+    def is_alone(self, instance: str) -> bool:
+        """Does only it answer to its noun?"""
+        return self.answering(self.own_noun(instance)) == (instance,)
+
+    def names(self, instance: str) -> tuple[Name, ...]:
+        """All names of an object, possibly none."""
+        if instance not in self._names:
+            nouns = nouns_of(self.objects[instance].category)
+            self._names[instance] = tuple(name for noun in nouns for name in self._called(instance, noun, noun == nouns[0]))
+        return self._names[instance]
+
+    def linked_names(self, instance: str, place: str) -> tuple[Name, ...]:
+        """The name, if any, that suffices where the words say anyway that the object is in or on that place."""
+        noun = self.own_noun(instance)
+        others = [n for n in self.answering(noun) if n != instance]
+        if not noun or place in others or any(self._is_in_or_on(n, place) for n in others):
+            return ()
+        return (Name(f"the {noun}", noun, Telling.LINK),)
+
+    def _is_in_or_on(self, instance: str, place: str) -> bool:
+        return any(self.graph.has_edge(instance, place, key=k) for k in (RelationKind.IN, RelationKind.ON))
+
+    def _called(self, instance: str, noun: str, is_own: bool) -> Iterator[Name]:
+        alike = [n for n in self.answering(noun) if n != instance]
+        if not alike:
+            yield Name(f"the {noun}", noun, Telling.NOUN if is_own else Telling.SYNONYM)
+        for look in self._looks(instance, noun, alike):
+            yield Name(f"the {look} {noun}", noun, Telling.LOOK)
+        if alike:
+            yield from (Name(words, noun, Telling.SIZE) for words in self._sizes(instance, noun, alike))
+            yield from (Name(words, noun, Telling.PLACE) for words in self._places(instance, noun, alike))
+        if is_own:
+            yield from self._anchored(instance, noun, alike)
+            yield from self._in_cell(instance, noun, alike)
+
+    def _looks(self, instance: str, noun: str, alike: list[str]) -> Iterator[str]:
+        for values in _LOOKS if not _SIZE_WORDS & set(noun.split(" ")) else ():  # "the large red pot" is another order
+            own = self._look(instance, noun, values)
+            if own is not None and all(self._looks_different(n, noun, values, own) for n in alike):
+                yield own
+
+    def _looks_different(self, instance: str, noun: str, values: Mapping[str, str], look: str) -> bool:
+        """Is its look known, and another one?"""
+        own = self._look(instance, noun, values)
+        return own is not None and values[own.split(" ")[-1]] != values[look.split(" ")[-1]]
+
+    def _look(self, instance: str, noun: str, values: Mapping[str, str]) -> str | None:
+        """The one word of these that the head of its description holds, with its shade."""
+        if not self.objects[instance].description:
+            return None
+        head = re.split(r"[,;.(]|\b(?:with|of|for|on|in|and|that|which|holding)\b", self.objects[instance].description.lower())[
+            0
+        ]
+        words = re.findall(r"[a-z]+", head)
+        found = [k for k, word in enumerate(words) if word in values and word not in noun.split(" ")]
+        if len(found) != 1:
+            return None
+        k = found[0]
+        return f"{words[k - 1]} {words[k]}" if k and words[k - 1] in _SHADES else words[k]
+
+    def _sizes(self, instance: str, noun: str, alike: list[str]) -> Iterator[str]:
+        if _SIZE_WORDS & set(noun.split(" ")):
+            return
+        size, others = np.array(self.objects[instance].size), np.array([self.objects[n].size for n in alike])
+        more = len(alike) > 1
+        volume, volumes = float(np.prod(size)), np.prod(others, axis=1)
+        longest, lengths = size.max(), others.max(axis=1)
+        if volume > _LARGER * volumes.max() and longest > lengths.max():
+            yield from (f"the {word} {noun}" for word in (("largest", "biggest") if more else ("larger", "bigger")))
+        if volume * _LARGER < volumes.min() and longest < lengths.min():
+            yield f"the {'smallest' if more else 'smaller'} {noun}"
+        is_upright = min(size[2] / longest, (others[:, 2] / lengths).min()) > 0.99
+        if is_upright and size[2] > _TALLER * others[:, 2].max():
+            yield f"the {'tallest' if more else 'taller'} {noun}"
+        if is_upright and size[2] * _TALLER < others[:, 2].min():
+            yield f"the {'shortest' if more else 'shorter'} {noun}"
+
+    def _places(self, instance: str, noun: str, alike: list[str]) -> Iterator[str]:
+        own, others = self._centre[instance], np.array([self._centre[n] for n in alike])
+        for axis, sign, of_two, of_more in _PLACES:
+            outer = sign * own[axis] > (sign * others[:, axis]).max() + _APART
+            if outer and (axis == 0 or self._is_outer_for_viewer(own, others, sign)):
+                yield from (words.format(noun, _are(noun)) for words in (of_more if len(alike) > 1 else of_two))
+        row = sorted([*alike, instance], key=lambda n: self._centre[n][0])
+        if len(row) == 3 and row[1] == instance:
+            places = np.array([self._centre[n] for n in row])
+            if np.diff(places[:, 0]).min() > max(2 * _APART, np.ptp(places[:, 1])):
+                yield f"the middle {noun}"
+
+    def _is_outer_for_viewer(self, own: FloatArray, others: FloatArray, sign: int) -> bool:
+        """The same by the distance to the one who stands at the middle of the front edge."""
+        viewer = np.array([self.scene.table.size_xy[0] / 2, 0.0])
+        reach = np.linalg.norm(others[:, :2] - viewer, axis=1)
+        return bool(sign * np.linalg.norm(own[:2] - viewer) > (sign * reach).max())
+
+    def _anchored(self, instance: str, noun: str, alike: list[str]) -> Iterator[Name]:
+        for anchor in sorted({*self.graph.successors(instance), *self.graph.predecessors(instance)} - {TABLE}):
+            if anchor in alike or not self.is_alone(anchor) or self._is_in_or_on(anchor, instance):
+                continue
+            place = f"the {self.own_noun(anchor)}"
+            for kind, verb in ((RelationKind.IN, "lying"), (RelationKind.ON, "resting")):
+                if self.graph.has_edge(instance, anchor, key=kind) and not any(self._is_in_or_on(n, anchor) for n in alike):
+                    relation = Relation(instance, kind, anchor)
+                    for words in (f"the {noun} that {_are(noun)} {kind} {place}", f"the {noun} {verb} {kind} {place}"):
+                        yield Name(words, noun, Telling.CARRIER, anchor, relation)
+            if alike:
+                yield from self._at_side(instance, noun, alike, anchor)
+
+    def _at_side(self, instance: str, noun: str, alike: list[str], anchor: str) -> Iterator[Name]:
+        place = f"the {self.own_noun(anchor)}"
+        for kind, (axis, sign) in SIDES.items():
+            relation = relation_held(self.graph, instance, kind, anchor)
+            others = (sign * (self._centre[n][axis] - self._centre[anchor][axis]) for n in alike)
+            if relation is not None and all(step < -_APART for step in others):
+                for words in (f"that {_are(noun)}", "standing"):
+                    yield Name(f"the {noun} {words} {_SIDE_WORDS[kind]} {place}", noun, Telling.SIDE, anchor, relation)
+        if self._gap(instance, anchor, min) <= _NEAR and all(self._gap(n, anchor, math.hypot) >= _FAR for n in alike):
+            yield Name(f"the {noun} that {_are(noun)} next to {place}", noun, Telling.BESIDE, anchor)
+
+    def _gap(self, one: str, other: str, breadth: Callable[[float, float], float]) -> float:
+        """Distance of the circles within two boxes (``min``), or around them (``hypot``), metres."""
+        widths = breadth(*self.objects[one].size[:2]) + breadth(*self.objects[other].size[:2])
+        return float(np.linalg.norm(self._centre[one][:2] - self._centre[other][:2])) - widths / 2
+
+    def _in_cell(self, instance: str, noun: str, alike: list[str]) -> Iterator[Name]:
+        cells = {n: self.graph.nodes[n]["cell"] for n in (instance, *alike)}
+        row, column = cells[instance].split("_")
+        if alike and "middle" not in (row, column) and all(cells[n] != cells[instance] for n in alike):
+            relation = Relation(instance, RelationKind.IS_AT, cells[instance])
+            yield Name(f"the {noun} that {_are(noun)} in the {row} {column} corner", noun, Telling.CELL, None, relation)
+
+
+def _are(noun: str) -> str:
+    return "are" if is_plural(noun) else "is"
+
+
+def relation_held(graph: SceneGraph, subject: str, kind: RelationKind, target: str) -> Relation | None:
+    """The edge of a scene graph that says this, or its opposite the other way round; None where neither is held."""
+    if graph.has_edge(subject, target, key=kind):
+        return Relation(subject, kind, target)
+    if kind in OPPOSITE and graph.has_edge(target, subject, key=OPPOSITE[kind]):
+        return Relation(target, OPPOSITE[kind], subject)
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class Mention:
+    """Words of an instruction that mean one object.
+
+    Attributes:
+        start: Where they start.
+        end: Where they end.
+        instance: The object.
+        name: Its name.
+    """
+
+    start: int
+    end: int
+    instance: str
+    name: Name
+
+
+def mentions(text: str, namer: Namer) -> tuple[Mention, ...]:
+    """Every name in an instruction, the longest first chosen, in the order of the text.
+
+    Args:
+        text: The instruction.
+        namer: Of the scene that it starts from.
+    """
+    lower = text.lower()
+    found: list[Mention] = []
+    for instance, o in namer.objects.items():
+        if any(noun in lower for noun in nouns_of(o.category)):
+            for name in namer.names(instance):
+                spans = (m.span() for m in re.finditer(rf"\b{re.escape(name.words)}\b", lower) if name.words in lower)
+                found += [Mention(start, end, instance, name) for start, end in spans]
+    kept: list[Mention] = []
+    for one in sorted(found, key=lambda m: (m.start - m.end, m.start)):
+        if all(one.end <= other.start or one.start >= other.end for other in kept):
+            kept.append(one)
+    return tuple(sorted(kept, key=lambda m: m.start))
+
+
+def involved(names: Collection[Name]) -> tuple[str, ...]:
+    """The other objects that names speak of, each once."""
+    return tuple(dict.fromkeys(name.anchor for name in names if name.anchor is not None))

@@ -1,0 +1,116 @@
+"""The same request in other words: verbs and prepositions exchanged, polite frames, reasons. No object is named here.
+
+A text holds its choices in brackets: ``[put] {x} [into|inside] {y}``. A bracket with bars lists the words; one without is a key
+of ``SYNONYMS``. A text without a mark at its end is a clause, an imperative that frames and further steps can be put around.
+"""
+
+import re
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from stable_data.instructions.words import sentences
+
+SYNONYMS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "put": ("put", "put", "place", "set"),
+        "lay": ("lay", "put", "place"),
+        "take": ("take", "take", "get", "lift"),
+        "fetch": ("fetch", "get", "take"),
+        "remove": ("remove", "take away"),
+        "pick up": ("pick up", "pick up", "lift up", "grab", "take hold of"),
+        "move": ("move", "move", "shift", "bring"),
+        "bring": ("bring", "move", "carry"),
+        "push": ("push", "slide", "nudge"),
+        "turn": ("turn", "rotate"),
+        "stack": ("stack", "pile", "put"),
+        "hand": ("hand", "pass", "give"),
+        "press": ("press", "push down"),
+        "collect": ("collect", "gather"),
+        "arrange": ("arrange", "line up", "place"),
+        "into": ("into", "in", "inside"),
+        "onto": ("onto", "on", "on top of"),
+        "next to": ("next to", "beside", "right next to"),
+        "middle": ("middle", "centre"),
+        "then": ("then", "and then", "and after that"),
+    }
+)
+"""What may stand in place of a word; a word named twice is drawn twice as often."""
+
+_FRAMES = (
+    "please {}",
+    "please {}",
+    "{}, please",
+    "could you {}?",
+    "can you {}?",
+    "would you {}, please?",
+    "could you please {}?",
+    "I want you to {}.",
+    "I would like you to {}.",
+    "your task is to {}.",
+    "go ahead and {}.",
+    "you need to {}.",
+    "the robot should {}.",
+    "your next job is to {}.",
+    "it would help me if you could {}.",
+)
+_FRAMED = 0.5  # share of clauses that get a frame
+
+_REASONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "tidy": (
+            "I am tidying up.",
+            "Let us tidy up a little.",
+            "I want everything in order.",
+            "Some tidying is needed here.",
+            "Everything should have its place.",
+        ),
+        "meal": ("We are about to eat.", "The food will be ready in a minute.", "Guests are coming.", "It is time to eat."),
+        "after_meal": ("We have finished eating.", "The meal is over.", "Everybody has eaten."),
+        "drink": ("I am thirsty.", "I would like something to drink.", "It is time for a drink."),
+        "cook": ("I am about to cook.", "Let us start cooking."),
+        "work": ("I want to start working.", "I have some work to do.", "Work is waiting."),
+        "done": ("I am done for today.", "I have finished my work."),
+        "room": ("I need some room here.", "It is too crowded here."),
+        "look": ("I am looking for something.", "I want to check something."),
+    }
+)
+_REASONED = 0.3  # share of tasks with a theme that give a reason
+
+
+def reword(text: str, rng: np.random.Generator) -> str:
+    """The text with its choices made.
+
+    Args:
+        text: With brackets.
+        rng: Where the choices come from.
+    """
+
+    def choose(match: re.Match[str]) -> str:
+        options = tuple(match[1].split("|")) if "|" in match[1] else SYNONYMS[match[1].lower()]
+        chosen = options[int(rng.integers(len(options)))]
+        return chosen.capitalize() if match[1][0].isupper() else chosen
+
+    return re.sub(r"\[([^\]]+)\]", choose, text)
+
+
+def is_clause(text: str) -> bool:
+    """Is a text an imperative that words can be put around?"""
+    return re.search(r"[.!?:;]", text) is None
+
+
+def request(text: str, theme: str, rng: np.random.Generator) -> str:
+    """Whole sentences of a text, maybe in a frame, maybe with a reason in front.
+
+    Args:
+        text: A clause, or sentences already.
+        theme: What the request is about, a key of the reasons, or nothing.
+        rng: Where the choices come from.
+    """
+    if is_clause(text) and rng.random() < _FRAMED:
+        text = _FRAMES[int(rng.integers(len(_FRAMES)))].format(text)
+    reasons = _REASONS.get(theme, ())
+    if reasons and rng.random() < _REASONED:
+        text = f"{reasons[int(rng.integers(len(reasons)))]} {text}"
+    return sentences(text)

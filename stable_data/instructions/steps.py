@@ -1,0 +1,101 @@
+"""Tasks of several steps: tasks of other kinds about different objects, joined as one would say them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from stable_data.instructions.kind import Kind, Told
+from stable_data.instructions.naming import Namer
+from stable_data.instructions.paraphrase import is_clause, reword
+from stable_data.instructions.situation import Situation
+from stable_data.instructions.vocabulary import answers_to
+
+_MOST_TRIED = 24  # kinds of task that a step may be sought among
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """A kind of task that joins others.
+
+    Attributes:
+        name: Unique.
+        kinds: What may be joined.
+        texts: With ``{a}``, ``{b}`` and so on for the steps, each a clause.
+        order: In which order the steps of a text are done.
+    """
+
+    name: str
+    kinds: Sequence[Kind]
+    texts: tuple[str, ...]
+    order: tuple[int, ...]
+
+    def tell(self, situation: Situation, namer: Namer) -> Told | None:
+        """A task of so many steps, or None where the scene has none."""
+        told: list[Told] = []
+        for kind in situation.mixed(self.kinds)[:_MOST_TRIED]:
+            step = kind.tell(situation, namer)
+            if step is not None and is_clause(step.text) and all(_are_apart(step, other, namer) for other in told):
+                told.append(step)
+            if len(told) == len(self.order):
+                return self._joined(told, situation)
+        return None
+
+    def _joined(self, told: Sequence[Told], situation: Situation) -> Told:
+        text = reword(situation.pick(self.texts), situation.rng)
+        done = [told[k] for k in self.order]
+        return Told(
+            text.format_map({letter: step.text for letter, step in zip("abc", told, strict=False)}),
+            tuple(goal for step in done for goal in step.goal),
+            tuple(action for step in done for action in step.actions),
+            tuple(name for step in done for name in step.objects),
+            tuple(noun for step in done for noun in step.nouns),
+            tuple(sorted({relation for step in done for relation in step.relations})),
+        )
+
+
+def _are_apart(one: Told, other: Told, namer: Namer) -> bool:
+    """Does neither step speak of what the other moves, or of a thing that the other's words could mean?"""
+    pairs = ((a, noun) for step, rest in ((one, other), (other, one)) for a in step.objects for noun in rest.nouns)
+    return not any(answers_to(namer.objects[a].category, noun) for a, noun in pairs)
+
+
+def steps_of(kinds: Sequence[Kind]) -> tuple[Steps, ...]:
+    """The kinds of task that join others.
+
+    Args:
+        kinds: What may be joined.
+    """
+    return (
+        Steps(
+            "two_steps",
+            kinds,
+            (
+                "{a}, [then] {b}",
+                "{a} and [then|after that] {b}",
+                "first {a}. After that, {b}.",
+                "start by doing this: {a}. Once that is done, {b}.",
+                "two things are to be done: first {a}, then {b}.",
+            ),
+            (0, 1),
+        ),
+        Steps(
+            "before",
+            kinds,
+            (
+                "before you {a}, {b}.",
+                "{a}, but first {b}",
+                "{b}, and only then {a}",
+            ),
+            (1, 0),
+        ),
+        Steps(
+            "three_steps",
+            kinds,
+            (
+                "{a}, [then] {b}, and finally {c}",
+                "first {a}. Then {b}. Finally, {c}.",
+                "there are three things to do: {a}, {b}, and {c}.",
+                "step one: {a}. Step two: {b}. Step three: {c}.",
+            ),
+            (0, 1, 2),
+        ),
+    )

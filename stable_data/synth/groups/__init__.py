@@ -1,0 +1,1 @@
+"""Functional groups: what people put together on a table, kind by kind."""

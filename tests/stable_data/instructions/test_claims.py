@@ -1,0 +1,39 @@
+"""What an instruction says of the scene it starts from."""
+
+import pytest
+
+from stable_data.instructions.claims import Claim, emptied, mark, read_claims
+from stable_data.scene import RelationKind
+
+IN, ON, FRONT = RelationKind.IN, RelationKind.ON, RelationKind.IN_FRONT_OF
+TYPES = ("Apple", "FruitBowl", "Bowl")
+
+
+def test_the_longest_types_are_marked_first() -> None:
+    assert mark("Put the apple and all apples from the fruit bowl into a bowl.", TYPES) == "put <0> and <0> from <1> into <2>."
+
+
+@pytest.mark.parametrize(
+    ("marked", "claims"),
+    [
+        ("take <0> out of <1>.", [Claim(0, IN, 1)]),
+        ("remove <0> from <1>.", [Claim(0, None, 1)]),
+        ("reach into <1> and take out <0>.", [Claim(0, IN, 1)]),
+        ("clear <1> by lifting <0> and <2> off it.", [Claim(0, ON, 1), Claim(2, ON, 1)]),
+        ("<0> does not belong in <1>. take it out.", [Claim(0, IN, 1)]),
+        ("i need <0>. take it out of <1> and hand it over.", [Claim(0, IN, 1)]),
+        ("clear the space in front of <1> by moving <0> to the left.", [Claim(0, FRONT, 1)]),
+        ("<0> is in the way in front of <1>.", [Claim(0, FRONT, 1)]),
+        ("move <0> away from <1>.", []),
+        ("fill <0> from <1>.", []),
+        ("<0> belongs in <1> and <2> in <1>.", []),
+        ("put <0> on <1>.", []),
+    ],
+)
+def test_claims_are_what_the_words_presuppose(marked: str, claims: list[Claim]) -> None:
+    assert list(read_claims(marked)) == claims
+
+
+@pytest.mark.parametrize("text", ["empty <3>.", "take everything out of <3>.", "clear <3>, please.", "i need <3> empty."])
+def test_what_is_to_be_emptied_is_found(text: str) -> None:
+    assert emptied(text) == (3,)
