@@ -115,6 +115,9 @@ class Shard:
     def __len__(self) -> int:
         return len(self.scenes) + len(self.assets)
 
+    def __str__(self) -> str:
+        return f"shard {self.shard_id} ({len(self.scenes)} scenes, {len(self.assets)} assets)"
+
 
 @dataclass(frozen=True, slots=True)
 class Plan:

@@ -111,9 +111,14 @@ class _RayRun(Generic[T, R]):
                         ray.exceptions.WorkerCrashedError,
                         ray.exceptions.TaskCancelledError,
                         ray.exceptions.OutOfMemoryError,
-                    ):
-                        if isolated:
-                            raise
+                    ) as error:
+                        if isolated:  # its items ran in processes of their own, so it is not they that ended the worker
+                            raise ConfigError(
+                                f"a worker was lost over {shard} even with its items run one by one "
+                                f"({type(error).__name__}), expected the items alone to fail; free memory or take fewer "
+                                "workers and run again: finished shards are kept",
+                                "worker_lost",
+                            ) from error
                         waiting.appendleft((shard, True))
                     except ray.exceptions.RayTaskError as error:
                         raise error.as_instanceof_cause() from None

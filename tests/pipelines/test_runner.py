@@ -26,6 +26,13 @@ class Hostile:
         return f"{shard} {'alone' if isolated else 'together'}"
 
 
+class Doomed:
+    """Dies however it is run."""
+
+    def __call__(self, shard: int, *, isolated: bool = False) -> int:
+        os.abort()
+
+
 class Slow:
     def __call__(self, shard: int, *, isolated: bool = False) -> str:
         if not isolated:
@@ -52,6 +59,13 @@ def test_an_error_of_the_run_itself_comes_back_as_it_is() -> None:
 @pytest.mark.ray
 def test_a_shard_that_kills_its_worker_is_run_again_alone() -> None:
     assert sorted(Workers(2).run(Hostile(), [0, 1, 2])) == ["0 together", "1 alone", "2 together"]
+
+
+@pytest.mark.ray
+def test_a_worker_lost_twice_ends_the_run_with_one_line() -> None:
+    with pytest.raises(ConfigError, match="over 7 even with its items run one by one") as caught:
+        list(Workers(1).run(Doomed(), [7]))
+    assert caught.value.code == "worker_lost"
 
 
 @pytest.mark.ray
