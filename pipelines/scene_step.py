@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from pipelines.progress import Progress
 from stable_data import tables
 from stable_data.assets import AssetStore, with_box_centres
 from stable_data.errors import Notice
@@ -47,7 +48,12 @@ class SceneRows:
 
 
 def preprocess_scene(
-    dataset: MesaTaskDataset, scene_id: str, store: AssetStore, settings: SceneSettings, writer: "CachedWriter | None" = None
+    dataset: MesaTaskDataset,
+    scene_id: str,
+    store: AssetStore,
+    settings: SceneSettings,
+    progress: Progress,
+    writer: "CachedWriter | None" = None,
 ) -> SceneRows:
     """Everything that preprocess makes of one scene.
 
@@ -56,17 +62,24 @@ def preprocess_scene(
         scene_id: Its id.
         store: Geometry of the assets.
         settings: What shapes the rows.
+        progress: Is told of each step.
         writer: A model that writes task infos, where the user gives one.
 
     Raises:
         SceneError: The scene cannot be used.
     """
+    progress.step = "read"
     scene, read = dataset.read(scene_id)
+    progress.step = "mesh"
     scene = with_box_centres(scene, store, settings.position_convention)
     shapes, meshed = store.shapes(scene)
+    progress.step = "audit"
     posed = PosedScene(scene, shapes)
     audit = audit_posed(posed)
+    progress.step = "task"
     scene, tasked = _understood(dataset, posed, audit, settings, writer)
+    progress.step = "stage"
+    scene = stage_scene(scene, settings.important_threshold)
     layout = dataset.layout_path(scene_id)
     group = duplicate_group(scene)
     row = {
@@ -110,7 +123,7 @@ class CachedWriter:
 def _understood(
     dataset: MesaTaskDataset, posed: PosedScene, audit: Audit, settings: SceneSettings, writer: CachedWriter | None
 ) -> tuple[Scene, tuple[Notice, ...]]:
-    """The scene with supports, relations, task and stages."""
+    """The scene with supports, relations and task."""
     scene = posed.scene
     contacts = _contacts(posed, audit)
     footprints = {o.instance: s.posed_footprint(p) for o, s, p in zip(scene.objects, posed.shapes, scene.poses(), strict=True)}
@@ -126,7 +139,7 @@ def _understood(
         task, notices = model_task(scene, graph, writer.write, writer.cache, writer.name, settings.seed)
     else:
         task = derive_task(scene, graph, task_rng(scene.scene_id, settings.seed))
-    return stage_scene(replace(scene, task=task), settings.important_threshold), notices
+    return replace(scene, task=task), notices
 
 
 def _contacts(posed: PosedScene, audit: Audit) -> Mapping[str, tuple[str, ...]]:
