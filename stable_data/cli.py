@@ -1,5 +1,6 @@
 """The command line of the library: ``stable-data VERB``."""
 
+import os
 import sys
 from collections.abc import Callable
 from functools import wraps
@@ -18,19 +19,45 @@ app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_
 DONE, SOME_FAILED, NOT_STARTED = 0, 1, 2
 """Exit statuses: all well; some items failed, all accounted for; could not start."""
 
+DEBUG = "STABLE_DATA_DEBUG"
+"""Environment variable: where it is set, an error ends a command with its traceback."""
+
+EXTRA_OF_MODULE = {
+    **dict.fromkeys(("fast_simplification", "fcl", "igl", "manifold3d", "networkx", "scipy"), "geometry,sim"),
+    **dict.fromkeys(("shapely", "trimesh", "vhacdx", "mujoco", "PIL", "OpenGL"), "geometry,sim"),
+    "torch": "torch",
+    **dict.fromkeys(("jsonschema", "ray"), "geometry,sim,pipelines"),
+}
+"""What to install where a module is missing: all that the commands which import it need, so that it is asked for once."""
+
 
 def with_clear_errors(command: Callable[P, R]) -> Callable[P, R]:
-    """Ends a command with one line and status 2 where it cannot start."""
+    """Ends a command with one line and status 2 where it cannot start or go on."""
 
     @wraps(command)
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
             return command(*args, **kwargs)
-        except StableDataError as error:
-            typer.echo(f"error: {error}", err=True)
+        except (typer.Exit, typer.Abort, BrokenPipeError):
+            raise  # an end that was meant, or a reader such as `head` that has seen enough
+        except Exception as error:  # the outermost level: nobody is helped by a traceback that they did not ask for
+            if os.environ.get(DEBUG):
+                raise
+            typer.echo(f"error: {_line(error)}", err=True)
             raise typer.Exit(NOT_STARTED) from error
 
     return run
+
+
+def _line(error: Exception) -> str:
+    """What a person is told of an error."""
+    if isinstance(error, StableDataError):
+        return str(error)
+    missing = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+    if extra := EXTRA_OF_MODULE.get(missing):
+        return f"needs stable-data[{extra}], but {missing} is not installed: pip install '.[{extra}]' in a checkout"
+    found = str(error).strip().partition("\n")[0]
+    return f"unexpected {type(error).__name__}: {found}; please report it with what {DEBUG}=1 shows"
 
 
 @app.callback()
@@ -69,14 +96,17 @@ def lint(
 ) -> None:
     """Audit every scene exactly: collisions with depth, floating, sunk, out of bounds.
 
-    Status 0: every scene could be read. 1: some could not; they are listed.
+    Runs in this process: a file that crashes its parser ends it. Status 0: every scene could be read and judged. 1: some could
+    not; they are listed.
     """
-    from stable_data.lint import lint_folder
+    from stable_data.lint import lint_folder, prepare_place
 
+    if table is not None:
+        prepare_place(table)
     result = lint_folder(folder, progress=not quiet and sys.stderr.isatty())
+    typer.echo(str(result))
     if table is not None:
         result.write(table)
-    typer.echo(str(result))
     if result.failures:
         raise typer.Exit(SOME_FAILED)
 
@@ -96,7 +126,7 @@ def inspect(run: Annotated[str, typer.Argument(help="A run folder or its URI.")]
     for name in SCHEMAS:
         files = folder.files(name)
         if files:
-            typer.echo(f"{name:<10} {folder.dataset(name).count_rows():>8} rows in {len(files)} files")
+            typer.echo(f"{name:<10} {folder.num_rows(name):>8} rows in {len(files)} files")
 
 
 @app.command()
