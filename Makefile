@@ -53,7 +53,7 @@ data/embedded: | $(READY)
 preprocess: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA=<MesaTask-10K folder> OUT=<folder> to staged, geometry-complete tables
 	$(BIN)/python -m pipelines preprocess --data $(DATA) --out $(OUT)
 
-bench: $(READY) ## Side-by-side figures against peers (DATA=<folder with real meshes>)
+bench: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## Side-by-side figures against peers (DATA=<folder with real meshes>)
 	$(BIN)/python -m benchmarks --data $(DATA) --out runs/bench
 
 clean: ## Remove the environment and what was generated

@@ -6,7 +6,10 @@ import os
 import platform
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
+
+from stable_data.cli import DONE, SOME_FAILED
 
 
 def main() -> None:
@@ -17,22 +20,35 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="fewer assets and scenes")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    run = arguments.out / "run"
     machine = {"machine": platform.machine(), "processor": processor(), "python": platform.python_version()}
     (arguments.out / "machine.json").write_text(json.dumps(machine, indent=2) + "\n", "utf-8")
     print(machine)
     few = arguments.quick
     os.environ |= {"OMP_NUM_THREADS": "1", "IGL_NUM_THREADS": "1"}  # one process is one core, on both sides of a comparison
-    jobs = {
-        "sdf_grid": ["-m", "benchmarks.sdf_grid", f"{arguments.data}/Assets_library", *(["--limit", "12"] if few else [])],
-        "audit": ["-m", "benchmarks.audit", str(arguments.data), *(["--scenes", "6"] if few else [])],
-        "preprocess": ["-m", "benchmarks.preprocess", str(arguments.data), "--scenes", "160" if few else "1000"],
-        "loader": ["-m", "benchmarks.loader", str(run), str(arguments.data)],
-    }
-    subprocess.run([sys.executable, "-m", "pipelines", "preprocess", "--data", arguments.data, "--out", run], check=True)
-    for name, command in jobs.items():
-        print(f"\n== {name}", flush=True)
-        subprocess.run([sys.executable, *command, "--json", str(arguments.out / f"{name}.json")], check=True)
+    data, library = str(arguments.data), f"{arguments.data}/Assets_library"
+    with tempfile.TemporaryDirectory(dir=arguments.out) as run:  # a run is of one dataset, and the next may be of another
+        preprocess(data, run)
+        jobs = {
+            "sdf_candidates": ["benchmarks.sdf_candidates", library, "--limit", "12" if few else "24"],
+            "sdf_grid": ["benchmarks.sdf_grid", library, *(["--limit", "12"] if few else [])],
+            "audit": ["benchmarks.audit", data, *(["--scenes", "6"] if few else [])],
+            "preprocess": ["benchmarks.preprocess", data, "--scenes", "160" if few else "1000"],
+            "loader": ["benchmarks.loader", run, data],
+        }
+        for name, command in jobs.items():
+            print(f"\n== {name}", flush=True)
+            subprocess.run([sys.executable, "-m", *command, "--json", str(arguments.out / f"{name}.json")], check=True)
+
+
+def preprocess(data: str, run: str) -> None:
+    """Makes the tables; scenes and assets that cannot be used are left out of the figures.
+
+    Raises:
+        SystemExit: The job could not be done.
+    """
+    status = subprocess.run([sys.executable, "-m", "pipelines", "preprocess", "--data", data, "--out", run]).returncode
+    if status not in (DONE, SOME_FAILED):
+        raise SystemExit(status)
 
 
 def processor() -> str:

@@ -12,6 +12,7 @@ Run with ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``.
 import json
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
@@ -22,6 +23,7 @@ import trimesh
 import typer
 
 from stable_data.assets import AssetStore
+from stable_data.errors import SceneError
 from stable_data.lint import lint_folder
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.audit import audit_scene
@@ -96,7 +98,7 @@ def run(root: Path, num_scenes: int | None = None, repeats: int = 3) -> AuditBen
     """
     dataset = MesaTaskDataset(root)
     store = AssetStore(dataset, max_bytes=2**31)
-    read = [dataset.read(scene_id)[0] for scene_id in dataset.scene_ids]
+    read = list(readable_scenes(dataset))
     scenes = [scene for scene in read if len(scene.objects) in _NUM_OBJECTS]
     if not scenes:  # a set of smaller scenes: its fullest ones
         scenes = sorted(read, key=lambda scene: -len(scene.objects))[:12]
@@ -107,6 +109,13 @@ def run(root: Path, num_scenes: int | None = None, repeats: int = 3) -> AuditBen
     start = time.process_time()
     lint_folder(root)
     return AuditBenchmark(tuple(timings), len(dataset) / (time.process_time() - start))
+
+
+def readable_scenes(dataset: MesaTaskDataset) -> Iterator[Scene]:
+    """The scenes that can be used."""
+    for scene_id in dataset.scene_ids:
+        with suppress(SceneError):
+            yield dataset.read(scene_id)[0]
 
 
 def _shifted(scene: Scene) -> Scene:

@@ -22,10 +22,9 @@ import numpy as np
 import pysdf
 import trimesh
 import typer
-from tqdm import tqdm
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-from stable_data.glb import load_glb
+from benchmarks.meshes import repaired_meshes
 from stable_data.mesh import Mesh
 from stable_data.repair import repair
 from stable_data.scene import FloatArray
@@ -146,13 +145,9 @@ def main(
     json_file: Annotated[Path | None, typer.Option("--json", help="leave the figures there")] = None,
 ) -> None:
     """Prints a line a candidate, and keeps the figures as JSON."""
-    assets = sorted(folder.glob("*.glb"))
-    if limit:
-        assets = [assets[i] for i in np.linspace(0, len(assets) - 1, min(limit, len(assets))).astype(int)]
     rng = np.random.default_rng(0)
     rows: dict[str, Row] = {name: {} for name in CANDIDATES}
-    for path in tqdm(assets):
-        mesh, report, _ = repair(load_glb(path, path.stem)[0], path.stem)
+    for _, mesh, report in repaired_meshes(folder, limit):
         if report.is_watertight:
             measure(unit_mesh(mesh)[0], rng, rows)
     print(f"{'candidate':<24}{'max error':>11}" + "".join(f"{v:>9}" for v in _VARIANTS) + f"{'us/point':>10}")

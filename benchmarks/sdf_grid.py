@@ -11,7 +11,7 @@ Times are processor seconds of this process, so that they do not depend on what 
 import json
 import resource
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -20,9 +20,9 @@ import numpy as np
 import typer
 from tqdm import tqdm
 
-from stable_data.glb import load_glb
+from benchmarks.meshes import repaired_meshes
 from stable_data.mesh import Mesh
-from stable_data.repair import repair
+from stable_data.repair import MeshReport
 from stable_data.scene import FloatArray
 from stable_data.sdf_band import Lattice
 from stable_data.sdf_build import build_grid, unit_mesh, with_errors
@@ -111,21 +111,20 @@ class GridBenchmark:
         return "\n".join(f"{name:<28}{value:>14.4f}" for name, value in self.summary().items())
 
 
-def run(assets: Sequence[Path]) -> GridBenchmark:
+def run(meshes: Iterable[tuple[str, Mesh, MeshReport]]) -> GridBenchmark:
     """Builds every grid our way, then densely.
 
     Args:
-        assets: GLB files.
+        meshes: Asset ids, repaired meshes and their reports.
 
     Returns:
         The figures.
     """
     built = []
-    for path in tqdm(assets, "ours"):
-        mesh, report, _ = repair(load_glb(path, path.stem)[0], path.stem)
+    for asset_id, mesh, report in meshes:
         start = time.process_time()
         grid = build_grid(mesh, is_sheet=report.is_sheet)
-        built.append((path.stem, mesh, report.is_sheet, grid, time.process_time() - start))
+        built.append((asset_id, mesh, report.is_sheet, grid, time.process_time() - start))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     wall = time.perf_counter()
     cpu = time.process_time()
@@ -170,10 +169,7 @@ def main(
     json_file: Annotated[Path | None, typer.Option("--json", help="leave the figures there")] = None,
 ) -> None:
     """Prints the figures, and keeps them as JSON."""
-    assets = sorted(folder.glob("*.glb"))
-    if limit:
-        assets = [assets[i] for i in np.linspace(0, len(assets) - 1, min(limit, len(assets))).astype(int)]
-    found = run(assets)
+    found = run(repaired_meshes(folder, limit))
     print(found)
     if json_file:
         document = {"summary": found.summary(), "timings": [asdict(t) for t in found.timings]}

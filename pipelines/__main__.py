@@ -7,7 +7,21 @@ from typing import Annotated
 
 import typer
 
-from stable_data.cli import NOT_STARTED, SOME_FAILED, with_clear_errors
+from stable_data.cli import (
+    SOME_FAILED,
+    Address,
+    Edits,
+    NumScenes,
+    Pictures,
+    Seed,
+    SynthOut,
+    Tables,
+    WholeLibrary,
+    tell_world,
+    tqdm_bar,
+    with_clear_errors,
+)
+from stable_data.errors import ConfigError
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help="Jobs on tabletop scenes.")
 
@@ -20,14 +34,20 @@ def main() -> None:
 @app.command()
 @with_clear_errors
 def preprocess(
-    data: Annotated[str, typer.Option(help="A folder in the MesaTask-10K format.")],
-    out: Annotated[str, typer.Option(help="Run folder: a local path, or a URI such as s3://bucket/prefix.")],
+    data: Annotated[
+        str, typer.Option(help="A folder in the MesaTask-10K format; every node of a cluster must see it under this path.")
+    ],
+    out: Annotated[str, typer.Option(help="Run folder: a path that every node sees, or a URI such as s3://bucket/prefix.")],
     config: Annotated[Path | None, typer.Option(help="TOML file; its table [preprocess] is read.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
     workers: Annotated[
-        int, typer.Option(help="Worker processes on a local Ray; 0 runs in this process; -1 is one a core.")
+        int,
+        typer.Option(
+            help="Worker processes on a local Ray, or shards at once with --address; -1 is one a core of the machine or the "
+            "cluster. 0 runs in this process, where a file that crashes or hangs its parser ends or holds the run."
+        ),
     ] = -1,
-    address: Annotated[str | None, typer.Option(help="An existing Ray cluster, such as auto or ray://host:10001.")] = None,
+    address: Address = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")] = False,
 ) -> None:
     """Turn a dataset into staged, geometry-complete tables. Run again to go on where it was stopped.
@@ -40,13 +60,12 @@ def preprocess(
     from pipelines.runner import Workers
     from pipelines.settings import resolve
 
+    count = _count(workers, address)
     settings = resolve(PreprocessSettings, "preprocess", config, set_ or [])
     if dry_run:
         typer.echo(json.dumps(describe_plan(data, settings), indent=2))
         return
-    count = workers if workers >= 0 else (os.cpu_count() or 1)
-    per_shard = settings.seconds_per_item * max(settings.scenes_per_shard, settings.assets_per_shard)
-    manifest = run(data, out, settings, Workers(count, address, per_shard))
+    manifest = run(data, out, settings, Workers(count, address))
     counts = manifest["counts"]
     failed = ", ".join(f"{code} {n}" for code, n in counts["failures_by_code"].items())
     typer.echo(
@@ -57,8 +76,44 @@ def preprocess(
         raise typer.Exit(SOME_FAILED)
 
 
+@app.command()
+@with_clear_errors
+def synth(
+    out: SynthOut,
+    scenes: NumScenes = 24,
+    seed: Seed = 0,
+    table: Tables = None,
+    edits: Edits = False,
+    pictures: Pictures = True,
+    whole_library: WholeLibrary = False,
+    workers: Annotated[int, typer.Option(help="Worker processes on a local Ray, or shards at once; -1 is one a core.")] = -1,
+    address: Address = None,
+) -> None:
+    """Make a set of the embedded world with many workers: the same files as ``stable-data synth`` makes.
+
+    Status 0: done. 1: some scenes could not be made; synth_failures says why. 2: could not start.
+    """
+    from pipelines.runner import Workers
+    from pipelines.synth import synth as run
+    from stable_data.synth import World
+
+    world = World(seed, tuple(table or ()), pictures, edits, whole_library)
+    with tqdm_bar(scenes) as bar:
+
+        def show(done: int, failed: int) -> None:
+            bar.update(done - bar.n)
+            bar.set_postfix(failed=failed)
+
+        failures = run(out, scenes, world, Workers(_count(workers, address), address), show)
+    tell_world(out, scenes, failures)
+
+
+def _count(workers: int, address: str | None) -> int:
+    """Workers as the runner counts them."""
+    if address and workers == 0:
+        raise ConfigError(f"--workers 0 is this process, but --address is {address}; leave out one of them", "config_invalid")
+    return workers if workers >= 0 else 0 if address else os.cpu_count() or 1
+
+
 if __name__ == "__main__":
-    try:
-        app()
-    except KeyboardInterrupt:
-        raise SystemExit(NOT_STARTED) from None
+    app()

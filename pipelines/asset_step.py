@@ -2,9 +2,12 @@
 
 import hashlib
 from dataclasses import asdict, dataclass
+from typing import TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
+from pipelines.progress import Progress
 from stable_data import tables
 from stable_data.assets import AssetMesh, AssetStore, aspect_of
 from stable_data.convex import convex_parts
@@ -15,6 +18,9 @@ from stable_data.mesatask import AssetAnnotation
 from stable_data.mesh import Mesh
 from stable_data.points import surface_points
 from stable_data.scene import QuatXyzw, Vec3
+
+TextFeature: TypeAlias = npt.NDArray[np.float32]
+"""An asset's row of the library's text features, (D,) float32."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +64,12 @@ class AssetRows:
 
 
 def preprocess_asset(
-    use: AssetUse, annotation: AssetAnnotation, store: AssetStore, settings: AssetSettings, embedding: list[float] | None = None
+    use: AssetUse,
+    annotation: AssetAnnotation,
+    store: AssetStore,
+    settings: AssetSettings,
+    progress: Progress,
+    embedding: TextFeature | None = None,
 ) -> AssetRows:
     """Everything that preprocess makes of one asset.
 
@@ -67,20 +78,24 @@ def preprocess_asset(
         annotation: What the library says of it.
         store: Where its mesh is.
         settings: What shapes the rows.
+        progress: Is told of each step.
         embedding: Its row of the library's text features.
 
     Raises:
         MeshError: The mesh cannot be used.
     """
+    progress.step = "mesh"
     asset = store.asset(use.asset_id)
+    progress.step = "sdf"
     grids = tuple(_grid_row(use.asset_id, steps, store) for steps in use.aspects)
-    return AssetRows(
-        _asset_row(use, annotation, asset, settings, embedding), _mesh_row(use.asset_id, asset, store), grids, asset.notices
-    )
+    progress.step = "points"
+    row = _asset_row(use, annotation, asset, settings, embedding)
+    progress.step = "parts"
+    return AssetRows(row, _mesh_row(use.asset_id, asset, store), grids, asset.notices)
 
 
 def _asset_row(
-    use: AssetUse, annotation: AssetAnnotation, asset: AssetMesh, settings: AssetSettings, embedding: list[float] | None
+    use: AssetUse, annotation: AssetAnnotation, asset: AssetMesh, settings: AssetSettings, embedding: TextFeature | None
 ) -> tables.Row:
     scale = use.typical_scale or (1.0, 1.0, 1.0)
     weighed = mass_properties(Mesh(asset.mesh.vertices * scale, asset.mesh.faces), mass=1.0, is_sheet=not asset.report.is_solid)

@@ -5,8 +5,9 @@ the plan of the same dataset and settings is the same, whoever makes it.
 """
 
 import hashlib
-from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,12 +16,13 @@ import numpy as np
 from tqdm import tqdm
 
 import stable_data
-from pipelines.asset_step import AssetUse
+from pipelines.asset_step import AssetUse, TextFeature
 from pipelines.scene_step import SceneSettings
 from stable_data import tables
 from stable_data.assets import AssetStore, aspect_steps, position_convention
-from stable_data.errors import ConfigError, SceneError
-from stable_data.mesatask import MesaTaskDataset, PositionConvention
+from stable_data.errors import ConfigError, Notice
+from stable_data.mesatask import MesaTaskDataset, PositionConvention, read_text_features
+from stable_data.mesatask.frame import normalised
 from stable_data.scene import QuatXyzw, Vec3
 from stable_data.shards import content_id
 
@@ -45,9 +47,9 @@ class PreprocessSettings:
         scenes_per_shard: Scenes of one shard.
         assets_per_shard: Assets of one shard.
         task_writer: ``module:function`` that writes task infos for scenes without one; empty: templates.
-        task_cache: Folder that keeps its answers.
+        task_cache: Folder that keeps its answers; on a cluster one that every node sees.
         num_pictures: Scenes drawn in the report.
-        seconds_per_item: A scene or asset that takes longer is a failure.
+        seconds_per_item: A scene or asset that takes longer is a failure; not watched without worker processes.
     """
 
     important_threshold: float = 0.02
@@ -68,7 +70,7 @@ class PreprocessSettings:
         """Refuses settings that no run can follow."""
         positive = ("important_threshold", "num_points", "scenes_per_shard", "assets_per_shard", "seconds_per_item")
         for key in positive:
-            if getattr(self, key) <= 0:
+            if not 0 < getattr(self, key) < math.inf:
                 raise ConfigError(
                     f"setting preprocess.{key} is {getattr(self, key)}, expected a positive number", "config_invalid"
                 )
@@ -77,8 +79,10 @@ class PreprocessSettings:
                 f"setting preprocess.position_convention is {self.position_convention}, expected auto, box_centre or mesh_centre",
                 "config_invalid",
             )
+        if "://" in self.task_cache:
+            raise ConfigError(f"setting preprocess.task_cache is {self.task_cache}, expected a folder", "config_invalid")
         shares = (self.train_share, self.validation_share)
-        if min(shares) < 0 or sum(shares) > 1:
+        if not (min(shares) >= 0 and sum(shares) <= 1):
             raise ConfigError(f"splits are {shares}, expected shares that add up to at most 1", "config_invalid")
 
     def shaping(self) -> dict[str, Any]:
@@ -115,6 +119,9 @@ class Shard:
     def __len__(self) -> int:
         return len(self.scenes) + len(self.assets)
 
+    def __str__(self) -> str:
+        return f"shard {self.shard_id} ({len(self.scenes)} scenes, {len(self.assets)} assets)"
+
 
 @dataclass(frozen=True, slots=True)
 class Plan:
@@ -122,17 +129,31 @@ class Plan:
 
     Attributes:
         shards: All shards, assets first.
-        fingerprint: Content of all inputs.
-        num_scenes: Scenes of the dataset.
-        num_assets: Assets that are processed.
-        num_assets_without_mesh: Assets that are annotated or used but have no mesh file.
+        inputs: Content of all inputs, by their kind.
+        scene_ids: Scenes of the dataset, with those whose layout is missing.
+        asset_ids: Assets that are processed.
+        notices: What is odd about the dataset as a whole: scene folders without a layout (``layout_missing``, failures),
+            assets that are wanted but have no mesh file (``glb_missing``), and what its reader noticed.
     """
 
     shards: tuple[Shard, ...]
-    fingerprint: str
-    num_scenes: int
-    num_assets: int
-    num_assets_without_mesh: int
+    inputs: Mapping[str, str]
+    scene_ids: tuple[str, ...]
+    asset_ids: tuple[str, ...]
+    notices: tuple[Notice, ...]
+
+    @property
+    def fingerprint(self) -> str:
+        """Content of all inputs."""
+        return content_id(dict(self.inputs))
+
+    def counts(self) -> dict[str, int]:
+        """How much there is to do."""
+        return {
+            "num_scenes": len(self.scene_ids),
+            "num_assets": len(self.asset_ids),
+            "num_assets_without_mesh": sum(n.code == "glb_missing" for n in self.notices),
+        }
 
 
 @dataclass
@@ -140,11 +161,14 @@ class _Use:
     """How scenes use an asset, being counted."""
 
     scales: list[Vec3] = field(default_factory=list)
-    tilts: Counter[QuatXyzw] = field(default_factory=Counter)
+    tilts: dict[QuatXyzw, tuple[QuatXyzw, int]] = field(default_factory=dict)
     aspects: set[tuple[int, int, int]] = field(default_factory=set)
 
     def add(self, scale: Vec3 | None, tilt: QuatXyzw) -> None:
-        self.tilts[_rounded_tilt(tilt)] += 1
+        tilt = _with_one_sign(tilt)
+        x, y, z, w = (round(q, 2) + 0.0 for q in tilt)  # tilts within about a degree count as one: the first that was seen
+        first, count = self.tilts.get((x, y, z, w), (tilt, 0))
+        self.tilts[x, y, z, w] = (first, count + 1)
         if scale is not None:
             self.aspects.add(aspect_steps(scale))
             if len(self.scales) < _MAX_SCALES:
@@ -157,41 +181,92 @@ class _Use:
         return x, y, z
 
 
+@dataclass
+class _Content:
+    """Hashes of what a dataset holds, by scene and by asset."""
+
+    layouts: dict[str, str]
+    task_infos: dict[str, str | None]
+    meshes: dict[str, str]
+    annotations: dict[str, str]
+    text_features: dict[str, str]
+
+    def of_scene(self, scene_id: str) -> tuple[str, str, str | None]:
+        return scene_id, self.layouts[scene_id], self.task_infos[scene_id]
+
+    def of_asset(self, asset_id: str) -> tuple[str, str | None, str | None]:
+        return asset_id, self.meshes.get(asset_id), self.annotations.get(asset_id)
+
+
 def plan_run(dataset: MesaTaskDataset, settings: PreprocessSettings) -> Plan:
     """Cuts a dataset into shards.
 
     Args:
         dataset: The dataset; every layout and mesh file is read once for its content.
         settings: What shapes the rows.
+
+    Raises:
+        ConfigError: The text features cannot be used.
     """
     shaping = settings.shaping() | {"table_version": tables.TABLE_VERSION, "code": stable_data.__version__}
     uses: dict[str, _Use] = defaultdict(_Use)
-    digests: dict[str, str] = {}
     used_by_scene: dict[str, list[str]] = {}
     for scene_id in tqdm(dataset.scene_ids, desc="plan", unit="scene", leave=False):
-        digests[scene_id] = _scene_digest(dataset, scene_id)
         used_by_scene[scene_id] = _count_uses(dataset, scene_id, uses)
     wanted = sorted(set(uses) | (set(dataset.annotations) if settings.all_assets else set()))
-    mesh_digests = {a: _file_digest(path) for a in wanted if (path := dataset.asset_path(a)) is not None}
-    asset_uses = [_asset_use(a, mesh_digests[a], uses.get(a, _Use())) for a in wanted if a in mesh_digests]
-    asset_shards = [
-        Shard(content_id("assets", shaping, [asdict(use) for use in group]), assets=tuple(group))
-        for group in _groups(asset_uses, settings.assets_per_shard)
-    ]
+    content = _content(dataset, wanted)
+    asset_uses = [_asset_use(a, content.meshes[a], uses.get(a, _Use())) for a in wanted if a in content.meshes]
+    asset_shards = []
+    for uses_of_shard in _groups(asset_uses, settings.assets_per_shard):
+        of_assets = [(asdict(u), content.annotations[u.asset_id], content.text_features.get(u.asset_id)) for u in uses_of_shard]
+        asset_shards.append(Shard(content_id("assets", shaping, of_assets), assets=tuple(uses_of_shard)))
     scene_shards = []
-    for group in _groups(list(dataset.scene_ids), settings.scenes_per_shard):
-        meshes = sorted({(a, mesh_digests.get(a)) for scene_id in group for a in used_by_scene[scene_id]})
-        scene_shards.append(Shard(content_id("scenes", shaping, [(s, digests[s]) for s in group], meshes), scenes=tuple(group)))
-    fingerprint = content_id(sorted(digests.items()), sorted(mesh_digests.items()))
-    num_missing = len(wanted) - len(asset_uses)
-    return Plan((*asset_shards, *scene_shards), fingerprint, len(dataset.scene_ids), len(asset_uses), num_missing)
+    for scenes in _groups(list(dataset.scene_ids), settings.scenes_per_shard):
+        used = sorted({a for scene_id in scenes for a in used_by_scene[scene_id]})
+        of_scenes = [content.of_scene(s) for s in scenes], [content.of_asset(a) for a in used]
+        scene_shards.append(Shard(content_id("scenes", shaping, dataset.root.name, *of_scenes), scenes=tuple(scenes)))
+    notices = (*dataset.notices, *(_without_mesh(a, a in uses) for a in wanted if a not in content.meshes))
+    return Plan(
+        (*asset_shards, *scene_shards),
+        {kind: content_id(digests) for kind, digests in vars(content).items()}
+        | {"folder": content_id(sorted((n.item_id, n.code) for n in notices))},
+        (*dataset.scene_ids, *(n.item_id for n in notices if n.code == "layout_missing")),
+        tuple(use.asset_id for use in asset_uses),
+        notices,
+    )
+
+
+def text_features(root: Path) -> dict[str, TextFeature]:
+    """The library's text features by asset; empty where there are none.
+
+    Raises:
+        ConfigError: The file cannot be used.
+    """
+    path = root / "sbert_text_features.pkl"
+    if not path.is_file():
+        return {}
+    asset_ids, features = read_text_features(path)
+    return dict(zip(asset_ids, features, strict=True))
+
+
+def _content(dataset: MesaTaskDataset, wanted: Sequence[str]) -> _Content:
+    layouts = {s: dataset.layout_path(s) for s in dataset.scene_ids}
+    task_infos = {s: path.with_name("task_info.json") for s, path in layouts.items()}
+    features = text_features(dataset.root)
+    return _Content(
+        layouts={s: _file_digest(path) for s, path in layouts.items()},
+        task_infos={s: _file_digest(path) if path.is_file() else None for s, path in task_infos.items()},
+        meshes={a: _file_digest(path) for a in wanted if (path := dataset.asset_path(a)) is not None},
+        annotations={a: content_id(dict(dataset.annotation(a).raw)) for a in wanted},
+        text_features={a: hashlib.sha256(features[a].tobytes()).hexdigest() for a in wanted if a in features},
+    )
 
 
 def _count_uses(dataset: MesaTaskDataset, scene_id: str, uses: dict[str, _Use]) -> list[str]:
     try:
         scene, _ = dataset.read(scene_id)
-    except SceneError:
-        return []  # its own step will say why
+    except Exception:  # noqa: BLE001 - its own step will say why, whatever it is
+        return []
     for o in scene.objects:
         if o.asset_id is not None:
             uses[o.asset_id].add(o.scale, o.tilt_quat_xyzw)
@@ -199,16 +274,22 @@ def _count_uses(dataset: MesaTaskDataset, scene_id: str, uses: dict[str, _Use]) 
 
 
 def _asset_use(asset_id: str, digest: str, use: _Use) -> AssetUse:
-    tilts = sorted(use.tilts.items(), key=lambda item: (-item[1], item[0]))[:_MAX_TILTS]
+    tilts = sorted(use.tilts.values(), key=lambda item: (-item[1], item[0]))[:_MAX_TILTS]
     aspects = tuple(sorted(use.aspects | {(0, 0, 0)}))
     return AssetUse(asset_id, digest, use.typical_scale(), aspects, tuple(tilts))
 
 
-def _rounded_tilt(tilt: QuatXyzw) -> QuatXyzw:
-    """A tilt to about a degree, with one of its two signs."""
+def _with_one_sign(tilt: QuatXyzw) -> QuatXyzw:
+    """The unit quaternion, with one of the two signs that mean the same rotation."""
     sign = 1.0 if next((q for q in reversed(tilt) if abs(q) > 0.01), 1.0) > 0 else -1.0
-    x, y, z, w = (round(sign * q, 2) + 0.0 for q in tilt)
+    x, y, z, w = (sign * q + 0.0 for q in normalised(tilt))
     return x, y, z, w
+
+
+def _without_mesh(asset_id: str, is_used: bool) -> Notice:
+    consequence = "objects of it are kept as boxes" if is_used else "it is left out"
+    message = f"{asset_id}: is {'used' if is_used else 'annotated'} but has no GLB in the library; {consequence}; add the file"
+    return Notice(asset_id, "plan", "glb_missing", message)
 
 
 def _groups(items: Sequence[T], size: int) -> Iterator[Sequence[T]]:
@@ -216,11 +297,9 @@ def _groups(items: Sequence[T], size: int) -> Iterator[Sequence[T]]:
 
 
 def _file_digest(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def _scene_digest(dataset: MesaTaskDataset, scene_id: str) -> str:
-    layout = dataset.layout_path(scene_id)
-    task = layout.with_name("task_info.json")
-    return content_id(_file_digest(layout), _file_digest(task) if task.is_file() else None)
+    """Hash of a file's content; of one that cannot be read, the reason: whoever needs it will report that."""
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        return f"unreadable: {error.strerror}"

@@ -1,13 +1,13 @@
 """Preprocess: a folder of scenes in the MesaTask-10K format becomes staged, geometry-complete tables.
 
-A shard whose last table is in place is done. Workers write their own shards, so nothing large travels.
+A shard whose tables are all in place is done. Workers write their own shards, so nothing large travels.
 """
 
 import importlib
 import json
 from collections import Counter, defaultdict
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,22 +15,28 @@ from typing import Any
 from tqdm import tqdm
 
 import stable_data
-from pipelines.asset_step import AssetSettings, AssetUse, preprocess_asset
-from pipelines.plan import Plan, PreprocessSettings, Shard, plan_run
+from pipelines.asset_step import AssetSettings, AssetUse, TextFeature, preprocess_asset
+from pipelines.plan import Plan, PreprocessSettings, Shard, plan_run, text_features
+from pipelines.progress import Progress
 from pipelines.report import write_report
-from pipelines.runner import Workers, alone
+from pipelines.runner import Loss, Workers, alone, limited
 from pipelines.scene_step import CachedWriter, preprocess_scene
 from pipelines.settings import differences
 from stable_data import tables
 from stable_data.assets import AssetStore
 from stable_data.errors import ConfigError, Notice, StableDataError
-from stable_data.mesatask import MesaTaskDataset, read_text_features
+from stable_data.mesatask import MesaTaskDataset
 from stable_data.shards import RunFolder, content_id
 
 SCENE_TABLES = ("warnings", "failures", "samples", "scenes")
-"""Tables of a scene shard, in the order in which they are put in place: the last one says that the shard is complete."""
+"""Tables of a scene shard, in the order in which they are put in place."""
 ASSET_TABLES = ("warnings", "failures", "sdf", "meshes", "assets")
 """Tables of an asset shard, likewise."""
+TABLES = tuple(dict.fromkeys((*ASSET_TABLES, *SCENE_TABLES)))
+"""Tables of a run."""
+
+_OF_DATASET = content_id("dataset")
+_NO_ASSETS = content_id("no assets")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,80 +44,97 @@ class PreprocessShard:
     """The work of one shard; sent to the workers.
 
     Attributes:
-        data: Root of the dataset, which every worker can read.
-        out: The run's folder, which every worker can write.
+        data: Root of the dataset, which every worker can read: an absolute path, for each worker has a folder of its own.
+        out: The run's folder, which every worker can write, likewise.
         settings: The job's settings.
+        fingerprint: Content of the dataset: what a process keeps of one is not used for another in the same place.
     """
 
     data: str
     out: str
     settings: PreprocessSettings
+    fingerprint: str = ""
 
     def __call__(self, shard: Shard, *, isolated: bool = False) -> tuple[int, int]:
         """Does the shard and puts its tables in place; gives its items and how many of them failed."""
         rows: dict[str, list[tables.Row]] = defaultdict(list)
         items: tuple[str | AssetUse, ...] = (*shard.assets, *shard.scenes)
         for item in items:
-            found = alone(self.item, item, seconds=self.settings.seconds_per_item) if isolated else self.item(item)
-            if found is None:
-                item_id = _id_of(item)
-                over = f"died or took over {self.settings.seconds_per_item:g} s"
-                message = f"{item_id}: the process that read it {over}; is the file hostile?"
-                found = {"failures": [tables.notice_row(Notice(item_id, "isolate", "crashed", message))]}
-            for table, new in found.items():
+            for table, new in (self._alone(item) if isolated else self._limited(item)).items():
                 rows[table] += new
         out = RunFolder(self.out)
-        for table in ASSET_TABLES if shard.assets else SCENE_TABLES:
+        for table in _tables_of(shard):
             out.write_shard(table, shard.shard_id, rows[table])
         return len(shard), len(rows["failures"])
 
     def item(self, item: str | AssetUse) -> dict[str, list[tables.Row]]:
         """Rows of one scene or asset, by table; a failure is a row too."""
-        dataset, store = _opened(self.data)
-        item_id = _id_of(item)
+        dataset, store = self._open()
+        item_id, progress = _id_of(item), Progress("read")
         try:
             if isinstance(item, str):
-                scene = preprocess_scene(dataset, item, store, self.settings.scene_settings(), _writer(self.settings))
+                writer = _writer(self.settings)
+                scene = preprocess_scene(dataset, item, store, self.settings.scene_settings(), progress, writer)
                 found = {"scenes": [scene.scene], "samples": list(scene.samples)}
                 notices = scene.notices
             else:
-                embedding = _embeddings(self.data).get(item.asset_id)
-                asset = preprocess_asset(
-                    item, dataset.annotation(item.asset_id), store, AssetSettings(self.settings.num_points), embedding
-                )
+                embedding = _text_features(self.data, self.fingerprint).get(item_id)
+                shaping = AssetSettings(self.settings.num_points)
+                asset = preprocess_asset(item, dataset.annotation(item_id), store, shaping, progress, embedding)
                 found = {"assets": [asset.asset], "meshes": [asset.mesh], "sdf": list(asset.grids)}
                 notices = asset.notices
         except ConfigError:
             raise  # the run itself cannot go on
         except StableDataError as error:
-            return {"failures": [tables.notice_row(Notice(item_id, _step_of(item), error.code, str(error)))]}
+            return {"failures": [tables.notice_row(Notice(item_id, progress.step, error.code, str(error)))]}
         except Exception as error:  # noqa: BLE001 - the one place where what nobody foresaw becomes a row
             message = f"{item_id}: {type(error).__name__}: {error}; please report this with the file"
-            return {"failures": [tables.notice_row(Notice(item_id, _step_of(item), "unexpected", message))]}
+            return {"failures": [tables.notice_row(Notice(item_id, progress.step, "unexpected", message))]}
         return found | {"warnings": [tables.notice_row(n) for n in notices]}
+
+    def _open(self) -> tuple[MesaTaskDataset, AssetStore]:
+        return _opened(self.data, self.fingerprint)
+
+    def _prepare(self) -> None:
+        """Opens what items need, outside of the time of the first one."""
+        self._open()
+        _text_features(self.data, self.fingerprint)
+
+    def _limited(self, item: str | AssetUse) -> dict[str, list[tables.Row]]:
+        self._prepare()
+        with limited(self.settings.seconds_per_item):
+            return self.item(item)
+
+    def _alone(self, item: str | AssetUse) -> dict[str, list[tables.Row]]:
+        seconds = self.settings.seconds_per_item
+        found = alone(self.item, item, seconds=seconds, prepare=self._prepare)
+        if not isinstance(found, Loss):
+            return found
+        item_id = _id_of(item)
+        hint = {
+            Loss.CRASHED: "the process that read it died; is the file hostile?",
+            Loss.TIMED_OUT: f"took over {seconds:g} s; is it hostile, or is seconds_per_item too short for it?",
+        }[found]
+        return {"failures": [tables.notice_row(Notice(item_id, "isolate", str(found), f"{item_id}: {hint}"))]}
+
+
+def _tables_of(shard: Shard) -> tuple[str, ...]:
+    return ASSET_TABLES if shard.assets else SCENE_TABLES
 
 
 def _id_of(item: str | AssetUse) -> str:
     return item if isinstance(item, str) else item.asset_id
 
 
-def _step_of(item: str | AssetUse) -> str:
-    return "read" if isinstance(item, str) else "mesh"
-
-
 @lru_cache(maxsize=2)
-def _opened(data: str) -> tuple[MesaTaskDataset, AssetStore]:
+def _opened(data: str, fingerprint: str) -> tuple[MesaTaskDataset, AssetStore]:
     dataset = MesaTaskDataset(Path(data))
     return dataset, AssetStore(dataset)
 
 
 @lru_cache(maxsize=2)
-def _embeddings(data: str) -> dict[str, list[float]]:
-    path = Path(data) / "sbert_text_features.pkl"
-    if not path.is_file():
-        return {}
-    asset_ids, features = read_text_features(path)
-    return {a: row.tolist() for a, row in zip(asset_ids, features, strict=True)}
+def _text_features(data: str, fingerprint: str) -> dict[str, TextFeature]:
+    return text_features(Path(data))
 
 
 @lru_cache(maxsize=2)
@@ -132,8 +155,8 @@ def preprocess(data: str, out: str, settings: PreprocessSettings, workers: Worke
     """Runs the job, or what is missing of it.
 
     Args:
-        data: Root of a dataset in the MesaTask-10K format.
-        out: Local folder or object-store URI.
+        data: Root of a dataset in the MesaTask-10K format; every node of a cluster must see it in this place.
+        out: Local folder, likewise, or object-store URI.
         settings: What shapes the rows.
         workers: Who runs the shards.
         report: Whether to write the report page.
@@ -144,56 +167,98 @@ def preprocess(data: str, out: str, settings: PreprocessSettings, workers: Worke
     Raises:
         ConfigError: The run cannot start or go on; what is in place stays.
     """
-    dataset = MesaTaskDataset(Path(data))
-    settings = settings.settled(dataset)
-    _writer(settings)
-    _embeddings(data)
+    dataset = MesaTaskDataset(_absolute(data))
     folder = RunFolder(out)
+    settings = _settled(dataset, settings, workers)
+    placed = replace(settings, task_cache=str(_absolute(settings.task_cache)))
+    _writer(placed)
     with folder.locked():
         plan = plan_run(dataset, settings)
         manifest = _manifest(dataset, plan, settings)
         _check_resume(folder, manifest)
         folder.write_bytes("manifest.json", _json(manifest))
-        _write_dataset_notices(folder, dataset)
-        if not plan.num_assets:  # a table without rows is still a table
-            for table in ASSET_TABLES:
-                folder.write_shard(table, content_id("no assets"), [])
-        _run_shards(folder, plan, PreprocessShard(str(dataset.root), out, settings), workers)
-        manifest |= {"status": "complete", "counts": _counts(folder)}
+        _write_whole_tables(folder, plan)
+        work = PreprocessShard(str(dataset.root), folder.root if folder.is_local else out, placed, plan.fingerprint)
+        _run_shards(folder, plan, work, workers)
+        _check_shards(folder, plan)
+        manifest |= {"status": "complete", "counts": _counts(folder, plan)}
+        folder.write_bytes("manifest.json", _json(manifest))
         if report:
             write_report(folder, manifest, AssetStore(dataset), settings.num_pictures)
-        folder.write_bytes("manifest.json", _json(manifest))
     return manifest
 
 
 def describe_plan(data: str, settings: PreprocessSettings) -> dict[str, Any]:
     """What a run would do: settings and counts, for ``--dry-run``."""
-    dataset = MesaTaskDataset(Path(data))
+    dataset = MesaTaskDataset(_absolute(data))
     settings = settings.settled(dataset)
     plan = plan_run(dataset, settings)
-    counts = {k: v for k, v in asdict(plan).items() if k.startswith("num_")}
-    return {"settings": asdict(settings), "input_fingerprint": plan.fingerprint, "num_shards": len(plan.shards), **counts}
+    described = {"settings": asdict(settings), "input_fingerprint": plan.fingerprint, "num_shards": len(plan.shards)}
+    return described | plan.counts()
 
 
-def _write_dataset_notices(folder: RunFolder, dataset: MesaTaskDataset) -> None:
-    """What is odd about the dataset as a whole; a scene folder without a layout is a failure like any other."""
-    lost = [n for n in dataset.notices if n.code == "layout_missing"]
-    odd = [n for n in dataset.notices if n.code != "layout_missing"]
+def _absolute(path: str) -> Path:
+    return Path(path).expanduser().resolve()
+
+
+def _settled(dataset: MesaTaskDataset, settings: PreprocessSettings, workers: Workers) -> PreprocessSettings:
+    """The settings with ``auto`` replaced, by a process of its own where workers are: a mesh must not end the run's."""
+    if settings.position_convention != "auto" or workers.are_this_process:
+        return settings.settled(dataset)
+    settled = alone(settings.settled, dataset, seconds=64 * settings.seconds_per_item)
+    if isinstance(settled, Loss):
+        raise ConfigError(
+            f"{dataset.root}: the check of what positions mean {str(settled).replace('_', ' ')} over a layout or mesh; "
+            "set position_convention to box_centre or mesh_centre",
+            "convention_unknown",
+        )
+    return settled
+
+
+def _write_whole_tables(folder: RunFolder, plan: Plan) -> None:
+    """Rows that belong to no shard: what is odd about the dataset, and tables without rows, which are still tables."""
+    lost = [
+        n for n in plan.notices if n.code == "layout_missing"
+    ]  # a scene folder without a layout is a failure like any other
+    odd = [n for n in plan.notices if n.code != "layout_missing"]
     for table, notices in (("failures", lost), ("warnings", odd)):
-        if notices:
-            rows = [tables.notice_row(n) for n in notices]
-            folder.write_shard(table, content_id("dataset", rows), rows)
+        if _OF_DATASET not in folder.shard_ids(table):
+            folder.write_shard(table, _OF_DATASET, [tables.notice_row(n) for n in notices])
+    if not plan.asset_ids:
+        for table in ASSET_TABLES:
+            folder.write_shard(table, _NO_ASSETS, [])
 
 
 def _run_shards(folder: RunFolder, plan: Plan, work: PreprocessShard, workers: Workers) -> None:
-    done = folder.shard_ids("scenes") | folder.shard_ids("assets")
-    missing = [s for s in plan.shards if s.shard_id not in done]
+    present = {table: folder.shard_ids(table) for table in TABLES}
+    missing = [s for s in plan.shards if not all(s.shard_id in present[table] for table in _tables_of(s))]
     total, failed = sum(map(len, plan.shards)), 0
     with tqdm(total=total, initial=total - sum(map(len, missing)), desc="preprocess", unit="item") as bar:
         for size, failures in workers.run(work, missing) if missing else ():
             failed += failures
             bar.update(size)
             bar.set_postfix_str(f"{failed} failed", refresh=False)
+
+
+def _check_shards(folder: RunFolder, plan: Plan) -> None:
+    """Refuses a folder that holds other shards than the plan's: its rows would be of several runs."""
+    planned: dict[str, set[str]] = {table: set() for table in TABLES}
+    for table in ("warnings", "failures"):
+        planned[table].add(_OF_DATASET)
+    for table in ASSET_TABLES if not plan.asset_ids else ():
+        planned[table].add(_NO_ASSETS)
+    for shard in plan.shards:
+        for table in _tables_of(shard):
+            planned[table].add(shard.shard_id)
+    for table, expected in planned.items():
+        found = folder.shard_ids(table)
+        if found != expected:
+            foreign, absent = sorted(found - expected), sorted(expected - found)
+            raise ConfigError(
+                f"{folder.uri}/{table}: {len(foreign)} shards are not of this run {foreign[:3]} and {len(absent)} are missing "
+                f"{absent[:3]}, expected those of the plan alone; choose a new folder, or remove the former and run again",
+                "shards_differ",
+            )
 
 
 def _manifest(dataset: MesaTaskDataset, plan: Plan, settings: PreprocessSettings) -> dict[str, Any]:
@@ -204,10 +269,9 @@ def _manifest(dataset: MesaTaskDataset, plan: Plan, settings: PreprocessSettings
         "table_version": tables.TABLE_VERSION,
         "dataset": dataset.root.name,
         "input_fingerprint": plan.fingerprint,
+        "inputs": dict(plan.inputs),
         "settings": asdict(settings),
-        "num_scenes": plan.num_scenes,
-        "num_assets": plan.num_assets,
-        "num_assets_without_mesh": plan.num_assets_without_mesh,
+        **plan.counts(),
     }
 
 
@@ -215,17 +279,25 @@ def _check_resume(folder: RunFolder, manifest: dict[str, Any]) -> None:
     """Refuses to mix rows of two configurations, inputs or versions in one folder."""
     content = folder.read_bytes("manifest.json")
     if content is None:
+        tables_there = [table for table in tables.SCHEMAS if folder.files(table)]
+        if tables_there:
+            raise ConfigError(
+                f"{folder.uri}: holds {', '.join(tables_there)} but no manifest.json to say of what; choose a new folder",
+                "manifest_missing",
+            )
         return
     try:
         was = dict(json.loads(content))
+        was_settings, was_inputs = dict(was.get("settings", {})), dict(was.get("inputs", {}))
     except (ValueError, TypeError) as error:
         raise ConfigError(
             f"{folder.uri}/manifest.json: not a JSON object ({error}); is this the folder of a run?", "manifest_invalid"
         ) from error
     shaping = PreprocessSettings(**manifest["settings"]).shaping()
-    compared = ("job", "code_version", "table_version", "input_fingerprint")
+    compared = ("job", "code_version", "table_version", "dataset")
     changed = differences({k: was.get(k) for k in compared}, {k: manifest[k] for k in compared})
-    changed += differences({k: was.get("settings", {}).get(k) for k in shaping}, shaping)
+    changed += [f"inputs.{change}" for change in differences(was_inputs, manifest["inputs"])]
+    changed += differences({k: was_settings.get(k) for k in shaping}, shaping)
     if changed:
         raise ConfigError(
             f"{folder.uri}: was made with another configuration ({'; '.join(changed)}); choose a new folder or restore it",
@@ -233,14 +305,35 @@ def _check_resume(folder: RunFolder, manifest: dict[str, Any]) -> None:
         )
 
 
-def _counts(folder: RunFolder) -> dict[str, Any]:
-    counts: dict[str, Any] = {t: folder.dataset(t).count_rows() for t in dict.fromkeys((*ASSET_TABLES, *SCENE_TABLES))}
-    for table in ("warnings", "failures"):
-        rows = folder.table(table, ["code", "step"])
-        counts[f"{table}_by_code"] = dict(sorted(Counter(rows["code"].to_pylist()).items()))
-    steps = Counter(folder.table("failures", ["step"])["step"].to_pylist())
-    counts["failures_by_step"] = dict(sorted(steps.items()))
+def _counts(folder: RunFolder, plan: Plan) -> dict[str, Any]:
+    """Rows by table, and failures by kind.
+
+    Raises:
+        ConfigError: A scene or asset is not exactly one row of its table or a failure.
+    """
+    counts: dict[str, Any] = {table: folder.num_rows(table) for table in TABLES}
+    failures = folder.table("failures", ["id", "code", "step"])
+    failed = set(failures["id"].to_pylist())
+    for table, column, planned in (("scenes", "scene_id", plan.scene_ids), ("assets", "asset_id", plan.asset_ids)):
+        usable = folder.table(table, [column])[column].to_pylist()
+        rest = set(planned) - set(usable)
+        if len(set(usable)) < len(usable) or not set(usable) <= set(planned) or not rest <= failed:
+            twice = {item_id for item_id, count in Counter(usable).items() if count > 1}
+            odd = sorted(twice | (set(usable) - set(planned)) | (rest - failed))
+            raise ConfigError(
+                f"{folder.uri}: {len(odd)} {table} such as {odd[0]} are not exactly one row of {table} or failures, expected "
+                "each to be; choose a new folder",
+                "rows_differ",
+            )
+        counts[f"failed_{table}"] = len(rest)
+    counts["warnings_by_code"] = _counted(folder.table("warnings", ["code"])["code"])
+    counts["failures_by_code"] = _counted(failures["code"])
+    counts["failures_by_step"] = _counted(failures["step"])
     return counts
+
+
+def _counted(column: Any) -> dict[str, int]:
+    return dict(sorted(Counter(column.to_pylist()).items()))
 
 
 def _json(document: dict[str, Any]) -> bytes:

@@ -58,11 +58,11 @@ def write_report(folder: RunFolder, manifest: dict[str, Any], store: AssetStore,
 
 
 def _tiles(counts: dict[str, Any], manifest: dict[str, Any]) -> str:
-    lost = manifest["num_scenes"] - counts["scenes"]
     tiles = [
         (f"{counts['scenes']} / {manifest['num_scenes']}", "scenes usable"),
-        (str(lost), "scenes in failures"),
+        (str(counts["failed_scenes"]), "scenes in failures"),
         (f"{counts['assets']} / {manifest['num_assets']}", "assets usable"),
+        (str(manifest["num_assets_without_mesh"]), "assets without a mesh file"),
         (str(counts["samples"]), "staged samples"),
         (str(counts["sdf"]), "signed-distance grids"),
         (str(counts["warnings"]), "warnings"),
@@ -138,25 +138,29 @@ def _pictures(folder: RunFolder, scenes: pl.DataFrame, store: AssetStore, count:
     if not scenes.height or count <= 0:
         return
     worst_first = scenes.sort(["clean", "max_penetration_mm", "scene_id"], descending=[False, True, False], nulls_last=True)
-    ranked = worst_first["scene_id"].to_list()
-    even = scenes["scene_id"].sort().gather_every(max(1, scenes.height // max(1, count - count // 2))).to_list()
-    chosen = list(dict.fromkeys([*ranked[: count // 2], *even]))[:count]
-    rows = folder.dataset("scenes").to_table(filter=pc.field("scene_id").isin(chosen)).to_pylist()
+    worst = worst_first["scene_id"].to_list()[: count // 2]
+    rest = sorted(set(scenes["scene_id"]) - set(worst))
+    chosen = [*worst, *rest[:: max(1, len(rest) // (count - len(worst)))]][:count]
+    rows = folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()
     yield "<h2>Pictures</h2><div class=grid>"
     for row in sorted(rows, key=lambda r: chosen.index(r["scene_id"])):
-        scene = scene_from_row(row)
-        shapes, _ = store.shapes(scene)
+        name = escape(row["scene_id"])
         try:
+            scene = scene_from_row(row)
+            shapes, _ = store.shapes(scene)
             picture = render_scene(scene, [Mesh(s.vertices, s.faces) if s.is_exact else None for s in shapes])
-        except ConfigError as error:
+        except ConfigError as error:  # this machine draws nothing at all
             yield f'</div><p class="note">{escape(str(error))}</p>'
             return
+        except Exception as error:  # noqa: BLE001 - a scene that cannot be drawn is no reason to be without the page
+            yield f'<p class="note">{name} cannot be drawn: {escape(f"{type(error).__name__}: {error}")}</p>'
+            continue
         verdict = {True: '<span class="good">clean</span>', False: '<span class="bad">not clean</span>', None: "unknown"}[
             row["clean"]
         ]
         task = escape(row["task"]["task"]) if row["task"] else ""
-        caption = f"<figcaption><b>{escape(scene.scene_id)}</b> {verdict}<br>{task}</figcaption>"
-        yield f'<figure><img alt="{escape(scene.scene_id)}" src="{_data_uri(picture)}">{caption}</figure>'
+        caption = f"<figcaption><b>{name}</b> {verdict}<br>{task}</figcaption>"
+        yield f'<figure><img alt="{name}" src="{_data_uri(picture)}">{caption}</figure>'
     yield "</div>"
 
 

@@ -4,11 +4,12 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from pipelines.progress import Progress
 from stable_data import tables
 from stable_data.assets import AssetStore, with_box_centres
 from stable_data.errors import Notice
 from stable_data.instructions import derive_task, task_rng
-from stable_data.mesatask import MesaTaskDataset, PositionConvention
+from stable_data.mesatask import TABLE_TYPES, MesaTaskDataset, PositionConvention
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed
 from stable_data.relations import relations_of, scene_graph, supports
 from stable_data.scene import TABLE, RelationKind, Scene
@@ -47,7 +48,12 @@ class SceneRows:
 
 
 def preprocess_scene(
-    dataset: MesaTaskDataset, scene_id: str, store: AssetStore, settings: SceneSettings, writer: "CachedWriter | None" = None
+    dataset: MesaTaskDataset,
+    scene_id: str,
+    store: AssetStore,
+    settings: SceneSettings,
+    progress: Progress,
+    writer: "CachedWriter | None" = None,
 ) -> SceneRows:
     """Everything that preprocess makes of one scene.
 
@@ -56,17 +62,24 @@ def preprocess_scene(
         scene_id: Its id.
         store: Geometry of the assets.
         settings: What shapes the rows.
+        progress: Is told of each step.
         writer: A model that writes task infos, where the user gives one.
 
     Raises:
         SceneError: The scene cannot be used.
     """
+    progress.step = "read"
     scene, read = dataset.read(scene_id)
+    progress.step = "mesh"
     scene = with_box_centres(scene, store, settings.position_convention)
     shapes, meshed = store.shapes(scene)
+    progress.step = "audit"
     posed = PosedScene(scene, shapes)
     audit = audit_posed(posed)
+    progress.step = "task"
     scene, tasked = _understood(dataset, posed, audit, settings, writer)
+    progress.step = "stage"
+    scene = stage_scene(scene, settings.important_threshold)
     layout = dataset.layout_path(scene_id)
     group = duplicate_group(scene)
     row = {
@@ -74,7 +87,7 @@ def preprocess_scene(
         **tables.card_row(audit.card(*_counts(scene))),
         **audit.rows(),
         "source": dataset.root.name,
-        "split": split_of(group, settings),
+        "split": split_of(group, scene.table.table_type, settings),
         "layout_path": layout.relative_to(dataset.root).as_posix(),
         "layout_sha256": hashlib.sha256(layout.read_bytes()).hexdigest(),
         "duplicate_group": group,
@@ -110,7 +123,7 @@ class CachedWriter:
 def _understood(
     dataset: MesaTaskDataset, posed: PosedScene, audit: Audit, settings: SceneSettings, writer: CachedWriter | None
 ) -> tuple[Scene, tuple[Notice, ...]]:
-    """The scene with supports, relations, task and stages."""
+    """The scene with supports, relations and task."""
     scene = posed.scene
     contacts = _contacts(posed, audit)
     footprints = {o.instance: s.posed_footprint(p) for o, s, p in zip(scene.objects, posed.shapes, scene.poses(), strict=True)}
@@ -126,7 +139,7 @@ def _understood(
         task, notices = model_task(scene, graph, writer.write, writer.cache, writer.name, settings.seed)
     else:
         task = derive_task(scene, graph, task_rng(scene.scene_id, settings.seed))
-    return stage_scene(replace(scene, task=task), settings.important_threshold), notices
+    return replace(scene, task=task), notices
 
 
 def _contacts(posed: PosedScene, audit: Audit) -> Mapping[str, tuple[str, ...]]:
@@ -151,8 +164,13 @@ def duplicate_group(scene: Scene) -> str:
     return hashlib.sha256("\n".join([scene.table.table_type, *content]).encode()).hexdigest()[:16]
 
 
-def split_of(group: str, settings: SceneSettings) -> str:
-    """The split of a near-duplicate group: a hash, so it stays when scenes are added."""
+def split_of(group: str, table_type: str, settings: SceneSettings) -> str:
+    """The split of a near-duplicate group: a hash, so it stays when scenes are added.
+
+    Kinds of table that MesaTask-10K does not have are kept from training: their split is ``unseen``.
+    """
+    if table_type not in TABLE_TYPES:
+        return "unseen"
     share = int(hashlib.sha256(f"{settings.seed}:{group}".encode()).hexdigest()[:8], 16) / 2**32
     if share < settings.train_share:
         return "train"

@@ -1,6 +1,7 @@
 """Settings of a run: frozen dataclasses, filled from a TOML file and ``--set key=value``, with every mistake named."""
 
 import difflib
+import math
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields
@@ -10,6 +11,9 @@ from typing import Any, TypeVar, get_type_hints
 from stable_data.errors import ConfigError
 
 C = TypeVar("C")
+
+SECTIONS = ("preprocess",)
+"""Tables that a file may have: one for each job."""
 
 
 def resolve(kind: type[C], section: str, file: Path | None, overrides: Iterable[str]) -> C:
@@ -22,7 +26,7 @@ def resolve(kind: type[C], section: str, file: Path | None, overrides: Iterable[
         overrides: ``key=value`` or ``section.key=value``, stronger than the file.
 
     Raises:
-        ConfigError: A key is not known, or a value has the wrong type.
+        ConfigError: A table or key is not known, or a value has the wrong type or is not finite.
     """
     values = dict(_section(file, section)) if file else {}
     for text in overrides:
@@ -33,9 +37,7 @@ def resolve(kind: type[C], section: str, file: Path | None, overrides: Iterable[
     hints = get_type_hints(kind)
     for key, value in values.items():
         if key not in hints:
-            near = difflib.get_close_matches(key, hints, 1)
-            hint = f"; did you mean {near[0]}?" if near else f"; known are {', '.join(hints)}"
-            raise ConfigError(f"setting {section}.{key} is not known{hint}", "config_invalid")
+            raise ConfigError(f"setting {section}.{key} is not known{_hint(key, hints)}", "config_invalid")
         wanted = hints[key]
         if wanted is float and type(value) is int:
             values[key] = float(value)
@@ -44,6 +46,8 @@ def resolve(kind: type[C], section: str, file: Path | None, overrides: Iterable[
                 f"setting {section}.{key} is {value!r}, expected {wanted.__name__} such as {_default(kind, key)!r}",
                 "config_invalid",
             )
+        if wanted is float and not math.isfinite(values[key]):
+            raise ConfigError(f"setting {section}.{key} is {value}, expected a finite number", "config_invalid")
     return kind(**values)
 
 
@@ -59,10 +63,21 @@ def _section(file: Path, section: str) -> Mapping[str, Any]:
         document = tomllib.loads(file.read_text("utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"{file}: cannot be read as TOML ({error})", "config_invalid") from error
-    found = document.get(section, {})
+    known = dict.fromkeys((section, *SECTIONS))
+    for name in document:
+        if name not in known:
+            raise ConfigError(f"{file}: {name} is not a known table{_hint(name, known)}", "config_invalid")
+    if section not in document:
+        raise ConfigError(f"{file}: has no table [{section}], expected one; an empty one takes all defaults", "config_invalid")
+    found = document[section]
     if not isinstance(found, dict):
         raise ConfigError(f"{file}: {section} is {found!r}, expected a table [{section}]", "config_invalid")
     return found
+
+
+def _hint(name: str, known: Iterable[str]) -> str:
+    near = difflib.get_close_matches(name, known, 1)
+    return f"; did you mean {near[0]}?" if near else f"; known are {', '.join(known)}"
 
 
 def _parsed(value: str) -> Any:

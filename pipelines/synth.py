@@ -43,9 +43,7 @@ class WriteShard:
         return shard.end - shard.first, failures
 
 
-def synth(
-    out: Path, num_scenes: int, world: World, workers: Workers, progress: Progress | None = None
-) -> list[SceneError]:
+def synth(out: Path, num_scenes: int, world: World, workers: Workers, progress: Progress | None = None) -> list[SceneError]:
     """Writes a set of the embedded world, or what is missing of it, with many workers.
 
     Args:

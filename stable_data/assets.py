@@ -2,7 +2,7 @@
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
@@ -11,9 +11,16 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
-from stable_data.errors import MeshError, Notice, SceneError
+from stable_data.errors import MeshError, Notice
 from stable_data.glb import load_colliders, load_glb
-from stable_data.mesatask import MesaTaskDataset, PositionConvention, detect_position_convention, to_box_centre
+from stable_data.mesatask import (
+    MesaTaskDataset,
+    PositionConvention,
+    detect_position_convention,
+    has_size,
+    keeps_box,
+    to_box_centre,
+)
 from stable_data.mesh import Mesh
 from stable_data.repair import MeshReport, repair
 from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject, Vec3
@@ -24,7 +31,7 @@ from stable_data.shape import Shape
 ASPECT_STEP = math.log(1.05)
 """Aspects are snapped to powers of 1.05, so that assets scaled nearly alike share a grid."""
 
-_SIZE_SLACK = (2.5e-3, 0.02)  # a mesh whose box differs from `size` by more than both (metres, share) is another mesh
+_STAND_IN = "a box of its size stands in, and what rests on its mesh is unknown"
 
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
@@ -78,7 +85,7 @@ class AssetStore:
 
     Args:
         source: Where the meshes are.
-        max_bytes: Bound on what meshes and grids kept take, each, bytes.
+        max_bytes: Bound on what the meshes, the shapes and the grids that are kept take, each, bytes.
     """
 
     def __init__(self, source: AssetSource, max_bytes: int = 256 * 2**20) -> None:
@@ -91,11 +98,11 @@ class AssetStore:
         """The repaired mesh of an asset.
 
         Raises:
-            MeshError: It is missing or cannot be used; the same error each time.
+            MeshError: It is missing or cannot be used; the same words each time.
         """
         found = self._meshes.get(asset_id, lambda: self._load(asset_id), _mesh_bytes)
         if isinstance(found, MeshError):
-            raise found.with_traceback(None)
+            raise MeshError(str(found), found.code)
         return found
 
     def colliders(self, asset_id: str) -> tuple[Mesh, ...]:
@@ -110,41 +117,77 @@ class AssetStore:
         """The geometry of an object at its scale and tilt.
 
         Where its scale is missing, or gives another box than ``size``, the mesh is fitted to ``size``; where the mesh itself is
-        missing or broken, a box of ``size`` stands in.
+        missing or broken, or nothing fits, a box of ``size`` stands in.
 
         Returns:
             The shape, metres, yaw frame; and what had to be done, with the object's instance as ``item_id``.
         """
+        shape, _, odd = self._shape_and_scale(o)
+        return shape, odd
+
+    def _shape_and_scale(self, o: SceneObject) -> tuple[Shape, Vec3 | None, tuple[Notice, ...]]:
+        """As ``shape``, with the scale that the mesh has in it; None where none fits, the object's own where there is no mesh."""
         if o.asset_id is None:
-            return Shape.box(o.size), ()  # the reader has said why
+            return Shape.box(o.size), o.scale, ()  # the reader has said why
         try:
             asset = self.asset(o.asset_id)
         except MeshError as error:
-            message = f"object {o.instance}: {error}; a box of its size stands in, and what rests on its mesh is unknown"
-            return Shape.box(o.size), (Notice(o.instance, "mesh", error.code, message),)
+            message = f"object {o.instance}: {error}; {_STAND_IN}"
+            return Shape.box(o.size), o.scale, (Notice(o.instance, "mesh", error.code, message),)
         odd = tuple(Notice(o.instance, n.step, n.code, f"object {o.instance}: {n.message}") for n in asset.notices)
         if o.scale is not None:
             shape = self._scaled(o.asset_id, asset, o.scale, o.tilt_quat_xyzw)
-            worst = np.abs(shape.size - o.size)
-            if not ((worst > _SIZE_SLACK[0]) & (worst > _SIZE_SLACK[1] * np.asarray(o.size))).any():
-                return shape, odd
-            found = "x".join(f"{100 * s:.1f}" for s in shape.size)
-            expected = "x".join(f"{100 * s:.1f}" for s in o.size)
+            if has_size(shape.size, o.size):
+                return shape, o.scale, odd
             message = (
-                f"object {o.instance}: asset {o.asset_id} at its scale is {found} cm, expected {expected} cm; "
+                f"object {o.instance}: asset {o.asset_id} at its scale is {_in_cm(shape.size)}, expected {_in_cm(o.size)}; "
                 "the mesh is fitted to the size; is it another mesh than the annotated one?"
             )
             odd = (*odd, Notice(o.instance, "mesh", "asset_differs", message))
-        return self._scaled(o.asset_id, asset, fitted_scale(asset.mesh, o.tilt_quat_xyzw, o.size), o.tilt_quat_xyzw), odd
+        scale = fitted_scale(asset.mesh, o.tilt_quat_xyzw, o.size)
+        shape = self._scaled(o.asset_id, asset, scale, o.tilt_quat_xyzw)
+        if has_size(shape.size, o.size):
+            return shape, scale, odd
+        message = (
+            f"object {o.instance}: asset {o.asset_id} fitted to its size is {_in_cm(shape.size)}, expected {_in_cm(o.size)}; "
+            f"{_STAND_IN}"
+        )
+        return Shape.box(o.size), None, (*odd, Notice(o.instance, "mesh", "asset_does_not_fit", message))
 
     def shapes(self, scene: Scene) -> tuple[list[Shape], tuple[Notice, ...]]:
         """The geometry of every object of a scene, in its order, and the notices with the scene as ``item_id``."""
-        shapes, notices = [], []
+        return self.resolved(scene)[1:]
+
+    def resolved(
+        self, scene: Scene, convention: PositionConvention = PositionConvention.BOX_CENTRE
+    ) -> tuple[Scene, list[Shape], tuple[Notice, ...]]:
+        """A scene as its meshes make it, so that what is kept of it is what is judged.
+
+        Args:
+            scene: As read.
+            convention: Which point of a tilted object the scene's positions are.
+
+        Returns:
+            The scene with every position at the centre of its object's box in the yaw frame and every scale as the mesh has it
+            (``source`` keeps the file's); the geometry of its objects, in its order; and the notices, with the scene as
+            ``item_id``.
+        """
+        objects, shapes, notices = [], [], []
         for o in scene.objects:
-            shape, noticed = self.shape(o)
+            shape, scale, odd = self._shape_and_scale(o)
+            if scale != o.scale:
+                o = replace(o, scale=scale)
+            if convention is PositionConvention.MESH_CENTRE:
+                mesh = self.mesh_of(o) if shape.is_exact else None
+                if mesh is not None:
+                    o = to_box_centre(o, mesh.vertices)
+                elif not keeps_box(o.tilt_quat_xyzw):
+                    message = f"object {o.instance}: where its box is follows from its mesh; its mesh's centre is taken for it"
+                    odd = (*odd, Notice(o.instance, "mesh", "position_unknown", message))
+            objects.append(o)
             shapes.append(shape)
-            notices += [Notice(scene.scene_id, n.step, n.code, n.message) for n in noticed]
-        return shapes, tuple(notices)
+            notices += [Notice(scene.scene_id, n.step, n.code, n.message) for n in odd]
+        return replace(scene, objects=tuple(objects)), shapes, tuple(notices)
 
     def mesh_of(self, o: SceneObject) -> Mesh | None:
         """The repaired mesh of an object, mesh units, or None where it has none that can be used."""
@@ -180,7 +223,10 @@ class AssetStore:
             mesh, odd = load_glb(path, asset_id)
             mesh, report, repaired = repair(mesh, asset_id)
         except MeshError as error:
-            return error
+            return MeshError(str(error), error.code)  # the error itself holds on to the file's content
+        except Exception as error:  # noqa: BLE001 - a file that nobody foresaw is one asset lost, whoever asks for it
+            found = f"{type(error).__name__}: {error}"
+            return MeshError(f"asset {asset_id}: {found}; please report this with the file", "unexpected")
         return AssetMesh(mesh, report, odd + repaired)
 
 
@@ -190,19 +236,19 @@ def position_convention(dataset: MesaTaskDataset, store: AssetStore, num_scenes:
     Args:
         dataset: The dataset.
         store: Geometry of its assets.
-        num_scenes: Scenes that are looked at.
+        num_scenes: Scenes that are looked at, at most.
 
     Returns:
         The convention, see :func:`stable_data.mesatask.detect_position_convention`.
     """
-    every = max(1, len(dataset.scene_ids) // num_scenes)
+    every = max(1, math.ceil(len(dataset.scene_ids) / num_scenes))
 
     def samples() -> Iterator[tuple[SceneObject, FloatArray]]:
         for scene_id in dataset.scene_ids[::every]:
             try:
                 scene, _ = dataset.read(scene_id)
-            except SceneError:
-                continue  # says nothing about positions; its own step reports it
+            except Exception:  # noqa: BLE001, S112 - says nothing about positions; its own step reports it
+                continue
             yield from ((o, mesh.vertices) for o in scene.objects if (mesh := store.mesh_of(o)) is not None)
 
     return detect_position_convention(samples())
@@ -215,6 +261,10 @@ def with_box_centres(scene: Scene, store: AssetStore, convention: PositionConven
     meshes = [store.mesh_of(o) for o in scene.objects]
     moved = (o if mesh is None else to_box_centre(o, mesh.vertices) for o, mesh in zip(scene.objects, meshes, strict=True))
     return replace(scene, objects=tuple(moved))
+
+
+def _in_cm(size: Iterable[float]) -> str:
+    return "x".join(f"{100 * s:.1f}" for s in size) + " cm"
 
 
 def _mesh_bytes(found: AssetMesh | MeshError) -> int:
@@ -235,10 +285,10 @@ def aspect_of(steps: tuple[int, int, int]) -> Vec3:
 
 
 def fitted_scale(mesh: Mesh, tilt_quat_xyzw: QuatXyzw, size: Vec3) -> Vec3:
-    """Scale along the mesh's axes that makes the tilted mesh as large as a box.
+    """Scale along the mesh's axes that makes the tilted mesh as large as a box, or nearly so.
 
-    Exact for tilts by right angles, where each axis of the box belongs to one of the mesh; a least-squares fit elsewhere, and
-    one uniform factor where that would flatten the mesh.
+    Exact for tilts by right angles, where each axis of the box belongs to one of the mesh. Elsewhere the better of a
+    least-squares fit and one uniform factor, which is also what a fit that would flatten the mesh gives way to.
 
     Args:
         mesh: Mesh units.
@@ -248,12 +298,12 @@ def fitted_scale(mesh: Mesh, tilt_quat_xyzw: QuatXyzw, size: Vec3) -> Vec3:
     Returns:
         Metres per mesh unit, (3,).
     """
-    extents, wanted = np.maximum(mesh.extents, 1e-12), np.asarray(size, np.float64)
+    extents, wanted = mesh.extents, np.asarray(size, np.float64)
     turned = np.abs(Rotation.from_quat(tilt_quat_xyzw).as_matrix()) * extents
     turned[turned < 1e-9 * extents.max()] = 0.0
-    scale, _ = nnls(turned, wanted)
-    if scale.min() < 0.05 * scale.max():
-        uniform = Shape.from_mesh(mesh, (1.0, 1.0, 1.0), tilt_quat_xyzw).size
-        scale = np.full(3, float(np.median(wanted / np.maximum(uniform, 1e-12))))
-    x, y, z = scale.tolist()
-    return x, y, z
+    fitted, _ = nnls(turned, wanted)
+    is_flat = extents < 1e-9 * extents.max()  # such an axis has no scale of its own
+    fitted[is_flat] = np.median(fitted[~is_flat])
+    uniform = np.full(3, wanted.max() / Shape.from_mesh(mesh, (1.0, 1.0, 1.0), tilt_quat_xyzw).size.max())
+    scales: list[Vec3] = [tuple(s.tolist()) for s in (fitted, uniform) if s.min() >= 0.05 * s.max() > 0]
+    return min(scales, key=lambda s: np.abs(Shape.from_mesh(mesh, s, tilt_quat_xyzw).size - wanted).max())

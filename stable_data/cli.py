@@ -1,14 +1,22 @@
 """The command line of the library: ``stable-data VERB``."""
 
+import os
+import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Annotated, NoReturn, ParamSpec, TypeVar
 
 import typer
 
-from stable_data.errors import ConfigError, StableDataError
+from stable_data.errors import ConfigError, SceneError, StableDataError
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+    from stable_data.synth import World
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -18,19 +26,45 @@ app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_
 DONE, SOME_FAILED, NOT_STARTED = 0, 1, 2
 """Exit statuses: all well; some items failed, all accounted for; could not start."""
 
+DEBUG = "STABLE_DATA_DEBUG"
+"""Environment variable: where it is set, an error ends a command with its traceback."""
+
+EXTRA_OF_MODULE = {
+    **dict.fromkeys(("fast_simplification", "fcl", "igl", "manifold3d", "networkx", "scipy"), "geometry,sim"),
+    **dict.fromkeys(("shapely", "trimesh", "vhacdx", "mujoco", "PIL", "OpenGL"), "geometry,sim"),
+    "torch": "torch",
+    **dict.fromkeys(("jsonschema", "ray"), "geometry,sim,pipelines"),
+}
+"""What to install where a module is missing: all that the commands which import it need, so that it is asked for once."""
+
 
 def with_clear_errors(command: Callable[P, R]) -> Callable[P, R]:
-    """Ends a command with one line and status 2 where it cannot start."""
+    """Ends a command with one line and status 2 where it cannot start or go on."""
 
     @wraps(command)
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
             return command(*args, **kwargs)
-        except StableDataError as error:
-            typer.echo(f"error: {error}", err=True)
+        except (typer.Exit, typer.Abort, BrokenPipeError):
+            raise  # an end that was meant, or a reader such as `head` that has seen enough
+        except Exception as error:  # the outermost level: nobody is helped by a traceback that they did not ask for
+            if os.environ.get(DEBUG):
+                raise
+            typer.echo(f"error: {_line(error)}", err=True)
             raise typer.Exit(NOT_STARTED) from error
 
     return run
+
+
+def _line(error: Exception) -> str:
+    """What a person is told of an error."""
+    if isinstance(error, StableDataError):
+        return str(error)
+    missing = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+    if extra := EXTRA_OF_MODULE.get(missing):
+        return f"needs stable-data[{extra}], but {missing} is not installed: pip install '.[{extra}]' in a checkout"
+    found = str(error).strip().partition("\n")[0]
+    return f"unexpected {type(error).__name__}: {found}; please report it with what {DEBUG}=1 shows"
 
 
 @app.callback()
@@ -38,26 +72,73 @@ def main() -> None:
     """Tabletop scenes as data: read, audit, look at, export."""
 
 
+SynthOut = Annotated[Path, typer.Argument(help="Folder to write, in the MesaTask-10K format; run again to go on.")]
+NumScenes = Annotated[int, typer.Option("--scenes", help="How many scenes.")]
+Seed = Annotated[int, typer.Option(help="Scene k depends on the seed and k alone.")]
+Tables = Annotated[list[str] | None, typer.Option("--table", help="Kind of table; may be repeated. All kinds by default.")]
+Edits = Annotated[bool, typer.Option("--edits", help="An edit of every scene too: an instruction and the scene afterwards.")]
+Pictures = Annotated[bool, typer.Option(help="Draw front.png of every scene.")]
+WholeLibrary = Annotated[bool, typer.Option("--whole-library", help="Write all assets, not only those that the scenes use.")]
+Address = Annotated[str | None, typer.Option(help="An existing Ray cluster, such as auto or ray://host:10001.")]
+
+
 @app.command()
 @with_clear_errors
 def synth(
-    out: Annotated[Path, typer.Argument(help="Folder to write, in the MesaTask-10K format.")],
-    scenes: Annotated[int, typer.Option(help="How many scenes.", min=1)] = 24,
-    seed: Annotated[int, typer.Option(help="Scene k depends on the seed and k alone.")] = 0,
+    out: SynthOut,
+    scenes: NumScenes = 24,
+    seed: Seed = 0,
+    table: Tables = None,
+    edits: Edits = False,
+    pictures: Pictures = True,
+    whole_library: WholeLibrary = False,
+    workers: Annotated[int, typer.Option(help="Worker processes on a local Ray; 0 works in this process.")] = 0,
+    address: Address = None,
 ) -> None:
-    """Write the embedded set: parametric assets and scenes at rest, with no download."""
-    from tqdm import tqdm
+    """Make a set of the embedded world: parametric assets and scenes at rest, clean, with tasks; no download.
 
-    from stable_data.synth import write_embedded_set
+    Status 0: done. 1: some scenes could not be made; synth_failures says why. 2: could not start.
+    """
+    from stable_data.synth import World, write_world
 
-    with tqdm(total=scenes, desc="synth", unit="scene") as bar:
+    world = World(seed, tuple(table or ()), pictures, edits, whole_library)
+    if workers or address:
+        raise typer.Exit(_on_ray(out, scenes, world, workers, address))
+    with tqdm_bar(scenes) as bar:
 
-        def show(done: int, total: int) -> None:
-            bar.total = total
+        def show(done: int) -> None:
             bar.update(done - bar.n)
 
-        written = write_embedded_set(out, scenes, seed, progress=show)
-    typer.echo(f"{out}: {written} scenes")
+        failures = write_world(out, scenes, world, show)
+    tell_world(out, scenes, failures)
+
+
+def tqdm_bar(total: int) -> "tqdm[NoReturn]":
+    """The progress of making scenes."""
+    from tqdm import tqdm
+
+    return tqdm(total=total, desc="synth", unit="scene")
+
+
+def tell_world(out: Path, num_scenes: int, failures: Sequence[SceneError]) -> None:
+    """Says what was made, and ends with status 1 where something could not be."""
+    for error in failures:
+        typer.echo(f"not made: {error}", err=True)
+    typer.echo(f"{out}: {num_scenes - len(failures)} of {num_scenes} scenes, {len(failures)} not made; README.md is its card")
+    if failures:
+        raise typer.Exit(SOME_FAILED)
+
+
+def _on_ray(out: Path, scenes: int, world: "World", workers: int, address: str | None) -> int:
+    """Hands over to ``python -m pipelines synth``, for Ray is not this package's; gives its exit status."""
+    if find_spec("pipelines") is None:
+        raise ConfigError("--workers and --address need a checkout, where pipelines/ is; run it there", "no_pipelines")
+    command = [sys.executable, "-m", "pipelines", "synth", str(out), "--scenes", str(scenes), "--seed", str(world.seed)]
+    command += [part for table in world.tables for part in ("--table", table)]
+    command += ["--edits"] * world.edits + ["--whole-library"] * world.whole_library
+    command += ["--pictures" if world.pictures else "--no-pictures"]
+    command += ["--workers", str(workers)] * bool(workers) + (["--address", address] if address else [])
+    return subprocess.run(command, check=False).returncode
 
 
 @app.command()
@@ -69,14 +150,17 @@ def lint(
 ) -> None:
     """Audit every scene exactly: collisions with depth, floating, sunk, out of bounds.
 
-    Status 0: every scene could be read. 1: some could not; they are listed.
+    Runs in this process: a file that crashes its parser ends it. Status 0: every scene could be read and judged. 1: some could
+    not; they are listed.
     """
-    from stable_data.lint import lint_folder
+    from stable_data.lint import lint_folder, prepare_place
 
+    if table is not None:
+        prepare_place(table)
     result = lint_folder(folder, progress=not quiet and sys.stderr.isatty())
+    typer.echo(str(result))
     if table is not None:
         result.write(table)
-    typer.echo(str(result))
     if result.failures:
         raise typer.Exit(SOME_FAILED)
 
@@ -96,7 +180,7 @@ def inspect(run: Annotated[str, typer.Argument(help="A run folder or its URI.")]
     for name in SCHEMAS:
         files = folder.files(name)
         if files:
-            typer.echo(f"{name:<10} {folder.dataset(name).count_rows():>8} rows in {len(files)} files")
+            typer.echo(f"{name:<10} {folder.num_rows(name):>8} rows in {len(files)} files")
 
 
 @app.command()

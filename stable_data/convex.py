@@ -19,7 +19,7 @@ import vhacdx
 from scipy.spatial import ConvexHull, QhullError
 
 from stable_data.errors import MeshError
-from stable_data.mesh import Mesh, double_areas, is_closed, signed_volumes
+from stable_data.mesh import Mesh, area_vectors, double_areas, is_closed, signed_volumes, unit_normals
 from stable_data.points import sample_surface
 from stable_data.scene import FloatArray
 
@@ -71,19 +71,12 @@ class ConvexParts:
         """The larger of the two one-sided maxima."""
         return max(self.overfill_max, self.uncovered_max)
 
-    @property
-    def mean_distance(self) -> float:
-        """The larger of the two one-sided means."""
-        return max(self.overfill_mean, self.uncovered_mean)
 
-
-def convex_parts(
-    mesh: Mesh, *, given: Sequence[ConvexPart] = (), max_parts: int = 32, tolerance: float = 0.01
-) -> ConvexParts:
+def convex_parts(mesh: Mesh, *, given: Sequence[ConvexPart] = (), max_parts: int = 32, tolerance: float = 0.01) -> ConvexParts:
     """Splits a mesh into few convex parts that follow its surface; the same mesh always gives the same parts.
 
     Args:
-        mesh: Repaired (``stable_data.mesh.repair``), any unit. An open one is a shell of 1 % of its largest extent.
+        mesh: Repaired (``stable_data.repair``), any unit. An open one is a shell of 1 % of its largest extent.
         given: Parts that came with it, in its frame. They are taken where they are convex and true to the tolerance, whatever
             their number.
         max_parts: Budget.
@@ -204,10 +197,8 @@ def _flattest_direction(points: FloatArray) -> FloatArray:
 
 def _shell(unit: Mesh) -> Mesh:
     """Both sides of a sheet, half the shell's thickness off along its vertex normals, joined along its rim."""
-    corners = unit.triangles
-    faces_normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal = np.zeros_like(unit.vertices)
-    np.add.at(normal, unit.faces.ravel(), np.repeat(faces_normal, 3, axis=0))
+    np.add.at(normal, unit.faces.ravel(), np.repeat(area_vectors(unit.triangles), 3, axis=0))
     offset = _SHELL / 2 * normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     rim, num = igl.boundary_facets(unit.faces)[0], len(unit.vertices)
     a, b = rim.astype(np.int64).T
@@ -226,8 +217,7 @@ def _hull(points: FloatArray) -> Mesh | None:
         return None
     faces = np.searchsorted(np.sort(hull.vertices), hull.simplices).astype(np.int64)
     corners = points[np.sort(hull.vertices)]
-    normals = np.cross(corners[faces[:, 1]] - corners[faces[:, 0]], corners[faces[:, 2]] - corners[faces[:, 0]])
-    is_inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0
+    is_inward = np.einsum("ij,ij->i", area_vectors(corners[faces]), hull.equations[:, :3]) < 0
     return Mesh(corners, np.where(is_inward[:, None], faces[:, ::-1], faces))
 
 
@@ -355,10 +345,9 @@ def _uncovered(unit: Mesh, parts: tuple[Mesh, ...]) -> tuple[float, float]:
 def inside_convex(part: ConvexPart, points: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     """Which points (P, 3) lie in a convex part, (P,) bool."""
     corners = part.triangles
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normals, axis=1)
-    has_area = length > 1e-12 * length.max()  # a sliver's normal is noise
-    normals, corners = normals[has_area] / length[has_area, None], corners[has_area]
+    normals, double_area = unit_normals(corners)
+    has_area = double_area > 1e-12 * double_area.max()  # a sliver's normal is noise
+    normals, corners = normals[has_area], corners[has_area]
     heights: FloatArray = points @ normals.T - np.einsum("ij,ij->i", normals, corners[:, 0])
     inside: np.ndarray[tuple[int], np.dtype[np.bool_]] = (heights <= 1e-6 * part.extents.max()).all(axis=1)
     return inside

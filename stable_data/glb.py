@@ -78,12 +78,13 @@ def load_glb(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimi
 
     Raises:
         MeshError: It cannot be used; ``code`` is ``glb_truncated``, ``glb_zero_bytes``, ``glb_nan_vertices``, ``glb_no_faces``,
-            ``glb_degenerate_only``, ``glb_too_large``, ``glb_unsupported`` or ``glb_invalid``.
+            ``glb_degenerate_only``, ``glb_too_large``, ``glb_unsupported``, ``glb_unreadable`` or ``glb_invalid``.
     """
     content = _read_bytes(data, asset_id, limits) if isinstance(data, Path) else data
     reader = _GlbReader(asset_id, limits)
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # huge numbers end as a MeshError below, not as a warning
+        # Huge numbers and a quaternion of zeros end as a MeshError below, not as a warning.
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             return _welded(*reader.read(content), reader), tuple(reader.notices)
     except MeshError:
         raise
@@ -118,10 +119,14 @@ def load_colliders(data: bytes | Path, asset_id: str, *, limits: MeshLimits = Me
 
 
 def _read_bytes(path: Path, asset_id: str, limits: MeshLimits) -> bytes:
-    size = path.stat().st_size
-    if size > limits.max_bytes:
-        raise MeshError(f"asset {asset_id}: file has {size} bytes, expected at most {limits.max_bytes}", "glb_too_large")
-    return path.read_bytes()
+    try:
+        size = path.stat().st_size
+        if size > limits.max_bytes:
+            raise MeshError(f"asset {asset_id}: file has {size} bytes, expected at most {limits.max_bytes}", "glb_too_large")
+        return path.read_bytes()
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise MeshError(f"asset {asset_id}: {path} cannot be read: {reason}", "glb_unreadable") from error
 
 
 @dataclass(slots=True)

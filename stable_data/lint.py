@@ -1,7 +1,10 @@
 """Lint: the audit of every scene of a folder, as a page and as a table."""
 
+import errno
+import os
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from tempfile import TemporaryFile
 
 import polars as pl
 import pyarrow as pa
@@ -10,8 +13,8 @@ from tqdm import tqdm
 
 from stable_data import tables
 from stable_data.assets import AssetStore, position_convention, with_box_centres
-from stable_data.errors import Notice, SceneError
-from stable_data.mesatask import MesaTaskDataset
+from stable_data.errors import Notice, StableDataError
+from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.summary import Summary, summarise
@@ -25,7 +28,7 @@ class LintResult:
     Attributes:
         root: The folder.
         rows: One row a scene: its id, the metric card, pairs and verdicts.
-        failures: Scenes that could not be read.
+        failures: Scenes that could not be read or judged.
         warnings: What is doubtful about those that could.
     """
 
@@ -70,6 +73,21 @@ class LintResult:
         return pa.Table.from_pylist(list(self.rows), schema=pa.schema([schema.field(n) for n in names]))
 
 
+def prepare_place(path: Path) -> None:
+    """Makes the folder of a file that is to be written later.
+
+    Raises:
+        ConfigError: The place cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        TemporaryFile(dir=path.parent).close()
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    except OSError as error:
+        raise unwritable(str(path), error) from error
+
+
 def lint_folder(root: Path, *, progress: bool = False) -> LintResult:
     """Audits every scene of a folder in the MesaTask-10K format.
 
@@ -87,14 +105,31 @@ def lint_folder(root: Path, *, progress: bool = False) -> LintResult:
     failures = [n for n in dataset.notices if n.code == "layout_missing"]
     warnings = [n for n in dataset.notices if n.code != "layout_missing"]
     for scene_id in tqdm(dataset.scene_ids, desc="lint", unit="scene", disable=not progress):
-        try:
-            scene, read = dataset.read(scene_id)
-        except SceneError as error:
-            failures.append(Notice(scene_id, "read", error.code, str(error)))
-            continue
+        row, notices = _lint_scene(dataset, store, convention, scene_id)
+        if row is None:
+            failures += notices
+        else:
+            rows.append(row)
+            warnings += notices
+    return LintResult(root, tuple(rows), tuple(failures), tuple(warnings))
+
+
+def _lint_scene(
+    dataset: MesaTaskDataset, store: AssetStore, convention: PositionConvention, scene_id: str
+) -> tuple[tables.Row | None, tuple[Notice, ...]]:
+    """The row of a scene and what is doubtful about it; without a row, why there is none."""
+    step = "read"
+    try:
+        scene, read = dataset.read(scene_id)
+        step = "mesh"
         scene = with_box_centres(scene, store, convention)
         shapes, meshed = store.shapes(scene)
+        step = "audit"
         audit = audit_scene(scene, shapes)
-        rows.append({"scene_id": scene_id, "table_type": scene.table.table_type, **asdict(audit.card()), **audit.rows()})
-        warnings += [*read, *meshed]
-    return LintResult(root, tuple(rows), tuple(failures), tuple(warnings))
+    except StableDataError as error:
+        return None, (Notice(scene_id, step, error.code, str(error)),)
+    except Exception as error:  # noqa: BLE001 - what nobody foresaw is one scene lost, not the page
+        message = f"{scene_id}: {type(error).__name__}: {error}; please report this with the file"
+        return None, (Notice(scene_id, step, "unexpected", message),)
+    row = {"scene_id": scene_id, "table_type": scene.table.table_type, **asdict(audit.card()), **audit.rows()}
+    return row, (*read, *meshed)

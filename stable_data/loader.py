@@ -74,10 +74,11 @@ class TableDataset(Dataset[Any]):
         decode: Row, column -> value, to item. By default ``scenes`` with all columns gives a ``Scene`` without its ``source``
             entries (``decode=scene_from_row`` keeps them), anything else the row itself. Lists of float16, float32 and int32
             come as numpy arrays. With workers that are spawned it must be a function of a module.
+        split: ``train``, ``validation`` or ``test`` of ``scenes`` or ``samples``; None: the rows of all.
         cache_bytes: How much decoded Parquet is kept at most; the last row group is kept whatever its size.
 
     Raises:
-        ConfigError: The table or a column is not there, was written by another version, or cannot be read.
+        ConfigError: The table, a column or a split is not there, was written by another version, or cannot be read.
     """
 
     def __init__(
@@ -87,10 +88,11 @@ class TableDataset(Dataset[Any]):
         *,
         columns: Sequence[str] | None = None,
         decode: Decode | None = None,
+        split: str | None = None,
         cache_bytes: int = _CACHE_BYTES,
     ) -> None:
         leaves, self._items = _reading(table, columns, decode)
-        self._files = TableFiles(uri, table, leaves)
+        self._files = TableFiles(uri, table, leaves, split)
         self._cache_bytes = cache_bytes
         self._cache: OrderedDict[int, pa.Table] = OrderedDict()
 
@@ -146,6 +148,7 @@ class TableStream(IterableDataset[Any]):
         table: Name in SCHEMAS.
         columns: As in :class:`TableDataset`.
         decode: As in :class:`TableDataset`.
+        split: As in :class:`TableDataset`.
         batch_size: Rows in a batch, or None: the stream gives single items.
         collate: List of items to batch; None leaves the list. ``collate_scenes`` on ``scenes`` goes from columns to tensors.
         shuffle_seed: None keeps the order of the files; else row groups are shuffled, then rows within windows of them.
@@ -157,7 +160,7 @@ class TableStream(IterableDataset[Any]):
             row.
 
     Raises:
-        ConfigError: As in :class:`TableDataset`, or a setting cannot be.
+        ConfigError: As in :class:`TableDataset`; or a setting cannot be, or leaves a rank without a row or a whole batch.
     """
 
     def __init__(
@@ -167,6 +170,7 @@ class TableStream(IterableDataset[Any]):
         *,
         columns: Sequence[str] | None = None,
         decode: Decode | None = None,
+        split: str | None = None,
         batch_size: int | None = None,
         collate: Collate | None = None,
         shuffle_seed: int | None = None,
@@ -179,10 +183,11 @@ class TableStream(IterableDataset[Any]):
         leaves, self._items = _reading(table, columns, decode)
         self._collate = collate
         self._is_columnar = collate is collate_scenes and leaves is SCENE_LEAVES and batch_size is not None
-        self._files = TableFiles(uri, table, ARRAY_LEAVES if self._is_columnar else leaves)
+        self._files = TableFiles(uri, table, ARRAY_LEAVES if self._is_columnar else leaves, split)
         self._batch_size, self._step = batch_size, batch_size or 1
         self._order = EpochOrder(self._files.groups, shuffle_seed, window_rows)
         self._rank, self._world_size, self._drop_remainder = rank, world_size, drop_remainder
+        self._check_enough(table)
         # Epoch and first row. Shared memory, so that workers that outlive an epoch see the next one.
         self._plan = torch.zeros(2, dtype=torch.int64)
         self._plan.share_memory_()  # type: ignore[no-untyped-call]
@@ -262,6 +267,18 @@ class TableStream(IterableDataset[Any]):
             self._given += 1
             yield item
 
+    def _check_enough(self, table: str) -> None:
+        """Refuses a stream that would give nothing to some rank: it looks like training and is none."""
+        least = self._world_size * (self._step if self._drop_remainder else 1)
+        if len(self._files) < least:
+            of_split = f" of split {self._files.split}" if self._files.split else ""
+            whole = f" times batch_size {self._step}, as drop_remainder wants" if self._drop_remainder else ""
+            raise ConfigError(
+                f"{self._files.uri}: table {table} has {len(self._files)} rows{of_split}, expected at least {least}, world_size "
+                f"{self._world_size}{whole}; use a larger run, or smaller settings",
+                "too_few_rows",
+            )
+
     def _start(self, epoch: int, first: int, given: int, num_workers: int) -> None:
         self._plan[0], self._plan[1] = epoch, first
         self._first, self._given, self._skip, self._num_workers = first, given, given, num_workers
@@ -269,6 +286,7 @@ class TableStream(IterableDataset[Any]):
     def _settings(self) -> dict[str, Any]:
         """What shapes the order of the rows and must not change within an epoch."""
         return {
+            "split": self._files.split,
             "table_fingerprint": self._files.fingerprint,
             "shuffle_seed": self._order.seed,
             "window_rows": self._order.window_rows,

@@ -39,10 +39,21 @@ class Mesh:
         return self.vertices[self.faces]
 
 
+def area_vectors(triangles: FloatArray) -> FloatArray:
+    """Normals of triangles (F, 3, 3), each as long as twice its triangle's area, (F, 3) float64."""
+    return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+
+
+def unit_normals(triangles: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Unit normals of triangles (F, 3, 3), (F, 3) float64, zero where one has no area; and twice their areas, (F,)."""
+    normals = area_vectors(triangles)
+    length = np.linalg.norm(normals, axis=1)
+    return np.divide(normals, length[:, None], out=np.zeros_like(normals), where=length[:, None] > 0), length
+
+
 def double_areas(mesh: Mesh) -> FloatArray:
     """Twice the area of every face, (F,) float64, squared mesh units."""
-    a, b, c = (mesh.triangles[:, n] for n in range(3))
-    areas: FloatArray = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    areas: FloatArray = np.linalg.norm(area_vectors(mesh.triangles), axis=1)
     return areas
 
 

@@ -207,8 +207,8 @@ def _contact(options: EngineOptions) -> dict[str, object]:
 def _add_body(spec: mujoco.MjSpec, body: Body, meshes: dict[int, str], options: EngineOptions) -> None:
     if not np.isfinite((*body.position, body.yaw)).all():
         raise MeshError(f"body {body.name}: its pose is {body.position}, yaw {body.yaw}, expected finite numbers", "not_finite")
-    if not body.mass > 0:
-        raise MeshError(f"body {body.name}: mass is {body.mass} kg, expected more than 0", "no_mass")
+    if not 0 < body.mass < np.inf:
+        raise MeshError(f"body {body.name}: mass is {body.mass} kg, expected a finite one of more than 0", "no_mass")
     added = spec.worldbody.add_body(pos=list(body.position), quat=_wxyz(_quat_of_yaw(body.yaw)))
     if body.movable:
         added.add_freejoint()

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stable_data.errors import MeshError
-from stable_data.mesh import Mesh
+from stable_data.mesh import Mesh, double_areas, unit_normals
 from stable_data.scene import FloatArray, IntArray
 
 _CANDIDATES = 16  # drawn for each point that is kept
@@ -35,7 +35,7 @@ def surface_points(
         MeshError: ``mesh_no_area``: there is no surface to sample.
     """
     rng = np.random.default_rng(0) if rng is None else rng
-    normals, areas = _normals_and_areas(mesh.triangles)
+    normals, areas = unit_normals(mesh.triangles)
     points, face = _sample(mesh.triangles, areas, _CANDIDATES * num, rng)
     start = int(np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1)))
     kept = _farthest_first(points, num, [start])
@@ -71,7 +71,7 @@ def bottom_points(
     lowest = lowest[lowest[:, 2] <= low + 0.01 * band]
     lowest = lowest[_farthest_first(lowest, max(1, int(num * _LOWEST_SHARE)), [int(np.argmin(lowest[:, 2]))])]
     triangles = _below(vertices[faces], low + band)
-    normals, areas = _normals_and_areas(triangles)
+    normals, areas = unit_normals(triangles)
     weights = areas * np.maximum(-normals[:, 2], _SIDEWAYS)
     if weights.sum() <= 0:  # it touches the band in points or edges only
         return np.resize(lowest, (num, 3)).astype(np.float32)
@@ -81,14 +81,7 @@ def bottom_points(
 
 def sample_surface(mesh: Mesh, num: int) -> FloatArray:
     """Points spread evenly over a surface in no order, (num, 3) float64, mesh units; always the same for the same mesh."""
-    return _sample(mesh.triangles, _normals_and_areas(mesh.triangles)[1], num, np.random.default_rng(0))[0]
-
-
-def _normals_and_areas(triangles: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Unit normals (F, 3), zero where a triangle has no area, and areas (F,)."""
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    length = np.linalg.norm(normals, axis=1)
-    return np.divide(normals, length[:, None], out=np.zeros_like(normals), where=length[:, None] > 0), length / 2
+    return _sample(mesh.triangles, double_areas(mesh), num, np.random.default_rng(0))[0]
 
 
 def _sample(triangles: FloatArray, weights: FloatArray, num: int, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:

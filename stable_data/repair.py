@@ -6,7 +6,7 @@ import igl
 import numpy as np
 
 from stable_data.errors import Notice
-from stable_data.mesh import Edges, Mesh, centred, double_areas, signed_volumes
+from stable_data.mesh import Edges, Mesh, area_vectors, centred, double_areas, signed_volumes, unit_normals
 from stable_data.scene import FloatArray, IntArray
 
 _CRACK = 0.03  # a hole narrower than this share of the largest extent is damage, not a mouth
@@ -184,7 +184,7 @@ def _is_back_of_sheet(vertices: FloatArray, faces: IntArray, component: IntArray
 def _is_safe_to_fill(vertices: FloatArray, faces: IntArray, cap: IntArray) -> bool:
     """Whether closing a hole cannot close a hollow that something could lie in."""
     corners = vertices[cap]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    normals = area_vectors(corners) / 2
     normal, rim = normals.sum(axis=0), corners[:, 0]
     area, fan_area = float(np.linalg.norm(normal)), float(np.linalg.norm(normals, axis=1).sum())
     surface = double_areas(Mesh(vertices, faces)).sum() / 2
@@ -234,7 +234,6 @@ def _encloses(mesh: Mesh, edges: Edges) -> bool:
         return False
     picked = np.searchsorted(np.cumsum(double_area), (np.arange(_NUM_PROBES) + 0.5) / _NUM_PROBES * double_area.sum())
     corners = mesh.triangles[np.minimum(picked, len(mesh.faces) - 1)]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    winding = igl.winding_number(mesh.vertices, mesh.faces, corners.mean(axis=1) + 1e-4 * mesh.extents.max() * normals)
+    outside = corners.mean(axis=1) + 1e-4 * mesh.extents.max() * unit_normals(corners)[0]
+    winding = igl.winding_number(mesh.vertices, mesh.faces, outside)
     return bool((np.abs(winding - np.round(winding)) < 0.25).mean() >= 0.95)

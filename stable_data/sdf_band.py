@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from stable_data.mesh import unit_normals
 from stable_data.scene import FloatArray, IntArray
 from stable_data.signed_distance import BoolArray, SignedDistance
 
@@ -74,11 +75,8 @@ class Band:
         start = lattice.places(nodes)
         distance, face, place = exact.nearest(start)
         away = (start - place) / np.maximum(distance, np.finfo(np.float64).tiny)[:, None]
-        a, b, c = exact.mesh.triangles[face].transpose(1, 0, 2)
-        normal = np.cross(b - a, c - a)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1), np.finfo(np.float64).tiny)[:, None]
         # Straight: the foot of a node on an edge or a corner is not opposite to the normal.
-        is_behind = _dot(away, normal) < -1 + 1e-9
+        is_behind = _dot(away, unit_normals(exact.mesh.triangles[face])[0]) < -1 + 1e-9
         return cls(nodes, distance, away, place, face, is_behind)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import ndimage
 
 from stable_data.errors import MeshError
-from stable_data.mesh import Mesh
+from stable_data.mesh import Mesh, unit_normals
 from stable_data.scene import FloatArray, IntArray, Vec3
 from stable_data.sdf_band import Band, Lattice, unsigned_distances
 from stable_data.sdf_grid import SdfGrid, sample_grid
@@ -65,17 +65,15 @@ def unit_mesh(mesh: Mesh, aspect: Vec3 = (1.0, 1.0, 1.0)) -> tuple[Mesh, float]:
 def probe_points(mesh: Mesh, num_points: int) -> tuple[FloatArray, FloatArray]:
     """Points spread over the surface by area, the same ones every time, and the unit normals of their faces, (P, 3) each."""
     triangles = mesh.triangles
-    cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    length = np.linalg.norm(cross, axis=1)
-    area = np.cumsum(length)
+    normals, double_area = unit_normals(triangles)
+    area = np.cumsum(double_area)
     k = np.arange(num_points)
     face = np.minimum(np.searchsorted(area, (k + 0.5) / num_points * area[-1]), len(area) - 1)
     # The R2 sequence (golden ratio's analogue in the plane), folded into the triangle.
     u, v = (0.5 + 0.7548776662466927 * k) % 1, (0.5 + 0.5698402909980532 * k) % 1
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     a, b, c = triangles[face, 0], triangles[face, 1], triangles[face, 2]
-    points = a + u[:, None] * (b - a) + v[:, None] * (c - a)
-    return points, cross[face] / np.maximum(length[face], np.finfo(np.float64).tiny)[:, None]
+    return a + u[:, None] * (b - a) + v[:, None] * (c - a), normals[face]
 
 
 def build_grid(

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.dataset as ds
 import pyarrow.fs as pafs
 import pyarrow.parquet as pq
@@ -137,12 +138,19 @@ class RunFolder:
             raise unwritable(f"{self.uri}/{name}", error) from error
 
     def read_bytes(self, name: str) -> bytes | None:
-        """Content of a file, or None where there is none."""
+        """Content of a file, or None where there is none.
+
+        Raises:
+            ConfigError: It cannot be read.
+        """
         path = self._path(name)
-        if self.filesystem.get_file_info(path).type != pafs.FileType.File:
-            return None
-        with self.filesystem.open_input_stream(path) as stream:
-            return cast(bytes, stream.read())
+        try:
+            if self.filesystem.get_file_info(path).type != pafs.FileType.File:
+                return None
+            with self.filesystem.open_input_stream(path) as stream:
+                return cast(bytes, stream.read())
+        except OSError as error:
+            raise _unreachable(f"{self.uri}/{name}", error) from error
 
     def write_shard(self, table: str, shard_id: str, rows: Sequence[Mapping[str, Any]]) -> None:
         """Writes one shard of a table, in several files where it would pass MAX_BYTES.
@@ -164,14 +172,21 @@ class RunFolder:
             self.write_bytes(f"{table}/part-{shard_id}{suffix}.parquet", sink.getvalue().to_pybytes())
 
     def shard_ids(self, table: str) -> set[str]:
-        """Ids of the shards of a table that are complete."""
+        """Ids of the shards of a table that are complete; see :meth:`files`."""
         names = (Path(path).name for path in self.files(table))
         return {n.removeprefix("part-").removesuffix(".parquet") for n in names if n.count("-") == 1}
 
     def files(self, table: str) -> list[str]:
-        """Paths of the files of a table's complete shards, by shard and number, as the file system names them."""
-        selector = pafs.FileSelector(self._path(table), allow_not_found=True)
-        matches = ((_PART.fullmatch(info.base_name), info.path) for info in self.filesystem.get_file_info(selector))
+        """Paths of the files of a table's complete shards, by shard and number, as the file system names them.
+
+        Raises:
+            ConfigError: The folder cannot be read.
+        """
+        try:
+            infos = self.filesystem.get_file_info(pafs.FileSelector(self._path(table), allow_not_found=True))
+        except OSError as error:
+            raise _unreachable(f"{self.uri}/{table}", error) from error
+        matches = ((_PART.fullmatch(info.base_name), info.path) for info in infos)
         paths = {(match[1], int(match[2] or 0)): path for match, path in matches if match}
         return [path for (shard_id, _), path in sorted(paths.items()) if (shard_id, 0) in paths]
 
@@ -187,14 +202,35 @@ class RunFolder:
             raise ConfigError(f"{self.uri}: no table {table}, expected a folder of part-*.parquet ({known})", "table_missing")
         try:
             schema = pq.read_schema(files[0], filesystem=self.filesystem)
-        except (pa.ArrowInvalid, OSError) as error:
+        except (pa.ArrowException, OSError) as error:
             raise unreadable(self.uri, files[0], error) from error
         check_version(schema, f"{self.uri}/{table}")
         return ds.dataset(files, format="parquet", filesystem=self.filesystem, schema=SCHEMAS[table])
 
-    def table(self, table: str, columns: Sequence[str] | None = None) -> pa.Table:
-        """A table of the run, whole; see :meth:`dataset`."""
-        return self.dataset(table).to_table(columns=None if columns is None else list(columns))
+    def table(self, table: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None) -> pa.Table:
+        """A table of the run, or those of its columns and rows that are asked for; see :meth:`dataset`."""
+        dataset = self.dataset(table)
+        try:
+            return dataset.to_table(columns=None if columns is None else list(columns), filter=where)
+        except (pa.ArrowException, OSError) as error:
+            raise unreadable(self.uri, self._broken(dataset.files) or table, error) from error
+
+    def num_rows(self, table: str) -> int:
+        """Number of rows of a table of the run; see :meth:`dataset`."""
+        dataset = self.dataset(table)
+        try:
+            return int(dataset.count_rows())
+        except (pa.ArrowException, OSError) as error:
+            raise unreadable(self.uri, self._broken(dataset.files) or table, error) from error
+
+    def _broken(self, files: Sequence[str]) -> str | None:
+        """The first file that cannot be read whole, or None."""
+        for path in files:
+            try:
+                pq.ParquetFile(path, filesystem=self.filesystem).read()
+            except (pa.ArrowException, OSError):
+                return path
+        return None
 
     def _path(self, name: str) -> str:
         return self.root if name == "." else f"{self.root}/{name}"
@@ -216,6 +252,15 @@ def unreadable(where: str, path: str, error: Exception) -> ConfigError:
         f"{where}: {path} cannot be read ({reason}), expected a Parquet file of this run; "
         "if it is there, delete it and run again what wrote it",
         "shard_unreadable",
+    )
+
+
+def _unreachable(where: str, error: OSError) -> ConfigError:
+    """The error for a place that cannot be looked at."""
+    reason = error.strerror or str(error).strip().partition("\n")[0]
+    return ConfigError(
+        f"{where}: cannot be read ({reason}), expected the folder of a run; check the address, the network and what you may read",
+        "output_unreadable",
     )
 
 

@@ -21,9 +21,6 @@ from stable_data.scene import FloatArray, IntArray
 
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
 
-SHELL_THICKNESS = 1e-3
-"""Thickness that an open sheet is given, metres; a caller with another unit converts."""
-
 _INSIDE = 0.5  # winding number above which a point is inside: the midpoint between 0 and 1
 
 
@@ -44,7 +41,7 @@ class SignedDistance:
         array([-0.1,  2. ])
     """
 
-    def __init__(self, mesh: Mesh, *, is_sheet: bool = False, shell_thickness: float = SHELL_THICKNESS) -> None:
+    def __init__(self, mesh: Mesh, *, is_sheet: bool = False, shell_thickness: float = 0.0) -> None:
         if len(mesh.faces) == 0:
             raise MeshError("mesh has 0 faces, expected at least one; was everything dropped as degenerate?", "mesh_empty")
         if is_sheet and not (np.isfinite(shell_thickness) and shell_thickness >= 0):

@@ -5,7 +5,6 @@ added to the paper: what carries an object is generated no later than the object
 """
 
 import heapq
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
@@ -100,16 +99,6 @@ def _chain(scene: Scene, carriers: Mapping[str, str], instance: str) -> list[str
             raise SceneError(f"{scene.scene_id}: {found} form a circle of supports; derive supports anew", "support_circle")
         chain.append(instance)
     return chain
-
-
-def stage_shares(scene: Scene) -> dict[Stage, float]:
-    """Share of the objects in each stage; all 0 where there are no objects.
-
-    Args:
-        scene: A staged scene.
-    """
-    counts = Counter(o.stage for o in scene.objects)
-    return {stage: counts[stage] / max(1, len(scene.objects)) for stage in Stage}
 
 
 def samples_of(scene: Scene) -> tuple[StageSample, ...]:

@@ -17,26 +17,31 @@ from stable_data.scene import IntArray
 from stable_data.shards import RunFolder, content_id, unreadable
 from stable_data.tables import SCHEMAS, Row, check_version
 
+SPLITS = ("train", "validation", "test")
+"""What a row's ``split`` may be."""
+
 _REQUESTS = 16
 _ARRAYS = (pa.float16(), pa.float32(), pa.int32())
 _SLICE_BYTES = 4 * 2**20
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class RowGroup:
     """One row group of one file.
 
     Attributes:
         path: The file, as its file system names it.
         index: Which of the file's row groups.
-        num_rows: Rows.
-        num_bytes: All columns, decompressed.
+        num_rows: Rows, those of other splits left out.
+        num_bytes: All columns and rows, decompressed.
+        chosen: Which rows, (num_rows,) int64, or None: all of them.
     """
 
     path: str
     index: int
     num_rows: int
     num_bytes: int
+    chosen: IntArray | None = None
 
 
 class TableFiles:
@@ -46,18 +51,21 @@ class TableFiles:
         uri: The run folder.
         table: Name in SCHEMAS.
         leaves: Columns or leaves of columns, as Parquet names them, or None: all.
+        split: Rows of which split, or None: all. Others are left out before anything is made of them.
 
     Attributes:
         uri: The run folder.
+        split: As given.
         groups: The row groups that hold rows.
         starts: Number of the first row of each, and of the row after the last, (groups + 1,) int64.
 
     Raises:
-        ConfigError: The table is not there, was written by another version, or cannot be read.
+        ConfigError: The table is not there, was written by another version, cannot be read, or has no such split.
     """
 
-    def __init__(self, uri: str, table: str, leaves: Sequence[str] | None) -> None:
-        self.uri = uri
+    def __init__(self, uri: str, table: str, leaves: Sequence[str] | None, split: str | None = None) -> None:
+        _check_split(table, split)
+        self.uri, self.split = uri, split
         self._leaves = None if leaves is None else list(leaves)
         self._folder, self._process = RunFolder(uri), os.getpid()
         paths = self._folder.files(table)
@@ -84,28 +92,38 @@ class TableFiles:
         """
         if self._process != os.getpid():  # forked: a file system is not shared with the parent
             self._folder, self._process = RunFolder(self.uri), os.getpid()
-        chosen = groupby((self.groups[group] for group in groups), lambda group: group.path)
-        of_files = [(path, [group.index for group in of_file]) for path, of_file in chosen]
+        of_files = [(path, list(of_file)) for path, of_file in groupby((self.groups[g] for g in groups), lambda g: g.path)]
         if self._folder.is_local or len(of_files) == 1:
-            return pa.concat_tables([self._read_file(path, indices, use_threads) for path, indices in of_files])
+            return pa.concat_tables([self._read_file(path, of_file, use_threads) for path, of_file in of_files])
         with ThreadPoolExecutor(_REQUESTS) as pool:  # an object store answers late, but many at once
             return pa.concat_tables(pool.map(lambda file: self._read_file(file[0], file[1], False), of_files))
 
-    def _read_file(self, path: str, indices: list[int], use_threads: bool) -> pa.Table:
+    def _read_file(self, path: str, groups: list[RowGroup], use_threads: bool) -> pa.Table:
         try:
             with pq.ParquetFile(path, filesystem=self._folder.filesystem, pre_buffer=True) as file:
-                return file.read_row_groups(indices, columns=self._leaves, use_threads=use_threads)
-        except (pa.ArrowInvalid, OSError) as error:
+                parts = [file.read_row_group(g.index, columns=self._leaves, use_threads=use_threads) for g in groups]
+        except (pa.ArrowException, OSError) as error:
             raise unreadable(self.uri, path, error) from error
+        return pa.concat_tables(
+            part if g.chosen is None else part.take(g.chosen) for part, g in zip(parts, groups, strict=True)
+        )
 
     def _list_groups(self, path: str) -> list[RowGroup]:
         try:
-            footer = pq.read_metadata(path, filesystem=self._folder.filesystem)
-        except (pa.ArrowInvalid, OSError) as error:
+            with pq.ParquetFile(path, filesystem=self._folder.filesystem) as file:
+                check_version(pa.schema([], metadata=file.metadata.metadata), f"{self.uri}: {path}")
+                groups = [self._row_group(path, file, index) for index in range(file.num_row_groups)]
+        except (pa.ArrowException, OSError) as error:
             raise unreadable(self.uri, path, error) from error
-        check_version(pa.schema([], metadata=footer.metadata), f"{self.uri}: {path}")
-        groups = [footer.row_group(index) for index in range(footer.num_row_groups)]
-        return [RowGroup(path, index, g.num_rows, g.total_byte_size) for index, g in enumerate(groups) if g.num_rows]
+        return [group for group in groups if group.num_rows]
+
+    def _row_group(self, path: str, file: pq.ParquetFile, index: int) -> RowGroup:
+        footer = file.metadata.row_group(index)
+        if self.split is None:
+            return RowGroup(path, index, footer.num_rows, footer.total_byte_size)
+        splits = file.read_row_group(index, columns=["split"])["split"]
+        chosen = np.flatnonzero(pc.fill_null(pc.equal(splits, self.split), False).to_numpy())
+        return RowGroup(path, index, len(chosen), footer.total_byte_size, chosen)
 
 
 def check_columns(table: str, columns: Sequence[str] | None) -> None:
@@ -118,6 +136,20 @@ def check_columns(table: str, columns: Sequence[str] | None) -> None:
     unknown = [name for name in columns or () if name not in known]
     if unknown and known:
         raise ConfigError(f"table {table} has no columns {unknown}, expected some of {', '.join(known)}", "column_unknown")
+
+
+def _check_split(table: str, split: str | None) -> None:
+    """Refuses a split that a table does not have.
+
+    Raises:
+        ConfigError: ``split_unknown``.
+    """
+    if split is None:
+        return
+    if table in SCHEMAS and "split" not in SCHEMAS[table].names:
+        raise ConfigError(f"table {table} has no splits, expected scenes or samples; leave out split", "split_unknown")
+    if split not in SPLITS:
+        raise ConfigError(f"split is {split!r}, expected one of {', '.join(SPLITS)}, or None for all rows", "split_unknown")
 
 
 def slices(table: pa.Table) -> Iterator[pa.Table]:

@@ -12,6 +12,7 @@ from typing import Any, TypeAlias, get_args, get_type_hints
 import pyarrow as pa
 
 from stable_data.errors import ConfigError, Notice
+from stable_data.mesatask.document import json_text
 from stable_data.metrics.card import MetricCard
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Stage, Tabletop, TaskInfo
 
@@ -116,7 +117,7 @@ def _card_columns() -> list[pa.Field]:
 
 _scene_head = [
     _column("scene_id", _text, "unique in the run"),
-    _column("split", _text, "train, validation or test: 90/5/5 by near-duplicate group"),
+    _column("split", _text, "train, validation or test: 90/5/5 by near-duplicate group; unseen: tables of other kinds"),
     _column("table_type", _text, "such as office_table"),
     _column("table_size", _numbers, "extent along x and y; the near-left corner is the origin, the top is z = 0", "m"),
     _column("restricted_zone", _numbers, "x_min, x_max, y_min, y_max where nothing may stand, or null", "m"),
@@ -168,9 +169,9 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column("center_of_mass", _numbers, "of the mesh, centred on its box, at the typical scale", "m"),
             _column("inertia_per_mass", _numbers, "3 x 3 about the centre of mass, row by row, at the typical scale", "m^2"),
             _column(
-                "points", pa.list_(pa.float32()), "(1024, 3) on the surface, farthest-point ordered, row by row", "mesh units"
+                "points", pa.list_(pa.float32()), "(P, 3) on the surface, farthest-point ordered, row by row", "mesh units"
             ),
-            _column("normals", pa.list_(pa.float32()), "(1024, 3) outward at the points, row by row"),
+            _column("normals", pa.list_(pa.float32()), "(P, 3) outward at the points, row by row"),
             _column("text_embedding", pa.list_(pa.float32()), "unit row of the library's text features, or null"),
             _column("mesh_sha256", _text, "content of the mesh file"),
         ]
@@ -264,7 +265,7 @@ def check_version(schema: pa.Schema, where: str) -> None:
 
 
 def _json(source: Mapping[str, Any] | None) -> str | None:
-    return None if source is None else json.dumps(source, ensure_ascii=False, separators=(",", ":"))
+    return None if source is None else json_text(source, separators=(",", ":"))
 
 
 def _relation_rows(relations: Iterable[Relation]) -> list[Row]:

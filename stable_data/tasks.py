@@ -11,6 +11,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -25,6 +26,7 @@ from stable_data.instructions.situation import OPPOSITE
 from stable_data.instructions.words import singular
 from stable_data.relations import SceneGraph, relations_of
 from stable_data.scene import TABLE, Relation, RelationKind, Scene, SceneObject, TaskInfo
+from stable_data.shards import unwritable
 
 TaskWriter: TypeAlias = Callable[[Scene, tuple[Relation, ...]], Mapping[str, Any]]
 """A model that writes a task info, with MesaTask's keys, for a scene and its scene graph."""
@@ -293,24 +295,36 @@ def model_task(
     Returns:
         The task info, ``origin`` ``model`` or ``template``, and notices: ``task_model_failed`` or those of
         :func:`resolve_task_objects`.
+
+    Raises:
+        ConfigError: A usable answer cannot be kept: no permission, or the disk is full.
     """
     relations = relations_of(graph)
     path = Path(cache_dir) / f"{_content_key(scene, relations, writer_id)}.json"
     try:
         data, is_new = _kept(path), False
         if data is None:
-            data, is_new = dict(write(scene, relations)), True
+            data, is_new = _plain(write(scene, relations)), True
         task, notices = resolve_task_objects(task_info_of(data, origin="model"), scene, graph)
         if not task.task_objects:
             raise SceneError(
                 f"task {task.task!r} names {task.objects_cluster}, expected types of the scene", "task_objects_unknown"
             )
-        if is_new:
-            _keep(path, data)
     except (OSError, ValueError, LookupError) as error:
         told = derive_task(scene, graph, task_rng(scene.scene_id, seed))
         return told, (_notice(scene, "task_model_failed", f"the model's task cannot be used ({error}), a template's is taken"),)
+    if is_new:
+        _keep(path, data)
     return task, notices
+
+
+def _plain(answer: Mapping[str, Any]) -> dict[str, Any]:
+    """A model's answer as it will be read from the cache, so that a rerun gives the same rows."""
+    try:
+        plain: dict[str, Any] = json.loads(json.dumps(dict(answer), sort_keys=True))
+    except TypeError as error:
+        raise SceneError(f"task info: the answer is no JSON object ({error})", "task_info_invalid") from error
+    return plain
 
 
 def _content_key(scene: Scene, relations: Iterable[Relation], writer_id: str) -> str:
@@ -331,7 +345,12 @@ def _kept(path: Path) -> dict[str, Any] | None:
 
 def _keep(path: Path, data: Mapping[str, Any]) -> None:
     """Written aside and put in place in one step, so that a reader never sees half of it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_suffix(f".{os.getpid()}.tmp")
-    aside.write_text(json.dumps(data, indent=2, sort_keys=True), encoding="utf-8")
-    aside.replace(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        aside.write_text(json.dumps(data, indent=2, sort_keys=True), encoding="utf-8")
+        aside.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            aside.unlink()
+        raise unwritable(str(path), error) from error

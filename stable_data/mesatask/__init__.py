@@ -5,13 +5,14 @@
 annotations and asset files; ``features`` the text features; ``frame`` the geometry of the pose.
 """
 
-from stable_data.mesatask.dataset import MesaTaskDataset
+from stable_data.mesatask.dataset import TABLE_TYPES, MesaTaskDataset
 from stable_data.mesatask.entry import LayoutLimits
 from stable_data.mesatask.features import read_text_features, write_text_features
 from stable_data.mesatask.frame import (
     PositionConvention,
     detect_position_convention,
-    size_error,
+    has_size,
+    keeps_box,
     to_box_centre,
     yaw_frame_box,
 )
@@ -21,6 +22,7 @@ from stable_data.mesatask.task_info import read_task_info, write_task_info
 from stable_data.mesatask.writing import write_annotations, write_asset, write_layout, write_reply_layout, write_scene
 
 __all__ = [
+    "TABLE_TYPES",
     "AssetAnnotation",
     "AssetFolder",
     "LayoutLimits",
@@ -28,12 +30,13 @@ __all__ = [
     "PositionConvention",
     "category_of",
     "detect_position_convention",
+    "has_size",
+    "keeps_box",
     "read_annotation",
     "read_layout",
     "read_reply_layout",
     "read_task_info",
     "read_text_features",
-    "size_error",
     "to_box_centre",
     "write_annotation",
     "write_annotations",

@@ -13,6 +13,16 @@ from stable_data.mesatask.task_info import TASK_INFO_FILE, read_task_info
 from stable_data.mesatask.writing import LAYOUT_FOLDER
 from stable_data.scene import Scene, SceneObject, TaskInfo
 
+TABLE_TYPES = (
+    "bathroom_vanity",
+    "coffee_table",
+    "dining_table",
+    "dressing_table",
+    "kitchen_counter",
+    "office_table",
+)
+"""The kinds of table of MesaTask-10K."""
+
 _MAX_TASK_INFO_BYTES = 1 << 20
 
 
@@ -108,8 +118,12 @@ class MesaTaskDataset:
             message = f"object {name} has uid {uid}, neither annotated nor in Assets_library; it is kept as a box of its size"
             log.warn("unknown_uid", message)
             return replace(scene_object, asset_id=None)
-        if self.asset_path(uid) is None:
+        path = self.asset_path(uid)
+        if path is None:
             log.warn("glb_missing", f"object {name} has uid {uid}, whose GLB is missing; it is kept as a box of its size")
+        elif path.stem != uid:
+            message = f"object {name} has uid {uid}, which has no GLB; {path.name} stands in, which may be turned otherwise"
+            log.warn("asset_variant_served", message)
         return scene_object
 
 
@@ -123,16 +137,25 @@ def _scene_folders(root: Path, log: Log) -> dict[str, Path]:
         raise ConfigError(
             f"{root} has no folder {LAYOUT_FOLDER}, expected {LAYOUT_FOLDER}/<table type>/<scene>{hint}", "not_a_dataset"
         )
+    every = sorted(path for path in layouts.glob("*/*") if path.is_dir() and not path.name.startswith("."))
     folders: dict[str, Path] = {}
-    for folder in sorted(path for path in layouts.glob("*/*") if path.is_dir() and not path.name.startswith(".")):
-        if not (folder / LAYOUT_FILE).is_file():
-            log.warn("layout_missing", f"{folder.relative_to(root)} has no {LAYOUT_FILE}; it is no scene")
-            continue
-        name = folder.name if folder.name not in folders else f"{folder.parent.name}/{folder.name}"
-        folders[name] = folder
+    for folder in every:
+        if (folder / LAYOUT_FILE).is_file():
+            folders[_free_name(folder, folders)] = folder
     if not folders:
         raise ConfigError(f"{layouts} holds no <table type>/<scene>/{LAYOUT_FILE}; is the archive unpacked?", "dataset_empty")
+    named = dict(folders)  # a folder without a layout takes no name from a scene
+    for folder in (folder for folder in every if not (folder / LAYOUT_FILE).is_file()):
+        name = _free_name(folder, named)
+        named[name] = folder
+        message = f"{name}: {folder.relative_to(root)} has no {LAYOUT_FILE}; it is no scene; add the file or remove the folder"
+        log.notices.append(Notice(name, "read", "layout_missing", message))
     return folders
+
+
+def _free_name(folder: Path, taken: Mapping[str, Path]) -> str:
+    """The id of a scene: its folder's name, or with the table type where another one has that."""
+    return folder.name if folder.name not in taken else f"{folder.parent.name}/{folder.name}"
 
 
 def _task_beside(layout_path: Path, log: Log) -> TaskInfo | None:

@@ -2,7 +2,8 @@
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -57,13 +58,14 @@ def read_bounded(path: Path, max_bytes: int, log: Log) -> bytes:
     return data
 
 
-def parse_object(data: bytes | str, what: str, log: Log) -> dict[str, Any]:
+def parse_object(data: bytes | str, what: str, log: Log, *, repeated_code: str | None = None) -> dict[str, Any]:
     """The JSON object of a file.
 
     Args:
         data: The file, UTF-8 where bytes.
         what: Its name in messages, such as ``layout.json``.
         log: The item that it belongs to.
+        repeated_code: Code of the notice on a key that is given twice, whose first value is kept; None: that is an error.
 
     Raises:
         SceneError: ``json_not_utf8``, ``json_truncated``, ``json_invalid``, ``json_duplicate_key``, ``json_too_deep`` or
@@ -74,9 +76,15 @@ def parse_object(data: bytes | str, what: str, log: Log) -> dict[str, Any]:
     def without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         entry = dict(pairs)
         if len(entry) < len(pairs):
-            keys = [key for key, _ in pairs]
-            repeated = next(key for key in keys if keys.count(key) > 1)
-            raise log.error("json_duplicate_key", f"{what} gives key {shown(repeated)} twice in one object; keep one of them")
+            repeated, *others = (key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
+            more = f" and {len(others)} more keys" if others else ""
+            found = f"{what} gives key {shown(repeated)}{more} twice in one object"
+            if repeated_code is None:
+                raise log.error("json_duplicate_key", f"{found}; keep one of them")
+            log.warn(repeated_code, f"{found}; the first is kept")
+            entry = {}
+            for key, value in pairs:
+                entry.setdefault(key, value)
         return entry
 
     try:
@@ -116,6 +124,27 @@ def _decoded(data: bytes | str, what: str, log: Log) -> str:
         except (ValueError, RecursionError):
             pass  # parse_object says what is wrong
     return text
+
+
+def json_text(document: object, **style: Any) -> str:
+    """JSON of content that may have been read from a file; NaN and infinities, which JSON does not have, become null.
+
+    Args:
+        document: The content.
+        style: Further options of ``json.dumps``.
+    """
+    try:
+        return json.dumps(document, ensure_ascii=False, allow_nan=False, **style)
+    except ValueError:
+        return json.dumps(_finite(document), ensure_ascii=False, allow_nan=False, **style)
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _is_deep(document: object) -> bool:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from stable_data.mesatask.document import Log, are_finite, number, numbers, shown
-from stable_data.mesatask.frame import SIZE_TOLERANCE, heading, is_yaw_of, normalised, tilt_of, turned_extents
+from stable_data.mesatask.frame import heading, is_yaw_of, normalised, tilt_of, turned_extents
 from stable_data.mesatask.library import AssetAnnotation, category_of, is_inside, stem_of
 from stable_data.scene import UPRIGHT, QuatXyzw, SceneObject, Vec3
 
@@ -18,6 +18,7 @@ MAX_NAME_LENGTH = 200
 
 _UPRIGHT = 1e-3  # radians: below it, scale_factor times original_size is the box in the yaw frame
 _UNIT_TOLERANCE = 1e-3
+_SIZE_ROUNDING = 2e-3  # how far size, rounded to 1 mm, may be from the product that it was rounded from, metres
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +194,7 @@ def _size(entry: Mapping[str, Any], instance: str, scale: Vec3 | None, tilt: Qua
     """The box in the yaw frame, metres: the file's, or the product that it was rounded from."""
     value, log, reach = entry.get("size"), border.log, border.limits.max_reach
     found = numbers(value, 3)
-    exact = _extents(entry, scale)
+    exact = scaled_extents(entry, scale)
     if found is None or not are_finite(found) or min(found) < 0 or max(found) <= 0:
         code = "size_missing" if value is None else "size_invalid"
         if exact is None or math.hypot(*exact) > reach:
@@ -203,22 +204,27 @@ def _size(entry: Mapping[str, Any], instance: str, scale: Vec3 | None, tilt: Qua
     size = (found[0] / 100, found[1] / 100, found[2] / 100)
     if max(size) > reach:
         raise log.error("size_huge", f"object {instance} has size {shown(value)} cm, expected at most {reach:g} m")
-    if exact is None or abs(tilt[3]) < math.cos(_UPRIGHT / 2):
+    if exact is None or not is_upright(tilt):
         return size
-    if max(abs(a - b) for a, b in zip(exact, size, strict=True)) <= SIZE_TOLERANCE:
+    if max(abs(a - b) for a, b in zip(exact, size, strict=True)) <= _SIZE_ROUNDING:
         return exact
     message = f"object {instance} has size {shown(value)} cm, but original_size and scale_factor give {exact} m; size is used"
     log.warn("size_disagrees", message)
     return size
 
 
-def _extents(entry: Mapping[str, Any], scale: Vec3 | None) -> Vec3 | None:
+def scaled_extents(entry: Mapping[str, Any], scale: Vec3 | None) -> Vec3 | None:
     """Extents of the scaled mesh along its own axes, metres, where the file gives what they follow from."""
     found = numbers(entry.get("original_size"), 3)
     if scale is None or found is None or not are_finite(found) or min(found) < 0 or max(found) <= 0:
         return None
     extents = (found[0] * scale[0], found[1] * scale[1], found[2] * scale[2])
     return extents if max(extents) > 0 and are_finite(extents) else None
+
+
+def is_upright(tilt: QuatXyzw) -> bool:
+    """Whether the extents of the scaled mesh are its box in the yaw frame."""
+    return abs(tilt[3]) >= math.cos(_UPRIGHT / 2)
 
 
 def _annotation(asset_id: str | None, annotations: Mapping[str, AssetAnnotation]) -> AssetAnnotation | None:

@@ -9,9 +9,7 @@ import numpy as np
 
 from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, SceneObject, Vec3
 
-SIZE_TOLERANCE = 2e-3
-"""How far the box of the annotated mesh may be from ``size``, metres: sizes are rounded to 1 mm."""
-
+_SIZE_SLACK = (2.5e-3, 0.02)  # metres and share of the size, both to be passed: sizes are rounded to 1 mm
 _UPRIGHT_TILT = math.radians(1.0)
 _GIMBAL = 1e-5  # horizontal length of the x axis below which its heading is noise
 _HEADING_TOLERANCE = 1e-3
@@ -124,20 +122,20 @@ def yaw_frame_box(vertices: FloatArray, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -
     return turned.min(axis=0), turned.max(axis=0)
 
 
-def size_error(scene_object: SceneObject, vertices: FloatArray) -> float:
-    """How far a mesh's box is from the object's ``size``: the test of whether it is the mesh that the scene was made with.
+def has_size(extents: FloatArray, size: Vec3) -> bool:
+    """Whether a mesh is as large as an object says: the test of whether it is the mesh that the scene was made with.
 
     Args:
-        scene_object: The object.
-        vertices: Its mesh, (V, 3) float64, mesh units, z up.
-
-    Returns:
-        The worst axis, metres; NaN where the object has no scale and the test cannot run.
+        extents: Box of the mesh at the object's scale and tilt, (3,) float64, metres, yaw frame.
+        size: The object's ``size``, metres.
     """
-    if scene_object.scale is None:
-        return math.nan
-    low, high = yaw_frame_box(vertices, scene_object.scale, scene_object.tilt_quat_xyzw)
-    return float(np.abs(high - low - scene_object.size).max())
+    error = np.abs(extents - size)
+    return not ((error > _SIZE_SLACK[0]) & (error > _SIZE_SLACK[1] * np.asarray(size))).any()
+
+
+def keeps_box(quat_xyzw: QuatXyzw) -> bool:
+    """Whether a rotation takes boxes to boxes, to a degree: then a mesh's own box and its box in the yaw frame share a centre."""
+    return bool(np.abs(rotation_matrix(quat_xyzw)).max(axis=0).min() > math.cos(_UPRIGHT_TILT))
 
 
 def to_box_centre(scene_object: SceneObject, vertices: FloatArray) -> SceneObject:
@@ -164,7 +162,7 @@ def detect_position_convention(
 ) -> PositionConvention:
     """Which of the two conventions a dataset follows, judged by how many objects rest on the table under each.
 
-    Only objects tell that are tilted, whose mesh is the annotated one (:func:`size_error`), whose two centres differ in
+    Only objects tell that are tilted, whose mesh is the annotated one (:func:`has_size`), whose two centres differ in
     height by more than the two tolerances together, and that stand on or near the table (within 2 cm under either reading).
 
     Args:
@@ -188,7 +186,7 @@ def _bottoms(scene_object: SceneObject, vertices: FloatArray, tolerance: float) 
     if scene_object.scale is None or scene_object.tilt_angle < _UPRIGHT_TILT:
         return {}
     low, high = yaw_frame_box(vertices, scene_object.scale, scene_object.tilt_quat_xyzw)
-    if np.abs(high - low - scene_object.size).max() > SIZE_TOLERANCE or abs(low[2] + high[2]) / 2 <= 2 * tolerance:
+    if not has_size(high - low, scene_object.size) or abs(low[2] + high[2]) / 2 <= 2 * tolerance:
         return {}
     z = scene_object.position[2]
     bottoms = {

@@ -56,8 +56,8 @@ def read_layout(
 def read_reply_layout(
     reply: str | bytes | Mapping[str, Any],
     scene_id: str = "reply",
-    table_type: str = TABLE,
     *,
+    table: Tabletop | None = None,
     annotations: Mapping[str, AssetAnnotation] | None = None,
     limits: LayoutLimits | None = None,
 ) -> Scene:
@@ -66,12 +66,12 @@ def read_reply_layout(
     Args:
         reply: The reply, or its JSON as text or content.
         scene_id: Id of the scene.
-        table_type: Type of its table.
+        table: The table that was asked about, which a reply need not repeat and cannot change; None: the one in the reply.
         annotations: As for :func:`read_layout`.
         limits: As for :func:`read_layout`.
 
     Returns:
-        The scene. Of two objects with one instance, both are kept, under two names.
+        The scene, possibly without objects. Of two objects with one instance, both are kept, under two names.
 
     Raises:
         SceneError: The reply cannot be used.
@@ -83,9 +83,8 @@ def read_reply_layout(
     log = Log(scene_id)
     limits = limits or LayoutLimits()
     document = _document(reply, limits, log)
-    return _read(
-        document, table_type, Border(log, (0, 0), (0, 0), not _has_key(document, POSE_KEYS), annotations or {}, limits)
-    )
+    border = Border(log, (0, 0), (0, 0), not _has_key(document, POSE_KEYS), annotations or {}, limits)
+    return _read(document, TABLE, border, table)
 
 
 def is_reply_form(document: Mapping[str, Any]) -> bool:
@@ -117,12 +116,16 @@ def _document(data: bytes | str | Mapping[str, Any], limits: LayoutLimits, log: 
     return parse_object(data, LAYOUT_FILE, log)
 
 
-def _read(document: Mapping[str, Any], table_type: str, border: Border) -> Scene:
+def _read(document: Mapping[str, Any], table_type: str, border: Border, asked: Tabletop | None = None) -> Scene:
     """The scene, once it is known of which form the document is; notices go to the border's log."""
     log = border.log
     _check_settings(document, log)
-    table, origin_cm = read_table(document, table_type, log)
-    entries = _entries(document, border.limits, log)
+    if asked is not None and document.get("item_placement_zone") is None:
+        table, origin_cm = asked, (0.0, 0.0)
+    else:
+        table, origin_cm = read_table(document, table_type, log)
+        table = asked or table
+    entries = _entries(document, border)
     border = replace(border, origin_cm=origin_cm, size_xy=table.size_xy)
     objects = tuple(read_object(entry, name, border) for entry, name in zip(entries, _instances(entries, log), strict=True))
     source = {key: value for key, value in document.items() if key != "objects"}
@@ -160,12 +163,12 @@ def _check_settings(document: Mapping[str, Any], log: Log) -> None:
             )
 
 
-def _entries(document: Mapping[str, Any], limits: LayoutLimits, log: Log) -> list[dict[str, Any]]:
-    """The entries of the objects: some, not too many, all JSON objects."""
-    entries = document.get("objects")
+def _entries(document: Mapping[str, Any], border: Border) -> list[dict[str, Any]]:
+    """The entries of the objects: not too many, all JSON objects; none only in a reply, whose stage may be empty."""
+    entries, limits, log = document.get("objects"), border.limits, border.log
     if not isinstance(entries, list):
         raise log.error("objects_invalid", f"objects is {shown(entries)}, expected a list")
-    if not entries:
+    if not entries and not border.is_reply:
         raise log.error("objects_empty", "objects is an empty list, expected at least one object; nothing to load")
     if len(entries) > limits.max_objects:
         message = f"{len(entries)} objects, expected at most {limits.max_objects}; raise max_objects if the scene is meant"

@@ -214,7 +214,8 @@ def _read_annotations(path: Path, log: Log) -> dict[str, AssetAnnotation]:
         log.warn("annotation_missing", f"{path} is missing: categories come from instance names, descriptions are empty")
         return {}
     try:
-        document = parse_object(read_bounded(path, _MAX_ANNOTATION_BYTES, log), ANNOTATION_FILE, log)
+        data = read_bounded(path, _MAX_ANNOTATION_BYTES, log)
+        document = parse_object(data, ANNOTATION_FILE, log, repeated_code="annotation_duplicate")
     except SceneError as error:
         raise ConfigError(f"{error}; fetch {path} again", error.code) from error
     annotations = {}

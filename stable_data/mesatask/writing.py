@@ -5,7 +5,6 @@ full precision, so that it reads back the same to the last bit or the one before
 """
 
 import copy
-import json
 import math
 import os
 from collections.abc import Mapping
@@ -13,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from stable_data.errors import ConfigError, SceneError
-from stable_data.mesatask.document import Log, inverse
-from stable_data.mesatask.entry import BOX_YAW, POSE_KEYS, Border, LayoutLimits, read_object
+from stable_data.mesatask.document import Log, inverse, json_text
+from stable_data.mesatask.entry import BOX_YAW, POSE_KEYS, Border, LayoutLimits, is_upright, read_object, scaled_extents
 from stable_data.mesatask.frame import is_yaw_of, normalised, quat_product, yaw_quat
 from stable_data.mesatask.layout import LAYOUT_FILE, read_table
 from stable_data.mesatask.library import ANNOTATION_FILE, LIBRARY_FOLDER, AssetAnnotation, is_inside, write_annotation
@@ -25,10 +24,17 @@ LAYOUT_FOLDER = "Layout_info"
 SCENE_SETTINGS = {"units": "centimeters", "up_axis": "Z"}
 
 _NAME_LENGTH = 63  # what Blender leaves of an object's name
+_SAME_SIZE = 1e-9  # metres
 _UNLIMITED = LayoutLimits(max_reach=math.inf)
 
 
-def write_layout(scene: Scene, *, extents: Mapping[str, Vec3] | None = None, decimals: int | None = None) -> dict[str, Any]:
+def write_layout(
+    scene: Scene,
+    *,
+    extents: Mapping[str, Vec3] | None = None,
+    decimals: int | None = None,
+    annotations: Mapping[str, AssetAnnotation] | None = None,
+) -> dict[str, Any]:
     """The content of a scene's layout.json.
 
     Stages, supports, relations and the task info have no place in it.
@@ -38,12 +44,14 @@ def write_layout(scene: Scene, *, extents: Mapping[str, Vec3] | None = None, dec
         extents: Box of each asset's mesh by uid, mesh units, z up: becomes ``original_size`` where an object has none.
         decimals: Round the positions and sizes that are written anew to so many decimals of a centimetre; the format's own
             files have 1. None: full precision.
+        annotations: Those that the scene was read with. An object's words are written where they are not the annotation's; None:
+            where they are not the ones in its source.
     """
     source = copy.deepcopy(dict(scene.source or {}))
     is_dataset_form = any(_has_pose(o) for o in scene.objects)
     origin_cm, zones = _zones(scene, source, is_dataset_form)
     rest = {key: value for key, value in source.items() if key not in ("sink_zone", "restricted_zone")}
-    objects = [_object_entry(o, origin_cm, extents or {}, decimals) for o in scene.objects]
+    objects = [_object_entry(o, origin_cm, extents or {}, decimals, annotations) for o in scene.objects]
     settings = {} if is_dataset_form else {"scene_settings": dict(SCENE_SETTINGS)}
     return settings | rest | zones | {"objects": objects}
 
@@ -79,6 +87,7 @@ def write_scene(
     *,
     extents: Mapping[str, Vec3] | None = None,
     decimals: int | None = None,
+    annotations: Mapping[str, AssetAnnotation] | None = None,
 ) -> Path:
     """Writes a scene's folder: layout.json, front.png and task_info.json where there is one.
 
@@ -88,6 +97,7 @@ def write_scene(
         front_png: The picture, if there is one.
         extents: As for :func:`write_layout`.
         decimals: As for :func:`write_layout`.
+        annotations: As for :func:`write_layout`.
 
     Returns:
         The folder.
@@ -105,7 +115,8 @@ def write_scene(
         _write(folder / "front.png", front_png)
     if scene.task is not None:
         _write(folder / TASK_INFO_FILE, _json(write_task_info(scene.task, scene.table)))
-    _write(folder / LAYOUT_FILE, _json(write_layout(scene, extents=extents, decimals=decimals)))
+    layout = write_layout(scene, extents=extents, decimals=decimals, annotations=annotations)
+    _write(folder / LAYOUT_FILE, _json(layout))
     return folder
 
 
@@ -154,11 +165,15 @@ def _zones(scene: Scene, source: Mapping[str, Any], is_dataset_form: bool) -> tu
 
 
 def _object_entry(
-    o: SceneObject, origin_cm: tuple[float, float], extents: Mapping[str, Vec3], decimals: int | None
+    o: SceneObject,
+    origin_cm: tuple[float, float],
+    extents: Mapping[str, Vec3],
+    decimals: int | None,
+    annotations: Mapping[str, AssetAnnotation] | None,
 ) -> dict[str, Any]:
     """The entry of an object: its source, with what has changed since."""
     entry = copy.deepcopy(dict(o.source or {}))
-    was = _as_read(o, origin_cm)
+    was = _as_read(o, origin_cm, annotations or {})
     is_other_asset = was is None or (o.asset_id is not None and was.asset_id != o.asset_id)
     if is_other_asset or entry.get("instance") != o.instance:
         _put_names(entry, o)
@@ -166,14 +181,21 @@ def _object_entry(
         entry.pop("original_size", None)  # in a reply's form it meant another thing, and another asset has another size
         if o.asset_id is not None and o.asset_id in extents:
             entry["original_size"] = list(extents[o.asset_id])
-    if was is None and o.description:
+    words = "" if was is None else was.description
+    # Words that the source does not have may be an annotation's, which is written elsewhere.
+    if o.description != words and (was is None or words or annotations is not None):
         entry["description"] = o.description
     if o.scale is not None and (was is None or was.scale != o.scale):
         entry["scale_factor"] = [_centimetres(factor) for factor in o.scale]
+    elif was is not None and was.scale != o.scale:
+        entry["scale_factor"] = None
     if was is None or (was.yaw, was.tilt_quat_xyzw) != (o.yaw, o.tilt_quat_xyzw):
         _put_rotation(entry, o)
-    if was is None or was.size != o.size:
+    if was is None or (was.size, was.scale) != (o.size, o.scale):
         entry["size"] = [_centimetres(side, decimals=decimals) for side in o.size]
+        own = None if is_other_asset else scaled_extents(entry, o.scale)
+        if own is not None and is_upright(o.tilt_quat_xyzw) and math.dist(own, o.size) > _SAME_SIZE:
+            del entry["original_size"]  # with the scale it would be read as the size
     if was is None or was.position != o.position:
         entry["position"] = [
             _centimetres(side, offset, decimals) for side, offset in zip(o.position, (*origin_cm, 0.0), strict=True)
@@ -186,11 +208,12 @@ def _has_pose(o: SceneObject) -> bool:
     return o.source is not None and any(key in o.source for key in POSE_KEYS)
 
 
-def _as_read(o: SceneObject, origin_cm: tuple[float, float]) -> SceneObject | None:
+def _as_read(o: SceneObject, origin_cm: tuple[float, float], annotations: Mapping[str, AssetAnnotation]) -> SceneObject | None:
     """The object as its source reads; None where it has none, or one of a reply's form."""
     if o.source is None or not _has_pose(o):
         return None
-    return read_object(o.source, o.instance, Border(Log(o.instance), origin_cm, (0.0, 0.0), limits=_UNLIMITED))
+    border = Border(Log(o.instance), origin_cm, (0.0, 0.0), annotations=annotations, limits=_UNLIMITED)
+    return read_object(o.source, o.instance, border)
 
 
 def _put_names(entry: dict[str, Any], o: SceneObject) -> None:
@@ -227,7 +250,7 @@ def _rounded(value: float, decimals: int | None) -> float:
 
 def _json(document: object) -> bytes:
     """JSON as the format's files have it."""
-    return (json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    return (json_text(document, indent=2) + "\n").encode()
 
 
 def _write(path: Path, data: bytes) -> None:

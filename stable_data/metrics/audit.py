@@ -4,7 +4,8 @@ Definitions are those of DESIGN section 7, against the scaled, tilted triangle m
 box: what its box rules out is known (boxes that do not meet do not collide), the rest is unknown and never a pass.
 """
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -14,15 +15,12 @@ import numpy as np
 
 from stable_data.metrics.bounds import enters_zone, leaves_table
 from stable_data.metrics.card import MetricCard
-from stable_data.metrics.collision import NEAR, penetration
+from stable_data.metrics.collision import NEAR, ROUNDING, TOLERANCE, penetration
 from stable_data.metrics.crossing import MeshPair, Surface
 from stable_data.metrics.support import carries, distance_to_surface
 from stable_data.points import bottom_points
 from stable_data.scene import TABLE, FloatArray, Scene
 from stable_data.shape import Shape
-
-TOLERANCE = 5e-4
-"""The headline tolerance of collision, table penetration and floating, metres."""
 
 BOUNDS_SLACK = 1e-3
 """How far a footprint may reach over an edge, metres: the format's own rounding."""
@@ -56,8 +54,8 @@ class ObjectVerdict:
         supports: What it meets then: instances, or ``table``.
         gap: The paper's smallest distance of the bottom region to a support, metres; None where unknown.
         table_penetration: How far it reaches below the table top, metres.
-        leaves_table: Its footprint reaches over the edge.
-        enters_restricted_zone: Its footprint reaches into the restricted zone.
+        leaves_table: Its footprint reaches over the edge; None where only the box of a missing mesh does.
+        enters_restricted_zone: Its footprint reaches into the restricted zone; None likewise.
         has_mesh: Whether its mesh was there.
     """
 
@@ -66,9 +64,16 @@ class ObjectVerdict:
     supports: tuple[str, ...]
     gap: float | None
     table_penetration: float
-    leaves_table: bool
-    enters_restricted_zone: bool
+    leaves_table: bool | None
+    enters_restricted_zone: bool | None
     has_mesh: bool
+
+    @property
+    def is_outside(self) -> bool | None:
+        """Whether it is out of bounds in either way."""
+        if self.leaves_table or self.enters_restricted_zone:
+            return True
+        return None if self.leaves_table is None or self.enters_restricted_zone is None else False
 
 
 @dataclass(frozen=True)
@@ -108,16 +113,19 @@ class Audit:
         collisions = sum(d > self.tolerance for d in depths)
         sunk = max((o.table_penetration for o in self.objects), default=0.0)
         floats = [o.floats for o in self.objects]
-        outside = sum(o.leaves_table or o.enters_restricted_zone for o in self.objects)
+        outside = [o.is_outside for o in self.objects]
         gaps = [o.gap for o in self.objects]
+        num_without_mesh = sum(not o.has_mesh for o in self.objects)
         count = max(1, len(self.objects))
-        fails = collisions > 0 or any(floats) or sunk > self.tolerance or outside > 0
+        fails = collisions > 0 or any(floats) or sunk > self.tolerance + ROUNDING or any(outside)
+        # Without an exact mesh nothing is clean: that is what the verdicts are against.
+        is_open = num_without_mesh > 0 or unknown > 0 or None in floats
         return MetricCard(
             num_objects=len(self.objects),
             num_stacked=num_stacked,
             num_contained=num_contained,
             num_tilted=self.num_tilted,
-            num_without_mesh=sum(not o.has_mesh for o in self.objects),
+            num_without_mesh=num_without_mesh,
             num_unknown_pairs=unknown,
             num_collisions=collisions,
             oc=self.share_deeper(self.tolerance),
@@ -128,8 +136,8 @@ class Audit:
             table_penetration_mm=1e3 * sunk,
             float_rate=None if None in floats else sum(map(bool, floats)) / count,
             max_gap_mm=None if None in gaps else 1e3 * max((g for g in gaps if g is not None), default=0.0),
-            out_of_bounds_rate=outside / count,
-            clean=False if fails else None if unknown or None in floats else True,
+            out_of_bounds_rate=None if None in outside else sum(map(bool, outside)) / count,
+            clean=False if fails else None if is_open else True,
         )
 
     def rows(self) -> dict[str, list[dict[str, Any]]]:
@@ -211,7 +219,7 @@ class PosedScene:
     def stands_on_table(self, index: int, gap: float) -> bool:
         """Does the object reach the table top when lowered by a gap, metres?"""
         over = (self.low[index, :2] < self.scene.table.size_xy).all() and (self.high[index, :2] > 0).all()
-        return bool(over and self.low[index, 2] <= gap)
+        return bool(over and self.low[index, 2] <= gap + ROUNDING)
 
     def nears_zone(self, index: int) -> bool:
         """Does the object's axis-aligned box meet the restricted zone?"""
@@ -231,19 +239,25 @@ class PosedScene:
         Returns:
             Instances and ``table``; None where nothing known carries it and a missing mesh might.
         """
+        found, is_open = self._supports(index, gap)
+        return None if is_open and not found else found
+
+    def _supports(self, index: int, gap: float) -> tuple[tuple[str, ...], bool]:
+        """What is known to carry an object, and whether a missing mesh might besides."""
         found, is_open = [TABLE] if self.stands_on_table(index, gap) else [], False
-        for other in self.below(index, gap):
+        reach = gap + ROUNDING
+        for other in self.below(index, reach):
             if not (self.shapes[index].is_exact and self.shapes[other].is_exact):
                 is_open = True
-            elif carries(self.pair(min(index, other), max(index, other), gap), gap, upper_is_first=index < other):
+            elif carries(self.pair(min(index, other), max(index, other), reach), reach, upper_is_first=index < other):
                 found.append(self.instances[other])
-        return None if is_open and not found else tuple(found)
+        return tuple(found), is_open
 
     def gap(self, index: int) -> float | None:
         """The paper's distance of the bottom region to the nearest support (L_sup, delta), metres; None where unknown."""
         best, lowest = _GAP_RANGE, float(self.low[index, 2])
         if self.stands_on_table(index, _GAP_RANGE):
-            if -TOLERANCE <= lowest <= TOLERANCE:
+            if abs(lowest) <= TOLERANCE + ROUNDING:
                 return max(0.0, lowest)  # the region is higher than that, so it meets the table top where it reaches below
             best = min(best, lowest) if lowest > 0 else float(min(best, np.abs(self._bottom(index)[:, 2]).min()))
         for other in self.below(index, best):
@@ -281,33 +295,43 @@ def audit_posed(posed: PosedScene, tolerance: float = TOLERANCE) -> Audit:
         depth = posed.penetration(i, j) if known else None
         if depth != 0.0:
             pairs.append(PairVerdict(posed.instances[i], posed.instances[j], depth))
-    objects = _without_circles(tuple(_judge_object(posed, index, tolerance) for index in range(len(posed.instances))))
-    num_tilted = sum(o.tilt_angle > np.radians(5) for o in posed.scene.objects)
+    judged = [_judge_object(posed, index, tolerance) for index in range(len(posed.instances))]
+    objects = _without_circles(tuple(o for o, _ in judged), {o.instance for o, is_open in judged if is_open})
+    num_tilted = sum(o.tilt_angle > math.radians(5) for o in posed.scene.objects)
     return Audit(posed.scene.scene_id, tuple(pairs), objects, num_tilted, tolerance)
 
 
-def _judge_object(posed: PosedScene, index: int, tolerance: float) -> ObjectVerdict:
-    supports = posed.supports(index, tolerance)
-    zone = posed.scene.table.restricted_zone
-    return ObjectVerdict(
+def _judge_object(posed: PosedScene, index: int, tolerance: float) -> tuple[ObjectVerdict, bool]:
+    """The verdict on an object, and whether a missing mesh might carry it besides what does."""
+    supports, is_open = posed._supports(index, tolerance)
+    table, slack, is_exact = posed.scene.table, BOUNDS_SLACK + ROUNDING, posed.shapes[index].is_exact
+    leaves = leaves_table(posed.low[index], posed.high[index], table, slack)
+    enters = posed.nears_zone(index) and enters_zone(posed.triangles(index), table.restricted_zone, slack)
+    verdict = ObjectVerdict(
         instance=posed.instances[index],
-        floats=None if supports is None else not supports,
-        supports=supports or (),
+        floats=None if is_open and not supports else not supports,
+        supports=supports,
         gap=posed.gap(index),
         table_penetration=max(0.0, -float(posed.low[index, 2])),
-        leaves_table=leaves_table(posed.low[index], posed.high[index], posed.scene.table, BOUNDS_SLACK),
-        enters_restricted_zone=posed.nears_zone(index) and enters_zone(posed.triangles(index), zone, BOUNDS_SLACK),
-        has_mesh=posed.shapes[index].is_exact,
+        leaves_table=leaves and (is_exact or None),
+        enters_restricted_zone=enters and (is_exact or None),
+        has_mesh=is_exact,
     )
+    return verdict, is_open
 
 
-def _without_circles(objects: tuple[ObjectVerdict, ...]) -> tuple[ObjectVerdict, ...]:
-    """Lets objects float that only carry each other: as one body, lowered, they meet nothing."""
+def _without_circles(objects: tuple[ObjectVerdict, ...], is_open: Set[str] = frozenset()) -> tuple[ObjectVerdict, ...]:
+    """Lets objects float that only carry each other: as one body, lowered, they meet nothing.
+
+    Args:
+        objects: The verdicts on them alone.
+        is_open: Instances that a missing mesh might carry besides: whether a circle with one of them floats is unknown.
+    """
     carriers: nx.DiGraph[str] = nx.DiGraph((o.instance, below) for o in objects for below in o.supports)
     hovering = {
-        name
+        name: None if circle & is_open else True
         for circle in nx.strongly_connected_components(carriers)
         if len(circle) > 1 and all(below in circle for one in circle for below in carriers.successors(one))
         for name in circle
     }
-    return tuple(replace(o, floats=True) if o.instance in hovering else o for o in objects)
+    return tuple(replace(o, floats=hovering.get(o.instance, o.floats)) for o in objects)

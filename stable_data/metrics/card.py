@@ -42,5 +42,5 @@ class MetricCard:
     table_penetration_mm: float
     float_rate: float | None
     max_gap_mm: float | None
-    out_of_bounds_rate: float
+    out_of_bounds_rate: float | None
     clean: bool | None

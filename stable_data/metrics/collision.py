@@ -13,14 +13,21 @@ _axes = np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if an
 DIRECTIONS: FloatArray = _axes / np.linalg.norm(_axes, axis=1, keepdims=True)
 """The 26 fixed directions along which a pair may be parted, (26, 3) float64, unit, world frame."""
 
-LEVELS = (1e-5, 5e-4, 1e-3, 2e-3, 3e-3, 5e-3, 1e-2, 2e-2, 5e-2)
+TOLERANCE = 5e-4
+"""The headline tolerance of collision, table penetration and floating, metres."""
+
+ROUNDING = 1e-9
+"""What every comparison with a tolerance lets pass besides, metres: layouts are written to half a millimetre, and a sum of such
+lengths that is the tolerance itself comes out a little above or below it."""
+
+LEVELS = (1e-5, TOLERANCE, 1e-3, 2e-3, 3e-3, 5e-3, 1e-2, 2e-2, 5e-2)
 """Translations that are tried outright, metres; every tolerance that is reported is among them."""
 
 DEEPEST = 0.1
 """What is reported for a pair that none of LEVELS parts, metres."""
 
-NEAR = 5e-4
-"""Margin of the pair that a depth search starts with, metres: the first levels, and the lowering of the support check."""
+NEAR = TOLERANCE + ROUNDING
+"""Margin of the pair that a depth search starts with, metres: the levels up to the tolerance, and the support check's lowering."""
 
 _RESOLUTION = 0.02  # of the depth itself
 _PROBES, _PROMISING = 1000, 8  # corners that rank directions; directions of which the bound is taken exactly
@@ -49,8 +56,8 @@ def penetration(a: FloatArray | Surface, b: FloatArray | Surface, pair: MeshPair
     directions = _directions(contact.normals)
     below, bound = 0.0, np.inf
     for level in LEVELS:
-        if below == NEAR:  # as far as the pair's margin goes
-            pair = MeshPair(first, second, LEVELS[-1])
+        if below == TOLERANCE:  # as far as the pair's margin goes
+            pair = MeshPair(first, second, LEVELS[-1] + ROUNDING)
             directions, bound = _parted_surely(first, second, directions)
         depth = _parting(pair, directions, below, level, bound)
         if depth is not None:
@@ -84,7 +91,7 @@ def _parting(pair: MeshPair, directions: FloatArray, below: float, level: float,
         if best is not None and best <= LEVELS[0]:
             break  # touching, and no more
         wanted = level if best is None else best * (1 - _RESOLUTION)  # what gains less is not looked for
-        if wanted <= below or pair.cross(wanted * direction, number):
+        if wanted <= below or pair.cross((wanted + ROUNDING) * direction, number):
             continue
         low, best = below, wanted
         while best > LEVELS[0] and best - low > _RESOLUTION * best:

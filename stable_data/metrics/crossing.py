@@ -15,6 +15,7 @@ import fcl
 import numpy as np
 import numpy.typing as npt
 
+from stable_data.mesh import unit_normals
 from stable_data.scene import FloatArray, IntArray
 
 _MAX_CONTACTS = 256  # kept of one pair: enough directions to part it along
@@ -122,7 +123,7 @@ class _Soup:
         large = np.nonzero(count[owner] > 8)[0]
         if len(large):
             of = owner[large]
-            normals = unit_normals(self.triangles)
+            normals = unit_normals(self.triangles)[0]
             offset = np.einsum("ij,ij->i", normals, self.triangles[:, 0])
             distance = -offset[of]
             for axis in range(3):
@@ -270,7 +271,7 @@ class MeshPair:
         found = np.array(normals)
         found = found[np.linalg.norm(found, axis=1) > 0.5]
         _, distinct = np.unique(np.round(found, 2), axis=0, return_index=True)
-        touching_a, touching_b = (unit_normals(np.concatenate(triangles)) for triangles in (of_a, of_b))
+        touching_a, touching_b = (unit_normals(np.concatenate(triangles))[0] for triangles in (of_a, of_b))
         return PairContact(found[np.sort(distinct)], touching_a, touching_b, left <= 0)
 
     def _meeting(self, shift: FloatArray) -> Iterator[tuple[int, int]]:
@@ -318,14 +319,6 @@ class _Clusters:
         if shift is not None:
             self._bodies[cluster].setTranslation(shift)
         return self._bodies[cluster]
-
-
-def unit_normals(triangles: FloatArray) -> FloatArray:
-    """Unit normals of triangles (F, 3, 3), (F, 3) float64; zero where a triangle has no area."""
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    unit: FloatArray = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
-    return unit
 
 
 def _tree(triangles: FloatArray) -> fcl.BVHModel:

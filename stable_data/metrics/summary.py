@@ -5,7 +5,11 @@ from dataclasses import dataclass
 
 import polars as pl
 
+from stable_data.metrics.collision import DEEPEST, ROUNDING, TOLERANCE
+
 _WORST = 5
+_BOUND = 1e3 * (TOLERANCE + ROUNDING)  # millimetres: what the verdicts let pass
+_DEEP = 1e3 * (1e-2 + ROUNDING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,39 +77,54 @@ def summarise(scenes: pl.DataFrame) -> Summary:
     """Sums up scenes.
 
     Args:
-        scenes: Rows with the columns of the metric card and ``verdicts``, as in the table ``scenes``.
+        scenes: Rows with the columns of the metric card, ``pairs`` and ``verdicts``, as in the table ``scenes``. A figure that
+            is null for a whole scene is taken from them: one object without a mesh hides nothing that is known.
 
     Returns:
         The summary.
     """
-    count = scenes.height
-    verdicts = scenes.select(pl.col("verdicts").explode()).drop_nulls().unnest("verdicts") if count else pl.DataFrame()
+    scenes = scenes.with_columns(
+        deepest=_each("pairs", pl.element().struct.field("penetration_mm")).list.max().fill_null(0.0),
+        unknown_pairs=_each("pairs", pl.element().struct.field("penetration_mm").is_null()).list.sum(),
+        gap=_each("verdicts", pl.element().struct.field("gap_mm")).list.max(),
+        unknown_gaps=_each("verdicts", pl.element().struct.field("gap_mm").is_null()).list.sum(),
+        floating=_each("verdicts", pl.element().struct.field("floats")).list.any(),
+        may_float=_each("verdicts", pl.element().struct.field("floats").is_null()).list.any(),
+        outside=_each("verdicts", _OUTSIDE).list.sum() / pl.col("num_objects"),
+        may_be_outside=_each("verdicts", _OUTSIDE.is_null()).list.any(),
+    )
+    objects = scenes.select(pl.col("verdicts").explode()).drop_nulls().unnest("verdicts")
 
     def of_scenes(label: str, condition: pl.Expr, unknown: pl.Expr | None = None) -> Line:
-        return Line(label, _count(scenes, condition), count, 0 if unknown is None else _count(scenes, unknown))
+        hits = _count(scenes, condition)
+        return Line(label, hits, scenes.height, 0 if unknown is None else _count(scenes, unknown & ~condition))
 
-    def of_objects(label: str, condition: pl.Expr, unknown: pl.Expr | None = None) -> Line:
-        hits = [0 if e is None or not verdicts.height else _count(verdicts, e) for e in (condition, unknown)]
-        return Line(label, hits[0], verdicts.height, hits[1])
+    def of_objects(label: str, condition: pl.Expr) -> Line:
+        return Line(label, _count(objects, condition), objects.height, _count(objects, condition.is_null()))
 
-    collides = pl.col("num_collisions") > 0
-    outside = pl.col("leaves_table") | pl.col("enters_restricted_zone")
+    unknown_pairs = pl.col("unknown_pairs") > 0
     lines = (
-        of_scenes("scenes clean (0.5 mm)", pl.col("clean"), pl.col("clean").is_null()),
-        of_scenes("scenes with a collision (0.5 mm)", collides, ~collides & pl.col("oc").is_null()),
-        of_scenes("scenes with a collision deeper than 10 mm", pl.col("oc_10mm") > 0, pl.col("oc_10mm").is_null()),
-        of_scenes("scenes that sink into the table (0.5 mm)", pl.col("table_penetration_mm") > 0.5),
-        of_scenes(
-            "scenes with a floating object", pl.col("verdicts").list.eval(pl.element().struct.field("floats")).list.any()
-        ),
-        of_scenes("scenes with an object out of bounds", pl.col("out_of_bounds_rate") > 0),
+        Line("scenes clean (0.5 mm)", _count(scenes, pl.col("clean")), scenes.height, scenes["clean"].null_count()),
+        of_scenes("scenes with a collision (0.5 mm)", pl.col("num_collisions") > 0, unknown_pairs),
+        of_scenes("scenes with a collision deeper than 10 mm", pl.col("deepest") > _DEEP, unknown_pairs),
+        of_scenes("scenes that sink into the table (0.5 mm)", pl.col("table_penetration_mm") > _BOUND),
+        of_scenes("scenes with a floating object", pl.col("floating"), pl.col("may_float")),
+        of_scenes("scenes with an object out of bounds", pl.col("outside") > 0, pl.col("may_be_outside")),
         of_scenes("scenes with a tilted object (5 degrees)", pl.col("num_tilted") > 0),
         of_scenes("scenes with a missing or broken mesh", pl.col("num_without_mesh") > 0),
-        of_objects("objects that float (0.5 mm)", pl.col("floats"), pl.col("floats").is_null()),
-        of_objects("objects out of bounds", outside),
+        of_objects("objects that float (0.5 mm)", pl.col("floats")),
+        of_objects("objects out of bounds", pl.col("leaves_table") | pl.col("enters_restricted_zone")),
         of_objects("objects without a mesh", ~pl.col("has_mesh")),
     )
     return Summary(lines, _figures(scenes), tuple(_offenders(scenes)))
+
+
+_OUTSIDE = pl.element().struct.field("leaves_table") | pl.element().struct.field("enters_restricted_zone")
+
+
+def _each(column: str, value: pl.Expr) -> pl.Expr:
+    """A list for each scene: a value for each of its pairs or verdicts."""
+    return pl.col(column).list.eval(value)
 
 
 def _count(frame: pl.DataFrame, condition: pl.Expr) -> int:
@@ -115,29 +134,37 @@ def _count(frame: pl.DataFrame, condition: pl.Expr) -> int:
 def _figures(scenes: pl.DataFrame) -> tuple[tuple[str, str], ...]:
     if not scenes.height:
         return ()
-    deepest = scenes.select(
-        pairs=pl.col("max_penetration_mm").max(), table=pl.col("table_penetration_mm").max(), gap=pl.col("max_gap_mm").max(),
-        objects=pl.col("num_objects").mean(), most=pl.col("num_objects").max(), oc=pl.col("oc").mean(),
+    found = scenes.select(
+        pl.max("deepest", "table_penetration_mm", "gap"), pl.sum("unknown_pairs", "unknown_gaps"),
+        objects=pl.col("num_objects").mean(), most=pl.col("num_objects").max(),
+        oc=pl.col("oc").mean(), unknown_oc=pl.col("oc").null_count(),
     ).row(0, named=True)  # fmt: skip
+    oc = "unknown" if found["oc"] is None else f"{100 * found['oc']:.3f} %"
     return (
-        ("objects a scene, mean and most", f"{deepest['objects']:.1f}, {deepest['most']}"),
-        ("deepest object-object penetration", _millimetres(deepest["pairs"])),
-        ("deepest table penetration", _millimetres(deepest["table"])),
-        ("largest gap below an object", _millimetres(deepest["gap"])),
-        ("mean share of colliding pairs (OC)", "unknown" if deepest["oc"] is None else f"{100 * deepest['oc']:.3f} %"),
+        ("objects a scene, mean and most", f"{found['objects']:.1f}, {found['most']}"),
+        ("deepest object-object penetration", _millimetres(found["deepest"]) + _unknown(found["unknown_pairs"], "pair")),
+        ("deepest table penetration", f"{found['table_penetration_mm']:.2f} mm"),
+        ("largest gap below an object", _millimetres(found["gap"]) + _unknown(found["unknown_gaps"], "object")),
+        ("mean share of colliding pairs (OC)", oc + _unknown(found["unknown_oc"], "scene")),
     )
 
 
 def _millimetres(value: float | None) -> str:
-    return "unknown" if value is None else f"at least {value:.0f} mm" if value >= 100 else f"{value:.2f} mm"
+    """A depth or gap, which is looked for up to a bound."""
+    return "unknown" if value is None else f"at least {value:.0f} mm" if value >= 1e3 * DEEPEST else f"{value:.2f} mm"
+
+
+def _unknown(count: int, noun: str) -> str:
+    """What a figure was not taken over."""
+    return f", {count} {noun}{'s' * (count > 1)} unknown" if count else ""
 
 
 def _offenders(scenes: pl.DataFrame) -> Iterable[Offender]:
     kinds: Sequence[tuple[str, str, float]] = (
-        ("max_penetration_mm", "{:.1f} mm deep in each other", 0.5),
-        ("table_penetration_mm", "{:.1f} mm in the table", 0.5),
-        ("max_gap_mm", "{:.1f} mm above its support", 0.5),
-        ("out_of_bounds_rate", "{:.2f} of its objects out of bounds", 0.0),
+        ("deepest", "{:.1f} mm deep in each other", _BOUND),
+        ("table_penetration_mm", "{:.1f} mm in the table", _BOUND),
+        ("gap", "{:.1f} mm above its support", _BOUND),
+        ("outside", "{:.2f} of its objects out of bounds", 0.0),
     )
     for column, text, bound in kinds:
         worst = scenes.filter(pl.col(column) > bound).sort([column, "scene_id"], descending=[True, False]).head(_WORST)

@@ -2,68 +2,29 @@
 
 import json
 import os
-import random
 import shutil
-import signal
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import boto3
-import polars as pl
+import numpy as np
 import pytest
 
 from pipelines.plan import PreprocessSettings
-from pipelines.preprocess import ASSET_TABLES, SCENE_TABLES, preprocess
+from pipelines.preprocess import TABLES, preprocess
 from pipelines.runner import Workers
-from stable_data.errors import ConfigError
+from stable_data.assets import AssetStore
+from stable_data.export.glb import write_glb
+from stable_data.mesatask import MesaTaskDataset, to_box_centre, write_text_features
+from stable_data.mesh import Mesh
 from stable_data.shards import RunFolder
-from stable_data.synth import write_embedded_set
 from stable_data.tables import scene_from_row
-
-ROOT = Path(__file__).resolve().parents[2]
-TABLES = tuple(dict.fromkeys((*ASSET_TABLES, *SCENE_TABLES)))
-SMALL = PreprocessSettings(scenes_per_shard=2, assets_per_shard=4, num_points=64, num_pictures=0, all_assets=False)
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("embedded") / "data"
-    write_embedded_set(root, 4, seed=3, pictures=False)
-    return root
-
-
-@pytest.fixture(scope="module")
-def tiny(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The dataset's scene with the fewest objects, alone."""
-    root = tmp_path_factory.mktemp("tiny") / "data"
-    shutil.copytree(dataset, root)
-    layouts = sorted(root.glob("Layout_info/*/*/layout.json"), key=lambda p: len(json.loads(p.read_text("utf-8"))["objects"]))
-    for layout in layouts[1:]:
-        shutil.rmtree(layout.parent)
-    return root
-
-
-@pytest.fixture(scope="module")
-def tiny_run(tiny: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("tiny_run") / "out"
-    preprocess(str(tiny), str(out), SMALL, Workers())
-    return out
-
-
-@pytest.fixture(scope="module")
-def clean_run(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("run") / "out"
-    preprocess(str(dataset), str(out), SMALL, Workers())
-    return out
-
-
-def content(out: Path) -> dict[str, bytes]:
-    """Every shard of a run, byte for byte."""
-    return {p.relative_to(out).as_posix(): p.read_bytes() for p in sorted(out.glob("*/part-*.parquet"))}
+from tests.pipelines.runs import ROOT, SMALL, content, run_cli, used_assets
+from tests.scenes import box
 
 
 def test_every_scene_ends_as_one_row(dataset: Path, clean_run: Path) -> None:
@@ -90,12 +51,6 @@ def test_every_used_asset_has_its_geometry(clean_run: Path) -> None:
         assert grid["mean_error"] < 0.01
 
 
-def test_a_complete_run_is_left_alone(dataset: Path, clean_run: Path) -> None:
-    before = {p: p.stat().st_mtime_ns for p in clean_run.glob("*/part-*.parquet")}
-    preprocess(str(dataset), str(clean_run), SMALL, Workers())
-    assert {p: p.stat().st_mtime_ns for p in clean_run.glob("*/part-*.parquet")} == before
-
-
 @pytest.mark.ray
 def test_ray_gives_the_same_bytes_as_this_process(dataset: Path, clean_run: Path, tmp_path: Path) -> None:
     done = run_cli(dataset, tmp_path / "ray", "--workers", "2")
@@ -103,89 +58,44 @@ def test_ray_gives_the_same_bytes_as_this_process(dataset: Path, clean_run: Path
     assert content(tmp_path / "ray") == content(clean_run)
 
 
-def test_the_report_names_the_scenes(clean_run: Path) -> None:
-    page = (clean_run / "report" / "index.html").read_text("utf-8")
-    assert "Audit" in page
-    assert "scenes usable" in page
+CLUSTER = """
+import sys
+from ray.cluster_utils import Cluster
+cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+cluster.add_node(num_cpus=1)
+print("at", cluster.address, flush=True)
+sys.stdin.read()
+cluster.shutdown()
+"""
 
 
-def test_what_is_missing_is_done_again(tiny: Path, tiny_run: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    shutil.copytree(tiny_run, out)
-    for table in ("scenes", "assets"):  # the last tables of a shard
-        next(iter(sorted((out / table).glob("part-*")))).unlink()
-    preprocess(str(tiny), str(out), SMALL, Workers())
-    assert content(out) == content(tiny_run)
+@pytest.mark.ray
+@pytest.mark.slow
+def test_a_cluster_that_started_elsewhere_gives_the_same_bytes(tiny: Path, tiny_run: Path, tmp_path: Path) -> None:
+    here, there = tmp_path / "here", tmp_path / "there"
+    here.mkdir()
+    there.mkdir()
+    (here / "data").symlink_to(tiny)
+    cluster = subprocess.Popen(
+        [sys.executable, "-c", CLUSTER], cwd=there, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert cluster.stdout is not None
+    try:
+        address = next(line.split()[1] for line in cluster.stdout if line.startswith("at "))
+        done = run_cli(Path("data"), Path("out"), "--address", address, cwd=here, PYTHONPATH=str(ROOT))
+    finally:
+        cluster.communicate()
+    assert done.returncode == 0, done.stderr
+    assert content(here / "out") == content(tiny_run)
+    assert not list(there.iterdir())
 
 
-def test_a_changed_setting_stops_with_was_and_now(dataset: Path, clean_run: Path) -> None:
-    changed = PreprocessSettings(**(SMALL.shaping() | {"important_threshold": 0.05}), num_pictures=0)
-    with pytest.raises(ConfigError, match=r"important_threshold: 0\.02 -> 0\.05"):
-        preprocess(str(dataset), str(clean_run), changed, Workers())
-
-
-def test_a_changed_input_stops(tiny: Path, tiny_run: Path, tmp_path: Path) -> None:
-    copied, out = tmp_path / "data", tmp_path / "out"
-    shutil.copytree(tiny, copied)
-    shutil.copytree(tiny_run, out)
-    layout = next(copied.glob("Layout_info/*/*/layout.json"))
-    layout.write_text(layout.read_text("utf-8") + "\n", "utf-8")
-    with pytest.raises(ConfigError, match="input_fingerprint"):
-        preprocess(str(copied), str(out), SMALL, Workers())
-
-
-def test_a_second_run_into_the_same_folder_is_refused(dataset: Path, clean_run: Path) -> None:
-    with RunFolder(str(clean_run)).locked(), pytest.raises(ConfigError, match="another run is writing here"):
-        preprocess(str(dataset), str(clean_run), SMALL, Workers())
-
-
-def test_a_full_disk_ends_with_one_line_and_the_run_can_go_on(
-    tiny: Path, tiny_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import stable_data.shards as shards
-
-    write, written = shards._write_local, 0
-
-    def fills_up(path: Path, data: bytes) -> None:
-        nonlocal written
-        written += 1
-        if written > 4:
-            raise OSError(28, "No space left on device")
-        write(path, data)
-
-    out = tmp_path / "out"
-    monkeypatch.setattr(shards, "_write_local", fills_up)
-    with pytest.raises(ConfigError, match="No space left on device"):
-        preprocess(str(tiny), str(out), SMALL, Workers())
-    monkeypatch.undo()
-    preprocess(str(tiny), str(out), SMALL, Workers())
-    assert content(out) == content(tiny_run)
-
-
-def test_a_dataset_without_any_mesh_is_audited_as_unknown(tiny: Path, tmp_path: Path) -> None:
-    bare = tmp_path / "data"
-    shutil.copytree(tiny, bare)
-    shutil.rmtree(bare / "Assets_library")
-    manifest = preprocess(str(bare), str(tmp_path / "out"), SMALL, Workers())
-    assert (manifest["counts"]["scenes"], manifest["counts"]["assets"]) == (1, 0)
-    row = RunFolder(str(tmp_path / "out")).table("scenes").to_pylist()[0]
+def test_a_dataset_without_any_mesh_is_audited_as_unknown(bare_run: Path) -> None:
+    counts = json.loads((bare_run / "manifest.json").read_text("utf-8"))["counts"]
+    assert (counts["scenes"], counts["assets"]) == (1, 0)
+    row = RunFolder(str(bare_run)).table("scenes").to_pylist()[0]
     assert row["num_without_mesh"] == row["num_objects"]
     assert row["clean"] is not True
-
-
-def test_a_manifest_that_is_no_object_is_refused(tiny: Path, tmp_path: Path) -> None:
-    (tmp_path / "manifest.json").write_text("[1]", "utf-8")
-    with pytest.raises(ConfigError, match="not a JSON object"):
-        preprocess(str(tiny), str(tmp_path), SMALL, Workers())
-
-
-def test_an_older_table_is_refused(dataset: Path, clean_run: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    shutil.copytree(clean_run, out)
-    manifest = json.loads((out / "manifest.json").read_text("utf-8"))
-    (out / "manifest.json").write_text(json.dumps(manifest | {"table_version": 0}), "utf-8")
-    with pytest.raises(ConfigError, match="table_version: 0 -> 1"):
-        preprocess(str(dataset), str(out), SMALL, Workers())
 
 
 @pytest.mark.parametrize(
@@ -199,12 +109,13 @@ def test_an_older_table_is_refused(dataset: Path, clean_run: Path, tmp_path: Pat
         (("--config", "{tmp}/missing.toml"), "cannot be read as TOML"),
         (("--out", "/proc/nowhere"), "cannot be written"),
         (("--set", "task_writer=no.such:thing"), "expected module:function"),
+        (("--address", "auto"), "leave out one of them"),
     ],
 )
 def test_a_run_that_cannot_start_says_why_in_one_line(
-    dataset: Path, tmp_path: Path, arguments: tuple[str, str], message: str
+    bare: Path, tmp_path: Path, arguments: tuple[str, str], message: str
 ) -> None:
-    base = {"--data": str(dataset), "--out": str(tmp_path / "out"), "--workers": "0"}
+    base = {"--data": str(bare), "--out": str(tmp_path / "out"), "--workers": "0"}
     option, value = arguments[0], arguments[1].format(tmp=tmp_path)
     command = [part for pair in (base | {option: value}).items() for part in pair]
     done = subprocess.run([sys.executable, "-m", "pipelines", "preprocess", *command], capture_output=True, text=True, cwd=ROOT)
@@ -213,16 +124,6 @@ def test_a_run_that_cannot_start_says_why_in_one_line(
     assert last.startswith("error: ")
     assert message.format(tmp=tmp_path) in last
     assert "Traceback" not in done.stderr
-
-
-def run_cli(dataset: Path, out: Path, *more: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command_of(dataset, out, *more), capture_output=True, text=True, cwd=ROOT)
-
-
-def command_of(dataset: Path, out: Path, *more: str) -> list[str]:
-    settings = [f"--set={k}={json.dumps(v)}" for k, v in SMALL.shaping().items()]
-    where = ["--data", str(dataset), "--out", str(out)]
-    return [sys.executable, "-m", "pipelines", "preprocess", *where, "--set=num_pictures=0", *settings, *more]
 
 
 def test_a_run_into_an_object_store_gives_the_same_rows(tiny: Path, tiny_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -247,7 +148,7 @@ def test_a_run_into_an_object_store_gives_the_same_rows(tiny: Path, tiny_run: Pa
         server.stop()
 
 
-def test_a_task_writer_writes_the_tasks_and_is_asked_once(tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_task_writer_writes_the_tasks_and_is_asked_once(bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     module = tmp_path / "my_writer.py"
     module.write_text(
         """
@@ -262,66 +163,102 @@ def write(scene, relations):
         "utf-8",
     )
     monkeypatch.syspath_prepend(tmp_path)
-    bare = tmp_path / "data"
-    shutil.copytree(tiny, bare)
-    for task in bare.glob("Layout_info/*/*/task_info.json"):
-        task.unlink()
+    root = tmp_path / "data"
+    shutil.copytree(bare, root, ignore=shutil.ignore_patterns("task_info.json"))
     settings = replace(SMALL, task_writer="my_writer:write", task_cache=str(tmp_path / "cache"))
     for number in range(2):
-        preprocess(str(bare), str(tmp_path / f"out{number}"), settings, Workers())
+        preprocess(str(root), str(tmp_path / f"out{number}"), settings, Workers())
     rows = RunFolder(str(tmp_path / "out0")).table("scenes", ["task"]).to_pylist()
     assert {r["task"]["origin"] for r in rows} == {"model"}
     assert sys.modules["my_writer"].calls == len(rows)
 
 
-def test_positions_that_mean_the_mesh_centre_are_converted(tiny: Path, tiny_run: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    preprocess(str(tiny), str(out), replace(SMALL, position_convention="mesh_centre"), Workers())
-    moved = {r["scene_id"]: r for r in RunFolder(str(out)).table("scenes").to_pylist()}
-    for row in RunFolder(str(tiny_run)).table("scenes").to_pylist():
-        for was, now in zip(row["objects"], moved[row["scene_id"]]["objects"], strict=True):
-            upright = was["tilt_quat_xyzw"] == [0.0, 0.0, 0.0, 1.0]
-            assert not upright or now["position"] == pytest.approx(was["position"], abs=1e-6)
+def test_positions_that_mean_the_mesh_centre_are_converted(tiny: Path, tmp_path: Path) -> None:
+    root = tmp_path / "data"
+    shutil.copytree(tiny, root)
+    path = next(root.glob("Layout_info/*/*/layout.json"))
+    layout = json.loads(path.read_text("utf-8"))
+    for entry in layout["objects"]:  # lean, so that the two centres differ
+        entry |= {"rotation": [np.sin(0.2), 0.0, 0.0, np.cos(0.2)], "z_rotation": 0.0}
+    path.write_text(json.dumps(layout), "utf-8")
+    preprocess(str(root), str(tmp_path / "out"), replace(SMALL, position_convention="mesh_centre"), Workers())
+    row = RunFolder(str(tmp_path / "out")).table("scenes").to_pylist()[0]
+    dataset = MesaTaskDataset(root)
+    scene, store = dataset.read(row["scene_id"])[0], AssetStore(dataset)
+    moved = 0
+    for was, now in zip(scene.objects, row["objects"], strict=True):
+        mesh = store.mesh_of(was)
+        expected = was if mesh is None else to_box_centre(was, mesh.vertices)
+        assert now["position"] == pytest.approx(expected.position)
+        moved += now["position"] != pytest.approx(was.position, abs=1e-4)
+    assert moved > 0
 
 
-@pytest.mark.ray
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-@pytest.mark.parametrize("victim", ["driver", "worker"])
-def test_ten_kills_at_random_moments_lose_nothing(dataset: Path, clean_run: Path, tmp_path: Path, victim: str) -> None:
-    out, moments = tmp_path / "out", random.Random(victim)  # noqa: S311 - moments, not secrets
-    for _ in range(10):
-        process = subprocess.Popen(
-            command_of(dataset, out, "--workers", "2"),
-            cwd=ROOT,
-            start_new_session=True,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        time.sleep(moments.uniform(2.0, 14.0))
-        if victim == "driver":
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-        else:
-            for pid in workers_of(process.pid):
-                os.kill(pid, signal.SIGKILL)
-                break
-            process.wait(timeout=300)
-            assert process.returncode == 0
-            if _ < 9:
-                shutil.rmtree(out)
-    done = run_cli(dataset, out, "--workers", "2")
-    assert done.returncode == 0, done.stderr
-    assert content(out) == content(clean_run)
+@dataclass(frozen=True)
+class Elsewhere(Workers):
+    """Workers whose folder is another one than the caller's, as on a cluster."""
+
+    folder: str = ""
+
+    def run(self, work: Any, shards: Sequence[Any]) -> Iterator[Any]:
+        os.chdir(self.folder)
+        return super().run(work, shards)
 
 
-def workers_of(pid: int) -> Iterator[int]:
-    """Ray worker processes below a process that are busy with a shard."""
-    listing = subprocess.run(["ps", "-eo", "pid,sid,args"], capture_output=True, text=True, check=True).stdout
-    for line in listing.splitlines():
-        number, _, command = line.strip().split(maxsplit=2)
-        if command.startswith("ray::_call"):
-            yield int(number)
+def test_relative_paths_are_the_callers(bare: Path, bare_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "here" / "data").symlink_to(bare)
+    monkeypatch.chdir(tmp_path / "here")
+    preprocess("data", "out", SMALL, Elsewhere(folder=str(tmp_path / "there")))
+    assert content(tmp_path / "here" / "out") == content(bare_run)
+    assert not list((tmp_path / "there").iterdir())
+
+
+def test_a_replaced_mesh_is_read_anew_by_a_process_that_knows_the_old_one(tiny: Path, tmp_path: Path) -> None:
+    root = tmp_path / "data"
+    shutil.copytree(tiny, root)
+    settings = replace(SMALL, position_convention="box_centre")
+    preprocess(str(root), str(tmp_path / "before"), settings, Workers())
+    before = RunFolder(str(tmp_path / "before")).table("assets").to_pylist()[0]
+    block = box(1.0, 2.0, 3.0)
+    (root / "Assets_library" / f"{before['asset_id']}.glb").write_bytes(write_glb(Mesh(block.vertices, block.faces)))
+    preprocess(str(root), str(tmp_path / "after"), settings, Workers())
+    after = {r["asset_id"]: r for r in RunFolder(str(tmp_path / "after")).table("assets").to_pylist()}[before["asset_id"]]
+    assert after["mesh_sha256"] != before["mesh_sha256"]
+    assert after["extents"] == pytest.approx([1.0, 2.0, 3.0])
+
+
+def test_scene_folders_without_a_layout_are_failures(bare: Path, tmp_path: Path) -> None:
+    root, out = tmp_path / "data", tmp_path / "out"
+    shutil.copytree(bare, root)
+    table_type = next(root.glob("Layout_info/*"))
+    (table_type / "empty_1").mkdir()
+    (table_type / "empty_2").mkdir()
+    manifest = preprocess(str(root), str(out), SMALL, Workers())
+    rows = RunFolder(str(out)).table("failures").to_pylist()
+    assert [(r["id"], r["code"]) for r in rows] == [("empty_1", "layout_missing"), ("empty_2", "layout_missing")]
+    assert (manifest["num_scenes"], manifest["counts"]["scenes"], manifest["counts"]["failed_scenes"]) == (3, 1, 2)
+    assert preprocess(str(root), str(out), SMALL, Workers())["counts"] == manifest["counts"]
+
+
+def test_assets_without_a_mesh_are_warned_of(bare_run: Path, bare: Path) -> None:
+    manifest = json.loads((bare_run / "manifest.json").read_text("utf-8"))
+    rows = RunFolder(str(bare_run)).table("warnings").to_pylist()
+    used = used_assets(bare)
+    assert {r["id"] for r in rows if (r["step"], r["code"]) == ("plan", "glb_missing")} == used
+    assert manifest["num_assets_without_mesh"] == len(used)
+
+
+def test_text_features_come_along(tiny: Path, tmp_path: Path) -> None:
+    root = tmp_path / "data"
+    shutil.copytree(tiny, root)
+    uid = min(used_assets(tiny))
+    write_text_features(root / "sbert_text_features.pkl", [uid], np.array([[0.6, 0.8]]))
+    preprocess(str(root), str(tmp_path / "out"), SMALL, Workers())
+    found = {r["asset_id"]: r["text_embedding"] for r in RunFolder(str(tmp_path / "out")).table("assets").to_pylist()}
+    assert found.pop(uid) == pytest.approx([0.6, 0.8])
+    assert list(found.values()) == [None, None]
 
 
 @pytest.mark.slow
@@ -331,43 +268,3 @@ def test_mesa_real_is_accounted_for(shared_data: Path, tmp_path: Path) -> None:
     assert manifest["counts"]["scenes"] == manifest["num_scenes"] == 120
     assert manifest["counts"]["failures"] == 0
     assert manifest["counts"]["samples"] == 360
-
-
-@pytest.fixture(scope="module")
-def broken_run(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> subprocess.CompletedProcess[str]:
-    out = tmp_path_factory.mktemp("broken") / "out"
-    done = run_cli(shared_data / "mesa_broken", out, "--workers", "0")
-    done.args = out
-    return done
-
-
-def test_mesa_broken_is_handled_case_by_case(shared_data: Path, broken_run: subprocess.CompletedProcess[str]) -> None:
-    root = shared_data / "mesa_broken"
-    assert broken_run.returncode == 1, broken_run.stderr
-    run = RunFolder(str(broken_run.args))
-    scenes = set(run.table("scenes", ["scene_id"])["scene_id"].to_pylist())
-    failures = pl.DataFrame(pl.from_arrow(run.table("failures")))
-    warnings = pl.DataFrame(pl.from_arrow(run.table("warnings")))
-    expected = json.loads((root / "expected.json").read_text("utf-8"))
-    assert scenes | (set(failures["id"]) & set(expected)) == set(expected)
-    codes: dict[str, str] = {}
-    for scene_id, case in expected.items():
-        if case["action"] == "reject":
-            assert scene_id not in scenes, case
-            rows = failures.filter(pl.col("id") == scene_id)
-            assert rows.height == 1, case
-            codes[scene_id] = rows["code"].item()
-        else:
-            assert scene_id in scenes, case
-            rows = warnings.filter(pl.col("id") == scene_id)
-            assert (rows.height > 0) == (case["action"] == "keep_with_warning"), (case, rows)
-            if rows.height:
-                codes[scene_id] = rows["code"][0]
-    assert len(set(codes.values())) >= len(codes) - 1, "each case has its own reason"
-
-
-def test_objects_with_a_broken_mesh_are_kept_as_boxes_of_unknown_verdict(broken_run: subprocess.CompletedProcess[str]) -> None:
-    rows = {r["scene_id"]: r for r in RunFolder(str(broken_run.args)).table("scenes").to_pylist()}
-    assert rows["dining_table_0017"]["num_without_mesh"] == 1
-    assert rows["coffee_table_0052"]["num_without_mesh"] == 0
-    assert rows["bathroom_vanity_0003"]["num_without_mesh"] == 0

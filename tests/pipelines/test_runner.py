@@ -2,11 +2,16 @@
 
 import os
 import time
+from functools import partial
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import pytest
+import ray
 
-from pipelines.runner import Workers, alone
+from pipelines import runner
+from pipelines.runner import Loss, Workers, alone, limited
 from stable_data.errors import ConfigError
 
 
@@ -26,11 +31,35 @@ class Hostile:
         return f"{shard} {'alone' if isolated else 'together'}"
 
 
+class Doomed:
+    """Dies over one shard however it is run."""
+
+    def __call__(self, shard: int, *, isolated: bool = False) -> int:
+        if shard == 7:
+            os.abort()
+        return shard
+
+
 class Slow:
+    """Hangs over one shard unless its items are run alone."""
+
     def __call__(self, shard: int, *, isolated: bool = False) -> str:
-        if not isolated:
-            time.sleep(600)
-        return "alone"
+        with limited(2.0):
+            if shard == 2 and not isolated:
+                time.sleep(600)
+        return f"{shard} {'alone' if isolated else 'together'}"
+
+
+class Odd:
+    def __call__(self, shard: int, *, isolated: bool = False) -> int:
+        raise KeyError(shard)
+
+
+class _Remote:
+    """A task that is never run."""
+
+    def remote(self, *_: object) -> object:
+        return object()
 
 
 def test_this_process_gives_results_in_order() -> None:
@@ -55,8 +84,59 @@ def test_a_shard_that_kills_its_worker_is_run_again_alone() -> None:
 
 
 @pytest.mark.ray
-def test_a_shard_that_takes_too_long_is_run_again_alone() -> None:
-    assert list(Workers(1, seconds_per_shard=2.0).run(Slow(), [0])) == ["alone"]
+def test_a_shard_that_loses_every_worker_is_named_once_the_rest_is_done() -> None:
+    results = Workers(1).run(Doomed(), [7, 8, 9])
+    assert sorted(islice(results, 2)) == [8, 9]
+    with pytest.raises(
+        ConfigError, match=r"1 of 3 shards were lost, each with 4 workers .*: 7 \(WorkerCrashedError\)"
+    ) as caught:
+        next(results)
+    assert caught.value.code == "worker_lost"
+
+
+@pytest.mark.ray
+def test_an_item_that_takes_too_long_ends_its_worker_alone() -> None:
+    began = time.monotonic()
+    assert sorted(Workers(2).run(Slow(), [0, 1, 2, 3])) == ["0 together", "1 together", "2 alone", "3 together"]
+    assert time.monotonic() - began < 60
+
+
+@pytest.mark.ray
+def test_what_nobody_foresaw_in_a_task_is_one_line() -> None:
+    with pytest.raises(ConfigError, match="5: KeyError: 5; please report this") as caught:
+        list(Workers(1).run(Odd(), [5]))
+    assert "\n" not in str(caught.value)
+
+
+def test_ray_that_stops_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*_: Any, **__: Any) -> Any:
+        raise ray.exceptions.RaySystemError("the object store is gone\nat some place")
+
+    run = object.__new__(runner._RayRun)
+    run.__dict__ |= {"_workers": Workers(1), "_shards": [1], "_started_ray": False, "_work": None, "_task": _Remote()}
+    monkeypatch.setattr(ray, "wait", stopped)
+    with pytest.raises(ConfigError, match=r"Ray stopped \(RaySystemError: .*run again") as caught:
+        list(run.results())
+    assert "\n" not in str(caught.value)
+
+
+def test_a_cluster_gets_as_many_shards_as_it_has_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ray, "cluster_resources", lambda: {"CPU": 64.0})
+    run = object.__new__(runner._RayRun)
+    for workers, width in ((Workers(0, "auto"), 128), (Workers(5, "auto"), 5), (Workers(2), 4)):
+        run.__dict__ |= {"_workers": workers}
+        assert run._width() == width
+    monkeypatch.setattr(ray, "cluster_resources", dict)  # nodes are still to come
+    run.__dict__ |= {"_workers": Workers(0, "auto")}
+    assert run._width() == 1
+
+
+def test_a_cluster_gets_the_checkout_unless_a_job_brought_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    shipped = runner._checkout()
+    assert shipped is not None
+    assert (Path(shipped["working_dir"]) / "pipelines" / "runner.py").is_file()
+    monkeypatch.setenv("RAY_JOB_CONFIG_JSON_ENV_VAR", "{}")
+    assert runner._checkout() is None
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1", "nowhere"])
@@ -69,23 +149,25 @@ def test_an_item_alone_gives_its_result() -> None:
     assert alone(abs, -3, seconds=60) == 3
 
 
-def test_an_item_alone_that_dies_gives_nothing() -> None:
-    assert alone(os.abort, seconds=60) is None
+def test_an_item_alone_that_dies_says_so() -> None:
+    assert alone(os.abort, seconds=60) is Loss.CRASHED
 
 
-def test_an_item_alone_that_hangs_gives_nothing() -> None:
+def test_an_item_alone_that_hangs_is_stopped_and_says_so() -> None:
     began = time.monotonic()
-    assert alone(time.sleep, 300, seconds=5) is None
+    assert alone(time.sleep, 300, seconds=1) is Loss.TIMED_OUT
     assert time.monotonic() - began < 60
 
 
-def test_a_hostile_item_becomes_a_failure_and_the_rest_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from pipelines import preprocess
-    from pipelines.plan import PreprocessSettings, Shard
-    from stable_data.shards import RunFolder
+def test_the_clock_of_an_item_alone_starts_once_it_is_prepared() -> None:
+    assert alone(abs, -3, seconds=1, prepare=partial(time.sleep, 2)) == 3
 
-    monkeypatch.setattr(preprocess, "alone", lambda *_, seconds: None)
-    work = preprocess.PreprocessShard("nowhere", str(tmp_path), PreprocessSettings())
-    work(Shard("0" * 16, scenes=("office_table_0001",)), isolated=True)
-    rows = RunFolder(str(tmp_path)).table("failures").to_pylist()
-    assert [(r["id"], r["code"]) for r in rows] == [("office_table_0001", "crashed")]
+
+def test_an_error_of_an_item_alone_comes_back() -> None:
+    with pytest.raises(ValueError, match="invalid literal"):
+        alone(int, "x", seconds=60)
+
+
+def test_time_is_limited_in_workers_alone() -> None:
+    with limited(0.01):
+        time.sleep(0.05)

@@ -35,6 +35,8 @@ def test_set_is_stronger_than_the_file(tmp_path: Path) -> None:
         ("steps=1.5", "expected int"),
         ("quick=1", "expected bool"),
         ("steps", "expected key=value"),
+        ("share=nan", "expected a finite number"),
+        ("share=inf", "expected a finite number"),
     ],
 )
 def test_a_mistake_is_named(text: str, message: str) -> None:
@@ -47,6 +49,30 @@ def test_a_file_that_is_no_toml_is_an_error(tmp_path: Path) -> None:
     file.write_text("[sample", "utf-8")
     with pytest.raises(ConfigError, match="cannot be read as TOML"):
         resolve(Sample, "sample", file, [])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[sampel]\nsteps = 7\n", "sampel is not a known table; did you mean sample"),
+        ("[sample]\n[training]\n", "training is not a known table; known are sample, preprocess"),
+        ("steps = 7\n", "steps is not a known table"),
+        ("sample = 7\n", r"expected a table \[sample\]"),
+        ("", r"has no table \[sample\]"),
+        ("[sample]\nshare = nan\n", "sample.share is nan, expected a finite number"),
+    ],
+)
+def test_a_file_that_would_set_nothing_is_an_error(tmp_path: Path, text: str, message: str) -> None:
+    file = tmp_path / "run.toml"
+    file.write_text(text, "utf-8")
+    with pytest.raises(ConfigError, match=message):
+        resolve(Sample, "sample", file, [])
+
+
+def test_one_file_may_hold_the_settings_of_several_jobs(tmp_path: Path) -> None:
+    file = tmp_path / "run.toml"
+    file.write_text("[sample]\nsteps = 7\n[preprocess]\nseed = 1\n", "utf-8")
+    assert resolve(Sample, "sample", file, []) == Sample(steps=7)
 
 
 def test_differences_say_was_and_now() -> None:

@@ -1,6 +1,9 @@
 """An object's geometry: at its scale and tilt, fitted where the scale is missing or wrong, a box where the mesh is."""
 
+import contextlib
 import math
+import struct
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,19 +13,27 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from stable_data.assets import ASPECT_STEP, AssetStore, aspect_of, aspect_steps, fitted_scale
-from stable_data.errors import MeshError
+from stable_data.assets import ASPECT_STEP, AssetStore, aspect_of, aspect_steps, fitted_scale, position_convention
+from stable_data.errors import MeshError, SceneError
 from stable_data.export.glb import write_glb
+from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.mesh import Mesh
 from stable_data.scene import UPRIGHT, QuatXyzw, Scene, SceneObject, Tabletop, Vec3
 from stable_data.shape import Shape
-from tests.scenes import box
+from tests.scenes import ball, bowl, box, sheet
+from tests.stable_data.mesatask.layouts import make_dataset
 
 ON_ITS_SIDE: QuatXyzw = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 BLOCK = SceneObject("1_block_0", "block", (0.5, 0.5, 0.1), 0.0, (0.1, 0.2, 0.4), asset_id="block", scale=(0.1, 0.1, 0.1))
 
 lengths = st.floats(0.01, 3.0)
 right_angles = st.sampled_from([tuple(r.as_quat().tolist()) for r in Rotation.create_group("O")])
+
+
+def tilted_about(axes: str, degrees: float | tuple[float, ...]) -> QuatXyzw:
+    """A tilt by Euler angles."""
+    x, y, z, w = Rotation.from_euler(axes, degrees, degrees=True).as_quat().tolist()
+    return x, y, z, w
 
 
 class Folder:
@@ -79,6 +90,69 @@ def test_a_mesh_of_another_size_is_fitted_and_noticed(store: AssetStore) -> None
     assert "10.0x20.0x40.0 cm, expected 10.0x20.0x50.0 cm" in notice.message
 
 
+def test_a_size_that_nothing_fits_is_a_box_and_noticed(store: AssetStore) -> None:
+    thin = replace(BLOCK, scale=None, size=(0.1, 0.0, 0.0))
+    shape, (notice,) = store.shape(thin)
+    assert not shape.is_exact
+    assert shape.size == pytest.approx(thin.size)
+    assert notice.code == "asset_does_not_fit"
+    assert "fitted to its size is 2.5x5.0x10.0 cm, expected 10.0x0.0x0.0 cm" in notice.message
+
+
+def test_a_tilted_mesh_without_a_scale_is_fitted_by_one_factor(store: AssetStore) -> None:
+    leaning = tilted_about("zx", (45, 30))
+    size = Shape.from_mesh(store.asset("block").mesh, (0.1, 0.1, 0.1), leaning).size
+    x, y, z = size.tolist()
+    shape, notices = store.shape(replace(BLOCK, tilt_quat_xyzw=leaning, scale=None, size=(x, y, z)))
+    assert shape.is_exact
+    assert shape.size == pytest.approx(size)
+    assert notices == ()
+
+
+def test_what_is_resolved_has_the_scale_that_its_shape_has(store: AssetStore) -> None:
+    objects = (
+        replace(BLOCK, instance="as it is"),
+        replace(BLOCK, instance="without a scale", scale=None, size=(0.2, 0.1, 0.3)),
+        replace(BLOCK, instance="another mesh", size=(0.1, 0.2, 0.5), source={"scale_factor": [10, 10, 10]}),
+        replace(BLOCK, instance="does not fit", size=(0.1, 0.0, 0.0)),
+        replace(BLOCK, instance="no mesh", asset_id="absent"),
+    )
+    scene, shapes, notices = store.resolved(Scene("s", Tabletop("desk", (1.0, 1.0)), objects))
+    assert [o.instance for o in scene.objects] == [o.instance for o in objects]
+    assert scene.objects[0] is objects[0]
+    assert scene.objects[1].scale == pytest.approx((0.2, 0.05, 0.075))
+    assert scene.objects[2].scale == pytest.approx((0.1, 0.1, 0.125))
+    assert scene.objects[2].source == {"scale_factor": [10, 10, 10]}
+    assert [o.scale for o in scene.objects[3:]] == [None, BLOCK.scale]
+    assert [s.is_exact for s in shapes] == [True, True, True, False, False]
+    assert [n.code for n in notices] == ["asset_differs", "asset_differs", "asset_does_not_fit", "glb_missing"]
+    again, same, _ = store.resolved(scene)
+    assert again == scene
+    assert [s.size.tolist() for s in same] == [s.size.tolist() for s in shapes]
+
+
+def test_what_is_resolved_stands_where_its_box_stands(store: AssetStore, folder: Folder) -> None:
+    corners = np.array([[-1.0, -1, -1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    wedge = Mesh(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
+    (folder.root / "wedge.glb").write_bytes(write_glb(wedge))
+    tilt = tilted_about("y", -45)
+    x, y, z = Shape.from_mesh(wedge, (0.1, 0.1, 0.1), tilt).size.tolist()
+    leaning = replace(BLOCK, asset_id="wedge", tilt_quat_xyzw=tilt, size=(x, y, z), position=(0.5, 0.5, 0.1 * math.sqrt(2)))
+    objects = (
+        leaning,
+        replace(leaning, instance="without a scale", scale=None),
+        replace(leaning, instance="no mesh", asset_id="absent"),
+        replace(BLOCK, instance="on its side", asset_id="absent", tilt_quat_xyzw=ON_ITS_SIDE),
+    )
+    scene = Scene("s", Tabletop("desk", (1.0, 1.0)), objects)
+    moved, _, notices = store.resolved(scene, PositionConvention.MESH_CENTRE)
+    assert [o.position[2] for o in moved.objects[:2]] == pytest.approx([0.05 * math.sqrt(2)] * 2)
+    assert [o.position for o in moved.objects[2:]] == [o.position for o in objects[2:]]
+    assert [n.code for n in notices] == ["glb_missing", "position_unknown", "glb_missing"]
+    assert notices[1].message.startswith("object no mesh: ")
+    assert [o.position for o in store.resolved(scene)[0].objects] == [o.position for o in objects]
+
+
 @pytest.mark.parametrize("size", [(0.102, 0.2, 0.4), (0.1, 0.2, 0.407)])
 def test_rounding_of_the_size_is_let_pass(store: AssetStore, size: Vec3) -> None:
     shape, notices = store.shape(replace(BLOCK, size=size))
@@ -123,6 +197,45 @@ def test_an_error_is_remembered(store: AssetStore, folder: Folder) -> None:
     assert folder.asked == ["absent"]
 
 
+def test_a_remembered_error_lets_go_of_the_file(store: AssetStore, folder: Folder) -> None:
+    head = struct.pack("<5I", 0x46546C67, 2, 20, 4 << 20, 0x4E4F534A)
+    (folder.root / "invalid.glb").write_bytes(head + b"{" + b" " * ((4 << 20) - 1))
+    tracemalloc.start()
+    try:
+        with contextlib.suppress(MeshError):
+            store.asset("invalid")
+        assert tracemalloc.get_traced_memory()[0] < 1 << 20
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_file_that_vanishes_is_a_mesh_that_is_missing(store: AssetStore, folder: Folder) -> None:
+    folder.asset_path = lambda asset_id: folder.root / "gone.glb"  # type: ignore[method-assign]
+    shape, (notice,) = store.shape(BLOCK)
+    assert not shape.is_exact
+    assert notice.code == "glb_unreadable"
+
+
+@pytest.mark.parametrize(("num_scenes", "looked_at"), [(1, 1), (3, 2), (4, 4), (9, 4)])
+def test_the_convention_is_judged_on_so_many_scenes_at_most(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, num_scenes: int, looked_at: int
+) -> None:
+    for k in range(4):
+        make_dataset(tmp_path / str(k))
+        target = tmp_path / "all" / "Layout_info" / "desk" / str(k)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        next((tmp_path / str(k)).glob("Layout_info/*/*")).rename(target)
+    dataset, asked = MesaTaskDataset(tmp_path / "all"), list[str]()
+
+    def read(scene_id: str) -> None:
+        asked.append(scene_id)
+        raise SceneError("not of interest")
+
+    monkeypatch.setattr(dataset, "read", read)
+    assert position_convention(dataset, AssetStore(dataset), num_scenes) is PositionConvention.BOX_CENTRE
+    assert len(asked) == looked_at
+
+
 def test_what_exceeds_the_memory_is_computed_again(folder: Folder) -> None:
     store = AssetStore(folder, max_bytes=500)
     for name in ("block", "cube", "block"):
@@ -151,6 +264,20 @@ def test_a_mesh_tilted_by_right_angles_fits_exactly(extents: Vec3, size: Vec3, t
         return
     mesh = Mesh(box(*extents).vertices, box(*extents).faces)
     assert Shape.from_mesh(mesh, fitted_scale(mesh, tilt, size), tilt).size == pytest.approx(size, rel=1e-6)
+
+
+def test_a_flat_mesh_fits_along_the_axes_that_it_has() -> None:
+    flat = Mesh(sheet(2.0, 1.0).vertices, sheet(2.0, 1.0).faces)
+    assert fitted_scale(flat, UPRIGHT, (0.2, 0.3, 0.0)) == pytest.approx((0.1, 0.3, 0.2))
+    assert fitted_scale(flat, ON_ITS_SIDE, (0.2, 0.0, 0.3)) == pytest.approx((0.1, 0.3, 0.2))
+
+
+@given(st.sampled_from([box(1, 2, 4), bowl(1, 0.1), ball(1)]), lengths, st.floats(-180, 180), st.floats(-180, 180))
+def test_a_mesh_at_any_tilt_fits_what_one_factor_makes_of_it(made: Shape, factor: float, roll: float, pitch: float) -> None:
+    mesh = Mesh(made.vertices, made.faces)
+    tilt = tilted_about("xy", (roll, pitch))
+    x, y, z = (factor * Shape.from_mesh(mesh, (1.0, 1.0, 1.0), tilt).size).tolist()
+    assert Shape.from_mesh(mesh, fitted_scale(mesh, tilt, (x, y, z)), tilt).size == pytest.approx((x, y, z), rel=1e-6)
 
 
 def test_a_fit_that_would_flatten_the_mesh_is_uniform() -> None:

@@ -2,18 +2,22 @@
 
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 import pytest
 
+import stable_data.lint
 from stable_data.assets import AssetStore
 from stable_data.errors import ConfigError
 from stable_data.lint import LintResult, lint_folder
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.audit import Audit, audit_scene
+from stable_data.scene import Scene
+from stable_data.shape import Shape
+from stable_data.synth import World, write_world
 
 FEW = ("bathroom_vanity_0001", "office_table_0036", "dining_table_0416")
 TOLERANCE = 3e-3  # what settling hulls instead of meshes, and rounding to 0.1 cm, leaves behind
@@ -68,6 +72,23 @@ def test_the_page_counts_scenes_failures_and_warnings(few: LintResult) -> None:
 def test_the_rows_are_written_as_a_table(few: LintResult, tmp_path: Path) -> None:
     few.write(tmp_path / "out" / "lint.parquet")
     assert pl.read_parquet(tmp_path / "out" / "lint.parquet").equals(few.frame())
+
+
+def test_an_error_that_nobody_foresaw_is_one_scene_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_world(tmp_path, 2, World(pictures=False))
+    first, second = MesaTaskDataset(tmp_path).scene_ids
+
+    def audit(scene: Scene, shapes: Sequence[Shape]) -> Audit:
+        if scene.scene_id == first:
+            raise IndexError("index 3 is out of bounds")
+        return audit_scene(scene, shapes)
+
+    monkeypatch.setattr(stable_data.lint, "audit_scene", audit)
+    result = lint_folder(tmp_path)
+    assert [row["scene_id"] for row in result.rows] == [second]
+    [lost] = result.failures
+    assert (lost.item_id, lost.step, lost.code) == (first, "audit", "unexpected")
+    assert f"not usable: {first}: IndexError: index 3 is out of bounds" in str(result)
 
 
 def test_a_folder_that_is_no_dataset_is_refused(tmp_path: Path) -> None:

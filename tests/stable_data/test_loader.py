@@ -4,7 +4,6 @@ import itertools
 import pickle
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -13,7 +12,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from torch.utils.data import DataLoader
 
@@ -21,82 +20,15 @@ from stable_data import epoch_order, table_files
 from stable_data.epoch_order import EpochOrder
 from stable_data.errors import ConfigError
 from stable_data.loader import TableDataset, TableStream, collate_scenes
-from stable_data.metrics.card import MetricCard
-from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Stage, Tabletop, TaskInfo
-from stable_data.scene_columns import SceneArrays
 from stable_data.shards import RunFolder
 from stable_data.table_files import RowGroup, rows_from_table
-from stable_data.tables import SCHEMAS, Row, arrow_table, card_row, scene_from_row, scene_row
-
-SHARDS = (7, 1, 12, 0, 9, 8)
-NUM_ROWS = sum(SHARDS)
-CARD = MetricCard(2, 0, 0, 0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0, True)
-
-
-def scene(number: int) -> Scene:
-    stages = [None, *Stage]
-    objects = tuple(
-        SceneObject(
-            instance=f"{k}_cup_0",
-            category="cup",
-            position=(0.1 * k + 0.001 * number, 0.2, 0.05),
-            yaw=0.3 * k,
-            size=(0.1, 0.1, 0.1 + 0.01 * k),
-            asset_id=None if k == 2 else f"asset{k}",
-            scale=(1.0, 1.0, 2.0) if k % 2 else None,
-            tilt_quat_xyzw=(0.6, 0.0, 0.0, 0.8) if k == 1 else (0.0, 0.0, 0.0, 1.0),
-            stage=stages[(number + k) % 4],
-            support="table",
-            source={"k": k},
-        )
-        for k in range(number % 5)
-    )
-    task = TaskInfo("An office.", f"Do {number}.", task_objects=("0_cup_0",)) if number % 3 else None
-    relations = (Relation("0_cup_0", RelationKind.ON, "table"),) * (number % 2)
-    zone = (0.0, 0.1, 0.0, 0.2) if number % 4 == 1 else None
-    return Scene(f"scene-{number:03}", Tabletop("office_table", (1.2, 0.6), zone), objects, task, relations, {"n": number})
-
-
-SCENES = [scene(number) for number in range(NUM_ROWS)]
-IDS = [s.scene_id for s in SCENES]
-
-
-def write(folder: RunFolder) -> None:
-    blank = (
-        dict.fromkeys(SCHEMAS["scenes"].names)
-        | {"source": "test", "split": "train", "pairs": [], "verdicts": []}
-        | card_row(CARD)
-    )
-    rest = iter(SCENES)
-    for number, size in enumerate(SHARDS):
-        folder.write_shard("scenes", f"{number:016x}", [blank | scene_row(next(rest)) for _ in range(size)])
+from stable_data.tables import SCHEMAS, Row, arrow_table, scene_from_row
+from tests.stable_data.small_run import IDS, NUM_ROWS, SCENES, ids, scene_id, split_of, stream, write, write_run
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> str:
-    folder = RunFolder(str(tmp_path_factory.mktemp("loader") / "run"))
-    write(folder)
-    rows = [
-        dict.fromkeys(SCHEMAS["features"].names)
-        | {"asset_id": f"asset{i}", "feature": [float(i)] * 64, "log_extents": [0.0, 1.0, 2.0]}
-        for i in range(5)
-    ]
-    folder.write_shard("features", "00", rows)
-    return folder.uri
-
-
-def stream(run: str, **settings: Any) -> TableStream:
-    return TableStream(run, **{"shuffle_seed": 5, "window_rows": 10, **settings})
-
-
-def ids(items: Any) -> list[str]:
-    """Scene ids of scenes, lists of scenes or batches, in order."""
-    found = [[i.scene_id] if isinstance(i, Scene) else i["scene_ids"] if isinstance(i, dict) else ids(i) for i in items]
-    return [name for names in found for name in names]
-
-
-def scene_id(row: Row) -> str:
-    return str(row["scene_id"])
+    return write_run(tmp_path_factory.mktemp("run") / "run")
 
 
 # By index
@@ -214,6 +146,7 @@ def test_without_a_seed_the_order_is_that_of_the_files(run: str) -> None:
 def test_every_row_is_given_once_over_the_ranks(
     run: str, seed: int | None, epoch: int, batch_size: int | None, window_rows: int, world_size: int, drop: bool
 ) -> None:
+    assume(not drop or world_size * (batch_size or 1) <= NUM_ROWS)
     shares = []
     for rank in range(world_size):
         part = TableStream(
@@ -410,58 +343,69 @@ def test_a_setting_that_cannot_be_is_refused(run: str, wrong: dict[str, Any]) ->
     assert caught.value.code == "setting_invalid"
 
 
-# Padded batches
+# One split
 
 
-def test_a_batch_holds_the_scenes_and_zeros() -> None:
-    scenes = [SCENES[4], SCENES[0], SCENES[2]]
-    batch = collate_scenes(scenes)
-    assert batch["mask"].tolist() == [[True] * 4, [False] * 4, [True, True, False, False]]
-    for row, one in enumerate(scenes):
-        num_objects = len(one.objects)
-        assert torch.equal(batch["poses"][row, :num_objects], torch.tensor(one.poses(), dtype=torch.float32))
-        for name in ("poses", "size", "tilt_quat_xyzw"):
-            assert not batch[name][row, num_objects:].any()
-        assert (batch["stage"][row, num_objects:] == -1).all()
-        assert batch["instances"][row] == tuple(o.instance for o in one.objects)
-        assert batch["asset_ids"][row] == tuple(o.asset_id for o in one.objects)
-    assert batch["stage"][0].tolist() == [-1, 0, 1, 2]
-    assert batch["instructions"] == ["Do 4.", None, "Do 2."]
-    assert batch["poses"].dtype == batch["size"].dtype == batch["table_size"].dtype == torch.float32
+@pytest.mark.parametrize("name", ["train", "validation"])
+def test_a_split_is_its_rows_alone(run: str, name: str) -> None:
+    expected = [s for s in SCENES if split_of(s) == name]
+    assert list(TableStream(run, split=name)) == expected
+    data = TableDataset(run, split=name)
+    assert [data[i] for i in range(len(data))] == expected
+    assert data[-1] == expected[-1]
+    parts = [stream(run, split=name, batch_size=3, collate=collate_scenes, rank=rank, world_size=2) for rank in range(2)]
+    assert sorted(one for part in parts for one in ids(part)) == [s.scene_id for s in expected]
 
 
-def test_padding_leaks_nothing() -> None:
-    alone, padded = collate_scenes([SCENES[2]]), collate_scenes([SCENES[2], SCENES[9]])
-    moved = replace(SCENES[9], objects=tuple(o.moved((9.0, 9.0, 9.0), 9.0) for o in SCENES[9].objects))
-    beside = collate_scenes([SCENES[2], moved])
-    for name in ("poses", "size", "tilt_quat_xyzw", "stage", "mask"):
-        assert torch.equal(padded[name][0], beside[name][0])
-        assert torch.equal(padded[name][0, :2], alone[name][0])
+def test_rows_of_other_splits_are_not_made_into_anything(run: str) -> None:
+    decoded: list[str] = []
+
+    def decode(row: Row) -> str:
+        decoded.append(row["split"])
+        return scene_id(row)
+
+    list(stream(run, split="validation", columns=["scene_id", "split"], decode=decode))
+    assert set(decoded) == {"validation"}
+    assert len(decoded) == sum(split_of(s) == "validation" for s in SCENES)
 
 
-@pytest.mark.parametrize("scenes", [[], [SCENES[0]], [SCENES[0], SCENES[5]]])
-def test_scenes_without_objects_make_a_batch(scenes: list[Scene]) -> None:
-    assert collate_scenes(scenes)["poses"].shape == (len(scenes), 0, 4)
-    assert collate_scenes(scenes)["size"].shape == (len(scenes), 0, 3)
+def test_a_split_resumes_as_the_whole_does(run: str) -> None:
+    one = stream(run, split="train", batch_size=4)
+    whole = ids(one)
+    one.resume_from(8)
+    assert ids(one) == whole[8:]
+    with pytest.raises(ConfigError, match="split: train -> validation"):
+        stream(run, split="validation", batch_size=4).load_state_dict(one.state_dict())
 
 
-def test_columns_make_the_same_tensors_as_scenes(run: str) -> None:
-    direct = list(stream(run, batch_size=4, collate=collate_scenes))
-    by_scene = [collate_scenes(scenes) for scenes in stream(run, batch_size=4)]
-    for one, other in zip(direct, by_scene, strict=True):
-        found, expected = ({name: _plain(value) for name, value in batch.items()} for batch in (one, other))
-        assert found == expected
+@pytest.mark.parametrize(
+    ("table", "split", "message"),
+    [
+        ("scenes", "val", "split is 'val', expected one of train, validation, test"),
+        ("features", "train", "table features has no splits"),
+    ],
+)
+def test_a_split_that_is_not_there_is_refused(run: str, table: str, split: str, message: str) -> None:
+    for kind in (TableDataset, TableStream):
+        with pytest.raises(ConfigError, match=message) as caught:
+            kind(run, table, split=split)
+        assert caught.value.code == "split_unknown"
 
 
-def _plain(value: Any) -> Any:
-    return (value.dtype, value.tolist()) if isinstance(value, torch.Tensor) else value
-
-
-def test_arrays_of_columns_are_those_of_the_scenes(run: str) -> None:
-    table = RunFolder(run).table("scenes").slice(5, 20)
-    found, expected = SceneArrays.from_table(table), SceneArrays.from_scenes(SCENES[5:25])
-    for field in fields(SceneArrays):
-        assert np.array_equal(getattr(found, field.name), getattr(expected, field.name)), field.name
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"split": "test"}, "has 0 rows of split test, expected at least 1"),
+        ({"batch_size": 64, "drop_remainder": True}, f"has {NUM_ROWS} rows, expected at least 64, .* times batch_size 64"),
+        ({"batch_size": 20, "world_size": 2, "drop_remainder": True}, "expected at least 40"),
+        ({"world_size": 38}, "expected at least 38, world_size 38"),
+    ],
+)
+def test_a_stream_that_would_give_nothing_is_refused(run: str, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as caught:
+        stream(run, **options)
+    assert caught.value.code == "too_few_rows"
+    assert len(stream(run, batch_size=64)) == 1  # one batch that is not whole is still one
 
 
 def test_an_object_store_streams_the_same(run: str, monkeypatch: pytest.MonkeyPatch) -> None:

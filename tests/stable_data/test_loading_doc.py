@@ -29,17 +29,17 @@ SCENES = [scene(number) for number in range(70)]
 IDS = [s.scene_id for s in SCENES]
 
 
+def split_of(scene: Scene) -> str:
+    return "validation" if scene.scene_id.endswith("7") else "train"
+
+
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> str:
     """A run whose middle shard has no rows, as where no scene of a shard could be used."""
     folder = RunFolder(str(tmp_path_factory.mktemp("loading") / "run"))
-    blank = (
-        dict.fromkeys(SCHEMAS["scenes"].names)
-        | {"source": "test", "split": "train", "pairs": [], "verdicts": []}
-        | card_row(CARD)
-    )
+    blank = dict.fromkeys(SCHEMAS["scenes"].names) | {"source": "test", "pairs": [], "verdicts": []} | card_row(CARD)
     for number, part in enumerate([SCENES[:30], [], SCENES[30:]]):
-        folder.write_shard("scenes", f"{number:016x}", [blank | scene_row(s) for s in part])
+        folder.write_shard("scenes", f"{number:016x}", [blank | scene_row(s) | {"split": split_of(s)} for s in part])
     return folder.uri
 
 
@@ -54,6 +54,7 @@ def test_the_documented_training_job_runs(run: str) -> None:
     names: dict[str, Any] = {"RUN": run}
     exec(block, names)  # noqa: S102
     assert names["epoch"] == 1
+    assert names["scenes"].num_rows == sum(split_of(s) == "train" for s in SCENES)
     assert names["loss"].isfinite()
 
 

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from stable_data.errors import MeshError
 from stable_data.glb import MeshLimits, load_glb
 from stable_data.mass import mass_properties
-from stable_data.mesh import Mesh, is_closed, signed_volumes
+from stable_data.mesh import Mesh, is_closed, signed_volumes, unit_normals
 from stable_data.repair import repair
 from stable_data.scene import FloatArray
 
@@ -191,6 +191,19 @@ def test_an_extension_that_only_changes_looks_is_no_reason_to_refuse() -> None:
     assert len(load_glb(changed(extensionsRequired=["KHR_materials_unlit"]), "thing")[0].faces) == 12
 
 
+def test_a_file_that_cannot_be_read_is_a_mesh_error(tmp_path: Path) -> None:
+    with pytest.raises(MeshError, match="No such file") as caught:
+        load_glb(tmp_path / "gone.glb", "thing")
+    assert caught.value.code == "glb_unreadable"
+    with pytest.raises(MeshError) as caught:
+        load_glb(tmp_path, "thing")  # a folder
+    assert caught.value.code == "glb_unreadable"
+
+
+def test_a_rotation_of_zeros_is_refused_without_a_warning() -> None:
+    assert code_of(changed(nodes=[{"mesh": 0, "rotation": [0, 0, 0, 0]}])) == "glb_nan_vertices"
+
+
 def test_a_file_over_the_limit_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "big.glb"
     path.write_bytes(glb_bytes(BOX))
@@ -245,6 +258,13 @@ def test_damaged_documents_give_a_mesh_or_a_mesh_error(key: str, inner: str | No
             target[inner] = value
     with contextlib.suppress(MeshError):
         assert np.isfinite(load_glb(rebuilt(document, binary), "thing")[0].vertices).all()
+
+
+def test_triangles_without_area_have_no_normal() -> None:
+    flat = np.array([[[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 0, 0], [2, 0, 0], [0, 2, 0]]], float)
+    normals, double_areas = unit_normals(flat)
+    assert normals.tolist() == [[0, 0, 0], [0, 0, 1]]
+    assert double_areas.tolist() == [0, 4]
 
 
 def test_a_closed_mesh_is_left_as_it_is() -> None:

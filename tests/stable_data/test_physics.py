@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,13 @@ def test_contact_at_rest_is_shallower_than_the_tolerance() -> None:
 def test_engine_penetration_is_the_depth_in_the_table(depth: float) -> None:
     result = settle([block("a", (0.5, 0.3, 0.05 - depth))], TABLE, SHORT)
     assert result.engine_penetration_mm == pytest.approx(1e3 * depth, rel=1e-3)
+
+
+@pytest.mark.parametrize("mass", [0.0, -1.0, np.inf, np.nan])
+def test_a_mass_that_no_thing_has_is_unknown_and_not_an_explosion(mass: float) -> None:
+    result = settle([replace(block("a", (0.5, 0.3, 0.05)), mass=mass)], TABLE, SHORT)
+    assert result.stable is None
+    assert "body a: mass is" in result.reason
 
 
 def test_falling_box_moved_by_its_height() -> None:

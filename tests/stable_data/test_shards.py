@@ -13,6 +13,7 @@ from typing import Any
 from urllib.parse import quote
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
@@ -244,6 +245,50 @@ def test_a_broken_shard_is_reported(run: RunFolder) -> None:
     with pytest.raises(ConfigError, match=r"part-00.parquet cannot be read .*delete it") as caught:
         run.table("warnings")
     assert caught.value.code == "shard_unreadable"
+
+
+def _cut(content: bytes) -> bytes:
+    return content[: len(content) // 2]
+
+
+def _garbled(content: bytes) -> bytes:
+    """The pages overwritten; the footer, and with it the number of rows, is whole."""
+    return content[:8] + bytes(64) + content[72:]
+
+
+@pytest.mark.parametrize("damage", [_cut, _garbled, lambda _: b""])
+def test_a_damaged_shard_behind_a_whole_one_is_named(run: RunFolder, damage: Callable[[bytes], bytes]) -> None:
+    run.write_shard("warnings", "00", warnings("a"))
+    run.write_shard("warnings", "01", warnings(*map(str, range(99))))
+    path = Path(run.root) / "warnings" / "part-01.parquet"
+    path.write_bytes(damage(path.read_bytes()))
+    attempts: list[Callable[[], object]] = [lambda: run.table("warnings")]
+    if damage is not _garbled:
+        attempts.append(lambda: run.num_rows("warnings"))
+    for attempt in attempts:
+        with pytest.raises(ConfigError, match=r"part-01.parquet cannot be read .*delete it") as caught:
+            attempt()
+        assert caught.value.code == "shard_unreadable"
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("attempt", [lambda run: run.read_bytes("manifest.json"), lambda run: run.files("warnings")])
+def test_a_store_that_does_not_answer_is_reported(run: RunFolder, attempt: Callable[[RunFolder], object]) -> None:
+    class Silent:
+        def get_file_info(self, _: object) -> None:
+            raise OSError("AWS Error NETWORK_CONNECTION: could not connect\nmore")
+
+    run.filesystem = Silent()
+    with pytest.raises(ConfigError, match=r"cannot be read \(AWS Error .*connect\), .*check the address") as caught:
+        attempt(run)
+    assert caught.value.code == "output_unreadable"
+
+
+def test_rows_are_counted_and_chosen(run: RunFolder) -> None:
+    run.write_shard("warnings", "00", warnings("a", "b"))
+    run.write_shard("warnings", "01", warnings("c"))
+    assert run.num_rows("warnings") == 3
+    assert run.table("warnings", ["id"], pc.field("id") > "a")["id"].to_pylist() == ["b", "c"]
 
 
 @pytest.mark.parametrize("uri", ["nowhere://bucket/run", "s3://", "://"])

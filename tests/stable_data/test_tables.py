@@ -185,3 +185,13 @@ def test_a_notice_is_a_row_of_warnings_and_of_failures() -> None:
     row = notice_row(Notice("office_table_0031", "read", "glb_missing", "object 2_cup_0 has no mesh"))
     for name in ("warnings", "failures"):
         assert arrow_table(name, [row]).to_pylist() == [row]
+
+
+def test_numbers_that_json_does_not_have_become_null_in_a_source() -> None:
+    source = {"mass": math.nan, "parts": [1.5, math.inf, {"x": -math.inf}], "name": "é"}
+    row = object_row(SceneObject("a", "b", (0, 0, 0), 0, (1, 1, 1), source=source))
+    assert json.loads(row["source_json"], parse_constant=pytest.fail) == {
+        "mass": None,
+        "parts": [1.5, None, {"x": None}],
+        "name": "é",
+    }

@@ -1,17 +1,17 @@
 """What instructions mean, and tasks made up where there are none."""
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from stable_data.errors import SceneError
+from stable_data.errors import ConfigError, SceneError
 from stable_data.instructions import derive_task, task_rng
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.relations import SceneGraph, scene_graph
 from stable_data.scene import TABLE, Relation, RelationKind, Scene, SceneObject, Tabletop, TaskInfo, Vec3
+from stable_data.tables import task_row
 from stable_data.tasks import model_task, resolve_task_objects, task_info_of, validate_task_info
 
 IN, ON = RelationKind.IN, RelationKind.ON
@@ -172,10 +172,10 @@ BANANA = content(TaskInfo("A kitchen.", "Peel the banana.", objects_cluster=("Ba
 class Model:
     """Gives one answer and counts how often it was asked."""
 
-    def __init__(self, answer: Mapping[str, Any] | Exception) -> None:
+    def __init__(self, answer: Any) -> None:
         self.answer, self.calls = answer, 0
 
-    def __call__(self, scene: Scene, relations: tuple[Relation, ...]) -> Mapping[str, Any]:
+    def __call__(self, scene: Scene, relations: tuple[Relation, ...]) -> Any:
         self.calls += 1
         if isinstance(self.answer, Exception):
             raise self.answer
@@ -197,6 +197,12 @@ def test_a_good_answer_is_asked_for_once_and_kept(tmp_path: Path) -> None:
     assert [p.suffix for p in (tmp_path / "cache").iterdir()] == [".json"]
 
 
+def test_a_rerun_gives_the_same_row_down_to_the_order_of_keys(tmp_path: Path) -> None:
+    model = Model({**ANSWER, "steps": (1, 2), "Extra": True})
+    first, again = (task_row(told(model, tmp_path)[0]) for _ in range(2))
+    assert first == again
+
+
 def test_another_scene_graph_or_another_model_is_asked_again(tmp_path: Path) -> None:
     model = Model(ANSWER)
     told(model, tmp_path)
@@ -213,14 +219,23 @@ def test_another_scene_graph_or_another_model_is_asked_again(tmp_path: Path) -> 
         BANANA,
         TimeoutError("no answer"),
         ValueError("not JSON"),
+        None,
+        "Done.",
+        {**ANSWER, "Goal": {"Done."}},
     ],
 )
-def test_an_answer_that_cannot_be_used_gives_a_templates_task_and_is_not_kept(
-    tmp_path: Path, answer: Mapping[str, Any] | Exception
-) -> None:
+def test_an_answer_that_cannot_be_used_gives_a_templates_task_and_is_not_kept(tmp_path: Path, answer: Any) -> None:
     task, codes = told(Model(answer), tmp_path)
     assert (task, codes) == (derive_task(SCENE, GRAPH, task_rng(SCENE.scene_id)), ["task_model_failed"])
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_answer_that_cannot_be_kept_ends_the_run(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for cache in (tmp_path / "file", tmp_path / "file" / "cache"):
+        with pytest.raises(ConfigError, match="cannot be written") as caught:
+            told(Model(ANSWER), cache)
+        assert caught.value.code == "output_unwritable"
 
 
 def test_a_kept_answer_that_was_damaged_is_asked_for_again(tmp_path: Path) -> None:

@@ -15,17 +15,18 @@ from stable_data.mesatask import (
     MesaTaskDataset,
     PositionConvention,
     detect_position_convention,
+    has_size,
     read_layout,
-    size_error,
     to_box_centre,
     write_annotations,
     write_asset,
     write_layout,
     write_scene,
     write_task_info,
+    yaw_frame_box,
 )
 from stable_data.scene import UPRIGHT, FloatArray, SceneObject
-from tests.stable_data.mesatask.layouts import UID, layout, make_dataset
+from tests.stable_data.mesatask.layouts import UID, entry, layout, make_dataset
 
 
 @pytest.fixture(scope="module")
@@ -108,9 +109,13 @@ def _jittered(o: SceneObject, rng: np.random.Generator) -> SceneObject:
 
 
 def test_sizes_of_real_scenes_fit_their_meshes(real: MesaTaskDataset, meshes: Callable[[str], FloatArray]) -> None:
-    errors = [size_error(o, meshes(o.asset_id or "")) for s in real.scene_ids for o in real.read(s)[0].objects]
-    assert len(errors) == 1462
-    assert max(errors) <= 1.5e-3
+    objects = [o for scene_id in real.scene_ids for o in real.read(scene_id)[0].objects]
+    assert len(objects) == 1462
+    for o in objects:
+        assert o.scale is not None
+        low, high = yaw_frame_box(meshes(o.asset_id or ""), o.scale, o.tilt_quat_xyzw)
+        assert np.abs(high - low - o.size).max() <= 1.5e-3
+        assert has_size(high - low, o.size)
 
 
 def test_real_scenes_place_box_centres(real: MesaTaskDataset, meshes: Callable[[str], FloatArray], shared_data: Path) -> None:
@@ -185,7 +190,7 @@ def test_scenes_of_one_name_are_told_apart(tmp_path: Path) -> None:
     (other.parent / "no_layout").mkdir()
     dataset = MesaTaskDataset(tmp_path)
     assert dataset.scene_ids == ("office_table_0001", "x_table/office_table_0001")
-    assert [notice.code for notice in dataset.notices] == ["layout_missing"]
+    assert [(notice.item_id, notice.code) for notice in dataset.notices] == [("no_layout", "layout_missing")]
     scene = dataset.read("x_table/office_table_0001")[0]
     assert scene.table.table_type == "x_table"
     assert write_scene(tmp_path / "copy", scene).relative_to(tmp_path / "copy").parts == ("Layout_info", "x_table", folder.name)
@@ -204,6 +209,17 @@ def test_layouts_alone_are_enough(tmp_path: Path) -> None:
     (tmp_path / "Asset_annotation.json").write_text("{")
     with pytest.raises(ConfigError, match="fetch"):
         MesaTaskDataset(tmp_path)
+
+
+def test_a_turned_variant_that_another_file_stands_in_for_is_noticed(tmp_path: Path) -> None:
+    variant = f"{UID}_x_90_y_0"
+    make_dataset(tmp_path, entry(retrieved_uid=variant, selected_uid=variant))
+    scene, (notice,) = MesaTaskDataset(tmp_path).read("office_table_0001")
+    assert scene.objects[0].asset_id == variant
+    assert notice.code == "asset_variant_served"
+    assert f"{UID}.glb stands in" in notice.message
+    write_asset(tmp_path, variant, b"glTF")
+    assert MesaTaskDataset(tmp_path).read("office_table_0001")[1] == ()
 
 
 def test_words_come_from_the_annotation(tmp_path: Path) -> None:

@@ -98,3 +98,16 @@ def test_annotations_without_sense_get_defaults(raw: dict[str, Any]) -> None:
 )
 def test_categories_are_cleaned(instance: str, category: str) -> None:
     assert category_of(instance) == category
+
+
+def test_an_asset_annotated_twice_keeps_the_first_and_is_noticed(tmp_path: Path) -> None:
+    make_dataset(tmp_path)
+    path = tmp_path / "Asset_annotation.json"
+    path.write_text('{"a": {"category": "mug"}, "b": {}, "a": {"category": "cup"}}')
+    dataset = MesaTaskDataset(tmp_path)
+    assert dataset.annotation("a").category == "mug"
+    (notice,) = dataset.notices
+    assert notice.code == "annotation_duplicate"
+    assert "gives key 'a' twice" in notice.message
+    path.write_text('{"a": {}, "b": {}, "a": {}, "b": {}}')
+    assert "'a' and 1 more keys twice" in MesaTaskDataset(tmp_path).notices[0].message

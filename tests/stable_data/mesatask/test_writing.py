@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from stable_data.errors import SceneError
 from stable_data.mesatask import (
+    AssetAnnotation,
     MesaTaskDataset,
     read_layout,
     read_reply_layout,
@@ -23,7 +24,7 @@ from stable_data.mesatask import (
 )
 from stable_data.mesatask.frame import normalised
 from stable_data.scene import UPRIGHT, QuatXyzw, Relation, RelationKind, Scene, SceneObject, Tabletop, TaskInfo
-from tests.stable_data.mesatask.layouts import LAID_FLAT, UID, make_dataset
+from tests.stable_data.mesatask.layouts import LAID_FLAT, UID, entry, layout, make_dataset
 
 lengths = st.floats(0.001, 3.0)
 places = st.tuples(st.floats(-1, 3), st.floats(-1, 3), st.floats(-0.5, 2))
@@ -103,6 +104,75 @@ def test_a_reply_is_in_degrees_and_may_repeat_itself() -> None:
     assert [o.asset_id for o in chosen.objects] == [UID, None]
     with pytest.raises(SceneError, match="not valid JSON"):
         read_reply_layout("I cannot do that.")
+
+
+def test_a_reply_need_not_repeat_the_table_and_may_be_of_no_object() -> None:
+    table = Tabletop("bathroom_vanity", (1.2, 0.66), (0.2, 0.45, 0.1, 0.3))
+    empty = Scene("reply", table, ())
+    assert read_reply_layout(json.dumps(write_reply_layout(empty)), table=table) == empty
+    assert read_reply_layout(write_reply_layout(empty)).table.size_xy == table.size_xy
+    pen = {"instance": "pen_0", "description": "a pen", "z_rotation": 0, "size": [1, 14, 1], "position": [20, 10, 0.5]}
+    assert read_reply_layout({"objects": [pen]}, table=table).table == table
+    shifted = read_reply_layout({"item_placement_zone": [10, 70, 0, 40], "objects": [pen]}, table=table)
+    assert shifted.table == table
+    assert shifted.objects[0].position == pytest.approx((0.1, 0.1, 0.005))
+    with pytest.raises(SceneError, match="item_placement_zone is missing"):
+        read_reply_layout({"objects": [pen]})
+    with pytest.raises(SceneError, match="empty list"):
+        read_layout({"item_placement_zone": [0, 1, 0, 1], "objects": []}, "scene_0", "desk")
+
+
+def read_object(document: dict[str, Any], annotations: dict[str, AssetAnnotation] | None = None) -> SceneObject:
+    (found,) = read_layout(json.dumps(document), "scene_0", "office_table", annotations=annotations)[0].objects
+    return found
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"scale": None},
+        {"scale": None, "size": (0.2, 0.3, 0.4)},
+        {"scale": (1.1, 1.0, 1.2)},
+        {"scale": (1.0008, 1.001, 1.001)},  # too little for the product of original_size to look wrong
+        {"size": (0.1801, 0.3203, 0.4403)},
+        {"scale": (2.0, 2.0, 2.0), "size": (0.36, 0.64, 0.88)},
+        {"tilt_quat_xyzw": LAID_FLAT, "scale": None},
+    ],
+)
+def test_a_changed_scale_or_size_reads_back(changes: dict[str, Any]) -> None:
+    document = layout()
+    scene, _ = read_layout(document, "scene_0", "office_table")
+    changed = replace(scene.objects[0], **changes)
+    written = write_layout(replace(scene, objects=(changed,)))
+    again, notices = read_layout(json.dumps(written), "scene_0", "office_table")
+    assert again.objects[0].scale == changed.scale
+    assert again.objects[0].size == pytest.approx(changed.size, abs=1e-9)
+    assert "size_disagrees" not in [n.code for n in notices]
+    is_product = changes.get("size") == (0.36, 0.64, 0.88) or changed.scale is None
+    assert ("original_size" in written["objects"][0]) == is_product
+
+
+def test_changed_words_are_written_and_annotated_ones_are_not() -> None:
+    annotations = {UID: AssetAnnotation(UID, description="A lamp.")}
+    for own, known in (("A red lamp.", None), ("A red lamp.", annotations), (None, annotations), (None, {})):
+        document = layout(entry(description=own))
+        scene, _ = read_layout(document, "scene_0", "office_table", annotations=known)
+        assert write_layout(scene, annotations=known) == document
+        changed = replace(scene, objects=(replace(scene.objects[0], description="A blue lamp."),))
+        written = write_layout(changed, annotations=known)
+        assert written["objects"][0]["description"] == "A blue lamp."
+        assert read_object(written, known).description == "A blue lamp."
+    described, _ = read_layout(layout(), "scene_0", "office_table", annotations=annotations)
+    assert write_layout(described) == layout()  # whose words these are is not known
+
+
+def test_numbers_that_json_does_not_have_are_written_as_null(tmp_path: Path) -> None:
+    document = layout(entry(mass=math.nan, scale_factor=[math.inf, 1, 1], original_size=None), weight=-math.inf)
+    scene, _ = read_layout(json.dumps(document), "office_table_0001", "office_table")
+    text = (write_scene(tmp_path, scene) / "layout.json").read_text()
+    written = json.loads(text, parse_constant=pytest.fail)
+    assert (written["weight"], written["objects"][0]["mass"]) == (None, None)
+    assert read_object(written) == scene.objects[0]
 
 
 def test_new_objects_are_written_with_the_formats_names(tmp_path: Path) -> None:

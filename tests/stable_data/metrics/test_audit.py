@@ -1,7 +1,8 @@
 """The audit of whole scenes: every verdict, and what becomes of what is not known."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
+import numpy as np
 import pytest
 
 from stable_data.metrics.audit import Audit, ObjectVerdict, PairVerdict, _without_circles, audit_scene
@@ -68,6 +69,38 @@ def test_sinking_into_the_table_is_measured_and_bounded(sunk: float, clean: bool
     assert card.float_rate == 0.0
 
 
+@pytest.mark.parametrize("offset", [0.1 * k for k in range(1, 9)])
+@pytest.mark.parametrize("height", [0.043, 0.1, 0.117])
+def test_what_is_off_by_the_tolerance_itself_is_let_pass(height: float, offset: float) -> None:
+    # Lengths as a layout gives them: millimetres and halves of them, whose sums are rounded this way and that.
+    block, wide = box(0.1, 0.1, height), 0.1 - 5e-4
+    placed: list[Placed] = [
+        ("sunk", block, (offset, 0.1, height / 2 - 5e-4, 0.0)),
+        ("deep in it", block, (offset + wide, 0.1, height / 2, 0.0)),
+        ("above the table", block, (offset, 0.4, height / 2 + 5e-4, 0.0)),
+        ("above a thing", block, (offset, 0.4, height / 2 + height + 1e-3, 0.0)),
+        ("over the edge", block, (0.05 - 1e-3, 0.6, height / 2, 0.0)),
+        ("in the zone", block, (0.8, 0.8 - 0.05 + 1e-3, height / 2, 0.0)),
+    ]
+    audit = audit_scene(*scene_of(placed, size_xy=(1.2, 1.0), zone=(0.75, 0.85, 0.8, 1.0)))
+    assert audit.card().clean is True
+    assert len(audit.pairs) == 1
+    over = [(n, s, (x, y, z + d, yaw)) for (n, s, (x, y, z, yaw)), d in zip(placed, (-1e-8, 0, 1e-8, 2e-8, 0, 0), strict=True)]
+    worse = audit_scene(*scene_of(over, size_xy=(1.2, 1.0)))
+    assert [o.floats for o in worse.objects] == [False, False, True, True, False, False]
+    assert worse.card().clean is False
+
+
+@pytest.mark.parametrize("depth", [5e-4, 1e-3, 1e-2])
+def test_a_pair_as_deep_as_a_tolerance_is_not_deeper(depth: float) -> None:
+    for k in range(20):
+        at = 0.1 + 0.037 * k
+        placed: list[Placed] = [("a", CUBE, (at, 0.5, 0.05, 0.0)), ("b", CUBE, (at + 0.1 - depth, 0.5, 0.05, 0.0))]
+        audit = audit_scene(*scene_of(placed))
+        assert audit.share_deeper(depth) == 0.0
+        assert audit.share_deeper(0.97 * depth) == 1.0
+
+
 def test_the_tolerance_moves_every_verdict() -> None:
     placed: list[Placed] = [
         ("sunk", CUBE, (0.2, 0.2, 0.048, 0.0)),
@@ -87,6 +120,23 @@ def test_an_empty_scene_is_clean() -> None:
 def test_boxes_that_do_not_meet_settle_what_a_missing_mesh_leaves_open() -> None:
     card = audit_scene(*scene_of([("known", CUBE, (0.2, 0.2, 0.05, 0.0)), ("unknown", UNKNOWN, (0.7, 0.7, 0.05, 0.0))])).card()
     assert (card.num_unknown_pairs, card.oc, card.num_without_mesh) == (0, 0.0, 1)
+    assert card.float_rate == 0.0  # it stands on the table
+    assert card.clean is None  # but not by its mesh
+
+
+def test_a_box_that_stands_in_beyond_an_edge_leaves_open_whether_its_mesh_is() -> None:
+    placed: list[Placed] = [
+        ("over the edge", UNKNOWN, (0.99, 0.2, 0.05, 0.0)),
+        ("in the zone", UNKNOWN, (0.2, 0.2, 0.05, 0.0)),
+        ("inside", UNKNOWN, (0.6, 0.6, 0.05, 0.0)),
+    ]
+    audit = audit_scene(*scene_of(placed, zone=(0.1, 0.2, 0.1, 0.3)))
+    assert [(o.leaves_table, o.enters_restricted_zone) for o in audit.objects] == [(None, False), (False, None), (False, False)]
+    assert [o.is_outside for o in audit.objects] == [None, None, False]
+    assert audit.card().out_of_bounds_rate is None
+    assert audit.card().clean is None
+    known: list[Placed] = [*placed, ("outside", CUBE, (0.0, 0.6, 0.05, 0.0))]
+    assert audit_scene(*scene_of(known)).card().clean is False
 
 
 def test_a_missing_mesh_that_may_collide_is_unknown_and_never_a_pass() -> None:
@@ -134,6 +184,14 @@ def test_pairs_that_are_apart_are_not_listed() -> None:
     assert audit_scene(*scene_of(placed)).pairs == ()
 
 
+def test_what_a_card_counts_is_a_plain_number() -> None:
+    leaning, shapes = box_on_table()
+    leaning = replace(leaning, objects=(replace(leaning.objects[0], tilt_quat_xyzw=(np.sin(0.1), 0.0, 0.0, np.cos(0.1))),))
+    card = audit_scene(leaning, shapes).card()
+    assert card.num_tilted == 1
+    assert {type(value) for value in asdict(card).values()} <= {int, float, bool, type(None)}
+
+
 def test_rows_say_the_same_in_millimetres() -> None:
     audit = audit_scene(*overlapping_balls(0.004))
     rows = audit.rows()
@@ -156,6 +214,21 @@ def _verdict(instance: str, *supports: str) -> ObjectVerdict:
 def test_things_that_only_carry_each_other_float() -> None:
     objects = (_verdict("cup", "toy"), _verdict("toy", "cup"), _verdict("ball", "toy"))
     assert [o.floats for o in _without_circles(objects)] == [True, True, False]
+
+
+def test_a_circle_that_a_missing_mesh_might_carry_is_unknown() -> None:
+    objects = (_verdict("cup", "toy"), _verdict("toy", "cup"), _verdict("die", "box"), _verdict("box", "die"))
+    assert [o.floats for o in _without_circles(objects, {"toy"})] == [None, None, True, True]
+    # Two balls in the air that are in each other, one of them above a thing without a mesh.
+    placed: list[Placed] = [
+        ("left", ball(0.05), (0.5, 0.5, 0.3, 0.0)),
+        ("right", ball(0.05), (0.596, 0.5, 0.3, 0.0)),
+        ("unknown", UNKNOWN, (0.45, 0.5, 0.2, 0.0)),
+    ]
+    for count, floats in ((2, True), (3, None)):
+        left, right, *_ = audit_scene(*scene_of(placed[:count])).objects
+        assert (left.supports, right.supports) == (("right",), ("left",))
+        assert left.floats is right.floats is floats
 
 
 def test_a_circle_that_stands_on_something_does_not_float() -> None:

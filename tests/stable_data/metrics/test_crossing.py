@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stable_data.metrics.crossing import MeshPair, Surface, boxes, near_triangles, unit_normals
+from stable_data.metrics.crossing import MeshPair, Surface, boxes, near_triangles
 from stable_data.scene import FloatArray
 from tests.scenes import ball, bowl, box, sheet, triangles
 
@@ -120,11 +120,6 @@ def test_more_contacts_than_are_kept_are_reported_as_cut_short() -> None:
     assert few.is_cut_short
     assert not every.is_cut_short
     assert len(every.normals_a) > len(few.normals_a)
-
-
-def test_triangles_without_area_have_no_normal() -> None:
-    flat = np.array([[[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 0, 0], [2, 0, 0], [0, 2, 0]]], float)
-    assert unit_normals(flat).tolist() == [[0, 0, 0], [0, 0, 1]]
 
 
 def test_boxes_are_coordinates_first() -> None:

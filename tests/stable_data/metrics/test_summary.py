@@ -1,16 +1,20 @@
 """The page on a set of scenes counts what the cards say, unknowns apart."""
 
+from collections.abc import Mapping
 from dataclasses import asdict
+from typing import Any
 
 import polars as pl
 import pyarrow as pa
+import pytest
 
 from stable_data import tables
 from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.summary import Line, Summary, summarise
+from stable_data.scene import Scene
 from stable_data.shape import Shape
-from tests.scenes import ball_in_bowl, box, box_on_table, overlapping_balls, scene_of
+from tests.scenes import Placed, ball_in_bowl, box, box_on_table, overlapping_balls, scene_of
 
 UNKNOWN = scene_of(
     [("a", Shape.box((0.1, 0.1, 0.1)), (0.5, 0.5, 0.05, 0.0)), ("b", box(0.1, 0.1, 0.1), (0.55, 0.5, 0.05, 0.0))]
@@ -25,6 +29,11 @@ def frame() -> pl.DataFrame:
         "sunk": box_on_table(-0.01),
         "unknown": UNKNOWN,
     }
+    return framed(built)
+
+
+def framed(built: Mapping[str, tuple[Scene, list[Shape]]]) -> pl.DataFrame:
+    """Scenes as rows of the table ``scenes``."""
     rows = []
     for name, scene in built.items():
         audit = audit_scene(*scene)
@@ -33,6 +42,62 @@ def frame() -> pl.DataFrame:
     names = ["scene_id", *MetricCard.__dataclass_fields__, "pairs", "verdicts"]
     table = pa.Table.from_pylist(rows, schema=pa.schema([schema.field(n) for n in names]))
     return pl.DataFrame(pl.from_arrow(table))
+
+
+def hidden() -> pl.DataFrame:
+    """A scene of which much is known, although one object has no mesh, and one of which little is."""
+    stand_in, cube = Shape.box((0.1, 0.1, 0.1)), box(0.1, 0.1, 0.1)
+    much: list[Placed] = [
+        ("a", cube, (0.5, 0.5, 0.05, 0.0)),
+        ("b", cube, (0.56, 0.5, 0.05, 0.0)),
+        ("in the air", cube, (0.2, 0.5, 0.25, 0.0)),
+        ("over the edge", cube, (0.5, 0.0, 0.05, 0.0)),
+        ("unknown", stand_in, (0.42, 0.5, 0.05, 0.0)),
+        ("on the unknown", cube, (0.38, 0.55, 0.1503, 0.0)),
+    ]
+    little: list[Placed] = [("x", stand_in, (0.5, 0.0, 0.25, 0.0)), ("y", cube, (0.5, 0.05, 0.17, 0.0))]
+    return framed({"much": scene_of(much), "little": scene_of(little), "ball": ball_in_bowl()})
+
+
+def test_what_is_known_is_not_hidden_by_what_is_not() -> None:
+    summary = summarise(hidden())
+    assert card_of(hidden(), "much")["max_penetration_mm"] is None
+    for label, count, unknown in (
+        ("scenes clean (0.5 mm)", 1, 1),
+        ("scenes with a collision (0.5 mm)", 1, 1),
+        ("scenes with a collision deeper than 10 mm", 1, 1),
+        ("scenes with a floating object", 1, 1),
+        ("scenes with an object out of bounds", 1, 1),
+        ("objects that float (0.5 mm)", 1, 3),
+        ("objects out of bounds", 1, 1),
+    ):
+        assert (line(summary, label).count, line(summary, label).unknown) == (count, unknown), label
+    figures = dict(summary.figures)
+    assert figures["deepest object-object penetration"].endswith(" mm, 2 pairs unknown")
+    assert float(figures["deepest object-object penetration"].split()[0]) == pytest.approx(40, rel=0.03)
+    assert figures["largest gap below an object"] == "at least 100 mm, 3 objects unknown"
+    assert figures["mean share of colliding pairs (OC)"] == "0.000 %, 2 scenes unknown"
+    offenders = {(o.scene_id, o.what.split(" ", 1)[1]) for o in summary.offenders}
+    assert ("much", "mm deep in each other") in offenders
+    assert ("much", "mm above its support") in offenders
+    assert ("much", "of its objects out of bounds") in offenders
+
+
+def test_a_depth_in_the_table_is_measured_however_deep() -> None:
+    deep = framed({"sunk": box_on_table(-0.15)})
+    assert dict(summarise(deep).figures)["deepest table penetration"] == "150.00 mm"
+
+
+def test_a_depth_of_the_tolerance_itself_counts_as_the_verdict_has_it() -> None:
+    frame_of_one = framed({"sunk": box_on_table(-5e-4 - 1e-16)})
+    assert card_of(frame_of_one, "sunk")["clean"] is True
+    summary = summarise(frame_of_one)
+    assert line(summary, "scenes that sink into the table (0.5 mm)").count == 0
+    assert summary.offenders == ()
+
+
+def card_of(scenes: pl.DataFrame, scene_id: str) -> dict[str, Any]:
+    return scenes.filter(pl.col("scene_id") == scene_id).row(0, named=True)
 
 
 def line(summary: Summary, label: str) -> Line:

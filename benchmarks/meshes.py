@@ -1,0 +1,31 @@
+"""The meshes that benchmarks measure on."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from stable_data.errors import MeshError
+from stable_data.glb import load_glb
+from stable_data.mesh import Mesh
+from stable_data.repair import MeshReport, repair
+
+
+def repaired_meshes(folder: Path, limit: int) -> Iterator[tuple[str, Mesh, MeshReport]]:
+    """Asset ids, repaired meshes and their reports; a file that cannot be used is left out, as the job leaves it out.
+
+    Args:
+        folder: GLB files.
+        limit: At most so many of them, spread evenly over the folder; 0 for all.
+    """
+    paths = sorted(folder.glob("*.glb"))
+    if limit:
+        paths = [paths[i] for i in np.linspace(0, len(paths) - 1, min(limit, len(paths))).astype(int)]
+    for path in tqdm(paths, "meshes"):
+        try:
+            mesh, report, _ = repair(load_glb(path, path.stem)[0], path.stem)
+        except MeshError as error:
+            tqdm.write(f"left out: {error}")
+            continue
+        yield path.stem, mesh, report

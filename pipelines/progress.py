@@ -1,0 +1,14 @@
+"""How far an item came, so that a failure names its step."""
+
+from dataclasses import dataclass
+
+
+@dataclass(slots=True)
+class Progress:
+    """How far an item came.
+
+    Attributes:
+        step: What is being done to it.
+    """
+
+    step: str

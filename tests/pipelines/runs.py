@@ -1,0 +1,34 @@
+"""Small runs of the preprocess job, and what they leave behind."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from pipelines.plan import PreprocessSettings
+
+ROOT = Path(__file__).resolve().parents[2]
+SMALL = PreprocessSettings(scenes_per_shard=2, assets_per_shard=4, num_points=64, num_pictures=0, all_assets=False)
+
+
+def content(out: Path) -> dict[str, bytes]:
+    """Every shard of a run, byte for byte."""
+    return {p.relative_to(out).as_posix(): p.read_bytes() for p in sorted(out.glob("*/part-*.parquet"))}
+
+
+def command_of(dataset: Path, out: Path, *more: str) -> list[str]:
+    settings = [f"--set={k}={json.dumps(v)}" for k, v in SMALL.shaping().items()]
+    where = ["--data", str(dataset), "--out", str(out)]
+    return [sys.executable, "-m", "pipelines", "preprocess", *where, "--set=num_pictures=0", *settings, *more]
+
+
+def run_cli(dataset: Path, out: Path, *more: str, cwd: Path = ROOT, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = command_of(dataset, out, *more)
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=os.environ | environment)
+
+
+def used_assets(root: Path) -> set[str]:
+    """The uids that a dataset's layouts name."""
+    layouts = [json.loads(p.read_text("utf-8")) for p in root.glob("Layout_info/*/*/layout.json")]
+    return {str(o.get("selected_uid") or o["retrieved_uid"]) for layout in layouts for o in layout["objects"]}

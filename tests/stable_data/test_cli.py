@@ -1,0 +1,124 @@
+"""The command line: every end that was not meant is one line and status 2."""
+
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner, Result
+
+import stable_data.lint
+from stable_data.cli import DEBUG, EXTRA_OF_MODULE, NOT_STARTED, app, with_clear_errors
+from stable_data.lint import LintResult
+from stable_data.shards import RunFolder
+
+ROOT = Path(__file__).parents[2]
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def nothing_found(root: Path, *, progress: bool) -> LintResult:
+    return LintResult(root, (), (), ())
+
+
+def test_an_error_that_nobody_foresaw_is_one_line_and_status_2(monkeypatch: pytest.MonkeyPatch) -> None:
+    @with_clear_errors
+    def fail() -> None:
+        raise IndexError("list index\nout of range")
+
+    monkeypatch.delenv(DEBUG, raising=False)
+    with pytest.raises(typer.Exit) as caught:
+        fail()
+    assert caught.value.exit_code == NOT_STARTED
+    monkeypatch.setenv(DEBUG, "1")
+    with pytest.raises(IndexError):
+        fail()
+
+
+def test_the_line_says_what_and_how_to_see_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(root: Path, *, progress: bool) -> LintResult:
+        raise IndexError("list index\nout of range")
+
+    monkeypatch.delenv(DEBUG, raising=False)
+    monkeypatch.setattr(stable_data.lint, "lint_folder", fail)
+    result = run("lint", "anywhere")
+    assert (result.exit_code, result.stdout) == (NOT_STARTED, "")
+    assert result.stderr == f"error: unexpected IndexError: list index; please report it with what {DEBUG}=1 shows\n"
+
+
+@pytest.mark.parametrize("end", [typer.Exit(1), typer.Abort(), BrokenPipeError()])
+def test_an_end_that_was_meant_stays(end: BaseException) -> None:
+    @with_clear_errors
+    def stop() -> None:
+        raise end
+
+    with pytest.raises(type(end)) as caught:
+        stop()
+    assert caught.value is end
+
+
+@pytest.mark.parametrize("arguments", [["lint", "anywhere"], ["synth", "somewhere"]])
+def test_without_the_extras_a_command_says_what_to_install(arguments: list[str], tmp_path: Path) -> None:
+    code = (
+        f"import sys; sys.modules.update(dict.fromkeys({list(EXTRA_OF_MODULE)})); "
+        f"from stable_data.cli import app; app({arguments})"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, env={"PYTHONPATH": str(ROOT)}
+    )
+    assert done.returncode == NOT_STARTED
+    assert done.stderr.startswith("error: needs stable-data[geometry,sim], but ")
+    assert "pip install '.[geometry,sim]'" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_every_module_of_an_extra_is_known() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
+    distributions = {d.split(">")[0].split("[")[0] for e in ("geometry", "sim", "torch", "pipelines") for d in extras[e]}
+    brought = {m for m, of in packages_distributions().items() if {d.lower() for d in of} & distributions and m.isidentifier()}
+    assert {m for m in brought if not m.startswith("_")} - {"functorch", "torchgen"} <= set(EXTRA_OF_MODULE)
+
+
+def test_a_place_that_cannot_be_written_is_refused_before_the_audit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    audited: list[Path] = []
+    monkeypatch.setattr(stable_data.lint, "lint_folder", lambda root, progress: audited.append(root))
+    (tmp_path / "file").touch()
+    for table in (tmp_path / "file" / "lint.parquet", tmp_path):
+        result = run("lint", "anywhere", "--table", table)
+        assert result.exit_code == NOT_STARTED
+        assert f"{table}: cannot be written" in result.stderr
+    assert not audited
+
+
+def test_a_table_that_cannot_be_written_leaves_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fill_the_place(root: Path, *, progress: bool) -> LintResult:
+        table.mkdir()
+        return nothing_found(root, progress=progress)
+
+    table = tmp_path / "out" / "lint.parquet"
+    monkeypatch.setattr(stable_data.lint, "lint_folder", fill_the_place)
+    result = run("lint", "anywhere", "--table", table)
+    assert result.exit_code == NOT_STARTED
+    assert "anywhere: 0 scenes" in result.stdout
+    assert "cannot be written" in result.stderr
+
+
+def test_inspect_counts_rows_and_names_a_shard_that_broke(tmp_path: Path) -> None:
+    folder = RunFolder(str(tmp_path))
+    folder.write_bytes("manifest.json", b"{}")
+    for shard_id in ("00", "01"):
+        folder.write_shard("warnings", shard_id, [{"id": "a", "step": "read", "code": "odd", "message": "a: odd"}])
+    result = run("inspect", tmp_path)
+    assert result.exit_code == 0
+    assert "warnings          2 rows in 2 files" in result.stdout
+    path = Path(folder.files("warnings")[1])
+    path.write_bytes(path.read_bytes()[:-40])
+    result = run("inspect", tmp_path)
+    assert result.exit_code == NOT_STARTED
+    assert f"{path} cannot be read" in result.stderr
+    assert result.stderr.count("\n") == 1

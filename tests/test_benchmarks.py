@@ -1,0 +1,72 @@
+"""The benchmarks: that all of them are started, on any set; what they measure is measured by running them."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks import __main__ as benchmarks
+from benchmarks.audit import readable_scenes
+from benchmarks.meshes import repaired_meshes
+from stable_data.cli import DONE, NOT_STARTED, SOME_FAILED
+from stable_data.mesatask import MesaTaskDataset
+from stable_data.synth import World, write_world
+
+FOLDER = Path(benchmarks.__file__).parent
+
+
+class Commands:
+    """Keeps commands instead of running them; the job ends with a status."""
+
+    def __init__(self, status: int) -> None:
+        self.status, self.commands = status, list[list[str]]()
+
+    def __call__(self, command: list[str], *, check: bool = False) -> subprocess.CompletedProcess[str]:
+        self.commands.append(command)
+        return subprocess.CompletedProcess(command, 0 if check else self.status)
+
+
+def started(out: Path, status: int, monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
+    commands = Commands(status)
+    with monkeypatch.context() as patch:
+        patch.setattr(subprocess, "run", commands)
+        patch.setattr(sys, "argv", ["benchmarks", "--data", "data", "--out", str(out)])
+        benchmarks.main()
+    return commands.commands
+
+
+@pytest.mark.parametrize("status", [DONE, SOME_FAILED])
+def test_every_benchmark_runs_although_some_items_failed(status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    job, *rest = started(tmp_path, status, monkeypatch)
+    assert job[2:4] == ["pipelines", "preprocess"]
+    modules = {f"benchmarks.{path.stem}" for path in FOLDER.glob("*.py") if "__main__" in path.read_text("utf-8")}
+    assert {command[2] for command in rest} == modules - {"benchmarks.__main__"}
+
+
+def test_each_time_has_a_run_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = (started(tmp_path, DONE, monkeypatch)[0][-1] for _ in range(2))
+    assert first != second
+    assert [path.name for path in tmp_path.iterdir()] == ["machine.json"]
+
+
+def test_a_job_that_could_not_start_ends_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(SystemExit) as caught:
+        started(tmp_path, NOT_STARTED, monkeypatch)
+    assert caught.value.code == NOT_STARTED
+
+
+def test_scenes_and_meshes_that_cannot_be_used_are_left_out(tmp_path: Path) -> None:
+    write_world(tmp_path, 2, World(pictures=False))
+    dataset = MesaTaskDataset(tmp_path)
+    broken, kept = dataset.scene_ids
+    dataset.layout_path(broken).write_text("{")
+    assert [scene.scene_id for scene in readable_scenes(MesaTaskDataset(tmp_path))] == [kept]
+    library = tmp_path / "few"
+    library.mkdir()
+    for path in sorted((tmp_path / "Assets_library").glob("*.glb"))[:2]:
+        shutil.copy(path, library)
+    first, second = sorted(library.iterdir())
+    first.write_bytes(first.read_bytes()[:100])
+    assert [asset_id for asset_id, _, _ in repaired_meshes(library, 0)] == [second.stem]
