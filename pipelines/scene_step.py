@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from pipelines.progress import Progress
 from stable_data import tables
-from stable_data.assets import AssetStore, with_box_centres
+from stable_data.assets import AssetStore
 from stable_data.errors import Notice
 from stable_data.instructions import derive_task, task_rng
 from stable_data.mesatask import TABLE_TYPES, MesaTaskDataset, PositionConvention
@@ -71,8 +71,7 @@ def preprocess_scene(
     progress.step = "read"
     scene, read = dataset.read(scene_id)
     progress.step = "mesh"
-    scene = with_box_centres(scene, store, settings.position_convention)
-    shapes, meshed = store.shapes(scene)
+    scene, shapes, meshed = store.resolved(scene, settings.position_convention)
     progress.step = "audit"
     posed = PosedScene(scene, shapes)
     audit = audit_posed(posed)

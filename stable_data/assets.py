@@ -254,15 +254,6 @@ def position_convention(dataset: MesaTaskDataset, store: AssetStore, num_scenes:
     return detect_position_convention(samples())
 
 
-def with_box_centres(scene: Scene, store: AssetStore, convention: PositionConvention) -> Scene:
-    """The scene with every position at the centre of its object's box in the yaw frame, which is what this library means."""
-    if convention is PositionConvention.BOX_CENTRE:
-        return scene
-    meshes = [store.mesh_of(o) for o in scene.objects]
-    moved = (o if mesh is None else to_box_centre(o, mesh.vertices) for o, mesh in zip(scene.objects, meshes, strict=True))
-    return replace(scene, objects=tuple(moved))
-
-
 def _in_cm(size: Iterable[float]) -> str:
     return "x".join(f"{100 * s:.1f}" for s in size) + " cm"
 

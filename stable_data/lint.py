@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from tqdm import tqdm
 
 from stable_data import tables
-from stable_data.assets import AssetStore, position_convention, with_box_centres
+from stable_data.assets import AssetStore, position_convention
 from stable_data.errors import Notice, StableDataError
 from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.metrics.audit import audit_scene
@@ -122,8 +122,7 @@ def _lint_scene(
     try:
         scene, read = dataset.read(scene_id)
         step = "mesh"
-        scene = with_box_centres(scene, store, convention)
-        shapes, meshed = store.shapes(scene)
+        scene, shapes, meshed = store.resolved(scene, convention)
         step = "audit"
         audit = audit_scene(scene, shapes)
     except StableDataError as error:

@@ -19,7 +19,7 @@ from pipelines.preprocess import TABLES, preprocess
 from pipelines.runner import Workers
 from stable_data.assets import AssetStore
 from stable_data.export.glb import write_glb
-from stable_data.mesatask import MesaTaskDataset, to_box_centre, write_text_features
+from stable_data.mesatask import MesaTaskDataset, to_box_centre, write_text_features, yaw_frame_box
 from stable_data.mesh import Mesh
 from stable_data.shards import RunFolder
 from stable_data.tables import scene_from_row
@@ -177,21 +177,26 @@ def test_positions_that_mean_the_mesh_centre_are_converted(tiny: Path, tmp_path:
     root = tmp_path / "data"
     shutil.copytree(tiny, root)
     path = next(root.glob("Layout_info/*/*/layout.json"))
-    layout = json.loads(path.read_text("utf-8"))
-    for entry in layout["objects"]:  # lean, so that the two centres differ
-        entry |= {"rotation": [np.sin(0.2), 0.0, 0.0, np.cos(0.2)], "z_rotation": 0.0}
+    dataset = MesaTaskDataset(root)
+    scene, store = dataset.read(path.parent.name)[0], AssetStore(dataset)
+    layout, lean = json.loads(path.read_text("utf-8")), (float(np.sin(0.2)), 0.0, 0.0, float(np.cos(0.2)))
+    for entry, o in zip(layout["objects"], scene.objects, strict=True):  # lean, so that the two centres differ
+        entry |= {"rotation": lean, "z_rotation": 0.0}
+        if (mesh := store.mesh_of(o)) is not None and o.scale is not None:
+            low, high = yaw_frame_box(mesh.vertices, o.scale, lean)
+            entry["size"] = (100 * (high - low)).tolist()
     path.write_text(json.dumps(layout), "utf-8")
     preprocess(str(root), str(tmp_path / "out"), replace(SMALL, position_convention="mesh_centre"), Workers())
     row = RunFolder(str(tmp_path / "out")).table("scenes").to_pylist()[0]
-    dataset = MesaTaskDataset(root)
-    scene, store = dataset.read(row["scene_id"])[0], AssetStore(dataset)
-    moved = 0
+    scene, moved = dataset.read(row["scene_id"])[0], 0
     for was, now in zip(scene.objects, row["objects"], strict=True):
         mesh = store.mesh_of(was)
         expected = was if mesh is None else to_box_centre(was, mesh.vertices)
         assert now["position"] == pytest.approx(expected.position)
         moved += now["position"] != pytest.approx(was.position, abs=1e-4)
     assert moved > 0
+    lost = RunFolder(str(tmp_path / "out")).table("warnings").to_pylist()
+    assert sum(r["code"] == "position_unknown" for r in lost) == sum(store.mesh_of(o) is None for o in scene.objects) > 0
 
 
 @dataclass(frozen=True)
