@@ -5,7 +5,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from functools import wraps
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn, ParamSpec, TypeVar
 
@@ -131,14 +130,18 @@ def tell_world(out: Path, num_scenes: int, failures: Sequence[SceneError]) -> No
 
 def _on_ray(out: Path, scenes: int, world: "World", workers: int, address: str | None) -> int:
     """Hands over to ``python -m pipelines synth``, for Ray is not this package's; gives its exit status."""
-    if find_spec("pipelines") is None:
-        raise ConfigError("--workers and --address need a checkout, where pipelines/ is; run it there", "no_pipelines")
+    checkout = Path(__file__).resolve().parents[1]
+    if not (checkout / "pipelines").is_dir():
+        raise ConfigError(
+            "--workers and --address need a checkout, for pipelines/ is not installed; run it there", "no_pipelines"
+        )
     command = [sys.executable, "-m", "pipelines", "synth", str(out), "--scenes", str(scenes), "--seed", str(world.seed)]
     command += [part for table in world.tables for part in ("--table", table)]
     command += ["--edits"] * world.edits + ["--whole-library"] * world.whole_library
     command += ["--pictures" if world.pictures else "--no-pictures"]
     command += ["--workers", str(workers)] * bool(workers) + (["--address", address] if address else [])
-    return subprocess.run(command, check=False).returncode
+    path = os.pathsep.join([str(checkout), *filter(None, [os.environ.get("PYTHONPATH")])])
+    return subprocess.run(command, check=False, env=os.environ | {"PYTHONPATH": path}).returncode
 
 
 @app.command()
