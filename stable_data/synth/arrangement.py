@@ -19,8 +19,8 @@ from stable_data.synth.catalogue import NUM_VARIANTS, asset
 from stable_data.synth.family import Space
 
 _TRIES = 40
-_UNEVEN = 0.12  # share of single things that are stretched along one axis, as many assets of the format are
-_STRETCH = 0.15  # at most
+_UNEVEN = 0.12  # share of upright single things that may be stretched, as assets of the format are
+_STRETCH = 0.15  # at most, along an axis
 _STICKS_OUT = 1.15  # what leans in a cup is longer than the cup is deep by this factor
 _FOOT_SHARE = 0.25  # of a long thing's length is its foot
 
@@ -135,7 +135,7 @@ class Kit:
         return Item(key, x, y, yaw + self.around(wobble), asset(key).design.tilts[0], self.scale())
 
     def single(self, *categories: str, wobble: float = 0.3) -> Item:
-        """A thing by itself, in any of its usual tilts, sometimes stretched along one axis."""
+        """A thing by itself, in any of its usual tilts, sometimes stretched along some axes."""
         key = self.key(*categories)
         tilts = asset(key).design.tilts
         tilt = tilts[0] if self.chance(0.7) else tilts[self.rng.integers(len(tilts))]

@@ -141,8 +141,8 @@ def _is_same(one: Counted, other: Counted) -> bool:
     return bool(distance[rows, columns].max(initial=0.0) < _SAME and not differs[rows, columns].any())
 
 
-def card(scenes: Sequence[Counted]) -> str:
-    """The dataset card, Markdown: the figures beside MesaTask-10K's, tables and categories."""
+def card(scenes: Sequence[Counted], sheet: str | None = None) -> str:
+    """The dataset card, Markdown: the figures beside MesaTask-10K's, tables, categories, and a link to a sheet of pictures."""
     lines = ["# A set of the embedded world", "", "Made by `stable-data synth`; every scene is at rest and clean. CC0.", ""]
     lines += ["| | this set | MesaTask-10K |", "|---|---|---|"]
     lines += [f"| {name} | {value} | {MESATASK.get(name, 'not known')} |" for name, value in figures(scenes).items()]
@@ -157,6 +157,7 @@ def card(scenes: Sequence[Counted]) -> str:
     lines += ["|---|---|---|"]
     for table_type, found in sorted(_by_table(scenes).items()):
         lines.append(f"| {table_type} | {len(found)} | {np.mean([len(s.categories) for s in found]):.1f} |")
+    lines += ["", f"![scenes of the set]({sheet})"] if sheet else []
     uses = Counter(c for s in scenes for c in s.categories)
     lines += ["", "## Categories", "", ", ".join(f"{category} {count}" for category, count in uses.most_common()), ""]
     return "\n".join(lines)

@@ -20,7 +20,7 @@ from stable_data.mesatask.layout import LAYOUT_FILE
 from stable_data.mesatask.library import ANNOTATION_FILE, LIBRARY_FOLDER, AssetAnnotation
 from stable_data.mesatask.writing import LAYOUT_FOLDER, write_annotations, write_asset, write_scene
 from stable_data.mesh import Mesh
-from stable_data.render import render_scene
+from stable_data.render import contact_sheet, render_scene
 from stable_data.shape import Shape
 from stable_data.synth.catalogue import KEYS, asset, unit_cube
 from stable_data.synth.edits import KINDS, Edit, make_edit
@@ -37,6 +37,9 @@ MANIFEST_FILE = "synth.json"
 FAILURES_FOLDER = "synth_failures"
 EDIT_FOLDER, EDIT_FILE, EDITS_FILE = "Edit_info", "edit.json", "edits.jsonl"
 
+SHEET_FILE = "sheet.png"
+
+_NUM_ON_SHEET, _SHEET_PICTURE = 60, (256, 256)
 _EDIT_STREAM = 1_000_003  # no scene is drawn from this attempt
 
 Progress = Callable[[int], None]
@@ -179,19 +182,30 @@ def _write_edit(out: Path, edit: Edit, *, pictures: bool) -> None:
 
 
 def close_world(out: Path, world: World) -> None:
-    """Writes what is said of the whole set: the dataset card (``README.md``), the annotations, ``edits.jsonl``."""
+    """Writes what is said of the whole set: its card (``README.md``), a sheet of pictures, the annotations, ``edits.jsonl``."""
     dataset = MesaTaskDataset(out)
     scenes = [counted(dataset.read(scene_id)[0]) for scene_id in dataset.scene_ids]
     edits = sorted((out / EDIT_FOLDER).glob(f"*/*/{EDIT_FILE}"))
     try:
         if not world.whole_library:
             write_library(out, sorted(used_keys(out)))
+        has_sheet = _write_sheet(out)
         if scenes:
-            (out / "README.md").write_text(card(scenes), "utf-8")
+            (out / "README.md").write_text(card(scenes, SHEET_FILE if has_sheet else None), "utf-8")
         if edits:
             (out / EDITS_FILE).write_text("".join(json.dumps(json.loads(p.read_text("utf-8"))) + "\n" for p in edits), "utf-8")
     except OSError as error:
         raise _unwritable(out, error) from error
+
+
+def _write_sheet(out: Path) -> bool:
+    """Draws an even choice of the pictures on one sheet; gives whether there are any."""
+    paths = sorted((out / LAYOUT_FOLDER).glob("*/*/front.png"))
+    chosen = paths[:: -(-len(paths) // _NUM_ON_SHEET)] if paths else []
+    images = [np.asarray(Image.open(path).convert("RGB").resize(_SHEET_PICTURE)) for path in chosen]
+    if images:
+        Image.fromarray(contact_sheet(images, [path.parent.name for path in chosen], columns=6)).save(out / SHEET_FILE)
+    return bool(images)
 
 
 def used_keys(out: Path) -> set[str]:

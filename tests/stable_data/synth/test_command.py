@@ -30,6 +30,15 @@ def test_it_makes_scenes_on_the_tables_that_are_asked_for(tmp_path: Path) -> Non
     assert (tmp_path / "out/edits.jsonl").is_file()
 
 
+def test_card_shows_a_sheet_of_pictures_where_there_are_any(tmp_path: Path) -> None:
+    status, _ = told(str(tmp_path / "out"), "--scenes", "1", "--table", "nightstand")
+    assert status == 0
+    if not list((tmp_path / "out").glob("Layout_info/*/*/front.png")):
+        pytest.skip("this machine draws nothing")
+    assert "![scenes of the set](sheet.png)" in (tmp_path / "out/README.md").read_text()
+    assert (tmp_path / "out/sheet.png").stat().st_size > 1000
+
+
 @pytest.mark.ray
 def test_workers_make_the_same(tmp_path: Path) -> None:
     assert told(str(tmp_path / "one"), "--scenes", "2", *QUICK)[0] == 0
