@@ -19,7 +19,8 @@ import stable_data
 from pipelines.asset_step import AssetUse, TextFeature
 from pipelines.scene_step import SceneSettings
 from stable_data import tables
-from stable_data.assets import AssetStore, aspect_steps, position_convention
+from stable_data.assets import AssetStore, aspect_steps
+from stable_data.conventions import position_convention
 from stable_data.errors import ConfigError, Notice
 from stable_data.mesatask import MesaTaskDataset, PositionConvention, read_text_features
 from stable_data.mesatask.frame import normalised

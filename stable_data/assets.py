@@ -2,7 +2,7 @@
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
@@ -14,16 +14,14 @@ from scipy.spatial.transform import Rotation
 from stable_data.errors import MeshError, Notice
 from stable_data.glb import load_colliders, load_glb
 from stable_data.mesatask import (
-    MesaTaskDataset,
     PositionConvention,
-    detect_position_convention,
     has_size,
     keeps_box,
     to_box_centre,
 )
 from stable_data.mesh import Mesh
 from stable_data.repair import MeshReport, repair
-from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject, Vec3
+from stable_data.scene import QuatXyzw, Scene, SceneObject, Vec3
 from stable_data.sdf_build import build_grid
 from stable_data.sdf_grid import SdfGrid
 from stable_data.shape import Shape
@@ -228,30 +226,6 @@ class AssetStore:
             found = f"{type(error).__name__}: {error}"
             return MeshError(f"asset {asset_id}: {found}; please report this with the file", "unexpected")
         return AssetMesh(mesh, report, odd + repaired)
-
-
-def position_convention(dataset: MesaTaskDataset, store: AssetStore, num_scenes: int = 64) -> PositionConvention:
-    """Which point of a tilted object a dataset calls its position, judged on an even choice of its scenes.
-
-    Args:
-        dataset: The dataset.
-        store: Geometry of its assets.
-        num_scenes: Scenes that are looked at, at most.
-
-    Returns:
-        The convention, see :func:`stable_data.mesatask.detect_position_convention`.
-    """
-    every = max(1, math.ceil(len(dataset.scene_ids) / num_scenes))
-
-    def samples() -> Iterator[tuple[SceneObject, FloatArray]]:
-        for scene_id in dataset.scene_ids[::every]:
-            try:
-                scene, _ = dataset.read(scene_id)
-            except Exception:  # noqa: BLE001, S112 - says nothing about positions; its own step reports it
-                continue
-            yield from ((o, mesh.vertices) for o in scene.objects if (mesh := store.mesh_of(o)) is not None)
-
-    return detect_position_convention(samples())
 
 
 def _in_cm(size: Iterable[float]) -> str:

@@ -12,7 +12,8 @@ import pyarrow.parquet as pq
 from tqdm import tqdm
 
 from stable_data import tables
-from stable_data.assets import AssetStore, position_convention
+from stable_data.assets import AssetStore
+from stable_data.conventions import position_convention
 from stable_data.errors import Notice, StableDataError
 from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.metrics.audit import audit_scene

@@ -10,9 +10,9 @@ from stable_data.mesatask.entry import LayoutLimits
 from stable_data.mesatask.features import read_text_features, write_text_features
 from stable_data.mesatask.frame import (
     PositionConvention,
-    detect_position_convention,
     has_size,
     keeps_box,
+    tells_convention,
     to_box_centre,
     yaw_frame_box,
 )
@@ -29,7 +29,6 @@ __all__ = [
     "MesaTaskDataset",
     "PositionConvention",
     "category_of",
-    "detect_position_convention",
     "has_size",
     "keeps_box",
     "read_annotation",
@@ -37,6 +36,7 @@ __all__ = [
     "read_reply_layout",
     "read_task_info",
     "read_text_features",
+    "tells_convention",
     "to_box_centre",
     "write_annotation",
     "write_annotations",

@@ -1,7 +1,6 @@
 """The geometry of a MesaTask pose: yaw and tilt of a rotation, the box in the yaw frame, and what ``position`` is."""
 
 import math
-from collections.abc import Iterable
 from dataclasses import replace
 from enum import StrEnum
 
@@ -11,6 +10,7 @@ from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, SceneObject, Vec3
 
 _SIZE_SLACK = (2.5e-3, 0.02)  # metres and share of the size, both to be passed: sizes are rounded to 1 mm
 _UPRIGHT_TILT = math.radians(1.0)
+_TELLING = 3e-3  # metres
 _GIMBAL = 1e-5  # horizontal length of the x axis below which its heading is noise
 _HEADING_TOLERANCE = 1e-3
 
@@ -157,40 +157,17 @@ def to_box_centre(scene_object: SceneObject, vertices: FloatArray) -> SceneObjec
     return replace(scene_object, position=(x + c * right - s * back, y + s * right + c * back, z + up))
 
 
-def detect_position_convention(
-    samples: Iterable[tuple[SceneObject, FloatArray]], tolerance: float = 1.5e-3
-) -> PositionConvention:
-    """Which of the two conventions a dataset follows, judged by how many objects rest on the table under each.
+def tells_convention(scene_object: SceneObject, vertices: FloatArray) -> bool:
+    """Whether an object's height tells which of the two conventions its dataset follows.
 
-    Only objects tell that are tilted, whose mesh is the annotated one (:func:`has_size`), whose two centres differ in
-    height by more than the two tolerances together, and that stand on or near the table (within 2 cm under either reading).
+    It is tilted, its mesh is the annotated one (:func:`has_size`), and its two centres differ in height by more than the
+    millimetres that a layout is written to.
 
     Args:
-        samples: Objects with their meshes, vertices as for :func:`to_box_centre`.
-        tolerance: How far the bottom of a resting object may be from z = 0, metres.
-
-    Returns:
-        The convention that leaves more of them resting; ``box_centre`` where neither does.
+        scene_object: The object.
+        vertices: Its mesh, as for :func:`to_box_centre`.
     """
-    resting = {PositionConvention.BOX_CENTRE: 0, PositionConvention.MESH_CENTRE: 0}
-    for scene_object, vertices in samples:
-        bottoms = _bottoms(scene_object, vertices, tolerance)
-        for convention, bottom in bottoms.items():
-            resting[convention] += abs(bottom) <= tolerance
-    box_votes, mesh_votes = resting[PositionConvention.BOX_CENTRE], resting[PositionConvention.MESH_CENTRE]
-    return PositionConvention.MESH_CENTRE if mesh_votes > box_votes else PositionConvention.BOX_CENTRE
-
-
-def _bottoms(scene_object: SceneObject, vertices: FloatArray, tolerance: float) -> dict[PositionConvention, float]:
-    """Height of an object's lowest point under each convention, metres; empty where it says nothing about them."""
     if scene_object.scale is None or scene_object.tilt_angle < _UPRIGHT_TILT:
-        return {}
+        return False
     low, high = yaw_frame_box(vertices, scene_object.scale, scene_object.tilt_quat_xyzw)
-    if not has_size(high - low, scene_object.size) or abs(low[2] + high[2]) / 2 <= 2 * tolerance:
-        return {}
-    z = scene_object.position[2]
-    bottoms = {
-        PositionConvention.BOX_CENTRE: z - float(high[2] - low[2]) / 2,
-        PositionConvention.MESH_CENTRE: z + float(low[2]),
-    }
-    return bottoms if min(map(abs, bottoms.values())) <= 0.02 else {}
+    return has_size(high - low, scene_object.size) and bool(abs(low[2] + high[2]) / 2 > _TELLING)

@@ -13,15 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from stable_data.assets import ASPECT_STEP, AssetStore, aspect_of, aspect_steps, fitted_scale, position_convention
-from stable_data.errors import MeshError, SceneError
+from stable_data.assets import ASPECT_STEP, AssetStore, aspect_of, aspect_steps, fitted_scale
+from stable_data.errors import MeshError
 from stable_data.export.glb import write_glb
-from stable_data.mesatask import MesaTaskDataset, PositionConvention
+from stable_data.mesatask import PositionConvention
 from stable_data.mesh import Mesh
 from stable_data.scene import UPRIGHT, QuatXyzw, Scene, SceneObject, Tabletop, Vec3
 from stable_data.shape import Shape
 from tests.scenes import ball, bowl, box, sheet
-from tests.stable_data.mesatask.layouts import make_dataset
 
 ON_ITS_SIDE: QuatXyzw = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 BLOCK = SceneObject("1_block_0", "block", (0.5, 0.5, 0.1), 0.0, (0.1, 0.2, 0.4), asset_id="block", scale=(0.1, 0.1, 0.1))
@@ -214,26 +213,6 @@ def test_a_file_that_vanishes_is_a_mesh_that_is_missing(store: AssetStore, folde
     shape, (notice,) = store.shape(BLOCK)
     assert not shape.is_exact
     assert notice.code == "glb_unreadable"
-
-
-@pytest.mark.parametrize(("num_scenes", "looked_at"), [(1, 1), (3, 2), (4, 4), (9, 4)])
-def test_the_convention_is_judged_on_so_many_scenes_at_most(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, num_scenes: int, looked_at: int
-) -> None:
-    for k in range(4):
-        make_dataset(tmp_path / str(k))
-        target = tmp_path / "all" / "Layout_info" / "desk" / str(k)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        next((tmp_path / str(k)).glob("Layout_info/*/*")).rename(target)
-    dataset, asked = MesaTaskDataset(tmp_path / "all"), list[str]()
-
-    def read(scene_id: str) -> None:
-        asked.append(scene_id)
-        raise SceneError("not of interest")
-
-    monkeypatch.setattr(dataset, "read", read)
-    assert position_convention(dataset, AssetStore(dataset), num_scenes) is PositionConvention.BOX_CENTRE
-    assert len(asked) == looked_at
 
 
 def test_what_exceeds_the_memory_is_computed_again(folder: Folder) -> None:
