@@ -21,7 +21,7 @@ env: $(READY) ## Make the environment in .venv with the pinned versions
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt torch cmeel-eigen
-	CPLUS_INCLUDE_PATH=$(abspath $(EIGEN)) $(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[geometry,sim,torch,pipelines,bench,dev]'
+	CPLUS_INCLUDE_PATH=$(abspath $(EIGEN)) $(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[geometry,sim,torch,models,pipelines,bench,dev]'
 	touch $@
 
 demo: $(READY) ## Fresh machine to a report with pictures: embedded set, preprocess

@@ -34,6 +34,7 @@ def main() -> None:
             "audit": ["benchmarks.audit", data, *(["--scenes", "6"] if few else [])],
             "preprocess": ["benchmarks.preprocess", data, "--scenes", "160" if few else "1000"],
             "loader": ["benchmarks.loader", run, data],
+            "corrector_losses": ["benchmarks.corrector_losses", run, data, *(["--batch", "8"] if few else [])],
             "synth": ["benchmarks.synth", "--scenes", "20" if few else "200"],
         }
         for name, command in jobs.items():
