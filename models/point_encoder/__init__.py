@@ -1,0 +1,24 @@
+"""Point encoder: Point Transformer V3 in plain torch, from an object's surface points to 64 numbers.
+
+``cloud`` is what goes in, ``encoder`` what it is asked, ``checkpoint`` its weights on disk, ``pretrain`` how they are made;
+below them ``transformer``, ``blocks``, ``level`` and ``serialization`` are the network.
+"""
+
+from models.point_encoder.checkpoint import load, load_published, save
+from models.point_encoder.cloud import Cloud, Preprocessing
+from models.point_encoder.encoder import FEATURE_CHANNELS, Features, PointEncoder
+from models.point_encoder.transformer import BASE, EMBEDDED, TransformerConfig
+
+__all__ = [
+    "BASE",
+    "EMBEDDED",
+    "FEATURE_CHANNELS",
+    "Cloud",
+    "Features",
+    "PointEncoder",
+    "Preprocessing",
+    "TransformerConfig",
+    "load",
+    "load_published",
+    "save",
+]

@@ -1,0 +1,205 @@
+"""Weights of point encoders on disk: ours, with all that makes them one, and published ones, loaded strictly or refused.
+
+Ours are safetensors files whose metadata hold configuration, preprocessing and fingerprint. Published ones are whatever
+Pointcept's tools wrote: the variant is read off the names and shapes of the tensors. Nothing is ever unpickled but tensors and
+plain values.
+"""
+
+import json
+import pickle
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from models.point_encoder.cloud import Preprocessing
+from models.point_encoder.encoder import PointEncoder
+from models.point_encoder.serialization import CURVES
+from models.point_encoder.transformer import TransformerConfig
+from stable_data.errors import ConfigError
+
+FORMAT = "stable-data point encoder 1"
+
+_PREFIXES = ("module.student.backbone.", "student.backbone.", "module.backbone.", "backbone.", "module.", "")
+_NOT_ENCODING = re.compile(r"(seg_head|cls_head)\.|embedding\.mask_token$")  # heads, and what only pre-training uses
+_HEAD_CHANNELS = 16  # of each attention head, in all published models
+_SHOWN = 12
+
+
+def save(encoder: PointEncoder, path: Path) -> None:
+    """Writes an encoder, whole or not at all."""
+    settings = {name: json.dumps(value) for name, value in encoder.settings().items()}
+    metadata = {"format": FORMAT, "fingerprint": encoder.fingerprint(), **settings}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    aside = path.with_name(f"{path.name}.tmp")
+    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in encoder.state_dict().items()}
+    save_file(tensors, aside, metadata)
+    aside.replace(path)
+
+
+def load(path: Path) -> PointEncoder:
+    """Reads an encoder that `save` wrote.
+
+    Raises:
+        ConfigError: It is none, it is of another version, or it is not what was written.
+    """
+    try:
+        with safe_open(path, "pt") as file:
+            metadata = file.metadata() or {}
+        tensors = load_file(path)
+    except (OSError, SafetensorError) as error:
+        raise ConfigError(f"{path}: {error}, expected a safetensors file of a point encoder", "weights_invalid") from error
+    if metadata.get("format") != FORMAT:
+        message = (
+            f"{path} has format {metadata.get('format')!r}, expected {FORMAT!r}; is it a published one? use load_published"
+        )
+        raise ConfigError(message, "weights_invalid")
+    try:
+        config, preprocessing = (json.loads(metadata[name]) for name in ("config", "preprocessing"))
+        encoder = PointEncoder(TransformerConfig(**_tuples(config)), Preprocessing(**_tuples(preprocessing)))
+    except (KeyError, TypeError, ValueError) as error:
+        message = f"{path}: its configuration cannot be read ({error}), expected that of this version; make it again"
+        raise ConfigError(message, "weights_invalid") from error
+    _fill(encoder, tensors, str(path))
+    if encoder.fingerprint() != metadata.get("fingerprint"):
+        message = f"{path} has fingerprint {encoder.fingerprint()}, expected {metadata.get('fingerprint')}; it was changed: fetch it again"
+        raise ConfigError(message, "weights_changed")
+    return encoder
+
+
+def load_published(path: Path, preprocessing: Preprocessing) -> PointEncoder:
+    """Reads a published checkpoint of Point Transformer V3: Pointcept's training files, Sonata, Concerto, or a plain state dict.
+
+    Args:
+        path: A ``.pth`` or ``.safetensors`` file.
+        preprocessing: What it was trained on, which the file does not say, such as :data:`models.point_encoder.cloud.SCANNET`.
+
+    Returns:
+        The encoder; where it gives other than 64 channels, `PointEncoder.fit_projection` is to be called next.
+
+    Raises:
+        ConfigError: The file is none of these, or something in it does not fit; the message lists what.
+    """
+    content = _read(path)
+    inner, stated = content.get("state_dict", content), content.get("config", {})
+    if not (isinstance(inner, Mapping) and isinstance(stated, Mapping)):
+        raise ConfigError(f"{path} holds no state dict, expected one of Point Transformer V3", "weights_invalid")
+    tensors = _encoder_part({str(name): value for name, value in inner.items()}, str(path))
+    encoder = PointEncoder(_sniffed(tensors, stated, str(path)), preprocessing)
+    _fill(encoder.backbone, tensors, str(path))
+    return encoder
+
+
+def _read(path: Path) -> Mapping[str, Any]:
+    try:
+        content = load_file(path) if path.suffix == ".safetensors" else torch.load(path, map_location="cpu", weights_only=True)
+    except (OSError, SafetensorError, pickle.UnpicklingError, RuntimeError, EOFError, ValueError, KeyError) as error:
+        # What torch says of such a file is how to run the code in it.
+        what = "more than data" if isinstance(error, pickle.UnpicklingError) else str(error).splitlines()[0]
+        message = f"{path}: found {what}, expected a checkpoint of tensors and plain values alone"
+        raise ConfigError(message, "weights_invalid") from error
+    if not isinstance(content, Mapping):
+        raise ConfigError(f"{path} holds a {type(content).__name__}, expected a state dict", "weights_invalid")
+    return content
+
+
+def _encoder_part(content: Mapping[str, Any], origin: str) -> dict[str, Tensor]:
+    """The tensors of the network, their prefix off; what stands beside it under another prefix is left out."""
+    for prefix in _PREFIXES:
+        if any(name.startswith(f"{prefix}embedding.stem.") for name in content):
+            found = {name.removeprefix(prefix): value for name, value in content.items() if name.startswith(prefix)}
+            found = {name: value for name, value in found.items() if not _NOT_ENCODING.match(name)}
+            odd = [name for name, value in found.items() if not isinstance(value, Tensor)]
+            if odd:
+                raise ConfigError(f"{origin}: {_some(odd)} are no tensors, expected a state dict", "weights_invalid")
+            return found
+    message = f"{origin} has no embedding.stem ({_some(list(content))}), expected Point Transformer V3"
+    raise ConfigError(message, "weights_invalid")
+
+
+def _sniffed(tensors: Mapping[str, Tensor], stated: Mapping[str, Any], origin: str) -> TransformerConfig:
+    """The variant, from names and shapes; heads, patches and curves from the stated configuration where there is one."""
+    rope = [name for name in tensors if "rope" in name]
+    if rope:
+        message = (
+            f"{origin} has rotary positions ({_some(rope)}), expected a model without (first generation, Sonata, Concerto)"
+        )
+        raise ConfigError(message, "weights_unsupported")
+    is_conv = "embedding.stem.conv.weight" in tensors
+    stem = tensors.get(f"embedding.stem.{'conv' if is_conv else 'linear'}.weight")
+    if stem is None or stem.ndim != (5 if is_conv else 2):
+        message = (
+            f"{origin} has stem {None if stem is None else tuple(stem.shape)}, expected a 5-D convolution or a linear layer"
+        )
+        raise ConfigError(message, "weights_mismatch")
+    depths, channels, heads = {}, {}, {}
+    for part in ("enc", "dec"):
+        depths[part], channels[part] = _stages(tensors, part)
+        default = [c // _HEAD_CHANNELS for c in channels[part]]
+        heads[part] = tuple(stated.get(f"{part}_num_head", default))[: len(default)]
+    scales = [tensor for name, tensor in tensors.items() if name.endswith(".ls1.0.gamma")]
+    patch_sizes = {*stated.get("enc_patch_size", (1024,)), *(stated.get("dec_patch_size", ()) if depths["dec"] else ())}
+    if len(patch_sizes) != 1:
+        message = f"{origin}: patch sizes {sorted(patch_sizes)}, expected the same in every stage"
+        raise ConfigError(message, "weights_unsupported")
+    order = stated.get("order", CURVES)
+    return TransformerConfig(
+        in_channels=stem.shape[-1],
+        stem="conv" if is_conv else "linear",
+        norm="bn" if "embedding.stem.norm.running_mean" in tensors else "ln",
+        pool="code" if is_conv else "grid",
+        enc_mode=not depths["dec"],
+        layer_scale=float(scales[0].flatten()[0]) if scales else None,
+        legacy_stale_cpe=is_conv,
+        curves=(order,) if isinstance(order, str) else tuple(order),
+        patch_size=int(patch_sizes.pop()),
+        enc_depths=depths["enc"],
+        enc_channels=channels["enc"],
+        enc_heads=heads["enc"],
+        dec_depths=depths["dec"],
+        dec_channels=channels["dec"],
+        dec_heads=heads["dec"],
+    )
+
+
+def _stages(tensors: Mapping[str, Tensor], part: str) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Depth and channels of each stage."""
+    blocks: dict[int, set[int]] = {}
+    for name in tensors:
+        if found := re.match(rf"{part}\.{part}(\d+)\.block(\d+)\.", name):
+            blocks.setdefault(int(found[1]), set()).add(int(found[2]))
+    widths = {s: tensors.get(f"{part}.{part}{s}.block0.norm1.0.weight") for s in blocks}
+    return (
+        tuple(len(blocks[s]) for s in sorted(blocks)),
+        tuple(0 if (width := widths[s]) is None else len(width) for s in sorted(blocks)),
+    )
+
+
+def _fill(module: torch.nn.Module, tensors: Mapping[str, Tensor], origin: str) -> None:
+    """Loads every tensor into its place, or refuses with the list of those that have none, are missing or of another shape."""
+    wanted = module.state_dict()
+    wrong = [
+        f"{name} is {tuple(tensors[name].shape)}, expected {tuple(wanted[name].shape)}"
+        for name in wanted
+        if name in tensors and tensors[name].shape != wanted[name].shape
+    ]
+    missing, unexpected = [n for n in wanted if n not in tensors], [n for n in tensors if n not in wanted]
+    found = (("missing", missing), ("unexpected", unexpected), ("shape", wrong))
+    if any(names for _, names in found):
+        listed = "; ".join(f"{len(names)} {what}: {_some(names)}" for what, names in found if names)
+        raise ConfigError(f"{origin} does not fit its variant of Point Transformer V3: {listed}", "weights_mismatch")
+    module.load_state_dict(dict(tensors))
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
+
+
+def _tuples(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Lists as tuples: JSON knows no other."""
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}

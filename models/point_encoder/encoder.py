@@ -1,0 +1,147 @@
+"""The point encoder: clouds of objects to 64 numbers each, and the logarithm of their extents."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from models.point_encoder.cloud import Cloud, Preprocessing, voxelised
+from models.point_encoder.transformer import PointTransformer, TransformerConfig
+from stable_data.errors import ConfigError
+
+FEATURE_CHANNELS = 64
+
+_SMALLEST_EXTENT = 1e-4  # metres: a sheet has a logarithm too
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Features:
+    """What is known of B clouds.
+
+    Attributes:
+        codes: (B, 64) float32, of the normalised cloud.
+        log_extents: Natural logarithm of the box of the cloud as given, metres, (B, 3) float32.
+        fingerprint: The encoder that made them; features of different encoders are never mixed.
+    """
+
+    codes: npt.NDArray[np.float32]
+    log_extents: npt.NDArray[np.float32]
+    fingerprint: str
+
+
+class PointEncoder(nn.Module):
+    """Point Transformer V3, mean-pooled over the voxels of each cloud.
+
+    Where the network gives more or less than 64 channels, `fit_projection` must be called once, on the assets it will serve.
+
+    Args:
+        config: The network.
+        preprocessing: What its weights expect of a cloud.
+
+    Raises:
+        ConfigError: The preprocessing makes other channels than the network takes.
+    """
+
+    def __init__(self, config: TransformerConfig, preprocessing: Preprocessing) -> None:
+        super().__init__()
+        if config.in_channels != preprocessing.num_channels:
+            message = (
+                f"point encoder takes {config.in_channels} channels, its preprocessing makes {preprocessing.num_channels} "
+                f"({', '.join(preprocessing.channels)}); give the preprocessing that the weights were trained with"
+            )
+            raise ConfigError(message, "encoder_config")
+        self.preprocessing = preprocessing
+        self.backbone = PointTransformer(config)
+        self.needs_projection = config.out_channels != FEATURE_CHANNELS
+        if self.needs_projection:
+            self.register_buffer("mean", torch.zeros(config.out_channels))
+            self.register_buffer("basis", torch.zeros(FEATURE_CHANNELS, config.out_channels))
+
+    @property
+    def config(self) -> TransformerConfig:
+        """What the network looks like."""
+        return self.backbone.config
+
+    @property
+    def device(self) -> torch.device:
+        """Where it is."""
+        return next(self.parameters()).device
+
+    def forward(self, clouds: Sequence[Cloud]) -> Tensor:
+        """Means over the voxels of each cloud, (B, out_channels) float32, not yet projected."""
+        voxels = voxelised(clouds, self.preprocessing, self.device)
+        features, level = self.backbone(voxels.coords, voxels.batch, voxels.features)
+        lengths = torch.tensor(level.lengths, device=features.device)
+        # Not index_add_: it sums in a fixed order on every device.
+        return torch.segment_reduce(features, "mean", lengths=lengths, axis=0, unsafe=True)
+
+    def encode(self, clouds: Sequence[Cloud], batch_size: int = 16) -> Features:
+        """Features of clouds, each independent of the others and of the order of its points.
+
+        Args:
+            clouds: Any number, as :meth:`Cloud.of_shape` makes them with ``preprocessing.num_points``.
+            batch_size: Clouds at once.
+
+        Raises:
+            ConfigError: The encoder gives other than 64 channels and no projection was fitted.
+        """
+        codes = self._pooled(clouds, batch_size)
+        if self.needs_projection:
+            if not self.basis.any():
+                message = (
+                    f"point encoder gives {codes.shape[1]} channels, expected {FEATURE_CHANNELS}; call fit_projection first"
+                )
+                raise ConfigError(message, "encoder_unprojected")
+            codes = (codes - self.mean.cpu()) @ self.basis.T.cpu()
+        extents = np.array([cloud.size for cloud in clouds], np.float32).reshape(-1, 3)
+        return Features(codes.numpy(), np.log(np.maximum(extents, _SMALLEST_EXTENT)), self.fingerprint())
+
+    def fit_projection(self, clouds: Sequence[Cloud], batch_size: int = 16) -> None:
+        """Fits what turns the network's channels into 64: the whitened principal directions over clouds, more than 64 of them.
+
+        Raises:
+            ConfigError: They span less than 64 dimensions, or there is nothing to fit.
+        """
+        if not self.needs_projection:
+            raise ConfigError("point encoder gives 64 channels by itself, expected others to project", "encoder_config")
+        codes = self._pooled(clouds, batch_size).double()
+        mean = codes.mean(0)
+        _, spread, directions = torch.linalg.svd(codes - mean, full_matrices=False)
+        rank = int((spread > 1e-6 * spread.max()).sum())
+        if rank < FEATURE_CHANNELS:
+            message = (
+                f"{len(codes)} clouds span {rank} dimensions, expected at least {FEATURE_CHANNELS}; give more, unlike ones"
+            )
+            raise ConfigError(message, "encoder_rank")
+        deviation = spread[:FEATURE_CHANNELS, None] / len(codes) ** 0.5
+        # The sign of a direction is the solver's choice: its largest part is made positive.
+        kept = directions[:FEATURE_CHANNELS]
+        kept = kept * kept.gather(1, kept.abs().argmax(1, keepdim=True)).sign()
+        self.mean, self.basis = mean.float().to(self.device), (kept / deviation).float().to(self.device)
+
+    def fingerprint(self) -> str:
+        """Names the encoder: a hash of weights, configuration and preprocessing, 32 hexadecimal digits."""
+        digest = hashlib.sha256(json.dumps(self.settings(), sort_keys=True).encode())
+        for name, tensor in sorted(self.state_dict().items()):
+            digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+            digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+        return digest.hexdigest()[:32]
+
+    def settings(self) -> dict[str, dict[str, object]]:
+        """Configuration and preprocessing, plain values."""
+        return {"config": asdict(self.config), "preprocessing": asdict(self.preprocessing)}
+
+    @torch.no_grad()
+    def _pooled(self, clouds: Sequence[Cloud], batch_size: int) -> Tensor:
+        was_training = self.training
+        self.eval()
+        try:
+            parts = [self(clouds[k : k + batch_size]).cpu() for k in range(0, len(clouds), batch_size)]
+        finally:
+            self.train(was_training)
+        return torch.cat(parts) if parts else torch.zeros(0, self.config.out_channels)

@@ -1,0 +1,226 @@
+"""Self-supervised pre-training of the point encoder on the embedded assets: ``python -m models.point_encoder.pretrain``.
+
+Two questions are asked of the codes: the signed distance around an object, and the clearance between two. Both are what the
+corrector needs to know of a shape in its yaw frame. Step k draws from a stream of its own, so that a run that was stopped and
+resumed ends with the same weights as one that was not.
+"""
+
+import json
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import torch
+import typer
+from torch import nn
+from tqdm import tqdm
+
+from models.point_encoder.checkpoint import save
+from models.point_encoder.cloud import Preprocessing
+from models.point_encoder.corpus import TrainingShape, corpus
+from models.point_encoder.heads import Pretraining
+from models.point_encoder.judging import evaluate
+from models.point_encoder.questions import Questions, questions
+from models.point_encoder.transformer import BASE, EMBEDDED
+from stable_data.errors import ConfigError
+
+STATE, ENCODER, REPORT = "state.pt", "encoder.safetensors", "report.json"
+CONFIGS = {"base": replace(BASE, legacy_stale_cpe=False), "embedded": EMBEDDED}
+
+_SAVE_EVERY = 60.0  # seconds
+_WARM_UP = 0.05  # of the steps
+
+
+@dataclass(frozen=True, slots=True)
+class PretrainSettings:
+    """What shapes the weights.
+
+    Attributes:
+        config: ``embedded`` or ``base``.
+        steps: Length of the run; 0 until it is known how many steps fit the minutes that were given.
+        seed: Of first weights and of every draw.
+        batch_size: Shapes of a step.
+        pairs_a_shape: Pairs of a step for each of its shapes.
+        queries_a_shape: Distances asked of each shape of a step.
+        num_categories: Categories of the catalogue; None for all.
+        num_copies: Aspects and tilts of each.
+        num_queries: Distances computed for each shape.
+        learning_rate: Of AdamW, after the warm-up.
+        weight_decay: Of AdamW.
+        pair_weight: Of the clearance loss against the distance loss.
+    """
+
+    config: str = "embedded"
+    steps: int = 0
+    seed: int = 0
+    batch_size: int = 16
+    pairs_a_shape: int = 4
+    queries_a_shape: int = 192
+    num_categories: int | None = None
+    num_copies: int = 2
+    num_queries: int = 2048
+    learning_rate: float = 1e-3
+    weight_decay: float = 1e-2
+    pair_weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuses what cannot run."""
+        if self.config not in CONFIGS:
+            raise ConfigError(f"pretrain: config {self.config!r}, expected one of {sorted(CONFIGS)}", "pretrain_settings")
+        if self.batch_size <= self.pairs_a_shape or min(self.pairs_a_shape, self.queries_a_shape, self.num_copies) < 1:
+            message = f"pretrain: {self.batch_size} shapes, {self.pairs_a_shape} pairs of each, expected more shapes than pairs"
+            raise ConfigError(message, "pretrain_settings")
+
+
+def pretrain(
+    out: Path, settings: PretrainSettings, minutes: float | None = None, stop_after: int | None = None
+) -> dict[str, Any]:
+    """Pre-trains an encoder, or goes on with a run that was stopped.
+
+    Args:
+        out: Folder of the run: ``state.pt`` while it runs, ``encoder.safetensors`` and ``report.json`` at its end.
+        settings: What shapes the weights. Where ``steps`` is 0, as many are taken as fit the minutes; a run that goes on keeps
+            the number that it began with.
+        minutes: What the training may take on this machine, labels left out; read where ``steps`` is 0.
+        stop_after: Step at which this call stops, to be resumed by another.
+
+    Returns:
+        The report: errors on assets held out, effective rank, time.
+
+    Raises:
+        ConfigError: The folder holds a run of other settings, or neither steps nor minutes are given.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    torch.manual_seed(settings.seed)
+    preprocessing = Preprocessing()
+    model = Pretraining(CONFIGS[settings.config], preprocessing).to("cuda" if torch.cuda.is_available() else "cpu")
+    optimiser = torch.optim.AdamW(model.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
+    step, losses, settings = _resumed(out / STATE, settings, model, optimiser)
+    shapes, held_out = corpus(settings.num_categories, settings.num_copies, preprocessing.num_points, settings.num_queries)
+    if not settings.steps:
+        if minutes is None:
+            raise ConfigError("pretrain: neither steps nor minutes given, expected one of them", "pretrain_settings")
+        settings = replace(settings, steps=max(1, int(60 * minutes / _seconds_a_step(model, shapes, settings))))
+    began = saved = time.monotonic()
+    first = step
+    last = max(first, settings.steps if stop_after is None else min(stop_after, settings.steps))
+    progress = tqdm(range(step, last), desc="pretrain", initial=step, total=settings.steps, unit="step")
+    for step in progress:
+        parts = _step(model, optimiser, _drawn(shapes, settings, step), settings, step)
+        losses.append(parts)
+        progress.set_postfix({name: f"{value:.3f}" for name, value in parts.items()}, refresh=False)
+        if time.monotonic() - saved > _SAVE_EVERY:
+            _save_state(out / STATE, settings, model, optimiser, step + 1, losses)
+            saved = time.monotonic()
+    _save_state(out / STATE, settings, model, optimiser, last, losses)
+    seconds = (time.monotonic() - began) / max(1, last - first)
+    report = {
+        "settings": asdict(settings),
+        "steps": last,
+        "num_shapes": len(shapes),
+        "num_parameters": sum(p.numel() for p in model.encoder.parameters()),
+        "seconds_a_step": seconds,
+        "losses": losses,
+        **(evaluate(model, held_out) if held_out else {}),
+    }
+    if last == settings.steps:
+        save(model.encoder, out / ENCODER)
+        report["fingerprint"] = model.encoder.fingerprint()
+    (out / REPORT).write_text(json.dumps(report, indent=1) + "\n", "utf-8")
+    return report
+
+
+def _step(
+    model: Pretraining, optimiser: torch.optim.Optimizer, asked: Questions, settings: PretrainSettings, step: int
+) -> dict[str, float]:
+    """Learns from one batch; the parts of its loss."""
+    for group in optimiser.param_groups:
+        group["lr"] = settings.learning_rate * _schedule(step, settings.steps)
+    total, parts = model.loss(asked.to(model.encoder.device), settings.pair_weight)
+    optimiser.zero_grad()
+    total.backward()  # type: ignore[no-untyped-call]
+    nn.utils.clip_grad_norm_(model.parameters(), 1.0)
+    optimiser.step()
+    return parts
+
+
+def _drawn(shapes: Sequence[TrainingShape], settings: PretrainSettings, step: int) -> Questions:
+    rng = np.random.default_rng([settings.seed, step])
+    chosen = rng.choice(len(shapes), settings.batch_size, replace=len(shapes) < settings.batch_size)
+    return questions([shapes[n] for n in chosen], settings.queries_a_shape, settings.pairs_a_shape, rng)
+
+
+def _schedule(step: int, steps: int) -> float:
+    warm_up = max(1.0, _WARM_UP * steps)
+    return min((step + 1) / warm_up, 0.5 * (1 + math.cos(math.pi * step / steps)) + 1e-2)
+
+
+def _seconds_a_step(model: Pretraining, shapes: Sequence[TrainingShape], settings: PretrainSettings) -> float:
+    """What a step takes here; nothing is learned."""
+    taken = []
+    model.eval()  # batch norms keep no memory of it either
+    for k in range(3):
+        began = time.monotonic()
+        model.loss(_drawn(shapes, settings, k).to(model.encoder.device), settings.pair_weight)[0].backward()  # type: ignore[no-untyped-call]
+        taken.append(time.monotonic() - began)
+    model.train()
+    return sum(taken) / len(taken)
+
+
+def _resumed(
+    path: Path, settings: PretrainSettings, model: Pretraining, optimiser: torch.optim.Optimizer
+) -> tuple[int, list[dict[str, float]], PretrainSettings]:
+    if not path.exists():
+        return 0, [], settings
+    state = torch.load(path, map_location=model.encoder.device, weights_only=True)
+    was = PretrainSettings(**state["settings"])
+    now = settings if settings.steps else replace(settings, steps=was.steps)
+    changed = [f"{f.name}: {getattr(was, f.name)} -> {getattr(now, f.name)}" for f in fields(was)]
+    changed = [line for line, f in zip(changed, fields(was), strict=True) if getattr(was, f.name) != getattr(now, f.name)]
+    if changed:
+        message = f"{path} holds a run of other settings ({'; '.join(changed)}); give the same, or another folder"
+        raise ConfigError(message, "pretrain_settings")
+    model.load_state_dict(state["model"])
+    optimiser.load_state_dict(state["optimiser"])
+    return state["step"], state["losses"], was
+
+
+def _save_state(
+    path: Path,
+    settings: PretrainSettings,
+    model: Pretraining,
+    optimiser: torch.optim.Optimizer,
+    step: int,
+    losses: list[dict[str, float]],
+) -> None:
+    aside = path.with_name(f"{path.name}.tmp")
+    state = {"settings": asdict(settings), "model": model.state_dict(), "optimiser": optimiser.state_dict()}
+    torch.save({**state, "step": step, "losses": losses}, aside)
+    aside.replace(path)
+
+
+def main(
+    out: Annotated[Path, typer.Option(help="Folder of the run.")],
+    minutes: Annotated[float, typer.Option(help="What training may take on this machine.")] = 30.0,
+    steps: Annotated[int, typer.Option(help="Steps, instead of minutes.")] = 0,
+    config: Annotated[str, typer.Option(help="embedded or base.")] = "embedded",
+    seed: Annotated[int, typer.Option(help="Of weights and draws.")] = 0,
+    num_categories: Annotated[
+        int | None, typer.Option(help="So many categories of the catalogue; all where not given.")
+    ] = None,
+) -> None:
+    """Pre-trains the point encoder on the embedded assets; goes on where a run of the same settings was stopped."""
+    try:
+        report = pretrain(out, PretrainSettings(config=config, steps=steps, seed=seed, num_categories=num_categories), minutes)
+    except ConfigError as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(2) from error
+    typer.echo(json.dumps({name: value for name, value in report.items() if name != "losses"}, indent=1))
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,184 @@
+"""Point Transformer V3 (Wu et al., CVPR 2024) in plain torch: voxels of a batch of clouds to features of the same voxels."""
+
+from dataclasses import dataclass
+
+from torch import Tensor, nn
+from torch.nn import functional
+
+from models.point_encoder.blocks import Block, Pooling, SubMConv3d, Unpooling
+from models.point_encoder.level import Level
+from models.point_encoder.serialization import CURVES, Curve
+from stable_data.errors import ConfigError
+
+STEMS, NORMS, POOLS = ("conv", "linear"), ("bn", "ln"), ("code", "grid")
+
+
+@dataclass(frozen=True, slots=True)
+class TransformerConfig:
+    """What a Point Transformer V3 looks like. The published generations differ in the flags.
+
+    Attributes:
+        in_channels: Features of a voxel that go in.
+        stem: ``conv`` (5x5x5, first generation) or ``linear`` (Sonata, Concerto).
+        norm: Of stem, pooling and unpooling: ``bn`` or ``ln``; inside blocks it is always ``ln``.
+        pool: What a coarser level's curves come from: ``code`` (the finer one's codes >> 3) or ``grid`` (coordinates // 2).
+        enc_mode: Without a decoder: features of the coarsest voxels come out.
+        layer_scale: First value of the factors within blocks; None for none.
+        legacy_stale_cpe: The first convolution after an unpooling sees the encoder's part alone, as first-generation weights
+            were trained.
+        curves: Block k of a stage attends along curve k mod their number.
+        patch_size: Longest attention patch.
+        enc_depths: Blocks of each stage.
+        enc_channels: Their channels.
+        enc_heads: Their heads.
+        dec_depths: Blocks of each decoder stage, the finest first; one stage less than the encoder has.
+        dec_channels: Their channels.
+        dec_heads: Their heads.
+    """
+
+    in_channels: int = 6
+    stem: str = "conv"
+    norm: str = "bn"
+    pool: str = "code"
+    enc_mode: bool = False
+    layer_scale: float | None = None
+    legacy_stale_cpe: bool = False
+    curves: tuple[str, ...] = CURVES
+    patch_size: int = 1024
+    enc_depths: tuple[int, ...] = (2, 2, 2, 6, 2)
+    enc_channels: tuple[int, ...] = (32, 64, 128, 256, 512)
+    enc_heads: tuple[int, ...] = (2, 4, 8, 16, 32)
+    dec_depths: tuple[int, ...] = (2, 2, 2, 2)
+    dec_channels: tuple[int, ...] = (64, 64, 128, 256)
+    dec_heads: tuple[int, ...] = (4, 4, 8, 16)
+
+    def __post_init__(self) -> None:
+        """Refuses what no network can be made of."""
+        for name, allowed in (("stem", STEMS), ("norm", NORMS), ("pool", POOLS)):
+            if getattr(self, name) not in allowed:
+                raise ConfigError(
+                    f"point encoder: {name} is {getattr(self, name)!r}, expected one of {allowed}", "encoder_config"
+                )
+        unknown = sorted(set(self.curves) - set(CURVES))
+        if unknown or not self.curves:
+            raise ConfigError(
+                f"point encoder: curves {unknown or 'missing'}, expected of {tuple(map(str, CURVES))}", "encoder_config"
+            )
+        num_dec = 0 if self.enc_mode else len(self.enc_depths) - 1
+        for part, num in (("enc", len(self.enc_depths)), ("dec", num_dec)):
+            sizes = [getattr(self, f"{part}_{what}") for what in ("depths", "channels", "heads")]
+            if any(len(size) < num for size in sizes) or any(c % h for c, h in zip(*sizes[1:], strict=False)):
+                message = f"point encoder: {part}_depths, _channels, _heads are {sizes}, expected {num} stages with whole heads"
+                raise ConfigError(message, "encoder_config")
+
+    @property
+    def out_channels(self) -> int:
+        """Channels that come out."""
+        return self.enc_channels[-1] if self.enc_mode or not self.dec_channels else self.dec_channels[0]
+
+
+BASE = TransformerConfig(legacy_stale_cpe=True)
+"""The published first generation, 46.17 M parameters."""
+
+EMBEDDED = TransformerConfig(
+    norm="ln",
+    patch_size=256,
+    enc_depths=(1, 1, 2),
+    enc_channels=(32, 64, 128),
+    enc_heads=(2, 4, 8),
+    dec_depths=(1, 1),
+    dec_channels=(64, 64),
+    dec_heads=(4, 4),
+)
+"""Small enough for a CPU. Layer norms alone, so that training too sees every cloud by itself."""
+
+
+class PointTransformer(nn.Module):
+    """The network.
+
+    Args:
+        config: What it looks like.
+    """
+
+    def __init__(self, config: TransformerConfig) -> None:
+        super().__init__()
+        self.config = config
+        self._curves = tuple(Curve(c) for c in config.curves)
+        channels, num_stages = config.enc_channels, len(config.enc_depths)
+
+        def blocks(depth: int, width: int, heads: int) -> dict[str, nn.Module]:
+            curves = [k % len(self._curves) for k in range(depth)]
+            return {f"block{k}": Block(width, heads, config.patch_size, c, config.layer_scale) for k, c in enumerate(curves)}
+
+        is_conv = config.stem == "conv"
+        first: nn.Module = (
+            SubMConv3d(config.in_channels, channels[0], 5, bias=False)
+            if is_conv
+            else nn.Linear(config.in_channels, channels[0])
+        )
+        stem = nn.ModuleDict({config.stem: first, "norm": self._norm(channels[0])})
+        self.embedding = nn.ModuleDict({"stem": stem})
+        self.enc = nn.ModuleDict()
+        for s in range(num_stages):
+            down = {"down": Pooling(channels[s - 1], channels[s], self._norm(channels[s]))} if s else {}
+            stage = {**down, **blocks(config.enc_depths[s], channels[s], config.enc_heads[s])}
+            self.enc[f"enc{s}"] = nn.ModuleDict(stage)
+        if not config.enc_mode:
+            self.dec = nn.ModuleDict()
+            widths = (*config.dec_channels[: num_stages - 1], channels[-1])
+            for s in reversed(range(num_stages - 1)):
+                up = Unpooling(widths[s + 1], channels[s], widths[s], [self._norm(widths[s]) for _ in range(2)])
+                self.dec[f"dec{s}"] = nn.ModuleDict({"up": up, **blocks(config.dec_depths[s], widths[s], config.dec_heads[s])})
+        self.apply(_initialise)
+
+    def _norm(self, channels: int) -> nn.Module:
+        return nn.BatchNorm1d(channels, eps=1e-3, momentum=0.01) if self.config.norm == "bn" else nn.LayerNorm(channels)
+
+    def forward(self, coords: Tensor, batch: Tensor, features: Tensor) -> tuple[Tensor, Level]:
+        """Features of voxels.
+
+        Args:
+            coords: (V, 3) int64, from 0, below 2**16, no two alike in a cloud.
+            batch: Cloud of each, (V,) int64; every cloud has a voxel.
+            features: (V, in_channels) float32.
+
+        Returns:
+            Features (V', out_channels) float32 and their voxels, in the level's order; the coarsest voxels in ``enc_mode``.
+        """
+        by_code = self.config.pool == "code"
+        level, rows = Level.of_voxels(coords, batch, self._curves, with_margin=not by_code)
+        stem = self.embedding["stem"]
+        assert isinstance(stem, nn.ModuleDict)
+        features = features[rows]
+        features = stem["conv"](features, level) if self.config.stem == "conv" else stem["linear"](features)
+        features = functional.gelu(stem["norm"](features))
+        finer: list[tuple[Tensor, Level, Tensor]] = []
+        for stage in self.enc.values():
+            assert isinstance(stage, nn.ModuleDict)
+            for name, part in stage.items():
+                if name == "down":
+                    coarse, cluster = level.pooled(self._curves, by_code=by_code)
+                    finer.append((features, level, cluster))
+                    features, level = part(features, cluster, len(coarse)), coarse
+                else:
+                    features = part(features, level)
+        return (features, level) if self.config.enc_mode else self._decoded(features, finer)
+
+    def _decoded(self, features: Tensor, finer: list[tuple[Tensor, Level, Tensor]]) -> tuple[Tensor, Level]:
+        for stage in self.dec.values():
+            assert isinstance(stage, nn.ModuleDict)
+            skip, level, cluster = finer.pop()
+            stale: Tensor | None = None
+            for name, part in stage.items():
+                if name == "up":
+                    features, own = part(features, skip, cluster)
+                    stale = own if self.config.legacy_stale_cpe else None
+                else:
+                    features, stale = part(features, level, stale), None
+        return features, level
+
+
+def _initialise(module: nn.Module) -> None:
+    if isinstance(module, nn.Linear):
+        nn.init.trunc_normal_(module.weight, std=0.02)
+        nn.init.zeros_(module.bias)

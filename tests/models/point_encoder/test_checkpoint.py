@@ -1,0 +1,168 @@
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors.torch import save_file
+from torch import Tensor
+
+from models.point_encoder.checkpoint import load, load_published, save
+from models.point_encoder.cloud import MODELNET, SONATA
+from models.point_encoder.transformer import PointTransformer, TransformerConfig
+from stable_data.errors import ConfigError
+from tests.models.point_encoder.clouds import TINY, clouds, tiny_encoder
+
+FIRST = TransformerConfig(
+    legacy_stale_cpe=True,
+    enc_depths=(2, 1, 3),
+    enc_channels=(32, 48, 64),
+    enc_heads=(2, 3, 4),
+    dec_depths=(2, 1),
+    dec_channels=(64, 32),
+    dec_heads=(4, 2),
+)
+SECOND = TransformerConfig(
+    in_channels=9,
+    stem="linear",
+    norm="ln",
+    pool="grid",
+    enc_mode=True,
+    layer_scale=1e-5,
+    patch_size=512,
+    enc_depths=(1, 2),
+    enc_channels=(48, 96),
+    enc_heads=(3, 6),
+    dec_depths=(),
+    dec_channels=(),
+    dec_heads=(),
+)
+
+
+def weights(config: TransformerConfig) -> dict[str, Tensor]:
+    torch.manual_seed(1)
+    return PointTransformer(config).state_dict()
+
+
+def written(tmp_path: Path, content: Any) -> Path:
+    path = tmp_path / "model.pth"
+    torch.save(content, path)
+    return path
+
+
+def test_an_encoder_reads_back_as_it_was(tmp_path: Path) -> None:
+    encoder, path = tiny_encoder(), tmp_path / "deep" / "encoder.safetensors"
+    save(encoder, path)
+    again = load(path)
+    assert again.config == encoder.config
+    assert again.preprocessing == encoder.preprocessing
+    assert again.fingerprint() == encoder.fingerprint()
+    assert again.encode(clouds()).codes.tobytes() == encoder.encode(clouds()).codes.tobytes()
+    assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+def test_an_encoder_that_was_changed_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "encoder.safetensors"
+    save(tiny_encoder(), path)
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ConfigError, match="was changed"):
+        load(path)
+
+
+def test_what_is_no_encoder_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "other.safetensors"
+    save_file({"a": torch.zeros(2)}, path)
+    with pytest.raises(ConfigError, match="format None"):
+        load(path)
+    path.write_bytes(b"nothing")
+    with pytest.raises(ConfigError, match="expected a safetensors file"):
+        load(path)
+    with pytest.raises(ConfigError):
+        load(tmp_path / "missing.safetensors")
+
+
+@pytest.mark.parametrize(
+    ("prefix", "beside"),
+    [
+        ("", {}),
+        ("", {"seg_head.weight": torch.zeros(2)}),
+        ("module.", {"module.cls_head.0.weight": torch.zeros(2)}),
+        ("module.backbone.", {"module.seg_head.weight": torch.zeros(2)}),
+        ("module.student.backbone.", {"module.teacher.backbone.enc.enc0.block0.norm1.0.weight": torch.zeros(2)}),
+    ],
+)
+def test_a_first_generation_checkpoint_loads_strictly(tmp_path: Path, prefix: str, beside: dict[str, Tensor]) -> None:
+    state = weights(FIRST)
+    path = written(tmp_path, {"state_dict": {f"{prefix}{k}": v for k, v in state.items()} | beside, "epoch": 3})
+    encoder = load_published(path, MODELNET)
+    assert encoder.config == FIRST
+    assert not encoder.needs_projection
+    assert all(tensor.equal(state[name]) for name, tensor in encoder.backbone.state_dict().items())
+
+
+def test_a_second_generation_checkpoint_loads_strictly(tmp_path: Path) -> None:
+    state = weights(SECOND) | {"embedding.mask_token": torch.zeros(1, 48)}
+    stated = {
+        "enc_num_head": (3, 6),
+        "enc_patch_size": (512, 512),
+        "dec_patch_size": (9,),
+        "order": tuple(str(c) for c in SECOND.curves),
+    }
+    encoder = load_published(written(tmp_path, {"config": stated, "state_dict": state}), SONATA)
+    found = encoder.config
+    assert found.layer_scale == pytest.approx(1e-5)
+    assert replace(found, layer_scale=1e-5) == SECOND
+    assert encoder.needs_projection
+
+
+def test_a_plain_safetensors_state_dict_loads(tmp_path: Path) -> None:
+    path = tmp_path / "model.safetensors"
+    save_file({name: tensor.contiguous() for name, tensor in weights(FIRST).items()}, path)
+    assert load_published(path, MODELNET).config == FIRST
+
+
+def test_what_does_not_fit_is_listed(tmp_path: Path) -> None:
+    state = weights(FIRST)
+    del state["enc.enc1.block0.attn.qkv.bias"]
+    state["enc.enc1.block0.attn.gate"] = torch.zeros(3)
+    state["dec.dec0.up.proj.0.weight"] = torch.zeros(64, 31)
+    with pytest.raises(ConfigError) as found:
+        load_published(written(tmp_path, state), MODELNET)
+    message = str(found.value)
+    assert "1 missing: enc.enc1.block0.attn.qkv.bias" in message
+    assert "1 unexpected: enc.enc1.block0.attn.gate" in message
+    assert "1 shape: dec.dec0.up.proj.0.weight is (64, 31), expected (64, 32)" in message
+
+
+def test_rotary_positions_are_refused(tmp_path: Path) -> None:
+    state = weights(SECOND) | {"enc.enc0.block0.attn.rope.inv_freq": torch.zeros(3)}
+    with pytest.raises(ConfigError, match="rotary"):
+        load_published(written(tmp_path, {"state_dict": state}), SONATA)
+
+
+def test_preprocessing_of_another_checkpoint_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="takes 6 channels"):
+        load_published(written(tmp_path, weights(FIRST)), SONATA)
+
+
+@pytest.mark.parametrize("content", [{"a": torch.zeros(1)}, [1, 2], {"state_dict": 3}, {"state_dict": {"embedding.stem.x": 1}}])
+def test_other_files_are_refused(tmp_path: Path, content: Any) -> None:
+    with pytest.raises(ConfigError, match="expected"):
+        load_published(written(tmp_path, content), MODELNET)
+
+
+class Harmful:
+    def __reduce__(self) -> tuple[Any, tuple[str]]:
+        return eval, ("1/0",)
+
+
+def test_nothing_is_unpickled(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="tensors and plain values alone"):
+        load_published(written(tmp_path, Harmful()), MODELNET)
+
+
+def test_the_tiny_network_is_none_of_the_published(tmp_path: Path) -> None:
+    """Layer norms in the stem of a first-generation network: read as what they are."""
+    assert load_published(written(tmp_path, weights(replace(TINY, legacy_stale_cpe=True))), MODELNET).config.norm == "ln"
