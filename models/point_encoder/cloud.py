@@ -108,13 +108,11 @@ class Voxels:
         coords: (V, 3) int64, from 0 in each cloud.
         batch: Cloud of each, (V,) int64.
         features: (V, C) float32, means over the points of a voxel.
-        num_clouds: B.
     """
 
     coords: Tensor
     batch: Tensor
     features: Tensor
-    num_clouds: int
 
 
 def voxelised(clouds: Sequence[Cloud], preprocessing: Preprocessing, device: torch.device | str = "cpu") -> Voxels:
@@ -152,7 +150,7 @@ def voxelised(clouds: Sequence[Cloud], preprocessing: Preprocessing, device: tor
     )
     means = (sums / count[:, None]).float()
     places_found = torch.stack([found >> 32, found >> 16, found], dim=1) & 0xFFFF
-    return Voxels(places_found.to(device), (found >> 48).to(device), means.to(device), len(clouds))
+    return Voxels(places_found.to(device), (found >> 48).to(device), means.to(device))
 
 
 def _normalised(cloud: Cloud, how: str) -> npt.NDArray[np.float32]:

@@ -127,7 +127,7 @@ class Pair:
         level = (heights[1] - heights[0]) / 2  # both stand on one plane
         kind = rng.random()
         if kind < 0.7:
-            sideways, up = rng.uniform(0.5, 1.1), level + rng.normal(0.0, 2e-3)
+            sideways, up = rng.uniform(0.5, 1.3), level + rng.normal(0.0, 2e-3)
         elif kind < 0.85:
             sideways, up = rng.uniform(0.0, 1.0), (heights[0] + heights[1]) / 2 * rng.uniform(0.6, 1.05)
         else:

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from models.point_encoder.cloud import Cloud, Preprocessing, voxelised
 from models.point_encoder.transformer import PointTransformer, TransformerConfig
-from stable_data.errors import ConfigError
+from stable_data.errors import ConfigError, MeshError
 
 FEATURE_CHANNELS = 64
 
@@ -88,6 +88,7 @@ class PointEncoder(nn.Module):
             batch_size: Clouds at once.
 
         Raises:
+            MeshError: A cloud has other than ``preprocessing.num_points`` points: its code would be another.
             ConfigError: The encoder gives other than 64 channels and no projection was fitted.
         """
         codes = self._pooled(clouds, batch_size)
@@ -138,6 +139,9 @@ class PointEncoder(nn.Module):
 
     @torch.no_grad()
     def _pooled(self, clouds: Sequence[Cloud], batch_size: int) -> Tensor:
+        wanted = self.preprocessing.num_points
+        if odd := sorted({len(cloud.points) for cloud in clouds} - {wanted}):
+            raise MeshError(f"clouds have {odd} points, expected the {wanted} of this encoder's preprocessing", "cloud_invalid")
         was_training = self.training
         self.eval()
         try:

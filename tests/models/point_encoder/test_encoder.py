@@ -69,6 +69,11 @@ def test_a_turned_object_has_another_code() -> None:
     assert far(found[0], found[1]) > 1e-3
 
 
+def test_a_cloud_of_another_number_of_points_is_refused() -> None:
+    with pytest.raises(MeshError, match=r"\[64\] points, expected the 128"):
+        tiny_encoder().encode([box_cloud(0.1, 0.1, 0.1, num_points=64)])
+
+
 def test_points_of_a_voxel_are_averaged() -> None:
     points = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], np.float32)
     normals = np.eye(3, dtype=np.float32)[[0, 1, 2, 2]]
