@@ -4,27 +4,34 @@ A shard whose tables are all in place is done. Workers write their own shards, s
 """
 
 import importlib
-import json
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
-import stable_data
 from pipelines.asset_step import AssetSettings, AssetUse, TextFeature, preprocess_asset
+from pipelines.job import (
+    Rows,
+    check_resume,
+    check_shards,
+    count_items,
+    count_rows,
+    new_manifest,
+    rows_alone,
+    rows_or_failure,
+    run_missing,
+    write_manifest,
+)
 from pipelines.plan import Plan, PreprocessSettings, Shard, plan_run, text_features
 from pipelines.progress import Progress
 from pipelines.report import write_report
 from pipelines.runner import Loss, Workers, alone, limited
 from pipelines.scene_step import CachedWriter, preprocess_scene
-from pipelines.settings import differences
 from stable_data import tables
 from stable_data.assets import AssetStore
-from stable_data.errors import ConfigError, Notice, StableDataError
+from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.shards import RunFolder, content_id
 
@@ -67,29 +74,24 @@ class PreprocessShard:
             out.write_shard(table, shard.shard_id, rows[table])
         return len(shard), len(rows["failures"])
 
-    def item(self, item: str | AssetUse) -> dict[str, list[tables.Row]]:
+    def item(self, item: str | AssetUse) -> Rows:
         """Rows of one scene or asset, by table; a failure is a row too."""
+        progress = Progress("read")
+        return rows_or_failure(_id_of(item), progress, lambda: self._rows(item, progress))
+
+    def _rows(self, item: str | AssetUse, progress: Progress) -> Rows:
         dataset, store = self._open()
-        item_id, progress = _id_of(item), Progress("read")
-        try:
-            if isinstance(item, str):
-                writer = _writer(self.settings)
-                scene = preprocess_scene(dataset, item, store, self.settings.scene_settings(), progress, writer)
-                found = {"scenes": [scene.scene], "samples": list(scene.samples)}
-                notices = scene.notices
-            else:
-                embedding = _text_features(self.data, self.fingerprint).get(item_id)
-                shaping = AssetSettings(self.settings.num_points)
-                asset = preprocess_asset(item, dataset.annotation(item_id), store, shaping, progress, embedding)
-                found = {"assets": [asset.asset], "meshes": [asset.mesh], "sdf": list(asset.grids)}
-                notices = asset.notices
-        except ConfigError:
-            raise  # the run itself cannot go on
-        except StableDataError as error:
-            return {"failures": [tables.notice_row(Notice(item_id, progress.step, error.code, str(error)))]}
-        except Exception as error:  # noqa: BLE001 - the one place where what nobody foresaw becomes a row
-            message = f"{item_id}: {type(error).__name__}: {error}; please report this with the file"
-            return {"failures": [tables.notice_row(Notice(item_id, progress.step, "unexpected", message))]}
+        if isinstance(item, str):
+            writer = _writer(self.settings)
+            scene = preprocess_scene(dataset, item, store, self.settings.scene_settings(), progress, writer)
+            found = {"scenes": [scene.scene], "samples": list(scene.samples)}
+            notices = scene.notices
+        else:
+            embedding = _text_features(self.data, self.fingerprint).get(item.asset_id)
+            shaping = AssetSettings(self.settings.num_points)
+            asset = preprocess_asset(item, dataset.annotation(item.asset_id), store, shaping, progress, embedding)
+            found = {"assets": [asset.asset], "meshes": [asset.mesh], "sdf": list(asset.grids)}
+            notices = asset.notices
         return found | {"warnings": [tables.notice_row(n) for n in notices]}
 
     def _open(self) -> tuple[MesaTaskDataset, AssetStore]:
@@ -100,22 +102,13 @@ class PreprocessShard:
         self._open()
         _text_features(self.data, self.fingerprint)
 
-    def _limited(self, item: str | AssetUse) -> dict[str, list[tables.Row]]:
+    def _limited(self, item: str | AssetUse) -> Rows:
         self._prepare()
         with limited(self.settings.seconds_per_item):
             return self.item(item)
 
-    def _alone(self, item: str | AssetUse) -> dict[str, list[tables.Row]]:
-        seconds = self.settings.seconds_per_item
-        found = alone(self.item, item, seconds=seconds, prepare=self._prepare)
-        if not isinstance(found, Loss):
-            return found
-        item_id = _id_of(item)
-        hint = {
-            Loss.CRASHED: "the process that read it died; is the file hostile?",
-            Loss.TIMED_OUT: f"took over {seconds:g} s; is it hostile, or is seconds_per_item too short for it?",
-        }[found]
-        return {"failures": [tables.notice_row(Notice(item_id, "isolate", str(found), f"{item_id}: {hint}"))]}
+    def _alone(self, item: str | AssetUse) -> Rows:
+        return rows_alone(self.item, item, _id_of(item), seconds=self.settings.seconds_per_item, prepare=self._prepare)
 
 
 def _tables_of(shard: Shard) -> tuple[str, ...]:
@@ -175,14 +168,14 @@ def preprocess(data: str, out: str, settings: PreprocessSettings, workers: Worke
     with folder.locked():
         plan = plan_run(dataset, settings)
         manifest = _manifest(dataset, plan, settings)
-        _check_resume(folder, manifest)
-        folder.write_bytes("manifest.json", _json(manifest))
+        check_resume(folder, manifest, settings.shaping())
+        write_manifest(folder, manifest)
         _write_whole_tables(folder, plan)
         work = PreprocessShard(str(dataset.root), folder.root if folder.is_local else out, placed, plan.fingerprint)
-        _run_shards(folder, plan, work, workers)
-        _check_shards(folder, plan)
+        run_missing(folder, plan.shards, _tables_of, work, workers, "preprocess")
+        check_shards(folder, _planned(plan))
         manifest |= {"status": "complete", "counts": _counts(folder, plan)}
-        folder.write_bytes("manifest.json", _json(manifest))
+        write_manifest(folder, manifest)
         if report:
             write_report(folder, manifest, AssetStore(dataset), settings.num_pictures)
     return manifest
@@ -229,19 +222,8 @@ def _write_whole_tables(folder: RunFolder, plan: Plan) -> None:
             folder.write_shard(table, _NO_ASSETS, [])
 
 
-def _run_shards(folder: RunFolder, plan: Plan, work: PreprocessShard, workers: Workers) -> None:
-    present = {table: folder.shard_ids(table) for table in TABLES}
-    missing = [s for s in plan.shards if not all(s.shard_id in present[table] for table in _tables_of(s))]
-    total, failed = sum(map(len, plan.shards)), 0
-    with tqdm(total=total, initial=total - sum(map(len, missing)), desc="preprocess", unit="item") as bar:
-        for size, failures in workers.run(work, missing) if missing else ():
-            failed += failures
-            bar.update(size)
-            bar.set_postfix_str(f"{failed} failed", refresh=False)
-
-
-def _check_shards(folder: RunFolder, plan: Plan) -> None:
-    """Refuses a folder that holds other shards than the plan's: its rows would be of several runs."""
+def _planned(plan: Plan) -> dict[str, set[str]]:
+    """Shards of each table."""
     planned: dict[str, set[str]] = {table: set() for table in TABLES}
     for table in ("warnings", "failures"):
         planned[table].add(_OF_DATASET)
@@ -250,91 +232,18 @@ def _check_shards(folder: RunFolder, plan: Plan) -> None:
     for shard in plan.shards:
         for table in _tables_of(shard):
             planned[table].add(shard.shard_id)
-    for table, expected in planned.items():
-        found = folder.shard_ids(table)
-        if found != expected:
-            foreign, absent = sorted(found - expected), sorted(expected - found)
-            raise ConfigError(
-                f"{folder.uri}/{table}: {len(foreign)} shards are not of this run {foreign[:3]} and {len(absent)} are missing "
-                f"{absent[:3]}, expected those of the plan alone; choose a new folder, or remove the former and run again",
-                "shards_differ",
-            )
+    return planned
 
 
 def _manifest(dataset: MesaTaskDataset, plan: Plan, settings: PreprocessSettings) -> dict[str, Any]:
-    return {
-        "job": "preprocess",
-        "status": "running",
-        "code_version": stable_data.__version__,
-        "table_version": tables.TABLE_VERSION,
-        "dataset": dataset.root.name,
-        "input_fingerprint": plan.fingerprint,
-        "inputs": dict(plan.inputs),
-        "settings": asdict(settings),
-        **plan.counts(),
-    }
-
-
-def _check_resume(folder: RunFolder, manifest: dict[str, Any]) -> None:
-    """Refuses to mix rows of two configurations, inputs or versions in one folder."""
-    content = folder.read_bytes("manifest.json")
-    if content is None:
-        tables_there = [table for table in tables.SCHEMAS if folder.files(table)]
-        if tables_there:
-            raise ConfigError(
-                f"{folder.uri}: holds {', '.join(tables_there)} but no manifest.json to say of what; choose a new folder",
-                "manifest_missing",
-            )
-        return
-    try:
-        was = dict(json.loads(content))
-        was_settings, was_inputs = dict(was.get("settings", {})), dict(was.get("inputs", {}))
-    except (ValueError, TypeError) as error:
-        raise ConfigError(
-            f"{folder.uri}/manifest.json: not a JSON object ({error}); is this the folder of a run?", "manifest_invalid"
-        ) from error
-    shaping = PreprocessSettings(**manifest["settings"]).shaping()
-    compared = ("job", "code_version", "table_version", "dataset")
-    changed = differences({k: was.get(k) for k in compared}, {k: manifest[k] for k in compared})
-    changed += [f"inputs.{change}" for change in differences(was_inputs, manifest["inputs"])]
-    changed += differences({k: was_settings.get(k) for k in shaping}, shaping)
-    if changed:
-        raise ConfigError(
-            f"{folder.uri}: was made with another configuration ({'; '.join(changed)}); choose a new folder or restore it",
-            "config_changed",
-        )
+    return new_manifest(
+        "preprocess", dataset.root.name, plan.fingerprint, inputs=dict(plan.inputs), settings=asdict(settings), **plan.counts()
+    )
 
 
 def _counts(folder: RunFolder, plan: Plan) -> dict[str, Any]:
-    """Rows by table, and failures by kind.
-
-    Raises:
-        ConfigError: A scene or asset is not exactly one row of its table or a failure.
-    """
-    counts: dict[str, Any] = {table: folder.num_rows(table) for table in TABLES}
-    failures = folder.table("failures", ["id", "code", "step"])
-    failed = set(failures["id"].to_pylist())
-    for table, column, planned in (("scenes", "scene_id", plan.scene_ids), ("assets", "asset_id", plan.asset_ids)):
-        usable = folder.table(table, [column])[column].to_pylist()
-        rest = set(planned) - set(usable)
-        if len(set(usable)) < len(usable) or not set(usable) <= set(planned) or not rest <= failed:
-            twice = {item_id for item_id, count in Counter(usable).items() if count > 1}
-            odd = sorted(twice | (set(usable) - set(planned)) | (rest - failed))
-            raise ConfigError(
-                f"{folder.uri}: {len(odd)} {table} such as {odd[0]} are not exactly one row of {table} or failures, expected "
-                "each to be; choose a new folder",
-                "rows_differ",
-            )
-        counts[f"failed_{table}"] = len(rest)
-    counts["warnings_by_code"] = _counted(folder.table("warnings", ["code"])["code"])
-    counts["failures_by_code"] = _counted(failures["code"])
-    counts["failures_by_step"] = _counted(failures["step"])
-    return counts
-
-
-def _counted(column: Any) -> dict[str, int]:
-    return dict(sorted(Counter(column.to_pylist()).items()))
-
-
-def _json(document: dict[str, Any]) -> bytes:
-    return (json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False) + "\n").encode()
+    return {
+        **count_rows(folder, TABLES),
+        "failed_scenes": count_items(folder, "scenes", "scene_id", plan.scene_ids),
+        "failed_assets": count_items(folder, "assets", "asset_id", plan.asset_ids),
+    }

@@ -11,7 +11,7 @@ from stable_data.errors import Notice
 from stable_data.instructions import derive_task, task_rng
 from stable_data.mesatask import TABLE_TYPES, MesaTaskDataset, PositionConvention
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed
-from stable_data.relations import relations_of, scene_graph, supports
+from stable_data.relations import SceneGraph, relations_of, scene_graph, supports
 from stable_data.scene import TABLE, RelationKind, Scene
 from stable_data.staging import samples_of, stage_scene
 from stable_data.tasks import TaskWriter, model_task, resolve_task_objects
@@ -47,6 +47,23 @@ class SceneRows:
     notices: tuple[Notice, ...]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Understood:
+    """A scene that was read, judged, related, tasked and staged.
+
+    Attributes:
+        scene: With supports, relations, task and stages.
+        posed: Its meshes where they stand.
+        audit: Every verdict.
+        notices: What about it deserves a look.
+    """
+
+    scene: Scene
+    posed: PosedScene
+    audit: Audit
+    notices: tuple[Notice, ...]
+
+
 def preprocess_scene(
     dataset: MesaTaskDataset,
     scene_id: str,
@@ -55,7 +72,33 @@ def preprocess_scene(
     progress: Progress,
     writer: "CachedWriter | None" = None,
 ) -> SceneRows:
-    """Everything that preprocess makes of one scene.
+    """Everything that preprocess makes of one scene; see :func:`understand`."""
+    understood = understand(dataset, scene_id, store, settings, progress, writer)
+    scene, audit = understood.scene, understood.audit
+    origin = origin_of(dataset, scene, settings)
+    row = {**tables.scene_row(scene), **tables.card_row(audit.card(*num_carried(scene))), **audit.rows(), **origin}
+    head = {k: row[k] for k in ("scene_id", "split", "table_type", "table_size", "restricted_zone", "task")}
+    samples = tuple(
+        {
+            **head,
+            "stage": str(sample.stage),
+            "objects_in": [tables.object_row(o, with_source=False) for o in sample.objects_in],
+            "objects_out": [tables.object_row(o, with_source=False) for o in sample.objects_out],
+        }
+        for sample in samples_of(scene)
+    )
+    return SceneRows(row, samples, understood.notices)
+
+
+def understand(
+    dataset: MesaTaskDataset,
+    scene_id: str,
+    store: AssetStore,
+    settings: SceneSettings,
+    progress: Progress,
+    writer: "CachedWriter | None" = None,
+) -> Understood:
+    """Reads a scene and finds out all that later steps ask of it.
 
     Args:
         dataset: Where it is.
@@ -76,32 +119,48 @@ def preprocess_scene(
     posed = PosedScene(scene, shapes)
     audit = audit_posed(posed)
     progress.step = "task"
-    scene, tasked = _understood(dataset, posed, audit, settings, writer)
+    containers = {o.instance: dataset.annotation(o.asset_id).is_container if o.asset_id else None for o in scene.objects}
+    scene, graph = related(posed, audit, containers)
+    notices: tuple[Notice, ...] = ()
+    if scene.task is not None:
+        task, notices = resolve_task_objects(scene.task, scene, graph)
+    elif writer is not None:
+        task, notices = model_task(scene, graph, writer.write, writer.cache, writer.name, settings.seed)
+    else:
+        task = derive_task(scene, graph, task_rng(scene.scene_id, settings.seed))
     progress.step = "stage"
-    scene = stage_scene(scene, settings.important_threshold)
-    layout = dataset.layout_path(scene_id)
+    scene = stage_scene(replace(scene, task=task), settings.important_threshold)
+    return Understood(scene, posed, audit, (*read, *meshed, *notices))
+
+
+def origin_of(dataset: MesaTaskDataset, scene: Scene, settings: SceneSettings) -> tables.Row:
+    """Columns of ``scenes`` that say where a scene comes from."""
+    layout = dataset.layout_path(scene.scene_id)
     group = duplicate_group(scene)
-    row = {
-        **tables.scene_row(scene),
-        **tables.card_row(audit.card(*_counts(scene))),
-        **audit.rows(),
+    return {
         "source": dataset.root.name,
         "split": split_of(group, scene.table.table_type, settings),
         "layout_path": layout.relative_to(dataset.root).as_posix(),
         "layout_sha256": hashlib.sha256(layout.read_bytes()).hexdigest(),
         "duplicate_group": group,
     }
-    head = {k: row[k] for k in ("scene_id", "split", "table_type", "table_size", "restricted_zone", "task")}
-    samples = tuple(
-        {
-            **head,
-            "stage": str(sample.stage),
-            "objects_in": [tables.object_row(o, with_source=False) for o in sample.objects_in],
-            "objects_out": [tables.object_row(o, with_source=False) for o in sample.objects_out],
-        }
-        for sample in samples_of(scene)
-    )
-    return SceneRows(row, samples, (*read, *meshed, *tasked))
+
+
+def related(posed: PosedScene, audit: Audit, containers: Mapping[str, bool | None]) -> tuple[Scene, SceneGraph]:
+    """The scene with supports and relations, and its graph.
+
+    Args:
+        posed: The scene's meshes where they stand.
+        audit: Its verdicts.
+        containers: Whether things can be put into an object; None or missing where it is not known.
+    """
+    scene = posed.scene
+    contacts = _contacts(posed, audit)
+    footprints = {o.instance: s.posed_footprint(p) for o, s, p in zip(scene.objects, posed.shapes, scene.poses(), strict=True)}
+    carriers = supports(scene, contacts, footprints, containers)
+    scene = replace(scene, objects=tuple(replace(o, support=carriers[o.instance]) for o in scene.objects))
+    graph = scene_graph(scene, contacts, footprints, containers)
+    return replace(scene, relations=relations_of(graph)), graph
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,28 +178,6 @@ class CachedWriter:
     name: str
 
 
-def _understood(
-    dataset: MesaTaskDataset, posed: PosedScene, audit: Audit, settings: SceneSettings, writer: CachedWriter | None
-) -> tuple[Scene, tuple[Notice, ...]]:
-    """The scene with supports, relations and task."""
-    scene = posed.scene
-    contacts = _contacts(posed, audit)
-    footprints = {o.instance: s.posed_footprint(p) for o, s, p in zip(scene.objects, posed.shapes, scene.poses(), strict=True)}
-    containers = {o.instance: dataset.annotation(o.asset_id).is_container if o.asset_id else None for o in scene.objects}
-    carriers = supports(scene, contacts, footprints, containers)
-    scene = replace(scene, objects=tuple(replace(o, support=carriers[o.instance]) for o in scene.objects))
-    graph = scene_graph(scene, contacts, footprints, containers)
-    scene = replace(scene, relations=relations_of(graph))
-    notices: tuple[Notice, ...] = ()
-    if scene.task is not None:
-        task, notices = resolve_task_objects(scene.task, scene, graph)
-    elif writer is not None:
-        task, notices = model_task(scene, graph, writer.write, writer.cache, writer.name, settings.seed)
-    else:
-        task = derive_task(scene, graph, task_rng(scene.scene_id, settings.seed))
-    return replace(scene, task=task), notices
-
-
 def _contacts(posed: PosedScene, audit: Audit) -> Mapping[str, tuple[str, ...]]:
     """What each object rests on: the table where the audit finds nothing else, or all that is within a larger gap."""
     return {
@@ -149,7 +186,7 @@ def _contacts(posed: PosedScene, audit: Audit) -> Mapping[str, tuple[str, ...]]:
     }
 
 
-def _counts(scene: Scene) -> tuple[int, int]:
+def num_carried(scene: Scene) -> tuple[int, int]:
     """Objects on another one, and objects in another one."""
     names = {o.instance for o in scene.objects}
     contained = {r.subject for r in scene.relations if r.kind is RelationKind.IN and r.target in names}

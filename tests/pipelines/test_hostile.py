@@ -101,7 +101,7 @@ def test_a_check_of_positions_that_dies_stops_with_what_to_set(
 
 @pytest.mark.parametrize(("loss", "message"), [(Loss.CRASHED, "is the file hostile"), (Loss.TIMED_OUT, "took over 600 s")])
 def test_how_a_process_ended_is_the_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loss: Loss, message: str) -> None:
-    monkeypatch.setattr(job, "alone", lambda *_, seconds, prepare: loss)
+    monkeypatch.setattr("pipelines.job.alone", lambda *_, seconds, prepare: loss)
     work = PreprocessShard("nowhere", str(tmp_path), PreprocessSettings())
     work(Shard("0" * 16, scenes=("office_table_0001",)), isolated=True)
     [row] = RunFolder(str(tmp_path)).table("failures").to_pylist()

@@ -1,0 +1,207 @@
+"""What all jobs share: items whose failure is a row, shards in their places, resume under one configuration only."""
+
+import json
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Protocol, TypeAlias, TypeVar
+
+from tqdm import tqdm
+
+import stable_data
+from pipelines.progress import Progress
+from pipelines.runner import Loss, Work, Workers, alone
+from pipelines.settings import differences
+from stable_data import tables
+from stable_data.errors import ConfigError, Notice, StableDataError
+from stable_data.shards import RunFolder
+
+Rows: TypeAlias = dict[str, list[tables.Row]]
+"""Rows by table."""
+
+I = TypeVar("I")  # noqa: E741 - an item
+S = TypeVar("S", bound="Shard")
+
+_COMPARED = ("job", "code_version", "table_version", "dataset")
+
+
+class Shard(Protocol):
+    """Items that are done together."""
+
+    @property
+    def shard_id(self) -> str:
+        """Content of its inputs and of the settings that shape it."""
+        ...
+
+    def __len__(self) -> int: ...
+
+
+def rows_or_failure(item_id: str, progress: Progress, make: Callable[[], Rows]) -> Rows:
+    """Rows of one item; where it cannot be used, a row of ``failures`` that says in which step and why.
+
+    Raises:
+        ConfigError: The run itself cannot go on.
+    """
+    try:
+        return make()
+    except ConfigError:
+        raise
+    except StableDataError as error:
+        return {"failures": [tables.notice_row(Notice(item_id, progress.step, error.code, str(error)))]}
+    except Exception as error:  # noqa: BLE001 - the one place where what nobody foresaw becomes a row
+        message = f"{item_id}: {type(error).__name__}: {error}; please report this with the file"
+        return {"failures": [tables.notice_row(Notice(item_id, progress.step, "unexpected", message))]}
+
+
+def rows_alone(
+    make: Callable[[I], Rows], item: I, item_id: str, *, seconds: float, prepare: Callable[[], object] | None = None
+) -> Rows:
+    """Rows of one item, made in a process of its own; a failure where that process dies or takes too long."""
+    found = alone(make, item, seconds=seconds, prepare=prepare)
+    if not isinstance(found, Loss):
+        return found
+    hint = {
+        Loss.CRASHED: "the process that read it died; is the file hostile?",
+        Loss.TIMED_OUT: f"took over {seconds:g} s; is it hostile, or is seconds_per_item too short for it?",
+    }[found]
+    return {"failures": [tables.notice_row(Notice(item_id, "isolate", str(found), f"{item_id}: {hint}"))]}
+
+
+def new_manifest(job: str, dataset: str, fingerprint: str, **more: Any) -> dict[str, Any]:
+    """The manifest of a run that starts."""
+    head = {"job": job, "status": "running", "code_version": stable_data.__version__, "table_version": tables.TABLE_VERSION}
+    return {**head, "dataset": dataset, "input_fingerprint": fingerprint, **more}
+
+
+def check_resume(folder: RunFolder, manifest: Mapping[str, Any], shaping: Mapping[str, Any]) -> None:
+    """Refuses to mix rows of two configurations, inputs or versions in one folder.
+
+    Args:
+        folder: The run.
+        manifest: Of the run that starts; its ``inputs`` are compared one by one.
+        shaping: The settings that shape rows.
+
+    Raises:
+        ConfigError: The folder is of another run: ``key: was -> now``.
+    """
+    content = folder.read_bytes("manifest.json")
+    if content is None:
+        tables_there = [table for table in tables.SCHEMAS if folder.files(table)]
+        if tables_there:
+            raise ConfigError(
+                f"{folder.uri}: holds {', '.join(tables_there)} but no manifest.json to say of what; choose a new folder",
+                "manifest_missing",
+            )
+        return
+    try:
+        was = dict(json.loads(content))
+        was_settings, was_inputs = dict(was.get("settings", {})), dict(was.get("inputs", {}))
+    except (ValueError, TypeError) as error:
+        raise ConfigError(
+            f"{folder.uri}/manifest.json: not a JSON object ({error}); is this the folder of a run?", "manifest_invalid"
+        ) from error
+    changed = differences({k: was.get(k) for k in _COMPARED}, {k: manifest[k] for k in _COMPARED})
+    changed += [f"inputs.{change}" for change in differences(was_inputs, manifest["inputs"])]
+    changed += differences({k: was_settings.get(k) for k in shaping}, shaping)
+    if changed:
+        raise ConfigError(
+            f"{folder.uri}: was made with another configuration ({'; '.join(changed)}); choose a new folder or restore it",
+            "config_changed",
+        )
+
+
+def write_manifest(folder: RunFolder, manifest: Mapping[str, Any]) -> None:
+    """Puts ``manifest.json`` in place."""
+    text = json.dumps(manifest, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
+    folder.write_bytes("manifest.json", text.encode())
+
+
+def run_missing(
+    folder: RunFolder,
+    shards: Sequence[S],
+    tables_of: Callable[[S], Iterable[str]],
+    work: Work[S, tuple[int, int]],
+    workers: Workers,
+    name: str,
+    unit: str = "item",
+) -> None:
+    """Does the shards whose tables are not all in place.
+
+    Args:
+        folder: The run.
+        shards: All shards.
+        tables_of: Tables that a shard writes.
+        work: Does one shard, and gives its items and how many of them failed.
+        workers: Who does it.
+        name: Of the job, on the progress bar.
+        unit: Of what is counted there.
+    """
+    present = {table: folder.shard_ids(table) for table in {t for s in shards for t in tables_of(s)}}
+    missing = [s for s in shards if not all(s.shard_id in present[table] for table in tables_of(s))]
+    total, failed = sum(map(len, shards)), 0
+    with tqdm(total=total, initial=total - sum(map(len, missing)), desc=name, unit=unit) as bar:
+        for size, failures in workers.run(work, missing) if missing else ():
+            failed += failures
+            bar.update(size)
+            bar.set_postfix_str(f"{failed} failed", refresh=False)
+
+
+def check_shards(folder: RunFolder, planned: Mapping[str, set[str]]) -> None:
+    """Refuses a folder that holds other shards than the plan's: its rows would be of several runs.
+
+    Args:
+        folder: The run.
+        planned: Table -> ids of its shards.
+
+    Raises:
+        ConfigError: A table has others, or lacks some.
+    """
+    for table, expected in planned.items():
+        found = folder.shard_ids(table)
+        if found != expected:
+            foreign, absent = sorted(found - expected), sorted(expected - found)
+            raise ConfigError(
+                f"{folder.uri}/{table}: {len(foreign)} shards are not of this run {foreign[:3]} and {len(absent)} are missing "
+                f"{absent[:3]}, expected those of the plan alone; choose a new folder, or remove the former and run again",
+                "shards_differ",
+            )
+
+
+def count_items(folder: RunFolder, table: str, column: str, planned: Iterable[str]) -> int:
+    """How many planned items failed.
+
+    Args:
+        folder: The run, complete.
+        table: Where the usable ones are.
+        column: Their ids there.
+        planned: Ids of all.
+
+    Raises:
+        ConfigError: An item is not exactly one row of its table or a failure.
+    """
+    failed = set(folder.table("failures", ["id"])["id"].to_pylist())
+    usable = folder.table(table, [column])[column].to_pylist()
+    rest = set(planned) - set(usable)
+    if len(set(usable)) < len(usable) or not set(usable) <= set(planned) or not rest <= failed:
+        twice = {item_id for item_id, count in Counter(usable).items() if count > 1}
+        odd = sorted(twice | (set(usable) - set(planned)) | (rest - failed))
+        raise ConfigError(
+            f"{folder.uri}: {len(odd)} {table} such as {odd[0]} are not exactly one row of {table} or failures, expected "
+            "each to be; choose a new folder",
+            "rows_differ",
+        )
+    return len(rest)
+
+
+def count_rows(folder: RunFolder, names: Iterable[str]) -> dict[str, Any]:
+    """Rows by table, and warnings and failures by kind."""
+    failures = folder.table("failures", ["code", "step"])
+    return {
+        **{table: folder.num_rows(table) for table in names},
+        "warnings_by_code": _counted(folder.table("warnings", ["code"])["code"]),
+        "failures_by_code": _counted(failures["code"]),
+        "failures_by_step": _counted(failures["step"]),
+    }
+
+
+def _counted(column: Any) -> dict[str, int]:
+    return dict(sorted(Counter(column.to_pylist()).items()))
