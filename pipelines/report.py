@@ -1,18 +1,14 @@
 """The report page of a preprocess run: one HTML file that needs no other, with counts, histograms and pictures."""
 
-import base64
-import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from html import escape
-from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
 import pyarrow.compute as pc
-from PIL import Image
 
+from pipelines.page import bars, head, histogram, image_uri, notices, page, table, tiles
 from stable_data.assets import AssetStore
 from stable_data.errors import ConfigError
 from stable_data.mesh import Mesh
@@ -20,8 +16,6 @@ from stable_data.metrics.summary import summarise
 from stable_data.render import render_scene
 from stable_data.shards import RunFolder
 from stable_data.tables import scene_from_row
-
-_STYLE = Path(__file__).with_name("report.css")
 
 
 def write_report(folder: RunFolder, manifest: dict[str, Any], store: AssetStore, num_pictures: int) -> None:
@@ -39,26 +33,19 @@ def write_report(folder: RunFolder, manifest: dict[str, Any], store: AssetStore,
     scenes = pl.from_arrow(folder.table("scenes", columns))
     assert isinstance(scenes, pl.DataFrame)
     body = [
-        f"<h1>{escape(manifest['dataset'])}</h1>",
-        f'<p class="note">preprocess, code {escape(manifest["code_version"])}, tables version {manifest["table_version"]}, '
-        f"inputs {manifest['input_fingerprint']}</p>",
+        head(manifest),
         _tiles(manifest["counts"], manifest),
         *_audit(scenes),
         *_pictures(folder, scenes, store, num_pictures),
         *_staging(folder, scenes),
         *_assets(folder),
-        *_notices(folder),
+        *notices(folder),
     ]
-    page = (
-        '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>{escape(manifest['dataset'])}: preprocess</title><style>{_STYLE.read_text('utf-8')}</style>"
-        f"<main>{''.join(body)}</main></html>"
-    )
-    folder.write_bytes("report/index.html", page.encode())
+    folder.write_bytes("report/index.html", page(f"{manifest['dataset']}: preprocess", body))
 
 
 def _tiles(counts: dict[str, Any], manifest: dict[str, Any]) -> str:
-    tiles = [
+    figures = [
         (f"{counts['scenes']} / {manifest['num_scenes']}", "scenes usable"),
         (str(counts["failed_scenes"]), "scenes in failures"),
         (f"{counts['assets']} / {manifest['num_assets']}", "assets usable"),
@@ -67,24 +54,24 @@ def _tiles(counts: dict[str, Any], manifest: dict[str, Any]) -> str:
         (str(counts["sdf"]), "signed-distance grids"),
         (str(counts["warnings"]), "warnings"),
     ]
-    return '<div class="tiles">' + "".join(f'<div class="tile"><b>{a}</b><span>{b}</span></div>' for a, b in tiles) + "</div>"
+    return tiles(figures)
 
 
 def _audit(scenes: pl.DataFrame) -> Iterable[str]:
     summary = summarise(scenes)
     rows = [(x.label, f"{x.count}", f"{x.total}", f"{100 * x.share:.1f} %", str(x.unknown or "")) for x in summary.lines]
     yield "<h2>Audit</h2><p class=note>Exact, against the triangle meshes, before anything is learned.</p>"
-    yield _table(("", "count", "of", "share", "unknown"), rows)
-    yield _table(("", ""), summary.figures)
+    yield table(("", "count", "of", "share", "unknown"), rows)
+    yield table(("", ""), summary.figures)
     yield "<h2>Distributions</h2><div class=grid>"
-    yield _histogram("Objects a scene", scenes["num_objects"], [0, 4, 8, 12, 16, 20, 25, 30, 1000])
-    yield _histogram("Deepest penetration of a scene, mm", scenes["max_penetration_mm"], [0, 1e-9, 0.5, 1, 3, 10, 30, 1000])
-    yield _histogram("Largest gap of a scene, mm", scenes["max_gap_mm"], [0, 0.5, 1, 3, 10, 30, 1000])
-    yield _bars("Table type", scenes["table_type"])
-    yield _bars("Split", scenes["split"])
+    yield histogram("Objects a scene", scenes["num_objects"], [0, 4, 8, 12, 16, 20, 25, 30, 1000])
+    yield histogram("Deepest penetration of a scene, mm", scenes["max_penetration_mm"], [0, 1e-9, 0.5, 1, 3, 10, 30, 1000])
+    yield histogram("Largest gap of a scene, mm", scenes["max_gap_mm"], [0, 0.5, 1, 3, 10, 30, 1000])
+    yield bars("Table type", scenes["table_type"])
+    yield bars("Split", scenes["split"])
     yield "</div>"
     if summary.offenders:
-        yield "<h2>Worst offenders</h2>" + _table(("scene", "what"), [(o.scene_id, o.what) for o in summary.offenders])
+        yield "<h2>Worst offenders</h2>" + table(("scene", "what"), [(o.scene_id, o.what) for o in summary.offenders])
 
 
 def _staging(folder: RunFolder, scenes: pl.DataFrame) -> Iterable[str]:
@@ -92,10 +79,10 @@ def _staging(folder: RunFolder, scenes: pl.DataFrame) -> Iterable[str]:
     origins = folder.table("scenes", ["task"])["task"].to_pylist()
     yield "<h2>Tasks and stages</h2><div class=grid>"
     if objects.height:
-        yield _bars("Objects by stage", objects["stage"])
-    yield _bars("Task infos by origin", pl.Series("origin", [t["origin"] if t else "none" for t in origins], dtype=pl.String))
-    yield _histogram("Stacked objects a scene", scenes["num_stacked"], [0, 1, 2, 3, 5, 8, 1000])
-    yield _histogram("Contained objects a scene", scenes["num_contained"], [0, 1, 2, 3, 5, 8, 1000])
+        yield bars("Objects by stage", objects["stage"])
+    yield bars("Task infos by origin", pl.Series("origin", [t["origin"] if t else "none" for t in origins], dtype=pl.String))
+    yield histogram("Stacked objects a scene", scenes["num_stacked"], [0, 1, 2, 3, 5, 8, 1000])
+    yield histogram("Contained objects a scene", scenes["num_contained"], [0, 1, 2, 3, 5, 8, 1000])
     yield "</div>"
 
 
@@ -118,20 +105,7 @@ def _assets(folder: RunFolder) -> Iterable[str]:
         rows.append(("grid error near the surface, median", f"{100 * share[0]:.3f} % of the largest extent"))
         rows.append(("grid spacing, median", f"{100 * share[1]:.2f} % of the largest extent"))
         rows.append(("wrong signs off the surface, mean", f"{100 * np.mean([e['sign_error'] for e in errors]):.3f} %"))
-    yield "<h2>Assets</h2>" + _table(("", ""), rows)
-
-
-def _notices(folder: RunFolder) -> Iterable[str]:
-    for table in ("failures", "warnings"):
-        rows = folder.table(table).to_pylist()
-        yield f"<h2>{table.capitalize()} ({len(rows)})</h2>"
-        if not rows:
-            yield '<p class="note">None.</p>'
-            continue
-        shown = sorted(rows, key=lambda r: (r["code"], r["id"]))[:200]
-        yield _table(("id", "step", "code", "message"), [(r["id"], r["step"], r["code"], r["message"]) for r in shown])
-        if len(rows) > len(shown):
-            yield f'<p class="note">and {len(rows) - len(shown)} more in the table {table}.</p>'
+    yield "<h2>Assets</h2>" + table(("", ""), rows)
 
 
 def _pictures(folder: RunFolder, scenes: pl.DataFrame, store: AssetStore, count: int) -> Iterable[str]:
@@ -160,45 +134,5 @@ def _pictures(folder: RunFolder, scenes: pl.DataFrame, store: AssetStore, count:
         ]
         task = escape(row["task"]["task"]) if row["task"] else ""
         caption = f"<figcaption><b>{name}</b> {verdict}<br>{task}</figcaption>"
-        yield f'<figure><img alt="{name}" src="{_data_uri(picture)}">{caption}</figure>'
+        yield f'<figure><img alt="{name}" src="{image_uri(picture)}">{caption}</figure>'
     yield "</div>"
-
-
-def _data_uri(picture: Any) -> str:
-    stream = io.BytesIO()
-    Image.fromarray(picture).convert("RGB").save(stream, "JPEG", quality=88)
-    return "data:image/jpeg;base64," + base64.b64encode(stream.getvalue()).decode()
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    body = "".join("<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows)
-    return "<table><tr>" + "".join(f"<th>{escape(h)}</th>" for h in head) + f"</tr>{body}</table>"
-
-
-def _histogram(title: str, values: pl.Series, edges: Sequence[float]) -> str:
-    known = values.drop_nulls().to_numpy()
-    counts = np.histogram(known, edges)[0]
-    step = 1 if values.dtype.is_integer() else 0  # 4 – 7, but 0.5 – 1
-    labels = [
-        f"{a:g}" if a == b - step else f"{a:g} – {b - step:g}" if b < 1000 else f"{a:g} or more" for a, b in pairwise(edges)
-    ]
-    if len(edges) > 1 and edges[1] == 1e-9:
-        labels[:2] = ["0", f"under {edges[2]:g}"]
-    rows = [*zip(labels, counts.tolist(), strict=True)]
-    if values.null_count():
-        rows.append(("unknown", values.null_count()))
-    return _chart(title, rows)
-
-
-def _bars(title: str, values: pl.Series) -> str:
-    counted = values.cast(pl.String).fill_null("none").value_counts(sort=True, name="n")
-    return _chart(title, list(counted.iter_rows()))
-
-
-def _chart(title: str, rows: Sequence[tuple[str, int]]) -> str:
-    most = max((n for _, n in rows), default=0) or 1
-    bars = "".join(
-        f'<div class="row"><span>{escape(label)}</span><i style="width:{100 * n / most:.1f}%"></i><span>{n}</span></div>'
-        for label, n in rows
-    )
-    return f'<div class="chart"><h3>{escape(title)}</h3>{bars}</div>'
