@@ -16,7 +16,7 @@ from stable_data.mesatask.document import json_text
 from stable_data.metrics.card import MetricCard
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Stage, Tabletop, TaskInfo
 
-TABLE_VERSION = 1
+TABLE_VERSION = 2
 """Raised whenever a column changes its name, type or meaning."""
 
 Row: TypeAlias = dict[str, Any]
@@ -93,6 +93,9 @@ def _column(name: str, type_: pa.DataType, meaning: str, unit: str = "") -> pa.F
     return pa.field(name, type_, metadata={"meaning": meaning, "unit": unit})
 
 
+DROPPED = pa.struct([("instance", _text), ("reason", _text)])
+POSE = pa.struct([("instance", _text), ("position", _numbers), ("yaw", _number)])
+
 _CARD_TYPES: dict[type, pa.DataType] = {int: _count, float: _number, bool: _truth}
 
 
@@ -109,11 +112,13 @@ def _card_columns() -> list[pa.Field]:
             f.name,
             _CARD_TYPES[(get_args(types[f.name]) or (types[f.name],))[0]],
             meanings[f.name],
-            "mm" if f.name.endswith("_mm") else "",
+            "mm" if f.name.endswith("_mm") else "deg" if f.name.endswith("_deg") else "",
         )
         for f in fields(MetricCard)
     ]
 
+
+CARD = pa.struct([(column.name, column.type) for column in _card_columns()])
 
 _scene_head = [
     _column("scene_id", _text, "unique in the run"),
@@ -141,6 +146,29 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column("layout_sha256", _text, "content of that file"),
             _column("duplicate_group", _text, "scenes on the same table type with the same assets share it, and their split"),
             _column("source_json", _text, "top-level entries of the file, so that nothing is lost"),
+        ]
+    ),
+    "corrections": pa.schema(
+        [
+            _column("scene_id", _text, "the scene, also where its correction is infeasible and it is in failures"),
+            _column(
+                "status", _text, "certified, dropped (clean after dropping objects), infeasible, or unknown (a mesh is missing)"
+            ),
+            _column("reason", _text, "why nothing better was possible; empty where certified"),
+            _column("dropped", pa.list_(DROPPED), "objects that found no place, with the reason"),
+            _column("start", pa.list_(POSE), "where all objects were, dropped ones included", "m, rad"),
+            _column(
+                "raw", pa.list_(POSE), "where the flow put them, before they were certified; null without a flow", "m, rad"
+            ),
+            _column("card_before", CARD, "metric card of the input"),
+            _column("card_raw", CARD, "metric card of the raw flow, null without one"),
+            _column("card_after", CARD, "metric card of the corrected scene, null where infeasible"),
+            _column("on_in_held", _count, "on and in relations that held in the input"),
+            _column("on_in_kept", _count, "of them, those that still hold"),
+            _column("on_in_asked", _count, "on and in relations that the scene graph asks for and the input broke"),
+            _column("on_in_restored", _count, "of them, those that hold now"),
+            _column("directional_held", _count, "directional relations that held in the input"),
+            _column("directional_kept", _count, "of them, those that still hold"),
         ]
     ),
     "samples": pa.schema(
