@@ -17,7 +17,7 @@ from stable_data.scene import IntArray
 from stable_data.shards import RunFolder, content_id, unreadable
 from stable_data.tables import SCHEMAS, Row, check_version
 
-SPLITS = ("train", "validation", "test")
+SPLITS = ("train", "validation", "test", "unseen")
 """What a row's ``split`` may be."""
 
 _REQUESTS = 16

@@ -346,7 +346,7 @@ def test_a_setting_that_cannot_be_is_refused(run: str, wrong: dict[str, Any]) ->
 # One split
 
 
-@pytest.mark.parametrize("name", ["train", "validation"])
+@pytest.mark.parametrize("name", ["train", "validation", "unseen"])
 def test_a_split_is_its_rows_alone(run: str, name: str) -> None:
     expected = [s for s in SCENES if split_of(s) == name]
     assert list(TableStream(run, split=name)) == expected
@@ -381,7 +381,7 @@ def test_a_split_resumes_as_the_whole_does(run: str) -> None:
 @pytest.mark.parametrize(
     ("table", "split", "message"),
     [
-        ("scenes", "val", "split is 'val', expected one of train, validation, test"),
+        ("scenes", "val", "split is 'val', expected one of train, validation, test, unseen"),
         ("features", "train", "table features has no splits"),
     ],
 )
