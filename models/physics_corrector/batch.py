@@ -6,15 +6,18 @@ and is pointed to. A whole training set fits in one batch of some tens of megaby
 Padding: ``mask`` alone says what it is. It holds zeros, -2 in ``parent``, and nothing may depend on it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from models.physics_corrector.geometry import ShapeTable
 from stable_data.scene import TABLE, Scene, SceneObject
+from stable_data.shape import Shape
 
 ON_TABLE = -1
 """The parent of what stands on the table."""
@@ -68,26 +71,14 @@ class SceneBatch:
             is_fixed: Which objects must stay; by default none.
             num_slots: N, at least; more where a scene has more objects.
         """
-        num_slots = max(num_slots, *(len(scene.objects) for scene in scenes), 0) if scenes else num_slots
-        lead = (len(scenes), num_slots)
-        poses, sizes = np.zeros((*lead, 4), np.float32), np.zeros((*lead, 3), np.float32)
-        mask, fixed = np.zeros(lead, np.bool_), np.zeros(lead, np.bool_)
-        shape_index, parent = np.zeros(lead, np.int64), np.full(lead, NO_PARENT)
-        zone = np.zeros((len(scenes), 4), np.float32)
-        for b, scene in enumerate(scenes):
-            resolved, scene_shapes, _ = shapes.store.resolved(scene)
-            place = {o.instance: n for n, o in enumerate(scene.objects)} | {TABLE: ON_TABLE}
-            count = len(scene.objects)
-            poses[b, :count], mask[b, :count] = resolved.poses(), True
-            zone[b] = scene.table.restricted_zone or 0.0
-            for n, (o, shape) in enumerate(zip(resolved.objects, scene_shapes, strict=True)):
-                shape_index[b, n], sizes[b, n] = shapes.index(o, shape), shape.size
-                fixed[b, n] = is_fixed is not None and is_fixed(o)
-                parent[b, n] = NO_PARENT if o.support is None else place.get(o.support, NO_PARENT)
-        table = np.array([scene.table.size_xy for scene in scenes], np.float32).reshape(-1, 2)
-        has_zone = np.array([scene.table.restricted_zone is not None for scene in scenes], np.bool_)
-        arrays = (poses, mask, sizes, shape_index, fixed, parent, table, zone, has_zone)
-        return cls(*map(torch.from_numpy, arrays))
+        resolved = [shapes.store.resolved(scene)[:2] for scene in scenes]
+        fixed = [frozenset(o.instance for o in scene.objects if is_fixed is not None and is_fixed(o)) for scene in scenes]
+        layout = padded([scene for scene, _ in resolved], [own for _, own in resolved], fixed, num_slots)
+        shape_index = np.zeros(layout["mask"].shape, np.int64)
+        for b, (scene, own) in enumerate(resolved):
+            shape_index[b, : len(own)] = [shapes.index(o, shape) for o, shape in zip(scene.objects, own, strict=True)]
+        arrays = {name: torch.from_numpy(value) for name, value in layout.items()}
+        return cls(shape_index=torch.from_numpy(shape_index), **arrays)
 
     def __len__(self) -> int:
         """Number of scenes."""
@@ -109,3 +100,41 @@ class SceneBatch:
     def _each(self, change: Callable[[Tensor], Tensor]) -> "SceneBatch":
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return replace(self, **{name: change(value) for name, value in values.items() if value is not None})
+
+
+def padded(
+    scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Set[str]], num_slots: int = 0
+) -> dict[str, npt.NDArray[Any]]:
+    """Scenes as arrays of one length.
+
+    Args:
+        scenes: The scenes, positions at the centres of the boxes.
+        shapes: The geometry of their objects, in their order.
+        fixed: The instances of each that must stay.
+        num_slots: N, at least; more where a scene has more objects.
+
+    Returns:
+        ``poses``, ``mask``, ``sizes``, ``is_fixed``, ``parent``, ``table``, ``zone`` and ``has_zone`` of a :class:`SceneBatch`.
+    """
+    lead = (len(scenes), max([num_slots, *(len(scene.objects) for scene in scenes)]))
+    poses, sizes = np.zeros((*lead, 4), np.float32), np.zeros((*lead, 3), np.float32)
+    mask, is_fixed, parent = np.zeros(lead, np.bool_), np.zeros(lead, np.bool_), np.full(lead, NO_PARENT)
+    zone = np.zeros((len(scenes), 4), np.float32)
+    for b, (scene, own, stays) in enumerate(zip(scenes, shapes, fixed, strict=True)):
+        place = {o.instance: n for n, o in enumerate(scene.objects)} | {TABLE: ON_TABLE}
+        count = len(scene.objects)
+        poses[b, :count], mask[b, :count] = scene.poses(), True
+        sizes[b, :count] = np.array([shape.size for shape in own]).reshape(-1, 3)
+        is_fixed[b, :count] = [o.instance in stays for o in scene.objects]
+        parent[b, :count] = [NO_PARENT if o.support is None else place.get(o.support, NO_PARENT) for o in scene.objects]
+        zone[b] = scene.table.restricted_zone or 0.0
+    return {
+        "poses": poses,
+        "mask": mask,
+        "sizes": sizes,
+        "is_fixed": is_fixed,
+        "parent": parent,
+        "table": np.array([scene.table.size_xy for scene in scenes], np.float32).reshape(-1, 2),
+        "zone": zone,
+        "has_zone": np.array([scene.table.restricted_zone is not None for scene in scenes], np.bool_),
+    }
