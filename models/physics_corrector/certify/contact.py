@@ -41,14 +41,14 @@ class Meshes:
         self.shapes = shapes
         self._extents: dict[tuple[int, float], tuple[FloatArray, FloatArray]] = {}
         self._penetrates: dict[tuple[int, int, bytes], bool] = {}
+        self._surfaces: dict[tuple[int, bytes], Surface] = {}
 
     def box(self, k: int, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Lowest and highest corner of an object at a pose (4,), two (3,) metres."""
         yaw = float(pose[3])
         if (k, yaw) not in self._extents:
-            flat = self.shapes[k].posed_footprint((0.0, 0.0, 0.0, yaw))
-            half = float(self.shapes[k].size[2]) / 2
-            self._extents[k, yaw] = np.append(flat.min(axis=0), -half), np.append(flat.max(axis=0), half)
+            posed = self.shapes[k].posed((0.0, 0.0, 0.0, yaw)).T
+            self._extents[k, yaw] = posed.min(axis=1), posed.max(axis=1)
         low, high = self._extents[k, yaw]
         return low + pose[:3], high + pose[:3]
 
@@ -61,7 +61,7 @@ class Meshes:
 
     def cross(self, i: int, pose: FloatArray, j: int, other: FloatArray) -> bool:
         """Do two meshes touch?"""
-        return self._bodies_cross(self._body(i, pose), self._body(j, other))
+        return MeshPair(self._surface(i, pose), self._surface(j, other), 0.0).cross()
 
     def penetrates(self, i: int, pose: FloatArray, j: int, other: FloatArray) -> bool:
         """Are two meshes deeper in each other than the tolerance, as the audit judges it?"""
@@ -74,19 +74,14 @@ class Meshes:
         (low, high), (other_low, other_high) = self.box(i, pose), self.box(j, other)
         if (low > other_high).any() or (high < other_low).any():
             return False
-        crosses = self.cross(i, pose, j, other)
         within = ((low >= other_low - NEAR).all() and (high <= other_high + NEAR).all()) or (
             (other_low >= low - NEAR).all() and (other_high <= high + NEAR).all()
         )
-        if not crosses and not within:
-            return False
         one, two = self._surface(i, pose), self._surface(j, other)
-        if not crosses:
-            return nested(one, two) or nested(two, one)
         pair = MeshPair(one, two, NEAR)
         contact = pair.contact()
         if contact is None:
-            return False
+            return within and (nested(one, two) or nested(two, one))
         ways = NEAR * np.concatenate([DIRECTIONS, contact.normals, -contact.normals])
         for number, way in enumerate(ways):
             if not pair.cross(way, number):
@@ -151,4 +146,9 @@ class Meshes:
         return bool(fcl.collide(one, other, _ANY, fcl.CollisionResult()) > 0)
 
     def _surface(self, k: int, pose: FloatArray) -> Surface:
-        return Surface(self.shapes[k].posed(pose)[self.shapes[k].faces])
+        key = (k, pose.tobytes())
+        if key not in self._surfaces:
+            if len(self._surfaces) > 4 * len(self.shapes):
+                self._surfaces.clear()
+            self._surfaces[key] = Surface(self.shapes[k].posed(pose)[self.shapes[k].faces])
+        return self._surfaces[key]

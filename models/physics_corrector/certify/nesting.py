@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import shapely
+from shapely.ops import nearest_points
 
 from models.physics_corrector.certify.carriers import Carried, beyond
 from models.physics_corrector.certify.contact import Meshes
@@ -83,7 +84,7 @@ def _candidates(meshes: Meshes, poses: FloatArray, k: int, carried: Carried) -> 
     region = next(r for r in (*inner, outline.envelope) if not r.is_empty)
     start = pose[:2].copy()
     if not shapely.contains_xy(region, *start):
-        start = shapely.get_coordinates(shapely.ops.nearest_points(region, shapely.Point(start))[0])[0]
+        start = shapely.get_coordinates(nearest_points(region, shapely.Point(start))[0])[0]
     middle = np.array([region.centroid.x, region.centroid.y])
     angles = 2 * np.pi * np.arange(_AROUND) / _AROUND
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
