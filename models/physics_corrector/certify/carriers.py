@@ -123,14 +123,10 @@ def carriers_of(meshes: Meshes, poses: FloatArray, wanted: Mapping[int, Carried]
         options = [
             option
             for p in range(len(poses))
-            if p != k and p != _TABLE_ONLY and (option := _carried_by(meshes, poses, boxes, k, p)) is not None
-            if p not in found or k not in (p, *_above(found, p))
+            if p != k and k not in _above(found, p) and (option := _carried_by(meshes, poses, boxes, k, p)) is not None
         ]
         found[k] = min(options, key=lambda option: option[0])[1] if options else Carried()
     return [found[k] for k in range(len(poses))]
-
-
-_TABLE_ONLY = -2
 
 
 def _carried_by(

@@ -1,6 +1,5 @@
 """The whole of it: lower, nest, part, check exactly, and send back what the check refuses."""
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -8,22 +7,19 @@ import numpy as np
 
 from models.physics_corrector.certify.carriers import TABLE_TOP, Carried, carriers_of, wanted_carriers
 from models.physics_corrector.certify.contact import Meshes
-from models.physics_corrector.certify.crowd import AXES, Crowd, Order, Part
+from models.physics_corrector.certify.crowd import Crowd
 from models.physics_corrector.certify.layout import Layout
-from models.physics_corrector.certify.nesting import is_at_rest, resting_pose
+from models.physics_corrector.certify.nesting import resting_pose
 from models.physics_corrector.certify.options import Certified, CertifyOptions, Dropped, Status
-from models.physics_corrector.certify.outline import joined, rectangle, slabs_of
 from models.physics_corrector.certify.parting import part
+from models.physics_corrector.certify.standing import Standing, directional
 from stable_data.errors import SceneError
 from stable_data.metrics.audit import BOUNDS_SLACK, Audit, audit_scene
 from stable_data.metrics.collision import TOLERANCE
-from stable_data.relations import scene_graph
-from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, Scene
+from stable_data.scene import FloatArray, Scene
 from stable_data.shape import Shape
 
 _LEVEL = 0.9 * TOLERANCE  # what stands so near to the table top stays at its height, metres
-_OVERHANG = 0.9 * BOUNDS_SLACK  # how far an outline may reach over the edge, metres
-_DEEP = 3e-3  # outlines deeper in each other than this, whose meshes are apart, keep their places to each other, metres
 
 
 def certify(
@@ -76,8 +72,8 @@ class _Certifier:
             now = carriers_of(self.meshes, self.scene.poses(), wanted)
             carried = _without_circles([a if a.parent != TABLE_TOP else b for a, b in zip(carried, now, strict=True)])
         self.layout = Layout(self.scene, self.shapes, carried, self.options.fixed)
-        self.wanted = wanted
-        self.orders = self._directional(carried)
+        orders = directional(self.layout, original_poses)
+        self.standing = Standing(self.layout, self.meshes, original_poses, orders, self.options.clearance)
         self._stand_and_nest()
         audit = None
         for _ in range(self.options.rounds):
@@ -115,13 +111,6 @@ class _Certifier:
         audit = audit_scene(self.scene, self.shapes)
         return audit if audit.card().clean else None
 
-    def _directional(self, carried: Sequence[Carried]) -> list[Relation]:
-        names = [o.instance for o in self.original.objects]
-        contacts = {n: (TABLE if c.parent == TABLE_TOP else names[c.parent],) for n, c in zip(names, carried, strict=True)}
-        graph = scene_graph(self.original, contacts)
-        edges = [Relation(s, RelationKind(kind), t) for s, t, kind in graph.edges(keys=True)]
-        return sorted(r for r in edges if r.kind in AXES)
-
     # --- trees
 
     def _stand_and_nest(self) -> None:
@@ -157,8 +146,8 @@ class _Certifier:
     def _part(self) -> bool:
         """Parts all trees; drops what has no place. False where that is not allowed, with ``reason`` set."""
         while True:
-            crowd, roots = self._crowd()
-            homeless = [b for b in range(len(roots)) if crowd.is_free[b] and (crowd.low[b] > crowd.high[b] + 1e-9).any()]
+            crowd, roots = self.standing.crowd(self.strict)
+            homeless = [b for b in range(len(roots)) if crowd.is_free[b] and (crowd.low[b] > crowd.high[b]).any()]
             if not homeless:
                 start = np.zeros_like(crowd.low)
                 shifts, left = part(crowd, start, crowd.aims, self.options.tries)
@@ -182,107 +171,6 @@ class _Certifier:
             reason = f"no free place was found on the table of {width:.2f} x {depth:.2f} m"
             self.dropped.append(Dropped(layout.scene.objects[k].instance, reason))
         return True
-
-    def _crowd(self) -> tuple[Crowd, list[list[int]]]:
-        """The trees as bodies, and the roots of each."""
-        layout, size = self.layout, np.array(self.scene.table.size_xy)
-        roots = layout.roots()
-        stacks = {r: self._slabs(r) for r in roots}
-        groups, relaxed = self._groups(roots)
-        bodies = {r: b for b, group in enumerate(groups) for r in group}
-        parts = [Part(stacks[r], layout.poses[r, :2].copy(), bodies[r], tuple(layout.tree(r))) for r in roots]
-        stiffness = np.array([sum(layout.stiffness(r) for r in group) for group in groups])
-        original = self.original.poses()
-        aims = np.array([original[group[0], :2] - layout.poses[group[0], :2] for group in groups]).reshape(-1, 2)
-        aims[~np.isfinite(stiffness)] = 0.0
-        low, high = np.full((len(groups), 2), -np.inf), np.full((len(groups), 2), np.inf)
-        for p in parts:
-            least, most = p.slabs.box
-            low[p.body] = np.maximum(low[p.body], -_OVERHANG - least - p.anchor)
-            high[p.body] = np.minimum(high[p.body], size + _OVERHANG - most - p.anchor)
-        tight = (low > high) & (low <= high + 2 * _OVERHANG)  # as large as the table: it stands in the middle
-        middle = (low + high) / 2
-        low, high = np.where(tight, middle, low), np.where(tight, middle, high)
-        zone = self.scene.table.restricted_zone
-        if zone is not None:
-            corners = np.array([[zone[0], zone[2]], [zone[1], zone[3]]])
-            parts.append(Part(rectangle(corners[0], corners[1]), np.zeros(2), len(groups)))
-            stiffness = np.append(stiffness, np.inf)
-            low, high = np.vstack([low, [0.0, 0.0]]), np.vstack([high, [0.0, 0.0]])
-            aims = np.vstack([aims, [0.0, 0.0]])
-        index = {r: n for n, r in enumerate(roots)}
-        near = {(index[a], index[b]): c for (a, b), c in relaxed.items()}
-        orders = self._orders(bodies)
-        return Crowd(parts, stiffness, aims, orders, low, high, near, self.options.clearance), groups
-
-    def _slabs(self, root: int):  # type: ignore[no-untyped-def]
-        layout = self.layout
-        anchor = np.append(layout.poses[root, :2], 0.0)
-        stacks = []
-        for m in layout.tree(root):
-            offset = layout.poses[m, :3] - anchor
-            offset[2] = layout.low(m)
-            stacks.append(slabs_of(self.shapes[m]).placed(layout.poses[m, 3], offset))
-        return joined(stacks)
-
-    def _orders(self, bodies: dict[int, int]) -> list[Order]:
-        layout = self.layout
-        number = {o.instance: k for k, o in enumerate(self.scene.objects)}
-        found = []
-        for r in self.orders:
-            i, j = number[r.subject], number[r.target]
-            if layout.is_there[i] and layout.is_there[j]:
-                first, second = bodies[layout.root_of(i)], bodies[layout.root_of(j)]
-                if first != second:
-                    offset = layout.poses[i, :2] - layout.poses[j, :2]
-                    found.append(Order(first, second, np.array(AXES[r.kind]), offset))
-        return found
-
-    def _groups(self, roots: Sequence[int]) -> tuple[list[list[int]], dict[tuple[int, int], float]]:
-        """Trees that keep their places to each other, because their meshes are apart though their outlines are not.
-
-        Returns:
-            The roots of each group; and, for pairs of roots that are only just so near, the clearance that their outlines have.
-        """
-        layout = self.layout
-        free: dict[tuple[int, int], float] = {}
-        enemies: set[frozenset[int]] = set()
-        parts = [Part(self._slabs(r), layout.poses[r, :2].copy(), n) for n, r in enumerate(roots)]
-        num = len(parts)
-        zeros = np.zeros((num, 2))
-        plain = Crowd(parts, np.ones(num), zeros, (), zeros, zeros, {}, 0.0)
-        clear: dict[tuple[int, int], float] = {}
-        for i, j, c in zip(plain.first.tolist(), plain.second.tolist(), plain.beyond(zeros).max(axis=1).tolist(), strict=True):
-            clear[i, j] = min(c, clear.get((i, j), np.inf))
-        for (i, j), c in clear.items():
-            if c >= self.options.clearance:
-                continue
-            one, other = roots[i], roots[j]
-            if frozenset((one, other)) in self.strict or self._collide(one, other):
-                enemies.add(frozenset((one, other)))
-            else:
-                free[one, other] = c
-        group = {r: [r] for r in roots}
-        for (one, other), c in sorted(free.items(), key=lambda item: item[1]):
-            both = group[one] + group[other]
-            if c > -_DEEP or group[one] is group[other]:
-                continue
-            if any(frozenset(pair) in enemies for pair in itertools.combinations(both, 2)):
-                continue
-            for r in both:
-                group[r] = both
-        groups = sorted({id(members): sorted(members) for members in group.values()}.values())
-        near = {(a, b): c for (a, b), c in free.items() if c > -_DEEP and group[a] is not group[b]}
-        return groups, near
-
-    def _collide(self, one: int, other: int) -> bool:
-        layout = self.layout
-        mine, theirs = layout.tree(one), layout.tree(other)
-        return any(
-            self.meshes.penetrates(a, layout.poses[a], b, layout.poses[b])
-            for a in mine
-            for b in self.meshes.near(a, layout.poses[a], theirs, layout.poses)
-        )
 
     def _accept(self, crowd: Crowd, groups: Sequence[Sequence[int]], shifts: FloatArray) -> None:
         for b, roots in enumerate(groups):

@@ -8,13 +8,17 @@ polygon (the no-fit polygon: the Minkowski sum of one and the mirrored other), b
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
+import numpy.typing as npt
 import shapely
 
 from stable_data.scene import FloatArray
 from stable_data.shape import Shape
+
+BoolArray: TypeAlias = npt.NDArray[np.bool_]
 
 NUM_SIDES = 28
 """Half-planes of an outline."""
@@ -35,12 +39,14 @@ class Slabs:
         offsets: Their distances from the origin, (S, M), metres.
         bottoms: Where each slab begins, (S,), metres.
         tops: Where it ends, (S,).
+        is_within: Whether the outline of each is within that of each other, (S, S); of two that are alike the first is in the second.
     """
 
     normals: FloatArray
     offsets: FloatArray
     bottoms: FloatArray
     tops: FloatArray
+    is_within: BoolArray
 
     @cached_property
     def corners(self) -> FloatArray:
@@ -67,7 +73,7 @@ class Slabs:
         """The slabs turned by an angle and moved by a vector (3,), metres."""
         c, s = np.cos(yaw), np.sin(yaw)
         normals = self.normals @ np.array([[c, s], [-s, c]])
-        return Slabs(normals, self.offsets + normals @ offset[:2], self.bottoms + offset[2], self.tops + offset[2])
+        return Slabs(normals, self.offsets + normals @ offset[:2], self.bottoms + offset[2], self.tops + offset[2], self.is_within)
 
 
 _slabs: "WeakKeyDictionary[Shape, Slabs]" = WeakKeyDictionary()
@@ -155,12 +161,13 @@ def _stacked(outlines: Sequence[FloatArray], ranges: Sequence[tuple[float, float
         else:
             merged.append((hull, low, high))
     sides = [_sides(hull) for hull, _, _ in merged]
-    return Slabs(
-        np.stack([normals for normals, _ in sides]),
-        np.stack([offsets for _, offsets in sides]),
-        np.array([low for _, low, _ in merged]),
-        np.array([high for _, _, high in merged]),
+    normals, offsets = np.stack([n for n, _ in sides]), np.stack([o for _, o in sides])
+    is_within = np.array(
+        [[(normals[a] @ hull.T <= offsets[a][:, None] + 1e-6).all() for a in range(len(merged))] for hull, _, _ in merged], bool
     )
+    is_within &= ~is_within.T | np.triu(np.ones_like(is_within))
+    lows, highs = np.array([low for _, low, _ in merged]), np.array([high for _, _, high in merged])
+    return Slabs(normals, offsets, lows, highs, is_within)
 
 
 def _hull(points: FloatArray) -> FloatArray:

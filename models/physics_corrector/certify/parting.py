@@ -42,15 +42,8 @@ def part(crowd: Crowd, shifts: FloatArray, aims: FloatArray, tries: int) -> tupl
 
 def in_the_way(crowd: Crowd, shifts: FloatArray) -> list[int]:
     """Free bodies that meet another one or are where they must not be."""
-    depth = _depths(crowd, shifts).sum(axis=1) + crowd.outside(shifts)
+    depth = crowd.depths(shifts).sum(axis=1) + crowd.outside(shifts)
     return [int(k) for k in np.nonzero((depth > 1e-4) & crowd.is_free)[0]]
-
-
-def _depths(crowd: Crowd, shifts: FloatArray) -> FloatArray:
-    """How deep bodies are in each other, (B, B), metres."""
-    depth = np.zeros((len(shifts), len(shifts)))
-    np.maximum.at(depth, (crowd.first_body, crowd.second_body), crowd.overlap(shifts))
-    return depth + depth.T
 
 
 def _squeezed(crowd: Crowd, shifts: FloatArray, aims: FloatArray, tries: int) -> tuple[FloatArray, bool]:
@@ -61,7 +54,7 @@ def _squeezed(crowd: Crowd, shifts: FloatArray, aims: FloatArray, tries: int) ->
     weights = np.ones((len(shifts), len(shifts)))
     best, least, idle = shifts, _badness(crowd, shifts), 0
     for _ in range(tries):
-        depth = _depths(crowd, shifts)
+        depth = crowd.depths(shifts)
         weighted = (weights * depth).sum(axis=1) + crowd.outside(shifts)
         weighted[~crowd.is_free] = 0.0
         k = int(weighted.argmax())
@@ -74,11 +67,11 @@ def _squeezed(crowd: Crowd, shifts: FloatArray, aims: FloatArray, tries: int) ->
             moved, is_parted = project(crowd, there, there, _SQUEEZE_STEPS, _PRICES[0])
             if is_parted:
                 return moved, True
-            candidates.append((float((weights * _depths(crowd, moved)).sum()) + _badness(crowd, moved), moved))
+            candidates.append((float((weights * crowd.depths(moved)).sum()) + _badness(crowd, moved), moved))
         if not candidates:
             break
         shifts = min(candidates, key=lambda c: c[0])[1]
-        weights += np.minimum(_depths(crowd, shifts) / 0.01, 1.0)
+        weights += np.minimum(crowd.depths(shifts) / 0.01, 1.0)
         bad = _badness(crowd, shifts)
         idle = 0 if bad < least - 1e-4 else idle + 1
         if bad < least:
@@ -88,15 +81,15 @@ def _squeezed(crowd: Crowd, shifts: FloatArray, aims: FloatArray, tries: int) ->
 
 
 def _badness(crowd: Crowd, shifts: FloatArray) -> float:
-    return float(_depths(crowd, shifts).sum() / 2 + crowd.outside(shifts).sum())
+    return float(crowd.depths(shifts).sum() / 2 + crowd.outside(shifts).sum())
 
 
 def _polished(crowd: Crowd, shifts: FloatArray, aims: FloatArray) -> FloatArray:
     """From shifts at which nothing meets: back to the relations that were given up, then nearer to the aims."""
-    if crowd.num_broken(shifts):
+    if crowd.broken(shifts).sum():
         for price in (HARD, *_PRICES):
             shifts = _if_better(crowd, shifts, lambda s, price=price: project(crowd, s, s, _SQUEEZE_STEPS, price))
-    price = _PRICES[0] if crowd.num_broken(shifts) else HARD
+    price = _PRICES[0] if crowd.broken(shifts).sum() else HARD
     return _if_better(crowd, shifts, lambda s: project(crowd, s, aims, _STEPS, price))
 
 
@@ -104,5 +97,5 @@ def _if_better(
     crowd: Crowd, shifts: FloatArray, change: Callable[[FloatArray], tuple[FloatArray, bool]]
 ) -> FloatArray:
     moved, is_parted = change(shifts)
-    good = is_parted and is_free_of_overlap(crowd, moved) and crowd.num_broken(moved) <= crowd.num_broken(shifts)
+    good = is_parted and is_free_of_overlap(crowd, moved) and crowd.broken(moved).sum() <= crowd.broken(shifts).sum()
     return moved if good else shifts

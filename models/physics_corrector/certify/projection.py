@@ -61,8 +61,10 @@ def is_free_of_overlap(crowd: Crowd, shifts: FloatArray) -> bool:
 def _step(crowd: Crowd, shifts: FloatArray, aims: FloatArray, order_price: float) -> FloatArray:
     first, second, rows, bounds = _pairs(crowd, shifts, order_price)
     prices = [np.full(len(first), HARD)]
-    if len(crowd.orders):
-        of, to, order_rows, order_bounds = _orders(crowd)
+    if len(crowd.orders) and order_price > 0:
+        of, to = (np.concatenate([x, x]) for x in (crowd.subjects, crowd.targets))
+        order_rows, order_bounds = crowd.order_planes()
+        order_bounds = order_bounds + _MARGIN
         first, second = np.concatenate([first, of]), np.concatenate([second, to])
         rows, bounds = np.concatenate([rows, order_rows]), np.concatenate([bounds, order_bounds])
         prices.append(np.full(len(of), order_price))
@@ -86,13 +88,13 @@ def _pairs(crowd: Crowd, shifts: FloatArray, order_price: float) -> tuple[IntArr
     for e in overlapping.tolist():
         groups.setdefault((int(crowd.first[e]), int(crowd.second[e])), []).append(e)
     position = {int(e): n for n, e in enumerate(near)}
-    for (i, j), entries in groups.items():
-        axis = wanted.get((int(crowd.body[i]), int(crowd.body[j])))
+    for entries in groups.values():
+        axis = wanted.get((int(crowd.first_body[entries[0]]), int(crowd.second_body[entries[0]])))
         if len(entries) == 1 and axis is None:
             continue
         _choose_way_out(crowd, entries, beyond, axis, position, chosen)
     normals = crowd.normals[near, chosen]
-    bounds = crowd.offsets[near, chosen] - np.einsum("nd,nd->n", normals, crowd.lifted[near])
+    bounds = crowd.offsets[near, chosen] - np.einsum("nd,nd->n", normals, crowd.apart[near])
     return crowd.first_body[near], crowd.second_body[near], normals, bounds
 
 
@@ -131,16 +133,6 @@ def _wanted_axes(crowd: Crowd) -> dict[tuple[int, int], FloatArray]:
         axes[o.first, o.second] = o.axis
         axes[o.second, o.first] = -o.axis
     return axes
-
-
-def _orders(crowd: Crowd) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """Two half-planes for each directional relation."""
-    axes = np.array([o.axis for o in crowd.orders])
-    rows = np.concatenate([axes + axes[:, ::-1], axes - axes[:, ::-1]]) / np.sqrt(2)
-    offsets = np.array([o.offset for o in crowd.orders])
-    of, to = (np.array([getattr(o, name) for o in crowd.orders] * 2, np.int64) for name in ("first", "second"))
-    bounds = _MARGIN - np.einsum("nd,nd->n", rows, np.concatenate([offsets, offsets]))
-    return of, to, rows, bounds
 
 
 def _edges(crowd: Crowd, shifts: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:

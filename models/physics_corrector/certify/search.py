@@ -53,9 +53,9 @@ def _overlap_at(crowd: Crowd, shifts: FloatArray, k: int, points: FloatArray, we
     for e in np.nonzero((crowd.first_body == k) | (crowd.second_body == k))[0]:
         is_first = crowd.first_body[e] == k
         other = crowd.second_body[e] if is_first else crowd.first_body[e]
-        lifted = crowd.lifted[e] if is_first else -crowd.lifted[e]
+        offset = crowd.apart[e] if is_first else -crowd.apart[e]
         normals = crowd.normals[e] if is_first else -crowd.normals[e]
-        apart = points + (lifted - shifts[other])
+        apart = points + (offset - shifts[other])
         offsets = crowd.offsets[e]
         close = np.nonzero((apart @ normals[::7].T < offsets[::7]).all(axis=1))[0]
         if len(close):
