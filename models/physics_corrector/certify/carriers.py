@@ -1,0 +1,169 @@
+"""What carries or holds what in a layout: what a correction keeps together.
+
+A layout that is to be corrected need not be at rest: contents stick in walls, and what stood on a plate has slid off half of it.
+What carries an object that is above the table is therefore what it touches from above or is nearly over, in this order: what
+the scene's own relations say, the container that its bottom is in, what is right below.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import shapely
+
+from models.physics_corrector.certify.contact import Meshes
+from stable_data.metrics.collision import TOLERANCE
+from stable_data.relations import INSIDE_SLACK
+from stable_data.scene import TABLE, FloatArray, RelationKind, Scene
+from stable_data.shape import Shape
+
+TABLE_TOP = -1
+"""Stands for the table as a carrier."""
+
+_RIM = 3e-3  # the bottom of what is in a container is this much below the rim at least, metres
+_LOOKS = 9  # a side, of looks down on a shape
+_DEEP, _HOLLOW_SHARE = 0.3, 0.2  # so deep, as a share of the height, at so many of them, is hollow
+_SUNK = 2e-3  # how far the bottom of what is on another thing may be below that thing's, metres
+_TOUCH = 3e-3  # what is so far above another one still is on it, metres
+_OVER = 0.02  # how far beyond its carrier's outline the centre of what is on it may be, metres
+_SLIPPED = 0.7  # or so large a share of half its own width
+_GAP = 1e-2  # what is so close below an object without contact counts as carrying it, metres
+
+
+@dataclass(frozen=True, slots=True)
+class Carried:
+    """What carries an object.
+
+    Attributes:
+        parent: Its number, or ``TABLE_TOP``.
+        is_in: Whether the object is in it.
+    """
+
+    parent: int = TABLE_TOP
+    is_in: bool = False
+
+
+_hollow: "WeakKeyDictionary[Shape, bool]" = WeakKeyDictionary()
+
+
+def is_hollow(shape: Shape) -> bool:
+    """Can something be put into a shape? Looks down on it: in a hollow the first face is deep below the top.
+
+    A layout may have things stuck in solid ones; those are not contents, and no correction could keep them in.
+    """
+    if shape not in _hollow:
+        low, high = shape.footprint.min(axis=0), shape.footprint.max(axis=0)
+        shares = (np.arange(_LOOKS) + 0.5) / _LOOKS
+        points = low + (high - low) * np.stack(np.meshgrid(shares, shares), axis=2).reshape(-1, 2)
+        points = points[shapely.contains_xy(shapely.Polygon(shape.footprint), points)]
+        height = float(shape.size[2])
+        depth = height / 2 - _first_heights(points, shape.vertices[shape.faces], -height / 2)
+        _hollow[shape] = bool(len(points)) and float((depth > _DEEP * height).mean()) >= _HOLLOW_SHARE
+    return _hollow[shape]
+
+
+def _first_heights(points: FloatArray, triangles: FloatArray, floor: float) -> FloatArray:
+    """Height of the highest face at each of the points (P, 2), ``floor`` where there is none, (P,) metres."""
+    a, b, c = (triangles[:, n] for n in range(3))
+    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    facing = np.abs(area) > 1e-14
+    a, b, c, area = a[facing], b[facing], c[facing], area[facing]
+    flat_low, flat_high = (f(f(a[:, :2], b[:, :2]), c[:, :2]) for f in (np.minimum, np.maximum))
+    heights = np.full(len(points), floor)
+    for n, (x, y) in enumerate(points):
+        over = np.nonzero((flat_low[:, 0] <= x) & (flat_high[:, 0] >= x) & (flat_low[:, 1] <= y) & (flat_high[:, 1] >= y))[0]
+        p, q, r, twice = a[over], b[over], c[over], area[over]
+        u = ((q[:, 0] - x) * (r[:, 1] - y) - (q[:, 1] - y) * (r[:, 0] - x)) / twice
+        v = ((r[:, 0] - x) * (p[:, 1] - y) - (r[:, 1] - y) * (p[:, 0] - x)) / twice
+        hit = (u >= 0) & (v >= 0) & (u + v <= 1)
+        if hit.any():
+            heights[n] = (u * p[:, 2] + v * q[:, 2] + (1 - u - v) * r[:, 2])[hit].max()
+    return heights
+
+
+def beyond(point: FloatArray, outline: FloatArray) -> float:
+    """How far a point (2,) is outside a convex outline (K, 2), counter-clockwise, metres; negative inside."""
+    edges = np.roll(outline, -1, axis=0) - outline
+    length = np.maximum(np.linalg.norm(edges, axis=1), 1e-12)
+    normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1) / length[:, None]
+    return float(((point - outline) * normals).sum(axis=1).max())
+
+
+def wanted_carriers(scene: Scene) -> Mapping[int, Carried]:
+    """What the scene's own relations say that objects are on or in; never a circle. Objects on the table are left out."""
+    number = {o.instance: k for k, o in enumerate(scene.objects)}
+    found: dict[int, Carried] = {}
+    for relation in scene.relations:
+        if relation.kind not in (RelationKind.ON, RelationKind.IN) or relation.target == TABLE:
+            continue
+        child, parent = number.get(relation.subject), number.get(relation.target)
+        if child is not None and parent is not None and child not in found and child not in _above(found, parent):
+            found[child] = Carried(parent, relation.kind is RelationKind.IN)
+    return found
+
+
+def carriers_of(meshes: Meshes, poses: FloatArray, wanted: Mapping[int, Carried]) -> list[Carried]:
+    """What carries each object, never a circle.
+
+    Args:
+        meshes: The objects.
+        poses: Where they are, (N, 4).
+        wanted: What is known to carry some of them.
+    """
+    boxes = [meshes.box(k, pose) for k, pose in enumerate(poses)]
+    found = dict(wanted)
+    for k in sorted(range(len(poses)), key=lambda k: (float(boxes[k][0][2]), k)):
+        if k in found:
+            continue
+        low = float(boxes[k][0][2])
+        if low <= TOLERANCE:
+            found[k] = Carried()
+            continue
+        options = [
+            option
+            for p in range(len(poses))
+            if p != k and k not in _above(found, p) and (option := _carried_by(meshes, poses, boxes, k, p)) is not None
+        ]
+        found[k] = min(options, key=lambda option: option[0])[1] if options else Carried()
+    return [found[k] for k in range(len(poses))]
+
+
+def _carried_by(
+    meshes: Meshes,
+    poses: FloatArray,
+    boxes: Sequence[tuple[FloatArray, FloatArray]],
+    k: int,
+    p: int,
+) -> tuple[tuple[float, ...], Carried] | None:
+    """How well one object could be what carries another, least is best; None where it could not."""
+    (low, high), (other_low, other_high) = boxes[k], boxes[p]
+    if low[2] < other_low[2] - _SUNK or low[2] > other_high[2] + _GAP:
+        return None
+    slip = max(_OVER, _SLIPPED * float((high - low)[:2].min()) / 2)
+    if (poses[k, :2] > other_high[:2] + slip).any() or (poses[k, :2] < other_low[:2] - slip).any():
+        return None
+    outside = beyond(poses[k, :2], meshes.shapes[p].posed_footprint(poses[p]))
+    depth = float(other_high[2] - low[2])
+    if outside <= INSIDE_SLACK and depth > _RIM and is_hollow(meshes.shapes[p]):
+        return (0.0, depth, float(p)), Carried(p, True)
+    if outside > slip:
+        return None
+    lowered = poses[k] - (0.0, 0.0, _TOUCH, 0.0)
+    touches = meshes.cross(k, lowered, p, poses[p]) or meshes.cross(k, poses[k], p, poses[p])
+    if touches and depth <= max(0.015, 0.5 * float(other_high[2] - other_low[2])):
+        return (1.0, max(0.0, outside), abs(depth), float(p)), Carried(p)
+    if not touches and outside <= INSIDE_SLACK and depth <= _RIM:
+        return (2.0, abs(depth), float(p)), Carried(p)
+    return None
+
+
+def _above(found: Mapping[int, Carried], k: int) -> list[int]:
+    """An object and what carries it, directly and through others."""
+    chain = [k]
+    while k in found and found[k].parent != TABLE_TOP:
+        k = found[k].parent
+        if k in chain:
+            break
+        chain.append(k)
+    return chain

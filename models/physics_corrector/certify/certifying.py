@@ -1,0 +1,255 @@
+"""The whole of it: lower, nest, part, check exactly, and send back what the check refuses."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from models.physics_corrector.certify.carriers import TABLE_TOP, Carried, carriers_of, wanted_carriers
+from models.physics_corrector.certify.contact import Meshes
+from models.physics_corrector.certify.crowd import Crowd
+from models.physics_corrector.certify.layout import Layout
+from models.physics_corrector.certify.nesting import resting_pose
+from models.physics_corrector.certify.options import Certified, CertifyOptions, Dropped, Status
+from models.physics_corrector.certify.parting import part
+from models.physics_corrector.certify.standing import Standing, directional
+from stable_data.errors import SceneError
+from stable_data.metrics.audit import BOUNDS_SLACK, Audit, audit_scene
+from stable_data.metrics.collision import TOLERANCE
+from stable_data.scene import FloatArray, Scene
+from stable_data.shape import Shape
+
+_LEVEL = 0.9 * TOLERANCE  # what stands so near to the table top stays at its height, metres
+
+
+def certify(
+    scene: Scene, shapes: Sequence[Shape], options: CertifyOptions = CertifyOptions(), *, original: Scene | None = None
+) -> Certified:
+    """Makes a scene exactly clean, moving little and keeping relations.
+
+    Args:
+        scene: The layout; positions are box centres (``AssetStore.resolved``).
+        shapes: The geometry of each object, in the scene's order.
+        options: Settings.
+        original: The layout whose relations are to be kept and from which movement is measured; else ``scene`` itself.
+
+    Returns:
+        The corrected scene with its audit, or why there is none. It never holds a collision that is not said.
+
+    Raises:
+        SceneError: Shapes, ``original`` or ``options.fixed`` do not belong to the scene.
+    """
+    if len(shapes) != len(scene.objects):
+        found = f"{len(shapes)} shapes for {len(scene.objects)} objects"
+        raise SceneError(f"{scene.scene_id}: {found}, expected one each; pass AssetStore.resolved", "shapes_differ")
+    names = [o.instance for o in scene.objects]
+    if original is not None and [o.instance for o in original.objects] != names:
+        raise SceneError(f"{scene.scene_id}: the original has other objects, expected the same in order", "original_differs")
+    if unknown := sorted(options.fixed - set(names)):
+        raise SceneError(f"{scene.scene_id}: fixed {unknown} are not in the scene, expected its instances", "fixed_unknown")
+    return _Certifier(scene, shapes, options, original or scene).certified()
+
+
+class _Certifier:
+    def __init__(self, scene: Scene, shapes: Sequence[Shape], options: CertifyOptions, original: Scene) -> None:
+        self.scene, self.given, self.options, self.original = scene, shapes, options, original
+        # A box that stands in is checked like a mesh; that it proves nothing is said at the end.
+        self.shapes = [s if s.is_exact else Shape(s.vertices, s.faces) for s in shapes]
+        self.meshes = Meshes(self.shapes)
+        self.dropped: list[Dropped] = []
+        self.strict: set[frozenset[int]] = set()
+        self.resettled: set[int] = set()
+        self.reason = ""
+
+    def certified(self) -> Certified:
+        """The correction."""
+        wanted = wanted_carriers(self.scene) if self.options.restore else {}
+        if not wanted and (audit := self._clean_as_it_is()) is not None:
+            return self._concluded(self.scene, audit)
+        original_poses = self.original.poses()
+        carried = carriers_of(self.meshes, original_poses, wanted)
+        if self.original is not self.scene:
+            now = carriers_of(self.meshes, self.scene.poses(), wanted)
+            carried = _without_circles([a if a.parent != TABLE_TOP else b for a, b in zip(carried, now, strict=True)])
+        self.layout = Layout(self.scene, self.shapes, carried, self.options.fixed)
+        orders = directional(self.layout, original_poses)
+        self.standing = Standing(self.layout, self.meshes, original_poses, orders, self.options.clearance)
+        self._stand_and_nest()
+        audit = None
+        for _ in range(self.options.rounds):
+            if not self._part():
+                return Certified(None, Status.INFEASIBLE, self.reason, tuple(self.dropped))
+            audit = audit_scene(self._scene(), [self.shapes[k] for k in self.layout.present()])
+            if audit.card().clean or not self._send_back(audit):
+                break
+        if audit is None or not audit.card().clean:
+            reason = self.reason or f"not clean after {self.options.rounds} rounds of exact checks: {_what_is_left(audit)}"
+            return Certified(None, Status.INFEASIBLE, reason, tuple(self.dropped))
+        return self._concluded(self._scene(), audit)
+
+    def _concluded(self, scene: Scene, audit: Audit) -> Certified:
+        there = {o.instance for o in scene.objects}
+        missing = [o.instance for o, s in zip(self.scene.objects, self.given, strict=True) if not s.is_exact]
+        if kept := [name for name in missing if name in there]:
+            shapes = [s for o, s in zip(self.scene.objects, self.given, strict=True) if o.instance in there]
+            reason = f"boxes stand in for the meshes of {kept}: clean by boxes, which proves nothing"
+            return Certified(scene, Status.UNKNOWN, reason, tuple(self.dropped), audit_scene(scene, shapes))
+        reason = "; ".join(f"{d.instance} dropped: {d.reason}" for d in self.dropped)
+        return Certified(scene, Status.DROPPED if self.dropped else Status.CERTIFIED, reason, tuple(self.dropped), audit)
+
+    def _clean_as_it_is(self) -> Audit | None:
+        """The audit of the layout where it is clean already. Looks first for what is quickly seen to be wrong."""
+        poses, size = self.scene.poses(), np.array(self.scene.table.size_xy)
+        boxes = [self.meshes.box(k, pose) for k, pose in enumerate(poses)]
+        for low, high in boxes:
+            if low[2] < -TOLERANCE or (low[:2] < -BOUNDS_SLACK).any() or (high[:2] > size + BOUNDS_SLACK).any():
+                return None
+        for k in range(len(poses)):
+            near = self.meshes.near(k, poses[k], range(k), poses)
+            if any(self.meshes.penetrates(k, poses[k], j, poses[j]) for j in near):
+                return None
+        audit = audit_scene(self.scene, self.shapes)
+        return audit if audit.card().clean else None
+
+    # --- trees
+
+    def _stand_and_nest(self) -> None:
+        layout = self.layout
+        for root in layout.roots():
+            if not layout.is_fixed[root] and abs(layout.low(root)) > _LEVEL:
+                layout.stand(root)
+        for root in list(layout.roots()):
+            self._nest(root)
+
+    def _nest(self, root: int) -> None:
+        """Brings all that a root carries to rest, from below; what finds no rest there stands on the table itself."""
+        layout = self.layout
+        done, queue = [root], [root]
+        while queue:
+            carrier = queue.pop(0)
+            for c in sorted(layout.children(carrier), key=lambda c: (not layout.is_fixed[c], layout.low(c), c)):
+                own = set(layout.tree(c))
+                waiting = [m for m in layout.tree(root) if m not in own and m not in done]
+                pose = resting_pose(self.meshes, layout.poses, c, layout.carried[c], done, waiting)
+                if layout.is_fixed[c]:
+                    pose = layout.poses[c]
+                if pose is None:
+                    layout.stand(c)
+                    self._nest(c)
+                else:
+                    layout.carry(c, pose)
+                    done.append(c)
+                    queue.append(c)
+
+    # --- the table
+
+    def _part(self) -> bool:
+        """Parts all trees; drops what has no place. False where that is not allowed, with ``reason`` set."""
+        while True:
+            crowd, roots = self.standing.crowd(self.strict)
+            homeless = [b for b in range(len(roots)) if crowd.is_free[b] and (crowd.low[b] > crowd.high[b]).any()]
+            if not homeless:
+                start = np.zeros_like(crowd.low)
+                shifts, left = part(crowd, start, crowd.aims, self.options.tries)
+                if not left:
+                    self._accept(crowd, roots, shifts)
+                    return True
+                homeless = left
+            if not self._drop_one([r for b in homeless for r in roots[b]]):
+                return False
+
+    def _drop_one(self, roots: Sequence[int]) -> bool:
+        layout = self.layout
+        width, depth = self.scene.table.size_xy
+        names = [layout.scene.objects[r].instance for r in roots]
+        droppable = sorted((r for r in roots if layout.may_drop(r)), key=layout.rank)
+        if self.options.when_full == "infeasible" or not droppable:
+            why = "nothing of it may be dropped" if not droppable else "dropping is not allowed"
+            self.reason = f"no place on the table of {width:.2f} x {depth:.2f} m for all of {names}, and {why}"
+            return False
+        for k in layout.drop(droppable[0]):
+            reason = f"no free place was found on the table of {width:.2f} x {depth:.2f} m"
+            self.dropped.append(Dropped(layout.scene.objects[k].instance, reason))
+        return True
+
+    def _accept(self, crowd: Crowd, groups: Sequence[Sequence[int]], shifts: FloatArray) -> None:
+        for b, roots in enumerate(groups):
+            if crowd.is_free[b] and np.abs(shifts[b]).max() > 1e-7:
+                for r in roots:
+                    self.layout.poses[self.layout.tree(r), :2] += shifts[b]
+
+    # --- the exact check
+
+    def _send_back(self, audit: Audit) -> bool:
+        """Changes what the exact check refuses. False where nothing can be changed, with ``reason`` set."""
+        layout = self.layout
+        number = {o.instance: k for k, o in enumerate(self.scene.objects)}
+        changed = False
+        for pair in audit.pairs:
+            if pair.penetration is not None and pair.penetration > TOLERANCE:
+                i, j = number[pair.first], number[pair.second]
+                one, other = layout.root_of(i), layout.root_of(j)
+                if one != other and frozenset((one, other)) not in self.strict:
+                    self.strict.add(frozenset((one, other)))
+                    changed = True
+                elif one == other:
+                    changed |= self._uproot(i if layout.carried[j].parent == TABLE_TOP or j in layout.tree(i) else j)
+        for o in audit.objects:
+            k = number[o.instance]
+            if o.floats or o.table_penetration > TOLERANCE:
+                changed |= self._uproot(k)
+        if not changed:
+            self.reason = f"the exact check refuses what cannot be moved: {_what_is_left(audit)}"
+        return changed
+
+    def _uproot(self, k: int) -> bool:
+        """Lets what does not rest where it is come to rest anew there, or, at the second time, on the table itself."""
+        layout = self.layout
+        if layout.stiffness(layout.root_of(k)) == float("inf") and layout.is_fixed[k]:
+            return False
+        if layout.carried[k].parent != TABLE_TOP and k not in self.resettled:
+            self.resettled.add(k)
+            own = set(layout.tree(k))
+            others = [m for m in layout.tree(layout.root_of(k)) if m not in own]
+            pose = resting_pose(self.meshes, layout.poses, k, layout.carried[k], others)
+            if pose is not None and not np.array_equal(pose, layout.poses[k]):
+                layout.carry(k, pose)
+                return True
+        was_standing = layout.carried[k].parent == TABLE_TOP and abs(layout.low(k)) <= _LEVEL
+        layout.stand(k)
+        self._nest(k)
+        return not was_standing
+
+    def _scene(self) -> Scene:
+        """The layout as it is now; what has not moved is the very object that was given."""
+        layout, given = self.layout, self.scene.poses()
+        objects = []
+        for k in layout.present():
+            o, pose = self.scene.objects[k], layout.poses[k]
+            if not np.array_equal(pose, given[k]):
+                x, y, z, yaw = pose.tolist()
+                o = o.moved((x, y, z), yaw)
+            objects.append(o)
+        return replace(self.scene, objects=tuple(objects))
+
+
+def _without_circles(carried: list[Carried]) -> list[Carried]:
+    """Puts on the table what would carry itself."""
+    for k in range(len(carried)):
+        seen, above = {k}, carried[k].parent
+        while above != TABLE_TOP and above not in seen:
+            seen.add(above)
+            above = carried[above].parent
+        if above == k:
+            carried[k] = Carried()
+    return carried
+
+
+def _what_is_left(audit: Audit | None) -> str:
+    if audit is None:
+        return "nothing was checked"
+    pairs = [f"{p.first} is in {p.second}" for p in audit.pairs if p.penetration is None or p.penetration > audit.tolerance]
+    alone = [f"{o.instance} floats" for o in audit.objects if o.floats]
+    alone += [f"{o.instance} is off its area" for o in audit.objects if o.is_outside]
+    alone += [f"{o.instance} is in the table" for o in audit.objects if o.table_penetration > audit.tolerance]
+    return "; ".join([*pairs, *alone][:5])

@@ -1,0 +1,87 @@
+"""What `certify` is asked for and what it answers."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
+
+from stable_data.errors import ConfigError
+from stable_data.metrics.audit import Audit
+from stable_data.scene import Scene
+
+
+class Status(StrEnum):
+    """How a correction came out."""
+
+    CERTIFIED = "certified"
+    """Clean by the exact audit, nothing dropped."""
+
+    DROPPED = "dropped"
+    """Clean by the exact audit after background objects were dropped."""
+
+    INFEASIBLE = "infeasible"
+    """No clean layout was found that keeps what must be kept."""
+
+    UNKNOWN = "unknown"
+    """A mesh is missing: clean with boxes in its place, which proves nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Dropped:
+    """A background object that was given up.
+
+    Attributes:
+        instance: Its name.
+        reason: Why.
+    """
+
+    instance: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class CertifyOptions:
+    """Settings of `certify`.
+
+    Attributes:
+        when_full: What to do where no place is found for everything: drop background objects, or say that it is infeasible.
+        fixed: Instances that must not move; they are obstacles.
+        restore: Put objects back into or onto what the scene's own relations say, where the layout has lost that.
+        clearance: Air between things that stand side by side, metres.
+        tries: How many times a body that is in the way may be put elsewhere, before something is dropped.
+        rounds: How many times the exact check may send the layout back.
+    """
+
+    when_full: Literal["drop", "infeasible"] = "drop"
+    fixed: frozenset[str] = frozenset()
+    restore: bool = True
+    clearance: float = 5e-4
+    tries: int = 24
+    rounds: int = 8
+
+    def __post_init__(self) -> None:
+        """Refuses settings that make no sense."""
+        if not 0 <= self.clearance <= 0.1:
+            raise ConfigError(f"clearance is {self.clearance}, expected 0 to 0.1 metres", "clearance_invalid")
+        if self.when_full not in ("drop", "infeasible"):
+            raise ConfigError(f'when_full is {self.when_full!r}, expected "drop" or "infeasible"', "when_full_invalid")
+        if self.tries < 0 or self.rounds < 1:
+            raise ConfigError(f"tries is {self.tries} and rounds {self.rounds}, expected >= 0 and >= 1", "rounds_invalid")
+
+
+@dataclass(frozen=True, slots=True)
+class Certified:
+    """A corrected scene with its proof.
+
+    Attributes:
+        scene: The scene; None where it is infeasible.
+        status: How it came out.
+        reason: Why it is not certified; empty where it is.
+        dropped: What was given up.
+        audit: The exact audit of ``scene``; None where there is none.
+    """
+
+    scene: Scene | None
+    status: Status
+    reason: str = ""
+    dropped: tuple[Dropped, ...] = ()
+    audit: Audit | None = None

@@ -1,0 +1,101 @@
+"""Parts a crowd: projection first, then bodies that are stuck are put elsewhere while the others make room."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from models.physics_corrector.certify.crowd import Crowd
+from models.physics_corrector.certify.projection import HARD, is_free_of_overlap, project
+from models.physics_corrector.certify.search import least_blocked
+from stable_data.scene import FloatArray
+
+_STEPS = 16
+_SQUEEZE_STEPS = 7
+_PRICES = (0.3, 0.05)  # of a metre by which a directional relation is broken, once not all can be had
+_PLACES = 3  # that are tried for a body
+_PATIENCE = 8  # tries that gain nothing before it is given up
+
+
+def part(crowd: Crowd, shifts: FloatArray, aims: FloatArray, tries: int) -> tuple[FloatArray, list[int]]:
+    """Finds shifts at which nothing meets, near the aims and true to the directional relations as far as that goes.
+
+    Args:
+        crowd: The bodies.
+        shifts: Where they are, (B, 2), metres.
+        aims: Where they want to be, (B, 2).
+        tries: How many times a body may be put elsewhere.
+
+    Returns:
+        The shifts, and the bodies that are still in the way; none where the crowd is parted.
+    """
+    found, is_parted = project(crowd, shifts, aims, _STEPS)
+    for price in _PRICES:
+        if is_parted:
+            break
+        found, is_parted = project(crowd, found, found, _STEPS, price)
+    if not is_parted:
+        found, is_parted = _squeezed(crowd, found, aims, tries)
+    if not is_parted:
+        return found, in_the_way(crowd, found)
+    return _polished(crowd, found, aims), []
+
+
+def in_the_way(crowd: Crowd, shifts: FloatArray) -> list[int]:
+    """Free bodies that meet another one or are where they must not be."""
+    depth = crowd.depths(shifts).sum(axis=1) + crowd.outside(shifts)
+    return [int(k) for k in np.nonzero((depth > 1e-4) & crowd.is_free)[0]]
+
+
+def _squeezed(crowd: Crowd, shifts: FloatArray, aims: FloatArray, tries: int) -> tuple[FloatArray, bool]:
+    """Puts the body that is deepest in others where it is least in the way, and lets all make room, again and again.
+
+    Pairs that stay in each other weigh more with each try (guided local search), so that it does not go round in circles.
+    """
+    weights = np.ones((len(shifts), len(shifts)))
+    best, least, idle = shifts, _badness(crowd, shifts), 0
+    for _ in range(tries):
+        depth = crowd.depths(shifts)
+        weighted = (weights * depth).sum(axis=1) + crowd.outside(shifts)
+        weighted[~crowd.is_free] = 0.0
+        k = int(weighted.argmax())
+        if weighted[k] <= 1e-4 or idle > _PATIENCE:
+            break
+        candidates = []
+        for place in least_blocked(crowd, shifts, aims, k, weights, _PLACES):
+            there = shifts.copy()
+            there[k] = place
+            moved, is_parted = project(crowd, there, there, _SQUEEZE_STEPS, _PRICES[0])
+            if is_parted:
+                return moved, True
+            candidates.append((float((weights * crowd.depths(moved)).sum()) + _badness(crowd, moved), moved))
+        if not candidates:
+            break
+        shifts = min(candidates, key=lambda c: c[0])[1]
+        weights += np.minimum(crowd.depths(shifts) / 0.01, 1.0)
+        bad = _badness(crowd, shifts)
+        idle = 0 if bad < least - 1e-4 else idle + 1
+        if bad < least:
+            best, least = shifts, bad
+    moved, is_parted = project(crowd, best, best, _STEPS, 0.0)
+    return (moved, True) if is_parted else (best, False)
+
+
+def _badness(crowd: Crowd, shifts: FloatArray) -> float:
+    return float(crowd.depths(shifts).sum() / 2 + crowd.outside(shifts).sum())
+
+
+def _polished(crowd: Crowd, shifts: FloatArray, aims: FloatArray) -> FloatArray:
+    """From shifts at which nothing meets: back to the relations that were given up, then nearer to the aims."""
+    if crowd.broken(shifts).sum():
+        for price in (HARD, *_PRICES):
+            shifts = _if_better(crowd, shifts, lambda s, price=price: project(crowd, s, s, _SQUEEZE_STEPS, price))
+    price = _PRICES[0] if crowd.broken(shifts).sum() else HARD
+    return _if_better(crowd, shifts, lambda s: project(crowd, s, aims, _STEPS, price))
+
+
+def _if_better(
+    crowd: Crowd, shifts: FloatArray, change: Callable[[FloatArray], tuple[FloatArray, bool]]
+) -> FloatArray:
+    moved, is_parted = change(shifts)
+    good = is_parted and is_free_of_overlap(crowd, moved) and crowd.broken(moved).sum() <= crowd.broken(shifts).sum()
+    return moved if good else shifts

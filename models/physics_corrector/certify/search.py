@@ -1,0 +1,64 @@
+"""Where a body that is in the way could stand instead: the table looked at on a grid, against all no-fit polygons at once."""
+
+import numpy as np
+
+from models.physics_corrector.certify.crowd import Crowd
+from stable_data.scene import FloatArray
+
+_SPACING, _MOST = 0.01, 90  # between places that are tried, metres; and how many a side
+_SPREAD = 0.05  # between two places that are handed back, metres
+_IMMOVABLE = 5.0  # how much worse it is to be in something that cannot make room
+_BROKEN = 0.01  # what a broken directional relation costs, metres of overlap
+_PER_METRE = 0.02  # what a metre of movement costs, metres of overlap
+
+
+def least_blocked(crowd: Crowd, shifts: FloatArray, aims: FloatArray, k: int, weights: FloatArray, num: int) -> list[FloatArray]:
+    """Shifts of one body at which it is least in the way of others, near to its aim and true to its relations.
+
+    Args:
+        crowd: The bodies.
+        shifts: Where all are, (B, 2), metres.
+        aims: Where they want to be, (B, 2).
+        k: The body.
+        weights: How much an overlap of each pair of bodies counts, (B, B).
+        num: How many are wanted.
+
+    Returns:
+        At most so many shifts (2,), best first, apart from each other.
+    """
+    low, high = crowd.low[k], crowd.high[k]
+    if (low > high).any():
+        return []
+    counts = np.minimum(np.ceil((high - low) / _SPACING).astype(int) + 1, _MOST)
+    grids = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
+    points = np.stack(np.meshgrid(*grids, indexing="ij"), axis=2).reshape(-1, 2)
+    points = np.concatenate([np.clip(aims[k], low, high)[None], np.clip(shifts[k], low, high)[None], points])
+    cost = _PER_METRE * np.linalg.norm(points - aims[k], axis=1) + _overlap_at(crowd, shifts, k, points, weights)
+    for o in crowd.orders:
+        if k in (o.first, o.second):
+            apart = o.offset + (points - shifts[o.second] if o.first == k else shifts[o.first] - points)
+            cost += _BROKEN * (apart @ o.axis <= np.abs(apart @ o.axis[::-1]))
+    found: list[FloatArray] = []
+    order = np.argsort(cost, kind="stable")
+    while len(order) and len(found) < num:
+        best = points[order[0]]
+        found.append(best)
+        order = order[np.linalg.norm(points[order] - best, axis=1) > _SPREAD]
+    return found
+
+
+def _overlap_at(crowd: Crowd, shifts: FloatArray, k: int, points: FloatArray, weights: FloatArray) -> FloatArray:
+    """Weighted sum of how deep a body would be in each other one, (P,) metres, at shifts (P, 2)."""
+    depth = np.zeros((len(crowd.stiffness), len(points)))
+    for e in np.nonzero((crowd.first_body == k) | (crowd.second_body == k))[0]:
+        is_first = crowd.first_body[e] == k
+        other = crowd.second_body[e] if is_first else crowd.first_body[e]
+        offset = crowd.apart[e] if is_first else -crowd.apart[e]
+        normals = crowd.normals[e] if is_first else -crowd.normals[e]
+        apart = points + (offset - shifts[other])
+        offsets = crowd.offsets[e]
+        close = np.nonzero((apart @ normals[::7].T < offsets[::7]).all(axis=1))[0]
+        if len(close):
+            deep = (offsets - apart[close] @ normals.T).min(axis=1)
+            depth[other, close] = np.maximum(depth[other, close], deep)
+    return np.asarray((weights[k] * np.where(crowd.is_free, 1.0, _IMMOVABLE)) @ depth)
