@@ -6,9 +6,10 @@ import pytest
 import torch
 
 from models.point_encoder import checkpoint
+from models.point_encoder.boxes import box_clearance
 from models.point_encoder.cloud import Cloud
 from models.point_encoder.corpus import Pair, Posed, TrainingShape, corpus, training_shape
-from models.point_encoder.judging import box_clearance, effective_rank
+from models.point_encoder.judging import effective_rank
 from models.point_encoder.pretrain import CONFIGS, ENCODER, STATE, PretrainSettings, pretrain
 from stable_data.errors import ConfigError
 from stable_data.mesh import Mesh
@@ -19,7 +20,7 @@ from tests.models.point_encoder.clouds import TINY
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> PretrainSettings:
-    monkeypatch.setitem(CONFIGS, "tiny", TINY)
+    monkeypatch.setitem(CONFIGS, "tiny", replace(TINY, enc_mode=True))
     return PretrainSettings(
         config="tiny",
         steps=6,
