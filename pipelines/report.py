@@ -65,7 +65,7 @@ def _tiles(counts: dict[str, Any], manifest: dict[str, Any]) -> str:
         (str(manifest["num_assets_without_mesh"]), "assets without a mesh file"),
         (str(counts["samples"]), "staged samples"),
         (str(counts["sdf"]), "signed-distance grids"),
-        (str(counts.get("features", 0)), f"point features of encoder {(manifest['encoder'] or 'none')[:8]}"),
+        (str(counts.get("features", 0)), f"point features of encoder {(manifest.get('encoder') or 'none')[:8]}"),
         (str(counts["warnings"]), "warnings"),
     ]
     return '<div class="tiles">' + "".join(f'<div class="tile"><b>{a}</b><span>{b}</span></div>' for a, b in tiles) + "</div>"
