@@ -72,13 +72,16 @@ def new_manifest(job: str, dataset: str, fingerprint: str, **more: Any) -> dict[
     return {**head, "dataset": dataset, "input_fingerprint": fingerprint, **more}
 
 
-def check_resume(folder: RunFolder, manifest: Mapping[str, Any], shaping: Mapping[str, Any]) -> None:
+def check_resume(
+    folder: RunFolder, manifest: Mapping[str, Any], shaping: Mapping[str, Any], *, may_be_added: Sequence[str] = ()
+) -> None:
     """Refuses to mix rows of two configurations, inputs or versions in one folder.
 
     Args:
         folder: The run.
         manifest: Of the run that starts; its ``inputs`` are compared one by one.
         shaping: The settings that shape rows.
+        may_be_added: Keys of the manifest that are compared too, unless the former run had none of it.
 
     Raises:
         ConfigError: The folder is of another run: ``key: was -> now``.
@@ -99,7 +102,8 @@ def check_resume(folder: RunFolder, manifest: Mapping[str, Any], shaping: Mappin
         raise ConfigError(
             f"{folder.uri}/manifest.json: not a JSON object ({error}); is this the folder of a run?", "manifest_invalid"
         ) from error
-    changed = differences({k: was.get(k) for k in _COMPARED}, {k: manifest[k] for k in _COMPARED})
+    compared = (*_COMPARED, *(key for key in may_be_added if was.get(key) is not None))
+    changed = differences({k: was.get(k) for k in compared}, {k: manifest[k] for k in compared})
     changed += [f"inputs.{change}" for change in differences(was_inputs, manifest["inputs"])]
     changed += differences({k: was_settings.get(k) for k in shaping}, shaping)
     if changed:

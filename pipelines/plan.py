@@ -17,13 +17,13 @@ from tqdm import tqdm
 
 import stable_data
 from pipelines.asset_step import AssetUse, TextFeature
+from pipelines.feature_step import FeatureUse, ShapeUse
 from pipelines.scene_step import SceneSettings
 from stable_data import tables
-from stable_data.assets import AssetStore, aspect_steps
+from stable_data.assets import AssetStore, aspect_steps, tilt_key, with_one_sign
 from stable_data.conventions import position_convention
 from stable_data.errors import ConfigError, Notice
 from stable_data.mesatask import MesaTaskDataset, PositionConvention, read_text_features
-from stable_data.mesatask.frame import normalised
 from stable_data.scene import QuatXyzw, Vec3
 from stable_data.shards import content_id
 
@@ -49,6 +49,9 @@ class PreprocessSettings:
         assets_per_shard: Assets of one shard.
         task_writer: ``module:function`` that writes task infos for scenes without one; empty: templates.
         task_cache: Folder that keeps its answers; on a cluster one that every node sees.
+        features: Encoder of the point features: ``auto`` (that of models/weights, where it is there), ``none``, the file of one
+            that ``models.point_encoder.save`` wrote, or a published one as ``scannet:FILE``, ``modelnet:FILE``, ``sonata:FILE``,
+            by what it was trained on; on a cluster a file that every node sees.
         num_pictures: Scenes drawn in the report.
         seconds_per_item: A scene or asset that takes longer is a failure; not watched without worker processes.
     """
@@ -64,6 +67,7 @@ class PreprocessSettings:
     assets_per_shard: int = 8
     task_writer: str = ""
     task_cache: str = "data/task_cache"
+    features: str = "auto"
     num_pictures: int = 12
     seconds_per_item: float = 600.0
 
@@ -87,8 +91,8 @@ class PreprocessSettings:
             raise ConfigError(f"splits are {shares}, expected shares that add up to at most 1", "config_invalid")
 
     def shaping(self) -> dict[str, Any]:
-        """The settings that shape rows: a run is resumed only under the same."""
-        aside = ("num_pictures", "seconds_per_item", "task_cache")
+        """The settings that shape rows: a run is resumed only under the same. Of the encoder, its fingerprint counts."""
+        aside = ("features", "num_pictures", "seconds_per_item", "task_cache")
         return {k: v for k, v in asdict(self).items() if k not in aside}
 
     def scene_settings(self) -> SceneSettings:
@@ -105,23 +109,26 @@ class PreprocessSettings:
 
 @dataclass(frozen=True, slots=True)
 class Shard:
-    """Scenes or assets that are done together.
+    """Scenes, assets or features of assets that are done together.
 
     Attributes:
         shard_id: Content of its inputs and of the settings that shape it.
         scenes: Scene ids; empty for a shard of assets.
         assets: Assets with their use.
+        features: Assets with the shapes whose features are made.
     """
 
     shard_id: str
     scenes: tuple[str, ...] = ()
     assets: tuple[AssetUse, ...] = ()
+    features: tuple[FeatureUse, ...] = ()
 
     def __len__(self) -> int:
-        return len(self.scenes) + len(self.assets)
+        return len(self.scenes) + len(self.assets) + len(self.features)
 
     def __str__(self) -> str:
-        return f"shard {self.shard_id} ({len(self.scenes)} scenes, {len(self.assets)} assets)"
+        of = f"{len(self.scenes)} scenes, {len(self.assets)} assets, features of {len(self.features)}"
+        return f"shard {self.shard_id} ({of})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +137,7 @@ class Plan:
 
     Attributes:
         shards: All shards, assets first.
+        encoder: Fingerprint of the encoder of the point features, or None: none are made.
         inputs: Content of all inputs, by their kind.
         scene_ids: Scenes of the dataset, with those whose layout is missing.
         asset_ids: Assets that are processed.
@@ -142,6 +150,7 @@ class Plan:
     scene_ids: tuple[str, ...]
     asset_ids: tuple[str, ...]
     notices: tuple[Notice, ...]
+    encoder: str | None = None
 
     @property
     def fingerprint(self) -> str:
@@ -154,6 +163,7 @@ class Plan:
             "num_scenes": len(self.scene_ids),
             "num_assets": len(self.asset_ids),
             "num_assets_without_mesh": sum(n.code == "glb_missing" for n in self.notices),
+            "num_features": sum(len(use.shapes) for shard in self.shards for use in shard.features),
         }
 
 
@@ -163,15 +173,14 @@ class _Use:
 
     scales: list[Vec3] = field(default_factory=list)
     tilts: dict[QuatXyzw, tuple[QuatXyzw, int]] = field(default_factory=dict)
-    aspects: set[tuple[int, int, int]] = field(default_factory=set)
+    shapes: dict[tuple[tuple[int, int, int], QuatXyzw], list[float]] = field(default_factory=dict)
 
     def add(self, scale: Vec3 | None, tilt: QuatXyzw) -> None:
-        tilt = _with_one_sign(tilt)
-        x, y, z, w = (round(q, 2) + 0.0 for q in tilt)  # tilts within about a degree count as one: the first that was seen
-        first, count = self.tilts.get((x, y, z, w), (tilt, 0))
-        self.tilts[x, y, z, w] = (first, count + 1)
+        key = tilt_key(tilt)  # of tilts that count as one: the first that was seen
+        first, count = self.tilts.get(key, (with_one_sign(tilt), 0))
+        self.tilts[key] = (first, count + 1)
         if scale is not None:
-            self.aspects.add(aspect_steps(scale))
+            self.shapes.setdefault((aspect_steps(scale), key), []).append(max(scale))
             if len(self.scales) < _MAX_SCALES:
                 self.scales.append(scale)
 
@@ -180,6 +189,20 @@ class _Use:
             return None
         x, y, z = np.median(np.array(self.scales), axis=0).tolist()
         return x, y, z
+
+    def aspects(self) -> set[tuple[int, int, int]]:
+        return {steps for steps, _ in self.shapes}
+
+    def most_tilts(self) -> list[tuple[QuatXyzw, int]]:
+        return sorted(self.tilts.values(), key=lambda item: (-item[1], item[0]))[:_MAX_TILTS]
+
+    def shape_uses(self) -> tuple[ShapeUse, ...]:
+        """Every aspect and tilt in which it is used; and evenly scaled, as it is generated, at the tilts it has most."""
+        scales = {key: float(np.median(found)) for key, found in self.shapes.items()}
+        if (typical := self.typical_scale()) is not None:
+            for tilt, _ in self.most_tilts():
+                scales.setdefault(((0, 0, 0), tilt_key(tilt)), max(typical))
+        return tuple(ShapeUse(steps, self.tilts[key][0], scales[steps, key]) for steps, key in sorted(scales))
 
 
 @dataclass
@@ -199,17 +222,19 @@ class _Content:
         return asset_id, self.meshes.get(asset_id), self.annotations.get(asset_id)
 
 
-def plan_run(dataset: MesaTaskDataset, settings: PreprocessSettings) -> Plan:
+def plan_run(dataset: MesaTaskDataset, settings: PreprocessSettings, encoder: str | None = None) -> Plan:
     """Cuts a dataset into shards.
 
     Args:
         dataset: The dataset; every layout and mesh file is read once for its content.
         settings: What shapes the rows.
+        encoder: Fingerprint of the encoder of the point features, or None: none are made.
 
     Raises:
         ConfigError: The text features cannot be used.
     """
-    shaping = settings.shaping() | {"table_version": tables.TABLE_VERSION, "code": stable_data.__version__}
+    versions = {"table_version": tables.TABLE_VERSION, "code": stable_data.__version__}
+    shaping = settings.shaping() | versions
     uses: dict[str, _Use] = defaultdict(_Use)
     used_by_scene: dict[str, list[str]] = {}
     for scene_id in tqdm(dataset.scene_ids, desc="plan", unit="scene", leave=False):
@@ -221,6 +246,15 @@ def plan_run(dataset: MesaTaskDataset, settings: PreprocessSettings) -> Plan:
     for uses_of_shard in _groups(asset_uses, settings.assets_per_shard):
         of_assets = [(asdict(u), content.annotations[u.asset_id], content.text_features.get(u.asset_id)) for u in uses_of_shard]
         asset_shards.append(Shard(content_id("assets", shaping, of_assets), assets=tuple(uses_of_shard)))
+    feature_uses = [
+        FeatureUse(a.asset_id, a.mesh_sha256, shapes)
+        for a in asset_uses
+        if (shapes := uses.get(a.asset_id, _Use()).shape_uses())
+    ]
+    feature_shards = [
+        Shard(content_id("features", versions, encoder, [asdict(u) for u in of_shard]), features=tuple(of_shard))
+        for of_shard in (_groups(feature_uses, settings.assets_per_shard) if encoder is not None else ())
+    ]
     scene_shards = []
     for scenes in _groups(list(dataset.scene_ids), settings.scenes_per_shard):
         used = sorted({a for scene_id in scenes for a in used_by_scene[scene_id]})
@@ -228,12 +262,13 @@ def plan_run(dataset: MesaTaskDataset, settings: PreprocessSettings) -> Plan:
         scene_shards.append(Shard(content_id("scenes", shaping, dataset.root.name, *of_scenes), scenes=tuple(scenes)))
     notices = (*dataset.notices, *(_without_mesh(a, a in uses) for a in wanted if a not in content.meshes))
     return Plan(
-        (*asset_shards, *scene_shards),
+        (*asset_shards, *feature_shards, *scene_shards),
         {kind: content_id(digests) for kind, digests in vars(content).items()}
         | {"folder": content_id(sorted((n.item_id, n.code) for n in notices))},
         (*dataset.scene_ids, *(n.item_id for n in notices if n.code == "layout_missing")),
         tuple(use.asset_id for use in asset_uses),
         notices,
+        encoder,
     )
 
 
@@ -275,16 +310,8 @@ def _count_uses(dataset: MesaTaskDataset, scene_id: str, uses: dict[str, _Use]) 
 
 
 def _asset_use(asset_id: str, digest: str, use: _Use) -> AssetUse:
-    tilts = sorted(use.tilts.values(), key=lambda item: (-item[1], item[0]))[:_MAX_TILTS]
-    aspects = tuple(sorted(use.aspects | {(0, 0, 0)}))
-    return AssetUse(asset_id, digest, use.typical_scale(), aspects, tuple(tilts))
-
-
-def _with_one_sign(tilt: QuatXyzw) -> QuatXyzw:
-    """The unit quaternion, with one of the two signs that mean the same rotation."""
-    sign = 1.0 if next((q for q in reversed(tilt) if abs(q) > 0.01), 1.0) > 0 else -1.0
-    x, y, z, w = (sign * q + 0.0 for q in normalised(tilt))
-    return x, y, z, w
+    aspects = tuple(sorted(use.aspects() | {(0, 0, 0)}))
+    return AssetUse(asset_id, digest, use.typical_scale(), aspects, tuple(use.most_tilts()))
 
 
 def _without_mesh(asset_id: str, is_used: bool) -> Notice:

@@ -7,11 +7,12 @@ import importlib
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pipelines.asset_step import AssetSettings, AssetUse, TextFeature, preprocess_asset
+from pipelines.feature_step import AUTO, NONE, FeatureUse, encoder_of, feature_rows, fingerprint_of
 from pipelines.job import (
     Rows,
     check_resume,
@@ -35,12 +36,20 @@ from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.shards import RunFolder, content_id
 
+if TYPE_CHECKING:
+    from models.point_encoder import PointEncoder
+
 SCENE_TABLES = ("warnings", "failures", "samples", "scenes")
 """Tables of a scene shard, in the order in which they are put in place."""
 ASSET_TABLES = ("warnings", "failures", "sdf", "meshes", "assets")
 """Tables of an asset shard, likewise."""
+FEATURE_TABLES = ("failures", "features")
+"""Tables of a shard of point features, likewise."""
 TABLES = tuple(dict.fromkeys((*ASSET_TABLES, *SCENE_TABLES)))
-"""Tables of a run."""
+"""Tables of a run; one with an encoder has ``features`` too."""
+
+Item: TypeAlias = str | AssetUse | FeatureUse
+"""A scene's id, an asset, or an asset whose features are made."""
 
 _OF_DATASET = content_id("dataset")
 _NO_ASSETS = content_id("no assets")
@@ -55,17 +64,19 @@ class PreprocessShard:
         out: The run's folder, which every worker can write, likewise.
         settings: The job's settings.
         fingerprint: Content of the dataset: what a process keeps of one is not used for another in the same place.
+        encoder: Fingerprint of the encoder of the point features; None where none are made.
     """
 
     data: str
     out: str
     settings: PreprocessSettings
     fingerprint: str = ""
+    encoder: str | None = None
 
     def __call__(self, shard: Shard, *, isolated: bool = False) -> tuple[int, int]:
         """Does the shard and puts its tables in place; gives its items and how many of them failed."""
         rows: dict[str, list[tables.Row]] = defaultdict(list)
-        items: tuple[str | AssetUse, ...] = (*shard.assets, *shard.scenes)
+        items: tuple[Item, ...] = (*shard.assets, *shard.features, *shard.scenes)
         for item in items:
             for table, new in (self._alone(item) if isolated else self._limited(item)).items():
                 rows[table] += new
@@ -74,18 +85,20 @@ class PreprocessShard:
             out.write_shard(table, shard.shard_id, rows[table])
         return len(shard), len(rows["failures"])
 
-    def item(self, item: str | AssetUse) -> Rows:
+    def item(self, item: Item) -> Rows:
         """Rows of one scene or asset, by table; a failure is a row too."""
         progress = Progress("read")
         return rows_or_failure(_id_of(item), progress, lambda: self._rows(item, progress))
 
-    def _rows(self, item: str | AssetUse, progress: Progress) -> Rows:
+    def _rows(self, item: Item, progress: Progress) -> Rows:
         dataset, store = self._open()
         if isinstance(item, str):
             writer = _writer(self.settings)
             scene = preprocess_scene(dataset, item, store, self.settings.scene_settings(), progress, writer)
             found = {"scenes": [scene.scene], "samples": list(scene.samples)}
             notices = scene.notices
+        elif isinstance(item, FeatureUse):
+            return {"features": feature_rows(item, store, self._encoder(), progress)}
         else:
             embedding = _text_features(self.data, self.fingerprint).get(item.asset_id)
             shaping = AssetSettings(self.settings.num_points)
@@ -97,25 +110,37 @@ class PreprocessShard:
     def _open(self) -> tuple[MesaTaskDataset, AssetStore]:
         return _opened(self.data, self.fingerprint)
 
-    def _prepare(self) -> None:
-        """Opens what items need, outside of the time of the first one."""
-        self._open()
-        _text_features(self.data, self.fingerprint)
+    def _encoder(self) -> "PointEncoder":
+        assert self.encoder is not None
+        return encoder_of(self.settings.features, self.encoder)
 
-    def _limited(self, item: str | AssetUse) -> Rows:
-        self._prepare()
+    def _prepare(self, item: Item) -> None:
+        """Opens what an item needs, outside of the time of the first one."""
+        self._open()
+        if isinstance(item, FeatureUse):
+            self._encoder()
+        else:
+            _text_features(self.data, self.fingerprint)
+
+    def _limited(self, item: Item) -> Rows:
+        self._prepare(item)
         with limited(self.settings.seconds_per_item):
             return self.item(item)
 
-    def _alone(self, item: str | AssetUse) -> Rows:
-        return rows_alone(self.item, item, _id_of(item), seconds=self.settings.seconds_per_item, prepare=self._prepare)
+    def _alone(self, item: Item) -> Rows:
+        seconds = self.settings.seconds_per_item
+        return rows_alone(self.item, item, _id_of(item), seconds=seconds, prepare=partial(self._prepare, item))
 
 
 def _tables_of(shard: Shard) -> tuple[str, ...]:
-    return ASSET_TABLES if shard.assets else SCENE_TABLES
+    return ASSET_TABLES if shard.assets else FEATURE_TABLES if shard.features else SCENE_TABLES
 
 
-def _id_of(item: str | AssetUse) -> str:
+def _tables_of_run(plan: Plan) -> tuple[str, ...]:
+    return TABLES if plan.encoder is None else (*TABLES, "features")
+
+
+def _id_of(item: Item) -> str:
     return item if isinstance(item, str) else item.asset_id
 
 
@@ -163,15 +188,17 @@ def preprocess(data: str, out: str, settings: PreprocessSettings, workers: Worke
     dataset = MesaTaskDataset(_absolute(data))
     folder = RunFolder(out)
     settings = _settled(dataset, settings, workers)
-    placed = replace(settings, task_cache=str(_absolute(settings.task_cache)))
+    placed = replace(settings, task_cache=str(_absolute(settings.task_cache)), features=_placed(settings.features))
     _writer(placed)
     with folder.locked():
-        plan = plan_run(dataset, settings)
+        plan = plan_run(dataset, settings, fingerprint_of(placed.features))
         manifest = _manifest(dataset, plan, settings)
-        check_resume(folder, manifest, settings.shaping())
+        check_resume(folder, manifest, settings.shaping(), may_be_added=("encoder",))
         write_manifest(folder, manifest)
         _write_whole_tables(folder, plan)
-        work = PreprocessShard(str(dataset.root), folder.root if folder.is_local else out, placed, plan.fingerprint)
+        work = PreprocessShard(
+            str(dataset.root), folder.root if folder.is_local else out, placed, plan.fingerprint, plan.encoder
+        )
         run_missing(folder, plan.shards, _tables_of, work, workers, "preprocess")
         check_shards(folder, _planned(plan))
         manifest |= {"status": "complete", "counts": _counts(folder, plan)}
@@ -185,13 +212,26 @@ def describe_plan(data: str, settings: PreprocessSettings) -> dict[str, Any]:
     """What a run would do: settings and counts, for ``--dry-run``."""
     dataset = MesaTaskDataset(_absolute(data))
     settings = settings.settled(dataset)
-    plan = plan_run(dataset, settings)
-    described = {"settings": asdict(settings), "input_fingerprint": plan.fingerprint, "num_shards": len(plan.shards)}
+    plan = plan_run(dataset, settings, fingerprint_of(_placed(settings.features)))
+    described = {
+        "settings": asdict(settings),
+        "input_fingerprint": plan.fingerprint,
+        "encoder": plan.encoder,
+        "num_shards": len(plan.shards),
+    }
     return described | plan.counts()
 
 
 def _absolute(path: str) -> Path:
     return Path(path).expanduser().resolve()
+
+
+def _placed(features: str) -> str:
+    """The setting ``features`` with its file as an absolute path, for workers have folders of their own."""
+    if features in (AUTO, NONE):
+        return features
+    kind, colon, file = features.rpartition(":")
+    return f"{kind}{colon}{_absolute(file)}"
 
 
 def _settled(dataset: MesaTaskDataset, settings: PreprocessSettings, workers: Workers) -> PreprocessSettings:
@@ -220,15 +260,19 @@ def _write_whole_tables(folder: RunFolder, plan: Plan) -> None:
     if not plan.asset_ids:
         for table in ASSET_TABLES:
             folder.write_shard(table, _NO_ASSETS, [])
+    if plan.encoder is not None and not plan.counts()["num_features"]:
+        folder.write_shard("features", _NO_ASSETS, [])
 
 
 def _planned(plan: Plan) -> dict[str, set[str]]:
     """Shards of each table."""
-    planned: dict[str, set[str]] = {table: set() for table in TABLES}
+    planned: dict[str, set[str]] = {table: set() for table in (*TABLES, "features")}
     for table in ("warnings", "failures"):
         planned[table].add(_OF_DATASET)
     for table in ASSET_TABLES if not plan.asset_ids else ():
         planned[table].add(_NO_ASSETS)
+    if plan.encoder is not None and not plan.counts()["num_features"]:
+        planned["features"].add(_NO_ASSETS)
     for shard in plan.shards:
         for table in _tables_of(shard):
             planned[table].add(shard.shard_id)
@@ -237,13 +281,19 @@ def _planned(plan: Plan) -> dict[str, set[str]]:
 
 def _manifest(dataset: MesaTaskDataset, plan: Plan, settings: PreprocessSettings) -> dict[str, Any]:
     return new_manifest(
-        "preprocess", dataset.root.name, plan.fingerprint, inputs=dict(plan.inputs), settings=asdict(settings), **plan.counts()
+        "preprocess",
+        dataset.root.name,
+        plan.fingerprint,
+        inputs=dict(plan.inputs),
+        encoder=plan.encoder,
+        settings=asdict(settings),
+        **plan.counts(),
     )
 
 
 def _counts(folder: RunFolder, plan: Plan) -> dict[str, Any]:
     return {
-        **count_rows(folder, TABLES),
+        **count_rows(folder, _tables_of_run(plan)),
         "failed_scenes": count_items(folder, "scenes", "scene_id", plan.scene_ids),
         "failed_assets": count_items(folder, "assets", "asset_id", plan.asset_ids),
     }

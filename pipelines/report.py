@@ -52,6 +52,7 @@ def _tiles(counts: dict[str, Any], manifest: dict[str, Any]) -> str:
         (str(manifest["num_assets_without_mesh"]), "assets without a mesh file"),
         (str(counts["samples"]), "staged samples"),
         (str(counts["sdf"]), "signed-distance grids"),
+        (str(counts.get("features", 0)), f"point features of encoder {(manifest.get('encoder') or 'none')[:8]}"),
         (str(counts["warnings"]), "warnings"),
     ]
     return tiles(figures)

@@ -19,6 +19,7 @@ from stable_data.mesatask import (
     keeps_box,
     to_box_centre,
 )
+from stable_data.mesatask.frame import normalised
 from stable_data.mesh import Mesh
 from stable_data.repair import MeshReport, repair
 from stable_data.scene import QuatXyzw, Scene, SceneObject, Vec3
@@ -247,6 +248,19 @@ def aspect_of(steps: tuple[int, int, int]) -> Vec3:
     """Aspect, (3,), largest component 1, of the steps that :func:`aspect_steps` gave."""
     x, y, z = (math.exp(-ASPECT_STEP * k) for k in steps)
     return x, y, z
+
+
+def with_one_sign(tilt_quat_xyzw: QuatXyzw) -> QuatXyzw:
+    """The unit quaternion, with one of the two signs that mean the same rotation."""
+    sign = 1.0 if next((q for q in reversed(tilt_quat_xyzw) if abs(q) > 0.01), 1.0) > 0 else -1.0
+    x, y, z, w = (sign * q + 0.0 for q in normalised(tilt_quat_xyzw))
+    return x, y, z, w
+
+
+def tilt_key(tilt_quat_xyzw: QuatXyzw) -> QuatXyzw:
+    """A tilt with each component snapped to 0.01: those within about a degree count as one."""
+    x, y, z, w = (round(q, 2) + 0.0 for q in with_one_sign(tilt_quat_xyzw))
+    return x, y, z, w
 
 
 def fitted_scale(mesh: Mesh, tilt_quat_xyzw: QuatXyzw, size: Vec3) -> Vec3:

@@ -225,9 +225,13 @@ SCHEMAS: dict[str, pa.Schema] = {
         [
             _column("asset_id", _text, "the asset"),
             _column("aspect", _numbers, "scale over its largest component, snapped to 5 %"),
-            _column("tilt_quat_xyzw", _numbers, "rotation before yaw"),
+            _column("tilt_quat_xyzw", _numbers, "rotation before yaw; of tilts within about a degree the first in the scenes"),
             _column("feature", pa.list_(pa.float32()), "64-d feature of the normalised cloud"),
-            _column("log_extents", _numbers, "logarithm of the box of the normalised cloud"),
+            _column(
+                "log_extents",
+                _numbers,
+                "natural logarithm of the box in the yaw frame, metres, at the median scale of such uses",
+            ),
             _column("encoder_fingerprint", _text, "weights that made it; rows of different encoders are never mixed"),
         ]
     ),

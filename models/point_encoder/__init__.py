@@ -4,21 +4,24 @@
 below them ``transformer``, ``blocks``, ``level`` and ``serialization`` are the network.
 """
 
-from models.point_encoder.checkpoint import load, load_published, save
-from models.point_encoder.cloud import Cloud, Preprocessing
+from models.point_encoder.checkpoint import DEFAULT_WEIGHTS, load, load_default, load_published, save
+from models.point_encoder.cloud import PUBLISHED, Cloud, Preprocessing
 from models.point_encoder.encoder import FEATURE_CHANNELS, Features, PointEncoder
 from models.point_encoder.transformer import BASE, EMBEDDED, TransformerConfig
 
 __all__ = [
     "BASE",
+    "DEFAULT_WEIGHTS",
     "EMBEDDED",
     "FEATURE_CHANNELS",
+    "PUBLISHED",
     "Cloud",
     "Features",
     "PointEncoder",
     "Preprocessing",
     "TransformerConfig",
     "load",
+    "load_default",
     "load_published",
     "save",
 ]

@@ -25,6 +25,9 @@ from stable_data.errors import ConfigError
 
 FORMAT = "stable-data point encoder 1"
 
+DEFAULT_WEIGHTS = Path(__file__).resolve().parents[1] / "weights" / "point_encoder.safetensors"
+"""Our own small encoder; models/weights/README.md says how it was made and what it knows."""
+
 _PREFIXES = ("module.student.backbone.", "student.backbone.", "module.backbone.", "backbone.", "module.", "")
 _NOT_ENCODING = re.compile(r"(seg_head|cls_head)\.|embedding\.mask_token$")  # heads, and what only pre-training uses
 _HEAD_CHANNELS = 16  # of each attention head, in all published models
@@ -70,6 +73,15 @@ def load(path: Path) -> PointEncoder:
         message = f"{path} has fingerprint {encoder.fingerprint()}, expected {metadata.get('fingerprint')}; it was changed: fetch it again"
         raise ConfigError(message, "weights_changed")
     return encoder
+
+
+def load_default() -> PointEncoder:
+    """Our own small encoder, with its pre-trained weights.
+
+    Raises:
+        ConfigError: They are not there or not whole.
+    """
+    return load(DEFAULT_WEIGHTS)
 
 
 def load_published(path: Path, preprocessing: Preprocessing) -> PointEncoder:

@@ -71,7 +71,7 @@ class Preprocessing:
 
     num_points: int = 1024
     normalise: str = "extent"
-    grid_size: float = 1 / 16
+    grid_size: float = 1 / 8
     channels: tuple[str, ...] = ("coord", "normal")
 
     def __post_init__(self) -> None:
@@ -98,6 +98,9 @@ MODELNET = Preprocessing(8192, "sphere", 0.01, ("coord", "normal"))
 
 SONATA = Preprocessing(8192, "centre", 0.02, ("coord", "colour", "normal"))
 """Of Sonata and Concerto."""
+
+PUBLISHED = {"scannet": SCANNET, "modelnet": MODELNET, "sonata": SONATA}
+"""Preprocessing of published weights, by what they were trained on."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

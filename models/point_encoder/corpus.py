@@ -1,10 +1,12 @@
 """What the encoder is pre-trained on: the embedded world's assets at aspects and tilts, with exact signed distances."""
 
+import hashlib
 import math
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
@@ -24,6 +26,8 @@ _ASPECT_SPREAD = 0.35  # of the logarithm of each axis' scale, where an asset is
 _NEAR_SIGMAS = (0.03, 0.1)  # of half the largest extent
 _AROUND = 1.5  # how far sideways queries reach, in boxes
 _PAIR_POINTS = 512  # of each surface, for the clearance of a pair
+_ASKED_FIRST = 64  # of them; what they say spares most of the others
+_BOX_SLACK = 1e-6  # metres: the box of a cloud is rounded
 
 
 @dataclass(frozen=True)
@@ -74,10 +78,14 @@ class Posed:
     def cloud(self) -> Cloud:
         """The cloud in this frame, with its box there."""
         turn = self.turn.astype(np.float32)
-        size = np.append(np.ptp(self.outline, axis=0), self.shape.cloud.size[2]).astype(np.float32)
         # The footprint turns about the old box's centre; the cloud's box is centred anew.
         points = self.shape.cloud.points @ turn.T - self.centre.astype(np.float32)
-        return Cloud(points, self.shape.cloud.normals @ turn.T, size)
+        return Cloud(points, self.shape.cloud.normals @ turn.T, self.size.astype(np.float32))
+
+    @property
+    def size(self) -> FloatArray:
+        """Box in this frame, (3,) float64, metres."""
+        return np.append(np.ptp(self.outline, axis=0), np.float64(self.shape.cloud.size[2]))
 
     @property
     def outline(self) -> FloatArray:
@@ -99,6 +107,18 @@ class Posed:
     def distances(self, points: FloatArray) -> FloatArray:
         """Exact signed distances of points of this frame, (P,) float64, metres."""
         return self.shape.signed_distance((points + self.centre) @ self.turn)
+
+    def lowest(self, points: FloatArray, known: float = math.inf) -> float:
+        """Smallest of a number and the exact signed distances of points of this frame, metres.
+
+        Points are asked in the order of their distance to the box, which none is nearer than: few are asked.
+        """
+        bounds = np.linalg.norm(np.maximum(np.abs(points) - self.size / 2, 0.0), axis=1)
+        order = np.argsort(bounds)
+        for asked in (order[:_ASKED_FIRST], order[_ASKED_FIRST:]):
+            if len(asked := asked[bounds[asked] < max(known, 0.0) + _BOX_SLACK]):
+                known = min(known, float(self.distances(points[asked]).min()))
+        return known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,8 +155,7 @@ class Pair:
         offset = np.append(sideways * reach * direction, up)
         ours = first.shown(first.shape.cloud.points[:_PAIR_POINTS].astype(np.float64))
         theirs = second.shown(second.shape.cloud.points[:_PAIR_POINTS].astype(np.float64)) @ rotation.T + offset
-        to_second, to_first = second.distances((ours - offset) @ rotation), first.distances(theirs)
-        return cls(offset, float(yaw), float(min(to_second.min(), to_first.min())))
+        return cls(offset, float(yaw), first.lowest(theirs, second.lowest((ours - offset) @ rotation)))
 
 
 def training_shape(key: str, copy: int, num_points: int, num_queries: int) -> TrainingShape:
@@ -148,14 +167,7 @@ def training_shape(key: str, copy: int, num_points: int, num_queries: int) -> Tr
         num_points: Points of its cloud.
         num_queries: Q.
     """
-    found = asset(key)
-    rng = np.random.default_rng([zlib.crc32(key.encode()), copy])
-    scale, tilt = (1.0, 1.0, 1.0), found.design.tilts[0]
-    if copy:
-        x, y, z = np.exp(rng.uniform(-_ASPECT_SPREAD, _ASPECT_SPREAD, 3)).tolist()
-        scale, tilts = (x, y, z), (*found.design.tilts, UPRIGHT, LAID, ON_EDGE)
-        tilt = tilts[int(rng.integers(len(tilts)))]
-    shape = Shape.from_mesh(found.mesh, scale, tilt)
+    shape, rng = _placed(key, copy)
     cloud = Cloud.of_shape(shape, num_points)
     half = float(shape.size.max()) / 2
     quarter = num_queries // 4
@@ -169,7 +181,7 @@ def training_shape(key: str, copy: int, num_points: int, num_queries: int) -> Tr
 
 
 def corpus(
-    num_categories: int | None, num_copies: int, num_points: int, num_queries: int
+    num_categories: int | None, num_copies: int, num_points: int, num_queries: int, kept: Path | None = None
 ) -> tuple[Sequence[TrainingShape], Sequence[TrainingShape]]:
     """Shapes to train on, and shapes of assets that are held out, as they usually stand.
 
@@ -178,15 +190,69 @@ def corpus(
         num_copies: Examples of each asset that is trained on.
         num_points: Points of a cloud.
         num_queries: Queries of a shape.
+        kept: A file that keeps clouds and labels for the next time; made where it is missing or of other shapes.
     """
     categories = list(BY_CATEGORY)
     num = len(categories) if num_categories is None else min(num_categories, len(categories))
     chosen = {categories[n * len(categories) // num] for n in range(num)}
     keys = [key for key in KEYS if key.partition("/")[0] in chosen]
     jobs = [(key, copy) for key in keys for copy in range(1 if is_held_out(key) else num_copies)]
-    shapes = [training_shape(*job, num_points, num_queries) for job in tqdm(jobs, desc="labels", unit="shape")]
+    shapes = _read(kept, jobs, num_points, num_queries) if kept is not None else None
+    if shapes is None:
+        shapes = [training_shape(*job, num_points, num_queries) for job in tqdm(jobs, desc="labels", unit="shape")]
+        if kept is not None:
+            _write(kept, shapes)
     held_out = [shape for (key, _), shape in zip(jobs, shapes, strict=True) if is_held_out(key)]
     return [shape for (key, _), shape in zip(jobs, shapes, strict=True) if not is_held_out(key)], held_out
+
+
+def _placed(key: str, copy: int) -> tuple[Shape, np.random.Generator]:
+    """An asset at the aspect and tilt of a copy, and the stream that goes on from there."""
+    found = asset(key)
+    rng = np.random.default_rng([zlib.crc32(key.encode()), copy])
+    scale, tilt = (1.0, 1.0, 1.0), found.design.tilts[0]
+    if copy:
+        x, y, z = np.exp(rng.uniform(-_ASPECT_SPREAD, _ASPECT_SPREAD, 3)).tolist()
+        scale, tilts = (x, y, z), (*found.design.tilts, UPRIGHT, LAID, ON_EDGE)
+        tilt = tilts[int(rng.integers(len(tilts)))]
+    return Shape.from_mesh(found.mesh, scale, tilt), rng
+
+
+def _write(path: Path, shapes: Sequence[TrainingShape]) -> None:
+    aside = path.with_name(f"{path.name}.tmp")
+    with aside.open("wb") as stream:
+        np.savez(
+            stream,
+            meshes=np.array([_digest(s.mesh) for s in shapes]),
+            points=np.stack([s.cloud.points for s in shapes]),
+            normals=np.stack([s.cloud.normals for s in shapes]),
+            queries=np.stack([s.queries for s in shapes]),
+            distances=np.stack([s.distances for s in shapes]),
+        )
+    aside.replace(path)
+
+
+def _read(path: Path, jobs: Sequence[tuple[str, int]], num_points: int, num_queries: int) -> Sequence[TrainingShape] | None:
+    """The shapes that a file keeps, or None where they are others: a mesh or a number has changed."""
+    if not path.is_file():
+        return None
+    with np.load(path, allow_pickle=False) as file:
+        of = dict(file)
+    if of["points"].shape[:2] != (len(jobs), num_points) or of["distances"].shape[1] != num_queries:
+        return None
+    shapes = []
+    for k, (key, copy) in enumerate(tqdm(jobs, desc="labels", unit="shape")):
+        shape, _ = _placed(key, copy)
+        mesh = Mesh(shape.vertices, shape.faces)
+        if _digest(mesh) != of["meshes"][k]:
+            return None
+        cloud = Cloud(of["points"][k], of["normals"][k], shape.size.astype(np.float32))
+        shapes.append(TrainingShape(f"{key}#{copy}", cloud, shape.footprint, mesh, of["queries"][k], of["distances"][k]))
+    return shapes
+
+
+def _digest(mesh: Mesh) -> str:
+    return hashlib.sha256(mesh.vertices.tobytes() + mesh.faces.tobytes()).hexdigest()
 
 
 def is_held_out(key: str) -> bool:

@@ -37,7 +37,8 @@ class Features:
 class PointEncoder(nn.Module):
     """Point Transformer V3, mean-pooled over the voxels of each cloud.
 
-    Where the network gives more or less than 64 channels, `fit_projection` must be called once, on the assets it will serve.
+    Where the network gives more or less than 64 channels, `fit_projection` must be called once, on the assets it will serve, unless
+    its weights came with a projection that was learned with them.
 
     Args:
         config: The network.
@@ -123,7 +124,17 @@ class PointEncoder(nn.Module):
         # The sign of a direction is the solver's choice: its largest part is made positive.
         kept = directions[:FEATURE_CHANNELS]
         kept = kept * kept.gather(1, kept.abs().argmax(1, keepdim=True)).sign()
-        self.mean, self.basis = mean.float().to(self.device), (kept / deviation).float().to(self.device)
+        self.set_projection(mean.float(), (kept / deviation).float())
+
+    def set_projection(self, mean: Tensor, basis: Tensor) -> None:
+        """Sets what turns the network's C channels into 64: ``basis @ (channels - mean)``.
+
+        Args:
+            mean: (C,) float32.
+            basis: (64, C) float32.
+        """
+        assert self.needs_projection
+        self.mean, self.basis = mean.clone().to(self.device), basis.clone().to(self.device)
 
     def fingerprint(self) -> str:
         """Names the encoder: a hash of weights, configuration and preprocessing, 32 hexadecimal digits."""

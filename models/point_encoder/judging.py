@@ -10,8 +10,6 @@ from models.point_encoder.corpus import TrainingShape
 from models.point_encoder.heads import Pretraining
 from models.point_encoder.questions import CLEARANCE_LIMIT, DISTANCE_LIMIT, questions
 
-_BOX_TICKS = 9  # along each edge of a box
-
 
 @torch.no_grad()
 def evaluate(model: Pretraining, shapes: Sequence[TrainingShape], batch_size: int = 16, seed: int = 1) -> dict[str, float]:
@@ -42,7 +40,7 @@ def evaluate(model: Pretraining, shapes: Sequence[TrainingShape], batch_size: in
             "truth": x.clearances * x.units,
             "head": clearances.clamp(-1, 1) * x.units,
             "box_head": of_boxes.clamp(-1, 1) * x.units,
-            "box": (box_clearance(x.boxes.exp(), x.poses) / CLEARANCE_LIMIT).clamp(-1, 1) * x.units,
+            "box": x.box_clearances * x.units,
         }
         for name, value in answers.items():
             found.setdefault(name, []).append(value)
@@ -62,36 +60,8 @@ def evaluate(model: Pretraining, shapes: Sequence[TrainingShape], batch_size: in
     return result
 
 
-def box_clearance(boxes: Tensor, poses: Tensor) -> Tensor:
-    """Smallest signed distance between samples of either of two upright boxes and the other, (R,), as pairs are labelled.
-
-    Args:
-        boxes: Sides of both, (R, 6).
-        poses: Of the second in the frame of the first: offset, cosine and sine of its yaw, (R, 5).
-    """
-    ticks = torch.linspace(-1, 1, _BOX_TICKS, device=boxes.device)
-    grid = torch.cartesian_prod(ticks, ticks, ticks)
-    surface = grid[grid.abs().amax(1) == 1]  # (P, 3)
-    first, second = (boxes[:, None, k : k + 3] / 2 for k in (0, 3))
-    offset, (c, s) = poses[:, None, :3], (poses[:, 3, None], poses[:, 4, None])
-    theirs, ours = second * surface, first * surface - offset
-    to_first = _box_distance(_turned(theirs, c, s) + offset, first)
-    to_second = _box_distance(_turned(ours, c, -s), second)
-    return torch.minimum(to_first.amin(1), to_second.amin(1))
-
-
 def effective_rank(codes: Tensor) -> float:
     """How many dimensions codes (B, C) use: the exponential of the entropy of their covariance's spectrum (Roy and Vetterli)."""
     variance = torch.linalg.svdvals((codes - codes.mean(0)).double()).square()
     share = variance / variance.sum()
     return float(torch.exp(-(share * share.clamp(min=1e-30).log()).sum()))
-
-
-def _turned(points: Tensor, c: Tensor, s: Tensor) -> Tensor:
-    x, y, z = points.unbind(-1)
-    return torch.stack([c * x - s * y, s * x + c * y, z], dim=-1)
-
-
-def _box_distance(points: Tensor, half: Tensor) -> Tensor:
-    beyond = points.abs() - half
-    return beyond.clamp(min=0).square().sum(-1).sqrt() + beyond.amax(-1).clamp(max=0)

@@ -28,8 +28,9 @@ from models.point_encoder.questions import Questions, questions
 from models.point_encoder.transformer import BASE, EMBEDDED
 from stable_data.errors import ConfigError
 
-STATE, ENCODER, REPORT = "state.pt", "encoder.safetensors", "report.json"
-CONFIGS = {"base": replace(BASE, legacy_stale_cpe=False), "embedded": EMBEDDED}
+STATE, LABELS, ENCODER, REPORT = "state.pt", "labels.npz", "encoder.safetensors", "report.json"
+CONFIGS = {"base": replace(BASE, enc_mode=True), "embedded": EMBEDDED}
+"""Networks without a decoder: what they give, a projection that is learned with them turns into 64 channels."""
 
 _SAVE_EVERY = 60.0  # seconds
 _WARM_UP = 0.05  # of the steps
@@ -52,20 +53,22 @@ class PretrainSettings:
         learning_rate: Of AdamW, after the warm-up.
         weight_decay: Of AdamW.
         pair_weight: Of the clearance loss against the distance loss.
+        spread_weight: Of what keeps codes from using few dimensions.
     """
 
     config: str = "embedded"
     steps: int = 0
     seed: int = 0
-    batch_size: int = 16
+    batch_size: int = 32
     pairs_a_shape: int = 4
     queries_a_shape: int = 192
     num_categories: int | None = None
     num_copies: int = 2
     num_queries: int = 2048
-    learning_rate: float = 1e-3
+    learning_rate: float = 2e-3
     weight_decay: float = 1e-2
     pair_weight: float = 1.0
+    spread_weight: float = 0.4
 
     def __post_init__(self) -> None:
         """Refuses what cannot run."""
@@ -100,7 +103,9 @@ def pretrain(
     model = Pretraining(CONFIGS[settings.config], preprocessing).to("cuda" if torch.cuda.is_available() else "cpu")
     optimiser = torch.optim.AdamW(model.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
     step, losses, settings = _resumed(out / STATE, settings, model, optimiser)
-    shapes, held_out = corpus(settings.num_categories, settings.num_copies, preprocessing.num_points, settings.num_queries)
+    shapes, held_out = corpus(
+        settings.num_categories, settings.num_copies, preprocessing.num_points, settings.num_queries, out / LABELS
+    )
     if not settings.steps:
         if minutes is None:
             raise ConfigError("pretrain: neither steps nor minutes given, expected one of them", "pretrain_settings")
@@ -128,6 +133,7 @@ def pretrain(
         **(evaluate(model, held_out) if held_out else {}),
     }
     if last == settings.steps:
+        model.hand_over()
         save(model.encoder, out / ENCODER)
         report["fingerprint"] = model.encoder.fingerprint()
     (out / REPORT).write_text(json.dumps(report, indent=1) + "\n", "utf-8")
@@ -140,7 +146,7 @@ def _step(
     """Learns from one batch; the parts of its loss."""
     for group in optimiser.param_groups:
         group["lr"] = settings.learning_rate * _schedule(step, settings.steps)
-    total, parts = model.loss(asked.to(model.encoder.device), settings.pair_weight)
+    total, parts = model.loss(asked.to(model.encoder.device), settings.pair_weight, settings.spread_weight)
     optimiser.zero_grad()
     total.backward()  # type: ignore[no-untyped-call]
     nn.utils.clip_grad_norm_(model.parameters(), 1.0)
@@ -165,7 +171,9 @@ def _seconds_a_step(model: Pretraining, shapes: Sequence[TrainingShape], setting
     model.eval()  # batch norms keep no memory of it either
     for k in range(3):
         began = time.monotonic()
-        model.loss(_drawn(shapes, settings, k).to(model.encoder.device), settings.pair_weight)[0].backward()  # type: ignore[no-untyped-call]
+        model.loss(_drawn(shapes, settings, k).to(model.encoder.device), settings.pair_weight, settings.spread_weight)[
+            0
+        ].backward()  # type: ignore[no-untyped-call]
         taken.append(time.monotonic() - began)
     model.train()
     return sum(taken) / len(taken)

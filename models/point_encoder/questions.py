@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from models.point_encoder.boxes import box_clearance
 from models.point_encoder.corpus import Pair, Posed, TrainingShape
 
 DISTANCE_LIMIT = 0.25
@@ -31,6 +32,7 @@ class Questions:
         boxes: Logarithm of both boxes in the pair's unit, (R, 6).
         poses: Of the second in the frame of the first, (R, 5).
         clearances: In units of ``CLEARANCE_LIMIT``, within [-1, 1], (R,).
+        box_clearances: The same of their boxes, (R,).
         units: Metres in a pair's unit, (R,).
     """
 
@@ -43,6 +45,7 @@ class Questions:
     boxes: Tensor
     poses: Tensor
     clearances: Tensor
+    box_clearances: Tensor
     units: Tensor
 
     def to(self, device: torch.device | str) -> "Questions":
@@ -68,6 +71,8 @@ def questions(shapes: Sequence[TrainingShape], num_queries: int, pairs_a_shape: 
     offsets = np.stack([pair.offset for pair in pairs]) / units[:, None]
     yaws = np.array([pair.yaw for pair in pairs])
     clearances = np.array([pair.clearance for pair in pairs]) / units / CLEARANCE_LIMIT
+    boxes = _tensor(_log(np.concatenate([sizes[first], sizes[second]], axis=1) / units[:, None]))
+    poses = _tensor(np.concatenate([offsets, np.cos(yaws)[:, None], np.sin(yaws)[:, None]], axis=1))
     return Questions(
         posed,
         proportions=_tensor(_log(sizes / half[:, None])),
@@ -75,9 +80,10 @@ def questions(shapes: Sequence[TrainingShape], num_queries: int, pairs_a_shape: 
         distances=_tensor(np.clip(np.stack(distances) / DISTANCE_LIMIT, -1, 1)),
         first=torch.from_numpy(first),
         second=torch.from_numpy(second),
-        boxes=_tensor(_log(np.concatenate([sizes[first], sizes[second]], axis=1) / units[:, None])),
-        poses=_tensor(np.concatenate([offsets, np.cos(yaws)[:, None], np.sin(yaws)[:, None]], axis=1)),
+        boxes=boxes,
+        poses=poses,
         clearances=_tensor(np.clip(clearances, -1, 1)),
+        box_clearances=(box_clearance(boxes.exp(), poses) / CLEARANCE_LIMIT).clamp(-1, 1),
         units=_tensor(units),
     )
 

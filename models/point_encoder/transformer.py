@@ -82,15 +82,16 @@ BASE = TransformerConfig(legacy_stale_cpe=True)
 
 EMBEDDED = TransformerConfig(
     norm="ln",
+    enc_mode=True,
     patch_size=256,
     enc_depths=(1, 1, 2),
     enc_channels=(32, 64, 128),
     enc_heads=(2, 4, 8),
-    dec_depths=(1, 1),
-    dec_channels=(64, 64),
-    dec_heads=(4, 4),
+    dec_depths=(),
+    dec_channels=(),
+    dec_heads=(),
 )
-"""Small enough for a CPU. Layer norms alone, so that training too sees every cloud by itself."""
+"""Small enough for a CPU: one code a cloud needs no decoder. Layer norms alone, so that training too sees every cloud by itself."""
 
 
 class PointTransformer(nn.Module):

@@ -9,7 +9,9 @@ from pathlib import Path
 from pipelines.plan import PreprocessSettings
 
 ROOT = Path(__file__).resolve().parents[2]
-SMALL = PreprocessSettings(scenes_per_shard=2, assets_per_shard=4, num_points=64, num_pictures=0, all_assets=False)
+SMALL = PreprocessSettings(
+    scenes_per_shard=2, assets_per_shard=4, num_points=64, num_pictures=0, all_assets=False, features="none"
+)
 
 
 def content(out: Path) -> dict[str, bytes]:
@@ -20,7 +22,17 @@ def content(out: Path) -> dict[str, bytes]:
 def command_of(dataset: Path, out: Path, *more: str) -> list[str]:
     settings = [f"--set={k}={json.dumps(v)}" for k, v in SMALL.shaping().items()]
     where = ["--data", str(dataset), "--out", str(out)]
-    return [sys.executable, "-m", "pipelines", "preprocess", *where, "--set=num_pictures=0", *settings, *more]
+    return [
+        sys.executable,
+        "-m",
+        "pipelines",
+        "preprocess",
+        *where,
+        "--set=num_pictures=0",
+        f"--set=features={SMALL.features}",
+        *settings,
+        *more,
+    ]
 
 
 def run_cli(dataset: Path, out: Path, *more: str, cwd: Path = ROOT, **environment: str) -> subprocess.CompletedProcess[str]:

@@ -6,10 +6,13 @@ import pytest
 import torch
 
 from models.point_encoder import checkpoint
-from models.point_encoder.cloud import Cloud
+from models.point_encoder.boxes import box_clearance
+from models.point_encoder.cloud import Cloud, Preprocessing
 from models.point_encoder.corpus import Pair, Posed, TrainingShape, corpus, training_shape
-from models.point_encoder.judging import box_clearance, effective_rank
+from models.point_encoder.heads import ClearanceHead, Pretraining, spread_loss
+from models.point_encoder.judging import effective_rank
 from models.point_encoder.pretrain import CONFIGS, ENCODER, STATE, PretrainSettings, pretrain
+from models.point_encoder.questions import questions
 from stable_data.errors import ConfigError
 from stable_data.mesh import Mesh
 from stable_data.shape import Shape
@@ -19,7 +22,7 @@ from tests.models.point_encoder.clouds import TINY
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> PretrainSettings:
-    monkeypatch.setitem(CONFIGS, "tiny", TINY)
+    monkeypatch.setitem(CONFIGS, "tiny", replace(TINY, enc_mode=True))
     return PretrainSettings(
         config="tiny",
         steps=6,
@@ -123,3 +126,69 @@ def test_minutes_are_turned_into_steps(tmp_path: Path, small: PretrainSettings) 
     assert report["settings"]["steps"] == report["steps"] >= 1
     with pytest.raises(ConfigError, match="neither steps nor minutes"):
         pretrain(tmp_path / "other", replace(small, steps=0))
+
+
+def test_the_smallest_distance_is_the_same_when_few_points_are_asked(rng: np.random.Generator) -> None:
+    first, second = (Posed.drawn(training_shape(key, 0, 512, 64), rng) for key in (KEYS[0], KEYS[-1]))
+    points = second.cloud.points.astype(np.float64)
+    for shift in ((0.0, 0.0, 0.0), (0.03, 0.0, 0.0), (0.1, 0.05, 0.0), (0.0, 0.0, 2.0)):
+        assert first.lowest(points + shift) == pytest.approx(float(first.distances(points + shift).min()), abs=1e-12)
+    assert first.lowest(points, known=-1.0) == -1.0
+
+
+def test_labels_are_kept_and_made_anew_where_they_are_of_others(tmp_path: Path) -> None:
+    made = corpus(1, 1, 32, 16, tmp_path / "labels.npz")
+    written = (tmp_path / "labels.npz").stat().st_mtime_ns
+    read = corpus(1, 1, 32, 16, tmp_path / "labels.npz")
+    assert (tmp_path / "labels.npz").stat().st_mtime_ns == written
+    for shapes, again in zip(made, read, strict=True):
+        for shape, other in zip(shapes, again, strict=True):
+            assert shape.key == other.key
+            for a, b in ((shape.cloud.points, other.cloud.points), (shape.distances, other.distances)):
+                assert a.tobytes() == b.tobytes()
+            assert np.array_equal(shape.cloud.size, other.cloud.size)
+    assert len(corpus(1, 1, 32, 12, tmp_path / "labels.npz")[0][0].distances) == 12
+    assert (tmp_path / "labels.npz").stat().st_mtime_ns != written
+
+
+def test_the_spread_loss_is_for_unit_deviation_and_no_correlation() -> None:
+    torch.manual_seed(0)
+    even = torch.linalg.qr(torch.randn(200, 64))[0]
+    even = torch.linalg.qr(even - even.mean(0))[0] * 199**0.5  # uncorrelated, of unit deviation
+    assert float(spread_loss(even)) == pytest.approx(0, abs=1e-3)
+    assert float(spread_loss(0.1 * even)) == pytest.approx(0.9, abs=0.01)  # the deviation that is missing
+    assert float(spread_loss(even[:, :1].expand(-1, 64))) == pytest.approx(63, abs=0.1)  # every pair of channels is alike
+
+
+def test_the_encoder_that_is_left_gives_the_codes_that_were_asked() -> None:
+    model = Pretraining(replace(TINY, enc_mode=True), Preprocessing(num_points=128, grid_size=1 / 4))
+    shapes = [training_shape(key, 0, 128, 64) for key in KEYS[:6]]
+    x = questions(shapes, 16, 2, np.random.default_rng(0))
+    for _ in range(3):
+        model(x)  # levels learn what is usual
+    model.eval()
+    model.hand_over()
+    codes = model.encoder.encode([p.cloud for p in x.posed]).codes
+    assert np.allclose(codes, model(x)[0].detach().numpy(), atol=1e-4)
+    assert np.abs(codes).max() > 0.1
+
+
+def test_a_pair_has_one_clearance_whichever_is_first() -> None:
+    shapes = [training_shape(key, 0, 128, 64) for key in KEYS[:6]]
+    x = questions(shapes, 16, 2, np.random.default_rng(0))
+    head, codes = ClearanceHead(with_codes=True), torch.randn(6, 64)
+    c, s = x.poses[:, 3], x.poses[:, 4]
+    back = torch.stack(
+        [
+            -(c * x.poses[:, 0] + s * x.poses[:, 1]),
+            s * x.poses[:, 0] - c * x.poses[:, 1],
+            -x.poses[:, 2],
+            c,
+            -s,
+        ],
+        dim=1,
+    )
+    swapped = replace(x, boxes=x.boxes.roll(3, dims=1), poses=back)
+    there, here = head(codes[x.first], codes[x.second], x), head(codes[x.second], codes[x.first], swapped)
+    assert torch.allclose(there, here, atol=1e-5)
+    assert there.std() > 0

@@ -1,0 +1,34 @@
+"""Clearance of the boxes of two objects: what is known of it without their shapes."""
+
+import torch
+from torch import Tensor
+
+_TICKS = 9  # along each edge of a box
+
+
+def box_clearance(boxes: Tensor, poses: Tensor) -> Tensor:
+    """Smallest signed distance between samples of either of two upright boxes and the other, (R,), as pairs are labelled.
+
+    Args:
+        boxes: Sides of both, (R, 6).
+        poses: Of the second in the frame of the first: offset, cosine and sine of its yaw, (R, 5).
+    """
+    ticks = torch.linspace(-1, 1, _TICKS, device=boxes.device)
+    grid = torch.cartesian_prod(ticks, ticks, ticks)
+    surface = grid[grid.abs().amax(1) == 1]  # (P, 3)
+    first, second = (boxes[:, None, k : k + 3] / 2 for k in (0, 3))
+    offset, (c, s) = poses[:, None, :3], (poses[:, 3, None], poses[:, 4, None])
+    theirs, ours = second * surface, first * surface - offset
+    to_first = _box_distance(_turned(theirs, c, s) + offset, first)
+    to_second = _box_distance(_turned(ours, c, -s), second)
+    return torch.minimum(to_first.amin(1), to_second.amin(1))
+
+
+def _turned(points: Tensor, c: Tensor, s: Tensor) -> Tensor:
+    x, y, z = points.unbind(-1)
+    return torch.stack([c * x - s * y, s * x + c * y, z], dim=-1)
+
+
+def _box_distance(points: Tensor, half: Tensor) -> Tensor:
+    beyond = points.abs() - half
+    return beyond.clamp(min=0).square().sum(-1).sqrt() + beyond.amax(-1).clamp(max=0)
