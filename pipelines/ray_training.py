@@ -5,7 +5,8 @@ training goes on with another number of processes than it was begun with.
 """
 
 import os
-from typing import Any
+from pathlib import Path
+from typing import Any, Protocol
 
 import ray
 import torch
@@ -14,11 +15,23 @@ from ray.train.torch import TorchTrainer, get_device
 
 from models.physics_corrector.training import Place
 from pipelines.runner import Workers, connect
-from pipelines.train_corrector import TrainCorrector
 from stable_data.errors import ConfigError, StableDataError
 
 
-def run_on_ray(job: TrainCorrector, workers: int, address: str | None) -> None:
+class Job(Protocol):
+    """A training that several processes can share."""
+
+    @property
+    def out(self) -> Path:
+        """Its folder, which every process sees."""
+        ...
+
+    def work(self, place: Place) -> None:
+        """The part of one process."""
+        ...
+
+
+def run_on_ray(job: Job, workers: int, address: str | None) -> None:
     """Trains in the processes of Ray Train.
 
     Args:
@@ -63,7 +76,7 @@ def _cause(error: BaseException) -> StableDataError:
 
 def _work(config: dict[str, Any]) -> None:
     """One process's part."""
-    job: TrainCorrector = config["job"]
+    job: Job = config["job"]
     context = get_context()
     if os.environ.get("OMP_NUM_THREADS") is None:
         torch.set_num_threads(config["threads"])

@@ -113,9 +113,9 @@ class TrainCorrector:
             _check_same(folder, manifest)
             folder.write_bytes("manifest.json", _json(manifest))
             if workers:
-                from pipelines.ray_training import run_on_ray
+                from pipelines.ray_training import run_on_ray  # Ray Train takes seconds to import
 
-                del data
+                del data  # each process reads its own
                 run_on_ray(job, workers, address)
             else:
                 job.work(Place(_device()), data)
