@@ -114,7 +114,8 @@ def train_corrector(
     data: Annotated[str, typer.Option(help="Folder of a preprocess run; every node of a cluster must see it under this path.")],
     out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint, logs and card; likewise.")],
     preset: Annotated[
-        str, typer.Option(help="paper, paper_set, embedded or embedded_set: network and training; the file and --set change it.")
+        str,
+        typer.Option(help="paper, paper_set, embedded or embedded_set: network and training; the file and --set change it."),
     ] = "embedded_set",
     config: Annotated[Path | None, typer.Option(help="TOML file; its table [train_corrector] is read.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,

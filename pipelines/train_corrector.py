@@ -147,9 +147,7 @@ class _Watcher:
         self._sums: dict[str, float] = {}
         self._stopped = threading.Event()
         self._log = _event_log(job.out / "logs", training.step) if self._is_first else None
-        self._bar = tqdm(
-            total=job.settings.steps, initial=training.step, desc="train", unit="step", disable=not self._is_first
-        )
+        self._bar = tqdm(total=job.settings.steps, initial=training.step, desc="train", unit="step", disable=not self._is_first)
 
     def __enter__(self) -> "_Watcher":
         self._restored = _on_signals(self._stopped)
@@ -298,7 +296,9 @@ def _finish(folder: RunFolder, manifest: dict[str, Any]) -> str:
     is_done = step >= steps
     folder.write_bytes("manifest.json", _json(manifest | {"status": "complete" if is_done else "stopped", "steps_done": step}))
     left_out = {k.removeprefix("left_out_"): v for k, v in manifest["targets"].items() if k.startswith("left_out_") and v}
-    without = f", {sum(left_out.values())} scenes left out ({', '.join(f'{k} {v}' for k, v in left_out.items())})" if left_out else ""
+    without = (
+        f", {sum(left_out.values())} scenes left out ({', '.join(f'{k} {v}' for k, v in left_out.items())})" if left_out else ""
+    )
     rest = "; card.json" if is_done else "; run again to go on"
     return f"{folder.uri}: {step} of {steps} steps on {manifest['num_train']} scenes{without}; {WEIGHTS}{rest}"
 

@@ -43,7 +43,9 @@ class TableAssets:
 def _placed(files: Path, sha256: str, glb: pa.Scalar) -> Path:
     """The file of a mesh, written in one step where it is not there yet."""
     if not (len(sha256) == 64 and sha256.isalnum()):
-        raise ConfigError(f"meshes: sha256 is {sha256!r}, expected 64 hex digits; preprocess the dataset again", "table_invalid")
+        raise ConfigError(
+            f"meshes: sha256 is {sha256!r}, expected 64 hex digits; preprocess the dataset again", "table_invalid"
+        )
     path = files / f"{sha256}.glb"
     if not path.exists():
         aside = files / f".{sha256}.{os.getpid()}"

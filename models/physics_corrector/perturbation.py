@@ -74,7 +74,9 @@ class PerturbationSettings:
         wrong = [f.name for f in fields(self) if not 0 <= getattr(self, f.name) < math.inf]
         wrong += [name for name in ("picked", "together") if getattr(self, name) > 1]
         if wrong or sum(self.shares()) <= 0:
-            raise ConfigError(f"perturbation: {wrong or 'all shares'} cannot be, expected shares and lengths ≥ 0", "config_invalid")
+            raise ConfigError(
+                f"perturbation: {wrong or 'all shares'} cannot be, expected shares and lengths ≥ 0", "config_invalid"
+            )
 
     def shares(self) -> list[float]:
         """Weights of KINDS, in their order."""

@@ -240,7 +240,8 @@ class Training:
             was = flattened(json.loads(state["settings"])) | {"data": state["data"], "encoder": state["encoder"]}
         except Exception as error:  # noqa: BLE001 - a file from outside: torch raises whatever its bytes lead to
             raise ConfigError(
-                f"{path}: cannot be read as a checkpoint ({type(error).__name__}); remove it to start anew", "checkpoint_invalid"
+                f"{path}: cannot be read as a checkpoint ({type(error).__name__}); remove it to start anew",
+                "checkpoint_invalid",
             ) from error
         now = json.loads(json.dumps(self.settings.flat())) | {"data": self._data.fingerprint, "encoder": self._data.encoder}
         changed = [f"{k}: {was.get(k)} -> {now.get(k)}" for k in sorted(was.keys() | now.keys()) if was.get(k) != now.get(k)]

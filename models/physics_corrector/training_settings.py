@@ -162,5 +162,3 @@ def training_preset(name: str) -> TrainingSettings:
         warm_up=200,
         cool_down=0.4,
     )
-
-

@@ -102,9 +102,7 @@ def _row(
     condition = Condition.of(replace(batch, poses=coarse))
     start = generator if flow.settings.source == "gaussian" else None
     raw = flow.sample(velocity, condition, generator=start)
-    figures = {
-        name: grid_figures(poses, coarse, batch, data.geometry) for name, poses in (("coarse", coarse), ("raw", raw))
-    }
+    figures = {name: grid_figures(poses, coarse, batch, data.geometry) for name, poses in (("coarse", coarse), ("raw", raw))}
     for name, poses in (("coarse", coarse), ("raw", raw)):
         figures[name] |= _exact(held_out.scenes, shapes, poses.cpu().numpy(), coarse.cpu().numpy())
     return figures
@@ -156,9 +154,7 @@ def _mean(values: Tensor, mask: Tensor) -> float:
     return float(of_scene.mean())
 
 
-def _exact(
-    scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], poses: FloatArray, coarse: FloatArray
-) -> Figures:
+def _exact(scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], poses: FloatArray, coarse: FloatArray) -> Figures:
     """The figures of the exact audit and the scene graph, mean over scenes; none where there are no scenes."""
     found: dict[str, list[float | None]] = {}
     for n, (scene, of_scene) in enumerate(zip(scenes, shapes, strict=True)):
@@ -195,8 +191,7 @@ def _judged(
     cup that hangs 4 mm over its saucer lost.
     """
     footprints = {
-        o.instance: shape.posed_footprint(pose)
-        for o, shape, pose in zip(scene.objects, shapes, scene.poses(), strict=True)
+        o.instance: shape.posed_footprint(pose) for o, shape, pose in zip(scene.objects, shapes, scene.poses(), strict=True)
     }
     relations = frozenset(relations_of(scene_graph(scene, {}, footprints)))
     if not is_card_wanted:
@@ -204,7 +199,15 @@ def _judged(
     card = audit_posed(PosedScene(scene, shapes)).card()
     figures: dict[str, float | None] = {
         name: getattr(card, name)
-        for name in ("oc", "oc_1mm", "oc_10mm", "max_penetration_mm", "table_penetration_mm", "float_rate", "out_of_bounds_rate")
+        for name in (
+            "oc",
+            "oc_1mm",
+            "oc_10mm",
+            "max_penetration_mm",
+            "table_penetration_mm",
+            "float_rate",
+            "out_of_bounds_rate",
+        )
     }
     figures["max_gap_mm"] = card.max_gap_mm
     figures["clean"] = None if card.clean is None else float(card.clean)

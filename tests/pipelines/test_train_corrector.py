@@ -88,6 +88,7 @@ def test_stopped_and_run_again_it_gives_the_bytes_of_one_run(clean_run: Path, ou
     assert (out / WEIGHTS).read_bytes() == before
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:ray.*")  # of Ray about itself
 @pytest.mark.parametrize("workers", [1, 2])
@@ -101,6 +102,7 @@ def test_ray_gives_what_this_process_gives(clean_run: Path, out: Path, tmp_path:
     assert all(here[name].allclose(value, atol=1e-3) for name, value in there.items())
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:ray.*")  # of Ray about itself
 def test_what_a_process_of_ray_says_is_said(clean_run: Path, out: Path) -> None:
