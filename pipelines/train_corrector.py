@@ -229,7 +229,7 @@ def _event_log(folder: Path, step: int) -> Any:
     """A writer of TensorBoard's files; what an earlier process logged of later steps is hidden."""
     from torch.utils.tensorboard import SummaryWriter
 
-    return SummaryWriter(str(folder), purge_step=step + 1, flush_secs=20)  # type: ignore[no-untyped-call]
+    return SummaryWriter(str(folder), purge_step=step + 1, flush_secs=20)
 
 
 def _on_signals(stopped: threading.Event) -> dict[int, Any]:

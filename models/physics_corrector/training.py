@@ -9,7 +9,7 @@ one call, which the network's double pass under self-conditioning and the chunks
 import json
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,7 @@ class Place:
         world_size: How many they are; more than one need a ``torch.distributed`` process group.
     """
 
-    device: torch.device = torch.device("cpu")
+    device: torch.device = field(default_factory=lambda: torch.device("cpu"))
     rank: int = 0
     world_size: int = 1
 
@@ -104,7 +104,7 @@ class Training:
         batch = cut(self._data.batch.take(scenes), self._data.stage[scenes], self.settings.prefixes, generator)
         order = torch.argsort(batch.mask.sum(1), stable=True)
         total = batch.is_movable.sum().clamp_min(1)
-        for number, chunk in enumerate(order.split(self.settings.chunk)):
+        for number, chunk in enumerate(torch.split(order, self.settings.chunk)):
             if number % self.place.world_size == self.place.rank:
                 part = compact(batch.take(chunk))
                 yield part, float(part.is_movable.sum() / total), self._generator(1 + number)
@@ -191,7 +191,7 @@ class Training:
         gradients = [p.grad for p in self.network.parameters() if p.grad is not None]
         flat = torch.cat([*(g.flatten() for g in gradients), figures])
         torch.distributed.all_reduce(flat)
-        *parts, summed = flat.split([*(g.numel() for g in gradients), len(figures)])
+        *parts, summed = torch.split(flat, [*(g.numel() for g in gradients), len(figures)])
         for gradient, part in zip(gradients, parts, strict=True):
             gradient.copy_(part.view_as(gradient))
         figures.copy_(summed)
@@ -238,7 +238,7 @@ class Training:
         try:
             state = torch.load(path, map_location=self.place.device, weights_only=True)
             was = flattened(json.loads(state["settings"])) | {"data": state["data"], "encoder": state["encoder"]}
-        except Exception as error:  # noqa: BLE001 - a file from outside: torch raises whatever its bytes lead to
+        except Exception as error:
             raise ConfigError(
                 f"{path}: cannot be read as a checkpoint ({type(error).__name__}); remove it to start anew",
                 "checkpoint_invalid",

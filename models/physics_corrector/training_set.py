@@ -132,7 +132,8 @@ class RunScenes:
     def scenes(self, scene_ids: Sequence[str]) -> list[Scene]:
         """Scenes of the run by id, in that order."""
         table = TableFiles(self.uri, "scenes", list(SCENE_LEAVES))
-        wanted, found = set(scene_ids), {}
+        wanted = set(scene_ids)
+        found: dict[str, Scene] = {}
         for group in range(len(table.groups)):
             rows = table.read([group])
             chosen = rows.filter(pc.is_in(rows["scene_id"], value_set=_texts(wanted)))
@@ -203,7 +204,8 @@ def shape_keys(scenes: Sequence[Scene], batch: SceneBatch) -> list[ShapeKey]:
     keys: dict[int, ShapeKey] = {}
     for scene, indices in zip(scenes, batch.shape_index.tolist(), strict=True):
         for o, index in zip(scene.objects, indices, strict=False):
-            assert o.asset_id is not None and o.scale is not None  # a clean scene has the mesh of every object
+            assert o.asset_id is not None  # a clean scene has the mesh of every object
+            assert o.scale is not None
             keys.setdefault(index, ShapeKey(o.asset_id, o.scale, o.tilt_quat_xyzw))
     return [keys[index] for index in range(len(keys))]
 
@@ -262,7 +264,7 @@ def _write(path: Path, made: TrainingSet, keys: Sequence[ShapeKey]) -> None:
     tensors |= {f"geometry.{name}": getattr(made.geometry, name) for name in Geometry.__slots__ if name != "atlas"}
     tensors |= {f"atlas.{name}": getattr(made.geometry.atlas, name) for name in SdfAtlas.__slots__}
     tensors |= {"stage": made.stage, "split": made.split}
-    about = {"scene_ids": made.scene_ids, "counts": dict(made.counts), "fingerprint": made.fingerprint}
+    about: dict[str, Any] = {"scene_ids": made.scene_ids, "counts": dict(made.counts), "fingerprint": made.fingerprint}
     about["keys"] = [(key.asset_id, key.scale, key.tilt_quat_xyzw) for key in keys]
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f".{path.name}")

@@ -104,7 +104,7 @@ def test_a_preset_that_is_not_known_is_refused() -> None:
 
 def test_the_same_weights_give_the_same_bytes(tmp_path: Path) -> None:
     """What the file says of itself too, whatever the order that the library would write it in."""
-    settings = CorrectorSettings(small_settings("unet1d"))
+    settings = small_settings()
     network, _ = settings.build()
     notes = {f"note {n}": "§" * n for n in range(9)}
     for n in range(4):

@@ -18,7 +18,7 @@ def last(stage: int) -> torch.Tensor:
 @pytest.mark.parametrize("stage", [0, 1, 2])
 def test_a_prefix_holds_its_stages_and_the_earlier_ones(stage: int) -> None:
     part = prefix(WHOLE, DATA.stage, last(stage), NONE)
-    assert torch.equal(part.mask[:, :5], (STAGES <= stage).expand(len(WHOLE), 5))
+    assert torch.equal(part.mask[:, :5], STAGES.le(stage).expand(len(WHOLE), 5))
     assert not part.is_fixed.any()
     assert not part.mask[:, 5].any()
 

@@ -103,6 +103,7 @@ def test_physics_counts_from_its_start_and_grows() -> None:
     assert all(f["total"] == pytest.approx(f["flow"] + f["physics"], rel=1e-4) for f in figures)
 
 
+@pytest.mark.slow
 def test_a_share_of_the_scenes_stands_for_all_of_them() -> None:
     """The estimate from a quarter of the scenes has the mean of the whole."""
 
@@ -169,4 +170,6 @@ def test_training_makes_a_corrector_that_moves_things_where_they_belong() -> Non
     assert isinstance(training.flow, Flow)
     card = validation_card(training.averaged(), training.flow, held_out, settings.perturbation, 0, ("jitter",))["jitter"]
     before, after = card["coarse"]["target_distance_mm"], card["raw"]["target_distance_mm"]
-    assert before is not None and after is not None and after < 0.7 * before
+    assert before is not None
+    assert after is not None
+    assert after < 0.7 * before
