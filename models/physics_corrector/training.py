@@ -8,6 +8,7 @@ one call, which the network's double pass under self-conditioning and the chunks
 
 import json
 import os
+import pickle
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -29,6 +30,9 @@ from stable_data.errors import ConfigError
 
 LOGGED = ("flow", "physics", "object_object", "object_table", "support", "unrolled", "total")
 """The figures of a step: the terms of the loss as they count, those of physics also per scene and unweighted."""
+
+# What torch.load raises on bytes that are no checkpoint, and what a checkpoint of something else lacks.
+_UNREADABLE = (OSError, EOFError, RuntimeError, ValueError, KeyError, TypeError, pickle.UnpicklingError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,7 +242,7 @@ class Training:
         try:
             state = torch.load(path, map_location=self.place.device, weights_only=True)
             was = flattened(json.loads(state["settings"])) | {"data": state["data"], "encoder": state["encoder"]}
-        except Exception as error:
+        except _UNREADABLE as error:
             raise ConfigError(
                 f"{path}: cannot be read as a checkpoint ({type(error).__name__}); remove it to start anew",
                 "checkpoint_invalid",
