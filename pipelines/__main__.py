@@ -108,6 +108,42 @@ def synth(
     tell_world(out, scenes, failures)
 
 
+@app.command("train-corrector")
+@with_clear_errors
+def train_corrector(
+    data: Annotated[str, typer.Option(help="Folder of a preprocess run; every node of a cluster must see it under this path.")],
+    out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint, logs and card; likewise.")],
+    preset: Annotated[
+        str,
+        typer.Option(help="paper, paper_set, embedded or embedded_set: network and training; the file and --set change it."),
+    ] = "embedded_set",
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table [train_corrector] is read.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
+    minutes: Annotated[
+        float, typer.Option(help="Stop after so long and keep the checkpoint; run again to go on. 0 is no limit.")
+    ] = 0.0,
+    workers: Annotated[
+        int, typer.Option(help="Training processes of Ray Train, one GPU each where there are any. 0 trains in this process.")
+    ] = 0,
+    address: Address = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the settings and the set, and stop.")] = False,
+) -> None:
+    """Train the Physics Corrector on the clean scenes of a run. Run again to go on where it was stopped.
+
+    Status 0: done, or stopped with its checkpoint kept. 2: could not start or go on.
+    """
+    from models.physics_corrector.training_settings import TrainingSettings, training_preset
+    from pipelines.settings import resolve
+    from pipelines.train_corrector import TrainCorrector
+
+    settings = resolve(TrainingSettings, "train_corrector", config, set_ or [], training_preset(preset))
+    job = TrainCorrector(data, out, settings, minutes=minutes)
+    if dry_run:
+        typer.echo(json.dumps(job.describe(), indent=2))
+        return
+    typer.echo(job.run(_count(workers, address) if address or workers else 0, address))
+
+
 def _count(workers: int, address: str | None) -> int:
     """Workers as the runner counts them."""
     if address and workers == 0:

@@ -96,29 +96,9 @@ class _RayRun(Generic[T, R]):
 
     def __init__(self, workers: Workers, work: Work[T, R], shards: Sequence[T]) -> None:
         self._workers, self._shards = workers, shards
-        self._started_ray = False
-        if not ray.is_initialized():
-            self._connect()
+        self._started_ray = connect(workers)
         self._work = ray.put(work)
         self._task = ray.remote(num_cpus=1, max_retries=0)(_call)  # a lost worker is counted here
-
-    def _connect(self) -> None:
-        address = self._workers.address
-        try:
-            if address not in (None, "auto", "local"):
-                _knock(address)  # Ray itself waits for minutes before it says that nobody is there
-            if address is None:
-                ray.init(
-                    num_cpus=self._workers.count, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR
-                )
-                self._started_ray = True
-            else:
-                ray.init(address=address, runtime_env=_checkout(), log_to_driver=False, logging_level=logging.ERROR)
-        except (OSError, ValueError, RuntimeError) as error:
-            raise ConfigError(
-                f"Ray at {address or 'this machine'} cannot be reached ({error}); start it, or leave out --address",
-                "ray_unreachable",
-            ) from error
 
     def results(self) -> Iterator[R]:
         waiting = deque(_Attempt(shard) for shard in self._shards)
@@ -164,6 +144,30 @@ class _RayRun(Generic[T, R]):
         if self._workers.address is None:
             return _AHEAD * self._workers.count
         return self._workers.count or max(1, _AHEAD * int(ray.cluster_resources().get("CPU", 0)))
+
+
+def connect(workers: Workers) -> bool:
+    """Starts a local Ray or connects to the cluster, where this process has none yet; gives whether it started one.
+
+    Raises:
+        ConfigError: Ray cannot be reached.
+    """
+    if ray.is_initialized():
+        return False
+    address = workers.address
+    try:
+        if address not in (None, "auto", "local"):
+            _knock(address)  # Ray itself waits for minutes before it says that nobody is there
+        if address is not None:
+            ray.init(address=address, runtime_env=_checkout(), log_to_driver=False, logging_level=logging.ERROR)
+            return False
+        ray.init(num_cpus=workers.count, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
+    except (OSError, ValueError, RuntimeError) as error:
+        raise ConfigError(
+            f"Ray at {address or 'this machine'} cannot be reached ({error}); start it, or leave out --address",
+            "ray_unreachable",
+        ) from error
+    return True
 
 
 def _checkout() -> dict[str, Any] | None:

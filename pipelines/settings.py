@@ -4,51 +4,79 @@ import difflib
 import math
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, fields
+from dataclasses import is_dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from stable_data.errors import ConfigError
 
 C = TypeVar("C")
 
-SECTIONS = ("preprocess",)
+SECTIONS = ("preprocess", "train_corrector")
 """Tables that a file may have: one for each job."""
 
 
-def resolve(kind: type[C], section: str, file: Path | None, overrides: Iterable[str]) -> C:
+def resolve(kind: type[C], section: str, file: Path | None, overrides: Iterable[str], base: C | None = None) -> C:
     """The settings of one job.
 
     Args:
-        kind: A frozen dataclass whose fields are str, int, float or bool, all with defaults.
-        section: Its table in the file.
+        kind: A frozen dataclass whose fields are str, one of several words, int, float, bool, or such dataclasses again, all
+            with defaults.
+        section: Its table in the file; nested settings are tables in it.
         file: A TOML file, or None.
-        overrides: ``key=value`` or ``section.key=value``, stronger than the file.
+        overrides: ``key=value`` or ``section.key=value``, stronger than the file; ``outer.inner=value`` for nested settings.
+        base: What stands where neither says anything; by default the defaults.
 
     Raises:
         ConfigError: A table or key is not known, or a value has the wrong type or is not finite.
     """
-    values = dict(_section(file, section)) if file else {}
+    values = _flat(_section(file, section)) if file else {}
     for text in overrides:
         key, equals, value = text.partition("=")
         if not equals:
             raise ConfigError(f"--set {text}: expected key=value", "config_invalid")
         values[key.strip().removeprefix(f"{section}.")] = _parsed(value.strip())
-    hints = get_type_hints(kind)
+    return _filled(kind() if base is None else base, section, values)
+
+
+def _filled(base: C, name: str, values: Mapping[str, Any]) -> C:
+    """Settings with some of their values, by dotted key, replaced."""
+    hints = get_type_hints(type(base))
+    changed: dict[str, Any] = {}
+    inner: dict[str, dict[str, Any]] = {}
     for key, value in values.items():
-        if key not in hints:
-            raise ConfigError(f"setting {section}.{key} is not known{_hint(key, hints)}", "config_invalid")
-        wanted = hints[key]
-        if wanted is float and type(value) is int:
-            values[key] = float(value)
-        elif type(value) is not wanted:
-            raise ConfigError(
-                f"setting {section}.{key} is {value!r}, expected {wanted.__name__} such as {_default(kind, key)!r}",
-                "config_invalid",
-            )
-        if wanted is float and not math.isfinite(values[key]):
-            raise ConfigError(f"setting {section}.{key} is {value}, expected a finite number", "config_invalid")
-    return kind(**values)
+        head, _, rest = key.partition(".")
+        if head not in hints:
+            raise ConfigError(f"setting {name}.{key} is not known{_hint(head, hints)}", "config_invalid")
+        if is_dataclass(hints[head]) and rest:
+            inner.setdefault(head, {})[rest] = value
+        elif rest:
+            raise ConfigError(f"setting {name}.{key} is not known: {name}.{head} is a value", "config_invalid")
+        else:
+            changed[key] = _checked(value, hints[key], f"{name}.{key}", getattr(base, key))
+    for head, of_head in inner.items():
+        changed[head] = _filled(getattr(base, head), f"{name}.{head}", of_head)
+    return replace(base, **changed)  # type: ignore[type-var]
+
+
+def _checked(value: Any, wanted: Any, name: str, example: Any) -> Any:
+    """A value of the type that a setting wants."""
+    if wanted is float and type(value) is int:
+        value = float(value)
+    words = get_args(wanted) if get_origin(wanted) is Literal else ()
+    if is_dataclass(wanted) or (value not in words if words else type(value) is not wanted):
+        expected = " or ".join(words) or ("a table" if is_dataclass(wanted) else f"{wanted.__name__} such as {example!r}")
+        raise ConfigError(f"setting {name} is {value!r}, expected {expected}", "config_invalid")
+    if wanted is float and not math.isfinite(value):
+        raise ConfigError(f"setting {name} is {value}, expected a finite number", "config_invalid")
+    return value
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) and value else {prefix + key: value}
+    return flat
 
 
 def differences(was: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
@@ -85,7 +113,3 @@ def _parsed(value: str) -> Any:
         return tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         return value  # a bare word is a string
-
-
-def _default(kind: type, key: str) -> Any:
-    return next(f.default for f in fields(kind) if f.name == key and f.default is not MISSING)

@@ -4,6 +4,7 @@ Nothing is pickled. The header of the file holds ``settings`` (JSON) and whateve
 encoder whose features the network reads.
 """
 
+import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -57,9 +58,22 @@ def save_corrector(
     tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
     try:
         save_file(tensors, aside, {**(notes or {}), _SETTINGS: settings.to_json()})
+        _sort_header(aside)
         aside.replace(path)
     finally:
         aside.unlink(missing_ok=True)
+
+
+def _sort_header(path: Path) -> None:
+    """Puts what a safetensors file says of itself into order: the library writes it in another one each time."""
+    with path.open("r+b") as file:
+        length = int.from_bytes(file.read(8), "little")
+        header = json.loads(file.read(length))
+        header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+        ordered = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+        assert len(ordered) <= length  # the same, in another order
+        file.seek(8)
+        file.write(ordered.ljust(length))
 
 
 def load_corrector(path: Path, expected: CorrectorSettings | None = None) -> Checkpoint:

@@ -101,15 +101,23 @@ class ShapeTable:
         num_bottom: Q, samples of a bottom region.
         grids: Grids that are there already, such as :func:`grids_from_rows` gives; any other is built when first needed, which
             takes about a second.
+        points: Surface samples that are there already, by asset, farthest-point ordered, (P, 3), mesh units, such as the table
+            ``assets`` has; where they are fewer than ``num_surface`` they are drawn anew.
     """
 
     def __init__(
-        self, store: AssetStore, *, num_surface: int = 256, num_bottom: int = 64, grids: Mapping[GridKey, SdfGrid] | None = None
+        self,
+        store: AssetStore,
+        *,
+        num_surface: int = 256,
+        num_bottom: int = 64,
+        grids: Mapping[GridKey, SdfGrid] | None = None,
+        points: Mapping[str, FloatArray] | None = None,
     ) -> None:
         self.store = store
         self._num_surface, self._num_bottom = num_surface, num_bottom
         self._grids = dict(grids or {})
-        self._points: dict[str, FloatArray] = {}
+        self._points = {asset_id: found for asset_id, found in (points or {}).items() if len(found) >= num_surface}
         self._grid_order: dict[GridKey, int] = {}
         self._shape_order: dict[tuple[Any, ...], int] = {}
         self._shapes: list[_Shape] = []

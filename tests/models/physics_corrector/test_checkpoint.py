@@ -100,3 +100,14 @@ def test_the_papers_coordinates_are_a_setting() -> None:
 def test_a_preset_that_is_not_known_is_refused() -> None:
     with pytest.raises(ConfigError, match="paper"):
         preset("papre")
+
+
+def test_the_same_weights_give_the_same_bytes(tmp_path: Path) -> None:
+    """What the file says of itself too, whatever the order that the library would write it in."""
+    settings = small_settings()
+    network, _ = settings.build()
+    notes = {f"note {n}": "§" * n for n in range(9)}
+    for n in range(4):
+        save_corrector(tmp_path / str(n), settings, network.state_dict(), notes)
+    assert len({(tmp_path / str(n)).read_bytes() for n in range(4)}) == 1
+    assert load_corrector(tmp_path / "0").notes == notes

@@ -1,0 +1,289 @@
+"""The training of the corrector, step by step: L_PC on coarse layouts made from clean ones.
+
+A step is a function of the weights and of its number alone: its scenes, their prefixes, their perturbations and every draw of
+the flow come from streams named by (seed, step, chunk). So a run that was stopped and resumed is the run that was not, and the
+same chunks are drawn however many processes share them. Processes share a step by its chunks; their gradients are added up in
+one call, which the network's double pass under self-conditioning and the chunks would make awkward for DDP's hooks.
+"""
+
+import json
+import os
+import pickle
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from models.physics_corrector.batch import SceneBatch
+from models.physics_corrector.condition import Condition
+from models.physics_corrector.flow import Velocity
+from models.physics_corrector.losses import PhysicsLosses, flow_loss, physics_losses
+from models.physics_corrector.perturbation import perturb, reassign
+from models.physics_corrector.prefixes import compact, cut
+from models.physics_corrector.training_set import TrainingSet
+from models.physics_corrector.training_settings import TrainingSettings, flattened
+from stable_data.errors import ConfigError
+
+LOGGED = ("flow", "physics", "object_object", "object_table", "support", "unrolled", "total")
+"""The figures of a step: the terms of the loss as they count, those of physics also per scene and unweighted."""
+
+# What torch.load raises on bytes that are no checkpoint, and what a checkpoint of something else lacks.
+_UNREADABLE = (OSError, EOFError, RuntimeError, ValueError, KeyError, TypeError, pickle.UnpicklingError)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a process trains.
+
+    Attributes:
+        device: Its device.
+        rank: Its number among those that train together.
+        world_size: How many they are; more than one need a ``torch.distributed`` process group.
+    """
+
+    device: torch.device = field(default_factory=lambda: torch.device("cpu"))
+    rank: int = 0
+    world_size: int = 1
+
+
+class Training:
+    """A corrector being trained.
+
+    Args:
+        data: The scenes; moved to the device.
+        settings: What shapes the weights, resolved.
+        place: Where it is trained.
+
+    Attributes:
+        step: Steps done.
+        network: The network as it is.
+        average: The exponential average of its weights, by name.
+    """
+
+    def __init__(self, data: TrainingSet, settings: TrainingSettings, place: Place = Place()) -> None:
+        self.settings, self.place = settings, place
+        self._data, self._train = data.to(place.device), data.of_split(0)
+        with torch.random.fork_rng():
+            torch.manual_seed(settings.seed)
+            network, self.flow = settings.corrector.build()
+        self.network = network.to(place.device)
+        self._optimizer = torch.optim.Adam(self.network.parameters(), settings.learning_rate)
+        self.average = {name: value.detach().clone() for name, value in self.network.state_dict().items()}
+        self.step = 0
+
+    def advance(self, wants_stop: bool = False) -> tuple[dict[str, float], bool]:
+        """One step.
+
+        Args:
+            wants_stop: Whether this process wants to stop after it.
+
+        Returns:
+            The figures of the step, over all processes; and whether any of them wants to stop.
+        """
+        for group in self._optimizer.param_groups:
+            group["lr"] = self.settings.learning_rate_at(self.step)
+        self._optimizer.zero_grad(set_to_none=False)
+        figures = torch.zeros(len(LOGGED) + 1, device=self.place.device)
+        figures[-1] = wants_stop
+        for batch, share, generator in self._chunks():
+            loss, terms = self._loss(batch, share, generator)
+            loss.backward()  # type: ignore[no-untyped-call]
+            figures[:-1] += terms
+        self._add_up(figures)
+        nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.clip)
+        self._optimizer.step()
+        self._average()
+        self.step += 1
+        *terms_of_step, stops = figures.tolist()
+        return dict(zip(LOGGED, terms_of_step, strict=True)), stops > 0
+
+    def _chunks(self) -> Iterator[tuple[SceneBatch, float, torch.Generator]]:
+        """This process's chunks: their scenes, the share of the step's movable objects that is theirs, and their stream."""
+        scenes = torch.from_numpy(self._drawn()).to(self.place.device)
+        generator = self._generator(0)
+        batch = cut(self._data.batch.take(scenes), self._data.stage[scenes], self.settings.prefixes, generator)
+        order = torch.argsort(batch.mask.sum(1), stable=True)
+        total = batch.is_movable.sum().clamp_min(1)
+        for number, chunk in enumerate(torch.split(order, self.settings.chunk)):
+            if number % self.place.world_size == self.place.rank:
+                part = compact(batch.take(chunk))
+                yield part, float(part.is_movable.sum() / total), self._generator(1 + number)
+
+    def _drawn(self) -> Any:
+        """The scenes of this step, (batch_size,) int64: shuffled passes over the training split, one after another."""
+        places, size = self._train.numpy(), self.settings.batch_size
+        start, stop = self.step * size, (self.step + 1) * size
+        passes = range(start // len(places), (stop - 1) // len(places) + 1)
+        order = np.concatenate([np.random.default_rng([self.settings.seed, p]).permutation(places) for p in passes])
+        return order[start - passes[0] * len(places) :][:size]
+
+    def _generator(self, number: int) -> torch.Generator:
+        words = np.random.SeedSequence([self.settings.seed, self.step, number]).generate_state(1, np.uint64)
+        return torch.Generator(self.place.device).manual_seed(int(words[0] >> np.uint64(1)))
+
+    def _loss(self, batch: SceneBatch, share: float, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """What a chunk adds to the loss of the step, and its figures, (len(LOGGED),)."""
+        settings, velocity = self.settings, self.velocity()
+        coarse, _ = perturb(batch, settings.perturbation, generator)
+        condition = Condition.of(replace(batch, poses=coarse))
+        path = self.flow.path(condition, reassign(coarse, batch), generator)
+        predicted = self.flow.predict(velocity, path, condition, generator)
+        flow = share * flow_loss(predicted.velocity, path.velocity, condition.is_movable)
+        lots = torch.rand((2, len(batch)), generator=generator, device=coarse.device)
+        strength = settings.physics_at(self.step)
+        chosen = (lots[0] < settings.physics.share) & (path.t > settings.physics.from_time)
+        weight = strength * path.t[chosen] ** settings.physics.power
+        losses = self._physics(predicted.poses, batch, chosen) if strength else None
+        physics, terms = self._weighted(losses, weight, settings.physics.share)
+        unrolled = flow.new_zeros(())
+        if strength and settings.is_unrolled_at(self.step):
+            sampled = lots[1] < settings.physics.unroll_scenes
+            poses = self._sampled(batch, coarse, sampled, generator)
+            found = physics_losses(poses, batch.take(sampled), self._data.geometry, settings.losses)
+            weight = poses.new_full((len(poses),), settings.physics.unroll_weight)
+            unrolled, _ = self._weighted(found, weight, settings.physics.unroll_scenes)
+        total = flow + physics + unrolled
+        return total, torch.stack([flow, physics, *terms, unrolled, total]).detach()
+
+    def _physics(self, poses: Tensor, batch: SceneBatch, chosen: Tensor) -> PhysicsLosses:
+        return physics_losses(poses[chosen], batch.take(chosen), self._data.geometry, self.settings.losses)
+
+    def _weighted(self, losses: PhysicsLosses | None, weight: Tensor, share: float) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """Mean over the step's scenes of the weighted physical loss, and of its terms, from a share of the scenes."""
+        scale = 1 / (share * self.settings.batch_size)
+        if losses is None:
+            zero = torch.zeros((), device=self.place.device)
+            return zero, (zero, zero, zero)
+        terms = (losses.object_object, losses.object_table, losses.support)
+        return scale * (weight * losses.weighted(self.settings.losses)).sum(), tuple(scale * term.sum() for term in terms)
+
+    def _sampled(self, batch: SceneBatch, coarse: Tensor, chosen: Tensor, generator: torch.Generator) -> Tensor:
+        """Poses as inference samples them, (S, N, 4), with the gradient of the last steps."""
+        condition = Condition.of(replace(batch.take(chosen), poses=coarse[chosen]))
+        start = generator if self.settings.corrector.flow.source == "gaussian" else None
+        return self.flow.sample(
+            self.velocity(), condition, generator=start, gradient_steps=self.settings.physics.unroll_gradient
+        )
+
+    def velocity(self, network: nn.Module | None = None) -> Velocity:
+        """A network as the flow asks it: in bfloat16 on CUDA, where poses and distances stay float32."""
+        asked = self.network if network is None else network
+        if self.place.device.type != "cuda":
+            return asked
+
+        def ask(y: Tensor, t: Tensor, condition: Condition, ranks: Tensor, y1_hat: Tensor | None) -> Tensor:
+            with torch.autocast("cuda", torch.bfloat16):
+                velocity: Tensor = asked(y, t, condition, ranks, y1_hat)
+            return velocity.float()
+
+        return ask
+
+    def averaged(self) -> nn.Module:
+        """A network with the averaged weights, in evaluation mode."""
+        network, _ = self.settings.corrector.build()
+        network.load_state_dict(self.average)
+        return network.to(self.place.device).eval()
+
+    def _add_up(self, figures: Tensor) -> None:
+        """Gradients and figures summed over the processes."""
+        if self.place.world_size == 1:
+            return
+        gradients = [p.grad for p in self.network.parameters() if p.grad is not None]
+        flat = torch.cat([*(g.flatten() for g in gradients), figures])
+        torch.distributed.all_reduce(flat)
+        *parts, summed = torch.split(flat, [*(g.numel() for g in gradients), len(figures)])
+        for gradient, part in zip(gradients, parts, strict=True):
+            gradient.copy_(part.view_as(gradient))
+        figures.copy_(summed)
+
+    @torch.no_grad()
+    def _average(self) -> None:
+        decay = min(self.settings.ema, (1 + self.step) / (10 + self.step))  # the first weights are soon forgotten
+        for name, value in self.network.state_dict().items():
+            if value.is_floating_point():
+                self.average[name].lerp_(value, 1 - decay)
+            else:
+                self.average[name].copy_(value)
+
+    def save(self, path: Path) -> None:
+        """Keeps the training where another process can go on with it, in one step."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        aside = path.with_name(f".{path.name}.{os.getpid()}")
+        state = {
+            "settings": json.dumps(asdict(self.settings), sort_keys=True),
+            "data": self._data.fingerprint,
+            "encoder": self._data.encoder,
+            "step": self.step,
+            "network": self.network.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "average": self.average,
+        }
+        try:
+            with aside.open("wb") as file:
+                torch.save(state, file)
+                file.flush()
+                os.fsync(file.fileno())  # a rename must not outlive its content
+            aside.replace(path)
+        finally:
+            aside.unlink(missing_ok=True)
+
+    def resume(self, path: Path) -> bool:
+        """Goes on where :meth:`save` was called; False where nothing was kept.
+
+        Raises:
+            ConfigError: What is there cannot be read, or is of other settings or data.
+        """
+        if not path.is_file():
+            return False
+        try:
+            state = torch.load(path, map_location=self.place.device, weights_only=True)
+            was = flattened(json.loads(state["settings"])) | {"data": state["data"], "encoder": state["encoder"]}
+        except _UNREADABLE as error:
+            raise ConfigError(
+                f"{path}: cannot be read as a checkpoint ({type(error).__name__}); remove it to start anew",
+                "checkpoint_invalid",
+            ) from error
+        now = json.loads(json.dumps(self.settings.flat())) | {"data": self._data.fingerprint, "encoder": self._data.encoder}
+        changed = [f"{k}: {was.get(k)} -> {now.get(k)}" for k in sorted(was.keys() | now.keys()) if was.get(k) != now.get(k)]
+        if changed:
+            raise ConfigError(
+                f"{path}: is of another configuration ({'; '.join(changed)}); choose a new folder or restore it",
+                "config_changed",
+            )
+        self.network.load_state_dict(state["network"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self.average = state["average"]
+        self.step = state["step"]
+        return True
+
+
+def train(
+    training: Training,
+    *,
+    wants_stop: Callable[[], bool],
+    after: Callable[[Training, dict[str, float]], None],
+) -> bool:
+    """Steps until the run is as long as its settings say, or a process wants to stop.
+
+    Args:
+        training: What is trained.
+        wants_stop: Asked before each step.
+        after: Called after each step with its figures.
+
+    Returns:
+        Whether it is done.
+    """
+    stops = False
+    while not stops and training.step < training.settings.steps:
+        figures, stops = training.advance(wants_stop())
+        if not all(map(np.isfinite, figures.values())):
+            raise ConfigError(
+                f"step {training.step}: the loss is not finite ({figures}); lower learning_rate, or the weights of the losses",
+                "training_diverged",
+            )
+        after(training, figures)
+    return training.step >= training.settings.steps
