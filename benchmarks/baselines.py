@@ -170,7 +170,7 @@ def table(results: Sequence[Result]) -> str:
         "done",
         "s",
     )
-    rows = [columns]
+    rows: list[tuple[str, ...]] = [columns]
     names = list(dict.fromkeys(r.method for r in results))
     for name in names:
         for bucket in (*BUCKETS, ""):

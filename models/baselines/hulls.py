@@ -122,9 +122,10 @@ def solid_hull(points: FloatArray) -> FloatArray:
         MeshError: The points are a line, a point, or not finite (code ``no_hull``).
     """
     middle = points.mean(axis=0)
-    _, spread, axes = np.linalg.svd(points - middle, full_matrices=False) if np.isfinite(points).all() else (0, np.zeros(3), 0)
-    if len(spread) == 3 and spread[2] < _FLATTEST < spread[1]:
-        points = np.concatenate([points + _HALF_SHEET * axes[2], points - _HALF_SHEET * axes[2]])
+    if len(points) >= 3 and np.isfinite(points).all():
+        _, spread, axes = np.linalg.svd(points - middle, full_matrices=False)
+        if spread[2] < _FLATTEST < spread[1]:
+            points = np.concatenate([points + _HALF_SHEET * axes[2], points - _HALF_SHEET * axes[2]])
     try:
         return points[ConvexHull(points).vertices]
     except (QhullError, ValueError) as error:

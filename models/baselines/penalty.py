@@ -1,18 +1,23 @@
-"""Plain penalty descent: Adam on the poses, against the corrector's own collision losses, with a weak pull to the start.
+"""Plain penalty descent: Adam on the poses, against sampled signed distances of the meshes, with a weak pull to the start.
 
-No learning and no search: what gradients of sampled signed distances do by themselves. Heights stay.
+    Σ_{i≠j} Σ_q∈Q_i max(0, −D_j(q))² + anchor · |p − p⁰|² + what reaches over the table's edge
+
+No learning and no search: what gradients do by themselves. Every sample counts, not the deepest alone as in the corrector's
+losses: the deepest one of a flat thing points up, where nothing may go. Heights stay.
 """
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
+from torch import Tensor
 
 from models.baselines.outcome import Outcome, with_poses
 from models.physics_corrector.batch import SceneBatch
-from models.physics_corrector.geometry import ShapeTable
-from models.physics_corrector.losses import LossSettings, bounds, colliding_pairs, object_object
+from models.physics_corrector.closest import Queries, posed_distance
+from models.physics_corrector.geometry import Geometry, ShapeTable
+from models.physics_corrector.losses import bounds, colliding_pairs
 from stable_data.assets import AssetStore
 from stable_data.scene import Scene
 from stable_data.shape import Shape
@@ -31,7 +36,6 @@ class PenaltyDescent:
         bounds_weight: Of what reaches over the table's edge or into the restricted zone, beside squared depths.
         num_samples: Surface samples of a shape.
         tolerance: Deepest sampled overlap that counts as none, metres.
-        losses: How collisions are measured.
     """
 
     num_steps: int = 300
@@ -40,38 +44,51 @@ class PenaltyDescent:
     bounds_weight: float = 1.0
     num_samples: int = 256
     tolerance: float = 5e-4
-    losses: LossSettings = field(default_factory=LossSettings)
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
         """Descends; see :class:`~models.baselines.outcome.Method`. Converged: no sample is deeper than the tolerance."""
         table = ShapeTable(store, num_surface=self.num_samples)
-        batch, begin = SceneBatch.from_scenes([scene], table), 0.0
+        batch = SceneBatch.from_scenes([scene], table)
         geometry = table.geometry()
         begin = time.perf_counter()
-        start = torch.from_numpy(scene.poses())[None]
-        moving = start[..., [0, 1, 3]].clone().requires_grad_()
+        end = self._descended(torch.from_numpy(scene.poses())[None], batch, geometry)
+        depth = float(depths(end, batch, geometry).amax())
+        seconds = time.perf_counter() - begin
+        reason = "" if depth <= self.tolerance else f"a sample remains {1e3 * depth:.2f} mm deep"
+        return Outcome(with_poses(scene, end[0].numpy()), not reason, seconds, reason)
+
+    def _descended(self, start: Tensor, batch: SceneBatch, geometry: Geometry) -> Tensor:
+        """Poses (1, N, 4) after all steps."""
+        origin, height = start[..., [0, 1, 3]], start[..., 2:3]
+        moving = origin.clone().requires_grad_()
         adam = torch.optim.Adam([moving], lr=self.learning_rate)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, self.num_steps)
         pull = self.anchor_weight * start.new_tensor([1.0, 1.0, _YAW_ARM**2])
-
-        def poses() -> torch.Tensor:
-            return torch.cat([moving[..., :2], start[..., 2:3], moving[..., 2:]], dim=-1)
-
-        def overlap(at: torch.Tensor) -> torch.Tensor:
-            pairs = colliding_pairs(at, batch, geometry, self.losses.clearance)
-            return object_object(at, batch, geometry, pairs, self.losses.clearance).sum()
-
         for _ in range(self.num_steps):
             adam.zero_grad()
-            at = poses()
-            loss = overlap(at) + (pull * (moving - start[..., [0, 1, 3]]).square()).sum()
+            poses = torch.cat([moving[..., :2], height, moving[..., 2:]], dim=-1)
+            loss = depths(poses, batch, geometry).square().sum() + (pull * (moving - origin).square()).sum()
             if self.bounds_weight:
-                loss = loss + self.bounds_weight * bounds(at, batch, geometry).sum()
+                loss = loss + self.bounds_weight * bounds(poses, batch, geometry).sum()
             loss.backward()  # type: ignore[no-untyped-call]
             adam.step()
             schedule.step()
-        with torch.no_grad():
-            end, depth = poses(), float(overlap(poses()).sqrt())  # the root of the sum of squares: at least the deepest
-        seconds = time.perf_counter() - begin
-        reason = "" if depth <= self.tolerance else f"samples remain {1e3 * depth:.2f} mm deep, root of the sum of squares"
-        return Outcome(with_poses(scene, end[0].numpy()), depth <= self.tolerance, seconds, reason)
+        end = moving.detach()
+        return torch.cat([end[..., :2], height, end[..., 2:]], dim=-1)
+
+
+def depths(poses: Tensor, batch: SceneBatch, geometry: Geometry) -> Tensor:
+    """How deep every sample of every near object is in every other, (1 + M,), metres, 0 outside; the first is a 0.
+
+    Args:
+        poses: (B, N, 4), metres and radians.
+        batch: The scenes.
+        geometry: Their shapes.
+    """
+    ways = colliding_pairs(poses.detach(), batch, geometry).both_ways()
+    num_samples = geometry.surface.shape[1]
+    each = torch.arange(len(ways)).repeat_interleave(num_samples)
+    points = geometry.surface[batch.shape_index[ways.scene, ways.first]].reshape(-1, 3)
+    queries = Queries(ways.scene, ways.first, ways.second).take(each)
+    depth = (-posed_distance(poses, batch, geometry, queries, points)).clamp_min(0)
+    return torch.cat([poses.new_zeros(1), depth])

@@ -23,6 +23,8 @@ from stable_data.scene import FloatArray, IntArray
 _MARGIN = 1e-5  # on top of the gap, metres: bodies that just touch have no normal
 _SOFTNESS = 1e-6  # inverse price of missing a constraint
 _SMALL_STEP = 1e-5  # metres
+_PATIENCE = 30  # iterations without progress; where directions conflict the iterates may go round in a circle
+_PROGRESS = 0.99  # what is left of the worst miss, or of the objective, where one iteration was progress
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +126,7 @@ def project(
     if among is not None:
         is_free = is_free & np.isin(np.arange(len(start)), among)[:, None]
     normals, positions, reach = _Normals(), start.copy(), max(settings.influence, settings.gap + 2 * _MARGIN)
-    missed = np.inf
+    missed, best, num_idle = np.inf, (np.inf, np.inf), 0
     for iteration in range(settings.max_iterations):
         near = bodies.distances(positions, reach, among)
         outside = np.maximum(freedom.low - positions, positions - freedom.high)[is_free].max(initial=0.0)
@@ -137,8 +139,11 @@ def project(
         except RuntimeError:  # the solver's own bound on its iterations
             return Projected(positions, False, missed, iteration, "a quadratic programme was not solved")
         step = float(np.abs(solved - positions).max(initial=0.0))
-        if step < _SMALL_STEP:
-            is_met = missed <= settings.tolerance
+        is_met = missed <= settings.tolerance
+        now = (0.0 if is_met else missed, float(np.square(positions - start).sum()))
+        is_progress = now[0] < _PROGRESS * best[0] or (now[0] == best[0] and now[1] < _PROGRESS * best[1])
+        best, num_idle = (now, 0) if is_progress else (best, num_idle + 1)
+        if step < _SMALL_STEP or num_idle > _PATIENCE:
             reason = "" if is_met else f"bodies remain {1e3 * missed:.2f} mm nearer than they may be"
             return Projected(positions, is_met, missed, iteration, reason)
         positions, reach = solved, max(settings.influence, settings.gap + 2 * _MARGIN, 2 * step)

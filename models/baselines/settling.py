@@ -17,6 +17,7 @@ from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject
 from stable_data.shape import Shape
 
 _AT_REST = 1e-3  # metres, while watched
+_OPTIONS = EngineOptions(settle_seconds=2.5, watch_seconds=0.1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +29,7 @@ class Settle:
         density: Of every object, kg/m³: a layout does not say what things weigh.
     """
 
-    options: EngineOptions = EngineOptions(settle_seconds=2.5, watch_seconds=0.1)
+    options: EngineOptions = _OPTIONS
     density: float = 400.0
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:

@@ -77,7 +77,7 @@ def _transport(scene: Scene, other: Scene, cost_of: Callable[[FloatArray, FloatA
     cost = cost_of(shift, turn)
     chosen = linear_sum_assignment(np.where(may_match, cost, _FORBIDDEN))  # each may take its own place, so one exists
     matches = {names[i]: names[j] for i, j in zip(*(index.tolist() for index in chosen), strict=True)}
-    return Transport(*(float(values[chosen].mean()) for values in (cost, shift, turn)), matches)
+    return Transport(float(cost[chosen].mean()), float(shift[chosen].mean()), float(turn[chosen].mean()), matches)
 
 
 def _refuse_others(scene: Scene, other: Scene) -> None:
