@@ -9,7 +9,8 @@ audit's, at 0.5 mm, of what a method gives back; a method's own opinion is the c
 - float, out: objects that float, that are out of bounds or in the table, of all;
 - move: mean distance by which objects were moved; farthest: the largest;
 - on/in: relations to other objects that held at the start and still hold, of those that held;
-- done: scenes that the method itself counts as solved; s: seconds a scene, median, without the preparation of assets.
+- done: scenes that the method itself counts as solved; s: processor seconds a scene, median, without the
+  preparation of assets.
 """
 
 import json

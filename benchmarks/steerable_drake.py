@@ -62,9 +62,9 @@ class SteerableInDrake:
             return Outcome(scene, False, 0.0, str(error))
         poses = scene.poses()
         problem = self._problem(bodies, poses[:, :3], scene)
-        begin = time.perf_counter()
+        begin = time.process_time()
         positions, is_solved, status = self._solved(problem)
-        seconds = time.perf_counter() - begin
+        seconds = time.process_time() - begin
         poses[:, :3] = positions
         return Outcome(with_poses(scene, poses), is_solved, seconds, "" if is_solved else f"SNOPT: status {status}")
 

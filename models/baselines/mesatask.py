@@ -68,10 +68,10 @@ class MesaTask:
         except MeshError as error:
             return Outcome(scene, False, 0.0, str(error))
         poses = scene.poses()
-        begin = time.perf_counter()
+        begin = time.process_time()
         before = self._count(bodies, poses[:, :3], self.near)
         positions = self._rounds(bodies, poses[:, :3].copy(), scene)
-        seconds = time.perf_counter() - begin
+        seconds = time.process_time() - begin
         after = self._count(bodies, positions, self.near)
         if self.is_released and not (after < before or after == 0):
             return Outcome(

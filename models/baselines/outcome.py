@@ -16,7 +16,7 @@ class Outcome:
     Attributes:
         scene: The same instances, in order, where the baseline put them.
         converged: Whether the baseline counts itself done, by its own geometry and tolerance.
-        seconds: Wall time of the optimisation alone: hulls, convex parts and grids of the assets are made before.
+        seconds: Processor time of the optimisation alone: hulls, convex parts and grids of the assets are made before.
         reason: Why it did not converge; empty where it did.
     """
 

@@ -36,7 +36,7 @@ class ProjectionSettings:
         influence: Pairs farther apart than this are left out until they come closer, metres.
         tolerance: By how much a constraint may be missed in the end, metres.
         max_iterations: Quadratic programmes at most.
-        max_seconds: Wall time.
+        max_seconds: Processor time.
         rows_per_pair: Constraints of two bodies at a time where they have several parts: the deepest.
     """
 
@@ -121,7 +121,7 @@ def project(
     Returns:
         The nearest places found. Where it did not converge they are the last iterate.
     """
-    end = time.perf_counter() + settings.max_seconds
+    end = time.process_time() + settings.max_seconds
     is_free = freedom.is_free
     if among is not None:
         is_free = is_free & np.isin(np.arange(len(start)), among)[:, None]
@@ -131,7 +131,7 @@ def project(
         near = bodies.distances(positions, reach, among)
         outside = np.maximum(freedom.low - positions, positions - freedom.high)[is_free].max(initial=0.0)
         missed = max(float(outside), float((settings.gap - near.distance).max(initial=0.0)))
-        if time.perf_counter() > end:
+        if time.process_time() > end:
             return Projected(positions, False, missed, iteration, f"out of time after {settings.max_seconds:g} s")
         near = near.deepest(settings.rows_per_pair)
         try:

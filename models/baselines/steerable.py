@@ -59,9 +59,9 @@ class Steerable:
         settings = ProjectionSettings(
             0.0, self.influence, self.tolerance * self.influence, self.max_iterations, self.max_seconds
         )
-        begin = time.perf_counter()
+        begin = time.process_time()
         found = project(bodies, start, Freedom(is_free, -anywhere, anywhere), settings)
-        seconds = time.perf_counter() - begin
+        seconds = time.process_time() - begin
         poses[:, :3] = found.positions[:-1]
         return Outcome(with_poses(scene, poses), found.converged, seconds, found.reason)
 

@@ -110,7 +110,7 @@ def test_hulls_expel_what_convex_parts_hold() -> None:
 
 
 def test_out_of_time_is_not_converged() -> None:
-    outcome = corrected(Steerable(max_seconds=0.0), two_cubes())
+    outcome = corrected(Steerable(max_seconds=-1.0), two_cubes())
     assert not outcome.converged
     assert "out of time" in outcome.reason
 

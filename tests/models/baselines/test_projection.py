@@ -93,8 +93,11 @@ def test_without_room_it_says_so() -> None:
 def test_it_stops_in_time() -> None:
     bodies = ConvexBodies([[CUBE], [CUBE]])
     start = np.array([[0.0, 0, 0], [0.08, 0.01, 0.02]])
-    for bound, words in (({"max_seconds": 0.0}, "out of time"), ({"max_iterations": 1}, "still moving")):
-        found = project(bodies, start, anywhere(2), ProjectionSettings(0.0, 0.03, 1e-5, **{"max_iterations": 9, **bound}))
+    for bounded, words in (
+        (ProjectionSettings(0.0, 0.03, 1e-5, 9, max_seconds=-1.0), "out of time"),
+        (ProjectionSettings(0.0, 0.03, 1e-5, 1), "still moving"),
+    ):
+        found = project(bodies, start, anywhere(2), bounded)
         assert not found.converged
         assert words in found.reason
 
