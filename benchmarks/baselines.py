@@ -15,7 +15,7 @@ audit's, at 0.5 mm, of what a method gives back; a method's own opinion is the c
 
 import json
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
@@ -23,6 +23,7 @@ from typing import Annotated
 
 import numpy as np
 import typer
+from tqdm import tqdm
 
 from benchmarks.audit import readable_scenes
 from benchmarks.layouts import BUCKETS, Layout, read_layouts, shaken_layouts
@@ -130,7 +131,7 @@ def judged(name: str, method: Method, layout: Layout, dataset: MesaTaskDataset, 
 
 
 def run(
-    layouts: Iterable[Layout],
+    layouts: Sequence[Layout],
     dataset: MesaTaskDataset,
     store: AssetStore,
     methods: Mapping[str, Method],
@@ -145,12 +146,16 @@ def run(
         methods: By name; the layouts themselves are judged besides, as ``start``.
         limit: Seconds after which no further layout is begun; what was begun is finished.
     """
-    end, results = time.monotonic() + limit, []
-    for layout in layouts:
-        if time.monotonic() > end:
-            print(f"out of time after {limit:g} s: the layouts from {layout.start.scene_id} on are left out")
-            break
-        results += [judged(name, method, layout, dataset, store) for name, method in {_START: Nothing(), **methods}.items()]
+    end, results, everyone = time.monotonic() + limit, list[Result](), {_START: Nothing(), **methods}
+    with tqdm(total=len(layouts) * len(everyone), desc="baselines", unit="scene") as bar:
+        for layout in layouts:
+            if time.monotonic() > end:
+                print(f"out of time after {limit:g} s: the layouts from {layout.start.scene_id} on are left out")
+                break
+            for name, method in everyone.items():
+                bar.set_postfix_str(f"{layout.start.scene_id} {name}")
+                results.append(judged(name, method, layout, dataset, store))
+                bar.update()
     return results
 
 
