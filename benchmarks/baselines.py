@@ -7,7 +7,9 @@ audit's, at 0.5 mm, of what a method gives back; a method's own opinion is the c
 - clean: scenes without collision, floating, sinking or out of bounds;
 - free: scenes without collision; pairs: colliding pairs left, median; unknown counts as colliding;
 - float, out: objects that float, that are out of bounds or in the table, of all;
-- move: mean distance by which objects were moved; farthest: the largest;
+- oc: share of all pairs that collide, mean over scenes, percent;
+- move: mean distance by which objects were moved, identical ones matched; farthest: the largest, unmatched, in millimetres;
+- emd: earth mover's distance to where things belong, millimetres, mean over the scenes where that is known;
 - on/in: relations to other objects that held at the start and still hold, of those that held;
 - done: scenes that the method itself counts as solved; s: processor seconds a scene, median, without the
   preparation of assets.
@@ -18,7 +20,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from statistics import median
+from statistics import mean, median
 from typing import Annotated
 
 import numpy as np
@@ -26,7 +28,7 @@ import typer
 from tqdm import tqdm
 
 from benchmarks.audit import readable_scenes
-from benchmarks.layouts import BUCKETS, Layout, read_layouts, shaken_layouts
+from benchmarks.layouts import Layout, read_layouts, shaken_layouts
 from models.baselines.methods import METHODS
 from models.baselines.outcome import Method, Outcome
 from stable_data.assets import AssetStore
@@ -34,6 +36,7 @@ from stable_data.errors import StableDataError
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.audit import PosedScene, audit_posed
 from stable_data.metrics.collision import ROUNDING
+from stable_data.metrics.rearrangement import distance_moved, emd_to_truth
 from stable_data.relations import scene_graph
 from stable_data.scene import RelationKind, Scene
 from stable_data.shape import Shape
@@ -65,8 +68,10 @@ class Result:
         num_collisions: Pairs that collide or may.
         num_floating: Objects that float or may.
         num_outside: Objects that are out of bounds or in the table.
-        move_mean_mm: How far objects were moved.
-        move_max_mm: The farthest.
+        oc: Those pairs as a share of all.
+        move_mean_mm: How far objects were moved, identical ones matched.
+        move_max_mm: The farthest, unmatched.
+        emd_mm: Earth mover's distance to the target; None where there is none.
         num_held: on/in relations that held at the start.
         num_kept: Those that still hold.
         converged: By the method's own account.
@@ -82,8 +87,10 @@ class Result:
     num_collisions: int
     num_floating: int
     num_outside: int
+    oc: float
     move_mean_mm: float
     move_max_mm: float
+    emd_mm: float | None
     num_held: int
     num_kept: int
     converged: bool
@@ -110,18 +117,21 @@ def judged(name: str, method: Method, layout: Layout, dataset: MesaTaskDataset, 
     posed = PosedScene(outcome.scene, store.shapes(outcome.scene)[0])
     audit = audit_posed(posed)
     moves = 1e3 * np.linalg.norm(outcome.scene.poses()[:, :3] - scene.poses()[:, :3], axis=1)
-    sunk = audit.tolerance + ROUNDING
+    sunk, count = audit.tolerance + ROUNDING, len(scene.objects)
+    num_collisions = sum(p.penetration is None or p.penetration > audit.tolerance for p in audit.pairs)
     return Result(
         method=name,
         layout=scene.scene_id,
         bucket=layout.bucket,
-        num_objects=len(scene.objects),
+        num_objects=count,
         clean=audit.card().clean,
-        num_collisions=sum(p.penetration is None or p.penetration > audit.tolerance for p in audit.pairs),
+        num_collisions=num_collisions,
         num_floating=sum(o.floats is not False for o in audit.objects),
         num_outside=sum(o.is_outside is not False or o.table_penetration > sunk for o in audit.objects),
-        move_mean_mm=float(moves.mean()) if len(moves) else 0.0,
+        oc=num_collisions / max(1, count * (count - 1) // 2),
+        move_mean_mm=1e3 * distance_moved(scene, outcome.scene),
         move_max_mm=float(moves.max(initial=0.0)),
+        emd_mm=None if layout.target is None else 1e3 * emd_to_truth(outcome.scene, layout.target).cost,
         num_held=len(before),
         num_kept=len(before & held(posed, flags)),
         converged=outcome.converged,
@@ -162,24 +172,12 @@ def run(
 def table(results: Sequence[Result]) -> str:
     """The figures, by method and bucket."""
     columns = (
-        "method",
-        "bucket",
-        "scenes",
-        "clean",
-        "free",
-        "pairs",
-        "float",
-        "out",
-        "move mm",
-        "farthest",
-        "on/in",
-        "done",
-        "s",
-    )
+        "method", "bucket", "scenes", "clean", "free", "pairs", "oc %", "float", "out", "move", "farthest", "emd", "on/in", "done", "s",
+    )  # fmt: skip
     rows: list[tuple[str, ...]] = [columns]
-    names = list(dict.fromkeys(r.method for r in results))
+    names, buckets = (list(dict.fromkeys(getattr(r, key) for r in results)) for key in ("method", "bucket"))
     for name in names:
-        for bucket in (*BUCKETS, ""):
+        for bucket in (*buckets, ""):
             chosen = [r for r in results if r.method == name and bucket in ("", r.bucket)]
             if chosen:
                 rows.append(_row(name, bucket or "all", chosen))
@@ -192,7 +190,7 @@ def table(results: Sequence[Result]) -> str:
 
 def _row(name: str, bucket: str, results: Sequence[Result]) -> tuple[str, ...]:
     count, objects = len(results), sum(r.num_objects for r in results)
-    moved = sum(r.move_mean_mm * r.num_objects for r in results) / max(1, objects)
+    emds = [r.emd_mm for r in results if r.emd_mm is not None]
     return (
         name,
         bucket,
@@ -200,13 +198,15 @@ def _row(name: str, bucket: str, results: Sequence[Result]) -> tuple[str, ...]:
         f"{sum(r.clean is True for r in results)}/{count}",
         f"{sum(r.num_collisions == 0 for r in results)}/{count}",
         f"{median(r.num_collisions for r in results):g}",
+        f"{100 * mean(r.oc for r in results):.2f}",
         f"{sum(r.num_floating for r in results)}/{objects}",
         f"{sum(r.num_outside for r in results)}/{objects}",
-        f"{moved:.1f}",
+        f"{mean(r.move_mean_mm for r in results):.1f}",
         f"{max(r.move_max_mm for r in results):.0f}",
+        f"{mean(emds):.1f}" if emds else "-",
         f"{sum(r.num_kept for r in results)}/{sum(r.num_held for r in results)}",
         f"{sum(r.converged for r in results)}/{count}",
-        f"{median(r.seconds for r in results):.2f}",
+        f"{median(r.seconds for r in results):.3f}",
     )
 
 
@@ -216,7 +216,8 @@ def chosen_layouts(dataset: MesaTaskDataset, store: AssetStore, file: Path | Non
         scenes = sorted(readable_scenes(dataset), key=lambda scene: -len(scene.objects))
         return list(shaken_layouts(scenes, store, per_bucket))
     every = list(read_layouts(file, store))
-    return [layout for bucket in BUCKETS for layout in [x for x in every if x.bucket == bucket][:per_bucket]]
+    buckets = dict.fromkeys(layout.bucket for layout in every)
+    return [layout for bucket in buckets for layout in [x for x in every if x.bucket == bucket][:per_bucket]]
 
 
 def main(

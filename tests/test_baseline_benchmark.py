@@ -123,6 +123,8 @@ def test_a_method_is_judged_by_what_it_gives_back(scene: Scene, dataset: MesaTas
     assert thrown.num_floating >= 1
     assert thrown.move_max_mm == pytest.approx(1e3 * np.hypot(10, 1))
     assert thrown.move_mean_mm == pytest.approx(thrown.move_max_mm / len(scene.objects))
+    assert thrown.emd_mm == pytest.approx(thrown.move_mean_mm)
+    assert judged("thrower", Thrower(), replace(layout, target=None), dataset, store).emd_mm is None
     results = run([layout], dataset, store, {"thrower": Thrower()})
     assert [r.method for r in results] == ["start", "thrower"]
     start = results[0]
