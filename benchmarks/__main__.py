@@ -35,6 +35,8 @@ def main() -> None:
             "preprocess": ["benchmarks.preprocess", data, "--scenes", "160" if few else "1000"],
             "loader": ["benchmarks.loader", run, data],
             "corrector_losses": ["benchmarks.corrector_losses", run, data, *(["--batch", "8"] if few else [])],
+            "baselines": ["benchmarks.baselines", data, *(["--per-bucket", "1"] if few else [])],
+            "steerable_drake": ["benchmarks.steerable_drake", data, *(["--per-bucket", "1"] if few else [])],
             "synth": ["benchmarks.synth", "--scenes", "20" if few else "200"],
         }
         for name, command in jobs.items():

@@ -1,0 +1,168 @@
+"""Steerable's projection in Drake itself, beside the re-implementation: ``python -m benchmarks.steerable_drake DATASET …``.
+
+Needs Drake: ``pip install -c constraints.txt -e '.[drake]'`` (its wheel brings the solver SNOPT, and MOSEK, which asks for a
+licence of its own where it is used; it is not used here). Without it nothing is measured, and that is said. Options and columns
+are those of ``benchmarks.baselines``.
+
+The programme as released: an inverse-kinematics problem over free bodies, quaternions held, the sum of squared changes of the
+positions, ``AddMinimumDistanceLowerBoundConstraint(0, 0.03)``, SNOPT with a feasibility tolerance of 1e-3, at most 5000 major
+iterations and 60 s. One convex hull a mesh, as Drake takes a mesh in distance queries; the table is a fixed box.
+"""
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from benchmarks.baselines import chosen_layouts, run, table
+from models.baselines.hulls import solid_hull, table_box
+from models.baselines.outcome import Method, Outcome, with_poses
+from models.baselines.steerable import Steerable, turned_parts
+from stable_data.assets import AssetStore
+from stable_data.errors import MeshError, StableDataError
+from stable_data.mesatask import MesaTaskDataset
+from stable_data.scene import FloatArray, Scene
+from stable_data.shape import Shape
+
+MISSING = "drake is not installed, nothing is measured; pip install -c constraints.txt -e '.[drake]'"
+
+
+@dataclass(frozen=True, slots=True)
+class SteerableInDrake:
+    """The projection as released, in Drake.
+
+    Attributes:
+        with_parts: Take convex parts instead of one hull a mesh.
+        influence: Pairs farther apart than this do not count, metres.
+        tolerance: SNOPT's major feasibility tolerance.
+        max_iterations: SNOPT's major iterations.
+        max_seconds: SNOPT's time limit.
+    """
+
+    with_parts: bool = False
+    influence: float = 0.03
+    tolerance: float = 1e-3
+    max_iterations: int = 5000
+    max_seconds: float = 60.0
+
+    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
+        """Moves objects apart; see :class:`~models.baselines.outcome.Method`. Not converged: Steerable throws the scene away."""
+        try:
+            bodies = [
+                [solid_hull(points) for points in parts]
+                for parts in turned_parts(scene, shapes, store, with_parts=self.with_parts)
+            ]
+        except MeshError as error:
+            return Outcome(scene, False, 0.0, str(error))
+        poses = scene.poses()
+        problem = self._problem(bodies, poses[:, :3], scene)
+        begin = time.process_time()
+        positions, is_solved, status = self._solved(problem)
+        seconds = time.process_time() - begin
+        poses[:, :3] = positions
+        return Outcome(with_poses(scene, poses), is_solved, seconds, "" if is_solved else f"SNOPT: status {status}")
+
+    def _problem(self, bodies: Sequence[Sequence[FloatArray]], positions: FloatArray, scene: Scene) -> "_Problem":
+        from pydrake.geometry import Box, Convex
+        from pydrake.math import RigidTransform
+        from pydrake.multibody.inverse_kinematics import InverseKinematics
+        from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
+        from pydrake.multibody.tree import SpatialInertia, UnitInertia
+        from pydrake.systems.framework import DiagramBuilder
+
+        builder = DiagramBuilder()
+        plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+        friction, nowhere = CoulombFriction(1.0, 1.0), RigidTransform()
+        inertia = SpatialInertia(1.0, np.zeros(3), UnitInertia(0.01, 0.01, 0.01))  # of no matter: nothing moves by forces
+        corners, middle = table_box(scene.table)
+        plant.RegisterCollisionGeometry(
+            plant.world_body(), RigidTransform(middle), Box(*np.ptp(corners, axis=0)), "table", friction
+        )
+        added = []
+        for n, parts in enumerate(bodies):
+            body = plant.AddRigidBody(f"body_{n}", inertia)
+            for k, points in enumerate(parts):
+                shape = Convex(points=points.T, label=f"part_{n}_{k}")
+                plant.RegisterCollisionGeometry(body, nowhere, shape, f"part_{n}_{k}", friction)
+            added.append(body)
+        plant.Finalize()
+        diagram = builder.Build()
+        context = diagram.CreateDefaultContext()
+        inside = plant.GetMyMutableContextFromRoot(context)
+        for body, position in zip(added, positions, strict=True):
+            plant.SetFreeBodyPose(inside, body, RigidTransform(position))
+        programme = InverseKinematics(plant, inside)
+        return _Problem(programme, diagram, context, plant.GetPositions(inside), [b.floating_positions_start() for b in added])
+
+    def _solved(self, problem: "_Problem") -> tuple[FloatArray, bool, int]:
+        from pydrake.solvers import SnoptSolver, SolverOptions
+
+        prog, q, start = problem.programme.prog(), problem.programme.q(), problem.start
+        for first in problem.firsts:
+            quat, place = slice(first, first + 4), slice(first + 4, first + 7)
+            prog.AddBoundingBoxConstraint(start[quat], start[quat], q[quat])
+            prog.AddQuadraticErrorCost(np.eye(3), start[place], q[place])
+        problem.programme.AddMinimumDistanceLowerBoundConstraint(0.0, self.influence)
+        options = SolverOptions()
+        options.SetOption(SnoptSolver.id(), "Major feasibility tolerance", self.tolerance)
+        options.SetOption(SnoptSolver.id(), "Major iterations limit", self.max_iterations)
+        options.SetOption(SnoptSolver.id(), "Time limit", self.max_seconds)
+        result = SnoptSolver().Solve(prog, start, options)
+        values = result.GetSolution(q)
+        positions = np.array([values[first + 4 : first + 7] for first in problem.firsts]).reshape(-1, 3)
+        return positions, bool(result.is_success()), int(result.get_solver_details().info)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Problem:
+    """Drake's objects, kept alive together.
+
+    Attributes:
+        programme: The inverse-kinematics problem.
+        diagram: What it refers to.
+        context: Likewise.
+        start: q⁰.
+        firsts: Where each body's quaternion starts in q; its position follows.
+    """
+
+    programme: Any
+    diagram: Any
+    context: Any
+    start: FloatArray
+    firsts: list[int]
+
+
+def main(
+    data: Annotated[Path, typer.Argument(help="Folder in the MesaTask-10K format: the layouts' meshes.")],
+    layouts: Annotated[Path | None, typer.Option(help="File of start layouts; else scenes of the dataset are shaken.")] = None,
+    per_bucket: Annotated[int, typer.Option(help="Layouts of each bucket.")] = 2,
+    with_parts: Annotated[bool, typer.Option(help="Convex parts besides hulls.")] = False,
+    limit: Annotated[float, typer.Option(help="Seconds after which no further layout is begun.")] = np.inf,
+    file: Annotated[Path | None, typer.Option("--json", help="Where the figures are written.")] = None,
+) -> None:
+    """Steerable's projection in Drake, beside its re-implementation."""
+    if find_spec("pydrake") is None:
+        print(MISSING)
+        return
+    dataset = MesaTaskDataset(data)
+    store = AssetStore(dataset, max_bytes=2**30)
+    methods: Mapping[str, Method] = {"steerable": Steerable(), "steerable_drake": SteerableInDrake()}
+    if with_parts:
+        methods = {**methods, "steerable_parts": Steerable(with_parts=True), "steerable_drake_parts": SteerableInDrake(True)}
+    try:
+        results = run(chosen_layouts(dataset, store, layouts, per_bucket), dataset, store, methods, limit)
+    except StableDataError as error:
+        raise SystemExit(str(error)) from error
+    print(table(results))
+    if file is not None:
+        file.write_text(json.dumps([asdict(result) for result in results], indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    typer.run(main)

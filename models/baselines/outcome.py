@@ -1,0 +1,50 @@
+"""What every baseline takes and gives."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from stable_data.assets import AssetStore
+from stable_data.scene import FloatArray, Scene
+from stable_data.shape import Shape
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """A scene as a baseline leaves it. Whether it is clean is for the exact audit to say, never for the baseline.
+
+    Attributes:
+        scene: The same instances, in order, where the baseline put them.
+        converged: Whether the baseline counts itself done, by its own geometry and tolerance.
+        seconds: Processor time of the optimisation alone: hulls, convex parts and grids of the assets are made before.
+        reason: Why it did not converge; empty where it did.
+    """
+
+    scene: Scene
+    converged: bool
+    seconds: float
+    reason: str = ""
+
+
+class Method(Protocol):
+    """A baseline with its settings."""
+
+    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
+        """Corrects one scene.
+
+        Args:
+            scene: The layout to start from.
+            shapes: Geometry of its objects, in its order (``AssetStore.resolved``).
+            store: Meshes of its assets.
+
+        Returns:
+            What became of it. The scene that comes back may hold other tilts than the one given where the baseline lets
+            things tip over: ask the store for its shapes again.
+        """
+        ...
+
+
+def with_poses(scene: Scene, poses: FloatArray) -> Scene:
+    """A scene with other poses (N, 4): x, y, z in metres and yaw in radians."""
+    rows = poses.tolist()
+    return replace(scene, objects=tuple(o.moved((x, y, z), yaw) for o, (x, y, z, yaw) in zip(scene.objects, rows, strict=True)))
