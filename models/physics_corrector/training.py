@@ -159,8 +159,10 @@ class Training:
         if losses is None:
             zero = torch.zeros((), device=self.place.device)
             return zero, (zero, zero, zero)
+        of_scene, limit = losses.weighted(self.settings.losses), self.settings.physics.limit
+        of_scene = limit * torch.log1p(of_scene / limit) if limit else of_scene
         terms = (losses.object_object, losses.object_table, losses.support)
-        return scale * (weight * losses.weighted(self.settings.losses)).sum(), tuple(scale * term.sum() for term in terms)
+        return scale * (weight * of_scene).sum(), tuple(scale * term.sum() for term in terms)
 
     def _sampled(self, batch: SceneBatch, coarse: Tensor, chosen: Tensor, generator: torch.Generator) -> Tensor:
         """Poses as inference samples them, (S, N, 4), with the gradient of the last steps."""
