@@ -214,7 +214,7 @@ class _Watcher:
         if not len(places):
             return {}
         scenes = self._source.scenes([data.scene_ids[n] for n in places[:num_exact].tolist()]) if num_exact else []
-        held_out = HeldOut(data.to(training.place.device), places, scenes, self._source.store() if scenes else None)
+        held_out = HeldOut(training.data, places, scenes, self._source.store() if scenes else None)
         velocity = training.velocity(training.averaged())
         chosen = {} if rows is None else {"rows": rows}
         return validation_card(velocity, training.flow, held_out, training.settings.perturbation, 0, **chosen)

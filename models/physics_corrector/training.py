@@ -59,6 +59,7 @@ class Training:
         place: Where it is trained.
 
     Attributes:
+        data: The scenes, on the device.
         step: Steps done.
         network: The network as it is.
         average: The exponential average of its weights, by name.
@@ -66,7 +67,7 @@ class Training:
 
     def __init__(self, data: TrainingSet, settings: TrainingSettings, place: Place = Place()) -> None:
         self.settings, self.place = settings, place
-        self._data, self._train = data.to(place.device), data.of_split(0)
+        self.data, self._train = data.to(place.device), data.of_split(0)
         with torch.random.fork_rng():
             torch.manual_seed(settings.seed)
             network, self.flow = settings.corrector.build()
@@ -105,7 +106,7 @@ class Training:
         """This process's chunks: their scenes, the share of the step's movable objects that is theirs, and their stream."""
         scenes = torch.from_numpy(self._drawn()).to(self.place.device)
         generator = self._generator(0)
-        batch = cut(self._data.batch.take(scenes), self._data.stage[scenes], self.settings.prefixes, generator)
+        batch = cut(self.data.batch.take(scenes), self.data.stage[scenes], self.settings.prefixes, generator)
         order = torch.argsort(batch.mask.sum(1), stable=True)
         total = batch.is_movable.sum().clamp_min(1)
         for number, chunk in enumerate(torch.split(order, self.settings.chunk)):
@@ -143,14 +144,14 @@ class Training:
         if strength and settings.is_unrolled_at(self.step):
             sampled = lots[1] < settings.physics.unroll_scenes
             poses = self._sampled(batch, coarse, sampled, generator)
-            found = physics_losses(poses, batch.take(sampled), self._data.geometry, settings.losses)
+            found = physics_losses(poses, batch.take(sampled), self.data.geometry, settings.losses)
             weight = poses.new_full((len(poses),), settings.physics.unroll_weight)
             unrolled, _ = self._weighted(found, weight, settings.physics.unroll_scenes)
         total = flow + physics + unrolled
         return total, torch.stack([flow, physics, *terms, unrolled, total]).detach()
 
     def _physics(self, poses: Tensor, batch: SceneBatch, chosen: Tensor) -> PhysicsLosses:
-        return physics_losses(poses[chosen], batch.take(chosen), self._data.geometry, self.settings.losses)
+        return physics_losses(poses[chosen], batch.take(chosen), self.data.geometry, self.settings.losses)
 
     def _weighted(self, losses: PhysicsLosses | None, weight: Tensor, share: float) -> tuple[Tensor, tuple[Tensor, ...]]:
         """Mean over the step's scenes of the weighted physical loss, and of its terms, from a share of the scenes."""
@@ -158,8 +159,10 @@ class Training:
         if losses is None:
             zero = torch.zeros((), device=self.place.device)
             return zero, (zero, zero, zero)
+        of_scene, limit = losses.weighted(self.settings.losses), self.settings.physics.limit
+        of_scene = limit * torch.log1p(of_scene / limit) if limit else of_scene
         terms = (losses.object_object, losses.object_table, losses.support)
-        return scale * (weight * losses.weighted(self.settings.losses)).sum(), tuple(scale * term.sum() for term in terms)
+        return scale * (weight * of_scene).sum(), tuple(scale * term.sum() for term in terms)
 
     def _sampled(self, batch: SceneBatch, coarse: Tensor, chosen: Tensor, generator: torch.Generator) -> Tensor:
         """Poses as inference samples them, (S, N, 4), with the gradient of the last steps."""
@@ -215,8 +218,8 @@ class Training:
         aside = path.with_name(f".{path.name}.{os.getpid()}")
         state = {
             "settings": json.dumps(asdict(self.settings), sort_keys=True),
-            "data": self._data.fingerprint,
-            "encoder": self._data.encoder,
+            "data": self.data.fingerprint,
+            "encoder": self.data.encoder,
             "step": self.step,
             "network": self.network.state_dict(),
             "optimizer": self._optimizer.state_dict(),
@@ -240,14 +243,14 @@ class Training:
         if not path.is_file():
             return False
         try:
-            state = torch.load(path, map_location=self.place.device, weights_only=True)
+            state = torch.load(path, map_location="cpu", weights_only=True)
             was = flattened(json.loads(state["settings"])) | {"data": state["data"], "encoder": state["encoder"]}
         except _UNREADABLE as error:
             raise ConfigError(
                 f"{path}: cannot be read as a checkpoint ({type(error).__name__}); remove it to start anew",
                 "checkpoint_invalid",
             ) from error
-        now = json.loads(json.dumps(self.settings.flat())) | {"data": self._data.fingerprint, "encoder": self._data.encoder}
+        now = json.loads(json.dumps(self.settings.flat())) | {"data": self.data.fingerprint, "encoder": self.data.encoder}
         changed = [f"{k}: {was.get(k)} -> {now.get(k)}" for k in sorted(was.keys() | now.keys()) if was.get(k) != now.get(k)]
         if changed:
             raise ConfigError(
@@ -256,7 +259,7 @@ class Training:
             )
         self.network.load_state_dict(state["network"])
         self._optimizer.load_state_dict(state["optimizer"])
-        self.average = state["average"]
+        self.average = {name: value.to(self.place.device) for name, value in state["average"].items()}
         self.step = state["step"]
         return True
 

@@ -173,3 +173,14 @@ def test_training_makes_a_corrector_that_moves_things_where_they_belong() -> Non
     assert before is not None
     assert after is not None
     assert after < 0.7 * before
+
+
+def test_a_limit_lets_large_losses_count_as_their_logarithm() -> None:
+    def figures(limit: float) -> dict[str, float]:
+        schedule = PhysicsSchedule(share=1.0, from_time=0.0, limit=limit)
+        return Training(DATA, replace(TINY, physics=schedule)).advance()[0]
+
+    plain, small, large = figures(0.0), figures(1e-4), figures(1e6)
+    assert large["physics"] == pytest.approx(plain["physics"], rel=1e-3)
+    assert small["physics"] < 0.2 * plain["physics"]
+    assert small["object_table"] == plain["object_table"]
