@@ -22,12 +22,15 @@ TABLE_TOP = -1
 """Stands for the table as a carrier."""
 
 _RIM = 3e-3  # the bottom of what is in a container is this much below the rim at least, metres
-_LOOKS = 9  # a side, of looks down on a shape
-_DEEP, _HOLLOW_SHARE = 0.3, 0.2  # so deep, as a share of the height, at so many of them, is hollow
+_LOOKS = 11  # a side, of looks down on a shape
+_DEEP, _WALL, _HOLLOW_SHARE = 0.3, 0.25, 0.15  # so deep and so far below the walls, shares of the height, at so many of them
+_WAYS = ((np.asarray, 0), (np.flipud, 0), (np.asarray, 1), (np.fliplr, 1))
 _SUNK = 2e-3  # how far the bottom of what is on another thing may be below that thing's, metres
 _TOUCH = 3e-3  # what is so far above another one still is on it, metres
 _OVER = 0.02  # how far beyond its carrier's outline the centre of what is on it may be, metres
 _SLIPPED = 0.7  # or so large a share of half its own width
+_FITS = 0.8  # share of an object's outline that is over its container's
+_SUNKEN, _HALF = 0.015, 0.5  # what touches another is on it where its bottom is at most this far below its top, metres or share
 _GAP = 1e-2  # what is so close below an object without contact counts as carrying it, metres
 
 
@@ -48,18 +51,21 @@ _hollow: "WeakKeyDictionary[Shape, bool]" = WeakKeyDictionary()
 
 
 def is_hollow(shape: Shape) -> bool:
-    """Can something be put into a shape? Looks down on it: in a hollow the first face is deep below the top.
+    """Can something be put into a shape? Looks down on it: a hollow is deep below the top and has walls on all four sides.
 
     A layout may have things stuck in solid ones; those are not contents, and no correction could keep them in.
     """
     if shape not in _hollow:
         low, high = shape.footprint.min(axis=0), shape.footprint.max(axis=0)
         shares = (np.arange(_LOOKS) + 0.5) / _LOOKS
-        points = low + (high - low) * np.stack(np.meshgrid(shares, shares), axis=2).reshape(-1, 2)
-        points = points[shapely.contains_xy(shapely.Polygon(shape.footprint), points)]
+        points = low + (high - low) * np.stack(np.meshgrid(shares, shares, indexing="ij"), axis=2)
         height = float(shape.size[2])
-        depth = height / 2 - _first_heights(points, shape.vertices[shape.faces], -height / 2)
-        _hollow[shape] = bool(len(points)) and float((depth > _DEEP * height).mean()) >= _HOLLOW_SHARE
+        found = _first_heights(points.reshape(-1, 2), shape.vertices[shape.faces], -height / 2).reshape(_LOOKS, _LOOKS)
+        walls = np.stack([np.maximum.accumulate(way(found), axis=axis) for way, axis in _WAYS])
+        walled = np.stack([way(wall) for (way, _), wall in zip(_WAYS, walls, strict=True)]).min(axis=0)
+        over = shapely.contains_xy(shapely.Polygon(shape.footprint), *points.reshape(-1, 2).T).reshape(_LOOKS, _LOOKS)
+        deep = over & (walled - found > _WALL * height) & (height / 2 - found > _DEEP * height)
+        _hollow[shape] = bool(deep.sum() >= _HOLLOW_SHARE * over.sum() > 0)
     return _hollow[shape]
 
 
@@ -143,18 +149,24 @@ def _carried_by(
     slip = max(_OVER, _SLIPPED * float((high - low)[:2].min()) / 2)
     if (poses[k, :2] > other_high[:2] + slip).any() or (poses[k, :2] < other_low[:2] - slip).any():
         return None
-    outside = beyond(poses[k, :2], meshes.shapes[p].posed_footprint(poses[p]))
-    depth = float(other_high[2] - low[2])
-    if outside <= INSIDE_SLACK and depth > _RIM and is_hollow(meshes.shapes[p]):
-        return (0.0, depth, float(p)), Carried(p, True)
+    outline = meshes.shapes[p].posed_footprint(poses[p])
+    outside = beyond(poses[k, :2], outline)
     if outside > slip:
         return None
-    lowered = poses[k] - (0.0, 0.0, _TOUCH, 0.0)
-    touches = meshes.cross(k, lowered, p, poses[p]) or meshes.cross(k, poses[k], p, poses[p])
-    if touches and depth <= max(0.015, 0.5 * float(other_high[2] - other_low[2])):
-        return (1.0, max(0.0, outside), abs(depth), float(p)), Carried(p)
-    if not touches and outside <= INSIDE_SLACK and depth <= _RIM:
-        return (2.0, abs(depth), float(p)), Carried(p)
+    over, own = shapely.Polygon(outline), shapely.Polygon(meshes.shapes[k].posed_footprint(poses[k]))
+    depth, is_over, area = float(other_high[2] - low[2]), outside <= INSIDE_SLACK, float(over.area)
+    is_within = is_over and depth > _RIM and is_hollow(meshes.shapes[p])
+    fits = is_within and own.intersection(over).area >= _FITS * own.area
+    touches = meshes.cross(k, poses[k] - (0.0, 0.0, _TOUCH, 0.0), p, poses[p])
+    if touches and is_over and not meshes.penetrates(k, poses[k], p, poses[p]):
+        return (0.0, area, float(p)), Carried(p, is_within)
+    if fits:
+        return (1.0, area, float(p)), Carried(p, True)
+    touches = touches or meshes.cross(k, poses[k], p, poses[p])
+    if touches and (is_within or depth <= max(_SUNKEN, _HALF * float(other_high[2] - other_low[2]))):
+        return (2.0, max(0.0, outside), area, float(p)), Carried(p, is_within)
+    if is_over and (is_within or depth <= _RIM):
+        return (3.0, abs(depth), float(p)), Carried(p, is_within)
     return None
 
 

@@ -59,6 +59,7 @@ class _Certifier:
         self.dropped: list[Dropped] = []
         self.strict: set[frozenset[int]] = set()
         self.resettled: set[int] = set()
+        self.shaky: set[int] = set()
         self.reason = ""
 
     def certified(self) -> Certified:
@@ -194,10 +195,10 @@ class _Certifier:
                     changed = True
                 elif one == other:
                     changed |= self._uproot(i if layout.carried[j].parent == TABLE_TOP or j in layout.tree(i) else j)
+        self.shaky = {number[o.instance] for o in audit.objects if o.floats}
         for o in audit.objects:
-            k = number[o.instance]
             if o.floats or o.table_penetration > TOLERANCE:
-                changed |= self._uproot(k)
+                changed |= self._uproot(number[o.instance])
         if not changed:
             self.reason = f"the exact check refuses what cannot be moved: {_what_is_left(audit)}"
         return changed
@@ -210,8 +211,9 @@ class _Certifier:
         if layout.carried[k].parent != TABLE_TOP and k not in self.resettled:
             self.resettled.add(k)
             own = set(layout.tree(k))
-            others = [m for m in layout.tree(layout.root_of(k)) if m not in own]
+            others = [m for m in layout.tree(layout.root_of(k)) if m not in own and m not in self.shaky]
             pose = resting_pose(self.meshes, layout.poses, k, layout.carried[k], others)
+            self.shaky.discard(k)
             if pose is not None and not np.array_equal(pose, layout.poses[k]):
                 layout.carry(k, pose)
                 return True

@@ -97,7 +97,7 @@ class Meshes:
             j for j in near if surface is not None and carries(MeshPair(surface, self._surface(j, poses[j]), NEAR), NEAR)
         ]
 
-    def lowered(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray, top: float) -> float:
+    def lowered(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> float:
         """Height of an object's centre when it comes down from above until it is just clear of what is below, metres.
 
         Args:
@@ -105,7 +105,6 @@ class Meshes:
             pose: x and y from which it comes, and its yaw, (4,).
             others: What it may come down on; besides there is the table.
             poses: Where they are, (N, 4).
-            top: Height of the object's centre that it starts from at most, metres.
         """
         floor = float(self.shapes[k].size[2]) / 2
         low, high = self.box(k, pose)
@@ -123,7 +122,7 @@ class Meshes:
             moving.setTranslation(there)
             return any(self._bodies_cross(moving, other) for other in below)
 
-        z = max(floor, min(highest, top))
+        z = highest
         while touches(z):  # it started inside something: from farther up
             z += _STEP
         while z > floor and not touches(max(floor, z - _STEP)):

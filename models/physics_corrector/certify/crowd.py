@@ -1,5 +1,6 @@
 """Bodies on a table that may shift, and what keeps them from where they want to be."""
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -89,6 +90,12 @@ class Crowd:
         self._offsets = np.array([o.offset for o in orders]).reshape(-1, 2)
         self.subjects = np.array([o.first for o in orders], np.int64)
         self.targets = np.array([o.second for o in orders], np.int64)
+
+    def shrunk(self, share: float) -> "Crowd":
+        """The same bodies, all as much smaller about their anchors."""
+        smaller = copy.copy(self)
+        smaller.offsets = share * self.offsets
+        return smaller
 
     def beyond(self, shifts: FloatArray) -> FloatArray:
         """How far each pair of slabs is beyond each of its half-planes, (E, 2M), metres, for shifts (B, 2)."""

@@ -18,6 +18,8 @@ _RINGS = (0.004, 0.008, 0.014, 0.022, 0.032, 0.045, 0.06, 0.08, 0.11, 0.15)  # h
 _AROUND = 8
 _SHARES = (0.25, 0.5, 0.75, 1.0)  # and so far towards the carrier's middle
 _TURNS = (0.0, np.pi / 2, np.pi / 4, -np.pi / 4)  # besides, turned
+_LIFT = 4e-3  # what comes to rest this much higher than it was may be wedged: a better place is looked for, metres
+_ENOUGH = 30  # among so many
 _MOST = 60  # places that are tried at each turn
 
 
@@ -50,17 +52,22 @@ def resting_pose(
     """
     if _is_carried(meshes, poses, k, poses[k], carried) and is_at_rest(meshes, poses, k, poses[k], [*done, *waiting]):
         return poses[k].copy()
-    for there in _candidates(meshes, poses, k, carried):
-        near = [j for j in done if j != k]
-        top = float(max(meshes.box(j, poses[j])[1][2] for j in near)) + float(meshes.shapes[k].size[2])
-        there[2] = meshes.lowered(k, there, near, poses, top)
-        if not _is_carried(meshes, poses, k, there, carried):
+    best: FloatArray | None = None
+    least = np.inf
+    for number, there in enumerate(_candidates(meshes, poses, k, carried)):
+        if best is not None and number > _ENOUGH:
+            break
+        there[2] = meshes.lowered(k, there, done, poses)
+        cost = float(np.linalg.norm(there[:2] - poses[k, :2]) + max(0.0, there[2] - poses[k, 2]))
+        if cost >= least or not _is_carried(meshes, poses, k, there, carried):
             continue
         if not carried.is_in and carried.parent not in meshes.rests(k, there, [carried.parent], poses):
             continue
         if is_at_rest(meshes, poses, k, there, done):
-            return there
-    return None
+            best, least = there, cost
+            if there[2] <= poses[k, 2] + _LIFT:
+                break
+    return best
 
 
 def _is_carried(meshes: Meshes, poses: FloatArray, k: int, pose: FloatArray, carried: Carried) -> bool:

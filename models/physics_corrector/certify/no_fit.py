@@ -55,11 +55,10 @@ def no_fit(parts: Sequence[Part]) -> NoFit:
     """The polygons of all pairs of parts, the part with the lower number first."""
     stacks = [p.slabs for p in parts]
     owner = np.repeat(np.arange(len(parts)), [len(s.tops) for s in stacks])
-    normals, offsets, corners = (
-        np.concatenate([getattr(s, name) for s in stacks]) if stacks else np.zeros((0, NUM_SIDES, 2)[:ndim])
-        for name, ndim in (("normals", 3), ("offsets", 2), ("corners", 3))
-    )
-    bottoms, tops = (np.array([z for s in stacks for z in getattr(s, name)]) for name in ("bottoms", "tops"))
+    normals = np.concatenate([np.zeros((0, NUM_SIDES, 2)), *(s.normals for s in stacks)])
+    corners = np.concatenate([np.zeros((0, NUM_SIDES, 2)), *(s.corners for s in stacks)])
+    offsets = np.concatenate([np.zeros((0, NUM_SIDES)), *(s.offsets for s in stacks)])
+    bottoms, tops = (np.concatenate([np.zeros(0), *(getattr(s, name) for s in stacks)]) for name in ("bottoms", "tops"))
     meets = (bottoms[:, None] < tops[None] - 1e-9) & (tops[:, None] > bottoms[None] + 1e-9) & (owner[:, None] < owner[None])
     within = np.zeros((len(owner), len(owner)), np.float32)
     for k, stack in enumerate(stacks):

@@ -11,6 +11,7 @@ from stable_data.scene import FloatArray
 
 _STEPS = 16
 _SQUEEZE_STEPS = 7
+_SHARES, _GROWTH_STEPS = (0.5, 0.6, 0.7, 0.8, 0.87, 0.94, 1.0), 4  # of its size that a body grows through
 _PRICES = (0.3, 0.05)  # of a metre by which a directional relation is broken, once not all can be had
 _PLACES = 3  # that are tried for a body
 _PATIENCE = 8  # tries that gain nothing before it is given up
@@ -29,15 +30,26 @@ def part(crowd: Crowd, shifts: FloatArray, aims: FloatArray, tries: int) -> tupl
         The shifts, and the bodies that are still in the way; none where the crowd is parted.
     """
     found, is_parted = project(crowd, shifts, aims, _STEPS)
-    for price in _PRICES:
+    for price in (HARD, *_PRICES):
         if is_parted:
             break
-        found, is_parted = project(crowd, found, found, _STEPS, price)
+        found, is_parted = _grown(crowd, shifts, aims, price)
     if not is_parted:
         found, is_parted = _squeezed(crowd, found, aims, tries)
     if not is_parted:
         return found, in_the_way(crowd, found)
     return _polished(crowd, found, aims), []
+
+
+def _grown(crowd: Crowd, shifts: FloatArray, aims: FloatArray, price: float) -> tuple[FloatArray, bool]:
+    """Parts the bodies while they are small, and again as they grow: they push each other on rather than through each other."""
+    is_parted = False
+    for share in _SHARES:
+        smaller = crowd.shrunk(share)
+        shifts, is_parted = project(smaller, shifts, aims if share == _SHARES[0] else shifts, _GROWTH_STEPS, price)
+    if not is_parted:
+        shifts, is_parted = project(crowd, shifts, shifts, _STEPS, price)
+    return shifts, is_parted
 
 
 def in_the_way(crowd: Crowd, shifts: FloatArray) -> list[int]:

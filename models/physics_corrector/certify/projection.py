@@ -167,7 +167,7 @@ def _solved(
     has_second = second >= 0
     matrix[index[has_second], second[has_second]] -= rows[has_second]
     matrix *= np.sqrt(inverse)[None, :, None]
-    flat = matrix.reshape(len(rows), -1)
+    flat = matrix.reshape(len(rows), 2 * num)
     aim = (aims * np.sqrt(np.where(crowd.is_free, crowd.stiffness, 1.0))[:, None]).reshape(-1)
     needed = bounds - flat @ aim
     fixed = ~crowd.is_free

@@ -1,0 +1,95 @@
+"""Which relations of a scene a correction has kept: columns of the metric card beside movement."""
+
+from collections.abc import Sequence, Set
+from dataclasses import dataclass, replace
+
+from stable_data.metrics.audit import PosedScene
+from stable_data.metrics.collision import TOLERANCE
+from stable_data.relations import relations_of, scene_graph
+from stable_data.scene import TABLE, Relation, RelationKind, Scene
+from stable_data.shape import Shape
+
+_ON_IN = frozenset({RelationKind.ON, RelationKind.IN})
+_AXES = {
+    RelationKind.LEFT_OF: (0, -1),
+    RelationKind.RIGHT_OF: (0, 1),
+    RelationKind.IN_FRONT_OF: (1, -1),
+    RelationKind.BEHIND: (1, 1),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class RelationsKept:
+    """Counts of relations before and after a correction. Those of objects that were dropped are left out.
+
+    Attributes:
+        on_in_held: ``on`` and ``in`` another object: how many held before.
+        on_in_kept: How many of these still hold.
+        directional_held: ``left of``, ``right of``, ``in front of``, ``behind``: how many held before.
+        directional_kept: How many of these still hold.
+        asked_broken: ``on`` and ``in`` of the scene's own relations that did not hold before.
+        asked_restored: How many of these hold now.
+    """
+
+    on_in_held: int
+    on_in_kept: int
+    directional_held: int
+    directional_kept: int
+    asked_broken: int
+    asked_restored: int
+
+    @property
+    def on_in_share(self) -> float | None:
+        """The card's ``relations_kept_on_in``; None where none held."""
+        return self.on_in_kept / self.on_in_held if self.on_in_held else None
+
+    @property
+    def directional_share(self) -> float | None:
+        """The card's ``relations_kept_directional``; None where none held."""
+        return self.directional_kept / self.directional_held if self.directional_held else None
+
+
+def relations_kept(before: Scene, after: Scene, shapes: Sequence[Shape]) -> RelationsKept:
+    """Compares the scene graphs of a scene before and after.
+
+    A directional relation holds while its subject is within 45 degrees of that direction, seen from its target; that another
+    object has come nearer does not break it.
+
+    Args:
+        before: The scene as it was; its ``relations`` are what is asked for.
+        after: The same without the objects that were dropped, moved.
+        shapes: The geometry of the objects of ``before``, in its order.
+
+    Returns:
+        The counts.
+    """
+    there = {o.instance for o in after.objects}
+    shape = {o.instance: s for o, s in zip(before.objects, shapes, strict=True)}
+    kept = replace(before, objects=tuple(o for o in before.objects if o.instance in there))
+    graphs = [_relations(scene, [shape[o.instance] for o in scene.objects]) for scene in (kept, after)]
+    on_in_before, on_in_after = ({r for r in found if r.kind in _ON_IN and r.target != TABLE} for found in graphs)
+    directional = [r for r in graphs[0] if r.kind in _AXES]
+    asked = {r for r in before.relations if r.kind in _ON_IN and {r.subject, r.target} <= there}
+    broken = asked - on_in_before
+    return RelationsKept(
+        on_in_held=len(on_in_before),
+        on_in_kept=len(on_in_before & on_in_after),
+        directional_held=len(directional),
+        directional_kept=sum(_holds(after, r) for r in directional),
+        asked_broken=len(broken),
+        asked_restored=len(broken & on_in_after),
+    )
+
+
+def _relations(scene: Scene, shapes: Sequence[Shape]) -> Set[Relation]:
+    posed = PosedScene(scene, shapes)
+    contacts = {name: posed.supports(k, TOLERANCE) or () for k, name in enumerate(posed.instances)}
+    footprints = {o.instance: s.posed_footprint(p) for o, s, p in zip(scene.objects, shapes, scene.poses(), strict=True)}
+    return set(relations_of(scene_graph(scene, contacts, footprints)))
+
+
+def _holds(scene: Scene, relation: Relation) -> bool:
+    axis, sign = _AXES[relation.kind]
+    one, other = scene[relation.subject].position, scene[relation.target].position
+    apart = [a - b for a, b in zip(one[:2], other[:2], strict=True)]
+    return sign * apart[axis] > abs(apart[1 - axis])
