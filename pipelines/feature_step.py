@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -64,7 +62,7 @@ def feature_rows(use: FeatureUse, store: AssetStore, encoder: PointEncoder, prog
     Raises:
         MeshError: A shape has no cloud that the encoder takes.
     """
-    from models.point_encoder import Cloud
+    from models.point_encoder import Cloud, one_thread
 
     progress.step = "features"
     try:
@@ -90,19 +88,6 @@ def feature_rows(use: FeatureUse, store: AssetStore, encoder: PointEncoder, prog
         }
         for shape_use, code, log_extents in zip(use.shapes, found.codes, found.log_extents, strict=True)
     ]
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Lets torch use one thread: how sums are cut among threads shows in their last bits."""
-    import torch
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def fingerprint_of(setting: str) -> str | None:

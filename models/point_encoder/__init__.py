@@ -6,7 +6,7 @@ below them ``transformer``, ``blocks``, ``level`` and ``serialization`` are the 
 
 from models.point_encoder.checkpoint import DEFAULT_WEIGHTS, load, load_default, load_published, save
 from models.point_encoder.cloud import PUBLISHED, Cloud, Preprocessing
-from models.point_encoder.encoder import FEATURE_CHANNELS, Features, PointEncoder
+from models.point_encoder.encoder import FEATURE_CHANNELS, Features, PointEncoder, one_thread
 from models.point_encoder.transformer import BASE, EMBEDDED, TransformerConfig
 
 __all__ = [
@@ -23,5 +23,6 @@ __all__ = [
     "load",
     "load_default",
     "load_published",
+    "one_thread",
     "save",
 ]

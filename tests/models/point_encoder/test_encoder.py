@@ -21,6 +21,7 @@ def far(first: npt.NDArray[np.float32], second: npt.NDArray[np.float32]) -> floa
 def test_a_feature_does_not_depend_on_its_batch_mates() -> None:
     torch.manual_seed(0)
     encoder = PointEncoder(EMBEDDED, Preprocessing(num_points=700))
+    encoder.set_projection(torch.zeros(EMBEDDED.out_channels), torch.eye(FEATURE_CHANNELS, EMBEDDED.out_channels))
     all_clouds = [box_cloud(*size, num_points=700) for size in ((0.1, 0.1, 0.1), (0.3, 0.02, 0.05), (0.2, 0.2, 0.01))]
     together = encoder.encode(all_clouds).codes
     alone = np.concatenate([encoder.encode([cloud]).codes for cloud in all_clouds])
