@@ -51,7 +51,8 @@ class PreprocessSettings:
         task_cache: Folder that keeps its answers; on a cluster one that every node sees.
         features: Encoder of the point features: ``auto`` (that of models/weights, where it is there), ``none``, the file of one
             that ``models.point_encoder.save`` wrote, or a published one as ``scannet:FILE``, ``modelnet:FILE``, ``sonata:FILE``,
-            by what it was trained on; on a cluster a file that every node sees.
+            by what it was trained on; on a cluster a file that every node sees. With our own, a feature takes a core about 30 ms,
+            and torch takes 200 MB of each worker; with ``none`` it is not loaded.
         num_pictures: Scenes drawn in the report.
         seconds_per_item: A scene or asset that takes longer is a failure; not watched without worker processes.
     """

@@ -2,16 +2,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
-from models.point_encoder.checkpoint import load, load_published, save
+from models.point_encoder.checkpoint import DEFAULT_WEIGHTS, load, load_default, load_published, save
 from models.point_encoder.cloud import MODELNET, SONATA
 from models.point_encoder.transformer import PointTransformer, TransformerConfig
 from stable_data.errors import ConfigError
-from tests.models.point_encoder.clouds import TINY, clouds, tiny_encoder
+from tests.models.point_encoder.clouds import TINY, box_cloud, clouds, tiny_encoder
 
 FIRST = TransformerConfig(
     legacy_stale_cpe=True,
@@ -166,3 +167,16 @@ def test_nothing_is_unpickled(tmp_path: Path) -> None:
 def test_the_tiny_network_is_none_of_the_published(tmp_path: Path) -> None:
     """Layer norms in the stem of a first-generation network: read as what they are."""
     assert load_published(written(tmp_path, weights(replace(TINY, legacy_stale_cpe=True))), MODELNET).config.norm == "ln"
+
+
+def test_the_default_weights_are_those_that_their_card_describes() -> None:
+    encoder = load_default()
+    card = (DEFAULT_WEIGHTS.parent / "README.md").read_text("utf-8")
+    assert f"`{encoder.fingerprint()}`" in card
+    sizes = ((0.1, 0.1, 0.1), (0.3, 0.02, 0.05), (0.2, 0.2, 0.01))
+    features = encoder.encode([box_cloud(*size, num_points=encoder.preprocessing.num_points) for size in sizes])
+    apart = np.linalg.norm(features.codes[:, None] - features.codes, axis=2)
+    assert apart[np.triu_indices(3, 1)].min() > 1  # codes have about unit deviation
+    twice = encoder.encode([box_cloud(0.6, 0.04, 0.1, num_points=encoder.preprocessing.num_points)])
+    assert np.allclose(twice.codes[0], features.codes[1], atol=1e-3)  # the size is not in the code
+    assert np.allclose(twice.log_extents[0] - features.log_extents[1], np.log(2), atol=1e-6)
