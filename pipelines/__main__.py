@@ -78,6 +78,52 @@ def preprocess(
 
 @app.command()
 @with_clear_errors
+def correct(
+    scenes: Annotated[
+        str,
+        typer.Option(help="A folder in the MesaTask-10K format, or a run with a table scenes; every node must see it."),
+    ],
+    out: Annotated[str, typer.Option(help="Run folder: a path that every node sees, or a URI such as s3://bucket/prefix.")],
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table [correct] is read.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
+    workers: Annotated[
+        int,
+        typer.Option(
+            help="Worker processes on a local Ray, or shards at once with --address; -1 is one a core; 0 this process."
+        ),
+    ] = -1,
+    address: Address = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")] = False,
+) -> None:
+    """Turn scenes into scenes that are exactly clean: repair, or rearrangement. Run again to go on where it was stopped.
+
+    Corrected scenes are in the table scenes, what was done in the table corrections; of a folder in the MesaTask-10K format
+    OUT/dataset is the corrected folder. Status 0: done. 1: some scenes could not be corrected; the table failures says which
+    and why. 2: could not start.
+    """
+    from pipelines.correct import CorrectSettings, describe_correction
+    from pipelines.correct import correct as run
+    from pipelines.runner import Workers
+    from pipelines.settings import resolve
+
+    count = _count(workers, address)
+    settings = resolve(CorrectSettings, "correct", config, set_ or [])
+    if dry_run:
+        typer.echo(json.dumps(describe_correction(scenes, settings), indent=2))
+        return
+    manifest = run(scenes, out, settings, Workers(count, address))
+    counts = manifest["counts"]
+    status = ", ".join(f"{counts['by_status'][key]} {key}" for key in sorted(counts["by_status"]))
+    typer.echo(
+        f"{out}: {counts['scenes']} of {manifest['num_scenes']} scenes ({status}), {counts['warnings']} warnings, "
+        f"{counts['failures']} failures; report/index.html"
+    )
+    if counts["failures"]:
+        raise typer.Exit(SOME_FAILED)
+
+
+@app.command()
+@with_clear_errors
 def synth(
     out: SynthOut,
     scenes: NumScenes = 24,

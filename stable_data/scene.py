@@ -216,3 +216,14 @@ class Scene:
     def poses(self) -> FloatArray:
         """Position and yaw of every object, (N, 4) float64: x, y, z in metres, yaw in radians, world frame."""
         return np.array([(*o.position, o.yaw) for o in self.objects], np.float64).reshape(-1, 4)
+
+    def with_poses(self, poses: npt.ArrayLike) -> "Scene":
+        """The scene with its objects elsewhere.
+
+        Args:
+            poses: As ``poses`` gives them, (N, 4).
+        """
+        rows = np.asarray(poses, np.float64).tolist()
+        return replace(
+            self, objects=tuple(o.moved((x, y, z), yaw) for o, (x, y, z, yaw) in zip(self.objects, rows, strict=True))
+        )

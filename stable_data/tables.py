@@ -165,8 +165,8 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column("card_after", CARD, "metric card of the corrected scene, null where infeasible"),
             _column("on_in_held", _count, "on and in relations that held in the input"),
             _column("on_in_kept", _count, "of them, those that still hold"),
-            _column("on_in_asked", _count, "on and in relations that the scene graph asks for and the input broke"),
-            _column("on_in_restored", _count, "of them, those that hold now"),
+            _column("asked_broken", _count, "on and in relations that the scene graph asks for and the input broke"),
+            _column("asked_restored", _count, "of them, those that hold now"),
             _column("directional_held", _count, "directional relations that held in the input"),
             _column("directional_kept", _count, "of them, those that still hold"),
         ]

@@ -19,6 +19,9 @@ from models.physics_corrector.network import VelocityNetwork
 from models.physics_corrector.presets import CorrectorSettings
 from stable_data.errors import ConfigError
 
+DEFAULT_WEIGHTS = Path(__file__).resolve().parents[1] / "weights" / "physics_corrector.safetensors"
+"""Our own small corrector; models/weights/README.md says how it was made and what it does."""
+
 _SETTINGS = "settings"
 _NAMED = 6  # how many of many mismatches a message names
 

@@ -25,7 +25,7 @@ class MetricCard:
         max_gap_mm: The paper's largest gap.
         out_of_bounds_rate: Share of objects that leave the table or enter the restricted zone.
         clean: Nothing collides, floats, sinks or is out of bounds at 0.5 mm.
-        relations_kept_on_in: Share of the on and in relations of the input that still hold; null where nothing was corrected.
+        relations_kept_on_in: Share of the on and in relations of the input that still hold; null where none held or nothing was corrected.
         relations_kept_directional: The same of the directional ones.
         move_mean_mm: Mean displacement of the objects by the correction; null where nothing was corrected.
         move_max_mm: The largest of them.

@@ -1,0 +1,152 @@
+"""The Physics Corrector: coarse layouts in, scenes that are exactly clean out.
+
+The learned flow moves all objects at once; ``certify`` proves the result or mends what is left. Both are always told apart: a
+:class:`Correction` holds the raw result of the flow and the certified one, with the cards of all three.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from models.physics_corrector.certify import CertifyOptions, Dropped, Status, certify
+from stable_data.metrics.audit import Audit, audit_scene
+from stable_data.metrics.card import MetricCard
+from stable_data.metrics.kept import RelationsKept, relations_kept
+from stable_data.scene import Scene
+from stable_data.shape import Shape
+
+Fixed: TypeAlias = frozenset[str]
+"""Instances of a scene that must stay where they are."""
+
+Flow: TypeAlias = Callable[[Sequence[Scene], Sequence[Sequence[Shape]], Sequence[Fixed]], list[Scene]]
+"""Moves the objects of scenes: scenes, the shapes of their objects, what must stay in each -> the scenes after."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """What became of one scene.
+
+    Attributes:
+        status: Whether it is clean, and at what price.
+        reason: Why nothing better was possible; empty where certified.
+        start: The scene as it came.
+        raw: After the flow, before it was certified; None without a flow.
+        certified: The clean scene; None where infeasible.
+        dropped: Objects that found no place.
+        card_before: Figures of the start.
+        card_raw: Figures of the raw flow; None without one, or where they were not asked for.
+        card_after: Figures of the clean scene, with its movement and the relations that it kept; None where infeasible.
+        audit: Every verdict on the clean scene; None where infeasible.
+        kept: Relations of the start that still hold, counted; None where infeasible.
+    """
+
+    status: Status
+    reason: str
+    start: Scene
+    raw: Scene | None
+    certified: Scene | None
+    dropped: tuple[Dropped, ...]
+    card_before: MetricCard
+    card_raw: MetricCard | None
+    card_after: MetricCard | None
+    audit: Audit | None
+    kept: RelationsKept | None
+
+
+@dataclass(frozen=True, slots=True)
+class PhysicsCorrector:
+    """Corrects scenes.
+
+    Attributes:
+        flow: The learned part, such as :class:`~models.physics_corrector.learned.LearnedFlow`; None certifies alone.
+        options: What `certify` may do.
+        judges_raw: Whether the raw result of the flow is audited too, which costs as much as any audit.
+    """
+
+    flow: Flow | None = None
+    options: CertifyOptions = field(default_factory=CertifyOptions)
+    judges_raw: bool = True
+
+    def correct(
+        self, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed] | None = None
+    ) -> list[Correction]:
+        """Corrects scenes; each comes out as it would alone.
+
+        Args:
+            scenes: Positions at the centres of the boxes (``AssetStore.resolved``); with stages where task objects are known.
+            shapes: The geometry of their objects, in their order.
+            fixed: What must stay in each, besides what ``options`` names.
+
+        Returns:
+            One correction a scene, in order.
+        """
+        fixed = fixed or [frozenset()] * len(scenes)
+        raws = self.raw(scenes, shapes, fixed)
+        audits = [audit_scene(scene, own) for scene, own in zip(scenes, shapes, strict=True)]
+        return [self.certified(*each) for each in zip(scenes, shapes, audits, raws, fixed, strict=True)]
+
+    def raw(self, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed]) -> Sequence[Scene | None]:
+        """What the flow alone makes of scenes; None for each without a flow."""
+        if self.flow is None:
+            return [None] * len(scenes)
+        return self.flow(scenes, shapes, [self.options.fixed | own for own in fixed])
+
+    def certified(
+        self, scene: Scene, shapes: Sequence[Shape], audit: Audit, raw: Scene | None, fixed: Fixed = frozenset()
+    ) -> Correction:
+        """One scene after the flow, proven or mended.
+
+        Args:
+            scene: As it came.
+            shapes: The geometry of its objects, in order.
+            audit: The verdicts on it.
+            raw: What the flow made of it.
+            fixed: What must stay.
+        """
+        done = certify(raw or scene, shapes, replace(self.options, fixed=self.options.fixed | fixed), original=scene)
+        card_after, kept = None, None
+        if done.scene is not None and done.audit is not None:
+            kept = relations_kept(scene, done.scene, shapes)
+            mean, farthest, turn = movement(scene, done.scene)
+            card_after = replace(
+                done.audit.card(),
+                relations_kept_on_in=kept.on_in_share,
+                relations_kept_directional=kept.directional_share,
+                move_mean_mm=mean,
+                move_max_mm=farthest,
+                turn_max_deg=turn,
+            )
+        return Correction(
+            status=done.status,
+            reason=done.reason,
+            start=scene,
+            raw=raw,
+            certified=done.scene,
+            dropped=done.dropped,
+            card_before=audit.card(),
+            card_raw=audit_scene(raw, shapes).card() if raw is not None and self.judges_raw else None,
+            card_after=card_after,
+            audit=done.audit,
+            kept=kept,
+        )
+
+
+def movement(before: Scene, after: Scene) -> tuple[float, float, float]:
+    """How far objects moved.
+
+    Args:
+        before: A scene.
+        after: The same later; objects that are gone do not count.
+
+    Returns:
+        Mean and largest displacement, millimetres; largest turn, degrees.
+    """
+    was = {o.instance: (*o.position, o.yaw) for o in before.objects}
+    steps = np.array([np.subtract((*o.position, o.yaw), was[o.instance]) for o in after.objects]).reshape(-1, 4)
+    if not len(steps):
+        return 0.0, 0.0, 0.0
+    lengths = 1e3 * np.linalg.norm(steps[:, :3], axis=1)
+    turns = np.degrees(np.abs(np.arctan2(np.sin(steps[:, 3]), np.cos(steps[:, 3]))))
+    return float(lengths.mean()), float(lengths.max()), float(turns.max())
