@@ -161,10 +161,11 @@ def _carried_by(
     is_within = is_over and depth > _RIM and is_hollow(meshes.shapes[p])
     fits = is_within and own.intersection(over).area >= _FITS * own.area
     touches = meshes.cross(k, poses[k] - (0.0, 0.0, _TOUCH, 0.0), p, poses[p])
-    if touches and is_over and not meshes.penetrates(k, poses[k], p, poses[p]):
+    collides = meshes.penetrates(k, poses[k], p, poses[p])
+    if touches and is_over and not collides:
         return (0.0, area, float(p)), Carried(p, is_within)
     if fits:
-        return (1.0, area, float(p)), Carried(p, True)
+        return (1.0, float(collides), area, float(p)), Carried(p, True)
     touches = touches or meshes.cross(k, poses[k], p, poses[p])
     if touches and (is_within or depth <= max(_SUNKEN, _HALF * float(other_high[2] - other_low[2]))):
         return (2.0, max(0.0, outside), area, float(p)), Carried(p, is_within)
