@@ -1,4 +1,4 @@
-"""All benchmarks: ``python -m benchmarks --data DIR --out DIR [--quick]``. Each prints a table and leaves a JSON file."""
+"""All benchmarks: ``python -m benchmarks --data DIR --out DIR [--layouts FILE] [--quick]``. Each prints a table and leaves a JSON file."""
 
 import argparse
 import json
@@ -17,6 +17,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, required=True, help="a dataset in the MesaTask-10K format, best with real meshes")
     parser.add_argument("--out", type=Path, required=True, help="folder of the JSON files")
+    parser.add_argument("--layouts", type=Path, help="start layouts over its meshes, one JSON object a line, for certify")
     parser.add_argument("--quick", action="store_true", help="fewer assets and scenes")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -24,6 +25,7 @@ def main() -> None:
     (arguments.out / "machine.json").write_text(json.dumps(machine, indent=2) + "\n", "utf-8")
     print(machine)
     few = arguments.quick
+    layouts = ["--layouts", str(arguments.layouts)] if arguments.layouts else []
     os.environ |= {"OMP_NUM_THREADS": "1", "IGL_NUM_THREADS": "1"}  # one process is one core, on both sides of a comparison
     data, library = str(arguments.data), f"{arguments.data}/Assets_library"
     with tempfile.TemporaryDirectory(dir=arguments.out) as run:  # a run is of one dataset, and the next may be of another
@@ -35,6 +37,7 @@ def main() -> None:
             "preprocess": ["benchmarks.preprocess", data, "--scenes", "160" if few else "1000"],
             "loader": ["benchmarks.loader", run, data],
             "corrector_losses": ["benchmarks.corrector_losses", run, data, *(["--batch", "8"] if few else [])],
+            "certify": ["benchmarks.certify", data, *layouts, *(["--scenes", "8"] if few else [])],
             "baselines": ["benchmarks.baselines", data, *(["--per-bucket", "1"] if few else [])],
             "steerable_drake": ["benchmarks.steerable_drake", data, *(["--per-bucket", "1"] if few else [])],
             "synth": ["benchmarks.synth", "--scenes", "20" if few else "200"],

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from models.baselines.outcome import Outcome
-from models.baselines.parts import parts_of
 from stable_data.assets import AssetStore
+from stable_data.colliders import DENSITY, bodies_of
 from stable_data.errors import MeshError
-from stable_data.physics import Body, EngineOptions, hull_volume, settle
+from stable_data.physics import EngineOptions, settle
 from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject
 from stable_data.shape import Shape
 
@@ -30,7 +30,7 @@ class Settle:
     """
 
     options: EngineOptions = _OPTIONS
-    density: float = 400.0
+    density: float = DENSITY
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
         """Lets go; see :class:`~models.baselines.outcome.Method`. Things may tip over, or fall off the table.
@@ -38,7 +38,7 @@ class Settle:
         Converged: the engine did not blow up and everything rests.
         """
         try:
-            bodies = [self._body(o, shape, store) for o, shape in zip(store.resolved(scene)[0].objects, shapes, strict=True)]
+            bodies = bodies_of(store.resolved(scene)[0], shapes, store, self.density)
         except MeshError as error:
             return Outcome(scene, False, 0.0, str(error))
         begin = time.process_time()
@@ -51,11 +51,6 @@ class Settle:
         is_at_rest = result.drift_mm <= 1e3 * _AT_REST
         reason = "" if is_at_rest else f"something still moves: {result.drift_mm:.1f} mm in {self.options.watch_seconds:g} s"
         return Outcome(replace(scene, objects=objects), is_at_rest, seconds, reason)
-
-    def _body(self, o: SceneObject, shape: Shape, store: AssetStore) -> Body:
-        parts = parts_of(o, shape, store)
-        mass = max(1e-3, self.density * sum(map(hull_volume, parts)))
-        return Body(o.instance, parts, mass, o.position, o.yaw)
 
 
 def _settled(o: SceneObject, shape: Shape, position: FloatArray, quat_xyzw: FloatArray) -> SceneObject:

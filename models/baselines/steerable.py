@@ -15,9 +15,9 @@ import numpy as np
 
 from models.baselines.hulls import ConvexBodies, table_box
 from models.baselines.outcome import Outcome, with_poses
-from models.baselines.parts import parts_of
 from models.baselines.projection import Freedom, ProjectionSettings, project
 from stable_data.assets import AssetStore
+from stable_data.colliders import parts_of
 from stable_data.errors import MeshError
 from stable_data.scene import FloatArray, Scene
 from stable_data.shape import Shape

@@ -24,7 +24,7 @@ TABLE_TOP = -1
 _RIM = 3e-3  # the bottom of what is in a container is this much below the rim at least, metres
 _LOOKS = 11  # a side, of looks down on a shape
 _DEEP, _WALL, _HOLLOW_SHARE = 0.3, 0.25, 0.15  # so deep and so far below the walls, shares of the height, at so many of them
-_WAYS = ((np.asarray, 0), (np.flipud, 0), (np.asarray, 1), (np.fliplr, 1))
+_WAYS = ((0, 1), (0, -1), (1, 1), (1, -1))  # axis and direction
 _SUNK = 2e-3  # how far the bottom of what is on another thing may be below that thing's, metres
 _TOUCH = 3e-3  # what is so far above another one still is on it, metres
 _OVER = 0.02  # how far beyond its carrier's outline the centre of what is on it may be, metres
@@ -61,8 +61,11 @@ def is_hollow(shape: Shape) -> bool:
         points = low + (high - low) * np.stack(np.meshgrid(shares, shares, indexing="ij"), axis=2)
         height = float(shape.size[2])
         found = _first_heights(points.reshape(-1, 2), shape.vertices[shape.faces], -height / 2).reshape(_LOOKS, _LOOKS)
-        walls = np.stack([np.maximum.accumulate(way(found), axis=axis) for way, axis in _WAYS])
-        walled = np.stack([way(wall) for (way, _), wall in zip(_WAYS, walls, strict=True)]).min(axis=0)
+        turned = (
+            np.flip(np.maximum.accumulate(np.flip(found, a), axis=a), a) if w < 0 else np.maximum.accumulate(found, axis=a)
+            for a, w in _WAYS
+        )
+        walled = np.minimum.reduce(list(turned))
         over = shapely.contains_xy(shapely.Polygon(shape.footprint), *points.reshape(-1, 2).T).reshape(_LOOKS, _LOOKS)
         deep = over & (walled - found > _WALL * height) & (height / 2 - found > _DEEP * height)
         _hollow[shape] = bool(deep.sum() >= _HOLLOW_SHARE * over.sum() > 0)
@@ -158,10 +161,11 @@ def _carried_by(
     is_within = is_over and depth > _RIM and is_hollow(meshes.shapes[p])
     fits = is_within and own.intersection(over).area >= _FITS * own.area
     touches = meshes.cross(k, poses[k] - (0.0, 0.0, _TOUCH, 0.0), p, poses[p])
-    if touches and is_over and not meshes.penetrates(k, poses[k], p, poses[p]):
+    collides = meshes.penetrates(k, poses[k], p, poses[p])
+    if touches and is_over and not collides:
         return (0.0, area, float(p)), Carried(p, is_within)
     if fits:
-        return (1.0, area, float(p)), Carried(p, True)
+        return (1.0, float(collides), area, float(p)), Carried(p, True)
     touches = touches or meshes.cross(k, poses[k], p, poses[p])
     if touches and (is_within or depth <= max(_SUNKEN, _HALF * float(other_high[2] - other_low[2]))):
         return (2.0, max(0.0, outside), area, float(p)), Carried(p, is_within)

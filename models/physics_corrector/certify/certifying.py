@@ -19,11 +19,13 @@ from stable_data.metrics.collision import TOLERANCE
 from stable_data.scene import FloatArray, Scene
 from stable_data.shape import Shape
 
+_DEFAULT = CertifyOptions()
+_LATER_TRIES = 4  # how many times a body may be put elsewhere once one has been dropped
 _LEVEL = 0.9 * TOLERANCE  # what stands so near to the table top stays at its height, metres
 
 
 def certify(
-    scene: Scene, shapes: Sequence[Shape], options: CertifyOptions = CertifyOptions(), *, original: Scene | None = None
+    scene: Scene, shapes: Sequence[Shape], options: CertifyOptions = _DEFAULT, *, original: Scene | None = None
 ) -> Certified:
     """Makes a scene exactly clean, moving little and keeping relations.
 
@@ -146,12 +148,13 @@ class _Certifier:
 
     def _part(self) -> bool:
         """Parts all trees; drops what has no place. False where that is not allowed, with ``reason`` set."""
+        tries = self.options.tries
         while True:
             crowd, roots = self.standing.crowd(self.strict)
             homeless = [b for b in range(len(roots)) if crowd.is_free[b] and (crowd.low[b] > crowd.high[b]).any()]
             if not homeless:
-                start = np.zeros_like(crowd.low)
-                shifts, left = part(crowd, start, crowd.aims, self.options.tries)
+                shifts, left = part(crowd, np.zeros_like(crowd.low), crowd.aims, tries)
+                tries = min(tries, _LATER_TRIES)
                 if not left:
                     self._accept(crowd, roots, shifts)
                     return True

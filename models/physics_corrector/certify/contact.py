@@ -81,21 +81,19 @@ class Meshes:
         pair = MeshPair(one, two, NEAR)
         contact = pair.contact()
         if contact is None:
-            return within and (nested(one, two) or nested(two, one))
+            return bool(within) and (nested(one, two) or nested(two, one))
         ways = NEAR * np.concatenate([DIRECTIONS, contact.normals, -contact.normals])
         for number, way in enumerate(ways):
             if not pair.cross(way, number):
                 moved = Surface(one.triangles + way)
-                return within and (nested(moved, two) or nested(two, moved))
+                return bool(within) and (nested(moved, two) or nested(two, moved))
         return True
 
     def rests(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> list[int]:
         """Which of other objects carry an object at a pose, as the audit judges it."""
         near = self.near(k, pose, others, poses, NEAR)
         surface = self._surface(k, pose) if near else None
-        return [
-            j for j in near if surface is not None and carries(MeshPair(surface, self._surface(j, poses[j]), NEAR), NEAR)
-        ]
+        return [j for j in near if surface is not None and carries(MeshPair(surface, self._surface(j, poses[j]), NEAR), NEAR)]
 
     def lowered(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> float:
         """Height of an object's centre when it comes down from above until it is just clear of what is below, metres.

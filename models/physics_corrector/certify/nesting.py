@@ -13,7 +13,12 @@ from stable_data.relations import INSIDE_SLACK
 from stable_data.scene import FloatArray
 
 _RIM = 4e-3  # the bottom of what is in a container has to be this much below the rim, metres
-_INSETS = (0.02, 0.01, 0.005, 0.0)  # how far inside its carrier's outline a centre is wanted, metres; the first that leaves room
+_INSETS = (
+    0.02,
+    0.01,
+    0.005,
+    0.0,
+)  # how far inside its carrier's outline a centre is wanted, metres; the first that leaves room
 _RINGS = (0.004, 0.008, 0.014, 0.022, 0.032, 0.045, 0.06, 0.08, 0.11, 0.15)  # how far from where it is a place is looked for
 _AROUND = 8
 _SHARES = (0.25, 0.5, 0.75, 1.0)  # and so far towards the carrier's middle
@@ -51,7 +56,7 @@ def resting_pose(
         The pose, (4,), or None where none was found.
     """
     if _is_carried(meshes, poses, k, poses[k], carried) and is_at_rest(meshes, poses, k, poses[k], [*done, *waiting]):
-        return poses[k].copy()
+        return np.array(poses[k])
     best: FloatArray | None = None
     least = np.inf
     for number, there in enumerate(_candidates(meshes, poses, k, carried)):

@@ -5,6 +5,7 @@ Slabs whose outlines are apart prove meshes apart, and for two convex outlines t
 polygon (the no-fit polygon: the Minkowski sum of one and the mirrored other), bounded by the half-planes of both.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -73,7 +74,9 @@ class Slabs:
         """The slabs turned by an angle and moved by a vector (3,), metres."""
         c, s = np.cos(yaw), np.sin(yaw)
         normals = self.normals @ np.array([[c, s], [-s, c]])
-        return Slabs(normals, self.offsets + normals @ offset[:2], self.bottoms + offset[2], self.tops + offset[2], self.is_within)
+        return Slabs(
+            normals, self.offsets + normals @ offset[:2], self.bottoms + offset[2], self.tops + offset[2], self.is_within
+        )
 
 
 _slabs: "WeakKeyDictionary[Shape, Slabs]" = WeakKeyDictionary()
@@ -93,7 +96,7 @@ def joined(stacks: Sequence[Slabs]) -> Slabs:
     outlines: list[FloatArray] = []
     ranges = []
     bounds = sorted({float(z) for stack in stacks for z in (*stack.bottoms, *stack.tops)})
-    for low, high in zip(bounds, bounds[1:], strict=False):
+    for low, high in itertools.pairwise(bounds):
         points = [s.corners[k] for s in stacks for k in np.nonzero((s.bottoms < high - 1e-9) & (s.tops > low + 1e-9))[0]]
         if points:
             outlines.append(np.concatenate(points))
@@ -110,13 +113,13 @@ def rectangle(low: FloatArray, high: FloatArray) -> Slabs:
 def _cut(shape: Shape) -> Slabs:
     bottom = -float(shape.size[2]) / 2
     vertices, height = shape.vertices, float(shape.size[2])
-    levels = np.append(_LEVELS[_LEVELS < height - 1e-6], height) if height > 1e-6 else np.array([0.0, 1e-6])
+    levels = np.append(_LEVELS[height - 1e-6 > _LEVELS], height) if height > 1e-6 else np.array([0.0, 1e-6])
     used = np.zeros(len(vertices), bool)
     used[shape.faces] = True
     z, flat = vertices[:, 2] - bottom, vertices[:, :2]
     rings = [_crossings(shape, z, level) for level in levels[1:-1]]
     outlines, ranges = [], []
-    for n, (low, high) in enumerate(zip(levels, levels[1:], strict=False)):
+    for n, (low, high) in enumerate(itertools.pairwise(levels)):
         points = [flat[used & (z >= low - 1e-9) & (z <= high + 1e-9)]]
         points += rings[max(0, n - 1) : n + 1]
         cloud = np.concatenate(points)

@@ -1,7 +1,5 @@
 """Parts a crowd: projection first, then bodies that are stuck are put elsewhere while the others make room."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from models.physics_corrector.certify.crowd import Crowd
@@ -11,8 +9,8 @@ from stable_data.scene import FloatArray
 
 _STEPS = 16
 _SQUEEZE_STEPS = 7
-_SHARES, _GROWTH_STEPS = (0.5, 0.6, 0.7, 0.8, 0.87, 0.94, 1.0), 4  # of its size that a body grows through
-_PRICES = (0.3, 0.05)  # of a metre by which a directional relation is broken, once not all can be had
+_SHARES, _GROWTH_STEPS = np.append(np.arange(0.3, 1.0, 0.05), 1.0), 3  # of its size that a body grows through
+_PRICES = (1.0, 0.3, 0.1)  # of a metre by which a directional relation is broken, once not all can be had
 _PLACES = 3  # that are tried for a body
 _PATIENCE = 8  # tries that gain nothing before it is given up
 
@@ -30,10 +28,8 @@ def part(crowd: Crowd, shifts: FloatArray, aims: FloatArray, tries: int) -> tupl
         The shifts, and the bodies that are still in the way; none where the crowd is parted.
     """
     found, is_parted = project(crowd, shifts, aims, _STEPS)
-    for price in (HARD, *_PRICES):
-        if is_parted:
-            break
-        found, is_parted = _grown(crowd, shifts, aims, price)
+    if not is_parted:
+        found, is_parted = _grown(crowd, shifts, aims)
     if not is_parted:
         found, is_parted = _squeezed(crowd, found, aims, tries)
     if not is_parted:
@@ -41,14 +37,20 @@ def part(crowd: Crowd, shifts: FloatArray, aims: FloatArray, tries: int) -> tupl
     return _polished(crowd, found, aims), []
 
 
-def _grown(crowd: Crowd, shifts: FloatArray, aims: FloatArray, price: float) -> tuple[FloatArray, bool]:
-    """Parts the bodies while they are small, and again as they grow: they push each other on rather than through each other."""
-    is_parted = False
+def _grown(crowd: Crowd, shifts: FloatArray, aims: FloatArray) -> tuple[FloatArray, bool]:
+    """Parts the bodies while they are small, and again as they grow: they push each other on rather than through each other.
+
+    Directional relations get cheaper once they cannot all be had.
+    """
+    prices, is_parted = [HARD, *_PRICES], False
     for share in _SHARES:
         smaller = crowd.shrunk(share)
-        shifts, is_parted = project(smaller, shifts, aims if share == _SHARES[0] else shifts, _GROWTH_STEPS, price)
+        shifts, is_parted = project(smaller, shifts, aims, _GROWTH_STEPS, prices[0])
+        while not is_parted and len(prices) > 1:
+            prices.pop(0)
+            shifts, is_parted = project(smaller, shifts, aims, _GROWTH_STEPS, prices[0])
     if not is_parted:
-        shifts, is_parted = project(crowd, shifts, shifts, _STEPS, price)
+        shifts, is_parted = project(crowd, shifts, shifts, _STEPS, prices[0])
     return shifts, is_parted
 
 
@@ -100,14 +102,13 @@ def _polished(crowd: Crowd, shifts: FloatArray, aims: FloatArray) -> FloatArray:
     """From shifts at which nothing meets: back to the relations that were given up, then nearer to the aims."""
     if crowd.broken(shifts).sum():
         for price in (HARD, *_PRICES):
-            shifts = _if_better(crowd, shifts, lambda s, price=price: project(crowd, s, s, _SQUEEZE_STEPS, price))
+            shifts = _better(crowd, shifts, project(crowd, shifts, shifts, _SQUEEZE_STEPS, price))
     price = _PRICES[0] if crowd.broken(shifts).sum() else HARD
-    return _if_better(crowd, shifts, lambda s: project(crowd, s, aims, _STEPS, price))
+    return _better(crowd, shifts, project(crowd, shifts, aims, _STEPS, price))
 
 
-def _if_better(
-    crowd: Crowd, shifts: FloatArray, change: Callable[[FloatArray], tuple[FloatArray, bool]]
-) -> FloatArray:
-    moved, is_parted = change(shifts)
+def _better(crowd: Crowd, shifts: FloatArray, other: tuple[FloatArray, bool]) -> FloatArray:
+    """Other shifts where they part the crowd and break no more relations, else these."""
+    moved, is_parted = other
     good = is_parted and is_free_of_overlap(crowd, moved) and crowd.broken(moved).sum() <= crowd.broken(shifts).sum()
     return moved if good else shifts

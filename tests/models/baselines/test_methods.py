@@ -9,10 +9,10 @@ import pytest
 from models.baselines.mesatask import MesaTask
 from models.baselines.methods import METHODS
 from models.baselines.outcome import Method, Outcome
-from models.baselines.parts import parts_of
 from models.baselines.penalty import PenaltyDescent
 from models.baselines.settling import Settle
 from models.baselines.steerable import Steerable
+from stable_data.colliders import parts_of
 from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.card import MetricCard
 from stable_data.physics import EngineOptions

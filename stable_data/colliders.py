@@ -1,5 +1,6 @@
-"""Convex parts of a scene's objects, in their yaw frames; an asset is cut up once."""
+"""What a physics engine is given of a scene: convex parts of its objects in their yaw frames. An asset is cut up once."""
 
+from collections.abc import Sequence
 from weakref import WeakKeyDictionary
 
 from scipy.spatial.transform import Rotation
@@ -7,8 +8,14 @@ from scipy.spatial.transform import Rotation
 from stable_data.assets import AssetStore
 from stable_data.convex import convex_parts
 from stable_data.mesh import Mesh
-from stable_data.scene import SceneObject
+from stable_data.physics import Body, hull_volume
+from stable_data.scene import Scene, SceneObject
 from stable_data.shape import Shape
+
+DENSITY = 400.0
+"""Of an object of which nothing says what it weighs, kg/m³."""
+
+_LIGHTEST = 1e-3  # kilograms
 
 _CUT_UP: WeakKeyDictionary[AssetStore, dict[str, tuple[Mesh, ...]]] = WeakKeyDictionary()
 
@@ -33,3 +40,23 @@ def parts_of(o: SceneObject, shape: Shape, store: AssetStore) -> tuple[Mesh, ...
     turn = (Rotation.from_quat(o.tilt_quat_xyzw).as_matrix() * o.scale).T
     centre = mesh.vertices[0] @ turn - shape.vertices[0]
     return tuple(Mesh(part.vertices @ turn - centre, part.faces) for part in known[o.asset_id])
+
+
+def bodies_of(scene: Scene, shapes: Sequence[Shape], store: AssetStore, density: float = DENSITY) -> list[Body]:
+    """The objects of a scene as an engine sees them.
+
+    Args:
+        scene: The scene, resolved (``AssetStore.resolved``).
+        shapes: The geometry of its objects, in its order.
+        store: Where their meshes are.
+        density: Of every object, kg/m³.
+
+    Raises:
+        MeshError: Nothing that has a volume could be made of a mesh.
+    """
+    bodies = []
+    for o, shape in zip(scene.objects, shapes, strict=True):
+        parts = parts_of(o, shape, store)
+        mass = max(_LIGHTEST, density * sum(map(hull_volume, parts)))
+        bodies.append(Body(o.instance, parts, mass, o.position, o.yaw))
+    return bodies
