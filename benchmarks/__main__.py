@@ -38,7 +38,7 @@ def main() -> None:
             "loader": ["benchmarks.loader", run, data],
             "corrector_losses": ["benchmarks.corrector_losses", run, data, *(["--batch", "8"] if few else [])],
             "certify": ["benchmarks.certify", data, *layouts, *(["--scenes", "8"] if few else [])],
-            "baselines": ["benchmarks.baselines", data, *(["--per-bucket", "1"] if few else [])],
+            "correction": ["benchmarks.correction", data, *(["--per-bucket", "1"] if few else [])],
             "steerable_drake": ["benchmarks.steerable_drake", data, *(["--per-bucket", "1"] if few else [])],
             "synth": ["benchmarks.synth", "--scenes", "20" if few else "200"],
         }

@@ -2,7 +2,7 @@
 
 Needs Drake: ``pip install -c constraints.txt -e '.[drake]'`` (its wheel brings the solver SNOPT, and MOSEK, which asks for a
 licence of its own where it is used; it is not used here). Without it nothing is measured, and that is said. Options and columns
-are those of ``benchmarks.baselines``.
+are those of ``benchmarks.correction``.
 
 The programme as released: an inverse-kinematics problem over free bodies, quaternions held, the sum of squared changes of the
 positions, ``AddMinimumDistanceLowerBoundConstraint(0, 0.03)``, SNOPT with a feasibility tolerance of 1e-3, at most 5000 major
@@ -20,7 +20,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from benchmarks.baselines import chosen_layouts, run, table
+from benchmarks.correction import chosen_layouts, run, table
 from models.baselines.hulls import solid_hull, table_box
 from models.baselines.outcome import Method, Outcome, with_poses
 from models.baselines.steerable import Steerable, turned_parts
@@ -156,7 +156,7 @@ def main(
     if with_parts:
         methods = {**methods, "steerable_parts": Steerable(with_parts=True), "steerable_drake_parts": SteerableInDrake(True)}
     try:
-        results = run(chosen_layouts(dataset, store, layouts, per_bucket), dataset, store, methods, limit)
+        results = run(chosen_layouts(dataset, store, layouts, per_bucket), store, methods, limit)
     except StableDataError as error:
         raise SystemExit(str(error)) from error
     print(table(results))

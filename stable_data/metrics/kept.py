@@ -49,7 +49,9 @@ class RelationsKept:
         return self.directional_kept / self.directional_held if self.directional_held else None
 
 
-def relations_kept(before: Scene, after: Scene, shapes: Sequence[Shape]) -> RelationsKept:
+def relations_kept(
+    before: Scene, after: Scene, shapes: Sequence[Shape], shapes_after: Sequence[Shape] | None = None
+) -> RelationsKept:
     """Compares the scene graphs of a scene before and after.
 
     A directional relation holds while its subject is within 45 degrees of that direction, seen from its target; that another
@@ -59,6 +61,7 @@ def relations_kept(before: Scene, after: Scene, shapes: Sequence[Shape]) -> Rela
         before: The scene as it was; its ``relations`` are what is asked for.
         after: The same without the objects that were dropped, moved.
         shapes: The geometry of the objects of ``before``, in its order.
+        shapes_after: That of the objects of ``after``, in its order, where it is another one: what tips over has another tilt.
 
     Returns:
         The counts.
@@ -66,7 +69,9 @@ def relations_kept(before: Scene, after: Scene, shapes: Sequence[Shape]) -> Rela
     there = {o.instance for o in after.objects}
     shape = {o.instance: s for o, s in zip(before.objects, shapes, strict=True)}
     kept = replace(before, objects=tuple(o for o in before.objects if o.instance in there))
-    graphs = [_relations(scene, [shape[o.instance] for o in scene.objects]) for scene in (kept, after)]
+    own = [shape[o.instance] for o in kept.objects]
+    later = shapes_after or [shape[o.instance] for o in after.objects]
+    graphs = [_relations(kept, own), _relations(after, later)]
     on_in_before, on_in_after = ({r for r in found if r.kind in _ON_IN and r.target != TABLE} for found in graphs)
     directional = [r for r in graphs[0] if r.kind in _AXES]
     asked = {r for r in before.relations if r.kind in _ON_IN and {r.subject, r.target} <= there}

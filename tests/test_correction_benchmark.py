@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks import steerable_drake
-from benchmarks.baselines import Result, judged, run, table
+from benchmarks.correction import Ours, Result, judged, ours, run, table
 from benchmarks.layouts import BUCKETS, Layout, bucket_of, read_layouts, shaken, shaken_layouts
 from models.baselines.outcome import Outcome
 from models.baselines.steerable import Steerable
@@ -73,8 +73,8 @@ def test_a_layout_is_read_as_it_was_written(scene: Scene, store: AssetStore, tmp
     assert layout.start.poses() == pytest.approx(start.poses())
     assert layout.target.poses() == pytest.approx(scene.poses())
     assert layout.start.relations == (Relation(scene.objects[1].instance, RelationKind.ON, scene.objects[0].instance),)
-    for ours, theirs in zip(store.shapes(layout.target)[0], store.shapes(scene)[0], strict=True):
-        assert np.abs(ours.vertices - theirs.vertices).max() < 1e-9
+    for read, written in zip(store.shapes(layout.target)[0], store.shapes(scene)[0], strict=True):
+        assert np.abs(read.vertices - written.vertices).max() < 1e-9
 
 
 def test_without_a_valid_target_there_is_none(scene: Scene, store: AssetStore, tmp_path: Path) -> None:
@@ -115,38 +115,47 @@ class Thrower:
         return Outcome(replace(scene, objects=(first.moved((x + 10.0, y, z + 1.0), first.yaw), *rest)), True, 1.5)
 
 
-def test_a_method_is_judged_by_what_it_gives_back(scene: Scene, dataset: MesaTaskDataset, store: AssetStore) -> None:
+def test_a_method_is_judged_by_what_it_gives_back(scene: Scene, store: AssetStore) -> None:
     layout = Layout(scene, scene, "0-10", 1)
-    thrown = judged("thrower", Thrower(), layout, dataset, store)
+    thrown = judged("thrower", Thrower(), layout, store)
     assert (thrown.converged, thrown.clean) == (True, False)
     assert thrown.num_outside == 1
     assert thrown.num_floating >= 1
     assert thrown.move_max_mm == pytest.approx(1e3 * np.hypot(10, 1))
     assert thrown.move_mean_mm == pytest.approx(thrown.move_max_mm / len(scene.objects))
     assert thrown.emd_mm == pytest.approx(thrown.move_mean_mm)
-    assert judged("thrower", Thrower(), replace(layout, target=None), dataset, store).emd_mm is None
-    results = run([layout], dataset, store, {"thrower": Thrower()})
+    assert judged("thrower", Thrower(), replace(layout, target=None), store).emd_mm is None
+    results = run([layout], store, {"thrower": Thrower()})
     assert [r.method for r in results] == ["start", "thrower"]
     start = results[0]
     assert start.clean
-    assert start.num_kept == start.num_held > 0
+    assert start.kept.on_in_kept == start.kept.on_in_held > 0
+    assert start.kept.directional_kept == start.kept.directional_held > 0
     lines = table(results).splitlines()
     assert [line.split()[:4] for line in lines[1:]] == [
         [name, bucket, "1", clean] for name, clean in (("start", "1/1"), ("thrower", "0/1")) for bucket in ("0-10", "all")
     ]
 
 
-def test_the_time_cap_is_said(
-    scene: Scene, dataset: MesaTaskDataset, store: AssetStore, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run([Layout(scene, scene, "0-10", 1)], dataset, store, {}, limit=-1.0) == []
+def test_the_time_cap_is_said(scene: Scene, store: AssetStore, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([Layout(scene, scene, "0-10", 1)], store, {}, limit=-1.0) == []
     assert "left out" in capsys.readouterr().out
 
 
-def test_relations_that_a_correction_breaks_are_counted(scene: Scene, dataset: MesaTaskDataset, store: AssetStore) -> None:
+def test_relations_that_a_correction_breaks_are_counted(scene: Scene, store: AssetStore) -> None:
     start = shaken(scene, 0.08, np.random.default_rng(1))
-    result: Result = judged("steerable", Steerable(), Layout(start, scene, "0-10", 1), dataset, store)
-    assert 0 <= result.num_kept <= result.num_held
+    result: Result = judged("steerable", Steerable(), Layout(start, scene, "0-10", 1), store)
+    assert 0 <= result.kept.on_in_kept <= result.kept.on_in_held
+
+
+def test_ours_is_judged_as_the_others_are(scene: Scene, store: AssetStore) -> None:
+    start = shaken(scene, 0.08, np.random.default_rng(1))
+    result = judged("certify", Ours("none"), Layout(start, scene, "0-10", 1), store, settles=True)
+    assert result.clean
+    assert result.converged
+    assert result.num_resting is not None
+    assert 0 < result.num_resting <= result.num_objects - result.num_dropped
+    assert "certify" in ours()
 
 
 def test_without_drake_it_is_said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,344 @@
+"""The paper's Table 2 and its rearrangement table: the corrector beside post-hoc optimisers, on start layouts.
+
+``python -m benchmarks.correction DATASET [--layouts FILE] [--per-bucket N] [--method NAME ...] [--settle] [--json FILE]``. Without
+a file of layouts, scenes of the dataset are shaken until their collisions fill the buckets. Every verdict is the exact audit's, at
+0.5 mm, of what a method gives back; a method's own opinion is the column ``done``. ``start`` is the layout itself, ``flow`` the
+raw result of the learned flow, ``certify`` certification without it, ``corrector`` the two together as the toolkit uses them;
+``given`` means that they are told the layout's own scene graph and restore what of it is broken.
+
+- clean: scenes without collision, floating, sinking or out of bounds; drop: objects left out;
+- free: scenes without collision; pairs: colliding pairs left, median; oc: their share; unknown counts as colliding;
+- float, out: objects that float, that are out of bounds or in the table, of all;
+- move: mean distance by which objects were moved, millimetres, identical ones matched; farthest: the largest, unmatched;
+- emd: earth mover's distance to where everything belongs, millimetres, where that is known;
+- on/in, dir: relations to other objects that held at the start and still hold, of those that held; back: on and in relations that
+  the layout means and the noise broke, of which hold now;
+- rest: objects that MuJoCo leaves where they are, of all; lie: the same of whole layouts (``--settle``), once more without those that
+  hold an obliquely tilted object shifted out of its carrier, which no yaw can right;
+- done: scenes that the method itself counts as solved; s: seconds a scene, median, without the preparation of assets.
+"""
+
+import json
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from statistics import mean, median
+from typing import Annotated
+
+import numpy as np
+import typer
+from tqdm import tqdm
+
+from benchmarks.audit import readable_scenes
+from benchmarks.layouts import Layout, read_layouts, shaken_layouts
+from models.baselines.methods import METHODS
+from models.baselines.outcome import Method, Outcome
+from models.physics_corrector.checkpoint import DEFAULT_WEIGHTS
+from models.physics_corrector.corrector import Flow, PhysicsCorrector
+from models.physics_corrector.learned import AUTO, load_flow
+from pipelines.scene_step import related
+from stable_data.assets import AssetStore
+from stable_data.colliders import bodies_of
+from stable_data.errors import MeshError, StableDataError
+from stable_data.mesatask import MesaTaskDataset
+from stable_data.metrics.audit import PosedScene, audit_posed
+from stable_data.metrics.collision import ROUNDING
+from stable_data.metrics.kept import RelationsKept, relations_kept
+from stable_data.metrics.rearrangement import distance_moved, emd_to_truth
+from stable_data.physics import MOVE_LIMIT, TURN_LIMIT, settle
+from stable_data.scene import Scene, SceneObject
+from stable_data.shape import Shape
+
+_START = "start"
+_OBLIQUE = math.radians(5)  # a tilt that is this far from every right angle
+
+
+class Nothing:
+    """The baseline that leaves everything where it is."""
+
+    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
+        """Nothing."""
+        return Outcome(scene, True, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Ours:
+    """The corrector, whole or in parts, behind the baselines' interface.
+
+    Attributes:
+        weights: Of the flow; ``none`` certifies alone.
+        certifies: Whether the flow's result is certified.
+        is_told: Whether it knows the scene graph that the layout means; else what the layout itself shows.
+    """
+
+    weights: str = AUTO
+    certifies: bool = True
+    is_told: bool = False
+
+    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
+        """Corrects; where nothing is feasible, the layout comes back as it is."""
+        corrector = PhysicsCorrector(_flow(self.weights), judges_raw=False)
+        begin = time.process_time()
+        posed = PosedScene(scene, shapes)
+        audit = audit_posed(posed)
+        seen, _ = related(posed, audit, {})
+        known = replace(seen, objects=scene.objects, relations=scene.relations) if self.is_told else seen
+        raw = corrector.raw([known], [shapes], [frozenset()])[0]
+        if not self.certifies:
+            return Outcome(known if raw is None else raw, raw is not None, time.process_time() - begin)
+        told = known if self.is_told else replace(known, relations=())
+        done = corrector.certified(told, shapes, audit, raw)
+        seconds = time.process_time() - begin
+        return Outcome(done.certified or scene, done.certified is not None, seconds, done.reason)
+
+
+@lru_cache(maxsize=2)
+def _flow(weights: str) -> Flow | None:
+    return load_flow(weights)
+
+
+def ours() -> dict[str, Method]:
+    """The corrector and its parts, by name; those of the flow where its weights are there."""
+    alone: dict[str, Method] = {"certify": Ours("none"), "certify, given": Ours("none", is_told=True)}
+    if not DEFAULT_WEIGHTS.is_file():
+        return alone
+    return {"flow": Ours(certifies=False), **alone, "corrector": Ours(), "corrector, given": Ours(is_told=True)}
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """One layout as one method left it.
+
+    Attributes:
+        method: The method's name.
+        layout: The layout's.
+        bucket: Its bucket.
+        num_objects: Objects.
+        clean: By the exact audit; None where that is unknown.
+        num_dropped: Objects that were left out.
+        num_collisions: Pairs that collide or may.
+        num_floating: Objects that float or may.
+        num_outside: Objects that are out of bounds or in the table.
+        oc: Those pairs as a share of all.
+        move_mean_mm: How far objects were moved, identical ones matched.
+        move_max_mm: The farthest, unmatched.
+        emd_mm: Earth mover's distance to the target; None where there is none, or objects are left out.
+        kept: Relations that held at the start, and that still hold.
+        num_resting: Objects that the engine leaves where they are; None where it was not asked or could not be.
+        can_rest: Whether yaw and shift could make everything lie: no oblique thing is out of its carrier.
+        converged: By the method's own account.
+        seconds: Of the method, without the preparation of assets.
+        reason: Why it did not converge.
+    """
+
+    method: str
+    layout: str
+    bucket: str
+    num_objects: int
+    clean: bool | None
+    num_dropped: int
+    num_collisions: int
+    num_floating: int
+    num_outside: int
+    oc: float
+    move_mean_mm: float
+    move_max_mm: float
+    emd_mm: float | None
+    kept: RelationsKept
+    num_resting: int | None
+    can_rest: bool
+    converged: bool
+    seconds: float
+    reason: str
+
+
+def judged(name: str, method: Method, layout: Layout, store: AssetStore, *, settles: bool = False) -> Result:
+    """Lets a method correct a layout, and judges what it gives back."""
+    scene, shapes, _ = store.resolved(layout.start)
+    outcome = method.correct(scene, shapes, store)
+    left, left_shapes, _ = store.resolved(outcome.scene)
+    audit = audit_posed(PosedScene(left, left_shapes))
+    start = replace(scene, objects=tuple(scene[o.instance] for o in left.objects))
+    moves = 1e3 * np.linalg.norm(left.poses()[:, :3] - start.poses()[:, :3], axis=1)
+    sunk, count = audit.tolerance + ROUNDING, len(left.objects)
+    num_collisions = sum(p.penetration is None or p.penetration > audit.tolerance for p in audit.pairs)
+    is_whole = count == len(scene.objects)
+    kept = relations_kept(scene, left, shapes, left_shapes)
+    return Result(
+        method=name,
+        layout=scene.scene_id,
+        bucket=layout.bucket,
+        num_objects=len(scene.objects),
+        clean=audit.card().clean,
+        num_dropped=len(scene.objects) - count,
+        num_collisions=num_collisions,
+        num_floating=sum(o.floats is not False for o in audit.objects),
+        num_outside=sum(o.is_outside is not False or o.table_penetration > sunk for o in audit.objects),
+        oc=num_collisions / max(1, count * (count - 1) // 2),
+        move_mean_mm=1e3 * distance_moved(start, left) if count else 0.0,
+        move_max_mm=float(moves.max(initial=0.0)),
+        emd_mm=None if layout.target is None or not is_whole else 1e3 * emd_to_truth(left, layout.target).cost,
+        kept=kept,
+        num_resting=_num_resting(left, left_shapes, store) if settles else None,
+        can_rest=kept.asked_broken == 0 or not _has_stray(scene),
+        converged=outcome.converged,
+        seconds=outcome.seconds,
+        reason=outcome.reason,
+    )
+
+
+def _num_resting(scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> int | None:
+    """Objects that MuJoCo moves less than 10 mm and turns less than 5 degrees in its 4 seconds; None where it cannot be asked."""
+    try:
+        result = settle(bodies_of(scene, shapes, store), scene.table)
+    except MeshError:
+        return None
+    if result.stable is None:
+        return None
+    return int(((result.moves <= MOVE_LIMIT) & (result.turns <= TURN_LIMIT)).sum())
+
+
+def _has_stray(scene: Scene) -> bool:
+    """Is an obliquely tilted object, which lay against a carrier that the layout means, away from that carrier's middle?"""
+    for relation in scene.relations:
+        o, names = scene[relation.subject], {other.instance for other in scene.objects}
+        if relation.target not in names or not _is_oblique(o):
+            continue
+        carrier = scene[relation.target]
+        if math.dist(o.position[:2], carrier.position[:2]) > max(carrier.size[:2]) / 2:
+            return True
+    return False
+
+
+def _is_oblique(o: SceneObject) -> bool:
+    return all(abs(o.tilt_angle - right) > _OBLIQUE for right in (0.0, math.pi / 2, math.pi))
+
+
+def run(
+    layouts: Sequence[Layout],
+    store: AssetStore,
+    methods: Mapping[str, Method],
+    limit: float = np.inf,
+    *,
+    settles: bool = False,
+) -> list[Result]:
+    """Every method on every layout.
+
+    Args:
+        layouts: The layouts.
+        store: Meshes of the assets.
+        methods: By name; the layouts themselves are judged besides, as ``start``.
+        limit: Seconds after which no further layout is begun; what was begun is finished.
+        settles: Whether the engine is asked what stays.
+    """
+    end, results, everyone = time.monotonic() + limit, list[Result](), {_START: Nothing(), **methods}
+    with tqdm(total=len(layouts) * len(everyone), desc="correction", unit="scene") as bar:
+        for layout in layouts:
+            if time.monotonic() > end:
+                print(f"out of time after {limit:g} s: the layouts from {layout.start.scene_id} on are left out")
+                break
+            for name, method in everyone.items():
+                bar.set_postfix_str(f"{layout.start.scene_id} {name}")
+                results.append(judged(name, method, layout, store, settles=settles))
+                bar.update()
+    return results
+
+
+def table(results: Sequence[Result]) -> str:
+    """The figures, by method and bucket."""
+    columns = (
+        "method", "bucket", "scenes", "clean", "drop", "free", "pairs", "oc %", "float", "out", "move", "farthest", "emd", "on/in", "dir",
+        "back", "rest", "lie", "done", "s",
+    )  # fmt: skip
+    rows: list[tuple[str, ...]] = [columns]
+    names, buckets = (list(dict.fromkeys(getattr(r, key) for r in results)) for key in ("method", "bucket"))
+    for name in names:
+        for bucket in (*buckets, ""):
+            chosen = [r for r in results if r.method == name and bucket in ("", r.bucket)]
+            if chosen:
+                rows.append(_row(name, bucket or "all", chosen))
+    widths = [max(len(row[k]) for row in rows) for k in range(len(columns))]
+    return "\n".join(
+        "  ".join(cell.rjust(w) if k > 1 else cell.ljust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True)))
+        for row in rows
+    )
+
+
+def _row(name: str, bucket: str, results: Sequence[Result]) -> tuple[str, ...]:
+    count, objects = len(results), sum(r.num_objects - r.num_dropped for r in results)
+    emds = [r.emd_mm for r in results if r.emd_mm is not None]
+    settled = [r for r in results if r.num_resting is not None]
+    lying = [(r.num_resting == r.num_objects - r.num_dropped, r.can_rest) for r in settled]
+
+    def of(part: str, whole: str) -> str:
+        return f"{sum(getattr(r.kept, part) for r in results)}/{sum(getattr(r.kept, whole) for r in results)}"
+
+    return (
+        name,
+        bucket,
+        f"{count}",
+        f"{sum(r.clean is True for r in results)}/{count}",
+        f"{sum(r.num_dropped for r in results)}",
+        f"{sum(r.num_collisions == 0 for r in results)}/{count}",
+        f"{median(r.num_collisions for r in results):g}",
+        f"{100 * mean(r.oc for r in results):.2f}",
+        f"{sum(r.num_floating for r in results)}/{objects}",
+        f"{sum(r.num_outside for r in results)}/{objects}",
+        f"{mean(r.move_mean_mm for r in results):.1f}",
+        f"{max(r.move_max_mm for r in results):.0f}",
+        f"{mean(emds):.1f}" if emds else "-",
+        of("on_in_kept", "on_in_held"),
+        of("directional_kept", "directional_held"),
+        of("asked_restored", "asked_broken"),
+        f"{sum(r.num_resting or 0 for r in settled)}/{sum(r.num_objects - r.num_dropped for r in settled)}" if settled else "-",
+        f"{sum(lies for lies, _ in lying)}/{len(lying)}, {sum(lies for lies, can in lying if can)}/{sum(can for _, can in lying)}"
+        if settled
+        else "-",
+        f"{sum(r.converged for r in results)}/{count}",
+        f"{median(r.seconds for r in results):.3f}",
+    )
+
+
+def chosen_layouts(
+    dataset: MesaTaskDataset, store: AssetStore, file: Path | None, per_bucket: int, start: str = "start"
+) -> list[Layout]:
+    """The first layouts of each bucket of a file, or as many made of the dataset's own scenes."""
+    if file is None:
+        scenes = sorted(readable_scenes(dataset), key=lambda scene: -len(scene.objects))
+        return list(shaken_layouts(scenes, store, per_bucket))
+    every = list(read_layouts(file, store, start))
+    buckets = dict.fromkeys(layout.bucket for layout in every)
+    return [layout for bucket in buckets for layout in [x for x in every if x.bucket == bucket][:per_bucket]]
+
+
+def main(
+    data: Annotated[Path, typer.Argument(help="Folder in the MesaTask-10K format: the layouts' meshes.")],
+    layouts: Annotated[Path | None, typer.Option(help="File of start layouts; else scenes of the dataset are shaken.")] = None,
+    per_bucket: Annotated[int, typer.Option(help="Layouts of each bucket.")] = 4,
+    method: Annotated[list[str] | None, typer.Option(help="A baseline, or certify, flow, corrector; all by default.")] = None,
+    start: Annotated[str, typer.Option(help="Poses of the file to start from, such as start_xyz.")] = "start",
+    settles: Annotated[bool, typer.Option("--settle", help="Ask MuJoCo what stays where it is.")] = False,
+    limit: Annotated[float, typer.Option(help="Seconds after which no further layout is begun.")] = np.inf,
+    file: Annotated[Path | None, typer.Option("--json", help="Where the figures are written.")] = None,
+) -> None:
+    """Runs the corrector and the baselines on start layouts."""
+    known = {**METHODS, **ours()}
+    if unknown := sorted(set(method or ()) - set(known)):
+        raise typer.BadParameter(f"{', '.join(unknown)}, expected of {', '.join(known)}")
+    dataset = MesaTaskDataset(data)
+    store = AssetStore(dataset, max_bytes=2**30)
+    try:
+        chosen = chosen_layouts(dataset, store, layouts, per_bucket, start)
+        results = run(chosen, store, {name: known[name] for name in method or known}, limit, settles=settles)
+    except StableDataError as error:
+        raise SystemExit(str(error)) from error
+    print(table(results))
+    if file is not None:
+        file.write_text(json.dumps([asdict(result) for result in results], indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    typer.run(main)
