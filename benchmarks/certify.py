@@ -6,6 +6,7 @@ with their objects shifted by 2 cm and turned by 0.1 rad (standard deviations). 
 left out. Run with ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``.
 """
 
+import itertools
 import json
 import time
 from collections.abc import Iterator
@@ -106,7 +107,7 @@ def run(root: Path, layouts: Path | None = None, num_scenes: int | None = None) 
     """
     dataset = MesaTaskDataset(root)
     store = AssetStore(dataset, max_bytes=2**31)
-    scenes = [(_shifted(scene), "shifted") for scene in list(readable_scenes(dataset))[:num_scenes]]
+    scenes = [(_shifted(scene), "shifted") for scene in itertools.islice(readable_scenes(dataset), num_scenes)]
     if layouts is not None:
         rows = [json.loads(line) for line in layouts.read_text("utf-8").splitlines()]
         step = max(1, len(rows) // num_scenes) if num_scenes else 1

@@ -20,7 +20,7 @@ from stable_data.scene import FloatArray, Scene
 from stable_data.shape import Shape
 
 _DEFAULT = CertifyOptions()
-_LATER_TRIES = 4  # how many times a body may be put elsewhere once one has been dropped
+_LATER_TRIES = 10  # how many times a body may be put elsewhere once one has been dropped
 _LEVEL = 0.9 * TOLERANCE  # what stands so near to the table top stays at its height, metres
 
 

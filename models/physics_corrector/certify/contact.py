@@ -5,6 +5,7 @@ from weakref import WeakKeyDictionary
 
 import fcl
 import numpy as np
+import shapely
 
 from stable_data.metrics.collision import DIRECTIONS, NEAR, nested
 from stable_data.metrics.crossing import MeshPair, Surface
@@ -15,9 +16,13 @@ from stable_data.shape import Shape
 _ANY = fcl.CollisionRequest()
 _STEP = 5e-3  # how far a thing is lowered before the next look, metres
 _FINE = 2e-5  # to which a resting height is found, metres
+_REACH, _MOST_CONTACTS = 4e-4, 200  # how far what rests is lowered to see what carries it, metres, and in so many points
 _AIR = 4e-5  # left below what rests, metres
 
 _trees: "WeakKeyDictionary[Shape, fcl.BVHModel]" = WeakKeyDictionary()
+
+
+_centres: "WeakKeyDictionary[Shape, FloatArray]" = WeakKeyDictionary()
 
 
 def _tree(shape: Shape) -> fcl.BVHModel:
@@ -28,6 +33,17 @@ def _tree(shape: Shape) -> fcl.BVHModel:
         tree.endModel()
         _trees[shape] = tree
     return _trees[shape]
+
+
+def _centre_of_mass(shape: Shape) -> FloatArray:
+    """Of the solid that a shape's faces bound, (3,), metres, yaw frame; the middle of its box where they bound none."""
+    if shape not in _centres:
+        triangles = shape.vertices[shape.faces]
+        volume = np.einsum("ij,ij->i", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2])) / 6
+        total = float(volume.sum())
+        middle = (volume[:, None] * triangles.sum(axis=1) / 4).sum(axis=0) / total if abs(total) > 1e-9 else np.zeros(3)
+        _centres[shape] = middle if (np.abs(middle) <= shape.size / 2).all() else np.zeros(3)
+    return _centres[shape]
 
 
 class Meshes:
@@ -94,6 +110,27 @@ class Meshes:
         near = self.near(k, pose, others, poses, NEAR)
         surface = self._surface(k, pose) if near else None
         return [j for j in near if surface is not None and carries(MeshPair(surface, self._surface(j, poses[j]), NEAR), NEAR)]
+
+    def beyond_support(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> float:
+        """How far an object's centre of mass is outside the hull of the points that carry it, seen from above, metres.
+
+        A little lowered it touches in those points; on the table they are its lowest vertices.
+        """
+        shape = self.shapes[k]
+        posed = shape.posed(pose)
+        points = [posed[posed[:, 2] <= _REACH, :2]]
+        moving = self._body(k, pose - (0.0, 0.0, _REACH, 0.0))
+        request = fcl.CollisionRequest(num_max_contacts=_MOST_CONTACTS, enable_contact=True)
+        for j in others:
+            result = fcl.CollisionResult()
+            if fcl.collide(moving, self._body(j, poses[j]), request, result):
+                points.append(np.array([c.pos[:2] for c in result.contacts]))
+        found = np.concatenate(points)
+        if not len(found):
+            return float("inf")
+        c, s = np.cos(pose[3]), np.sin(pose[3])
+        middle = np.array([[c, -s], [s, c]]) @ _centre_of_mass(shape)[:2] + pose[:2]
+        return float(shapely.distance(shapely.Point(middle), shapely.convex_hull(shapely.MultiPoint(found))))
 
     def lowered(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> float:
         """Height of an object's centre when it comes down from above until it is just clear of what is below, metres.

@@ -24,7 +24,8 @@ _AROUND = 8
 _SHARES = (0.25, 0.5, 0.75, 1.0)  # and so far towards the carrier's middle
 _TURNS = (0.0, np.pi / 2, np.pi / 4, -np.pi / 4)  # besides, turned
 _LIFT = 4e-3  # what comes to rest this much higher than it was may be wedged: a better place is looked for, metres
-_ENOUGH = 30  # among so many
+_TOPPLES, _STEADY = 100.0, 2e-3  # how much a centre of mass beyond what carries it counts, and from where, metres
+_ENOUGH = 16  # among so many
 _MOST = 60  # places that are tried at each turn
 
 
@@ -63,14 +64,18 @@ def resting_pose(
         if best is not None and number > _ENOUGH:
             break
         there[2] = meshes.lowered(k, there, done, poses)
+        if not _is_carried(meshes, poses, k, there, carried):
+            continue
+        # What would topple or roll costs so much that any place at which it stays is better.
         cost = float(np.linalg.norm(there[:2] - poses[k, :2]) + max(0.0, there[2] - poses[k, 2]))
-        if cost >= least or not _is_carried(meshes, poses, k, there, carried):
+        cost += _TOPPLES * min(1.0, max(0.0, meshes.beyond_support(k, there, done, poses) - _STEADY))
+        if cost >= least:
             continue
         if not carried.is_in and carried.parent not in meshes.rests(k, there, [carried.parent], poses):
             continue
         if is_at_rest(meshes, poses, k, there, done):
             best, least = there, cost
-            if there[2] <= poses[k, 2] + _LIFT:
+            if cost < _TOPPLES * _STEADY and there[2] <= poses[k, 2] + _LIFT:
                 break
     return best
 

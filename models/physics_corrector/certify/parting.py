@@ -9,7 +9,8 @@ from stable_data.scene import FloatArray
 
 _STEPS = 16
 _SQUEEZE_STEPS = 7
-_SHARES, _GROWTH_STEPS = np.append(np.arange(0.3, 1.0, 0.05), 1.0), 3  # of its size that a body grows through
+_SHARES = np.append(np.arange(0.3, 1.0, 0.05), 1.0)  # of its size that a body grows through
+_GROWTH_STEPS = (3, 6)  # at each of them, in the attempts that are made
 _PRICES = (1.0, 0.3, 0.1)  # of a metre by which a directional relation is broken, once not all can be had
 _PLACES = 3  # that are tried for a body
 _PATIENCE = 8  # tries that gain nothing before it is given up
@@ -28,16 +29,26 @@ def part(crowd: Crowd, shifts: FloatArray, aims: FloatArray, tries: int) -> tupl
         The shifts, and the bodies that are still in the way; none where the crowd is parted.
     """
     found, is_parted = project(crowd, shifts, aims, _STEPS)
-    if not is_parted:
-        found, is_parted = _grown(crowd, shifts, aims)
-    if not is_parted:
-        found, is_parted = _squeezed(crowd, found, aims, tries)
-    if not is_parted:
+    parted, stuck = ([_polished(crowd, found, aims)] if is_parted else []), []
+    lost_before = crowd.broken(shifts).sum()
+    for steps in _GROWTH_STEPS:
+        if parted and min(crowd.broken(s).sum() for s in parted) <= lost_before:
+            break
+        found, is_parted = _grown(crowd, shifts, aims, steps)
+        if is_parted:
+            parted.append(_polished(crowd, found, aims))
+        else:
+            stuck.append(found)
+    for start in () if parted else tuple(stuck):
+        found, is_parted = _squeezed(crowd, start, aims, tries)
+        if is_parted:
+            return _polished(crowd, found, aims), []
+    if not parted:
         return found, in_the_way(crowd, found)
-    return _polished(crowd, found, aims), []
+    return min(parted, key=lambda s: int(crowd.broken(s).sum())), []
 
 
-def _grown(crowd: Crowd, shifts: FloatArray, aims: FloatArray) -> tuple[FloatArray, bool]:
+def _grown(crowd: Crowd, shifts: FloatArray, aims: FloatArray, steps: int) -> tuple[FloatArray, bool]:
     """Parts the bodies while they are small, and again as they grow: they push each other on rather than through each other.
 
     Directional relations get cheaper once they cannot all be had.
@@ -45,10 +56,10 @@ def _grown(crowd: Crowd, shifts: FloatArray, aims: FloatArray) -> tuple[FloatArr
     prices, is_parted = [HARD, *_PRICES], False
     for share in _SHARES:
         smaller = crowd.shrunk(share)
-        shifts, is_parted = project(smaller, shifts, aims, _GROWTH_STEPS, prices[0])
+        shifts, is_parted = project(smaller, shifts, aims, steps, prices[0])
         while not is_parted and len(prices) > 1:
             prices.pop(0)
-            shifts, is_parted = project(smaller, shifts, aims, _GROWTH_STEPS, prices[0])
+            shifts, is_parted = project(smaller, shifts, aims, steps, prices[0])
     if not is_parted:
         shifts, is_parted = project(crowd, shifts, shifts, _STEPS, prices[0])
     return shifts, is_parted

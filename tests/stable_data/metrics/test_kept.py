@@ -1,0 +1,50 @@
+"""Relations before and after, on plain things."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from stable_data.metrics.kept import relations_kept
+from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Tabletop
+from stable_data.shape import Shape
+
+
+def block(name: str, x: float, y: float, bottom: float) -> SceneObject:
+    return SceneObject(name, "block", (x, y, bottom + 0.05), 0.0, (0.1, 0.1, 0.1))
+
+
+def cube() -> Shape:
+    stand_in = Shape.box((0.1, 0.1, 0.1))
+    return Shape(np.array(stand_in.vertices), stand_in.faces)
+
+
+SCENE = Scene("s", Tabletop("table", (1.0, 1.0)), (block("a", 0.3, 0.3, 0.0), block("b", 0.3, 0.3, 0.1), block("c", 0.6, 0.3, 0.0)))
+
+
+def test_what_has_not_changed_is_kept() -> None:
+    found = relations_kept(SCENE, SCENE, [cube()] * 3)
+    assert (found.on_in_held, found.on_in_kept) == (1, 1)
+    assert found.directional_held == found.directional_kept > 0
+    assert (found.asked_broken, found.asked_restored) == (0, 0)
+
+
+def test_what_was_taken_down_and_turned_round_is_lost() -> None:
+    after = replace(SCENE, objects=(SCENE["a"], block("b", 0.3, 0.8, 0.0), block("c", 0.1, 0.3, 0.0)))
+    found = relations_kept(SCENE, after, [cube()] * 3)
+    assert found.on_in_share == 0
+    assert found.directional_share == 0
+
+
+def test_what_was_asked_for_is_restored() -> None:
+    asked = replace(SCENE, relations=(Relation("c", RelationKind.ON, "a"),), objects=(SCENE["a"], SCENE["c"]))
+    after = replace(asked, objects=(SCENE["a"], block("c", 0.3, 0.3, 0.1)))
+    found = relations_kept(asked, after, [cube()] * 2)
+    assert (found.asked_broken, found.asked_restored) == (1, 1)
+    assert relations_kept(asked, asked, [cube()] * 2).asked_restored == 0
+
+
+def test_dropped_objects_are_left_out() -> None:
+    found = relations_kept(SCENE, replace(SCENE, objects=(SCENE["a"], SCENE["c"])), [cube()] * 3)
+    assert found.on_in_held == 0
+    assert found.on_in_share is None
+    assert found.directional_share == 1
