@@ -18,7 +18,9 @@ def cube() -> Shape:
     return Shape(np.array(stand_in.vertices), stand_in.faces)
 
 
-SCENE = Scene("s", Tabletop("table", (1.0, 1.0)), (block("a", 0.3, 0.3, 0.0), block("b", 0.3, 0.3, 0.1), block("c", 0.6, 0.3, 0.0)))
+SCENE = Scene(
+    "s", Tabletop("table", (1.0, 1.0)), (block("a", 0.3, 0.3, 0.0), block("b", 0.3, 0.3, 0.1), block("c", 0.6, 0.3, 0.0))
+)
 
 
 def test_what_has_not_changed_is_kept() -> None:
