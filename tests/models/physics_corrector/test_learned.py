@@ -1,0 +1,131 @@
+"""The learned flow as the corrector calls it: scenes in, scenes out, weights that belong together."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.physics_corrector.checkpoint import load_corrector, save_corrector
+from models.physics_corrector.corrector import PhysicsCorrector, movement
+from models.physics_corrector.learned import LearnedFlow, load_flow, weights_fingerprint
+from models.point_encoder import PointEncoder
+from models.point_encoder import save as save_encoder
+from stable_data.errors import ConfigError
+from stable_data.scene import Scene
+from stable_data.shape import Shape
+from tests.models.physics_corrector.certify.things import box, cylinder, laid
+from tests.models.physics_corrector.conditions import awake_network, small_settings
+from tests.models.point_encoder.clouds import tiny_encoder
+
+CUP, BOOK = cylinder(0.04, 0.1), box(0.15, 0.2, 0.03)
+FREE: frozenset[str] = frozenset()
+
+
+@pytest.fixture(scope="module")
+def encoder() -> PointEncoder:
+    return tiny_encoder()
+
+
+@pytest.fixture
+def weights(encoder: PointEncoder, tmp_path: Path) -> Path:
+    """A network that was never trained, whose head is awake, with the encoder beside it."""
+    settings = small_settings("set_transformer")
+    settings = replace(settings, network=replace(settings.network, num_features=64))
+    path = tmp_path / "physics_corrector.safetensors"
+    save_corrector(path, settings, awake_network(settings).state_dict(), {"encoder": encoder.fingerprint()})
+    save_encoder(encoder, path.with_name("point_encoder.safetensors"))
+    return path
+
+
+def two_scenes() -> tuple[list[Scene], list[list[Shape]]]:
+    first, shapes = laid(("a", CUP, 0.4, 0.3, 0.0), ("b", CUP, 0.46, 0.3, 0.0), ("c", BOOK, 0.2, 0.2, 0.0))
+    second, others = laid(("d", BOOK, 0.3, 0.3, 0.0))
+    return [first, second], [list(shapes), list(others)]
+
+
+def test_what_is_fixed_stays_bit_for_bit_and_the_rest_moves(weights: Path) -> None:
+    flow = load_flow(str(weights))
+    assert flow is not None
+    scenes, shapes = two_scenes()
+    first, _ = flow(scenes, shapes, [frozenset({"b"}), FREE])
+    assert first["b"] == scenes[0]["b"]
+    assert all(first[name].position != scenes[0][name].position for name in ("a", "c"))
+    assert [o.instance for o in first.objects] == ["a", "b", "c"]
+
+
+def test_a_scene_comes_out_as_it_would_alone(weights: Path) -> None:
+    flow = load_flow(str(weights))
+    assert flow is not None
+    scenes, shapes = two_scenes()
+    together = flow(scenes, shapes, [FREE, FREE])
+    alone = [flow([scene], [own], [FREE])[0] for scene, own in zip(scenes, shapes, strict=True)]
+    for one, other in zip(together, alone, strict=True):
+        assert one.poses() == pytest.approx(other.poses(), abs=1e-5)
+
+
+def test_more_steps_give_another_result(weights: Path) -> None:
+    scenes, shapes = two_scenes()
+    few, many = (load_flow(str(weights), steps) for steps in (1, 16))
+    assert few is not None
+    assert many is not None
+    assert not np.allclose(few(scenes, shapes, [FREE, FREE])[0].poses(), many(scenes, shapes, [FREE, FREE])[0].poses())
+
+
+def test_empty_scenes_come_back(weights: Path) -> None:
+    flow = load_flow(str(weights))
+    assert flow is not None
+    empty = replace(two_scenes()[0][0], objects=())
+    assert flow([empty], [[]], [FREE]) == [empty]
+    assert flow([], [], []) == []
+
+
+def test_features_of_another_encoder_are_refused(weights: Path) -> None:
+    read = load_corrector(weights)
+    other = tiny_encoder(preprocessing=replace(tiny_encoder().preprocessing, num_points=64))
+    for encoder in (other, None):
+        with pytest.raises(ConfigError, match="was trained on the features of encoder") as caught:
+            LearnedFlow(read, encoder)
+        assert caught.value.code == "encoder_mismatch"
+
+
+def test_none_is_no_flow() -> None:
+    assert load_flow("none") is None
+    assert weights_fingerprint("none") == "none"
+
+
+def test_the_fingerprint_is_of_both_files(weights: Path) -> None:
+    before = weights_fingerprint(str(weights))
+    assert before == weights_fingerprint(str(weights))
+    beside = weights.with_name("point_encoder.safetensors")
+    beside.write_bytes(beside.read_bytes() + b" ")
+    assert weights_fingerprint(str(weights)) != before
+    with pytest.raises(ConfigError, match="no such file"):
+        weights_fingerprint(str(weights.with_name("nothing")))
+
+
+def test_raw_and_certified_stand_side_by_side(weights: Path) -> None:
+    scenes, shapes = two_scenes()
+    corrections = PhysicsCorrector(load_flow(str(weights))).correct(scenes, shapes)
+    for scene, done in zip(scenes, corrections, strict=True):
+        assert done.start is scene
+        assert done.raw is not None
+        assert done.card_raw is not None
+        assert done.certified is not None
+        assert done.card_after is not None
+        assert done.card_after.clean
+        assert done.card_after.move_mean_mm == movement(scene, done.certified)[0]
+    assert corrections[0].card_before.num_collisions == 1
+    (alone,) = PhysicsCorrector().correct(scenes[:1], shapes[:1])
+    assert (alone.raw, alone.card_raw) == (None, None)
+
+
+def test_movement_of_objects_that_are_still_there() -> None:
+    scene = two_scenes()[0][0]
+    a, b, _ = scene.objects
+    x, y, z = a.position
+    after = replace(scene, objects=(a.moved((x + 0.03, y + 0.04, z), a.yaw + np.pi + 0.1), b))
+    mean, farthest, turn = movement(scene, after)
+    assert [mean, farthest] == pytest.approx([25.0, 50.0])
+    assert turn == pytest.approx(180 - np.degrees(0.1))
+    assert movement(scene, replace(scene, objects=())) == (0.0, 0.0, 0.0)
