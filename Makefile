@@ -9,7 +9,7 @@ DATA ?= data/embedded
 OUT ?= runs/preprocess
 EIGEN := $(VENV)/lib/python3.11/site-packages/cmeel.prefix/include/eigen3
 
-.PHONY: help env demo test test-all lint format schemas preprocess bench clean
+.PHONY: help env demo test test-all lint format schemas preprocess correct train evaluate bench clean
 
 help: ## Show this page
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -52,6 +52,17 @@ data/embedded: | $(READY)
 
 preprocess: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA=<MesaTask-10K folder> OUT=<folder> to staged, geometry-complete tables
 	$(BIN)/python -m pipelines preprocess --data $(DATA) --out $(OUT)
+
+correct: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA=<folder of scenes, or a run> OUT=<folder> to scenes that are exactly clean
+	$(BIN)/python -m pipelines correct --scenes $(DATA) --out $(if $(filter runs/preprocess,$(OUT)),runs/correct,$(OUT))
+
+train: preprocess ## Point encoder and corrector on the tables in OUT (hours on a CPU): runs/encoder, runs/corrector
+	$(BIN)/python -m models.point_encoder.pretrain --out runs/encoder
+	$(BIN)/python -m pipelines train-corrector --data $(OUT) --out runs/corrector --preset embedded_set --config workflows/embedded.toml
+
+evaluate: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## The paper's tables: DATA=<folder of meshes> LAYOUTS=<file of start layouts> (without: scenes of DATA, shaken)
+	mkdir -p runs/evaluate
+	OMP_NUM_THREADS=1 IGL_NUM_THREADS=1 $(BIN)/python -m benchmarks.correction $(DATA) $(if $(LAYOUTS),--layouts $(LAYOUTS)) --settle --json runs/evaluate/correction.json
 
 bench: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## Side-by-side figures against peers (DATA=<folder with real meshes>)
 	$(BIN)/python -m benchmarks --data $(DATA) --out runs/bench
