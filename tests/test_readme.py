@@ -46,6 +46,7 @@ def test_there_are_commands_to_run() -> None:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_runs_as_written(command: str, scenes: Path, tmp_path: Path) -> None:
     places = {"/data/MesaTask-10K": scenes, "/data/mesatask-tables": tmp_path / "run", "s3://bucket/mesatask": tmp_path / "run"}
+    places |= {"/data/mesatask-clean": tmp_path / "clean"}
     places |= {"audit.parquet": tmp_path / "audit.parquet", "/data/world": tmp_path / "world"}
     for written, here in (places | {"--scenes 1000": "--scenes 3"}).items():  # as many as a test has time for
         command = command.replace(written, str(here))
