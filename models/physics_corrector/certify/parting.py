@@ -3,7 +3,7 @@
 import numpy as np
 
 from models.physics_corrector.certify.crowd import Crowd
-from models.physics_corrector.certify.projection import HARD, is_free_of_overlap, project
+from models.physics_corrector.certify.projection import HARD, Forces, is_free_of_overlap, project
 from models.physics_corrector.certify.search import least_blocked
 from stable_data.scene import FloatArray
 
@@ -53,13 +53,13 @@ def _grown(crowd: Crowd, shifts: FloatArray, aims: FloatArray, steps: int) -> tu
 
     Directional relations get cheaper once they cannot all be had.
     """
-    prices, is_parted = [HARD, *_PRICES], False
+    prices, is_parted, forces = [HARD, *_PRICES], False, Forces.none(crowd)
     for share in _SHARES:
         smaller = crowd.shrunk(share)
-        shifts, is_parted = project(smaller, shifts, aims, steps, prices[0])
+        shifts, is_parted = project(smaller, shifts, aims, steps, prices[0], forces)
         while not is_parted and len(prices) > 1:
             prices.pop(0)
-            shifts, is_parted = project(smaller, shifts, aims, steps, prices[0])
+            shifts, is_parted = project(smaller, shifts, aims, steps, prices[0], forces)
     if not is_parted:
         shifts, is_parted = project(crowd, shifts, shifts, _STEPS, prices[0])
     return shifts, is_parted

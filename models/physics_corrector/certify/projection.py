@@ -5,7 +5,10 @@ solves the convex problem that remains: weighted squared distance from the aims,
 relation at a price per metre. A half-plane is part of the free region, so what a step finds free stays free in the next.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
+from scipy.linalg.lapack import dposv
 
 from models.physics_corrector.certify.crowd import Crowd
 from stable_data.scene import FloatArray, IntArray
@@ -24,8 +27,33 @@ _EXACT = 1e-7
 _ALONG = 0.35  # cosine between a way out and a directional relation that it serves
 
 
+@dataclass(slots=True)
+class Forces:
+    """What the constraints push with, kept from one step to the next as a start: most of them change little.
+
+    Attributes:
+        pairs: Of each pair of slabs, (E,).
+        orders: Of both half-planes of each directional relation, (2K,).
+        edges: Of the edges of the table on each body, (4B,).
+    """
+
+    pairs: FloatArray
+    orders: FloatArray
+    edges: FloatArray
+
+    @classmethod
+    def none(cls, crowd: Crowd) -> "Forces":
+        """None on any body of a crowd."""
+        return cls(np.zeros(len(crowd.first)), np.zeros(2 * len(crowd.orders)), np.zeros(4 * len(crowd.stiffness)))
+
+
 def project(
-    crowd: Crowd, shifts: FloatArray, aims: FloatArray, steps: int, order_price: float = HARD
+    crowd: Crowd,
+    shifts: FloatArray,
+    aims: FloatArray,
+    steps: int,
+    order_price: float = HARD,
+    forces: Forces | None = None,
 ) -> tuple[FloatArray, bool]:
     """Moves bodies apart.
 
@@ -35,13 +63,15 @@ def project(
         aims: Where they want to be, (B, 2).
         steps: Steps at most.
         order_price: Price of a metre by which a directional relation is broken.
+        forces: A start, changed to where it ends.
 
     Returns:
         The shifts, (B, 2), and whether the crowd is parted.
     """
     best, is_parted = shifts, False
+    forces = forces or Forces.none(crowd)
     for _ in range(steps):
-        moved = _step(crowd, shifts, aims, order_price)
+        moved = _step(crowd, shifts, aims, order_price, forces)
         change = float(np.abs(moved - shifts).max(initial=0.0))
         shifts = moved
         is_free = is_free_of_overlap(crowd, shifts)
@@ -58,25 +88,29 @@ def is_free_of_overlap(crowd: Crowd, shifts: FloatArray) -> bool:
     return bool(crowd.overlap(shifts).max(initial=0.0) <= FREE and crowd.outside(shifts).max(initial=0.0) <= FREE)
 
 
-def _step(crowd: Crowd, shifts: FloatArray, aims: FloatArray, order_price: float) -> FloatArray:
-    first, second, rows, bounds = _pairs(crowd, shifts, order_price)
-    prices = [np.full(len(first), HARD)]
-    if len(crowd.orders) and order_price > 0:
-        of, to = (np.concatenate([x, x]) for x in (crowd.subjects, crowd.targets))
-        order_rows, order_bounds = crowd.order_planes()
-        order_bounds = order_bounds + _MARGIN
-        first, second = np.concatenate([first, of]), np.concatenate([second, to])
-        rows, bounds = np.concatenate([rows, order_rows]), np.concatenate([bounds, order_bounds])
-        prices.append(np.full(len(of), order_price))
-    edge_first, edge_rows, edge_bounds = _edges(crowd, shifts)
-    first = np.concatenate([first, edge_first])
-    second = np.concatenate([second, np.full(len(edge_first), -1)])
-    rows, bounds = np.concatenate([rows, edge_rows]), np.concatenate([bounds, edge_bounds])
-    prices.append(np.full(len(edge_first), 4 * HARD))
-    return _solved(crowd, first, second, rows, bounds, np.concatenate(prices), aims)
+def _step(crowd: Crowd, shifts: FloatArray, aims: FloatArray, order_price: float, forces: Forces) -> FloatArray:
+    near, rows, bounds = _pairs(crowd, shifts, order_price)
+    sides, edge_rows, edge_bounds = _edges(crowd, shifts)
+    num_orders = 2 * len(crowd.orders) if order_price > 0 else 0
+    order_rows, order_bounds = crowd.order_planes()
+    of, to = (np.concatenate([x, x])[:num_orders] for x in (crowd.subjects, crowd.targets))
+    first = np.concatenate([crowd.first_body[near], of, sides % len(crowd.stiffness)])
+    second = np.concatenate([crowd.second_body[near], to, np.full(len(sides), -1)])
+    rows = np.concatenate([rows, order_rows[:num_orders], edge_rows])
+    bounds = np.concatenate([bounds, order_bounds[:num_orders] + _MARGIN, edge_bounds])
+    counts = np.array([len(near), num_orders, len(sides)])
+    prices = np.repeat([HARD, order_price, 4 * HARD], counts)
+    start = np.concatenate([forces.pairs[near], forces.orders[:num_orders], forces.edges[sides]])
+    moved, force = _solved(crowd, first, second, rows, bounds, prices, aims, start)
+    for kept, where, pushes in zip(
+        (forces.pairs, forces.orders, forces.edges), (near, slice(num_orders), sides), np.split(force, counts.cumsum()[:2]), strict=True
+    ):
+        kept[:] = 0.0
+        kept[where] = pushes
+    return moved
 
 
-def _pairs(crowd: Crowd, shifts: FloatArray, order_price: float) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+def _pairs(crowd: Crowd, shifts: FloatArray, order_price: float) -> tuple[IntArray, FloatArray, FloatArray]:
     """One half-plane for each near pair of slabs."""
     beyond = crowd.beyond(shifts)
     clear = beyond.max(axis=1)
@@ -95,7 +129,7 @@ def _pairs(crowd: Crowd, shifts: FloatArray, order_price: float) -> tuple[IntArr
         _choose_way_out(crowd, entries, beyond, axis, position, chosen)
     normals = crowd.normals[near, chosen]
     bounds = crowd.offsets[near, chosen] - np.einsum("nd,nd->n", normals, crowd.apart[near])
-    return crowd.first_body[near], crowd.second_body[near], normals, bounds
+    return near, normals, bounds
 
 
 def _choose_way_out(
@@ -136,17 +170,18 @@ def _wanted_axes(crowd: Crowd) -> dict[tuple[int, int], FloatArray]:
 
 
 def _edges(crowd: Crowd, shifts: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The edges of the table that bodies are near."""
-    owners, rows, bounds = [], [], []
+    """The edges of the table that bodies are near: numbers of side and body, half-planes, bounds."""
+    num = len(crowd.stiffness)
+    sides, rows, bounds = [], [], []
     for axis in (0, 1):
         unit = np.zeros(2)
         unit[axis] = 1.0
         for sign, bound in ((1.0, crowd.low[:, axis]), (-1.0, -crowd.high[:, axis])):
             near = np.nonzero(crowd.is_free & (sign * shifts[:, axis] - bound < _NEAR))[0]
-            owners.append(near)
+            sides.append(near + num * len(sides))
             rows.append(np.repeat(sign * unit[None], len(near), axis=0))
             bounds.append(bound[near])
-    return np.concatenate(owners), np.concatenate(rows), np.concatenate(bounds)
+    return np.concatenate(sides), np.concatenate(rows), np.concatenate(bounds)
 
 
 def _solved(
@@ -157,70 +192,78 @@ def _solved(
     bounds: FloatArray,
     prices: FloatArray,
     aims: FloatArray,
-) -> FloatArray:
-    """Least weighted squared distance from the aims with ``row · (first − second) >= bound`` at a price."""
-    num = len(crowd.stiffness)
-    inverse = np.where(crowd.is_free, 1 / np.where(crowd.is_free, crowd.stiffness, 1.0), 0.0)
-    matrix = np.zeros((len(rows), num, 2))
-    index = np.arange(len(rows))
-    matrix[index, first] += rows
-    has_second = second >= 0
-    matrix[index[has_second], second[has_second]] -= rows[has_second]
-    matrix *= np.sqrt(inverse)[None, :, None]
-    flat = matrix.reshape(len(rows), 2 * num)
-    aim = (aims * np.sqrt(np.where(crowd.is_free, crowd.stiffness, 1.0))[:, None]).reshape(-1)
-    needed = bounds - flat @ aim
-    fixed = ~crowd.is_free
-    if fixed.any():  # what cannot move is where it is
-        needed -= np.where(fixed[first], np.einsum("nd,nd->n", rows, aims[first]), 0.0)
-        needed += np.where(has_second & fixed[second], np.einsum("nd,nd->n", rows, aims[second]), 0.0)
-    force = box_dual(flat @ flat.T, needed, prices)
-    moved = (aim + flat.T @ force).reshape(num, 2) * np.sqrt(inverse)[:, None]
-    return np.where(crowd.is_free[:, None], moved, aims)
+    start: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Least weighted squared distance from the aims with ``row · (first − second) >= bound`` at a price, and the forces."""
+    num, index = len(crowd.stiffness), np.arange(len(rows))
+    inverse = np.where(crowd.is_free, 1 / np.sqrt(crowd.stiffness), 0.0)  # what cannot move is where it is
+    matrix = np.zeros((len(rows), num + 1, 2))  # the last column takes what has no second body
+    matrix[index, first] = rows * inverse[first, None]
+    matrix[index, second] -= rows * np.append(inverse, 0.0)[second, None]
+    flat = np.ascontiguousarray(matrix[:, :num][:, crowd.is_free]).reshape(len(rows), -1)
+    wanted = np.append(aims, np.zeros((1, 2)), axis=0)
+    needed = bounds - ((wanted[first] - wanted[second]) * rows).sum(axis=1)
+    force = box_dual(flat, needed, prices, start)
+    moved = aims.copy()
+    moved[crowd.is_free] += (force @ flat).reshape(-1, 2) * inverse[crowd.is_free, None]
+    return moved, force
 
 
-def box_dual(quadratic: FloatArray, linear: FloatArray, upper: FloatArray) -> FloatArray:
-    """Minimises ``½ x'Qx − b'x`` over ``0 <= x <= upper`` by projected Newton steps (Bertsekas 1982).
+def box_dual(matrix: FloatArray, linear: FloatArray, upper: FloatArray, start: FloatArray) -> FloatArray:
+    """Minimises ``½ |A'x|² − b'x`` over ``0 <= x <= upper`` by projected Newton steps (Bertsekas 1982).
 
     Args:
-        quadratic: Q, (M, M), positive semidefinite.
+        matrix: A, (M, N).
         linear: b, (M,).
         upper: (M,).
+        start: Where to begin, (M,).
 
     Returns:
         x, (M,).
     """
-    matrix = quadratic + _EASE * np.eye(len(linear))
-    x = _descended(matrix, linear, upper)
-    gradient = matrix @ x - linear
-    value = 0.5 * float(x @ (gradient - linear))
+    x = _descended(matrix, linear, upper, start)
+    push = x @ matrix
+    gradient = matrix @ push + _EASE * x - linear
+    value = 0.5 * float(push @ push + _EASE * (x @ x)) - float(linear @ x)
     for _ in range(_NEWTON_STEPS):
         held = ((x <= 0) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
-        free = np.nonzero(~held)[0]
+        free = np.flatnonzero(~held)
         if not len(free) or np.abs(gradient[free]).max() < _EXACT:
             break
-        step = np.linalg.solve(matrix[np.ix_(free, free)], -gradient[free])
+        step = _newton_step(matrix[free], -gradient[free])
         length, trial = 1.0, x.copy()
         for _ in range(_HALVINGS):
-            trial[free] = np.clip(x[free] + length * step, 0.0, upper[free])
-            product = matrix @ trial
-            if (new := float(0.5 * trial @ product - linear @ trial)) < value - 1e-14:
+            trial[free] = np.minimum(np.maximum(x[free] + length * step, 0.0), upper[free])
+            push = trial @ matrix
+            if (new := 0.5 * float(push @ push + _EASE * (trial @ trial)) - float(linear @ trial)) < value - 1e-14:
                 break
             length /= 2
         else:
             break
-        x, value, gradient = trial, new, product - linear
+        x, value, gradient = trial, new, matrix @ push + _EASE * trial - linear
     return x
 
 
-def _descended(matrix: FloatArray, linear: FloatArray, upper: FloatArray) -> FloatArray:
+def _newton_step(matrix: FloatArray, residual: FloatArray) -> FloatArray:
+    """Solves ``(AA' + ease) x = r`` in the smaller of the two dimensions of A, (M, N)."""
+    if len(matrix) <= matrix.shape[1]:
+        square = matrix @ matrix.T
+        square.flat[:: len(square) + 1] += _EASE
+        return np.asarray(dposv(square, residual)[1])
+    square = matrix.T @ matrix
+    square.flat[:: len(square) + 1] += _EASE
+    return np.asarray((residual - matrix @ dposv(square, residual @ matrix)[1]) / _EASE)
+
+
+def _descended(matrix: FloatArray, linear: FloatArray, upper: FloatArray, start: FloatArray) -> FloatArray:
     """A start for the Newton steps, by accelerated projected gradients (Beck and Teboulle 2009), restarted where they overshoot."""
-    rate = 1 / max(float(np.abs(matrix).sum(axis=1).max(initial=0.0)), 1e-9)
-    x = ahead = np.zeros(len(linear))
+    size = np.abs(matrix)
+    rate = 1 / (size @ size.sum(axis=0) + _EASE)  # the rows' sums bound the quadratic form from above
+    x = ahead = np.minimum(start, upper)
     momentum = 1.0
     for _ in range(_GRADIENT_STEPS):
-        gradient = matrix @ ahead - linear
-        new = np.clip(ahead - rate * gradient, 0.0, upper)
+        gradient = matrix @ (ahead @ matrix) + _EASE * ahead - linear
+        new = np.minimum(np.maximum(ahead - rate * gradient, 0.0), upper)
         change = new - x
         if np.abs(change).max(initial=0.0) < _EXACT:
             return new
