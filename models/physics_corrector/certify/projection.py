@@ -23,7 +23,8 @@ _NEAR = 0.08  # pairs farther apart than this are left out of a step, metres
 _MARGIN = 2e-4  # by which a directional relation is kept, metres
 _EASE = 2e-4  # keeps the dual strictly concave: metres of violation per unit of price
 _GRADIENT_STEPS, _NEWTON_STEPS, _HALVINGS = 60, 25, 20
-_EXACT = 1e-7
+_EXACT = 1e-5
+_DEAR = 1.0  # relations that cost more decide which way bodies part
 _ALONG = 0.35  # cosine between a way out and a directional relation that it serves
 
 
@@ -52,7 +53,7 @@ def project(
     shifts: FloatArray,
     aims: FloatArray,
     steps: int,
-    order_price: float = HARD,
+    order_price: float | FloatArray = HARD,
     forces: Forces | None = None,
 ) -> tuple[FloatArray, bool]:
     """Moves bodies apart.
@@ -62,7 +63,7 @@ def project(
         shifts: Where they are, (B, 2), metres.
         aims: Where they want to be, (B, 2).
         steps: Steps at most.
-        order_price: Price of a metre by which a directional relation is broken.
+        order_price: Price of a metre by which a directional relation is broken, of all or of each, (K,).
         forces: A start, changed to where it ends.
 
     Returns:
@@ -70,11 +71,15 @@ def project(
     """
     best, is_parted = shifts, False
     forces = forces or Forces.none(crowd)
+    prices = np.broadcast_to(np.asarray(order_price, float), len(crowd.orders))
+    near, beyond = crowd.near(shifts, _NEAR)
     for _ in range(steps):
-        moved = _step(crowd, shifts, aims, order_price, forces)
+        moved = _step(crowd, shifts, near, beyond, aims, prices, forces)
         change = float(np.abs(moved - shifts).max(initial=0.0))
         shifts = moved
-        is_free = is_free_of_overlap(crowd, shifts)
+        near, beyond = crowd.near(shifts, _NEAR)
+        overlap = -float(beyond.max(axis=1, initial=-np.inf).min(initial=0.0))
+        is_free = overlap <= FREE and float(crowd.outside(shifts).max(initial=0.0)) <= FREE
         if is_free or not is_parted:
             best = shifts
         is_parted = is_parted or is_free
@@ -88,82 +93,83 @@ def is_free_of_overlap(crowd: Crowd, shifts: FloatArray) -> bool:
     return bool(crowd.overlap(shifts).max(initial=0.0) <= FREE and crowd.outside(shifts).max(initial=0.0) <= FREE)
 
 
-def _step(crowd: Crowd, shifts: FloatArray, aims: FloatArray, order_price: float, forces: Forces) -> FloatArray:
-    near, rows, bounds = _pairs(crowd, shifts, order_price)
+def _step(
+    crowd: Crowd,
+    shifts: FloatArray,
+    near: IntArray,
+    beyond: FloatArray,
+    aims: FloatArray,
+    order_prices: FloatArray,
+    forces: Forces,
+) -> FloatArray:
+    rows, bounds = _planes(crowd, near, beyond, order_prices)
     sides, edge_rows, edge_bounds = _edges(crowd, shifts)
-    num_orders = 2 * len(crowd.orders) if order_price > 0 else 0
+    kept = np.flatnonzero(np.tile(order_prices > 0, 2))
     order_rows, order_bounds = crowd.order_planes()
-    of, to = (np.concatenate([x, x])[:num_orders] for x in (crowd.subjects, crowd.targets))
+    of, to = (np.tile(x, 2)[kept] for x in (crowd.subjects, crowd.targets))
     first = np.concatenate([crowd.first_body[near], of, sides % len(crowd.stiffness)])
     second = np.concatenate([crowd.second_body[near], to, np.full(len(sides), -1)])
-    rows = np.concatenate([rows, order_rows[:num_orders], edge_rows])
-    bounds = np.concatenate([bounds, order_bounds[:num_orders] + _MARGIN, edge_bounds])
-    counts = np.array([len(near), num_orders, len(sides)])
-    prices = np.repeat([HARD, order_price, 4 * HARD], counts)
-    start = np.concatenate([forces.pairs[near], forces.orders[:num_orders], forces.edges[sides]])
+    rows = np.concatenate([rows, order_rows[kept], edge_rows])
+    bounds = np.concatenate([bounds, order_bounds[kept] + _MARGIN, edge_bounds])
+    prices = np.concatenate([np.full(len(near), HARD), np.tile(order_prices, 2)[kept], np.full(len(sides), 4 * HARD)])
+    start = np.concatenate([forces.pairs[near], forces.orders[kept], forces.edges[sides]])
     moved, force = _solved(crowd, first, second, rows, bounds, prices, aims, start)
-    for kept, where, pushes in zip(
-        (forces.pairs, forces.orders, forces.edges), (near, slice(num_orders), sides), np.split(force, counts.cumsum()[:2]), strict=True
-    ):
-        kept[:] = 0.0
-        kept[where] = pushes
+    pushes = np.split(force, [len(near), len(near) + len(kept)])
+    for all_of_a_kind, where, push in zip((forces.pairs, forces.orders, forces.edges), (near, kept, sides), pushes, strict=True):
+        all_of_a_kind[:] = 0.0
+        all_of_a_kind[where] = push
     return moved
 
 
-def _pairs(crowd: Crowd, shifts: FloatArray, order_price: float) -> tuple[IntArray, FloatArray, FloatArray]:
-    """One half-plane for each near pair of slabs."""
-    beyond = crowd.beyond(shifts)
-    clear = beyond.max(axis=1)
-    near = np.nonzero(clear < _NEAR)[0]
-    chosen = beyond[near].argmax(axis=1)
-    overlapping = near[clear[near] < 0]
-    wanted = _wanted_axes(crowd) if order_price > 1 else {}
+def _planes(
+    crowd: Crowd, near: IntArray, beyond: FloatArray, order_prices: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """One half-plane for each near pair of slabs: normals (N, 2), bounds (N,)."""
+    chosen = beyond.argmax(axis=1)
+    overlapping = np.flatnonzero(np.take_along_axis(beyond, chosen[:, None], axis=1)[:, 0] < 0)
+    wanted = _wanted_axes(crowd, order_prices)
     groups: dict[tuple[int, int], list[int]] = {}
-    for e in overlapping.tolist():
-        groups.setdefault((int(crowd.first[e]), int(crowd.second[e])), []).append(e)
-    position = {int(e): n for n, e in enumerate(near)}
+    for n, i, j in zip(overlapping.tolist(), crowd.first[near[overlapping]].tolist(), crowd.second[near[overlapping]].tolist(), strict=True):
+        groups.setdefault((i, j), []).append(n)
     for entries in groups.values():
-        axis = wanted.get((int(crowd.first_body[entries[0]]), int(crowd.second_body[entries[0]])))
-        if len(entries) == 1 and axis is None:
-            continue
-        _choose_way_out(crowd, entries, beyond, axis, position, chosen)
+        e = near[entries[0]]
+        axis = wanted.get((int(crowd.first_body[e]), int(crowd.second_body[e])))
+        if len(entries) > 1 or axis is not None:
+            chosen[entries] = _way_out(crowd.normals[near[entries]], -beyond[entries], axis)
     normals = crowd.normals[near, chosen]
-    bounds = crowd.offsets[near, chosen] - np.einsum("nd,nd->n", normals, crowd.apart[near])
-    return near, normals, bounds
+    return normals, crowd.offsets[near, chosen] - (normals * crowd.apart[near]).sum(axis=1)
 
 
-def _choose_way_out(
-    crowd: Crowd,
-    entries: list[int],
-    beyond: FloatArray,
-    axis: FloatArray | None,
-    position: dict[int, int],
-    chosen: IntArray,
-) -> None:
-    """One direction for all slabs of two parts that overlap, along their directional relation where they have one."""
-    normals = crowd.normals[entries]
-    cost = -beyond[entries]
-    if len(entries) > 1:
+def _way_out(normals: FloatArray, cost: FloatArray, axis: FloatArray | None) -> IntArray:
+    """One direction for all slabs of two parts that overlap, along their directional relation where they have one.
+
+    Args:
+        normals: Of the half-planes of each pair of slabs, (S, 2M, 2).
+        cost: How deep each is in them, (S, 2M), metres.
+        axis: The direction, (2,).
+
+    Returns:
+        The half-plane by which each leaves, (S,).
+    """
+    if len(normals) > 1:
         # Along each of the normals: how far the slab that is deepest along it has to go.
         flat = normals.reshape(-1, 2)
-        closeness = flat @ normals.reshape(-1, 2).T
-        share = closeness.reshape(len(flat), len(entries), -1)
+        share = (flat @ flat.T).reshape(len(flat), len(normals), -1)
         pick = share.argmax(axis=2)  # each slab leaves by its own half-plane that is nearest in direction
-        deep = np.take_along_axis(np.broadcast_to(cost, (len(flat), *cost.shape)), pick[..., None], axis=2)[..., 0]
+        deep = cost[np.arange(len(normals)), pick]
         total = deep.max(axis=1) + 0.02 * (1 - share.max(axis=2).min(axis=1))
     else:
         flat, pick, total = normals[0], np.arange(normals.shape[1])[:, None], cost[0]
     if axis is not None:
         total = total + np.where(flat @ axis < _ALONG, 1.0, 0.0)
-    best = int(total.argmin())
-    for n, e in enumerate(entries):
-        chosen[position[e]] = pick[best, n]
+    return np.asarray(pick[int(total.argmin())])
 
 
-def _wanted_axes(crowd: Crowd) -> dict[tuple[int, int], FloatArray]:
-    """For pairs of bodies with one directional relation: where the first is, seen from the second."""
+def _wanted_axes(crowd: Crowd, order_prices: FloatArray) -> dict[tuple[int, int], FloatArray]:
+    """For pairs of bodies with a directional relation that is dear: where the first is, seen from the second."""
     axes: dict[tuple[int, int], FloatArray] = {}
-    for o in crowd.orders:
+    for k in np.flatnonzero(order_prices > _DEAR).tolist():
+        o = crowd.orders[k]
         axes[o.first, o.second] = o.axis
         axes[o.second, o.first] = -o.axis
     return axes
