@@ -106,6 +106,21 @@ class Crowd:
         apart = self.apart + shifts[self.first_body] - shifts[self.second_body]
         return np.asarray((self.normals @ apart[:, :, None])[..., 0] - self.offsets)
 
+    def without(self, gone: Sequence[int]) -> "Crowd":
+        """The same bodies, of which some are in nobody's way and stay where they are."""
+        fewer = copy.copy(self)
+        away = np.zeros(len(self.stiffness), bool)
+        away[list(gone)] = True
+        fewer.is_free = self.is_free & ~away
+        rows = np.flatnonzero(~away[self.first_body] & ~away[self.second_body])
+        for name in ("first_body", "second_body", "first", "second", "normals", "apart", "offsets", "_reach"):
+            setattr(fewer, name, getattr(self, name)[rows])
+        kept = np.flatnonzero(~away[self.subjects] & ~away[self.targets])
+        for name in ("_axes", "_offsets", "subjects", "targets"):
+            setattr(fewer, name, getattr(self, name)[kept])
+        fewer.orders = tuple(self.orders[k] for k in kept)
+        return fewer
+
     def near(self, shifts: FloatArray, distance: float) -> tuple[IntArray, FloatArray]:
         """Pairs of slabs that are nearer than a distance, (N,), and how far each is beyond its half-planes, (N, 2M), metres."""
         apart = self.apart + shifts[self.first_body] - shifts[self.second_body]

@@ -13,6 +13,8 @@ _SHARES = np.append(np.arange(0.3, 1.0, 0.05), 1.0)  # of its size that a body g
 _GROWTH_STEPS = (3, 6)  # at each of them, in the attempts that are made
 _PRICES = (1.0, 0.3, 0.1)  # of a metre by which a directional relation is broken, once not all can be had
 _PLACES = 3  # that are tried for a body
+RELEASED = 0.1
+_REPAIRS = 60
 _PATIENCE = 8  # tries that gain nothing before it is given up
 
 
@@ -45,7 +47,7 @@ def part(crowd: Crowd, shifts: FloatArray, aims: FloatArray, tries: int) -> tupl
             return _polished(crowd, found, aims), []
     if not parted:
         return found, in_the_way(crowd, found)
-    return min(parted, key=lambda s: int(crowd.broken(s).sum())), []
+    return _repaired(crowd, min(parted, key=lambda s: int(crowd.broken(s).sum())), aims), []
 
 
 def _grown(crowd: Crowd, shifts: FloatArray, aims: FloatArray, steps: int) -> tuple[FloatArray, bool]:
@@ -53,15 +55,18 @@ def _grown(crowd: Crowd, shifts: FloatArray, aims: FloatArray, steps: int) -> tu
 
     Directional relations get cheaper once they cannot all be had.
     """
-    prices, is_parted, forces = [HARD, *_PRICES], False, Forces.none(crowd)
+    prices, is_parted, forces = np.full(len(crowd.orders), HARD), False, Forces.none(crowd)
     for share in _SHARES:
         smaller = crowd.shrunk(share)
-        shifts, is_parted = project(smaller, shifts, aims, steps, prices[0], forces)
-        while not is_parted and len(prices) > 1:
-            prices.pop(0)
-            shifts, is_parted = project(smaller, shifts, aims, steps, prices[0], forces)
+        shifts, is_parted = project(smaller, shifts, aims, steps, prices, forces)
+        for price in _PRICES:
+            if is_parted:
+                break
+            softer = np.minimum(prices, price)
+            shifts, is_parted = project(smaller, shifts, aims, steps, softer, forces)
+            prices[crowd.broken(shifts)] = RELEASED
     if not is_parted:
-        shifts, is_parted = project(crowd, shifts, shifts, _STEPS, prices[0])
+        shifts, is_parted = project(crowd, shifts, shifts, _STEPS, prices)
     return shifts, is_parted
 
 
@@ -116,6 +121,33 @@ def _polished(crowd: Crowd, shifts: FloatArray, aims: FloatArray) -> FloatArray:
             shifts = _better(crowd, shifts, project(crowd, shifts, shifts, _SQUEEZE_STEPS, price))
     price = _PRICES[0] if crowd.broken(shifts).sum() else HARD
     return _better(crowd, shifts, project(crowd, shifts, aims, _STEPS, price))
+
+
+def _repaired(crowd: Crowd, shifts: FloatArray, aims: FloatArray) -> FloatArray:
+    """Puts bodies of broken directional relations where those hold, and the others make room, while that gains."""
+    best, tried = shifts, set()
+    even = np.ones((len(shifts), len(shifts)))
+    for _ in range(_REPAIRS):
+        broken = crowd.broken(best)
+        waiting = [(int(n), int(k)) for n in np.flatnonzero(broken) for k in (crowd.subjects[n], crowd.targets[n]) if (n, k) not in tried and crowd.is_free[k]]
+        if not waiting:
+            break
+        n, k = waiting[0]
+        tried.add((n, k))
+        prices = np.where(broken, 0.1, HARD)
+        prices[n] = HARD
+        found = None
+        for place in least_blocked(crowd, best, aims, k, even, _PLACES, n):
+            there = best.copy()
+            there[k] = place
+            moved, is_parted = project(crowd, there, there, _SQUEEZE_STEPS, prices)
+            if is_parted and crowd.broken(moved).sum() < broken.sum():
+                found = moved
+                break
+        if found is not None:
+            best = _better(crowd, found, project(crowd, found, aims, _SQUEEZE_STEPS, np.where(crowd.broken(found), 0.1, HARD)))
+            tried.clear()
+    return best
 
 
 def _better(crowd: Crowd, shifts: FloatArray, other: tuple[FloatArray, bool]) -> FloatArray:

@@ -206,12 +206,13 @@ def _solved(
     matrix = np.zeros((len(rows), num + 1, 2))  # the last column takes what has no second body
     matrix[index, first] = rows * inverse[first, None]
     matrix[index, second] -= rows * np.append(inverse, 0.0)[second, None]
-    flat = np.ascontiguousarray(matrix[:, :num][:, crowd.is_free]).reshape(len(rows), -1)
+    free = np.flatnonzero(crowd.is_free)
+    flat = matrix[:, free].reshape(len(rows), 2 * len(free))
     wanted = np.append(aims, np.zeros((1, 2)), axis=0)
     needed = bounds - ((wanted[first] - wanted[second]) * rows).sum(axis=1)
     force = box_dual(flat, needed, prices, start)
     moved = aims.copy()
-    moved[crowd.is_free] += (force @ flat).reshape(-1, 2) * inverse[crowd.is_free, None]
+    moved[free] += (force @ flat).reshape(-1, 2) * inverse[free, None]
     return moved, force
 
 

@@ -13,7 +13,7 @@ _PER_METRE = 0.02  # what a metre of movement costs, metres of overlap
 
 
 def least_blocked(
-    crowd: Crowd, shifts: FloatArray, aims: FloatArray, k: int, weights: FloatArray, num: int
+    crowd: Crowd, shifts: FloatArray, aims: FloatArray, k: int, weights: FloatArray, num: int, order: int | None = None
 ) -> list[FloatArray]:
     """Shifts of one body at which it is least in the way of others, near to its aim and true to its relations.
 
@@ -24,6 +24,7 @@ def least_blocked(
         k: The body.
         weights: How much an overlap of each pair of bodies counts, (B, B).
         num: How many are wanted.
+        order: A directional relation that has to hold there.
 
     Returns:
         At most so many shifts (2,), best first, apart from each other.
@@ -36,16 +37,17 @@ def least_blocked(
     points = np.stack(np.meshgrid(*grids, indexing="ij"), axis=2).reshape(-1, 2)
     points = np.concatenate([np.clip(aims[k], low, high)[None], np.clip(shifts[k], low, high)[None], points])
     cost = _PER_METRE * np.linalg.norm(points - aims[k], axis=1) + _overlap_at(crowd, shifts, k, points, weights)
-    for o in crowd.orders:
+    for n, o in enumerate(crowd.orders):
         if k in (o.first, o.second):
             apart = o.offset + (points - shifts[o.second] if o.first == k else shifts[o.first] - points)
-            cost += _BROKEN * (apart @ o.axis <= np.abs(apart @ o.axis[::-1]))
+            price = np.inf if n == order else _BROKEN
+            cost[apart @ o.axis <= np.abs(apart @ o.axis[::-1])] += price
     found: list[FloatArray] = []
-    order = np.argsort(cost, kind="stable")
-    while len(order) and len(found) < num:
-        best = points[order[0]]
+    left = np.argsort(cost, kind="stable")[: np.isfinite(cost).sum()]
+    while len(left) and len(found) < num:
+        best = points[left[0]]
         found.append(best)
-        order = order[np.linalg.norm(points[order] - best, axis=1) > _SPREAD]
+        left = left[np.linalg.norm(points[left] - best, axis=1) > _SPREAD]
     return found
 
 
