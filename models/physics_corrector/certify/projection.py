@@ -115,21 +115,23 @@ def _step(
     start = np.concatenate([forces.pairs[near], forces.orders[kept], forces.edges[sides]])
     moved, force = _solved(crowd, first, second, rows, bounds, prices, aims, start)
     pushes = np.split(force, [len(near), len(near) + len(kept)])
-    for all_of_a_kind, where, push in zip((forces.pairs, forces.orders, forces.edges), (near, kept, sides), pushes, strict=True):
+    for all_of_a_kind, where, push in zip(
+        (forces.pairs, forces.orders, forces.edges), (near, kept, sides), pushes, strict=True
+    ):
         all_of_a_kind[:] = 0.0
         all_of_a_kind[where] = push
     return moved
 
 
-def _planes(
-    crowd: Crowd, near: IntArray, beyond: FloatArray, order_prices: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _planes(crowd: Crowd, near: IntArray, beyond: FloatArray, order_prices: FloatArray) -> tuple[FloatArray, FloatArray]:
     """One half-plane for each near pair of slabs: normals (N, 2), bounds (N,)."""
     chosen = beyond.argmax(axis=1)
     overlapping = np.flatnonzero(np.take_along_axis(beyond, chosen[:, None], axis=1)[:, 0] < 0)
     wanted = _wanted_axes(crowd, order_prices)
     groups: dict[tuple[int, int], list[int]] = {}
-    for n, i, j in zip(overlapping.tolist(), crowd.first[near[overlapping]].tolist(), crowd.second[near[overlapping]].tolist(), strict=True):
+    for n, i, j in zip(
+        overlapping.tolist(), crowd.first[near[overlapping]].tolist(), crowd.second[near[overlapping]].tolist(), strict=True
+    ):
         groups.setdefault((i, j), []).append(n)
     for entries in groups.values():
         e = near[entries[0]]
@@ -178,7 +180,8 @@ def _wanted_axes(crowd: Crowd, order_prices: FloatArray) -> dict[tuple[int, int]
 def _edges(crowd: Crowd, shifts: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     """The edges of the table that bodies are near: numbers of side and body, half-planes, bounds."""
     num = len(crowd.stiffness)
-    sides, rows, bounds = [], [], []
+    sides: list[IntArray] = []
+    rows, bounds = [], []
     for axis in (0, 1):
         unit = np.zeros(2)
         unit[axis] = 1.0
