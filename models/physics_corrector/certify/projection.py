@@ -276,7 +276,7 @@ def _descended(matrix: FloatArray, linear: FloatArray, upper: FloatArray, start:
         new = np.minimum(np.maximum(ahead - rate * gradient, 0.0), upper)
         change = new - x
         if np.abs(change).max(initial=0.0) < _EXACT:
-            return new
+            return np.asarray(new)
         if gradient @ change > 0:
             momentum, ahead = 1.0, new
         else:
