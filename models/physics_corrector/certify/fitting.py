@@ -36,10 +36,10 @@ def fitted(crowd: Crowd, aims: FloatArray, spare: Sequence[int]) -> tuple[FloatA
     best: tuple[FloatArray, list[int]] | None = None
     for share in _SHARES:
         found = _without(crowd, aims, smallest[: max(1, int(share * len(smallest)))])
-        if found is not None:
-            if set(found[1]) <= set(spare):
-                best = found
-            break
+        if found is not None and set(found[1]) <= set(spare) and (best is None or len(found[1]) < len(best[1])):
+            best = found
+        if best is not None and not best[1]:
+            return best
     many = 1
     while spare and (best is None or many < len(best[1])):
         found = _without(crowd, aims, spare[:many])
