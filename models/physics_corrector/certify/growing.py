@@ -9,7 +9,7 @@ from stable_data.scene import FloatArray
 RELEASED = 0.1
 """Price of a metre by which a directional relation is broken that has been given up."""
 
-_SHARES = np.append(np.arange(0.3, 1.0, 0.05), 1.0)  # of its size that a body grows through
+_SHARES = np.append(np.arange(0.5, 1.0, 0.05), 1.0)  # of its size that a body grows through
 _SOFTER = (1.0, 0.3, 0.1)  # what relations cost while those that have to give way are looked for
 _STEPS = 16
 

@@ -57,7 +57,7 @@ def repaired(crowd: Crowd, shifts: FloatArray, aims: FloatArray, tries: int) -> 
                 shifts = _nearer(crowd, moved, aims, _FEW_STEPS)
                 tried.clear()
                 break
-    return shifts
+    return _nearer(crowd, shifts, aims, _STEPS)
 
 
 def _elsewhere(crowd: Crowd, shifts: FloatArray, aims: FloatArray, k: int, order: int) -> list[FloatArray]:
