@@ -6,6 +6,7 @@ from models.physics_corrector.certify.crowd import Crowd
 from stable_data.scene import FloatArray
 
 _SPACING, _MOST = 0.01, 90  # between places that are tried, metres; and how many a side
+_NEAREST = 2000  # of those are looked at
 _SPREAD = 0.05  # between two places that are handed back, metres
 _IMMOVABLE = 5.0  # how much worse it is to be in something that cannot make room
 _BROKEN = 0.01  # what a broken directional relation costs, metres of overlap
@@ -36,14 +37,19 @@ def least_blocked(
     grids = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
     points = np.stack(np.meshgrid(*grids, indexing="ij"), axis=2).reshape(-1, 2)
     points = np.concatenate([np.clip(aims[k], low, high)[None], np.clip(shifts[k], low, high)[None], points])
-    cost = _PER_METRE * np.linalg.norm(points - aims[k], axis=1) + _overlap_at(crowd, shifts, k, points, weights)
+    broken = np.zeros(len(points))
     for n, o in enumerate(crowd.orders):
         if k in (o.first, o.second):
             apart = o.offset + (points - shifts[o.second] if o.first == k else shifts[o.first] - points)
-            price = np.inf if n == order else _BROKEN
-            cost[apart @ o.axis <= np.abs(apart @ o.axis[::-1])] += price
+            broken[apart @ o.axis <= np.abs(apart @ o.axis[::-1])] += np.inf if n == order else 1.0
+    far = np.linalg.norm(points - aims[k], axis=1)
+    nearest = np.argsort(np.where(np.isinf(broken), np.inf, far), kind="stable")[
+        : min(_NEAREST, int(np.isfinite(broken).sum()))
+    ]
+    points, broken, far = points[nearest], broken[nearest], far[nearest]
+    cost = _PER_METRE * far + _BROKEN * broken + _overlap_at(crowd, shifts, k, points, weights)
     found: list[FloatArray] = []
-    left = np.argsort(cost, kind="stable")[: np.isfinite(cost).sum()]
+    left = np.argsort(cost, kind="stable")
     while len(left) and len(found) < num:
         best = points[left[0]]
         found.append(best)
