@@ -134,8 +134,8 @@ def _cut(shape: Shape) -> Slabs:
 def _crossings(shape: Shape, z: FloatArray, level: float) -> FloatArray:
     """Where the edges of a mesh pass a height, (K, 2), metres."""
     above = z > level
-    corner = above[shape.faces]
-    mixed = shape.faces[corner.any(axis=1) & ~corner.all(axis=1)]
+    i, j, k = (above[column] for column in shape.faces.T)
+    mixed = shape.faces[(i != j) | (j != k)]
     first, second = mixed[:, [0, 1, 2]].ravel(), mixed[:, [1, 2, 0]].ravel()
     passing = above[first] != above[second]
     first, second = first[passing], second[passing]
