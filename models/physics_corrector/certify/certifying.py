@@ -1,6 +1,6 @@
 """The whole of it: lower, nest, part, check exactly, and send back what the check refuses."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +20,6 @@ from stable_data.scene import FloatArray, Scene
 from stable_data.shape import Shape
 
 _DEFAULT = CertifyOptions()
-_LATER_TRIES = 10  # how many times a body may be put elsewhere once one has been dropped
 _LEVEL = 0.9 * TOLERANCE  # what stands so near to the table top stays at its height, metres
 
 
@@ -148,33 +147,47 @@ class _Certifier:
 
     def _part(self) -> bool:
         """Parts all trees; drops what has no place. False where that is not allowed, with ``reason`` set."""
-        tries = self.options.tries
         while True:
             crowd, roots = self.standing.crowd(self.strict)
             homeless = [b for b in range(len(roots)) if crowd.is_free[b] and (crowd.low[b] > crowd.high[b]).any()]
-            if not homeless:
-                shifts, left = part(crowd, np.zeros_like(crowd.low), crowd.aims, tries)
-                tries = min(tries, _LATER_TRIES)
-                if not left:
-                    self._accept(crowd, roots, shifts)
-                    return True
-                homeless = left
-            if not self._drop_one([r for b in homeless for r in roots[b]]):
+            if homeless:
+                least = min(homeless, key=lambda b: self._rank(roots[b]))
+                if not self._may_drop(roots[least]):
+                    self._say_full(roots[b] for b in homeless)
+                    return False
+                self._drop(roots[least])
+                continue
+            spare = sorted((b for b in range(len(roots)) if self._may_drop(roots[b])), key=lambda b: self._rank(roots[b]))
+            parted = part(crowd, crowd.aims, spare, self.options.tries)
+            if parted is None:
+                self._say_full(roots[b] for b in range(len(roots)) if crowd.is_free[b])
                 return False
+            shifts, out = parted
+            self._accept(crowd, roots, shifts)
+            for b in out:
+                self._drop(roots[b])
+            return True
 
-    def _drop_one(self, roots: Sequence[int]) -> bool:
-        layout = self.layout
+    def _may_drop(self, roots: Sequence[int]) -> bool:
+        return self.options.when_full == "drop" and all(self.layout.may_drop(r) for r in roots)
+
+    def _rank(self, roots: Sequence[int]) -> tuple[float, float, str]:
+        """What makes room first comes first: the least important, of those the largest, so that few have to go."""
+        ranks = [self.layout.rank(r) for r in roots]
+        return max(rank[0] for rank in ranks), -sum(rank[1] for rank in ranks), ranks[0][2]
+
+    def _say_full(self, groups: Iterable[Sequence[int]]) -> None:
         width, depth = self.scene.table.size_xy
-        names = [layout.scene.objects[r].instance for r in roots]
-        droppable = sorted((r for r in roots if layout.may_drop(r)), key=layout.rank)
-        if self.options.when_full == "infeasible" or not droppable:
-            why = "nothing of it may be dropped" if not droppable else "dropping is not allowed"
-            self.reason = f"no place on the table of {width:.2f} x {depth:.2f} m for all of {names}, and {why}"
-            return False
-        for k in layout.drop(droppable[0]):
-            reason = f"no free place was found on the table of {width:.2f} x {depth:.2f} m"
-            self.dropped.append(Dropped(layout.scene.objects[k].instance, reason))
-        return True
+        names = [self.scene.objects[r].instance for roots in groups for r in roots]
+        why = "dropping is not allowed" if self.options.when_full == "infeasible" else "too little of it may be dropped"
+        self.reason = f"no place on the table of {width:.2f} x {depth:.2f} m for all of {names}, and {why}"
+
+    def _drop(self, roots: Sequence[int]) -> None:
+        width, depth = self.scene.table.size_xy
+        for r in roots:
+            for k in self.layout.drop(r):
+                reason = f"no free place was found on the table of {width:.2f} x {depth:.2f} m"
+                self.dropped.append(Dropped(self.scene.objects[k].instance, reason))
 
     def _accept(self, crowd: Crowd, groups: Sequence[Sequence[int]], shifts: FloatArray) -> None:
         for b, roots in enumerate(groups):

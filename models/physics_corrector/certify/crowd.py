@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.physics_corrector.certify.no_fit import NoFit
-from models.physics_corrector.certify.outline import BoolArray
+from models.physics_corrector.certify.outline import NUM_AROUND, BoolArray
 from stable_data.scene import FloatArray, IntArray, RelationKind
 
 AXES = {
@@ -17,6 +17,8 @@ AXES = {
     RelationKind.BEHIND: (0.0, 1.0),
 }
 """Where the subject of a directional relation is, seen from its target. It holds within 45 degrees of that."""
+
+_LOOKS_AT = np.cos(np.pi / NUM_AROUND)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +88,7 @@ class Crowd:
         for (i, j), clear in (relaxed or {}).items():
             kept[(self.first == i) & (self.second == j)] = clear
         self.offsets = pairs.offsets[rows] + kept[:, None]
+        self._reach = self.offsets.max(axis=1, initial=-np.inf)
         self._axes = np.array([o.axis for o in orders]).reshape(-1, 2)
         self._offsets = np.array([o.offset for o in orders]).reshape(-1, 2)
         self.subjects = np.array([o.first for o in orders], np.int64)
@@ -95,12 +98,37 @@ class Crowd:
         """The same bodies, all as much smaller about their anchors."""
         smaller = copy.copy(self)
         smaller.offsets = share * self.offsets
+        smaller._reach = share * self._reach
         return smaller
 
     def beyond(self, shifts: FloatArray) -> FloatArray:
         """How far each pair of slabs is beyond each of its half-planes, (E, 2M), metres, for shifts (B, 2)."""
         apart = self.apart + shifts[self.first_body] - shifts[self.second_body]
         return np.asarray((self.normals @ apart[:, :, None])[..., 0] - self.offsets)
+
+    def without(self, gone: Sequence[int]) -> "Crowd":
+        """The same bodies, of which some are in nobody's way and stay where they are."""
+        fewer = copy.copy(self)
+        away = np.zeros(len(self.stiffness), bool)
+        away[list(gone)] = True
+        fewer.is_free = self.is_free & ~away
+        rows = np.flatnonzero(~away[self.first_body] & ~away[self.second_body])
+        for name in ("first_body", "second_body", "first", "second", "normals", "apart", "offsets", "_reach"):
+            setattr(fewer, name, getattr(self, name)[rows])
+        kept = np.flatnonzero(~away[self.subjects] & ~away[self.targets])
+        for name in ("_axes", "_offsets", "subjects", "targets"):
+            setattr(fewer, name, getattr(self, name)[kept])
+        fewer.orders = tuple(self.orders[k] for k in kept)
+        return fewer
+
+    def near(self, shifts: FloatArray, distance: float) -> tuple[IntArray, FloatArray]:
+        """Pairs of slabs that are nearer than a distance, (N,), and how far each is beyond its half-planes, (N, 2M), metres."""
+        apart = self.apart + shifts[self.first_body] - shifts[self.second_body]
+        # Of half-planes that look evenly around one looks nearly at the other slab.
+        rows = np.flatnonzero(_LOOKS_AT * np.sqrt((apart * apart).sum(axis=1)) < self._reach + distance)
+        beyond = np.asarray((self.normals[rows] @ apart[rows, :, None])[..., 0] - self.offsets[rows])
+        close = beyond.max(axis=1, initial=-np.inf) < distance
+        return rows[close], beyond[close]
 
     def overlap(self, shifts: FloatArray) -> FloatArray:
         """How deep the slabs of each pair are in each other, (E,) metres; 0 where apart."""

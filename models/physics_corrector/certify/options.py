@@ -47,7 +47,7 @@ class CertifyOptions:
         fixed: Instances that must not move; they are obstacles.
         restore: Put objects back into or onto what the scene's own relations say, where the layout has lost that.
         clearance: Air between things that stand side by side, metres.
-        tries: How many times a body that is in the way may be put elsewhere, before something is dropped.
+        tries: How many times a body may be put elsewhere to win back a directional relation.
         rounds: How many times the exact check may send the layout back.
     """
 

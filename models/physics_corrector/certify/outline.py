@@ -24,11 +24,13 @@ BoolArray: TypeAlias = npt.NDArray[np.bool_]
 NUM_SIDES = 28
 """Half-planes of an outline."""
 
+NUM_AROUND = 16
+"""Those of them that look evenly around."""
+
 _LEVELS = np.array([0.0, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.4, np.inf])  # heights at which shapes are cut, metres
-_AROUND = 16  # of the half-planes that look evenly around
 _LONG = 0.03  # edges longer than this share of the circumference have a half-plane of their own
 _ALIKE = 1e-3  # outlines of neighbouring slabs that differ by less are one, metres
-_EVENLY = 2 * np.pi * np.arange(_AROUND) / _AROUND
+_EVENLY = 2 * np.pi * np.arange(NUM_AROUND) / NUM_AROUND
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +134,8 @@ def _cut(shape: Shape) -> Slabs:
 def _crossings(shape: Shape, z: FloatArray, level: float) -> FloatArray:
     """Where the edges of a mesh pass a height, (K, 2), metres."""
     above = z > level
-    corner = above[shape.faces]
-    mixed = shape.faces[corner.any(axis=1) & ~corner.all(axis=1)]
+    i, j, k = (above[column] for column in shape.faces.T)
+    mixed = shape.faces[(i != j) | (j != k)]
     first, second = mixed[:, [0, 1, 2]].ravel(), mixed[:, [1, 2, 0]].ravel()
     passing = above[first] != above[second]
     first, second = first[passing], second[passing]
@@ -193,7 +195,7 @@ def _sides(hull: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Supporting half-planes of a convex polygon: of its long edges, and evenly around. Normals (M, 2), offsets (M,)."""
     edges = np.roll(hull, -1, axis=0) - hull
     length = np.linalg.norm(edges, axis=1)
-    order = np.argsort(-length, kind="stable")[: NUM_SIDES - _AROUND]
+    order = np.argsort(-length, kind="stable")[: NUM_SIDES - NUM_AROUND]
     order = order[length[order] > _LONG * length.sum()]
     angles = np.arctan2(-edges[order, 0], edges[order, 1])
     angles = np.sort(np.concatenate([angles, _EVENLY]) % (2 * np.pi))

@@ -1,125 +1,49 @@
-"""Parts a crowd: projection first, then bodies that are stuck are put elsewhere while the others make room."""
+"""Parts a crowd: projection first, then growth, then by leaving bodies out and putting them back; at last what was lost is repaired."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from models.physics_corrector.certify.crowd import Crowd
-from models.physics_corrector.certify.projection import HARD, is_free_of_overlap, project
-from models.physics_corrector.certify.search import least_blocked
+from models.physics_corrector.certify.fitting import fitted
+from models.physics_corrector.certify.growing import grown
+from models.physics_corrector.certify.projection import project
+from models.physics_corrector.certify.repairing import polished, repaired
 from stable_data.scene import FloatArray
 
 _STEPS = 16
-_SQUEEZE_STEPS = 7
-_SHARES = np.append(np.arange(0.3, 1.0, 0.05), 1.0)  # of its size that a body grows through
-_GROWTH_STEPS = (3, 6)  # at each of them, in the attempts that are made
-_PRICES = (1.0, 0.3, 0.1)  # of a metre by which a directional relation is broken, once not all can be had
-_PLACES = 3  # that are tried for a body
-_PATIENCE = 8  # tries that gain nothing before it is given up
+_GROWTH_STEPS = (3, 6)  # at each size, until it parts
 
 
-def part(crowd: Crowd, shifts: FloatArray, aims: FloatArray, tries: int) -> tuple[FloatArray, list[int]]:
+def part(crowd: Crowd, aims: FloatArray, spare: Sequence[int], tries: int) -> tuple[FloatArray, list[int]] | None:
     """Finds shifts at which nothing meets, near the aims and true to the directional relations as far as that goes.
 
     Args:
         crowd: The bodies.
-        shifts: Where they are, (B, 2), metres.
-        aims: Where they want to be, (B, 2).
-        tries: How many times a body may be put elsewhere.
+        aims: Where they want to be, (B, 2), metres.
+        spare: Bodies that may be left out where not all find a place, those that should go first, first.
+        tries: How many times a body may be put elsewhere to mend what parting has lost.
 
     Returns:
-        The shifts, and the bodies that are still in the way; none where the crowd is parted.
+        The shifts, (B, 2), and the bodies that have to be left out; None where not even that does.
     """
-    found, is_parted = project(crowd, shifts, aims, _STEPS)
-    parted, stuck = ([_polished(crowd, found, aims)] if is_parted else []), []
-    lost_before = crowd.broken(shifts).sum()
-    for steps in _GROWTH_STEPS:
-        if parted and min(crowd.broken(s).sum() for s in parted) <= lost_before:
-            break
-        found, is_parted = _grown(crowd, shifts, aims, steps)
-        if is_parted:
-            parted.append(_polished(crowd, found, aims))
-        else:
-            stuck.append(found)
-    for start in () if parted else tuple(stuck):
-        found, is_parted = _squeezed(crowd, start, aims, tries)
-        if is_parted:
-            return _polished(crowd, found, aims), []
-    if not parted:
-        return found, in_the_way(crowd, found)
-    return min(parted, key=lambda s: int(crowd.broken(s).sum())), []
-
-
-def _grown(crowd: Crowd, shifts: FloatArray, aims: FloatArray, steps: int) -> tuple[FloatArray, bool]:
-    """Parts the bodies while they are small, and again as they grow: they push each other on rather than through each other.
-
-    Directional relations get cheaper once they cannot all be had.
-    """
-    prices, is_parted = [HARD, *_PRICES], False
-    for share in _SHARES:
-        smaller = crowd.shrunk(share)
-        shifts, is_parted = project(smaller, shifts, aims, steps, prices[0])
-        while not is_parted and len(prices) > 1:
-            prices.pop(0)
-            shifts, is_parted = project(smaller, shifts, aims, steps, prices[0])
-    if not is_parted:
-        shifts, is_parted = project(crowd, shifts, shifts, _STEPS, prices[0])
-    return shifts, is_parted
-
-
-def in_the_way(crowd: Crowd, shifts: FloatArray) -> list[int]:
-    """Free bodies that meet another one or are where they must not be."""
-    depth = crowd.depths(shifts).sum(axis=1) + crowd.outside(shifts)
-    return [int(k) for k in np.nonzero((depth > 1e-4) & crowd.is_free)[0]]
-
-
-def _squeezed(crowd: Crowd, shifts: FloatArray, aims: FloatArray, tries: int) -> tuple[FloatArray, bool]:
-    """Puts the body that is deepest in others where it is least in the way, and lets all make room, again and again.
-
-    Pairs that stay in each other weigh more with each try (guided local search), so that it does not go round in circles.
-    """
-    weights = np.ones((len(shifts), len(shifts)))
-    best, least, idle = shifts, _badness(crowd, shifts), 0
-    for _ in range(tries):
-        depth = crowd.depths(shifts)
-        weighted = (weights * depth).sum(axis=1) + crowd.outside(shifts)
-        weighted[~crowd.is_free] = 0.0
-        k = int(weighted.argmax())
-        if weighted[k] <= 1e-4 or idle > _PATIENCE:
-            break
-        candidates = []
-        for place in least_blocked(crowd, shifts, aims, k, weights, _PLACES):
-            there = shifts.copy()
-            there[k] = place
-            moved, is_parted = project(crowd, there, there, _SQUEEZE_STEPS, _PRICES[0])
+    here, out = np.zeros_like(aims), list[int]()
+    parted = []
+    found, is_parted = project(crowd, here, aims, _STEPS)
+    if is_parted:
+        parted.append(polished(crowd, found, aims))
+    if not parted or crowd.broken(parted[0]).sum() > crowd.broken(here).sum():
+        for steps in _GROWTH_STEPS:
+            found, is_parted = grown(crowd, here, aims, steps)
             if is_parted:
-                return moved, True
-            candidates.append((float((weights * crowd.depths(moved)).sum()) + _badness(crowd, moved), moved))
-        if not candidates:
-            break
-        shifts = min(candidates, key=lambda c: c[0])[1]
-        weights += np.minimum(crowd.depths(shifts) / 0.01, 1.0)
-        bad = _badness(crowd, shifts)
-        idle = 0 if bad < least - 1e-4 else idle + 1
-        if bad < least:
-            best, least = shifts, bad
-    moved, is_parted = project(crowd, best, best, _STEPS, 0.0)
-    return (moved, True) if is_parted else (best, False)
-
-
-def _badness(crowd: Crowd, shifts: FloatArray) -> float:
-    return float(crowd.depths(shifts).sum() / 2 + crowd.outside(shifts).sum())
-
-
-def _polished(crowd: Crowd, shifts: FloatArray, aims: FloatArray) -> FloatArray:
-    """From shifts at which nothing meets: back to the relations that were given up, then nearer to the aims."""
-    if crowd.broken(shifts).sum():
-        for price in (HARD, *_PRICES):
-            shifts = _better(crowd, shifts, project(crowd, shifts, shifts, _SQUEEZE_STEPS, price))
-    price = _PRICES[0] if crowd.broken(shifts).sum() else HARD
-    return _better(crowd, shifts, project(crowd, shifts, aims, _STEPS, price))
-
-
-def _better(crowd: Crowd, shifts: FloatArray, other: tuple[FloatArray, bool]) -> FloatArray:
-    """Other shifts where they part the crowd and break no more relations, else these."""
-    moved, is_parted = other
-    good = is_parted and is_free_of_overlap(crowd, moved) and crowd.broken(moved).sum() <= crowd.broken(shifts).sum()
-    return moved if good else shifts
+                parted.append(polished(crowd, found, aims))
+                break
+    if not parted:
+        fit = fitted(crowd, aims, spare)
+        if fit is None:
+            return None
+        found, out = fit
+        crowd = crowd.without(out)
+        parted.append(polished(crowd, found, aims))
+    best = min(parted, key=lambda shifts: int(crowd.broken(shifts).sum()))
+    return repaired(crowd, best, aims, tries), out

@@ -5,7 +5,10 @@ solves the convex problem that remains: weighted squared distance from the aims,
 relation at a price per metre. A half-plane is part of the free region, so what a step finds free stays free in the next.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
+from scipy.linalg.lapack import dposv
 
 from models.physics_corrector.certify.crowd import Crowd
 from stable_data.scene import FloatArray, IntArray
@@ -20,12 +23,38 @@ _NEAR = 0.08  # pairs farther apart than this are left out of a step, metres
 _MARGIN = 2e-4  # by which a directional relation is kept, metres
 _EASE = 2e-4  # keeps the dual strictly concave: metres of violation per unit of price
 _GRADIENT_STEPS, _NEWTON_STEPS, _HALVINGS = 60, 25, 20
-_EXACT = 1e-7
+_EXACT = 1e-5
+_DEAR = 1.0  # relations that cost more decide which way bodies part
 _ALONG = 0.35  # cosine between a way out and a directional relation that it serves
 
 
+@dataclass(slots=True)
+class Forces:
+    """What the constraints push with, kept from one step to the next as a start: most of them change little.
+
+    Attributes:
+        pairs: Of each pair of slabs, (E,).
+        orders: Of both half-planes of each directional relation, (2K,).
+        edges: Of the edges of the table on each body, (4B,).
+    """
+
+    pairs: FloatArray
+    orders: FloatArray
+    edges: FloatArray
+
+    @classmethod
+    def none(cls, crowd: Crowd) -> "Forces":
+        """None on any body of a crowd."""
+        return cls(np.zeros(len(crowd.first)), np.zeros(2 * len(crowd.orders)), np.zeros(4 * len(crowd.stiffness)))
+
+
 def project(
-    crowd: Crowd, shifts: FloatArray, aims: FloatArray, steps: int, order_price: float = HARD
+    crowd: Crowd,
+    shifts: FloatArray,
+    aims: FloatArray,
+    steps: int,
+    order_price: float | FloatArray = HARD,
+    forces: Forces | None = None,
 ) -> tuple[FloatArray, bool]:
     """Moves bodies apart.
 
@@ -34,17 +63,23 @@ def project(
         shifts: Where they are, (B, 2), metres.
         aims: Where they want to be, (B, 2).
         steps: Steps at most.
-        order_price: Price of a metre by which a directional relation is broken.
+        order_price: Price of a metre by which a directional relation is broken, of all or of each, (K,).
+        forces: A start, changed to where it ends.
 
     Returns:
         The shifts, (B, 2), and whether the crowd is parted.
     """
     best, is_parted = shifts, False
+    forces = forces or Forces.none(crowd)
+    prices = np.broadcast_to(np.asarray(order_price, float), len(crowd.orders))
+    near, beyond = crowd.near(shifts, _NEAR)
     for _ in range(steps):
-        moved = _step(crowd, shifts, aims, order_price)
+        moved = _step(crowd, shifts, near, beyond, aims, prices, forces)
         change = float(np.abs(moved - shifts).max(initial=0.0))
         shifts = moved
-        is_free = is_free_of_overlap(crowd, shifts)
+        near, beyond = crowd.near(shifts, _NEAR)
+        overlap = -float(beyond.max(axis=1, initial=-np.inf).min(initial=0.0))
+        is_free = overlap <= FREE and float(crowd.outside(shifts).max(initial=0.0)) <= FREE
         if is_free or not is_parted:
             best = shifts
         is_parted = is_parted or is_free
@@ -58,95 +93,104 @@ def is_free_of_overlap(crowd: Crowd, shifts: FloatArray) -> bool:
     return bool(crowd.overlap(shifts).max(initial=0.0) <= FREE and crowd.outside(shifts).max(initial=0.0) <= FREE)
 
 
-def _step(crowd: Crowd, shifts: FloatArray, aims: FloatArray, order_price: float) -> FloatArray:
-    first, second, rows, bounds = _pairs(crowd, shifts, order_price)
-    prices = [np.full(len(first), HARD)]
-    if len(crowd.orders) and order_price > 0:
-        of, to = (np.concatenate([x, x]) for x in (crowd.subjects, crowd.targets))
-        order_rows, order_bounds = crowd.order_planes()
-        order_bounds = order_bounds + _MARGIN
-        first, second = np.concatenate([first, of]), np.concatenate([second, to])
-        rows, bounds = np.concatenate([rows, order_rows]), np.concatenate([bounds, order_bounds])
-        prices.append(np.full(len(of), order_price))
-    edge_first, edge_rows, edge_bounds = _edges(crowd, shifts)
-    first = np.concatenate([first, edge_first])
-    second = np.concatenate([second, np.full(len(edge_first), -1)])
-    rows, bounds = np.concatenate([rows, edge_rows]), np.concatenate([bounds, edge_bounds])
-    prices.append(np.full(len(edge_first), 4 * HARD))
-    return _solved(crowd, first, second, rows, bounds, np.concatenate(prices), aims)
-
-
-def _pairs(crowd: Crowd, shifts: FloatArray, order_price: float) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """One half-plane for each near pair of slabs."""
-    beyond = crowd.beyond(shifts)
-    clear = beyond.max(axis=1)
-    near = np.nonzero(clear < _NEAR)[0]
-    chosen = beyond[near].argmax(axis=1)
-    overlapping = near[clear[near] < 0]
-    wanted = _wanted_axes(crowd) if order_price > 1 else {}
-    groups: dict[tuple[int, int], list[int]] = {}
-    for e in overlapping.tolist():
-        groups.setdefault((int(crowd.first[e]), int(crowd.second[e])), []).append(e)
-    position = {int(e): n for n, e in enumerate(near)}
-    for entries in groups.values():
-        axis = wanted.get((int(crowd.first_body[entries[0]]), int(crowd.second_body[entries[0]])))
-        if len(entries) == 1 and axis is None:
-            continue
-        _choose_way_out(crowd, entries, beyond, axis, position, chosen)
-    normals = crowd.normals[near, chosen]
-    bounds = crowd.offsets[near, chosen] - np.einsum("nd,nd->n", normals, crowd.apart[near])
-    return crowd.first_body[near], crowd.second_body[near], normals, bounds
-
-
-def _choose_way_out(
+def _step(
     crowd: Crowd,
-    entries: list[int],
+    shifts: FloatArray,
+    near: IntArray,
     beyond: FloatArray,
-    axis: FloatArray | None,
-    position: dict[int, int],
-    chosen: IntArray,
-) -> None:
-    """One direction for all slabs of two parts that overlap, along their directional relation where they have one."""
-    normals = crowd.normals[entries]
-    cost = -beyond[entries]
-    if len(entries) > 1:
+    aims: FloatArray,
+    order_prices: FloatArray,
+    forces: Forces,
+) -> FloatArray:
+    rows, bounds = _planes(crowd, near, beyond, order_prices)
+    sides, edge_rows, edge_bounds = _edges(crowd, shifts)
+    kept = np.flatnonzero(np.tile(order_prices > 0, 2))
+    order_rows, order_bounds = crowd.order_planes()
+    of, to = (np.tile(x, 2)[kept] for x in (crowd.subjects, crowd.targets))
+    first = np.concatenate([crowd.first_body[near], of, sides % len(crowd.stiffness)])
+    second = np.concatenate([crowd.second_body[near], to, np.full(len(sides), -1)])
+    rows = np.concatenate([rows, order_rows[kept], edge_rows])
+    bounds = np.concatenate([bounds, order_bounds[kept] + _MARGIN, edge_bounds])
+    prices = np.concatenate([np.full(len(near), HARD), np.tile(order_prices, 2)[kept], np.full(len(sides), 4 * HARD)])
+    start = np.concatenate([forces.pairs[near], forces.orders[kept], forces.edges[sides]])
+    moved, force = _solved(crowd, first, second, rows, bounds, prices, aims, start)
+    pushes = np.split(force, [len(near), len(near) + len(kept)])
+    for all_of_a_kind, where, push in zip(
+        (forces.pairs, forces.orders, forces.edges), (near, kept, sides), pushes, strict=True
+    ):
+        all_of_a_kind[:] = 0.0
+        all_of_a_kind[where] = push
+    return moved
+
+
+def _planes(crowd: Crowd, near: IntArray, beyond: FloatArray, order_prices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """One half-plane for each near pair of slabs: normals (N, 2), bounds (N,)."""
+    chosen = beyond.argmax(axis=1)
+    overlapping = np.flatnonzero(np.take_along_axis(beyond, chosen[:, None], axis=1)[:, 0] < 0)
+    wanted = _wanted_axes(crowd, order_prices)
+    groups: dict[tuple[int, int], list[int]] = {}
+    for n, i, j in zip(
+        overlapping.tolist(), crowd.first[near[overlapping]].tolist(), crowd.second[near[overlapping]].tolist(), strict=True
+    ):
+        groups.setdefault((i, j), []).append(n)
+    for entries in groups.values():
+        e = near[entries[0]]
+        axis = wanted.get((int(crowd.first_body[e]), int(crowd.second_body[e])))
+        if len(entries) > 1 or axis is not None:
+            chosen[entries] = _way_out(crowd.normals[near[entries]], -beyond[entries], axis)
+    normals = crowd.normals[near, chosen]
+    return normals, crowd.offsets[near, chosen] - (normals * crowd.apart[near]).sum(axis=1)
+
+
+def _way_out(normals: FloatArray, cost: FloatArray, axis: FloatArray | None) -> IntArray:
+    """One direction for all slabs of two parts that overlap, along their directional relation where they have one.
+
+    Args:
+        normals: Of the half-planes of each pair of slabs, (S, 2M, 2).
+        cost: How deep each is in them, (S, 2M), metres.
+        axis: The direction, (2,).
+
+    Returns:
+        The half-plane by which each leaves, (S,).
+    """
+    if len(normals) > 1:
         # Along each of the normals: how far the slab that is deepest along it has to go.
         flat = normals.reshape(-1, 2)
-        closeness = flat @ normals.reshape(-1, 2).T
-        share = closeness.reshape(len(flat), len(entries), -1)
+        share = (flat @ flat.T).reshape(len(flat), len(normals), -1)
         pick = share.argmax(axis=2)  # each slab leaves by its own half-plane that is nearest in direction
-        deep = np.take_along_axis(np.broadcast_to(cost, (len(flat), *cost.shape)), pick[..., None], axis=2)[..., 0]
+        deep = cost[np.arange(len(normals)), pick]
         total = deep.max(axis=1) + 0.02 * (1 - share.max(axis=2).min(axis=1))
     else:
         flat, pick, total = normals[0], np.arange(normals.shape[1])[:, None], cost[0]
     if axis is not None:
         total = total + np.where(flat @ axis < _ALONG, 1.0, 0.0)
-    best = int(total.argmin())
-    for n, e in enumerate(entries):
-        chosen[position[e]] = pick[best, n]
+    return np.asarray(pick[int(total.argmin())])
 
 
-def _wanted_axes(crowd: Crowd) -> dict[tuple[int, int], FloatArray]:
-    """For pairs of bodies with one directional relation: where the first is, seen from the second."""
+def _wanted_axes(crowd: Crowd, order_prices: FloatArray) -> dict[tuple[int, int], FloatArray]:
+    """For pairs of bodies with a directional relation that is dear: where the first is, seen from the second."""
     axes: dict[tuple[int, int], FloatArray] = {}
-    for o in crowd.orders:
+    for k in np.flatnonzero(order_prices > _DEAR).tolist():
+        o = crowd.orders[k]
         axes[o.first, o.second] = o.axis
         axes[o.second, o.first] = -o.axis
     return axes
 
 
 def _edges(crowd: Crowd, shifts: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The edges of the table that bodies are near."""
-    owners, rows, bounds = [], [], []
+    """The edges of the table that bodies are near: numbers of side and body, half-planes, bounds."""
+    num = len(crowd.stiffness)
+    sides: list[IntArray] = []
+    rows, bounds = [], []
     for axis in (0, 1):
         unit = np.zeros(2)
         unit[axis] = 1.0
         for sign, bound in ((1.0, crowd.low[:, axis]), (-1.0, -crowd.high[:, axis])):
             near = np.nonzero(crowd.is_free & (sign * shifts[:, axis] - bound < _NEAR))[0]
-            owners.append(near)
+            sides.append(near + num * len(sides))
             rows.append(np.repeat(sign * unit[None], len(near), axis=0))
             bounds.append(bound[near])
-    return np.concatenate(owners), np.concatenate(rows), np.concatenate(bounds)
+    return np.concatenate(sides), np.concatenate(rows), np.concatenate(bounds)
 
 
 def _solved(
@@ -157,73 +201,82 @@ def _solved(
     bounds: FloatArray,
     prices: FloatArray,
     aims: FloatArray,
-) -> FloatArray:
-    """Least weighted squared distance from the aims with ``row · (first − second) >= bound`` at a price."""
-    num = len(crowd.stiffness)
-    inverse = np.where(crowd.is_free, 1 / np.where(crowd.is_free, crowd.stiffness, 1.0), 0.0)
-    matrix = np.zeros((len(rows), num, 2))
-    index = np.arange(len(rows))
-    matrix[index, first] += rows
-    has_second = second >= 0
-    matrix[index[has_second], second[has_second]] -= rows[has_second]
-    matrix *= np.sqrt(inverse)[None, :, None]
-    flat = matrix.reshape(len(rows), 2 * num)
-    aim = (aims * np.sqrt(np.where(crowd.is_free, crowd.stiffness, 1.0))[:, None]).reshape(-1)
-    needed = bounds - flat @ aim
-    fixed = ~crowd.is_free
-    if fixed.any():  # what cannot move is where it is
-        needed -= np.where(fixed[first], np.einsum("nd,nd->n", rows, aims[first]), 0.0)
-        needed += np.where(has_second & fixed[second], np.einsum("nd,nd->n", rows, aims[second]), 0.0)
-    force = box_dual(flat @ flat.T, needed, prices)
-    moved = (aim + flat.T @ force).reshape(num, 2) * np.sqrt(inverse)[:, None]
-    return np.where(crowd.is_free[:, None], moved, aims)
+    start: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Least weighted squared distance from the aims with ``row · (first − second) >= bound`` at a price, and the forces."""
+    num, index = len(crowd.stiffness), np.arange(len(rows))
+    inverse = np.where(crowd.is_free, 1 / np.sqrt(crowd.stiffness), 0.0)  # what cannot move is where it is
+    matrix = np.zeros((len(rows), num + 1, 2))  # the last column takes what has no second body
+    matrix[index, first] = rows * inverse[first, None]
+    matrix[index, second] -= rows * np.append(inverse, 0.0)[second, None]
+    free = np.flatnonzero(crowd.is_free)
+    flat = matrix[:, free].reshape(len(rows), 2 * len(free))
+    wanted = np.append(aims, np.zeros((1, 2)), axis=0)
+    needed = bounds - ((wanted[first] - wanted[second]) * rows).sum(axis=1)
+    force = box_dual(flat, needed, prices, start)
+    moved = aims.copy()
+    moved[free] += (force @ flat).reshape(-1, 2) * inverse[free, None]
+    return moved, force
 
 
-def box_dual(quadratic: FloatArray, linear: FloatArray, upper: FloatArray) -> FloatArray:
-    """Minimises ``½ x'Qx − b'x`` over ``0 <= x <= upper`` by projected Newton steps (Bertsekas 1982).
+def box_dual(matrix: FloatArray, linear: FloatArray, upper: FloatArray, start: FloatArray) -> FloatArray:
+    """Minimises ``½ |A'x|² − b'x`` over ``0 <= x <= upper`` by projected Newton steps (Bertsekas 1982).
 
     Args:
-        quadratic: Q, (M, M), positive semidefinite.
+        matrix: A, (M, N).
         linear: b, (M,).
         upper: (M,).
+        start: Where to begin, (M,).
 
     Returns:
         x, (M,).
     """
-    matrix = quadratic + _EASE * np.eye(len(linear))
-    x = _descended(matrix, linear, upper)
-    gradient = matrix @ x - linear
-    value = 0.5 * float(x @ (gradient - linear))
+    x = _descended(matrix, linear, upper, start)
+    push = x @ matrix
+    gradient = matrix @ push + _EASE * x - linear
+    value = 0.5 * float(push @ push + _EASE * (x @ x)) - float(linear @ x)
     for _ in range(_NEWTON_STEPS):
         held = ((x <= 0) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
-        free = np.nonzero(~held)[0]
+        free = np.flatnonzero(~held)
         if not len(free) or np.abs(gradient[free]).max() < _EXACT:
             break
-        step = np.linalg.solve(matrix[np.ix_(free, free)], -gradient[free])
+        step = _newton_step(matrix[free], -gradient[free])
         length, trial = 1.0, x.copy()
         for _ in range(_HALVINGS):
-            trial[free] = np.clip(x[free] + length * step, 0.0, upper[free])
-            product = matrix @ trial
-            if (new := float(0.5 * trial @ product - linear @ trial)) < value - 1e-14:
+            trial[free] = np.minimum(np.maximum(x[free] + length * step, 0.0), upper[free])
+            push = trial @ matrix
+            if (new := 0.5 * float(push @ push + _EASE * (trial @ trial)) - float(linear @ trial)) < value - 1e-14:
                 break
             length /= 2
         else:
             break
-        x, value, gradient = trial, new, product - linear
+        x, value, gradient = trial, new, matrix @ push + _EASE * trial - linear
     return x
 
 
-def _descended(matrix: FloatArray, linear: FloatArray, upper: FloatArray) -> FloatArray:
+def _newton_step(matrix: FloatArray, residual: FloatArray) -> FloatArray:
+    """Solves ``(AA' + ease) x = r`` in the smaller of the two dimensions of A, (M, N)."""
+    if len(matrix) <= matrix.shape[1]:
+        square = matrix @ matrix.T
+        square.flat[:: len(square) + 1] += _EASE
+        return np.asarray(dposv(square, residual)[1])
+    square = matrix.T @ matrix
+    square.flat[:: len(square) + 1] += _EASE
+    return np.asarray((residual - matrix @ dposv(square, residual @ matrix)[1]) / _EASE)
+
+
+def _descended(matrix: FloatArray, linear: FloatArray, upper: FloatArray, start: FloatArray) -> FloatArray:
     """A start for the Newton steps, by accelerated projected gradients (Beck and Teboulle 2009), restarted where they overshoot."""
-    rate = 1 / max(float(np.abs(matrix).sum(axis=1).max(initial=0.0)), 1e-9)
-    x = ahead = np.zeros(len(linear))
+    size = np.abs(matrix)
+    rate = 1 / (size @ size.sum(axis=0) + _EASE)  # the rows' sums bound the quadratic form from above
+    x = ahead = np.minimum(start, upper)
     momentum = 1.0
     for _ in range(_GRADIENT_STEPS):
-        gradient = matrix @ ahead - linear
-        new = np.clip(ahead - rate * gradient, 0.0, upper)
+        gradient = matrix @ (ahead @ matrix) + _EASE * ahead - linear
+        new = np.minimum(np.maximum(ahead - rate * gradient, 0.0), upper)
         change = new - x
         if np.abs(change).max(initial=0.0) < _EXACT:
-            return new
+            return np.asarray(new)
         if gradient @ change > 0:
             momentum, ahead = 1.0, new
         else:

@@ -6,6 +6,7 @@ from models.physics_corrector.certify.crowd import Crowd
 from stable_data.scene import FloatArray
 
 _SPACING, _MOST = 0.01, 90  # between places that are tried, metres; and how many a side
+_NEAREST = 2000  # of those are looked at
 _SPREAD = 0.05  # between two places that are handed back, metres
 _IMMOVABLE = 5.0  # how much worse it is to be in something that cannot make room
 _BROKEN = 0.01  # what a broken directional relation costs, metres of overlap
@@ -13,7 +14,7 @@ _PER_METRE = 0.02  # what a metre of movement costs, metres of overlap
 
 
 def least_blocked(
-    crowd: Crowd, shifts: FloatArray, aims: FloatArray, k: int, weights: FloatArray, num: int
+    crowd: Crowd, shifts: FloatArray, aims: FloatArray, k: int, weights: FloatArray, num: int, order: int | None = None
 ) -> list[FloatArray]:
     """Shifts of one body at which it is least in the way of others, near to its aim and true to its relations.
 
@@ -24,6 +25,7 @@ def least_blocked(
         k: The body.
         weights: How much an overlap of each pair of bodies counts, (B, B).
         num: How many are wanted.
+        order: A directional relation that has to hold there.
 
     Returns:
         At most so many shifts (2,), best first, apart from each other.
@@ -35,17 +37,23 @@ def least_blocked(
     grids = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
     points = np.stack(np.meshgrid(*grids, indexing="ij"), axis=2).reshape(-1, 2)
     points = np.concatenate([np.clip(aims[k], low, high)[None], np.clip(shifts[k], low, high)[None], points])
-    cost = _PER_METRE * np.linalg.norm(points - aims[k], axis=1) + _overlap_at(crowd, shifts, k, points, weights)
-    for o in crowd.orders:
+    broken = np.zeros(len(points))
+    for n, o in enumerate(crowd.orders):
         if k in (o.first, o.second):
             apart = o.offset + (points - shifts[o.second] if o.first == k else shifts[o.first] - points)
-            cost += _BROKEN * (apart @ o.axis <= np.abs(apart @ o.axis[::-1]))
+            broken[apart @ o.axis <= np.abs(apart @ o.axis[::-1])] += np.inf if n == order else 1.0
+    far = np.linalg.norm(points - aims[k], axis=1)
+    nearest = np.argsort(np.where(np.isinf(broken), np.inf, far), kind="stable")[
+        : min(_NEAREST, int(np.isfinite(broken).sum()))
+    ]
+    points, broken, far = points[nearest], broken[nearest], far[nearest]
+    cost = _PER_METRE * far + _BROKEN * broken + _overlap_at(crowd, shifts, k, points, weights)
     found: list[FloatArray] = []
-    order = np.argsort(cost, kind="stable")
-    while len(order) and len(found) < num:
-        best = points[order[0]]
+    left = np.argsort(cost, kind="stable")
+    while len(left) and len(found) < num:
+        best = points[left[0]]
         found.append(best)
-        order = order[np.linalg.norm(points[order] - best, axis=1) > _SPREAD]
+        left = left[np.linalg.norm(points[left] - best, axis=1) > _SPREAD]
     return found
 
 
