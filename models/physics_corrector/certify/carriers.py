@@ -12,6 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import shapely
 
+from models.physics_corrector.certify.balance import stands_alone
 from models.physics_corrector.certify.contact import Meshes
 from stable_data.metrics.collision import TOLERANCE
 from stable_data.relations import INSIDE_SLACK
@@ -31,6 +32,7 @@ _OVER = 0.02  # how far beyond its carrier's outline the centre of what is on it
 _SLIPPED = 0.7  # or so large a share of half its own width
 _FITS = 0.8  # share of an object's outline that is over its container's
 _SUNKEN, _HALF = 0.015, 0.5  # what touches another is on it where its bottom is at most this far below its top, metres or share
+_TORN = 0.06  # what cannot stand alone belongs into a container that is so near, metres
 _GAP = 1e-2  # what is so close below an object without contact counts as carrying it, metres
 
 
@@ -126,7 +128,8 @@ def carriers_of(meshes: Meshes, poses: FloatArray, wanted: Mapping[int, Carried]
         if k in found:
             continue
         low = float(boxes[k][0][2])
-        if low <= TOLERANCE:
+        leans = not stands_alone(meshes.shapes[k])
+        if low <= TOLERANCE and not leans:
             found[k] = Carried()
             continue
         options = [
@@ -134,6 +137,12 @@ def carriers_of(meshes: Meshes, poses: FloatArray, wanted: Mapping[int, Carried]
             for p in range(len(poses))
             if p != k and k not in _above(found, p) and (option := _carried_by(meshes, poses, boxes, k, p)) is not None
         ]
+        if not options and leans:
+            options = [
+                option
+                for p in range(len(poses))
+                if p != k and k not in _above(found, p) and (option := _leant_in(meshes, poses, boxes, k, p)) is not None
+            ]
         found[k] = min(options, key=lambda option: option[0])[1] if options else Carried()
     return [found[k] for k in range(len(poses))]
 
@@ -172,6 +181,23 @@ def _carried_by(
     if is_over and (is_within or depth <= _RIM):
         return (3.0, abs(depth), float(p)), Carried(p, is_within)
     return None
+
+
+def _leant_in(
+    meshes: Meshes,
+    poses: FloatArray,
+    boxes: Sequence[tuple[FloatArray, FloatArray]],
+    k: int,
+    p: int,
+) -> tuple[tuple[float, ...], Carried] | None:
+    """How near a container is that what cannot stand alone may have leant in, least is best; None where it is none."""
+    (low, _), (other_low, other_high) = boxes[k], boxes[p]
+    if low[2] < other_low[2] - _SUNK or low[2] > other_high[2] - _RIM:
+        return None
+    outside = beyond(poses[k, :2], meshes.shapes[p].posed_footprint(poses[p]))
+    if outside > _TORN or not is_hollow(meshes.shapes[p]):
+        return None
+    return (outside, float(p)), Carried(p, True)
 
 
 def _above(found: Mapping[int, Carried], k: int) -> list[int]:
