@@ -27,7 +27,7 @@ FALLS = -0.1
 
 _TOUCH = 1e-3  # what is so near to another thing leans on it, metres
 _FRICTION = 0.5  # coefficient that what leans may count on; less than engines take
-_SLOPE = 0.05  # tangent of the angle by which everything is tilted
+_SLOPE = 0.1  # tangent of the angle by which everything is tilted
 _MOST = 48  # contacts that forces are looked for in
 _UNHELD = 0.02  # share of the weight that may be left over
 _LEAST_HEIGHT = 5e-3  # of a centre of mass over what carries it, metres
