@@ -29,7 +29,8 @@ _TOUCH = 1e-3  # what is so near to another thing leans on it, metres
 _FRICTION = 0.5  # coefficient that what leans may count on; less than engines take
 _SLOPE = 0.1  # tangent of the angle by which everything is tilted
 _MOST = 48  # contacts that forces are looked for in
-_UNHELD = 0.02  # share of the weight that may be left over
+_UNHELD = 0.008  # share of the weight that may be left over
+_EASE, _STRONGEST = 1e-3, 3.0  # how much forces are shunned; and all of them together at most, in weights
 _LEAST_HEIGHT = 5e-3  # of a centre of mass over what carries it, metres
 
 _centres: "WeakKeyDictionary[Shape, FloatArray]" = WeakKeyDictionary()
@@ -144,8 +145,11 @@ def _is_held(points: FloatArray, normals: FloatArray, middle: FloatArray, length
     edges = np.concatenate([normals + _FRICTION * way for way in (aside, -aside, across, -across)])
     arms = np.tile(points - middle, (4, 1)) / length
     matrix = np.concatenate([edges.T, np.cross(arms, edges).T])
-    left = scipy.optimize.nnls(matrix, np.concatenate([-pull, np.zeros(3)]))[1]
-    return bool(left < _UNHELD)
+    # Of all forces the small ones are wanted: a rigid thing that stands astride a wall does not clamp it.
+    eased = np.concatenate([matrix, np.full((1, matrix.shape[1]), _EASE)])
+    forces = scipy.optimize.nnls(eased, np.concatenate([-pull, np.zeros(4)]))[0]
+    left = matrix @ forces + np.concatenate([pull, np.zeros(3)])
+    return bool(np.linalg.norm(left) < _UNHELD and forces.sum() < _STRONGEST)
 
 
 def _spread(points: FloatArray, normals: FloatArray) -> IntArray:
