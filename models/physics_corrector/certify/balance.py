@@ -28,6 +28,7 @@ FALLS = -0.1
 _TOUCH = 1e-3  # what is so near to another thing leans on it, metres
 _FRICTION = 0.5  # coefficient that what leans may count on; less than engines take
 _SLOPE = 0.1  # tangent of the angle by which everything is tilted
+_BARELY = -0.02  # what is less steady than this does not stand alone
 _MOST = 48  # contacts that forces are looked for in
 _UNHELD = 0.008  # share of the weight that may be left over
 _EASE, _STRONGEST = 1e-3, 3.0  # how much forces are shunned; and all of them together at most, in weights
@@ -52,7 +53,7 @@ def stands_alone(shape: Shape) -> bool:
     """Would a shape stay upright on the bare table? A pen that leans in its cup would not."""
     if shape not in _alone:
         pose = np.array([0.0, 0.0, float(shape.size[2]) / 2, 0.0])
-        _alone[shape] = _base(Meshes([shape]), 0, pose, [], pose[None]) >= FALLS
+        _alone[shape] = _base(Meshes([shape]), 0, pose, [], pose[None]) >= _BARELY
     return _alone[shape]
 
 
@@ -74,10 +75,9 @@ def steadiness(meshes: Meshes, k: int, pose: FloatArray, others: Sequence[int], 
     middle = _middle(meshes, k, pose)
     length = float(meshes.shapes[k].size.max()) / 2
     slopes = [(s * _SLOPE, t * _SLOPE) for s, t in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))]
-    held = [_is_held(points, normals, middle, length, np.array([*slope, -1.0])) for slope in slopes[:1]]
-    if held[0] and all(_is_held(points, normals, middle, length, np.array([*slope, -1.0])) for slope in slopes[1:]):
+    if all(_is_held(points, normals, middle, length, np.array([*slope, -1.0])) for slope in slopes):
         return STEADY
-    return max(base, 0.0) if held[0] else min(base, 0.0)
+    return base
 
 
 def _middle(meshes: Meshes, k: int, pose: FloatArray) -> FloatArray:
