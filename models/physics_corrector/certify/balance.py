@@ -69,7 +69,7 @@ def steadiness(meshes: Meshes, k: int, pose: FloatArray, others: Sequence[int], 
     """
     others = meshes.near(k, pose, others, poses, _TOUCH, aside=_TOUCH)
     base = _base(meshes, k, pose, others, poses)
-    if base >= STEADY:
+    if base >= STEADY or (base < FALLS and stands_alone(meshes.shapes[k])):
         return base
     points, normals = _leaning(meshes, k, pose, others, poses)
     middle = _middle(meshes, k, pose)

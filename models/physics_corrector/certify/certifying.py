@@ -143,8 +143,8 @@ class _Certifier:
                     layout.carry(c, pose)
                     done.append(c)
                     queue.append(c)
-        moved = [not np.array_equal(layout.poses[m], was[m]) for m in done]
-        for c in done[1:] if any(moved[1:]) else ():  # it may have leant on what has moved away
+        stayed = [m for m in done[1:] if np.array_equal(layout.poses[m], was[m])]
+        for c in stayed if len(stayed) < len(done) - 1 else ():  # it may have leant on what has moved away
             own = set(layout.tree(c))
             others = [m for m in done if m not in own]
             pose = None if layout.is_fixed[c] else resting_pose(self.meshes, layout.poses, c, layout.carried[c], others)

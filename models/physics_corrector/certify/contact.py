@@ -102,7 +102,7 @@ class Meshes:
         """Points that carry an object, (C, 3) metres: where it touches others a little lowered, and its lowest vertices on the table."""
         posed = self.shapes[k].posed(pose)
         points = [posed[posed[:, 2] <= _REACH]]
-        moving = self._body(k, pose - (0.0, 0.0, _REACH, 0.0))
+        moving = self._body(k, pose - (0.0, 0.0, _REACH, 0.0)) if others else None
         request = fcl.CollisionRequest(num_max_contacts=_MOST_CONTACTS, enable_contact=True)
         for j in others:
             result = fcl.CollisionResult()

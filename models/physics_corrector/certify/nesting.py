@@ -27,11 +27,11 @@ _TURNS = (0.0, np.pi / 2, np.pi / 4, -np.pi / 4)  # besides, turned
 _LIFT = 4e-3  # what comes to rest this much higher than it was may be wedged: a better place is looked for, metres
 _TOPPLES = 100.0  # what it costs that a thing may not stay, metres
 _CLIMB = 3.0  # how much rising counts beside moving aside
-_ENOUGH = 16  # among so many
+_ENOUGH, _MANY = 16, 60  # among so many where it stays in one of them; and where it does not
 _STEPS, _MOST_STEPS, _SLOPE = (8e-3, 3e-3, 1e-3), 6, 0.2  # of what slides down, metres; so many of each; and how steep it is then
 _WAYS = np.array([[np.cos(a), np.sin(a)] for a in 2 * np.pi * np.arange(6) / 6])
 _LEANS = tuple(np.radians((0, 20, -20, 45, -45, 90, -90, 135, -135, 180)))  # turns of what leans
-_BACK, _BESIDE = (0.2, 0.0), (0.0, 0.1, -0.1, 0.2, -0.2)  # where its foot is put, shares of its carrier's width
+_BACK, _BESIDE = (0.2, 0.0), (0.0, 0.15, -0.15)  # where its foot is put, shares of its carrier's width
 _FOOT, _HIGHER = 1e-3, 0.03  # height of its foot; and how much higher than it was it may come down, metres
 _MOST = 60  # places that are tried at each turn
 
@@ -70,7 +70,7 @@ def resting_pose(
     best: FloatArray | None = None
     least = np.inf
     for number, there in enumerate(_lowered(meshes, poses, k, carried, done)):
-        if best is not None and number > _ENOUGH and least < _TOPPLES:
+        if best is not None and (number > _MANY or (number > _ENOUGH and least < _TOPPLES)):
             break
         if not _is_carried(meshes, poses, k, there, carried):
             continue
