@@ -31,6 +31,32 @@ def _tree(shape: Shape) -> fcl.BVHModel:
     return _trees[shape]
 
 
+def _crossings(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Ends of the segments along which triangles cross, pair by pair, (P, 3, 3) each: (C, 3). The engine's own points are rough."""
+    normals = [np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]) for t in (first, second)]
+    along = np.cross(normals[0], normals[1])
+    ends = []
+    for own, other, normal in ((first, second, normals[1]), (second, first, normals[0])):
+        height = np.einsum("pvd,pd->pv", own - other[:, :1], normal)
+        above = height > 0
+        alone = np.where(above.sum(axis=1) == 1, above.argmax(axis=1), above.argmin(axis=1))
+        rows = np.arange(len(own))
+        crossed = []
+        for step in (1, 2):
+            a, b = height[rows, alone], height[rows, (alone + step) % 3]
+            share = (a / np.where(np.abs(a - b) > 1e-30, a - b, np.inf))[:, None]
+            crossed.append(own[rows, alone] * (1 - share) + own[rows, (alone + step) % 3] * share)
+        ends.append((np.stack(crossed, axis=1), above.any(axis=1) & ~above.all(axis=1)))
+    (one, one_valid), (two, two_valid) = ends
+    place = [np.einsum("ped,pd->pe", e, along) for e in (one, two)]
+    low, high = (f(g(place[0], axis=1), g(place[1], axis=1)) for f, g in ((np.maximum, np.min), (np.minimum, np.max)))
+    size = np.einsum("pd,pd->p", along, along)
+    valid = one_valid & two_valid & (size > 0) & (low <= high)
+    origin, scale = one[valid, 0], size[valid]
+    shifts = [(t[valid] - place[0][valid, 0]) / scale for t in (low, high)]
+    return np.concatenate([origin + shift[:, None] * along[valid] for shift in shifts])
+
+
 class Meshes:
     """The meshes of a scene's objects, to be asked at any poses.
 
@@ -107,8 +133,17 @@ class Meshes:
         for j in others:
             result = fcl.CollisionResult()
             if fcl.collide(moving, self._body(j, poses[j]), request, result):
-                points.append(np.array([c.pos for c in result.contacts]))
+                pairs = np.array([(c.b1, c.b2) for c in result.contacts])
+                upper = (posed - (0.0, 0.0, _REACH))[self.shapes[k].faces[pairs[:, 0]]]
+                lower = self.shapes[j].posed(poses[j])[self.shapes[j].faces[pairs[:, 1]]]
+                points.append(_crossings(upper, lower))
         return np.concatenate(points)
+
+    def is_free(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> bool:
+        """Does an object at a pose (4,) touch none of others?"""
+        near = self.near(k, pose, others, poses)
+        moving = self._body(k, pose) if near else None
+        return not any(self._bodies_cross(moving, self._body(j, poses[j])) for j in near)
 
     def slid(
         self, k: int, pose: FloatArray, way: FloatArray, others: Sequence[int], poses: FloatArray, at_most: float
@@ -149,14 +184,14 @@ class Meshes:
         for j in others:
             other_low, other_high = self.box(j, poses[j])
             if (low[:2] <= other_high[:2]).all() and (high[:2] >= other_low[:2]).all():
-                below.append(self._body(j, poses[j]))
+                below.append((float(other_high[2]) + floor, self._body(j, poses[j])))
                 highest = max(highest, float(other_high[2]) + floor + _AIR)
         moving, there = self._body(k, pose), np.array(pose[:3])
 
         def touches(z: float) -> bool:
             there[2] = z
             moving.setTranslation(there)
-            return any(self._bodies_cross(moving, other) for other in below)
+            return any(z <= top and self._bodies_cross(moving, other) for top, other in below)
 
         z = highest
         while touches(z):  # it started inside something: from farther up

@@ -28,7 +28,11 @@ _LIFT = 4e-3  # what comes to rest this much higher than it was may be wedged: a
 _TOPPLES = 100.0  # what it costs that a thing may not stay, metres
 _CLIMB = 3.0  # how much rising counts beside moving aside
 _ENOUGH, _MANY = 16, 60  # among so many where it stays in one of them; and where it does not
-_STEPS, _MOST_STEPS, _SLOPE = (8e-3, 3e-3, 1e-3), 6, 0.2  # of what slides down, metres; so many of each; and how steep it is then
+_STEPS, _MOST_STEPS, _SLOPE = (
+    (8e-3, 3e-3, 1e-3),
+    6,
+    0.2,
+)  # of what slides down, metres; so many of each; and how steep it is then
 _WAYS = np.array([[np.cos(a), np.sin(a)] for a in 2 * np.pi * np.arange(6) / 6])
 _LEANS = tuple(np.radians((0, 20, -20, 45, -45, 90, -90, 135, -135, 180)))  # turns of what leans
 _BACK, _BESIDE = (0.2, 0.0), (0.0, 0.15, -0.15)  # where its foot is put, shares of its carrier's width
@@ -93,9 +97,7 @@ def resting_pose(
     return None if falls and stands_alone(meshes.shapes[k]) else best
 
 
-def _lowered(
-    meshes: Meshes, poses: FloatArray, k: int, carried: Carried, done: Sequence[int]
-) -> Iterator[FloatArray]:
+def _lowered(meshes: Meshes, poses: FloatArray, k: int, carried: Carried, done: Sequence[int]) -> Iterator[FloatArray]:
     """Poses to which an object comes down, those that turn and move it least first."""
     if not stands_alone(meshes.shapes[k]):
         yield from _leaning(meshes, poses, k, carried, done)
@@ -125,21 +127,20 @@ def _aligning(yaw: float) -> Sequence[float]:
 def _sunk(meshes: Meshes, poses: FloatArray, k: int, pose: FloatArray, done: Sequence[int]) -> FloatArray:
     """Where an object slides to from a pose without turning, steeper than friction would hold it."""
     there = np.array([pose[0], pose[1], meshes.lowered(k, pose, done, poses), pose[3]])
+    floor = float(meshes.shapes[k].size[2]) / 2
     for step in _STEPS:
         for _ in range(_MOST_STEPS):
-            moved = np.tile(there, (len(_WAYS), 1))
-            moved[:, :2] += step * _WAYS
-            moved[:, 2] = [meshes.lowered(k, m, done, poses) for m in moved]
-            lowest = moved[int(moved[:, 2].argmin())]
-            if lowest[2] > there[2] - _SLOPE * step:
+            moved = there + np.column_stack([step * _WAYS, np.full(len(_WAYS), -_SLOPE * step), np.zeros(len(_WAYS))])
+            free = [m for m in moved if m[2] > floor and meshes.is_free(k, m, done, poses)]
+            lower = [np.array([m[0], m[1], meshes.lowered(k, m, done, poses), m[3]]) for m in free]
+            lower = [m for m in lower if m[2] < there[2] - _SLOPE * step]  # others come from above onto a rim
+            if not lower:
                 break
-            there = lowest
+            there = min(lower, key=lambda m: float(m[2]))
     return there
 
 
-def _leaning(
-    meshes: Meshes, poses: FloatArray, k: int, carried: Carried, done: Sequence[int]
-) -> Iterator[FloatArray]:
+def _leaning(meshes: Meshes, poses: FloatArray, k: int, carried: Carried, done: Sequence[int]) -> Iterator[FloatArray]:
     """Poses at which what cannot stand leans: put down in its carrier, then slid the way it would tip, until it meets something."""
     start, middle = _start_and_middle(meshes, poses, k, carried)
     width = float(np.ptp(meshes.shapes[carried.parent].footprint, axis=0).min())
