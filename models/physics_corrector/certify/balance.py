@@ -15,7 +15,7 @@ import shapely
 
 from models.physics_corrector.certify.contact import Meshes
 from stable_data.mesh import unit_normals
-from stable_data.metrics.crossing import Surface, near_triangles
+from stable_data.metrics.crossing import near_triangles
 from stable_data.scene import FloatArray, IntArray
 from stable_data.shape import Shape
 

@@ -84,7 +84,7 @@ class Meshes:
     ) -> list[int]:
         """Those of other objects whose boxes an object's box meets when it is lowered or shifted aside by up to so much, metres."""
         low, high = self.box(k, pose)
-        low, high = low - (aside, aside, gap), high + (aside, aside, 0.0)
+        low, high = low - np.array([aside, aside, gap]), high + np.array([aside, aside, 0.0])
         boxes = [self.box(j, poses[j]) for j in others]
         return [j for j, (a, b) in zip(others, boxes, strict=True) if (low <= b).all() and (high >= a).all()]
 

@@ -27,7 +27,7 @@ _TURNS = (0.0, np.pi / 2, np.pi / 4, -np.pi / 4)  # besides, turned
 _LIFT = 4e-3  # what comes to rest this much higher than it was may be wedged: a better place is looked for, metres
 _TOPPLES = 100.0  # what it costs that a thing may not stay, metres
 _CLIMB = 3.0  # how much rising counts beside moving aside
-_ENOUGH, _MANY = 16, 60  # among so many where it stays in one of them; and where it does not
+_ENOUGH, _MANY = 12, 60  # among so many where it stays in one of them; and where it does not
 _STEPS, _MOST_STEPS, _SLOPE = (
     (8e-3, 3e-3, 1e-3),
     6,
@@ -68,9 +68,9 @@ def resting_pose(
         The pose, (4,), or None where none was found.
     """
     everyone = [*done, *waiting]
-    if _is_carried(meshes, poses, k, poses[k], carried) and is_at_rest(meshes, poses, k, poses[k], everyone):
-        if steadiness(meshes, k, poses[k], everyone, poses) >= STEADY:
-            return np.array(poses[k])
+    is_well = _is_carried(meshes, poses, k, poses[k], carried) and is_at_rest(meshes, poses, k, poses[k], everyone)
+    if is_well and steadiness(meshes, k, poses[k], everyone, poses) >= STEADY:
+        return np.array(poses[k])
     best: FloatArray | None = None
     least = np.inf
     for number, there in enumerate(_lowered(meshes, poses, k, carried, done)):
@@ -111,7 +111,7 @@ def _lowered(meshes: Meshes, poses: FloatArray, k: int, carried: Carried, done: 
     # It slides to where it lies lower, as it would by itself.
     turns = (0.0, *_aligning(poses[k, 3] - poses[carried.parent, 3]))
     for turn in turns:
-        yield _sunk(meshes, poses, k, first + (0.0, 0.0, 0.0, turn), done)
+        yield _sunk(meshes, poses, k, np.array([*first[:3], first[3] + turn]), done)
     for turn in turns:
         yield _sunk(meshes, poses, k, np.array([*middle, poses[k, 2], poses[k, 3] + turn]), done)
     for there in _candidates(meshes, poses, k, carried):
