@@ -28,6 +28,13 @@ def pen() -> Shape:
     return mesh_shape(mesh)
 
 
+def apple(radius: float) -> Shape:
+    """A ball with a flat bottom: a faceted ball would roll on to its next facet anywhere."""
+    mesh = trimesh.creation.icosphere(3, radius)
+    mesh.vertices[:, 2] = np.maximum(mesh.vertices[:, 2], -0.9 * radius)
+    return mesh_shape(mesh)
+
+
 def how_steady(shapes: list[Shape], *places: tuple[float, float, float]) -> float:
     """Of the last of some things with their bottoms at places (x, y, z)."""
     poses = np.array([(x, y, z + float(s.size[2]) / 2, 0.0) for s, (x, y, z) in zip(shapes, places, strict=True)])
@@ -138,15 +145,15 @@ def test_thin_walls_make_a_hollow_and_bumps_do_not() -> None:
 
 
 def drawn(seed: int) -> tuple[Scene, list[Shape]]:
-    """Cups with pens, bowls with balls, plates with cups, all shaken."""
+    """Cups with pens, bowls with apples, plates with cups, all shaken."""
     rng = np.random.default_rng(seed)
     places = [(x, y) for x, y in itertools.product((0.15, 0.4, 0.65), (0.15, 0.45))]
     kinds: list[list[tuple[str, Shape, FloatArray]]] = [
         [("cup", CUP, np.zeros(3)), ("pen", pen(), np.array([0.005, 0, 0.004]))],
         [
             ("bowl", bowl(), np.zeros(3)),
-            ("ball", ball(0.025), np.array([0.03, 0, 0.005])),
-            ("ball2", ball(0.03), np.array([-0.03, 0, 0.005])),
+            ("apple", apple(0.025), np.array([0.03, 0, 0.005])),
+            ("apple2", apple(0.03), np.array([-0.03, 0, 0.005])),
         ],
         [("plate", cylinder(0.09, 0.012), np.zeros(3)), ("mug", cylinder(0.04, 0.1), np.array([0, 0, 0.0125]))],
         [("block", TABLE_BOX, np.zeros(3)), ("on", box(0.05, 0.05, 0.05), np.array([0, 0, 0.051]))],
