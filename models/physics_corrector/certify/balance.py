@@ -29,6 +29,7 @@ _TOUCH = 1e-3  # what is so near to another thing leans on it, metres
 _FRICTION = 0.5  # coefficient that what leans may count on; less than engines take
 _SLOPE = 0.1  # tangent of the angle by which everything is tilted
 _BARELY = -0.02  # what is less steady than this does not stand alone
+_BESIDE = -1.0  # what stands alone and is less steady than this hangs beside what carries it
 _MOST = 48  # contacts that forces are looked for in
 _UNHELD = 0.008  # share of the weight that may be left over
 _EASE, _STRONGEST = 1e-3, 3.0  # how much forces are shunned; and all of them together at most, in weights
@@ -69,7 +70,7 @@ def steadiness(meshes: Meshes, k: int, pose: FloatArray, others: Sequence[int], 
     """
     others = meshes.near(k, pose, others, poses, _TOUCH, aside=_TOUCH)
     base = _base(meshes, k, pose, others, poses)
-    if base >= STEADY or (base < FALLS and stands_alone(meshes.shapes[k])):
+    if base >= STEADY or (base < _BESIDE and stands_alone(meshes.shapes[k])):
         return base
     points, normals = _leaning(meshes, k, pose, others, poses)
     middle = _middle(meshes, k, pose)

@@ -93,8 +93,11 @@ def resting_pose(
             best, least = there, cost
             if cost < _TOPPLES and rise <= _LIFT:
                 break
-    falls = least >= 2 * _TOPPLES
-    return None if falls and stands_alone(meshes.shapes[k]) else best
+    if best is None or least < 2 * _TOPPLES or not stands_alone(meshes.shapes[k]):
+        return best
+    # It stands better on the table, but what is deep in a container may roll there and yet stays in it.
+    top = meshes.box(carried.parent, poses[carried.parent])[1][2]
+    return best if carried.is_in and best[2] < top else None
 
 
 def _lowered(meshes: Meshes, poses: FloatArray, k: int, carried: Carried, done: Sequence[int]) -> Iterator[FloatArray]:
