@@ -24,11 +24,11 @@ class RelationsKept:
 
     Attributes:
         on_in_held: ``on`` and ``in`` another object: how many held before.
-        on_in_kept: How many of these still hold.
+        on_in_kept: How many of these still hold, directly or through what lies in between; what was on a thing may now be in it.
         directional_held: ``left of``, ``right of``, ``in front of``, ``behind``: how many held before.
         directional_kept: How many of these still hold.
         asked_broken: ``on`` and ``in`` of the scene's own relations that did not hold before.
-        asked_restored: How many of these hold now.
+        asked_restored: How many of these hold now, likewise.
     """
 
     on_in_held: int
@@ -78,11 +78,11 @@ def relations_kept(
     broken = asked - on_in_before
     return RelationsKept(
         on_in_held=len(on_in_before),
-        on_in_kept=len(on_in_before & on_in_after),
+        on_in_kept=sum(_is_held(on_in_after, r) for r in on_in_before),
         directional_held=len(directional),
         directional_kept=sum(_holds(after, r) for r in directional),
         asked_broken=len(broken),
-        asked_restored=len(broken & on_in_after),
+        asked_restored=sum(_is_held(on_in_after, r) for r in broken),
     )
 
 
@@ -91,6 +91,19 @@ def _relations(scene: Scene, shapes: Sequence[Shape]) -> Set[Relation]:
     contacts = {name: posed.supports(k, TOLERANCE) or () for k, name in enumerate(posed.instances)}
     footprints = {o.instance: s.posed_footprint(p) for o, s, p in zip(scene.objects, shapes, scene.poses(), strict=True)}
     return set(relations_of(scene_graph(scene, contacts, footprints)))
+
+
+def _is_held(on_in: Set[Relation], relation: Relation) -> bool:
+    """Is the subject on or in the target, directly or through others? What is in nothing on the way is not in the target."""
+    carrier = {r.subject: r for r in on_in}
+    name, is_in, seen = relation.subject, False, set[str]()
+    while name in carrier and name not in seen:
+        seen.add(name)
+        is_in |= carrier[name].kind is RelationKind.IN
+        name = carrier[name].target
+        if name == relation.target:
+            return is_in or relation.kind is RelationKind.ON
+    return False
 
 
 def _holds(scene: Scene, relation: Relation) -> bool:

@@ -12,7 +12,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import shapely
 
+from models.physics_corrector.certify.balance import stands_alone
 from models.physics_corrector.certify.contact import Meshes
+from models.physics_corrector.certify.outline import BoolArray
 from stable_data.metrics.collision import TOLERANCE
 from stable_data.relations import INSIDE_SLACK
 from stable_data.scene import TABLE, FloatArray, RelationKind, Scene
@@ -24,13 +26,14 @@ TABLE_TOP = -1
 _RIM = 3e-3  # the bottom of what is in a container is this much below the rim at least, metres
 _LOOKS = 11  # a side, of looks down on a shape
 _DEEP, _WALL, _HOLLOW_SHARE = 0.3, 0.25, 0.15  # so deep and so far below the walls, shares of the height, at so many of them
-_WAYS = ((0, 1), (0, -1), (1, 1), (1, -1))  # axis and direction
+_LAYERS = 8  # heights at which walls are looked for
 _SUNK = 2e-3  # how far the bottom of what is on another thing may be below that thing's, metres
 _TOUCH = 3e-3  # what is so far above another one still is on it, metres
 _OVER = 0.02  # how far beyond its carrier's outline the centre of what is on it may be, metres
 _SLIPPED = 0.7  # or so large a share of half its own width
 _FITS = 0.8  # share of an object's outline that is over its container's
 _SUNKEN, _HALF = 0.015, 0.5  # what touches another is on it where its bottom is at most this far below its top, metres or share
+_TORN = 0.06  # what cannot stand alone belongs into a container that is so near, metres
 _GAP = 1e-2  # what is so close below an object without contact counts as carrying it, metres
 
 
@@ -61,15 +64,42 @@ def is_hollow(shape: Shape) -> bool:
         points = low + (high - low) * np.stack(np.meshgrid(shares, shares, indexing="ij"), axis=2)
         height = float(shape.size[2])
         found = _first_heights(points.reshape(-1, 2), shape.vertices[shape.faces], -height / 2).reshape(_LOOKS, _LOOKS)
-        turned = (
-            np.flip(np.maximum.accumulate(np.flip(found, a), axis=a), a) if w < 0 else np.maximum.accumulate(found, axis=a)
-            for a, w in _WAYS
-        )
-        walled = np.minimum.reduce(list(turned))
+        walled = _are_walled(points.reshape(-1, 2), found.ravel() + _WALL * height, shape).reshape(_LOOKS, _LOOKS)
         over = shapely.contains_xy(shapely.Polygon(shape.footprint), *points.reshape(-1, 2).T).reshape(_LOOKS, _LOOKS)
-        deep = over & (walled - found > _WALL * height) & (height / 2 - found > _DEEP * height)
+        deep = over & walled & (height / 2 - found > _DEEP * height)
         _hollow[shape] = bool(deep.sum() >= _HOLLOW_SHARE * over.sum() > 0)
     return _hollow[shape]
+
+
+def _are_walled(points: FloatArray, heights: FloatArray, shape: Shape) -> BoolArray:
+    """Is there a wall to all four sides of each of the points (P, 2), so high as the heights (P,) say or a little lower?"""
+    size, triangles = float(shape.size[2]), shape.vertices[shape.faces]
+    layer = np.floor((heights / size + 0.5) * _LAYERS).astype(int)
+    walled = np.zeros(len(points), bool)
+    for n in np.unique(layer[(layer > 0) & (layer < _LAYERS)]):
+        here = np.flatnonzero(layer == n)
+        ends = _section(triangles, (n / _LAYERS - 0.5) * size)
+        walled[here] = True
+        for axis in (0, 1):
+            along, across = points[here, axis], points[here, 1 - axis]
+            first, second = ends[:, 0], ends[:, 1]
+            passed = (first[None, :, 1 - axis] <= across[:, None]) != (second[None, :, 1 - axis] <= across[:, None])
+            run = second[:, 1 - axis] - first[:, 1 - axis]
+            share = (across[:, None] - first[None, :, 1 - axis]) / np.where(np.abs(run) < 1e-12, 1.0, run)[None]
+            hit = first[None, :, axis] + share * (second[:, axis] - first[:, axis])[None]
+            walled[here] &= (passed & (hit > along[:, None])).any(axis=1) & (passed & (hit < along[:, None])).any(axis=1)
+    return walled
+
+
+def _section(triangles: FloatArray, height: float) -> FloatArray:
+    """Where triangles pass a height: ends of segments seen from above, (S, 2, 2), metres."""
+    above = triangles[:, :, 2] > height
+    mixed = triangles[above.any(axis=1) & ~above.all(axis=1)]
+    other = mixed[:, [1, 2, 0]]
+    passes = (mixed[:, :, 2] > height) != (other[:, :, 2] > height)
+    first, second = mixed[passes], other[passes]
+    share = ((height - first[:, 2]) / (second[:, 2] - first[:, 2]))[:, None]
+    return np.asarray((first[:, :2] + share * (second - first)[:, :2]).reshape(-1, 2, 2))
 
 
 def _first_heights(points: FloatArray, triangles: FloatArray, floor: float) -> FloatArray:
@@ -126,7 +156,8 @@ def carriers_of(meshes: Meshes, poses: FloatArray, wanted: Mapping[int, Carried]
         if k in found:
             continue
         low = float(boxes[k][0][2])
-        if low <= TOLERANCE:
+        leans = not stands_alone(meshes.shapes[k])
+        if low <= TOLERANCE and not leans:
             found[k] = Carried()
             continue
         options = [
@@ -134,6 +165,12 @@ def carriers_of(meshes: Meshes, poses: FloatArray, wanted: Mapping[int, Carried]
             for p in range(len(poses))
             if p != k and k not in _above(found, p) and (option := _carried_by(meshes, poses, boxes, k, p)) is not None
         ]
+        if not options and leans:
+            options = [
+                option
+                for p in range(len(poses))
+                if p != k and k not in _above(found, p) and (option := _leant_in(meshes, poses, boxes, k, p)) is not None
+            ]
         found[k] = min(options, key=lambda option: option[0])[1] if options else Carried()
     return [found[k] for k in range(len(poses))]
 
@@ -172,6 +209,23 @@ def _carried_by(
     if is_over and (is_within or depth <= _RIM):
         return (3.0, abs(depth), float(p)), Carried(p, is_within)
     return None
+
+
+def _leant_in(
+    meshes: Meshes,
+    poses: FloatArray,
+    boxes: Sequence[tuple[FloatArray, FloatArray]],
+    k: int,
+    p: int,
+) -> tuple[tuple[float, ...], Carried] | None:
+    """How near a container is that what cannot stand alone may have leant in, least is best; None where it is none."""
+    (low, _), (other_low, other_high) = boxes[k], boxes[p]
+    if low[2] < other_low[2] - _SUNK or low[2] > other_high[2] - _RIM:
+        return None
+    outside = beyond(poses[k, :2], meshes.shapes[p].posed_footprint(poses[p]))
+    if outside > _TORN or not is_hollow(meshes.shapes[p]):
+        return None
+    return (outside, float(p)), Carried(p, True)
 
 
 def _above(found: Mapping[int, Carried], k: int) -> list[int]:

@@ -126,7 +126,7 @@ class _Certifier:
     def _nest(self, root: int) -> None:
         """Brings all that a root carries to rest, from below; what finds no rest there stands on the table itself."""
         layout = self.layout
-        done, queue = [root], [root]
+        done, queue, was = [root], [root], layout.poses.copy()
         while queue:
             carrier = queue.pop(0)
             for c in sorted(layout.children(carrier), key=lambda c: (not layout.is_fixed[c], layout.low(c), c)):
@@ -142,6 +142,13 @@ class _Certifier:
                     layout.carry(c, pose)
                     done.append(c)
                     queue.append(c)
+        stayed = [m for m in done[1:] if np.array_equal(layout.poses[m], was[m])]
+        for c in stayed if len(stayed) < len(done) - 1 else ():  # it may have leant on what has moved away
+            own = set(layout.tree(c))
+            others = [m for m in done if m not in own]
+            pose = None if layout.is_fixed[c] else resting_pose(self.meshes, layout.poses, c, layout.carried[c], others)
+            if pose is not None:
+                layout.carry(c, pose)
 
     # --- the table
 

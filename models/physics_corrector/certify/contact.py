@@ -5,7 +5,6 @@ from weakref import WeakKeyDictionary
 
 import fcl
 import numpy as np
-import shapely
 
 from stable_data.metrics.collision import DIRECTIONS, NEAR, nested
 from stable_data.metrics.crossing import MeshPair, Surface
@@ -22,9 +21,6 @@ _AIR = 4e-5  # left below what rests, metres
 _trees: "WeakKeyDictionary[Shape, fcl.BVHModel]" = WeakKeyDictionary()
 
 
-_centres: "WeakKeyDictionary[Shape, FloatArray]" = WeakKeyDictionary()
-
-
 def _tree(shape: Shape) -> fcl.BVHModel:
     if shape not in _trees:
         tree = fcl.BVHModel()
@@ -35,15 +31,30 @@ def _tree(shape: Shape) -> fcl.BVHModel:
     return _trees[shape]
 
 
-def _centre_of_mass(shape: Shape) -> FloatArray:
-    """Of the solid that a shape's faces bound, (3,), metres, yaw frame; the middle of its box where they bound none."""
-    if shape not in _centres:
-        triangles = shape.vertices[shape.faces]
-        volume = np.einsum("ij,ij->i", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2])) / 6
-        total = float(volume.sum())
-        middle = (volume[:, None] * triangles.sum(axis=1) / 4).sum(axis=0) / total if abs(total) > 1e-9 else np.zeros(3)
-        _centres[shape] = middle if (np.abs(middle) <= shape.size / 2).all() else np.zeros(3)
-    return _centres[shape]
+def _crossings(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Ends of the segments along which triangles cross, pair by pair, (P, 3, 3) each: (C, 3). The engine's own points are rough."""
+    normals = [np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]) for t in (first, second)]
+    along = np.cross(normals[0], normals[1])
+    ends = []
+    for own, other, normal in ((first, second, normals[1]), (second, first, normals[0])):
+        height = np.einsum("pvd,pd->pv", own - other[:, :1], normal)
+        above = height > 0
+        alone = np.where(above.sum(axis=1) == 1, above.argmax(axis=1), above.argmin(axis=1))
+        rows = np.arange(len(own))
+        crossed = []
+        for step in (1, 2):
+            a, b = height[rows, alone], height[rows, (alone + step) % 3]
+            share = (a / np.where(np.abs(a - b) > 1e-30, a - b, np.inf))[:, None]
+            crossed.append(own[rows, alone] * (1 - share) + own[rows, (alone + step) % 3] * share)
+        ends.append((np.stack(crossed, axis=1), above.any(axis=1) & ~above.all(axis=1)))
+    (one, one_valid), (two, two_valid) = ends
+    place = [np.einsum("ped,pd->pe", e, along) for e in (one, two)]
+    low, high = (f(g(place[0], axis=1), g(place[1], axis=1)) for f, g in ((np.maximum, np.min), (np.minimum, np.max)))
+    size = np.einsum("pd,pd->p", along, along)
+    valid = one_valid & two_valid & (size > 0) & (low <= high)
+    origin, scale = one[valid, 0], size[valid]
+    shifts = [(t[valid] - place[0][valid, 0]) / scale for t in (low, high)]
+    return np.concatenate([origin + shift[:, None] * along[valid] for shift in shifts])
 
 
 class Meshes:
@@ -68,16 +79,18 @@ class Meshes:
         low, high = self._extents[k, yaw]
         return low + pose[:3], high + pose[:3]
 
-    def near(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray, gap: float = 0.0) -> list[int]:
-        """Those of other objects whose boxes an object's box meets when it is lowered by up to a gap, metres."""
+    def near(
+        self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray, gap: float = 0.0, aside: float = 0.0
+    ) -> list[int]:
+        """Those of other objects whose boxes an object's box meets when it is lowered or shifted aside by up to so much, metres."""
         low, high = self.box(k, pose)
-        low = low - (0.0, 0.0, gap)
+        low, high = low - np.array([aside, aside, gap]), high + np.array([aside, aside, 0.0])
         boxes = [self.box(j, poses[j]) for j in others]
         return [j for j, (a, b) in zip(others, boxes, strict=True) if (low <= b).all() and (high >= a).all()]
 
     def cross(self, i: int, pose: FloatArray, j: int, other: FloatArray) -> bool:
         """Do two meshes touch?"""
-        return MeshPair(self._surface(i, pose), self._surface(j, other), 0.0).cross()
+        return MeshPair(self.surface(i, pose), self.surface(j, other), 0.0).cross()
 
     def penetrates(self, i: int, pose: FloatArray, j: int, other: FloatArray) -> bool:
         """Are two meshes deeper in each other than the tolerance, as the audit judges it?"""
@@ -93,7 +106,7 @@ class Meshes:
         within = ((low >= other_low - NEAR).all() and (high <= other_high + NEAR).all()) or (
             (other_low >= low - NEAR).all() and (other_high <= high + NEAR).all()
         )
-        one, two = self._surface(i, pose), self._surface(j, other)
+        one, two = self.surface(i, pose), self.surface(j, other)
         pair = MeshPair(one, two, NEAR)
         contact = pair.contact()
         if contact is None:
@@ -108,29 +121,52 @@ class Meshes:
     def rests(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> list[int]:
         """Which of other objects carry an object at a pose, as the audit judges it."""
         near = self.near(k, pose, others, poses, NEAR)
-        surface = self._surface(k, pose) if near else None
-        return [j for j in near if surface is not None and carries(MeshPair(surface, self._surface(j, poses[j]), NEAR), NEAR)]
+        surface = self.surface(k, pose) if near else None
+        return [j for j in near if surface is not None and carries(MeshPair(surface, self.surface(j, poses[j]), NEAR), NEAR)]
 
-    def beyond_support(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> float:
-        """How far an object's centre of mass is outside the hull of the points that carry it, seen from above, metres.
-
-        A little lowered it touches in those points; on the table they are its lowest vertices.
-        """
-        shape = self.shapes[k]
-        posed = shape.posed(pose)
-        points = [posed[posed[:, 2] <= _REACH, :2]]
-        moving = self._body(k, pose - (0.0, 0.0, _REACH, 0.0))
+    def bearing(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> FloatArray:
+        """Points that carry an object, (C, 3) metres: where it touches others a little lowered, and its lowest vertices on the table."""
+        posed = self.shapes[k].posed(pose)
+        points = [posed[posed[:, 2] <= _REACH]]
+        moving = self._body(k, pose - (0.0, 0.0, _REACH, 0.0)) if others else None
         request = fcl.CollisionRequest(num_max_contacts=_MOST_CONTACTS, enable_contact=True)
         for j in others:
             result = fcl.CollisionResult()
             if fcl.collide(moving, self._body(j, poses[j]), request, result):
-                points.append(np.array([c.pos[:2] for c in result.contacts]))
-        found = np.concatenate(points)
-        if not len(found):
-            return float("inf")
-        c, s = np.cos(pose[3]), np.sin(pose[3])
-        middle = np.array([[c, -s], [s, c]]) @ _centre_of_mass(shape)[:2] + pose[:2]
-        return float(shapely.distance(shapely.Point(middle), shapely.convex_hull(shapely.MultiPoint(found))))
+                pairs = np.array([(c.b1, c.b2) for c in result.contacts])
+                upper = (posed - (0.0, 0.0, _REACH))[self.shapes[k].faces[pairs[:, 0]]]
+                lower = self.shapes[j].posed(poses[j])[self.shapes[j].faces[pairs[:, 1]]]
+                points.append(_crossings(upper, lower))
+        return np.concatenate(points)
+
+    def is_free(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> bool:
+        """Does an object at a pose (4,) touch none of others?"""
+        near = self.near(k, pose, others, poses)
+        moving = self._body(k, pose) if near else None
+        return not any(self._bodies_cross(moving, self._body(j, poses[j])) for j in near)
+
+    def slid(
+        self, k: int, pose: FloatArray, way: FloatArray, others: Sequence[int], poses: FloatArray, at_most: float
+    ) -> FloatArray:
+        """The pose at which an object that is slid a way (2,) along the table meets something, or has gone so far, metres."""
+        near = [self._body(j, poses[j]) for j in others]
+        moving, there = self._body(k, pose), np.array(pose[:3])
+
+        def touches(distance: float) -> bool:
+            there[:2] = pose[:2] + distance * way
+            moving.setTranslation(there)
+            return any(self._bodies_cross(moving, other) for other in near)
+
+        gone = 0.0
+        while gone < at_most and not touches(gone + _STEP):
+            gone += _STEP
+        until = gone + _STEP
+        while until - gone > _FINE:
+            middle = (gone + until) / 2
+            gone, until = (gone, middle) if touches(middle) else (middle, until)
+        slid = np.array(pose)
+        slid[:2] += max(0.0, gone - _AIR) * way
+        return slid
 
     def lowered(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> float:
         """Height of an object's centre when it comes down from above until it is just clear of what is below, metres.
@@ -148,14 +184,14 @@ class Meshes:
         for j in others:
             other_low, other_high = self.box(j, poses[j])
             if (low[:2] <= other_high[:2]).all() and (high[:2] >= other_low[:2]).all():
-                below.append(self._body(j, poses[j]))
+                below.append((float(other_high[2]) + floor, self._body(j, poses[j])))
                 highest = max(highest, float(other_high[2]) + floor + _AIR)
         moving, there = self._body(k, pose), np.array(pose[:3])
 
         def touches(z: float) -> bool:
             there[2] = z
             moving.setTranslation(there)
-            return any(self._bodies_cross(moving, other) for other in below)
+            return any(z <= top and self._bodies_cross(moving, other) for top, other in below)
 
         z = highest
         while touches(z):  # it started inside something: from farther up
@@ -179,7 +215,8 @@ class Meshes:
     def _bodies_cross(one: fcl.CollisionObject, other: fcl.CollisionObject) -> bool:
         return bool(fcl.collide(one, other, _ANY, fcl.CollisionResult()) > 0)
 
-    def _surface(self, k: int, pose: FloatArray) -> Surface:
+    def surface(self, k: int, pose: FloatArray) -> Surface:
+        """Triangles of an object at a pose."""
         key = (k, pose.tobytes())
         if key not in self._surfaces:
             if len(self._surfaces) > 4 * len(self.shapes):

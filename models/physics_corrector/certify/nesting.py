@@ -6,6 +6,7 @@ import numpy as np
 import shapely
 from shapely.ops import nearest_points
 
+from models.physics_corrector.certify.balance import FALLS, STEADY, centre_of_mass, stands_alone, steadiness
 from models.physics_corrector.certify.carriers import Carried, beyond
 from models.physics_corrector.certify.contact import Meshes
 from stable_data.metrics.collision import TOLERANCE
@@ -24,8 +25,18 @@ _AROUND = 8
 _SHARES = (0.25, 0.5, 0.75, 1.0)  # and so far towards the carrier's middle
 _TURNS = (0.0, np.pi / 2, np.pi / 4, -np.pi / 4)  # besides, turned
 _LIFT = 4e-3  # what comes to rest this much higher than it was may be wedged: a better place is looked for, metres
-_TOPPLES, _STEADY = 100.0, 2e-3  # how much a centre of mass beyond what carries it counts, and from where, metres
-_ENOUGH = 16  # among so many
+_TOPPLES = 100.0  # what it costs that a thing may not stay, metres
+_CLIMB = 3.0  # how much rising counts beside moving aside
+_ENOUGH, _MANY = 12, 60  # among so many where it stays in one of them; and where it does not
+_STEPS, _MOST_STEPS, _SLOPE = (
+    (8e-3, 3e-3, 1e-3),
+    6,
+    0.2,
+)  # of what slides down, metres; so many of each; and how steep it is then
+_WAYS = np.array([[np.cos(a), np.sin(a)] for a in 2 * np.pi * np.arange(6) / 6])
+_LEANS = tuple(np.radians((0, 20, -20, 45, -45, 90, -90, 135, -135, 180)))  # turns of what leans
+_BACK, _BESIDE = (0.2, 0.0), (0.0, 0.15, -0.15)  # where its foot is put, shares of its carrier's width
+_FOOT, _HIGHER = 1e-3, 0.03  # height of its foot; and how much higher than it was it may come down, metres
 _MOST = 60  # places that are tried at each turn
 
 
@@ -43,7 +54,7 @@ def is_at_rest(meshes: Meshes, poses: FloatArray, k: int, pose: FloatArray, othe
 def resting_pose(
     meshes: Meshes, poses: FloatArray, k: int, carried: Carried, done: Sequence[int], waiting: Sequence[int] = ()
 ) -> FloatArray | None:
-    """A pose at which an object rests in or on what carries it, near to where it is.
+    """A pose at which an object rests in or on what carries it and stays there, near to where it is.
 
     Args:
         meshes: The objects.
@@ -56,28 +67,108 @@ def resting_pose(
     Returns:
         The pose, (4,), or None where none was found.
     """
-    if _is_carried(meshes, poses, k, poses[k], carried) and is_at_rest(meshes, poses, k, poses[k], [*done, *waiting]):
+    everyone = [*done, *waiting]
+    is_well = _is_carried(meshes, poses, k, poses[k], carried) and is_at_rest(meshes, poses, k, poses[k], everyone)
+    if is_well and steadiness(meshes, k, poses[k], everyone, poses) >= STEADY:
         return np.array(poses[k])
     best: FloatArray | None = None
     least = np.inf
-    for number, there in enumerate(_candidates(meshes, poses, k, carried)):
-        if best is not None and number > _ENOUGH:
+    for number, there in enumerate(_lowered(meshes, poses, k, carried, done)):
+        if best is not None and (number > _MANY or (number > _ENOUGH and least < _TOPPLES)):
             break
-        there[2] = meshes.lowered(k, there, done, poses)
         if not _is_carried(meshes, poses, k, there, carried):
             continue
+        rise = max(0.0, float(there[2] - poses[k, 2]))
+        cost = float(np.linalg.norm(there[:2] - poses[k, :2])) + _CLIMB * rise
+        if cost >= least:
+            continue
         # What would topple or roll costs so much that any place at which it stays is better.
-        cost = float(np.linalg.norm(there[:2] - poses[k, :2]) + max(0.0, there[2] - poses[k, 2]))
-        cost += _TOPPLES * min(1.0, max(0.0, meshes.beyond_support(k, there, done, poses) - _STEADY))
+        steady = steadiness(meshes, k, there, done, poses)
+        cost += _TOPPLES * ((steady < STEADY) + (steady < FALLS))
         if cost >= least:
             continue
         if not carried.is_in and carried.parent not in meshes.rests(k, there, [carried.parent], poses):
             continue
         if is_at_rest(meshes, poses, k, there, done):
             best, least = there, cost
-            if cost < _TOPPLES * _STEADY and there[2] <= poses[k, 2] + _LIFT:
+            if cost < _TOPPLES and rise <= _LIFT:
                 break
-    return best
+    if best is None or least < 2 * _TOPPLES or not stands_alone(meshes.shapes[k]):
+        return best
+    # It stands better on the table, but what is deep in a container may roll there and yet stays in it.
+    top = meshes.box(carried.parent, poses[carried.parent])[1][2]
+    return best if carried.is_in and best[2] < top else None
+
+
+def _lowered(meshes: Meshes, poses: FloatArray, k: int, carried: Carried, done: Sequence[int]) -> Iterator[FloatArray]:
+    """Poses to which an object comes down, those that turn and move it least first."""
+    if not stands_alone(meshes.shapes[k]):
+        yield from _leaning(meshes, poses, k, carried, done)
+
+    def down(pose: FloatArray) -> FloatArray:
+        return np.array([pose[0], pose[1], meshes.lowered(k, pose, done, poses), pose[3]])
+
+    start, middle = _start_and_middle(meshes, poses, k, carried)
+    first = down(np.array([*start, *poses[k, 2:]]))
+    yield first
+    # It slides to where it lies lower, as it would by itself.
+    turns = (0.0, *_aligning(poses[k, 3] - poses[carried.parent, 3]))
+    for turn in turns:
+        yield _sunk(meshes, poses, k, np.array([*first[:3], first[3] + turn]), done)
+    for turn in turns:
+        yield _sunk(meshes, poses, k, np.array([*middle, poses[k, 2], poses[k, 3] + turn]), done)
+    for there in _candidates(meshes, poses, k, carried):
+        yield down(there)
+
+
+def _aligning(yaw: float) -> Sequence[float]:
+    """The least turn after which two things whose yaws differ by so much are parallel or at right angles, where they are not."""
+    turn = -float((yaw + np.pi / 4) % (np.pi / 2) - np.pi / 4)
+    return (turn,) if abs(turn) > 1e-3 else ()
+
+
+def _sunk(meshes: Meshes, poses: FloatArray, k: int, pose: FloatArray, done: Sequence[int]) -> FloatArray:
+    """Where an object slides to from a pose without turning, steeper than friction would hold it."""
+    there = np.array([pose[0], pose[1], meshes.lowered(k, pose, done, poses), pose[3]])
+    floor = float(meshes.shapes[k].size[2]) / 2
+    for step in _STEPS:
+        for _ in range(_MOST_STEPS):
+            moved = there + np.column_stack([step * _WAYS, np.full(len(_WAYS), -_SLOPE * step), np.zeros(len(_WAYS))])
+            free = [m for m in moved if m[2] > floor and meshes.is_free(k, m, done, poses)]
+            lower = [np.array([m[0], m[1], meshes.lowered(k, m, done, poses), m[3]]) for m in free]
+            lower = [m for m in lower if m[2] < there[2] - _SLOPE * step]  # others come from above onto a rim
+            if not lower:
+                break
+            there = min(lower, key=lambda m: float(m[2]))
+    return there
+
+
+def _leaning(meshes: Meshes, poses: FloatArray, k: int, carried: Carried, done: Sequence[int]) -> Iterator[FloatArray]:
+    """Poses at which what cannot stand leans: put down in its carrier, then slid the way it would tip, until it meets something."""
+    start, middle = _start_and_middle(meshes, poses, k, carried)
+    width = float(np.ptp(meshes.shapes[carried.parent].footprint, axis=0).min())
+    shape = meshes.shapes[k]
+    foot = shape.vertices[shape.vertices[:, 2] <= -shape.size[2] / 2 + _FOOT, :2].mean(axis=0)
+    tips = centre_of_mass(shape)[:2] - foot
+    tips /= max(1e-9, float(np.linalg.norm(tips)))
+    aside = np.array([-tips[1], tips[0]])
+    for turn in _LEANS:
+        yaw = float(poses[k, 3]) + turn
+        c, s = np.cos(yaw), np.sin(yaw)
+        rotation = np.array([[c, -s], [s, c]])
+        way, across = rotation @ tips, rotation @ aside
+        # Its foot on the far side of the middle, a little beside it where that is taken.
+        bases = [start] if not turn else []
+        bases += [middle - rotation @ foot - b * width * way + a * width * across for b in _BACK for a in _BESIDE]
+        for base in bases:
+            pose = np.array([*base, poses[k, 2], yaw])
+            pose[2] = meshes.lowered(k, pose, done, poses)
+            if pose[2] > poses[k, 2] + _HIGHER:
+                continue
+            for _ in range(2):
+                pose = meshes.slid(k, pose, way, done, poses, width)
+                pose[2] = meshes.lowered(k, pose, done, poses)
+            yield pose
 
 
 def _is_carried(meshes: Meshes, poses: FloatArray, k: int, pose: FloatArray, carried: Carried) -> bool:
@@ -93,16 +184,25 @@ def _is_carried(meshes: Meshes, poses: FloatArray, k: int, pose: FloatArray, car
     return outside <= 0.0
 
 
-def _candidates(meshes: Meshes, poses: FloatArray, k: int, carried: Carried) -> Iterator[FloatArray]:
-    """Poses from which an object is lowered, those that turn and move it least first."""
-    p, pose = carried.parent, poses[k].copy()
+def _region(meshes: Meshes, poses: FloatArray, p: int) -> shapely.Polygon:
+    """Where over a carrier the centre of what it carries is wanted."""
     outline = shapely.Polygon(meshes.shapes[p].posed_footprint(poses[p]))
     inner = (outline.buffer(-inset) for inset in _INSETS)
-    region = next(r for r in (*inner, outline.envelope) if not r.is_empty)
-    start = pose[:2].copy()
+    return next(r for r in (*inner, outline.envelope) if not r.is_empty)
+
+
+def _start_and_middle(meshes: Meshes, poses: FloatArray, k: int, carried: Carried) -> tuple[FloatArray, FloatArray]:
+    """The place over its carrier that is nearest to an object, and the carrier's middle, two (2,), metres."""
+    region, start = _region(meshes, poses, carried.parent), poses[k, :2].copy()
     if not shapely.contains_xy(region, *start):
         start = shapely.get_coordinates(nearest_points(region, shapely.Point(start))[0])[0]
-    middle = np.array([region.centroid.x, region.centroid.y])
+    return start, np.array([region.centroid.x, region.centroid.y])
+
+
+def _candidates(meshes: Meshes, poses: FloatArray, k: int, carried: Carried) -> Iterator[FloatArray]:
+    """Poses from which an object is lowered, those that turn and move it least first."""
+    pose, region = poses[k].copy(), _region(meshes, poses, carried.parent)
+    start, middle = _start_and_middle(meshes, poses, k, carried)
     angles = 2 * np.pi * np.arange(_AROUND) / _AROUND
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     places = np.concatenate(
