@@ -50,3 +50,10 @@ def test_dropped_objects_are_left_out() -> None:
     assert found.on_in_held == 0
     assert found.on_in_share is None
     assert found.directional_share == 1
+
+
+def test_what_is_on_a_thing_through_another_one_is_kept() -> None:
+    piled = replace(SCENE, objects=(SCENE["a"], SCENE["b"], block("c", 0.3, 0.3, 0.2)))
+    swapped = replace(SCENE, objects=(SCENE["a"], block("b", 0.3, 0.3, 0.2), block("c", 0.3, 0.3, 0.1)))
+    found = relations_kept(piled, swapped, [cube()] * 3)
+    assert (found.on_in_held, found.on_in_kept) == (2, 1)  # b is on a still, through c; c is on b no more
