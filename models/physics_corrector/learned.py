@@ -45,7 +45,7 @@ class LearnedFlow:
         self._encoder = encoder if checkpoint.settings.network.num_features else None
         self._codes: WeakKeyDictionary[Shape, npt.NDArray[np.float32]] = WeakKeyDictionary()
         if checkpoint.settings.network.num_features:
-            trained_on = checkpoint.notes.get("encoder", "")
+            trained_on = checkpoint.notes.get("encoder_fingerprint", "")
             found = "none" if encoder is None else encoder.fingerprint()
             if found != trained_on:
                 raise ConfigError(

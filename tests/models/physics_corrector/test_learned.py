@@ -33,7 +33,7 @@ def weights(encoder: PointEncoder, tmp_path: Path) -> Path:
     settings = small_settings("set_transformer")
     settings = replace(settings, network=replace(settings.network, num_features=64))
     path = tmp_path / "physics_corrector.safetensors"
-    save_corrector(path, settings, awake_network(settings).state_dict(), {"encoder": encoder.fingerprint()})
+    save_corrector(path, settings, awake_network(settings).state_dict(), {"encoder_fingerprint": encoder.fingerprint()})
     save_encoder(encoder, path.with_name("point_encoder.safetensors"))
     return path
 
