@@ -3,23 +3,16 @@
 Colliders are the convex parts of the objects; the table is a box whose top is z = 0. World frame, metres, kilograms, seconds.
 """
 
-import ctypes.util
-import os
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 
+from stable_data.engine import mujoco
 from stable_data.errors import MeshError
 from stable_data.mesh import Mesh
 from stable_data.scene import TABLE, FloatArray, Tabletop, Vec3
-
-if sys.platform == "linux" and ctypes.util.find_library("EGL"):
-    os.environ.setdefault("MUJOCO_GL", "egl")  # read once, at the first import of mujoco, whichever module does it
-
-import mujoco
 
 MOVE_LIMIT = 0.010
 """A scene is stable when nothing moved farther than this in all, metres."""

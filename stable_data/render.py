@@ -4,27 +4,20 @@ The camera follows the format's rule: it looks at the middle of what is there (o
 36 mm sensor, from 1.5 times the largest dimension away.
 """
 
-import ctypes.util
 import hashlib
-import os
-import sys
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Literal, TypeAlias
 
+import fast_simplification
 import numpy as np
 import numpy.typing as npt
+from PIL import Image, ImageDraw, ImageFilter, ImageFont
 
+from stable_data.engine import mujoco
 from stable_data.errors import ConfigError
 from stable_data.mesh import Mesh
 from stable_data.scene import FloatArray, Scene, SceneObject, Tabletop, Vec3
-
-if sys.platform == "linux" and ctypes.util.find_library("EGL"):
-    os.environ.setdefault("MUJOCO_GL", "egl")  # read once, at the first import of mujoco, whichever module does it
-
-import fast_simplification
-import mujoco
-from PIL import Image, ImageDraw, ImageFilter, ImageFont
 
 Picture: TypeAlias = npt.NDArray[np.uint8]
 """(H, W, 3) uint8, red, green, blue."""

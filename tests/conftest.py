@@ -1,6 +1,9 @@
 """What every test may ask for."""
 
+import os
 from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported: two threads on a busy machine wait for each other
 
 import numpy as np
 import pytest

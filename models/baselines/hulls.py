@@ -7,11 +7,11 @@ convex set that their Minkowski difference is. ``projection`` rests on that.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import ConvexHull, QhullError
 
+from stable_data.engine import mujoco
 from stable_data.errors import MeshError
 from stable_data.scene import FloatArray, IntArray, Tabletop
 
