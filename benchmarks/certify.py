@@ -13,19 +13,19 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import mean, median
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
 from tqdm import tqdm
 
 from benchmarks.audit import readable_scenes
+from benchmarks.layouts import read_layouts
 from models.physics_corrector.certify import Status, certify
 from stable_data.assets import AssetStore
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.kept import RelationsKept, relations_kept
-from stable_data.scene import Scene, SceneObject, Tabletop
-from stable_data.shape import Shape
+from stable_data.scene import Scene
 
 _SHIFT, _TURN = 0.02, 0.1  # standard deviations of the noise, metres and radians
 
@@ -109,32 +109,21 @@ def run(root: Path, layouts: Path | None = None, num_scenes: int | None = None) 
     store = AssetStore(dataset, max_bytes=2**31)
     scenes = [(_shifted(scene), "shifted") for scene in itertools.islice(readable_scenes(dataset), num_scenes)]
     if layouts is not None:
-        rows = [json.loads(line) for line in layouts.read_text("utf-8").splitlines()]
-        step = max(1, len(rows) // num_scenes) if num_scenes else 1
-        scenes += [(_start(store, row), row["bucket"]) for row in rows[::step]]
+        every = list(read_layouts(layouts, store))
+        step = max(1, len(every) // num_scenes) if num_scenes else 1
+        scenes += [(_bare(layout.start), layout.bucket) for layout in every[::step]]
     return CertifyBenchmark(tuple(_correct(store, scene, bucket) for scene, bucket in tqdm(scenes)))
 
 
-def _start(store: AssetStore, row: dict[str, Any]) -> Scene:
-    """The start layout of a row; sizes are those of the meshes."""
-    objects = []
-    for o in row["objects"]:
-        x, y, z, w = np.divide(o["base_quat_xyzw"], np.linalg.norm(o["base_quat_xyzw"])).tolist()
-        sx, sy, sz = (s / 100 for s in o["scale_factor"])
-        shape = Shape.from_mesh(store.asset(o["uid"]).mesh, (sx, sy, sz), (x, y, z, w))
-        kind, (wide, deep, high) = o["instance"].rpartition("_")[0] or o["instance"], shape.size.tolist()
-        position, yaw = tuple(o["start"]["position_m"]), o["start"]["yaw"]
-        objects.append(
-            SceneObject(o["instance"], kind, position, yaw, (wide, deep, high), o["uid"], (sx, sy, sz), (x, y, z, w))
-        )
-    return Scene(row["id"], Tabletop("table", tuple(row["table"]["size_xy_m"])), tuple(objects))
+def _bare(scene: Scene) -> Scene:
+    """A layout without what it means: its relations and what carries what are for `certify` to see."""
+    return replace(scene, relations=(), objects=tuple(replace(o, support=None) for o in scene.objects))
 
 
 def _shifted(scene: Scene) -> Scene:
     rng = np.random.default_rng(len(scene.objects))
     noise = rng.normal(0.0, (_SHIFT, _SHIFT, 0.0, _TURN), (len(scene.objects), 4))
-    poses = (scene.poses() + noise).tolist()
-    return replace(scene, objects=tuple(o.moved((x, y, z), a) for o, (x, y, z, a) in zip(scene.objects, poses, strict=True)))
+    return scene.with_poses(scene.poses() + noise)
 
 
 def _correct(store: AssetStore, scene: Scene, bucket: str) -> Correction:

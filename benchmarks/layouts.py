@@ -135,8 +135,7 @@ def shaken(scene: Scene, noise: float, rng: np.random.Generator) -> Scene:
     deviation = (noise, noise, 0.0, _TURN * noise)
     poses: FloatArray = scene.poses() + rng.normal(0.0, deviation, (len(scene.objects), 4))
     poses[:, :2] = np.clip(poses[:, :2], 0.0, scene.table.size_xy)
-    moved = (o.moved(_vec3(pose[:3]), float(pose[3])) for o, pose in zip(scene.objects, poses, strict=True))
-    return replace(scene, objects=tuple(moved))
+    return scene.with_poses(poses)
 
 
 def bucket_of(count: int) -> str:

@@ -22,7 +22,7 @@ import typer
 
 from benchmarks.correction import chosen_layouts, run, table
 from models.baselines.hulls import solid_hull, table_box
-from models.baselines.outcome import Method, Outcome, with_poses
+from models.baselines.outcome import Method, Outcome
 from models.baselines.steerable import Steerable, turned_parts
 from stable_data.assets import AssetStore
 from stable_data.errors import MeshError, StableDataError
@@ -66,7 +66,7 @@ class SteerableInDrake:
         positions, is_solved, status = self._solved(problem)
         seconds = time.process_time() - begin
         poses[:, :3] = positions
-        return Outcome(with_poses(scene, poses), is_solved, seconds, "" if is_solved else f"SNOPT: status {status}")
+        return Outcome(scene.with_poses(poses), is_solved, seconds, "" if is_solved else f"SNOPT: status {status}")
 
     def _problem(self, bodies: Sequence[Sequence[FloatArray]], positions: FloatArray, scene: Scene) -> "_Problem":
         from pydrake.geometry import Box, Convex

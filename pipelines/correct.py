@@ -371,12 +371,14 @@ def _carry(source: SceneSource, folder: RunFolder) -> list[str]:
     carried = []
     if isinstance(source, TableSource):
         for table in CARRIED_TABLES:
-            for path in source.folder.files(table):
-                name = f"{table}/{Path(path).name}"
-                if folder.read_bytes(name) is None and (content := source.folder.read_bytes(name)) is not None:
-                    folder.write_bytes(name, content)
-                carried.append(table)
-    return list(dict.fromkeys(carried))
+            files, there = ({Path(path).name for path in run.files(table)} for run in (source.folder, folder))
+            # The first file of a shard, which has no number, last: where it exists, the others do.
+            for file in sorted(files - there, key=lambda name: (-name.count("-"), name)):
+                content = source.folder.read_bytes(f"{table}/{file}")
+                assert content is not None  # it was just listed
+                folder.write_bytes(f"{table}/{file}", content)
+            carried += [table] if files else []
+    return carried
 
 
 def _add(rows: dict[str, list[tables.Row]], new: Mapping[str, Sequence[tables.Row]]) -> None:

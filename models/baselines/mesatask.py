@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.baselines.hulls import ConvexBodies
-from models.baselines.outcome import Outcome, with_poses
+from models.baselines.outcome import Outcome
 from models.baselines.projection import Freedom, ProjectionSettings, project
 from models.baselines.steerable import turned_parts
 from stable_data.assets import AssetStore
@@ -80,7 +80,7 @@ class MesaTask:
         poses[:, :3] = positions
         left = self._count(bodies, positions, self.gap - self.tolerance)
         reason = f"{left} pairs are nearer than {100 * self.gap:g} cm" if left else ""
-        return Outcome(with_poses(scene, poses), not left, seconds, reason)
+        return Outcome(scene.with_poses(poses), not left, seconds, reason)
 
     def _rounds(self, bodies: ConvexBodies, positions: FloatArray, scene: Scene) -> FloatArray:
         settings = ProjectionSettings(self.gap, self.influence, self.tolerance, self.max_iterations)

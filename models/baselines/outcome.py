@@ -1,11 +1,11 @@
 """What every baseline takes and gives."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 from stable_data.assets import AssetStore
-from stable_data.scene import FloatArray, Scene
+from stable_data.scene import Scene
 from stable_data.shape import Shape
 
 
@@ -42,9 +42,3 @@ class Method(Protocol):
             things tip over: ask the store for its shapes again.
         """
         ...
-
-
-def with_poses(scene: Scene, poses: FloatArray) -> Scene:
-    """A scene with other poses (N, 4): x, y, z in metres and yaw in radians."""
-    rows = poses.tolist()
-    return replace(scene, objects=tuple(o.moved((x, y, z), yaw) for o, (x, y, z, yaw) in zip(scene.objects, rows, strict=True)))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from models.baselines.outcome import Outcome, with_poses
+from models.baselines.outcome import Outcome
 from models.physics_corrector.batch import SceneBatch
 from models.physics_corrector.closest import Queries, posed_distance
 from models.physics_corrector.geometry import Geometry, ShapeTable
@@ -55,7 +55,7 @@ class PenaltyDescent:
         depth = float(depths(end, batch, geometry).amax())
         seconds = time.process_time() - begin
         reason = "" if depth <= self.tolerance else f"a sample remains {1e3 * depth:.2f} mm deep"
-        return Outcome(with_poses(scene, end[0].numpy()), not reason, seconds, reason)
+        return Outcome(scene.with_poses(end[0].numpy()), not reason, seconds, reason)
 
     def _descended(self, start: Tensor, batch: SceneBatch, geometry: Geometry) -> Tensor:
         """Poses (1, N, 4) after all steps."""

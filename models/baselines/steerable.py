@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.baselines.hulls import ConvexBodies, table_box
-from models.baselines.outcome import Outcome, with_poses
+from models.baselines.outcome import Outcome
 from models.baselines.projection import Freedom, ProjectionSettings, project
 from stable_data.assets import AssetStore
 from stable_data.colliders import parts_of
@@ -63,7 +63,7 @@ class Steerable:
         found = project(bodies, start, Freedom(is_free, -anywhere, anywhere), settings)
         seconds = time.process_time() - begin
         poses[:, :3] = found.positions[:-1]
-        return Outcome(with_poses(scene, poses), found.converged, seconds, found.reason)
+        return Outcome(scene.with_poses(poses), found.converged, seconds, found.reason)
 
 
 def turned_parts(

@@ -72,7 +72,7 @@ class PhysicsCorrector:
     def correct(
         self, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed] | None = None
     ) -> list[Correction]:
-        """Corrects scenes; each comes out as it would alone.
+        """Corrects scenes; each comes out as it would alone, but for the rounding of the flow's batch.
 
         Args:
             scenes: Positions at the centres of the boxes (``AssetStore.resolved``); with stages where task objects are known.
