@@ -4,7 +4,7 @@ from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 
 from stable_data.metrics.audit import PosedScene
-from stable_data.metrics.collision import TOLERANCE
+from stable_data.metrics.collision import ROUNDING, TOLERANCE
 from stable_data.relations import relations_of, scene_graph
 from stable_data.scene import TABLE, Relation, RelationKind, Scene
 from stable_data.shape import Shape
@@ -21,6 +21,8 @@ _AXES = {
 @dataclass(frozen=True, slots=True)
 class RelationsKept:
     """Counts of relations before and after a correction. Those of objects that were dropped are left out.
+
+    What is stuck in a thing, deeper than the audit lets pass, is not on or in it: nothing could keep it there.
 
     Attributes:
         on_in_held: ``on`` and ``in`` another object: how many held before.
@@ -90,7 +92,20 @@ def _relations(scene: Scene, shapes: Sequence[Shape]) -> Set[Relation]:
     posed = PosedScene(scene, shapes)
     contacts = {name: posed.supports(k, TOLERANCE) or () for k, name in enumerate(posed.instances)}
     footprints = {o.instance: s.posed_footprint(p) for o, s, p in zip(scene.objects, shapes, scene.poses(), strict=True)}
-    return set(relations_of(scene_graph(scene, contacts, footprints)))
+    number = {name: k for k, name in enumerate(posed.instances)}
+    found = relations_of(scene_graph(scene, contacts, footprints))
+    return {
+        r
+        for r in found
+        if r.kind not in _ON_IN or r.target == TABLE or not _is_stuck(posed, number[r.subject], number[r.target])
+    }
+
+
+def _is_stuck(posed: PosedScene, one: int, other: int) -> bool:
+    """Is one of two objects deeper in the other than the audit lets pass? Of boxes that stand in nobody can say."""
+    if not (posed.shapes[one].is_exact and posed.shapes[other].is_exact):
+        return False
+    return posed.penetration(min(one, other), max(one, other)) > TOLERANCE + ROUNDING
 
 
 def _is_held(on_in: Set[Relation], relation: Relation) -> bool:

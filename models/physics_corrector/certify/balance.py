@@ -15,7 +15,6 @@ import shapely
 
 from models.physics_corrector.certify.contact import Meshes
 from stable_data.mesh import unit_normals
-from stable_data.metrics.crossing import near_triangles
 from stable_data.scene import FloatArray, IntArray
 from stable_data.shape import Shape
 
@@ -103,16 +102,14 @@ def _leaning(
     meshes: Meshes, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Where an object nearly touches others or the table, (C, 3) metres, and the way it is pushed there, (C, 3) unit."""
-    own = meshes.surface(k, pose)
-    posed = meshes.shapes[k].posed(pose)
+    shape, posed = meshes.shapes[k], meshes.shapes[k].posed(pose)
     low = posed[posed[:, 2] <= _TOUCH]
     points, normals = [low], [np.tile([0.0, 0.0, 1.0], (len(low), 1))]
     for j in others:
-        other = meshes.surface(j, poses[j])
-        mine, theirs = near_triangles(own, other, _TOUCH)
+        mine, theirs = meshes.touching(k, pose, j, poses[j], _TOUCH)
         if not len(mine):
             continue
-        one, two = own.triangles[mine], other.triangles[theirs]
+        one, two = posed[shape.faces[mine]], meshes.shapes[j].posed(poses[j])[meshes.shapes[j].faces[theirs]]
         for corners, faces, sign in ((one, two, 1.0), (two, one, -1.0)):
             there, ways = _nearest(corners, faces)
             points.append(there)

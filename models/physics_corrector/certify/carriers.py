@@ -1,8 +1,8 @@
 """What carries or holds what in a layout: what a correction keeps together.
 
 A layout that is to be corrected need not be at rest: contents stick in walls, and what stood on a plate has slid off half of it.
-What carries an object that is above the table is therefore what it touches from above or is nearly over, in this order: what
-the scene's own relations say, the container that its bottom is in, what is right below.
+What carries an object that is above the table is therefore, in this order: what the scene's own relations say; what it rests on as
+it is; of all that it touches from above, is in, or is nearly over, what it comes to rest on with the least change of height.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,6 +35,13 @@ _FITS = 0.8  # share of an object's outline that is over its container's
 _SUNKEN, _HALF = 0.015, 0.5  # what touches another is on it where its bottom is at most this far below its top, metres or share
 _TORN = 0.06  # what cannot stand alone belongs into a container that is so near, metres
 _GAP = 1e-2  # what is so close below an object without contact counts as carrying it, metres
+_DOWN = 0.01  # what it costs to take what is on or in another thing for standing on the table, metres
+_LYING = 0.03  # likewise of what does not stand there by itself
+_WIDE = 0.05  # what it costs that a carrier is so wide: of two containers around a thing the smaller one is the likelier
+_TOWARDS, _ASIDE = (
+    (0.0, 0.5, 1.0),
+    0.2,
+)  # where it is tried to come down, shares of the way to the middle; and what going there costs
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,8 +149,8 @@ def wanted_carriers(scene: Scene) -> Mapping[int, Carried]:
     return found
 
 
-def carriers_of(meshes: Meshes, poses: FloatArray, wanted: Mapping[int, Carried]) -> list[Carried]:
-    """What carries each object, never a circle.
+def carriers_of(meshes: Meshes, poses: FloatArray, wanted: Mapping[int, Carried]) -> list[list[Carried]]:
+    """What may carry each object, the likeliest first. The first ones are never a circle.
 
     Args:
         meshes: The objects.
@@ -151,28 +158,44 @@ def carriers_of(meshes: Meshes, poses: FloatArray, wanted: Mapping[int, Carried]
         wanted: What is known to carry some of them.
     """
     boxes = [meshes.box(k, pose) for k, pose in enumerate(poses)]
-    found = dict(wanted)
+    first, found = dict(wanted), {k: [carried] for k, carried in wanted.items()}
     for k in sorted(range(len(poses)), key=lambda k: (float(boxes[k][0][2]), k)):
-        if k in found:
-            continue
-        low = float(boxes[k][0][2])
-        leans = not stands_alone(meshes.shapes[k])
-        if low <= TOLERANCE and not leans:
-            found[k] = Carried()
-            continue
-        options = [
-            option
-            for p in range(len(poses))
-            if p != k and k not in _above(found, p) and (option := _carried_by(meshes, poses, boxes, k, p)) is not None
-        ]
-        if not options and leans:
-            options = [
-                option
-                for p in range(len(poses))
-                if p != k and k not in _above(found, p) and (option := _leant_in(meshes, poses, boxes, k, p)) is not None
-            ]
-        found[k] = min(options, key=lambda option: option[0])[1] if options else Carried()
+        if k not in found:
+            others = [p for p in range(len(poses)) if p != k and k not in _above(first, p)]
+            found[k] = _ranked(meshes, poses, boxes, k, others)
+            first[k] = found[k][0]
     return [found[k] for k in range(len(poses))]
+
+
+def _ranked(
+    meshes: Meshes, poses: FloatArray, boxes: Sequence[tuple[FloatArray, FloatArray]], k: int, others: Sequence[int]
+) -> list[Carried]:
+    """What may carry an object, among others or the table, the likeliest first; at least the table."""
+    low, leans = float(boxes[k][0][2]), not stands_alone(meshes.shapes[k])
+    if low <= TOLERANCE and not leans:
+        return [Carried()]
+    found = [option for p in others if (option := _carried_by(meshes, poses, boxes, k, p)) is not None]
+    exact = sorted((float(meshes.shapes[p].size[:2].prod()), p) for p, (_, is_exact) in found if is_exact)
+    if exact:
+        return [next(carried for p, (carried, _) in found if p == exact[0][1])]
+    if not found and leans:
+        leant = [(near, p) for p in others if (near := _leant_in(meshes, poses, boxes, k, p)) is not None]
+        return [Carried(p, True) for _, p in sorted(leant)] or [Carried()]
+    ranked = [(_effort(meshes, poses, k, p), p, carried) for p, (carried, _) in found]
+    ranked.append((low + (_LYING if leans else _DOWN), TABLE_TOP, Carried()))
+    return [carried for _, _, carried in sorted(ranked, key=lambda option: option[:2])]
+
+
+def _effort(meshes: Meshes, poses: FloatArray, k: int, p: int) -> float:
+    """How far an object would have to go to come down on another one, metres: noise leaves heights truer than places."""
+    outline = shapely.Polygon(meshes.shapes[p].posed_footprint(poses[p]))
+    here, middle = poses[k, :2], np.array([outline.centroid.x, outline.centroid.y])
+    least = np.inf
+    for share in _TOWARDS:
+        place = here + share * (middle - here)
+        height = meshes.lowered(k, np.array([*place, *poses[k, 2:]]), [p], poses)
+        least = min(least, abs(height - float(poses[k, 2])) + _ASIDE * float(np.linalg.norm(place - here)))
+    return least + _WIDE * float(np.sqrt(outline.area))
 
 
 def _carried_by(
@@ -181,8 +204,8 @@ def _carried_by(
     boxes: Sequence[tuple[FloatArray, FloatArray]],
     k: int,
     p: int,
-) -> tuple[tuple[float, ...], Carried] | None:
-    """How well one object could be what carries another, least is best; None where it could not."""
+) -> tuple[int, tuple[Carried, bool]] | None:
+    """How one object could carry another, and whether that rests on it as it is; None where it could not."""
     (low, high), (other_low, other_high) = boxes[k], boxes[p]
     if low[2] < other_low[2] - _SUNK or low[2] > other_high[2] + _GAP:
         return None
@@ -194,20 +217,19 @@ def _carried_by(
     if outside > slip:
         return None
     over, own = shapely.Polygon(outline), shapely.Polygon(meshes.shapes[k].posed_footprint(poses[k]))
-    depth, is_over, area = float(other_high[2] - low[2]), outside <= INSIDE_SLACK, float(over.area)
+    depth, is_over = float(other_high[2] - low[2]), outside <= INSIDE_SLACK
     is_within = is_over and depth > _RIM and is_hollow(meshes.shapes[p])
     fits = is_within and own.intersection(over).area >= _FITS * own.area
     touches = meshes.cross(k, poses[k] - (0.0, 0.0, _TOUCH, 0.0), p, poses[p])
-    collides = meshes.penetrates(k, poses[k], p, poses[p])
-    if touches and is_over and not collides:
-        return (0.0, area, float(p)), Carried(p, is_within)
+    if touches and is_over and not meshes.penetrates(k, poses[k], p, poses[p]):
+        return p, (Carried(p, is_within), True)
     if fits:
-        return (1.0, float(collides), area, float(p)), Carried(p, True)
+        return p, (Carried(p, True), False)
     touches = touches or meshes.cross(k, poses[k], p, poses[p])
     if touches and (is_within or depth <= max(_SUNKEN, _HALF * float(other_high[2] - other_low[2]))):
-        return (2.0, max(0.0, outside), area, float(p)), Carried(p, is_within)
+        return p, (Carried(p, is_within), False)
     if is_over and (is_within or depth <= _RIM):
-        return (3.0, abs(depth), float(p)), Carried(p, is_within)
+        return p, (Carried(p, is_within), False)
     return None
 
 
@@ -217,15 +239,15 @@ def _leant_in(
     boxes: Sequence[tuple[FloatArray, FloatArray]],
     k: int,
     p: int,
-) -> tuple[tuple[float, ...], Carried] | None:
-    """How near a container is that what cannot stand alone may have leant in, least is best; None where it is none."""
+) -> float | None:
+    """How near a container is that what cannot stand alone may have leant in, metres; None where it is none."""
     (low, _), (other_low, other_high) = boxes[k], boxes[p]
     if low[2] < other_low[2] - _SUNK or low[2] > other_high[2] - _RIM:
         return None
     outside = beyond(poses[k, :2], meshes.shapes[p].posed_footprint(poses[p]))
     if outside > _TORN or not is_hollow(meshes.shapes[p]):
         return None
-    return (outside, float(p)), Carried(p, True)
+    return outside
 
 
 def _above(found: Mapping[int, Carried], k: int) -> list[int]:

@@ -9,7 +9,7 @@ from models.physics_corrector.certify.carriers import TABLE_TOP, Carried, carrie
 from models.physics_corrector.certify.contact import Meshes
 from models.physics_corrector.certify.crowd import Crowd
 from models.physics_corrector.certify.layout import Layout
-from models.physics_corrector.certify.nesting import resting_pose
+from models.physics_corrector.certify.nesting import Rest, resting_pose
 from models.physics_corrector.certify.options import Certified, CertifyOptions, Dropped, Status
 from models.physics_corrector.certify.parting import part
 from models.physics_corrector.certify.standing import Standing, directional
@@ -61,6 +61,8 @@ class _Certifier:
         self.strict: set[frozenset[int]] = set()
         self.resettled: set[int] = set()
         self.shaky: set[int] = set()
+        self.others: list[list[Carried]] = []  # what else may carry each object, the likeliest first
+        self.restless: list[int] = []  # what has found no rest on what carried it
         self.reason = ""
 
     def certified(self) -> Certified:
@@ -69,9 +71,11 @@ class _Certifier:
         if not wanted and (audit := self._clean_as_it_is()) is not None:
             return self._concluded(self.scene, audit)
         original_poses = self.original.poses()
-        carried = carriers_of(self.meshes, original_poses, wanted)
+        choices = carriers_of(self.meshes, original_poses, wanted)
+        carried = [choice[0] for choice in choices]
+        self.others = [choice[1:] for choice in choices]
         if self.original is not self.scene:
-            now = carriers_of(self.meshes, self.scene.poses(), wanted)
+            now = [choice[0] for choice in carriers_of(self.meshes, self.scene.poses(), wanted)]
             carried = _without_circles([a if a.parent != TABLE_TOP else b for a, b in zip(carried, now, strict=True)])
         self.layout = Layout(self.scene, self.shapes, carried, self.options.fixed)
         orders = directional(self.layout, original_poses)
@@ -122,6 +126,8 @@ class _Certifier:
                 layout.stand(root)
         for root in list(layout.roots()):
             self._nest(root)
+        for k in self.restless:
+            self._nest_elsewhere(k)
 
     def _nest(self, root: int) -> None:
         """Brings all that a root carries to rest, from below; what finds no rest there stands on the table itself."""
@@ -132,23 +138,41 @@ class _Certifier:
             for c in sorted(layout.children(carrier), key=lambda c: (not layout.is_fixed[c], layout.low(c), c)):
                 own = set(layout.tree(c))
                 waiting = [m for m in layout.tree(root) if m not in own and m not in done]
-                pose = resting_pose(self.meshes, layout.poses, c, layout.carried[c], done, waiting)
+                rest = resting_pose(self.meshes, layout.poses, c, layout.carried[c], done, waiting)
                 if layout.is_fixed[c]:
-                    pose = layout.poses[c]
-                if pose is None:
+                    rest = Rest(layout.poses[c], True)
+                if rest is None or not rest.is_steady:
+                    self.restless.append(c)
+                if rest is None:
                     layout.stand(c)
                     self._nest(c)
                 else:
-                    layout.carry(c, pose)
+                    layout.carry(c, rest.pose)
                     done.append(c)
                     queue.append(c)
         stayed = [m for m in done[1:] if np.array_equal(layout.poses[m], was[m])]
         for c in stayed if len(stayed) < len(done) - 1 else ():  # it may have leant on what has moved away
             own = set(layout.tree(c))
             others = [m for m in done if m not in own]
-            pose = None if layout.is_fixed[c] else resting_pose(self.meshes, layout.poses, c, layout.carried[c], others)
-            if pose is not None:
-                layout.carry(c, pose)
+            rest = None if layout.is_fixed[c] else resting_pose(self.meshes, layout.poses, c, layout.carried[c], others)
+            if rest is not None:
+                layout.carry(c, rest.pose)
+
+    def _nest_elsewhere(self, k: int) -> None:
+        """Brings what has found no rest on what carries it, or would not stay there, to rest on what else may carry it."""
+        layout, own, was = self.layout, set(self.layout.tree(k)), self.layout.poses[k].copy()
+        is_carried = layout.carried[k].parent != TABLE_TOP
+        for carried in self.others[k]:
+            if carried.parent == TABLE_TOP or carried.parent in own:
+                continue
+            layout.carry(k, self.original.poses()[k])
+            there = [m for m in layout.tree(layout.root_of(carried.parent)) if m not in own]
+            rest = resting_pose(self.meshes, layout.poses, k, carried, there)
+            if rest is not None and (rest.is_steady or not is_carried):
+                layout.carried[k] = carried
+                layout.carry(k, rest.pose)
+                return
+            layout.carry(k, was)
 
     # --- the table
 
@@ -235,10 +259,10 @@ class _Certifier:
             self.resettled.add(k)
             own = set(layout.tree(k))
             others = [m for m in layout.tree(layout.root_of(k)) if m not in own and m not in self.shaky]
-            pose = resting_pose(self.meshes, layout.poses, k, layout.carried[k], others)
+            rest = resting_pose(self.meshes, layout.poses, k, layout.carried[k], others)
             self.shaky.discard(k)
-            if pose is not None and not np.array_equal(pose, layout.poses[k]):
-                layout.carry(k, pose)
+            if rest is not None and not np.array_equal(rest.pose, layout.poses[k]):
+                layout.carry(k, rest.pose)
                 return True
         was_standing = layout.carried[k].parent == TABLE_TOP and abs(layout.low(k)) <= _LEVEL
         layout.stand(k)

@@ -9,7 +9,7 @@ import numpy as np
 from stable_data.metrics.collision import DIRECTIONS, NEAR, nested
 from stable_data.metrics.crossing import MeshPair, Surface
 from stable_data.metrics.support import carries
-from stable_data.scene import FloatArray
+from stable_data.scene import FloatArray, IntArray
 from stable_data.shape import Shape
 
 _ANY = fcl.CollisionRequest()
@@ -17,6 +17,7 @@ _STEP = 5e-3  # how far a thing is lowered before the next look, metres
 _FINE = 2e-5  # to which a resting height is found, metres
 _REACH, _MOST_CONTACTS = 4e-4, 200  # how far what rests is lowered to see what carries it, metres, and in so many points
 _AIR = 4e-5  # left below what rests, metres
+_AROUND_AND_DOWN = np.array([*(d for d in DIRECTIONS if d[2] == 0), (0.0, 0.0, -1.0)])
 
 _trees: "WeakKeyDictionary[Shape, fcl.BVHModel]" = WeakKeyDictionary()
 
@@ -57,6 +58,35 @@ def _crossings(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.concatenate([origin + shift[:, None] * along[valid] for shift in shifts])
 
 
+class _WholePair:
+    """Two whole meshes that may be asked whether they cross when the first is moved a little."""
+
+    def __init__(self, moving: fcl.CollisionObject, standing: fcl.CollisionObject, position: FloatArray) -> None:
+        self._moving, self._standing, self._position = moving, standing, position
+
+    def cross(self, way: FloatArray, number: int) -> bool:
+        """Do they touch when the first is moved by a vector (3,), metres?"""
+        self._moving.setTranslation(self._position + way)
+        return bool(fcl.collide(self._moving, self._standing, _ANY, fcl.CollisionResult()) > 0)
+
+    def normals(self) -> FloatArray | None:
+        """Normals of their contacts, (C, 3), or None where they do not touch."""
+        request, result = fcl.CollisionRequest(num_max_contacts=_MOST_CONTACTS, enable_contact=True), fcl.CollisionResult()
+        if not fcl.collide(self._moving, self._standing, request, result):
+            return None
+        normals = np.array([c.normal for c in result.contacts])
+        return np.unique(normals[np.linalg.norm(normals, axis=1) > 0.5].round(2), axis=0)
+
+
+class _ThinnedPair(MeshPair):
+    """The same of what is left of two meshes near each other."""
+
+    def normals(self) -> FloatArray | None:
+        """Normals of their contacts, (C, 3), or None where they do not touch."""
+        contact = self.contact()
+        return None if contact is None else contact.normals
+
+
 class Meshes:
     """The meshes of a scene's objects, to be asked at any poses.
 
@@ -90,7 +120,7 @@ class Meshes:
 
     def cross(self, i: int, pose: FloatArray, j: int, other: FloatArray) -> bool:
         """Do two meshes touch?"""
-        return MeshPair(self.surface(i, pose), self.surface(j, other), 0.0).cross()
+        return self._bodies_cross(self._body(i, pose), self._body(j, other))
 
     def penetrates(self, i: int, pose: FloatArray, j: int, other: FloatArray) -> bool:
         """Are two meshes deeper in each other than the tolerance, as the audit judges it?"""
@@ -106,23 +136,47 @@ class Meshes:
         within = ((low >= other_low - NEAR).all() and (high <= other_high + NEAR).all()) or (
             (other_low >= low - NEAR).all() and (other_high <= high + NEAR).all()
         )
-        one, two = self.surface(i, pose), self.surface(j, other)
-        pair = MeshPair(one, two, NEAR)
-        contact = pair.contact()
-        if contact is None:
-            return bool(within) and (nested(one, two) or nested(two, one))
-        ways = NEAR * np.concatenate([DIRECTIONS, contact.normals, -contact.normals])
-        for number, way in enumerate(ways):
-            if not pair.cross(way, number):
-                moved = Surface(one.triangles + way)
-                return bool(within) and (nested(moved, two) or nested(two, moved))
-        return True
+        way = np.zeros(3)
+        pair = self._pair(i, pose, j, other)
+        normals = pair.normals()
+        if normals is not None:
+            for number, way in enumerate(NEAR * np.concatenate([DIRECTIONS, normals, -normals])):
+                if not pair.cross(way, number):
+                    break
+            else:
+                return True
+        if not within:
+            return False
+        moved, still = Surface(self.surface(i, pose).triangles + way), self.surface(j, other)
+        return nested(moved, still) or nested(still, moved)
+
+    def _pair(self, i: int, pose: FloatArray, j: int, other: FloatArray) -> "_WholePair | _ThinnedPair":
+        """Two meshes to be asked whether they cross: where a tree of one is missing it is not worth the building."""
+        if self.shapes[i] in _trees and self.shapes[j] in _trees:
+            return _WholePair(self._body(i, pose), self._body(j, other), pose[:3])
+        return _ThinnedPair(self.surface(i, pose), self.surface(j, other), NEAR)
 
     def rests(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> list[int]:
         """Which of other objects carry an object at a pose, as the audit judges it."""
-        near = self.near(k, pose, others, poses, NEAR)
+        lowered = pose - (0.0, 0.0, NEAR, 0.0)
+        near = [j for j in self.near(k, pose, others, poses, NEAR) if self._may_carry(k, pose, lowered, j, poses[j])]
         surface = self.surface(k, pose) if near else None
         return [j for j in near if surface is not None and carries(MeshPair(surface, self.surface(j, poses[j]), NEAR), NEAR)]
+
+    def _may_carry(self, k: int, pose: FloatArray, lowered: FloatArray, j: int, other: FloatArray) -> bool:
+        return self.cross(k, lowered, j, other) or self.cross(k, pose, j, other)
+
+    def touching(self, k: int, pose: FloatArray, j: int, other: FloatArray, reach: float) -> tuple[IntArray, IntArray]:
+        """Triangles with which an object meets another one when it is lowered or shifted aside by so much, metres: of each, sorted."""
+        moving, standing = self._body(k, pose), self._body(j, other)
+        request, pairs = fcl.CollisionRequest(num_max_contacts=_MOST_CONTACTS, enable_contact=True), []
+        for way in reach * _AROUND_AND_DOWN:
+            moving.setTranslation(pose[:3] + way)
+            result = fcl.CollisionResult()
+            if fcl.collide(moving, standing, request, result):
+                pairs += [(c.b1, c.b2) for c in result.contacts]
+        found = np.array(pairs, np.int64).reshape(-1, 2)
+        return np.unique(found[:, 0]), np.unique(found[:, 1])
 
     def bearing(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> FloatArray:
         """Points that carry an object, (C, 3) metres: where it touches others a little lowered, and its lowest vertices on the table."""

@@ -1,6 +1,7 @@
 """Brings what is in or on another thing to rest there, exactly: where it is, else as near by as something can be found."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
@@ -27,7 +28,7 @@ _TURNS = (0.0, np.pi / 2, np.pi / 4, -np.pi / 4)  # besides, turned
 _LIFT = 4e-3  # what comes to rest this much higher than it was may be wedged: a better place is looked for, metres
 _TOPPLES = 100.0  # what it costs that a thing may not stay, metres
 _CLIMB = 3.0  # how much rising counts beside moving aside
-_ENOUGH, _MANY = 12, 60  # among so many where it stays in one of them; and where it does not
+_ENOUGH, _MANY = 12, 40  # among so many where it stays in one of them; and where it does not
 _STEPS, _MOST_STEPS, _SLOPE = (
     (8e-3, 3e-3, 1e-3),
     6,
@@ -51,9 +52,22 @@ def is_at_rest(meshes: Meshes, poses: FloatArray, k: int, pose: FloatArray, othe
     return low <= TOLERANCE or bool(meshes.rests(k, pose, near, poses))
 
 
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """Where something rests.
+
+    Attributes:
+        pose: (4,).
+        is_steady: Whether it stays there, by its statics.
+    """
+
+    pose: FloatArray
+    is_steady: bool
+
+
 def resting_pose(
     meshes: Meshes, poses: FloatArray, k: int, carried: Carried, done: Sequence[int], waiting: Sequence[int] = ()
-) -> FloatArray | None:
+) -> Rest | None:
     """A pose at which an object rests in or on what carries it and stays there, near to where it is.
 
     Args:
@@ -65,12 +79,27 @@ def resting_pose(
         waiting: Objects of it that are not, but that it may lean on where it is.
 
     Returns:
-        The pose, (4,), or None where none was found.
+        The pose, or None where none was found.
     """
     everyone = [*done, *waiting]
     is_well = _is_carried(meshes, poses, k, poses[k], carried) and is_at_rest(meshes, poses, k, poses[k], everyone)
     if is_well and steadiness(meshes, k, poses[k], everyone, poses) >= STEADY:
-        return np.array(poses[k])
+        return Rest(np.array(poses[k]), True)
+    best, cost = _cheapest(meshes, poses, k, carried, done)
+    if best is None:
+        return None
+    if cost >= 2 * _TOPPLES and stands_alone(meshes.shapes[k]):
+        # It stands better on the table, but what is deep in a container may roll there and yet stays in it.
+        top = meshes.box(carried.parent, poses[carried.parent])[1][2]
+        if not (carried.is_in and best[2] < top):
+            return None
+    return Rest(best, cost < _TOPPLES)
+
+
+def _cheapest(
+    meshes: Meshes, poses: FloatArray, k: int, carried: Carried, done: Sequence[int]
+) -> tuple[FloatArray | None, float]:
+    """The pose at which an object rests that costs least to take, (4,), and what it costs, metres; None where there is none."""
     best: FloatArray | None = None
     least = np.inf
     for number, there in enumerate(_lowered(meshes, poses, k, carried, done)):
@@ -93,11 +122,7 @@ def resting_pose(
             best, least = there, cost
             if cost < _TOPPLES and rise <= _LIFT:
                 break
-    if best is None or least < 2 * _TOPPLES or not stands_alone(meshes.shapes[k]):
-        return best
-    # It stands better on the table, but what is deep in a container may roll there and yet stays in it.
-    top = meshes.box(carried.parent, poses[carried.parent])[1][2]
-    return best if carried.is_in and best[2] < top else None
+    return best, least
 
 
 def _lowered(meshes: Meshes, poses: FloatArray, k: int, carried: Carried, done: Sequence[int]) -> Iterator[FloatArray]:

@@ -57,3 +57,12 @@ def test_what_is_on_a_thing_through_another_one_is_kept() -> None:
     swapped = replace(SCENE, objects=(SCENE["a"], block("b", 0.3, 0.3, 0.2), block("c", 0.3, 0.3, 0.1)))
     found = relations_kept(piled, swapped, [cube()] * 3)
     assert (found.on_in_held, found.on_in_kept) == (2, 1)  # b is on a still, through c; c is on b no more
+
+
+def test_what_is_stuck_in_a_thing_is_not_on_it_and_is_restored_where_asked_for() -> None:
+    stuck = replace(SCENE, objects=(SCENE["a"], block("b", 0.31, 0.3, 0.07), SCENE["c"]))
+    found = relations_kept(stuck, SCENE, [cube()] * 3)
+    assert found.on_in_held == 0
+    asked = replace(stuck, relations=(Relation("b", RelationKind.ON, "a"),))
+    found = relations_kept(asked, SCENE, [cube()] * 3)
+    assert (found.on_in_held, found.asked_broken, found.asked_restored) == (0, 1, 1)
