@@ -28,6 +28,7 @@ _TOUCH = 1e-3  # what is so near to another thing leans on it, metres
 _FRICTION = 0.5  # coefficient that what leans may count on; less than engines take
 _SLOPE = 0.1  # tangent of the angle by which everything is tilted
 _BARELY = -0.02  # what is less steady than this does not stand alone
+_FOOT, _ROCK = 4e-4, 0.035  # what it stands on is so low, metres, or less steep than this
 _BESIDE = -1.0  # what stands alone and is less steady than this hangs beside what carries it
 _MOST = 48  # contacts that forces are looked for in
 _UNHELD = 0.008  # share of the weight that may be left over
@@ -52,8 +53,11 @@ def centre_of_mass(shape: Shape) -> FloatArray:
 def stands_alone(shape: Shape) -> bool:
     """Would a shape stay upright on the bare table? A pen that leans in its cup would not."""
     if shape not in _alone:
-        pose = np.array([0.0, 0.0, float(shape.size[2]) / 2, 0.0])
-        _alone[shape] = _base(Meshes([shape]), 0, pose, [], pose[None]) >= _BARELY
+        # It may rock by a degree or two about its lowest point until it stands.
+        lowest = shape.vertices[shape.vertices[:, 2].argmin()]
+        apart = shape.vertices - lowest
+        foot = shape.vertices[apart[:, 2] <= _FOOT + _ROCK * np.linalg.norm(apart[:, :2], axis=1)]
+        _alone[shape] = _inside(foot, centre_of_mass(shape)) >= _BARELY
     return _alone[shape]
 
 
@@ -92,7 +96,11 @@ def _base(meshes: Meshes, k: int, pose: FloatArray, others: Sequence[int], poses
     points = meshes.bearing(k, pose, others, poses)
     if not len(points):
         return -np.inf
-    middle = _middle(meshes, k, pose)
+    return _inside(points, _middle(meshes, k, pose))
+
+
+def _inside(points: FloatArray, middle: FloatArray) -> float:
+    """How far inside the hull of points (C, 3) a centre of mass (3,) is, seen from above, by its height over them."""
     hull, point = shapely.convex_hull(shapely.multipoints(points[:, :2])), shapely.Point(middle[:2])
     inside = hull.boundary.distance(point) if hull.geom_type == "Polygon" and hull.contains(point) else -hull.distance(point)
     return float(inside) / max(_LEAST_HEIGHT, float(middle[2] - points[:, 2].mean()))

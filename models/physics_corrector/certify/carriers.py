@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import shapely
 
-from models.physics_corrector.certify.balance import stands_alone
+from models.physics_corrector.certify.balance import STEADY, stands_alone, steadiness
 from models.physics_corrector.certify.contact import Meshes
 from models.physics_corrector.certify.outline import BoolArray
 from stable_data.metrics.collision import TOLERANCE
@@ -25,7 +25,7 @@ TABLE_TOP = -1
 
 _RIM = 3e-3  # the bottom of what is in a container is this much below the rim at least, metres
 _LOOKS = 11  # a side, of looks down on a shape
-_DEEP, _WALL, _HOLLOW_SHARE = 0.3, 0.25, 0.15  # so deep and so far below the walls, shares of the height, at so many of them
+_DEEP, _WALL, _HOLLOW_SHARE = 0.3, 0.25, 0.08  # so deep and so far below the walls, shares of the height, at so many of them
 _LAYERS = 8  # heights at which walls are looked for
 _SUNK = 2e-3  # how far the bottom of what is on another thing may be below that thing's, metres
 _TOUCH = 3e-3  # what is so far above another one still is on it, metres
@@ -36,6 +36,7 @@ _SUNKEN, _HALF = 0.015, 0.5  # what touches another is on it where its bottom is
 _TORN = 0.06  # what cannot stand alone belongs into a container that is so near, metres
 _GAP = 1e-2  # what is so close below an object without contact counts as carrying it, metres
 _DOWN = 0.01  # what it costs to take what is on or in another thing for standing on the table, metres
+_UNSTEADY = 5e-3  # what it costs to take it for resting where it just touches and would not stay
 _LYING = 0.03  # likewise of what does not stand there by itself
 _WIDE = 0.05  # what it costs that a carrier is so wide: of two containers around a thing the smaller one is the likelier
 _TOWARDS, _ASIDE = (
@@ -175,13 +176,13 @@ def _ranked(
     if low <= TOLERANCE and not leans:
         return [Carried()]
     found = [option for p in others if (option := _carried_by(meshes, poses, boxes, k, p)) is not None]
-    exact = sorted((float(meshes.shapes[p].size[:2].prod()), p) for p, (_, is_exact) in found if is_exact)
-    if exact:
-        return [next(carried for p, (carried, _) in found if p == exact[0][1])]
+    exact = sorted((float(meshes.shapes[p].size[:2].prod()), p, carried) for p, (carried, is_exact) in found if is_exact)
+    if exact and steadiness(meshes, k, poses[k], [p for _, p, _ in exact], poses) >= STEADY:
+        return [exact[0][2]]
     if not found and leans:
         leant = [(near, p) for p in others if (near := _leant_in(meshes, poses, boxes, k, p)) is not None]
         return [Carried(p, True) for _, p in sorted(leant)] or [Carried()]
-    ranked = [(_effort(meshes, poses, k, p), p, carried) for p, (carried, _) in found]
+    ranked = [(_effort(meshes, poses, k, p) + _UNSTEADY * is_exact, p, carried) for p, (carried, is_exact) in found]
     ranked.append((low + (_LYING if leans else _DOWN), TABLE_TOP, Carried()))
     return [carried for _, _, carried in sorted(ranked, key=lambda option: option[:2])]
 

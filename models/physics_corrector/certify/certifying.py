@@ -161,14 +161,16 @@ class _Certifier:
     def _nest_elsewhere(self, k: int) -> None:
         """Brings what has found no rest on what carries it, or would not stay there, to rest on what else may carry it."""
         layout, own, was = self.layout, set(self.layout.tree(k)), self.layout.poses[k].copy()
-        is_carried = layout.carried[k].parent != TABLE_TOP
+        if layout.carried[k].is_in:  # there it stays, if not just so
+            return
+        stands = layout.carried[k].parent == TABLE_TOP
         for carried in self.others[k]:
             if carried.parent == TABLE_TOP or carried.parent in own:
                 continue
             layout.carry(k, self.original.poses()[k])
             there = [m for m in layout.tree(layout.root_of(carried.parent)) if m not in own]
             rest = resting_pose(self.meshes, layout.poses, k, carried, there)
-            if rest is not None and (rest.is_steady or not is_carried):
+            if rest is not None and (rest.is_steady or carried.is_in or stands):
                 layout.carried[k] = carried
                 layout.carry(k, rest.pose)
                 return
