@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from models.physics_corrector.flow import Flow
@@ -60,23 +60,21 @@ def save_corrector(
     aside = path.with_name(f".{path.name}.{os.getpid()}")
     tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
     try:
-        save_file(tensors, aside, {**(notes or {}), _SETTINGS: settings.to_json()})
-        _sort_header(aside)
+        # Not by the library's own writer of files, whose files nobody but their owner may read.
+        aside.write_bytes(_with_sorted_header(save(tensors, {**(notes or {}), _SETTINGS: settings.to_json()})))
         aside.replace(path)
     finally:
         aside.unlink(missing_ok=True)
 
 
-def _sort_header(path: Path) -> None:
+def _with_sorted_header(content: bytes) -> bytes:
     """Puts what a safetensors file says of itself into order: the library writes it in another one each time."""
-    with path.open("r+b") as file:
-        length = int.from_bytes(file.read(8), "little")
-        header = json.loads(file.read(length))
-        header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
-        ordered = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
-        assert len(ordered) <= length  # the same, in another order
-        file.seek(8)
-        file.write(ordered.ljust(length))
+    length = int.from_bytes(content[:8], "little")
+    header = json.loads(content[8 : 8 + length])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    ordered = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+    assert len(ordered) <= length  # the same, in another order
+    return content[:8] + ordered.ljust(length) + content[8 + length :]
 
 
 def load_corrector(path: Path, expected: CorrectorSettings | None = None) -> Checkpoint:
