@@ -1,10 +1,11 @@
 """The paper's Table 2 and its rearrangement table: the corrector beside post-hoc optimisers, on start layouts.
 
 ``python -m benchmarks.correction DATASET [--layouts FILE] [--start POSES] [--per-bucket N] [--every N] [--method NAME ...]
-[--settle] [--json FILE]``. Without a file of layouts, scenes of the dataset are shaken until their collisions fill the buckets. Every verdict is the exact audit's, at
-0.5 mm, of what a method gives back; a method's own opinion is the column ``done``. ``start`` is the layout itself, ``flow`` the
-raw result of the learned flow, ``certify`` certification without it, ``corrector`` the two together as the toolkit uses them;
-``given`` means that they are told the layout's own scene graph and restore what of it is broken.
+[--settle] [--json FILE]``. Without a file of layouts, scenes of the dataset are shaken until their collisions fill the buckets.
+Every verdict is the exact audit's, at 0.5 mm, of what a method gives back; a method's own opinion is the column ``done``.
+``start`` is the layout itself, ``flow`` the raw result of the learned flow, ``certify`` certification without it, ``corrector``
+the two together as the toolkit uses them; ``given`` means that they are told the layout's own scene graph and restore what of it
+is broken.
 
 - clean: scenes without collision, floating, sinking or out of bounds; drop: objects left out;
 - free: scenes without collision; pairs: colliding pairs left, median; oc: their share; unknown counts as colliding;
