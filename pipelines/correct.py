@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from models.physics_corrector.learned import weights_fingerprint
+from models.physics_corrector.learned import load_flow, weights_fingerprint
 from pipelines.correct_report import write_correct_report
 from pipelines.correct_settings import CorrectSettings
 from pipelines.correct_step import CORRECT_TABLES, CorrectShard, CorrectWork
@@ -50,6 +50,7 @@ def correct(scenes: str, out: str, settings: CorrectSettings, workers: Workers, 
         raise ConfigError(f"{out}: lies in the scenes that are read, expected another folder", "output_invalid")
     source = scene_source(where)
     settings = _settled(source, settings, workers)
+    load_flow(settings.weights, settings.steps)  # what cannot be used is refused before anything is written
     with folder.locked():
         parts, inputs = source.parts(settings.scene_settings(), settings.scenes_per_shard)
         inputs |= {"weights": weights_fingerprint(settings.weights)}

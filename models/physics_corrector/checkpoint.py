@@ -86,7 +86,7 @@ def load_corrector(path: Path, expected: CorrectorSettings | None = None) -> Che
 
     Raises:
         ConfigError: The file cannot be read, says nothing of its settings, was written with others, or holds other tensors than
-            its settings ask for.
+            its settings ask for, or such as are not finite.
     """
     try:
         with safe_open(path, framework="pt") as file:
@@ -106,7 +106,14 @@ def load_corrector(path: Path, expected: CorrectorSettings | None = None) -> Che
             if wrong := _mismatches(shapes, wanted):
                 listed = "; ".join(wrong[:_NAMED]) + (f"; and {len(wrong) - _NAMED} more" if len(wrong) > _NAMED else "")
                 raise ConfigError(f"{path}: its tensors do not fit its settings ({listed})", "checkpoint_mismatch")
-            network.load_state_dict({name: file.get_tensor(name) for name in wanted})
+            tensors = {name: file.get_tensor(name) for name in wanted}
+            if broken := [name for name, value in tensors.items() if not value.isfinite().all()]:
+                raise ConfigError(
+                    f"{path}: {broken[0]} and {len(broken) - 1} more hold numbers that are not finite, expected weights; "
+                    "take an earlier checkpoint",
+                    "checkpoint_invalid",
+                )
+            network.load_state_dict(tensors)
     except (OSError, SafetensorError) as error:
         raise ConfigError(f"{path}: cannot be read as safetensors ({error})", "checkpoint_invalid") from error
     return Checkpoint(settings, network.eval(), flow, header)

@@ -45,6 +45,14 @@ def test_a_corrector_comes_back_as_it_was(settings: CorrectorSettings, file: Pat
     assert [p.name for p in file.parent.iterdir()] == [file.name]
 
 
+def test_weights_that_are_not_finite_are_refused(settings: CorrectorSettings, file: Path) -> None:
+    tensors = load_file(file)
+    first = min(tensors)
+    save_file({**tensors, first: torch.full_like(tensors[first], torch.nan)}, file, {"settings": settings.to_json()})
+    with pytest.raises(ConfigError, match=f"{first} and 0 more hold numbers that are not finite"):
+        load_corrector(file)
+
+
 @pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o644), (0o077, 0o600)])
 def test_who_may_read_a_corrector_is_the_umask_to_say(umask: int, mode: int, tmp_path: Path) -> None:
     settings, path = small_settings("unet1d"), tmp_path / "corrector.safetensors"
