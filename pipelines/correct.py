@@ -50,13 +50,12 @@ def correct(scenes: str, out: str, settings: CorrectSettings, workers: Workers, 
         raise ConfigError(f"{out}: lies in the scenes that are read, expected another folder", "output_invalid")
     source = scene_source(where)
     settings = _settled(source, settings, workers)
+    weights = weights_fingerprint(settings.weights)
     load_flow(settings.weights, settings.steps)  # what cannot be used is refused before anything is written
     with folder.locked():
         parts, inputs = source.parts(settings.scene_settings(), settings.scenes_per_shard)
-        inputs |= {"weights": weights_fingerprint(settings.weights)}
-        shards = [
-            CorrectShard(content_id("correct", settings.shaping(), inputs["weights"], p.content), p.scene_ids) for p in parts
-        ]
+        inputs |= {"weights": weights}
+        shards = [CorrectShard(content_id("correct", settings.shaping(), weights, p.content), p.scene_ids) for p in parts]
         scene_ids = [scene_id for shard in shards for scene_id in shard.scenes]
         fingerprint = content_id(inputs)
         manifest = new_manifest(
