@@ -60,9 +60,9 @@ train: preprocess ## Point encoder and corrector on the tables in OUT (hours on 
 	$(BIN)/python -m models.point_encoder.pretrain --out runs/encoder
 	$(BIN)/python -m pipelines train-corrector --data $(OUT) --out runs/corrector --preset embedded_set --config workflows/embedded.toml
 
-evaluate: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## The paper's tables: DATA=<folder of meshes> LAYOUTS=<file of start layouts> (without: scenes of DATA, shaken)
+evaluate: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## The paper's tables: DATA=<folder of meshes> LAYOUTS=<file of start layouts> (without: scenes of DATA, shaken) OPTIONS=<more of benchmarks.correction>
 	mkdir -p runs/evaluate
-	OMP_NUM_THREADS=1 IGL_NUM_THREADS=1 $(BIN)/python -m benchmarks.correction $(DATA) $(if $(LAYOUTS),--layouts $(LAYOUTS)) --settle --json runs/evaluate/correction.json
+	OMP_NUM_THREADS=1 IGL_NUM_THREADS=1 $(BIN)/python -m benchmarks.correction $(DATA) $(if $(LAYOUTS),--layouts $(LAYOUTS)) $(OPTIONS) --settle --json runs/evaluate/correction.json
 
 bench: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## Side-by-side figures against peers (DATA=<folder with real meshes>)
 	$(BIN)/python -m benchmarks --data $(DATA) --out runs/bench

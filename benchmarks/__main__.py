@@ -17,7 +17,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, required=True, help="a dataset in the MesaTask-10K format, best with real meshes")
     parser.add_argument("--out", type=Path, required=True, help="folder of the JSON files")
-    parser.add_argument("--layouts", type=Path, help="start layouts over its meshes, one JSON object a line, for certify")
+    parser.add_argument("--layouts", type=Path, help="start layouts over its meshes, one JSON object a line, for correction")
     parser.add_argument("--quick", action="store_true", help="fewer assets and scenes")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -37,8 +37,8 @@ def main() -> None:
             "preprocess": ["benchmarks.preprocess", data, "--scenes", "160" if few else "1000"],
             "loader": ["benchmarks.loader", run, data],
             "corrector_losses": ["benchmarks.corrector_losses", run, data, *(["--batch", "8"] if few else [])],
-            "certify": ["benchmarks.certify", data, *layouts, *(["--scenes", "8"] if few else [])],
-            "correction": ["benchmarks.correction", data, *(["--per-bucket", "1"] if few else [])],
+            "correction": ["benchmarks.correction", data, *layouts, *(["--per-bucket", "1"] if few else [])],
+            "correction_cost": ["benchmarks.correction_cost", data, *(["--scenes", "4", "--rounds", "1"] if few else [])],
             "steerable_drake": ["benchmarks.steerable_drake", data, *(["--per-bucket", "1"] if few else [])],
             "synth": ["benchmarks.synth", "--scenes", "20" if few else "200"],
         }

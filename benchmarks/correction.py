@@ -1,10 +1,11 @@
 """The paper's Table 2 and its rearrangement table: the corrector beside post-hoc optimisers, on start layouts.
 
-``python -m benchmarks.correction DATASET [--layouts FILE] [--per-bucket N] [--method NAME ...] [--settle] [--json FILE]``. Without
-a file of layouts, scenes of the dataset are shaken until their collisions fill the buckets. Every verdict is the exact audit's, at
-0.5 mm, of what a method gives back; a method's own opinion is the column ``done``. ``start`` is the layout itself, ``flow`` the
-raw result of the learned flow, ``certify`` certification without it, ``corrector`` the two together as the toolkit uses them;
-``given`` means that they are told the layout's own scene graph and restore what of it is broken.
+``python -m benchmarks.correction DATASET [--layouts FILE] [--start POSES] [--per-bucket N] [--every N] [--method NAME ...]
+[--settle] [--json FILE]``. Without a file of layouts, scenes of the dataset are shaken until their collisions fill the buckets.
+Every verdict is the exact audit's, at 0.5 mm, of what a method gives back; a method's own opinion is the column ``done``.
+``start`` is the layout itself, ``flow`` the raw result of the learned flow, ``certify`` certification without it, ``corrector``
+the two together as the toolkit uses them; ``given`` means that they are told the layout's own scene graph and restore what of it
+is broken.
 
 - clean: scenes without collision, floating, sinking or out of bounds; drop: objects left out;
 - free: scenes without collision; pairs: colliding pairs left, median; oc: their share; unknown counts as colliding;
@@ -16,6 +17,8 @@ raw result of the learned flow, ``certify`` certification without it, ``correcto
 - rest: objects that MuJoCo leaves where they are, of all; lie: the same of whole layouts (``--settle``), once more without those that
   hold an obliquely tilted object shifted out of its carrier, which no yaw can right;
 - done: scenes that the method itself counts as solved; s: seconds a scene, median, without the preparation of assets.
+
+Below it: how often the median seconds of ``certify`` and of ``corrector`` go into those of each baseline, by bucket.
 """
 
 import json
@@ -36,6 +39,7 @@ from benchmarks.audit import readable_scenes
 from benchmarks.layouts import Layout, read_layouts, shaken_layouts
 from models.baselines.methods import METHODS
 from models.baselines.outcome import Method, Outcome
+from models.physics_corrector.certify import Status
 from models.physics_corrector.checkpoint import DEFAULT_WEIGHTS
 from models.physics_corrector.corrector import Flow, PhysicsCorrector
 from models.physics_corrector.learned import AUTO, load_flow
@@ -53,6 +57,7 @@ from stable_data.scene import Scene, SceneObject
 from stable_data.shape import Shape
 
 _START = "start"
+_TIMED = ("certify", "corrector")
 _OBLIQUE = math.radians(5)  # a tilt that is this far from every right angle
 
 
@@ -81,6 +86,7 @@ class Ours:
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
         """Corrects; where nothing is feasible, the layout comes back as it is."""
         corrector = PhysicsCorrector(_flow(self.weights), judges_raw=False)
+        corrector.raw([scene], [shapes], [frozenset()])  # encodes the shapes: preparation of assets
         begin = time.process_time()
         posed = PosedScene(scene, shapes)
         audit = audit_posed(posed)
@@ -92,7 +98,8 @@ class Ours:
         told = known if self.is_told else replace(known, relations=())
         done = corrector.certified(told, shapes, audit, raw)
         seconds = time.process_time() - begin
-        return Outcome(done.certified or scene, done.certified is not None, seconds, done.reason)
+        is_clean = done.status in (Status.CERTIFIED, Status.DROPPED)
+        return Outcome(done.certified or scene, is_clean, seconds, done.reason)
 
 
 @lru_cache(maxsize=2)
@@ -260,7 +267,28 @@ def table(results: Sequence[Result]) -> str:
             chosen = [r for r in results if r.method == name and bucket in ("", r.bucket)]
             if chosen:
                 rows.append(_row(name, bucket or "all", chosen))
-    widths = [max(len(row[k]) for row in rows) for k in range(len(columns))]
+    return _aligned(rows)
+
+
+def ratios(results: Sequence[Result]) -> str:
+    """How many times longer each baseline takes than ours, by bucket; empty where one of the two was not run."""
+    buckets = [*dict.fromkeys(r.bucket for r in results), ""]
+    names = dict.fromkeys(r.method for r in results)
+
+    def seconds(name: str, bucket: str) -> float:
+        return median(r.seconds for r in results if r.method == name and bucket in ("", r.bucket))
+
+    rows = [
+        (baseline, own, *(f"{seconds(baseline, bucket) / seconds(own, bucket):.3g}" for bucket in buckets))
+        for baseline in names
+        for own in names
+        if baseline in METHODS and own in _TIMED
+    ]
+    return _aligned([("seconds of", "over", *(bucket or "all" for bucket in buckets)), *rows]) if rows else ""
+
+
+def _aligned(rows: Sequence[tuple[str, ...]]) -> str:
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     return "\n".join(
         "  ".join(cell.rjust(w) if k > 1 else cell.ljust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True)))
         for row in rows
@@ -303,21 +331,22 @@ def _row(name: str, bucket: str, results: Sequence[Result]) -> tuple[str, ...]:
 
 
 def chosen_layouts(
-    dataset: MesaTaskDataset, store: AssetStore, file: Path | None, per_bucket: int, start: str = "start"
+    dataset: MesaTaskDataset, store: AssetStore, file: Path | None, per_bucket: int, start: str = "start", every: int = 1
 ) -> list[Layout]:
-    """The first layouts of each bucket of a file, or as many made of the dataset's own scenes."""
+    """The first layouts of each bucket of every n-th line of a file, or as many made of the dataset's own scenes."""
     if file is None:
         scenes = sorted(readable_scenes(dataset), key=lambda scene: -len(scene.objects))
         return list(shaken_layouts(scenes, store, per_bucket))
-    every = list(read_layouts(file, store, start))
-    buckets = dict.fromkeys(layout.bucket for layout in every)
-    return [layout for bucket in buckets for layout in [x for x in every if x.bucket == bucket][:per_bucket]]
+    read = list(read_layouts(file, store, start))[::every]
+    buckets = dict.fromkeys(layout.bucket for layout in read)
+    return [layout for bucket in buckets for layout in [x for x in read if x.bucket == bucket][:per_bucket]]
 
 
 def main(
     data: Annotated[Path, typer.Argument(help="Folder in the MesaTask-10K format: the layouts' meshes.")],
     layouts: Annotated[Path | None, typer.Option(help="File of start layouts; else scenes of the dataset are shaken.")] = None,
     per_bucket: Annotated[int, typer.Option(help="Layouts of each bucket.")] = 4,
+    every: Annotated[int, typer.Option(min=1, help="Only every n-th layout of the file.")] = 1,
     method: Annotated[list[str] | None, typer.Option(help="A baseline, or certify, flow, corrector; all by default.")] = None,
     start: Annotated[str, typer.Option(help="Poses of the file to start from, such as start_xyz.")] = "start",
     settles: Annotated[bool, typer.Option("--settle", help="Ask MuJoCo what stays where it is.")] = False,
@@ -331,11 +360,11 @@ def main(
     dataset = MesaTaskDataset(data)
     store = AssetStore(dataset, max_bytes=2**30)
     try:
-        chosen = chosen_layouts(dataset, store, layouts, per_bucket, start)
+        chosen = chosen_layouts(dataset, store, layouts, per_bucket, start, every)
         results = run(chosen, store, {name: known[name] for name in method or known}, limit, settles=settles)
     except StableDataError as error:
         raise SystemExit(str(error)) from error
-    print(table(results))
+    print(table(results), ratios(results), sep="\n\n")
     if file is not None:
         file.write_text(json.dumps([asdict(result) for result in results], indent=1) + "\n")
 

@@ -101,8 +101,9 @@ def correct(
     OUT/dataset is the corrected folder. Status 0: done. 1: some scenes could not be corrected; the table failures says which
     and why. 2: could not start.
     """
-    from pipelines.correct import CorrectSettings, describe_correction
     from pipelines.correct import correct as run
+    from pipelines.correct import describe_correction
+    from pipelines.correct_settings import CorrectSettings
     from pipelines.runner import Workers
     from pipelines.settings import resolve
 

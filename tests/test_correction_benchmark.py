@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks import steerable_drake
-from benchmarks.correction import Ours, Result, judged, ours, run, table
+from benchmarks.correction import Ours, Result, chosen_layouts, judged, ours, ratios, run, table
 from benchmarks.layouts import BUCKETS, Layout, bucket_of, read_layouts, shaken, shaken_layouts
 from models.baselines.outcome import Outcome
 from models.baselines.steerable import Steerable
@@ -83,6 +83,14 @@ def test_without_a_valid_target_there_is_none(scene: Scene, store: AssetStore, t
     assert next(read_layouts(path, store)).target is None
 
 
+def test_every_nth_layout_of_a_file_is_taken(scene: Scene, dataset: MesaTaskDataset, store: AssetStore, tmp_path: Path) -> None:
+    path = tmp_path / "layouts.jsonl"
+    path.write_text("\n".join(json.dumps({**row_of(scene, scene), "id": str(n)}) for n in range(5)))
+    found = {(n, most): chosen_layouts(dataset, store, path, most, every=n) for n, most in ((1, 9), (2, 9), (2, 1))}
+    names = {key: [layout.start.scene_id for layout in layouts] for key, layouts in found.items()}
+    assert names == {(1, 9): list("01234"), (2, 9): list("024"), (2, 1): ["0"]}
+
+
 @pytest.mark.parametrize("change", [{"table": {}}, {"objects": [{}]}, {"objects": None}, {"n_collisions": "many"}])
 def test_a_line_that_is_no_layout_is_named(change: dict[str, Any], scene: Scene, store: AssetStore, tmp_path: Path) -> None:
     path = tmp_path / "layouts.jsonl"
@@ -135,6 +143,20 @@ def test_a_method_is_judged_by_what_it_gives_back(scene: Scene, store: AssetStor
     assert [line.split()[:4] for line in lines[1:]] == [
         [name, bucket, "1", clean] for name, clean in (("start", "1/1"), ("thrower", "0/1")) for bucket in ("0-10", "all")
     ]
+
+
+def test_seconds_of_the_baselines_are_set_against_ours(scene: Scene, store: AssetStore) -> None:
+    one = judged("thrower", Thrower(), Layout(scene, scene, "0-10", 1), store)
+
+    def took(method: str, bucket: str, *seconds: float) -> list[Result]:
+        return [replace(one, method=method, bucket=bucket, seconds=s) for s in seconds]
+
+    ours_ = took("certify", "0-10", 1.0, 2.0, 9.0) + took("certify", "10-20", 4.0) + took("start", "0-10", 0.0)
+    theirs = took("steerable", "0-10", 1.0) + took("steerable", "10-20", 8.0)
+    head, row = ratios([*ours_, *theirs]).splitlines()
+    assert head.split() == ["seconds", "of", "over", "0-10", "10-20", "all"]
+    assert row.split() == ["steerable", "certify", "0.5", "2", "1.5"]  # medians: 1 / 2, 8 / 4, 4.5 / 3
+    assert ratios(ours_) == ""
 
 
 def test_the_time_cap_is_said(scene: Scene, store: AssetStore, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from models.physics_corrector.flow import Flow
@@ -60,23 +60,21 @@ def save_corrector(
     aside = path.with_name(f".{path.name}.{os.getpid()}")
     tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
     try:
-        save_file(tensors, aside, {**(notes or {}), _SETTINGS: settings.to_json()})
-        _sort_header(aside)
+        # Not by the library's own writer of files, whose files nobody but their owner may read.
+        aside.write_bytes(_with_sorted_header(save(tensors, {**(notes or {}), _SETTINGS: settings.to_json()})))
         aside.replace(path)
     finally:
         aside.unlink(missing_ok=True)
 
 
-def _sort_header(path: Path) -> None:
+def _with_sorted_header(content: bytes) -> bytes:
     """Puts what a safetensors file says of itself into order: the library writes it in another one each time."""
-    with path.open("r+b") as file:
-        length = int.from_bytes(file.read(8), "little")
-        header = json.loads(file.read(length))
-        header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
-        ordered = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
-        assert len(ordered) <= length  # the same, in another order
-        file.seek(8)
-        file.write(ordered.ljust(length))
+    length = int.from_bytes(content[:8], "little")
+    header = json.loads(content[8 : 8 + length])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    ordered = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+    assert len(ordered) <= length  # the same, in another order
+    return content[:8] + ordered.ljust(length) + content[8 + length :]
 
 
 def load_corrector(path: Path, expected: CorrectorSettings | None = None) -> Checkpoint:
@@ -88,7 +86,7 @@ def load_corrector(path: Path, expected: CorrectorSettings | None = None) -> Che
 
     Raises:
         ConfigError: The file cannot be read, says nothing of its settings, was written with others, or holds other tensors than
-            its settings ask for.
+            its settings ask for, or such as are not finite.
     """
     try:
         with safe_open(path, framework="pt") as file:
@@ -108,7 +106,14 @@ def load_corrector(path: Path, expected: CorrectorSettings | None = None) -> Che
             if wrong := _mismatches(shapes, wanted):
                 listed = "; ".join(wrong[:_NAMED]) + (f"; and {len(wrong) - _NAMED} more" if len(wrong) > _NAMED else "")
                 raise ConfigError(f"{path}: its tensors do not fit its settings ({listed})", "checkpoint_mismatch")
-            network.load_state_dict({name: file.get_tensor(name) for name in wanted})
+            tensors = {name: file.get_tensor(name) for name in wanted}
+            if broken := [name for name, value in tensors.items() if not value.isfinite().all()]:
+                raise ConfigError(
+                    f"{path}: {broken[0]} and {len(broken) - 1} more hold numbers that are not finite, expected weights; "
+                    "take an earlier checkpoint",
+                    "checkpoint_invalid",
+                )
+            network.load_state_dict(tensors)
     except (OSError, SafetensorError) as error:
         raise ConfigError(f"{path}: cannot be read as safetensors ({error})", "checkpoint_invalid") from error
     return Checkpoint(settings, network.eval(), flow, header)

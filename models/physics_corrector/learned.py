@@ -15,7 +15,7 @@ from models.physics_corrector.checkpoint import DEFAULT_WEIGHTS as CORRECTOR
 from models.physics_corrector.checkpoint import Checkpoint, load_corrector
 from models.physics_corrector.condition import Condition
 from models.physics_corrector.corrector import Fixed
-from models.point_encoder import Cloud, PointEncoder
+from models.point_encoder import FEATURE_CHANNELS, Cloud, PointEncoder
 from models.point_encoder import load as load_encoder
 from models.point_encoder.checkpoint import DEFAULT_WEIGHTS as ENCODER
 from stable_data.errors import ConfigError
@@ -37,14 +37,20 @@ class LearnedFlow:
         steps: Steps of the solver; 0 as its settings say.
 
     Raises:
-        ConfigError: The network reads features, and there is no encoder, or it was trained on another one's.
+        ConfigError: The network reads features, and there is no encoder, or it was trained on another one's, or it wants other
+            than 64 of them.
     """
 
     def __init__(self, checkpoint: Checkpoint, encoder: PointEncoder | None = None, steps: int = 0) -> None:
         self._checkpoint, self._steps = checkpoint, steps
         self._encoder = encoder if checkpoint.settings.network.num_features else None
         self._codes: WeakKeyDictionary[Shape, npt.NDArray[np.float32]] = WeakKeyDictionary()
-        if checkpoint.settings.network.num_features:
+        if wanted := checkpoint.settings.network.num_features:
+            if wanted != FEATURE_CHANNELS:
+                raise ConfigError(
+                    f"the corrector reads {wanted} point features an object, expected {FEATURE_CHANNELS} or none; train it anew",
+                    "checkpoint_mismatch",
+                )
             trained_on = checkpoint.notes.get("encoder_fingerprint", "")
             found = "none" if encoder is None else encoder.fingerprint()
             if found != trained_on:
@@ -56,7 +62,7 @@ class LearnedFlow:
 
     @torch.no_grad()
     def __call__(self, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed]) -> list[Scene]:
-        """The scenes after the flow; what is fixed stays bit for bit.
+        """The scenes after the flow; what is fixed stays bit for bit, and so does a scene that the network cannot reckon with.
 
         Args:
             scenes: Positions at the centres of the boxes, with supports where they are known.
@@ -80,6 +86,9 @@ class LearnedFlow:
         found = []
         for b, (scene, stays) in enumerate(zip(scenes, fixed, strict=True)):
             own = poses[b, : len(scene.objects)]
+            if not np.isfinite(own).all():  # so far off that 32 bits do not hold it: `certify` has to do without
+                found.append(scene)
+                continue
             start = scene.poses()
             still = np.array([o.instance in stays for o in scene.objects], np.bool_)
             found.append(scene.with_poses(np.where(still[:, None], start, own)) if len(own) else scene)

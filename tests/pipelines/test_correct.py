@@ -10,7 +10,9 @@ from typing import Any
 
 import pytest
 
-from pipelines.correct import CORRECT_TABLES, CorrectSettings, correct
+from pipelines.correct import correct
+from pipelines.correct_settings import CorrectSettings
+from pipelines.correct_step import CORRECT_TABLES, CorrectShard, CorrectWork
 from pipelines.runner import Workers
 from stable_data.errors import ConfigError
 from stable_data.lint import lint_folder
@@ -106,8 +108,6 @@ def test_ray_gives_the_same_bytes_as_this_process(broken: Path, corrected: Path,
 
 
 def test_an_item_in_a_process_of_its_own_gives_the_same_rows(broken: Path, corrected: Path, tmp_path: Path) -> None:
-    from pipelines.correct import CorrectShard, CorrectWork
-
     manifest = json.loads((corrected / "manifest.json").read_text("utf-8"))
     ids = sorted(rows_of(corrected, "scenes"))[:2]
     work = CorrectWork(str(broken), str(tmp_path), SMALL, manifest["input_fingerprint"])

@@ -94,6 +94,9 @@ class _Certifier:
         return self._concluded(self._scene(), audit)
 
     def _concluded(self, scene: Scene, audit: Audit) -> Certified:
+        if self.dropped and not scene.objects:
+            reason = f"of all that is there {self.dropped[0].reason}"
+            return Certified(None, Status.INFEASIBLE, reason, tuple(self.dropped))
         there = {o.instance for o in scene.objects}
         missing = [o.instance for o, s in zip(self.scene.objects, self.given, strict=True) if not s.is_exact]
         if kept := [name for name in missing if name in there]:

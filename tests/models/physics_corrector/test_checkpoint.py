@@ -1,6 +1,8 @@
 """Weights carry their settings: they come back as they were, or are refused with the reason."""
 
 import json
+import os
+import stat
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,6 +43,25 @@ def test_a_corrector_comes_back_as_it_was(settings: CorrectorSettings, file: Pat
     assert not read.network.training
     assert torch.equal(read.flow.sample(read.network, scenes), read.flow.sample(network, scenes))
     assert [p.name for p in file.parent.iterdir()] == [file.name]
+
+
+def test_weights_that_are_not_finite_are_refused(settings: CorrectorSettings, file: Path) -> None:
+    tensors = load_file(file)
+    first = min(tensors)
+    save_file({**tensors, first: torch.full_like(tensors[first], torch.nan)}, file, {"settings": settings.to_json()})
+    with pytest.raises(ConfigError, match=f"{first} and 0 more hold numbers that are not finite"):
+        load_corrector(file)
+
+
+@pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o644), (0o077, 0o600)])
+def test_who_may_read_a_corrector_is_the_umask_to_say(umask: int, mode: int, tmp_path: Path) -> None:
+    settings, path = small_settings("unet1d"), tmp_path / "corrector.safetensors"
+    before = os.umask(umask)
+    try:
+        save_corrector(path, settings, awake_network(settings).state_dict())
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(path.stat().st_mode) == mode
 
 
 def test_without_expectations_the_file_says_what_it_is(settings: CorrectorSettings, file: Path) -> None:

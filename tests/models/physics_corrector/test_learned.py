@@ -89,6 +89,36 @@ def test_features_of_another_encoder_are_refused(weights: Path) -> None:
         assert caught.value.code == "encoder_mismatch"
 
 
+def test_another_number_of_features_is_refused(weights: Path, encoder: PointEncoder) -> None:
+    read = load_corrector(weights)
+    fewer = replace(read.settings, network=replace(read.settings.network, num_features=32))
+    with pytest.raises(ConfigError, match="reads 32 point features an object, expected 64 or none"):
+        LearnedFlow(replace(read, settings=fewer), encoder)
+
+
+def test_what_cannot_be_reckoned_with_stays_and_harms_no_other(weights: Path) -> None:
+    scenes, shapes = two_scenes()
+    x, y, z = scenes[0]["a"].position
+    lost = replace(scenes[0], objects=(scenes[0]["a"].moved((x + 1e30, y, z), 0.0), *scenes[0].objects[1:]))
+    flow = load_flow(str(weights))
+    assert flow is not None
+    stayed, moved = flow([lost, scenes[1]], [shapes[0], shapes[1]], [FREE, FREE])
+    assert stayed == lost
+    assert moved.poses() == pytest.approx(flow(scenes[1:], shapes[1:], [FREE])[0].poses(), abs=1e-5)
+    (done,) = PhysicsCorrector(flow).correct([lost], shapes[:1])
+    assert (done.status, done.reason) == ("infeasible", "the exact check refuses what cannot be moved: a is off its area")
+
+
+def test_more_objects_than_a_network_was_trained_on(weights: Path) -> None:
+    rng = np.random.default_rng(0)
+    things = [(f"o_{n}", (CUP, BOOK)[n % 2], *rng.uniform(0.0, 4.0, 2).tolist(), 0.0) for n in range(200)]
+    scene, shapes = laid(*things, size=(4.0, 4.0))
+    flow = load_flow(str(weights), 1)
+    assert flow is not None
+    (moved,) = flow([scene], [shapes], [FREE])
+    assert (moved.poses() != scene.poses()).any(axis=1).all()
+
+
 def test_none_is_no_flow() -> None:
     assert load_flow("none") is None
     assert weights_fingerprint("none") == "none"

@@ -143,6 +143,9 @@ def test_a_table_smaller_than_its_objects() -> None:
     result = certify(scene, shapes)
     assert result.status is Status.DROPPED
     assert [d.instance for d in result.dropped] == ["book"]
+    alone = certify(replace(scene, objects=scene.objects[:1]), shapes[:1])
+    assert (alone.status, alone.scene) == (Status.INFEASIBLE, None)
+    assert "no free place was found on the table of 0.10 x 0.10 m" in alone.reason
 
 
 def test_relations_that_the_scene_asks_for_are_restored() -> None:

@@ -1,0 +1,273 @@
+"""What a correction costs: scenes a second on all cores, and seconds against the number of objects.
+
+``python -m benchmarks.correction_cost DATASET [--scenes N] [--rounds N] [--workers N] [--json FILE]``:
+
+- throughput: the scenes of the dataset that are nearest to 15 objects, made coarse by the kind ``jitter`` of the corrector's
+  training, several times over; one process a core, which corrects its share scene after scene. Scenes that came out clean, by the
+  clock on the wall of all processes together, and by processor time as if no one else used the cores;
+- growth: layouts of 5 to 60 objects, three of each number: things of those scenes with all that they carry, on a square table of
+  which their footprints take 30 %, shaken by 4 cm and 0.2 rad (standard deviations). Processor seconds of one core, and the
+  exponent of seconds against objects, by least squares of the logarithms over all layouts.
+
+``certify`` is certification alone, ``corrector`` after the learned flow, both with the scene's own audit and relations; what is
+made once an asset, such as its point features, is made before. Run with ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``.
+"""
+
+import json
+import math
+import time
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from multiprocessing import get_context
+from pathlib import Path
+from statistics import mean, median
+from typing import Annotated
+
+import numpy as np
+import torch
+import typer
+from tqdm import tqdm
+
+from benchmarks.audit import readable_scenes
+from benchmarks.correction import ours
+from benchmarks.layouts import shaken
+from models.baselines.outcome import Method
+from models.physics_corrector.batch import SceneBatch, padded
+from models.physics_corrector.perturbation import PerturbationSettings, perturb
+from pipelines.scene_step import related
+from stable_data.assets import AssetStore
+from stable_data.errors import SceneError, StableDataError
+from stable_data.mesatask import MesaTaskDataset
+from stable_data.metrics.audit import PosedScene, audit_posed
+from stable_data.scene import Scene, SceneObject, Tabletop
+
+SIZES = (5, 8, 12, 18, 27, 40, 60)
+"""Numbers of objects."""
+
+_METHODS = ("certify", "corrector")
+_TYPICAL = 15  # objects
+_OCCUPANCY = 0.3  # footprints of what stands on the table over its area
+_SHAKE = 0.04  # standard deviation of x and y, metres
+_LAYOUTS = 3  # of each number of objects
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """One layout, corrected.
+
+    Attributes:
+        method: Who corrected it.
+        layout: The layout.
+        num_objects: Objects.
+        is_clean: Whether it came out clean, be it with objects left out.
+        seconds: Processor time.
+    """
+
+    method: str
+    layout: str
+    num_objects: int
+    is_clean: bool
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Throughput:
+    """Scenes a second of one method.
+
+    Attributes:
+        workers: Processes.
+        wall_seconds: From the first scene's start to the last one's end.
+        costs: The scenes.
+    """
+
+    workers: int
+    wall_seconds: float
+    costs: tuple[Cost, ...]
+
+    def __str__(self) -> str:
+        """Rates of clean scenes."""
+        clean, sizes = sum(c.is_clean for c in self.costs), [c.num_objects for c in self.costs]
+        rates = clean / self.wall_seconds, self.workers * clean / sum(c.seconds for c in self.costs)
+        return (
+            f"{self.costs[0].method}: {clean} of {len(sizes)} scenes of {min(sizes)} to {max(sizes)} objects ({mean(sizes):.1f}) clean, "
+            f"{rates[0]:.2f} scenes/s with {self.workers} processes ({rates[1]:.2f} by processor time)"
+        )
+
+
+class Bench:
+    """Scenes of a dataset with all that is made once an asset.
+
+    Args:
+        root: A folder in the MesaTask-10K format.
+        count: How many scenes: those nearest to 15 objects.
+    """
+
+    def __init__(self, root: Path, count: int) -> None:
+        torch.set_num_threads(1)
+        dataset = MesaTaskDataset(root)
+        self._store = AssetStore(dataset, max_bytes=2**30)
+        every = sorted(readable_scenes(dataset), key=lambda s: (abs(len(s.objects) - _TYPICAL), s.scene_id))
+        self.scenes = [self._related(scene) for scene in every[:count]]
+        self._methods: dict[str, Method] = {name: method for name, method in ours().items() if name in _METHODS}
+        for name in self.methods:
+            self.costs(name, self.jittered(0))
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """``certify``, and ``corrector`` where its weights are there."""
+        return tuple(self._methods)
+
+    def costs(self, name: str, scenes: Iterable[Scene]) -> list[Cost]:
+        """What a method needs for scenes."""
+        return [self._cost(name, scene) for scene in scenes]
+
+    def jittered(self, seed: int) -> list[Scene]:
+        """The scenes, made coarse by the kind ``jitter``."""
+        shapes = [self._store.resolved(scene)[1] for scene in self.scenes]
+        arrays = {k: torch.from_numpy(v) for k, v in padded(self.scenes, shapes, [frozenset()] * len(shapes)).items()}
+        batch = SceneBatch(shape_index=torch.zeros_like(arrays["parent"]), **arrays)
+        coarse, _ = perturb(batch, PerturbationSettings(), torch.Generator().manual_seed(seed), "jitter")
+        poses = coarse.double().numpy()
+        return [scene.with_poses(own[: len(scene.objects)]) for scene, own in zip(self.scenes, poses, strict=True)]
+
+    def crowds(self) -> list[Scene]:
+        """Layouts of every number of objects."""
+        rng = np.random.default_rng(0)
+        return [shaken(crowd(self.scenes, n, rng), _SHAKE, rng) for n in SIZES for _ in range(_LAYOUTS)]
+
+    def _cost(self, name: str, scene: Scene) -> Cost:
+        scene, shapes, _ = self._store.resolved(scene)
+        done = self._methods[name].correct(scene, shapes, self._store)
+        return Cost(name, scene.scene_id, len(shapes), done.converged, done.seconds)
+
+    def _related(self, scene: Scene) -> Scene:
+        scene, shapes, _ = self._store.resolved(scene)
+        posed = PosedScene(scene, shapes)
+        return related(posed, audit_posed(posed), {})[0]
+
+
+def crowd(scenes: Sequence[Scene], count: int, rng: np.random.Generator) -> Scene:
+    """A layout of so many objects at a fixed occupancy: things of scenes, with all that they carry, in the cells of a grid.
+
+    Args:
+        scenes: The scenes, with supports.
+        count: Objects.
+        rng: Draws.
+
+    Raises:
+        SceneError: Everything in the scenes carries something, so that the number cannot be met.
+    """
+    groups = [group for scene in scenes for group in _groups(scene)]
+    chosen = list[list[SceneObject]]()
+    while (rest := count - sum(map(len, chosen))) > 0:
+        fitting = [group for group in groups if len(group) <= rest]
+        if not fitting:
+            raise SceneError(
+                f"no thing of {len(scenes)} scenes carries less than {rest}, expected one alone", "scenes_unsuited"
+            )
+        chosen.append(fitting[rng.integers(len(fitting))])
+    footprint = sum(first.size[0] * first.size[1] for first, *_ in chosen)
+    side, across = math.sqrt(footprint / _OCCUPANCY), math.ceil(math.sqrt(len(chosen)))
+    objects = []
+    for k, (first, *carried) in enumerate(chosen):
+        place = (np.array(divmod(k, across)) + 0.5) * side / across - first.position[:2]
+        for o in (first, *carried):
+            x, y = (o.position[:2] + place).tolist()
+            support = o.support if o is first else f"{k}/{o.support}"
+            objects.append(replace(o.moved((x, y, o.position[2]), o.yaw), instance=f"{k}/{o.instance}", support=support))
+    return Scene(f"crowd of {count}", Tabletop("", (side, side)), tuple(objects))
+
+
+def _groups(scene: Scene) -> list[list[SceneObject]]:
+    """What stands on the table, each with all that it carries behind it."""
+    names = {o.instance for o in scene.objects}
+    groups: dict[str, list[SceneObject]] = {o.instance: [o] for o in scene.objects if o.support not in names}
+    for o in scene.objects:
+        below = o
+        while below.support in names:
+            below = scene[below.support]
+        if below is not o:
+            groups[below.instance].append(o)
+    return list(groups.values())
+
+
+@lru_cache(maxsize=1)
+def _bench(root: Path, count: int) -> Bench:
+    return Bench(root, count)
+
+
+def _share(root: Path, count: int, name: str, seeds: Sequence[int], part: slice) -> list[Cost]:
+    """A process's share of the scenes of all rounds."""
+    bench = _bench(root, count)
+    return bench.costs(name, [scene for seed in seeds for scene in bench.jittered(seed)][part])
+
+
+def throughput(root: Path, count: int, rounds: int, workers: int) -> list[Throughput]:
+    """How many scenes a second become clean, by method.
+
+    Args:
+        root: A folder in the MesaTask-10K format.
+        count: How many of its scenes.
+        rounds: How often each is made coarse.
+        workers: Processes, each of one thread.
+    """
+    pools = [ProcessPoolExecutor(1, mp_context=get_context("spawn")) for _ in range(workers)]
+    try:
+        for ready in [pool.submit(_share, root, count, "certify", (), slice(None)) for pool in pools]:
+            ready.result()
+        found = []
+        for name in _bench(root, count).methods:
+            parts = [slice(n, None, workers) for n in range(workers)]
+            seeds = range(1, 1 + rounds)
+            begin = time.perf_counter()
+            shares = [pool.submit(_share, root, count, name, seeds, part) for pool, part in zip(pools, parts, strict=True)]
+            costs = tuple(cost for share in shares for cost in share.result())
+            found.append(Throughput(workers, time.perf_counter() - begin, costs))
+        return found
+    finally:
+        for pool in pools:
+            pool.shutdown()
+
+
+def exponent(costs: Sequence[Cost]) -> float:
+    """The p of seconds ~ objects ** p: the slope of least squares of the logarithms."""
+    return float(np.polyfit(np.log([c.num_objects for c in costs]), np.log([c.seconds for c in costs]), 1)[0])
+
+
+def growth_table(costs: Sequence[Cost]) -> str:
+    """Median seconds by number of objects and method, and the exponents."""
+    names = list(dict.fromkeys(c.method for c in costs))
+    lines = ["objects" + "".join(f"{name:>12} s{'clean':>8}" for name in names)]
+    for n in sorted({c.num_objects for c in costs}):
+        chosen = [[c for c in costs if (c.num_objects, c.method) == (n, name)] for name in names]
+        cells = (f"{median(c.seconds for c in own):14.3f}{sum(c.is_clean for c in own):>6}/{len(own)}" for own in chosen)
+        lines.append(f"{n:>7}" + "".join(cells))
+    return "\n".join([*lines, *(f"{name}: exponent {exponent([c for c in costs if c.method == name]):.2f}" for name in names)])
+
+
+def main(
+    dataset: Annotated[Path, typer.Argument(help="Folder in the MesaTask-10K format.")],
+    scenes: Annotated[int, typer.Option(help="How many of its scenes, those nearest to 15 objects.")] = 12,
+    rounds: Annotated[int, typer.Option(help="How often each is made coarse.")] = 4,
+    workers: Annotated[int, typer.Option(help="Processes.")] = 2,
+    file: Annotated[Path | None, typer.Option("--json", help="Where the figures are written.")] = None,
+) -> None:
+    """Measures what a correction costs."""
+    try:
+        rates = throughput(dataset, scenes, rounds, workers)
+        print(*rates, sep="\n")
+        bench = _bench(dataset, scenes)
+        crowds = bench.crowds()
+    except StableDataError as error:
+        raise SystemExit(str(error)) from error
+    growth = [cost for name in bench.methods for cost in bench.costs(name, tqdm(crowds, desc=name, unit="scene"))]
+    print(growth_table(growth))
+    if file is not None:
+        figures = {"throughput": [asdict(rate) for rate in rates], "growth": [asdict(cost) for cost in growth]}
+        file.write_text(json.dumps(figures, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    typer.run(main)
