@@ -166,9 +166,12 @@ class _Certifier:
         layout, own, was = self.layout, set(self.layout.tree(k)), self.layout.poses[k].copy()
         if layout.carried[k].is_in:  # there it stays, if not just so
             return
-        stands = layout.carried[k].parent == TABLE_TOP
+        stands, root = layout.carried[k].parent == TABLE_TOP, layout.root_of(k)
+        stays_within = any(layout.carried[m].is_in for m in layout.carriers(k))
         for carried in self.others[k]:
             if carried.parent == TABLE_TOP or carried.parent in own:
+                continue
+            if stays_within and layout.root_of(carried.parent) != root:
                 continue
             layout.carry(k, self.original.poses()[k])
             there = [m for m in layout.tree(layout.root_of(carried.parent)) if m not in own]

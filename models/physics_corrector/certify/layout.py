@@ -52,11 +52,17 @@ class Layout:
             members += self.children(m)
         return members
 
-    def root_of(self, k: int) -> int:
-        """What stands on the table below an object, or the object itself."""
+    def carriers(self, k: int) -> list[int]:
+        """An object, what carries it, what carries that, and so on down to what stands on the table."""
+        chain = [k]
         while self.carried[k].parent != TABLE_TOP:
             k = self.carried[k].parent
-        return k
+            chain.append(k)
+        return chain
+
+    def root_of(self, k: int) -> int:
+        """What stands on the table below an object, or the object itself."""
+        return self.carriers(k)[-1]
 
     def low(self, k: int) -> float:
         """Height of an object's bottom over the table, metres."""

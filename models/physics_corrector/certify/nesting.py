@@ -28,7 +28,8 @@ _TURNS = (0.0, np.pi / 2, np.pi / 4, -np.pi / 4)  # besides, turned
 _LIFT = 4e-3  # what comes to rest this much higher than it was may be wedged: a better place is looked for, metres
 _TOPPLES = 100.0  # what it costs that a thing may not stay, metres
 _CLIMB = 3.0  # how much rising counts beside moving aside
-_TRIES = (12, 24, 40, 80)  # among so many places: where it stays in one of them, where that is not sure, where it falls, where it rests in none
+# Among so many places: where it stays in one of them, where that is not sure, where it falls, where it rests in none.
+_TRIES = (12, 24, 40, 80)
 _STEPS, _MOST_STEPS, _SLOPE = (
     (8e-3, 3e-3, 1e-3),
     6,
