@@ -20,6 +20,7 @@ from stable_data.scene import FloatArray, Scene
 from stable_data.shape import Shape
 
 _DEFAULT = CertifyOptions()
+_PACKED, _FEW = 0.9, 4  # more of a table than this is never covered by what stands on it, where that is more than so many things
 _LEVEL = 0.9 * TOLERANCE  # what stands so near to the table top stays at its height, metres
 
 
@@ -197,6 +198,10 @@ class _Certifier:
                 self._drop(roots[least])
                 continue
             spare = sorted((b for b in range(len(roots)) if self._may_drop(roots[b])), key=lambda b: self._rank(roots[b]))
+            if surplus := self._surplus(roots, spare):
+                for b in surplus:
+                    self._drop(roots[b])
+                continue
             parted = part(crowd, crowd.aims, spare, self.options.tries)
             if parted is None:
                 self._say_full(roots[b] for b in range(len(roots)) if crowd.is_free[b])
@@ -206,6 +211,20 @@ class _Certifier:
             for b in out:
                 self._drop(roots[b])
             return True
+
+    def _surplus(self, groups: Sequence[Sequence[int]], spare: Sequence[int]) -> list[int]:
+        """Which of those that may go have to before it is worth a search: all together they cover more than can be packed."""
+        area = float(np.prod(self.scene.table.size_xy))
+        if len(groups) <= _FEW:
+            return []
+        covered = [self.standing.covered(roots) for roots in groups]
+        left, surplus = sum(covered), list[int]()
+        for b in spare:
+            if left <= _PACKED * area:
+                break
+            surplus.append(b)
+            left -= covered[b]
+        return surplus
 
     def _may_drop(self, roots: Sequence[int]) -> bool:
         return self.options.when_full == "drop" and all(self.layout.may_drop(r) for r in roots)

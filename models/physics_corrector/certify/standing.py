@@ -71,6 +71,14 @@ class Standing:
         bodies = Bodies(stiffness, aims, low, high)
         return Crowd(pairs, body, bodies, self._orders_between(number), self._clearance, relaxed), groups
 
+    def covered(self, roots: Sequence[int]) -> float:
+        """Area of the table top that trees cover, square metres."""
+        areas = []
+        for r in roots:
+            x, y = self._slabs(r).corners[0].T
+            areas.append(0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))))
+        return sum(areas)
+
     def _slabs(self, root: int) -> Slabs:
         """Slabs of a tree around its root's anchor; those of a tree that has not changed but for its place are kept."""
         layout = self._layout
