@@ -78,6 +78,7 @@ class Certified:
         reason: Why it is not certified; empty where it is.
         dropped: What was given up.
         audit: The exact audit of ``scene``; None where there is none.
+        unsteady: What does not stay in the physics engine, wherever it was tried; None where that was not asked or could not be.
     """
 
     scene: Scene | None
@@ -85,3 +86,4 @@ class Certified:
     reason: str = ""
     dropped: tuple[Dropped, ...] = ()
     audit: Audit | None = None
+    unsteady: tuple[str, ...] | None = None

@@ -6,12 +6,13 @@ places and yaws; each has to be clean by the meshes first, and then to stay in t
 carrier, where the engine takes it first; what rolls or tips over on the table leans against a neighbour. Tilts never change.
 """
 
+import itertools
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 import shapely
 
-from models.physics_corrector.certify.carriers import TABLE_TOP, beyond
+from models.physics_corrector.certify.carriers import TABLE_TOP, Carried, beyond, wanted_carriers
 from models.physics_corrector.certify.contact import Meshes
 from models.physics_corrector.certify.crowd import AXES
 from models.physics_corrector.certify.layout import Layout
@@ -23,10 +24,11 @@ from stable_data.physics import MOVE_LIMIT, TURN_LIMIT, Body
 from stable_data.relations import INSIDE_SLACK
 from stable_data.scene import FloatArray, Relation
 
-_MARGIN = 0.8  # share of the limits within which an object has to stay where it is tried
-_LOOK, _VERDICT = 1.5, 4.0  # seconds: to find what moves; and to say that it stays
+_VERDICT, _LOOK = 4.0, 1.5  # seconds that things are let go: to say that they stay, and to see where they fall
 _ROUNDS = 4
+_GAP = 5e-3  # what is nearer than this is let go together, metres
 _REACH = 0.03  # what is so near to where an object may go is held beside it, metres
+_DEEP = 0.5  # what is so far below its container's rim is deep in it, share of its own height
 _RIM = 4e-3  # the bottom of what is in a container stays this much below its rim, metres
 _RINGS = (0.003, 0.007, 0.012, 0.018, 0.026, 0.036, 0.05, 0.07, 0.1)  # how far away a place is looked for, metres
 _AROUND, _TURNS = 8, 12
@@ -34,6 +36,7 @@ _TURN_COST = 0.008  # metres a radian
 _CLIMB = 2.0  # how much rising counts beside moving aside
 _BATCH = 24
 _TRIALS, _LOWERED = 40, 240  # places that are tried at most for an object: in the engine, and by the meshes
+_SAME = np.array([1e3, 1e3, 1e3, 20.0])  # poses are the same within a millimetre and 3 degrees
 _FOLLOWED, _FALLEN = 2, 45.0  # how often the engine's own outcome is tried next, where it turned less than this, degrees
 _FARTHEST = 0.3  # how far away a neighbour to lean on is looked for, metres
 _NEIGHBOURS, _SIDES = 8, 8
@@ -52,88 +55,151 @@ class Resting:
 
     def __init__(self, layout: Layout, meshes: Meshes, bodies: Sequence[Body], orders: Sequence[Relation]) -> None:
         self._layout, self._meshes, self._bodies = layout, meshes, bodies
+        self._meant = set(wanted_carriers(layout.scene))
+        self._seen: dict[tuple[tuple[int, ...], bytes], list[int]] = {}
+        self._everything: Trial | None = None
+        self._moved: list[int] = []
+        self._hopeless: set[int] = set()
+        self._refused: list[list[FloatArray]] = [[] for _ in bodies]
         number = {o.instance: k for k, o in enumerate(layout.scene.objects)}
         self._orders = [(number[r.subject], number[r.target], np.array(AXES[r.kind])) for r in orders]
 
-    def settled(self) -> list[int]:
-        """Puts what the engine moves elsewhere. Returns what still does not stay."""
+    def settled(self) -> tuple[list[int], list[int]]:
+        """Puts what the engine moves elsewhere. Returns what does not stay: at first as far as that was seen, and at last."""
         layout = self._layout
-        moved = self._moved(_LOOK)
-        best = (len(moved), layout.poses.copy(), list(layout.carried))
-        hopeless: set[int] = set()
+        first = self._seen_moving()
+        best: tuple[list[int], FloatArray, list[Carried]] | None = None
         for _ in range(_ROUNDS):
-            changed = False
-            for k in sorted(moved, key=lambda k: (layout.low(k), k)):
-                if k not in hopeless and not layout.is_fixed[k] and not self._stays(k):
-                    if self._put_elsewhere(k):
-                        changed = True
-                    else:
-                        hopeless.add(k)
-            if not changed:
+            self._moved = self._seen_moving()
+            while self._moved and self._improved():
+                self._moved = self._seen_moving()
+            moved = self._let_go()
+            if best is None or len(moved) < len(best[0]):
+                best = moved, layout.poses.copy(), list(layout.carried)
+            self._moved = moved
+            if not moved or not self._improved():
                 break
-            moved = self._moved(_LOOK)
-            if len(moved) < best[0]:
-                best = (len(moved), layout.poses.copy(), list(layout.carried))
+        assert best is not None
         layout.poses[:], layout.carried[:] = best[1], best[2]
-        return self._moved(_VERDICT)
+        return first, best[0]
 
-    def _moved(self, seconds: float) -> list[int]:
+    def _let_go(self) -> list[int]:
+        """What moves when everything is let go."""
+        present = self._layout.present()
+        self._everything = self._everything or Trial(self._bodies, self._layout.poses, present, [], self._layout.scene.table)
+        return self._moving(self._everything)
+
+    def _seen_moving(self) -> list[int]:
+        """What moves when what is near to each other is let go, one such group at a time: quicker, and nearly as true."""
         layout = self._layout
-        present = layout.present()
-        trial = Trial(self._bodies, layout.poses, present, [], layout.scene.table)
-        stays = trial.stays(layout.poses, seconds, MOVE_LIMIT, TURN_LIMIT)
-        return [k for k, stay in zip(present, stays.tolist(), strict=True) if not stay]
+        groups = {r: layout.tree(r) for r in layout.roots()}
+        for one, other in itertools.combinations(layout.roots(), 2):
+            if groups[one] is not groups[other] and self._are_near(one, other):
+                both = groups[one] + groups[other]
+                groups.update((r, both) for r in both if r in groups)
+        moved = []
+        for group in {id(group): sorted(group) for group in groups.values()}.values():
+            key = tuple(group), layout.poses[group].tobytes()
+            if key not in self._seen:
+                self._seen[key] = self._moving(self._trial(group, *self._box(group)))
+            moved += self._seen[key]
+        return moved
+
+    def _moving(self, trial: Trial) -> list[int]:
+        stays = trial.stays(self._layout.poses, _VERDICT, MOVE_LIMIT, TURN_LIMIT)
+        moved = [k for k, stay in zip(trial.free, stays.tolist(), strict=True) if not stay]
+        for k in moved:
+            self._refused[k].append(self._layout.poses[k].copy())
+        return moved
+
+    def _are_near(self, one: int, other: int) -> bool:
+        """Do the boxes of members of two trees nearly meet?"""
+        layout, theirs = self._layout, self._layout.tree(other)
+        return any(self._meshes.near(m, layout.poses[m], theirs, layout.poses, _GAP, _GAP) for m in layout.tree(one))
+
+    def _box(self, members: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """The box around objects, two (3,) metres."""
+        boxes = [self._meshes.box(m, self._layout.poses[m]) for m in members]
+        return np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)
+
+    def _improved(self) -> bool:
+        """Puts elsewhere what moves by itself, or, where nothing does, what others move. False where nothing could be."""
+        layout = self._layout
+        free = [k for k in self._moved if k not in self._hopeless and not layout.is_fixed[k]]
+        free.sort(key=lambda k: (layout.low(k), k))
+        causes = [k for k in free if not self._stays(k)]
+        for some in (causes, [k for k in free if k not in causes]):
+            changed = False
+            for k in some:
+                if self._put_elsewhere(k):
+                    changed = True
+                else:
+                    self._hopeless.add(k)
+            if changed:
+                return True
+        return False
 
     # --- one object
 
     def _stays(self, k: int) -> bool:
         """Does an object stay where it is while all others are held?"""
-        low, high = self._meshes.box(k, self._layout.poses[k])
-        return self._trial([k], low, high).all_stay(self._layout.poses, _VERDICT, MOVE_LIMIT, TURN_LIMIT)
+        return self._trial([k], *self._box([k])).all_stay(self._layout.poses, _VERDICT, MOVE_LIMIT, TURN_LIMIT)
 
     def _trial(self, free: Sequence[int], low: FloatArray, high: FloatArray) -> Trial:
         """Objects that are let go within a box, two (3,) metres, where all that may meet them is held."""
-        layout, held = self._layout, []
-        for j in layout.present():
-            least, most = self._meshes.box(j, layout.poses[j])
-            if j not in free and (least <= high + _REACH).all() and (most >= low - _REACH).all():
-                held.append(j)
+        layout = self._layout
+        held = [j for j in self._around(low, high) if j not in free]
         return Trial(self._bodies, layout.poses, free, held, layout.scene.table)
 
+    def _around(self, low: FloatArray, high: FloatArray) -> list[int]:
+        """What is in or near a box, two (3,) metres."""
+        boxes = [(j, *self._meshes.box(j, self._layout.poses[j])) for j in self._layout.present()]
+        return [j for j, least, most in boxes if (least <= high + _REACH).all() and (most >= low - _REACH).all()]
+
+    def _was_refused(self, k: int) -> bool:
+        """Did an object not stay, when everything was let go, about where it is?"""
+        pose = self._layout.poses[k]
+        return any(np.abs((pose - other) * _SAME).max() < 1 for other in self._refused[k])
+
     def _put_elsewhere(self, k: int) -> bool:
-        layout = self._layout
-        parent = layout.carried[k].parent
-        if parent == TABLE_TOP:
-            return self._tried(k, self._leaning(k), self._span(k, _FARTHEST), follows=True)
-        low, high = self._meshes.box(parent, layout.poses[parent])
-        reach = float(np.linalg.norm(layout.shapes[k].size))
-        if self._tried(k, self._carried(k), (low - reach, high + reach), follows=True):
+        """Finds an object a place where it stays: on its carrier, else, if it may leave that, on the table."""
+        layout, was = self._layout, self._layout.carried[k]
+        if was.parent != TABLE_TOP:
+            low, high = self._meshes.box(was.parent, layout.poses[was.parent])
+            reach = float(np.linalg.norm(layout.shapes[k].size))
+            if self._tried(k, self._carried(k), low - reach, high + reach):
+                return True
+            if not self._may_leave(k):
+                return False
+            layout.carried[k] = Carried()
+        reach = _FARTHEST + float(np.linalg.norm(layout.shapes[k].size))
+        if self._tried(k, self._on_the_table(k), layout.poses[k, :3] - reach, layout.poses[k, :3] + reach):
             return True
+        layout.carried[k] = was
         return False
 
-    def _span(self, k: int, distance: float) -> tuple[FloatArray, FloatArray]:
-        reach = distance + float(np.linalg.norm(self._layout.shapes[k].size)) / 2
-        return self._layout.poses[k, :3] - reach, self._layout.poses[k, :3] + reach
+    def _may_leave(self, k: int) -> bool:
+        """May an object be put from its carrier onto the table: not meant to be there, and not deep in it?"""
+        layout, p = self._layout, self._layout.carried[k].parent
+        is_deep = self._meshes.box(p, layout.poses[p])[1][2] - layout.low(k) > _DEEP * layout.shapes[k].size[2]
+        return k not in self._meant and not (layout.carried[k].is_in and is_deep)
 
-    def _tried(
-        self, k: int, candidates: Iterator[FloatArray], span: tuple[FloatArray, FloatArray], *, follows: bool
-    ) -> bool:
+    def _tried(self, k: int, candidates: Iterator[FloatArray], low: FloatArray, high: FloatArray) -> bool:
         """Takes the first candidate at which an object with all that it carries is clean and stays."""
         layout, tree = self._layout, self._layout.tree(k)
-        trial = self._trial(tree, *span)
+        trial = self._trial(tree, low, high)
         was, number = layout.poses.copy(), 0
-        move, turn = _MARGIN * MOVE_LIMIT, _MARGIN * TURN_LIMIT
         for candidate in candidates:
             pose = candidate
-            for _ in range(1 + _FOLLOWED * follows):
+            for _ in range(1 + _FOLLOWED):
                 layout.carry(k, pose)
-                if self._is_clean(tree, was):
-                    number += 1
-                    if trial.all_stay(layout.poses, _VERDICT, move, turn):
-                        return True
-                    ended, turns = trial.outcome(layout.poses, _LOOK)
-                else:
-                    turns = np.array([np.inf])
+                if self._was_refused(k) or not self._is_clean(tree, was):
+                    layout.poses[tree] = was[tree]
+                    break
+                number += 1
+                if trial.all_stay(layout.poses, _VERDICT, MOVE_LIMIT, TURN_LIMIT) and self._stays_among_others(tree):
+                    return True
+                ended, turns = trial.outcome(layout.poses, _LOOK)
                 layout.poses[tree] = was[tree]
                 if turns[0] > _FALLEN or number >= _TRIALS:
                     break
@@ -141,6 +207,15 @@ class Resting:
             if number >= _TRIALS:
                 break
         return False
+
+    def _stays_among_others(self, tree: Sequence[int]) -> bool:
+        """Does an object stay, with all that it carries, when what is near to it is free to move; and does that?"""
+        layout = self._layout
+        near = self._around(*self._box(tree))
+        free = sorted({m for j in (*near, *tree) for m in layout.tree(layout.root_of(j))})
+        trial = self._trial(free, *self._box(free))
+        stays = trial.stays(layout.poses, _VERDICT, MOVE_LIMIT, TURN_LIMIT)
+        return all(stay or (m in self._moved and m not in tree) for m, stay in zip(free, stays.tolist(), strict=True))
 
     def _down(self, k: int, pose: FloatArray) -> FloatArray:
         layout = self._layout
@@ -215,11 +290,22 @@ class Resting:
                 lowered.append((float(cost.ravel()[n]) + _CLIMB * max(0.0, float(there[2] - pose[2])), there))
             yield from (there for _, there in sorted(lowered, key=lambda item: item[0]))
 
-    def _leaning(self, k: int) -> Iterator[FloatArray]:
-        """Poses on the table at which an object, the way that it falls, meets a neighbour; near ones first."""
+    def _on_the_table(self, k: int) -> Iterator[FloatArray]:
+        """Poses on the table: free ones for what stands alone, and those at which it meets a neighbour the way that it falls."""
         layout, meshes = self._layout, self._meshes
         pose, own = layout.poses[k].copy(), set(layout.tree(k))
-        falls = self._falls(k)
+        pose[2] = layout.shapes[k].size[2] / 2
+        alone = layout.poses.copy()
+        alone[k] = pose
+        trial = Trial(self._bodies, alone, [k], [], layout.scene.table)
+        candidates = []
+        if trial.all_stay(alone, _VERDICT, MOVE_LIMIT, TURN_LIMIT):
+            angles = 2 * np.pi * np.arange(_AROUND) / _AROUND
+            ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+            places = np.concatenate([pose[None, :2], *(pose[:2] + r * ring for r in (*_RINGS, 0.15, 0.2, _FARTHEST))])
+            candidates = [np.array([*place, *pose[2:]]) for place in places]
+        way = trial.outcome(alone, _LOOK)[0][0, :2] - pose[:2]
+        falls = float(np.arctan2(way[1], way[0]))
         reach = float(np.linalg.norm(layout.shapes[k].size[:2])) / 2
         found = []
         for j in layout.present():
@@ -227,7 +313,6 @@ class Resting:
             gap = np.linalg.norm(np.maximum(0.0, np.maximum(low[:2] - pose[:2], pose[:2] - high[:2])))
             if j not in own and gap <= _FARTHEST and low[2] < layout.shapes[k].size[2]:
                 found.append((float(gap), j))
-        candidates = []
         for _, j in sorted(found)[:_NEIGHBOURS]:
             low, high = meshes.box(j, layout.poses[j])
             middle, distance = (low[:2] + high[:2]) / 2, reach + float(np.linalg.norm(high[:2] - low[:2])) / 2
@@ -235,17 +320,8 @@ class Resting:
             for side in toward + 2 * np.pi * np.arange(_SIDES) / _SIDES:
                 out = np.array([np.cos(side), np.sin(side)])
                 there = np.array([*(middle + distance * out), pose[2], pose[3] + side + np.pi - falls])
-                there = meshes.slid(k, there, -out, [j], layout.poses, distance)
-                candidates.append((self._cost(k, there), there))
-        yield from (there for _, there in sorted(candidates, key=lambda item: item[0]))
-
-    def _falls(self, k: int) -> float:
-        """The way that an object at its yaw falls on a bare table, radians."""
-        layout = self._layout
-        pose = layout.poses[k]
-        trial = Trial(self._bodies, layout.poses, [k], [], layout.scene.table)
-        way = trial.outcome(layout.poses, _LOOK)[0][0, :2] - pose[:2]
-        return float(np.arctan2(way[1], way[0]))
+                candidates.append(meshes.slid(k, there, -out, [j], layout.poses, distance))
+        yield from sorted(candidates, key=lambda there: self._cost(k, there))
 
     def _cost(self, k: int, pose: FloatArray) -> float:
         """How far an object is moved, and what relations of it and of what it carries that breaks, metres."""

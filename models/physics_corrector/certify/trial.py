@@ -11,7 +11,7 @@ from stable_data.physics import Body, EngineOptions, compile_bodies, without_log
 from stable_data.scene import FloatArray, Tabletop
 
 _SAMPLE = 0.02  # seconds between looks
-_STILL, _PATIENCE = 5e-4, 15  # what is slower than this, metres a second, for so many looks has come to rest
+_STILL, _PATIENCE = 2e-4, 15  # what is slower than this, metres a second, for so many looks has come to rest
 _ARM = 0.05  # metres from the centre at which turning counts as speed
 
 
