@@ -34,11 +34,12 @@ _AROUND, _TURNS = 8, 12
 _TURN_COST = 0.008  # metres a radian
 _CLIMB = 2.0  # how much rising counts beside moving aside
 _BATCH = 24
-_TRIALS, _LOWERED = 40, 240  # places that are tried at most for an object: in the engine, and by the meshes
+_TRIALS, _LOWERED = 60, 360  # places that are tried at most for an object: in the engine, and by the meshes
 _SAME = np.array([1e3, 1e3, 1e3, 20.0])  # poses are the same within a millimetre and 3 degrees
-_FOLLOWED, _FALLEN = 2, 45.0  # how often the engine's own outcome is tried next, where it turned less than this, degrees
+_FOLLOWED = 3  # how often the place to which the engine takes a thing is tried next
 _FARTHEST = 0.3  # how far away a neighbour to lean on is looked for, metres
 _NEIGHBOURS, _SIDES = 8, 8
+_ASKEW = (0.0, 0.7, -0.7)  # and how much a thing that leans is turned from the way that it falls, radians
 _BROKEN = 0.05  # what a lost directional relation costs, metres
 
 
@@ -188,11 +189,11 @@ class Resting:
                 number += 1
                 if trial.all_stay(layout.poses, _VERDICT, MOVE_LIMIT, TURN_LIMIT) and self._stays_among_others(tree):
                     return True
-                ended, turns = trial.outcome(layout.poses, _LOOK)
+                ended = trial.outcome(layout.poses, _LOOK)[0]
                 layout.poses[tree] = was[tree]
-                if turns[0] > _FALLEN or number >= _TRIALS:
+                if number >= _TRIALS:
                     break
-                pose = self._down(k, ended[0])
+                pose = self._down(k, ended)
             if number >= _TRIALS:
                 break
         return False
@@ -226,7 +227,7 @@ class Resting:
                 return False
             if zone is not None and high[0] > zone[0] and low[0] < zone[1] and high[1] > zone[2] and low[1] < zone[3]:
                 return False
-        if parent != TABLE_TOP and not self._is_carried(k):
+        if parent != TABLE_TOP and not self._is_carried(k, float(was[k, 2] - layout.shapes[k].size[2] / 2)):
             return False
         if not is_at_rest(meshes, layout.poses, k, layout.poses[k], others):
             return False
@@ -246,12 +247,13 @@ class Resting:
         near = meshes.near(j, layout.poses[j], [*others, *tree], layout.poses, 2 * TOLERANCE)
         return bool(meshes.rests(j, layout.poses[j], [m for m in near if m != j], layout.poses))
 
-    def _is_carried(self, k: int) -> bool:
+    def _is_carried(self, k: int, was: float) -> bool:
+        """Is an object, whose bottom was at a height, in its container as deep as to count, or on its carrier?"""
         layout, carried = self._layout, self._layout.carried[k]
         p = carried.parent
         outside = beyond(layout.poses[k, :2], layout.shapes[p].posed_footprint(layout.poses[p]))
         low, high = self._meshes.box(p, layout.poses[p])
-        if carried.is_in:
+        if carried.is_in and was < high[2] - _RIM:
             return outside <= INSIDE_SLACK and low[2] - TOLERANCE <= layout.low(k) < high[2] - _RIM
         return outside <= 0 and bool(self._meshes.rests(k, layout.poses[k], [p], layout.poses))
 
@@ -293,7 +295,7 @@ class Resting:
             ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
             places = np.concatenate([pose[None, :2], *(pose[:2] + r * ring for r in (*_RINGS, 0.15, 0.2, _FARTHEST))])
             candidates = [np.array([*place, *pose[2:]]) for place in places]
-        way = trial.outcome(alone, _LOOK)[0][0, :2] - pose[:2]
+        way = trial.outcome(alone, _LOOK)[0, :2] - pose[:2]
         falls = float(np.arctan2(way[1], way[0]))
         reach = float(np.linalg.norm(layout.shapes[k].size[:2])) / 2
         found = []
@@ -308,8 +310,9 @@ class Resting:
             toward = float(np.arctan2(*(pose[:2] - middle)[::-1]))
             for side in toward + 2 * np.pi * np.arange(_SIDES) / _SIDES:
                 out = np.array([np.cos(side), np.sin(side)])
-                there = np.array([*(middle + distance * out), pose[2], pose[3] + side + np.pi - falls])
-                candidates.append(meshes.slid(k, there, -out, [j], layout.poses, distance))
+                for turn in _ASKEW:
+                    there = np.array([*(middle + distance * out), pose[2], pose[3] + side + np.pi - falls + turn])
+                    candidates.append(meshes.slid(k, there, -out, [j], layout.poses, distance))
         yield from sorted(candidates, key=lambda there: self._cost(k, there))
 
     def _cost(self, k: int, pose: FloatArray) -> float:

@@ -68,16 +68,16 @@ class Trial:
         _, moves, turns = self._run(poses, seconds, move, turn, ends_at_first=True)
         return bool((moves <= move).all() and (turns <= turn).all())
 
-    def outcome(self, poses: FloatArray, seconds: float) -> tuple[FloatArray, FloatArray]:
-        """Where the free objects come to: poses (F, 4) with what is left of their turn about the vertical, and farthest turns (F,).
+    def outcome(self, poses: FloatArray, seconds: float) -> FloatArray:
+        """Where the free objects come to, poses (F, 4) with what they turned about the vertical.
 
         Args:
             poses: Where all objects of the layout start, (N, 4).
             seconds: How long they are let go.
         """
-        state, _, turns = self._run(poses, seconds, np.inf, np.inf)
-        yaws = 2 * np.arctan2(state[:, 6], state[:, 3])  # the twist about z
-        return np.column_stack([state[:, :3], yaws]), turns
+        state = self._run(poses, seconds, np.inf, np.inf)[0]
+        yaws = 2 * np.arctan2(state[:, 6], state[:, 3])
+        return np.column_stack([state[:, :3], yaws])
 
     def _run(
         self, poses: FloatArray, seconds: float, move: float, turn: float, *, ends_at_first: bool = False
