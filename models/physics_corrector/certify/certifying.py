@@ -142,17 +142,18 @@ class _Certifier:
         layout, was = self.layout, (self.layout.poses.copy(), list(self.layout.carried))
         try:
             resting = Resting(layout, self.meshes, bodies, directional(layout, poses))
-            first, last = resting.settled()
+            unsteady = resting.settled()
         except MeshError as error:
             return replace(done, reason="; ".join(filter(None, (done.reason, f"the engine cannot be asked: {error}"))))
-        scene = self._scene()
-        audit = audit_scene(scene, [self.shapes[k] for k in layout.present()])
-        if audit.card().clean:
-            done = self._concluded(scene, audit)
-        else:
-            layout.poses[:], layout.carried[:] = was
-            last = first
-        return replace(done, unsteady=tuple(self.scene.objects[k].instance for k in last))
+        if not np.array_equal(layout.poses, was[0]):
+            scene = self._scene()
+            audit = audit_scene(scene, [self.shapes[k] for k in layout.present()])
+            if audit.card().clean:
+                done = self._concluded(scene, audit)
+            else:
+                layout.poses[:], layout.carried[:] = was
+                unsteady = resting.moving()
+        return replace(done, unsteady=tuple(self.scene.objects[k].instance for k in unsteady))
 
     # --- trees
 

@@ -24,7 +24,7 @@ from stable_data.relations import INSIDE_SLACK
 from stable_data.scene import FloatArray, Relation
 
 _VERDICT, _LOOK = 4.0, 1.5  # seconds that things are let go: to say that they stay, and to see where they fall
-_ROUNDS = 4
+_ROUNDS, _PATIENCE = 4, 3  # how often everything is let go, and how often an object is put elsewhere
 _BESIDE = 0.01  # what is so near to a thing that is let go is held beside it, metres
 _TOUCH = 2e-3  # what is so near to a thing in its new place is let go with it, metres
 _DEEP = 0.5  # what is so far below its container's rim is deep in it, share of its own height
@@ -33,8 +33,8 @@ _RINGS = (0.003, 0.007, 0.012, 0.018, 0.026, 0.036, 0.05, 0.07, 0.1)  # how far 
 _AROUND, _TURNS = 8, 12
 _TURN_COST = 0.008  # metres a radian
 _CLIMB = 2.0  # how much rising counts beside moving aside
-_BATCH = 24
-_TRIALS, _LOWERED = 60, 360  # places that are tried at most for an object: in the engine, and by the meshes
+_BATCH, _BATCHES = 16, 20  # places that are looked at together, the best of them first; and how many of such
+_TRIALS = 60  # places at most that are tried for an object in the engine
 _SAME = np.array([1e3, 1e3, 1e3, 20.0])  # poses are the same within a millimetre and 3 degrees
 _FOLLOWED = 3  # how often the place to which the engine takes a thing is tried next
 _FARTHEST = 0.3  # how far away a neighbour to lean on is looked for, metres
@@ -59,21 +59,20 @@ class Resting:
         self._seen: dict[tuple[int, bytes], list[int]] = {}
         self._everything: Trial | None = None
         self._moved: list[int] = []
-        self._hopeless: set[int] = set()
+        self._patience = [_PATIENCE] * len(bodies)
         self._refused: list[list[FloatArray]] = [[] for _ in bodies]
         number = {o.instance: k for k, o in enumerate(layout.scene.objects)}
         self._orders = [(number[r.subject], number[r.target], np.array(AXES[r.kind])) for r in orders]
 
-    def settled(self) -> tuple[list[int], list[int]]:
-        """Puts what the engine moves elsewhere. Returns what does not stay: at first as far as that was seen, and at last."""
+    def settled(self) -> list[int]:
+        """Puts what the engine moves elsewhere. Returns what does not stay in the end."""
         layout = self._layout
-        first = self._seen_moving()
         best: tuple[list[int], FloatArray, list[Carried]] | None = None
         for _ in range(_ROUNDS):
             self._moved = self._seen_moving()
             while self._moved and self._improved():
                 self._moved = self._seen_moving()
-            moved = self._let_go()
+            moved = self.moving()
             if best is None or len(moved) < len(best[0]):
                 best = moved, layout.poses.copy(), list(layout.carried)
             self._moved = moved
@@ -81,9 +80,9 @@ class Resting:
                 break
         assert best is not None
         layout.poses[:], layout.carried[:] = best[1], best[2]
-        return first, best[0]
+        return best[0]
 
-    def _let_go(self) -> list[int]:
+    def moving(self) -> list[int]:
         """What moves when everything is let go."""
         present = self._layout.present()
         self._everything = self._everything or Trial(self._bodies, self._layout.poses, present, [], self._layout.scene.table)
@@ -116,16 +115,15 @@ class Resting:
     def _improved(self) -> bool:
         """Puts elsewhere what moves by itself, or, where nothing does, what others move. False where nothing could be."""
         layout = self._layout
-        free = [k for k in self._moved if k not in self._hopeless and not layout.is_fixed[k]]
+        free = [k for k in self._moved if self._patience[k] and np.isfinite(layout.stiffness(k))]
         free.sort(key=lambda k: (layout.low(k), k))
         causes = [k for k in free if not self._stays(k)]
         for some in (causes, [k for k in free if k not in causes]):
             changed = False
             for k in some:
-                if self._put_elsewhere(k):
-                    changed = True
-                else:
-                    self._hopeless.add(k)
+                is_put = self._put_elsewhere(k)
+                changed |= is_put
+                self._patience[k] = self._patience[k] - 1 if is_put else 0
             if changed:
                 return True
         return False
@@ -145,11 +143,6 @@ class Resting:
         """What is so near to a box, two (3,) metres."""
         boxes = [(j, *self._meshes.box(j, self._layout.poses[j])) for j in self._layout.present()]
         return [j for j, least, most in boxes if (least <= high + gap).all() and (most >= low - gap).all()]
-
-    def _was_refused(self, k: int) -> bool:
-        """Did an object not stay, when everything was let go, about where it is?"""
-        pose = self._layout.poses[k]
-        return any(np.abs((pose - other) * _SAME).max() < 1 for other in self._refused[k])
 
     def _put_elsewhere(self, k: int) -> bool:
         """Finds an object a place where it stays: on its carrier, else, if it may leave that, on the table."""
@@ -178,24 +171,22 @@ class Resting:
         """Takes the first candidate at which an object with all that it carries is clean and stays."""
         layout, tree = self._layout, self._layout.tree(k)
         trial = self._trial(tree, self._around(low, high, 0.0))
-        was, number = layout.poses.copy(), 0
+        was, refused = layout.poses.copy(), list(self._refused[k])
         for candidate in candidates:
             pose = candidate
             for _ in range(1 + _FOLLOWED):
                 layout.carry(k, pose)
-                if self._was_refused(k) or not self._is_clean(tree, was):
+                if any(np.abs((pose - other) * _SAME).max() < 1 for other in refused) or not self._is_clean(tree, was):
                     layout.poses[tree] = was[tree]
                     break
-                number += 1
                 if trial.all_stay(layout.poses, _VERDICT, MOVE_LIMIT, TURN_LIMIT) and self._stays_among_others(tree):
                     return True
                 ended = trial.outcome(layout.poses, _LOOK)[0]
                 layout.poses[tree] = was[tree]
-                if number >= _TRIALS:
-                    break
+                refused.append(pose)
+                if len(refused) >= _TRIALS:
+                    return False
                 pose = self._down(k, ended)
-            if number >= _TRIALS:
-                break
         return False
 
     def _stays_among_others(self, tree: Sequence[int]) -> bool:
@@ -227,6 +218,8 @@ class Resting:
                 return False
             if zone is not None and high[0] > zone[0] and low[0] < zone[1] and high[1] > zone[2] and low[1] < zone[3]:
                 return False
+        if parent == TABLE_TOP and layout.low(k) > TOLERANCE:
+            return False
         if parent != TABLE_TOP and not self._is_carried(k, float(was[k, 2] - layout.shapes[k].size[2] / 2)):
             return False
         if not is_at_rest(meshes, layout.poses, k, layout.poses[k], others):
@@ -272,13 +265,16 @@ class Resting:
         turns = 2 * np.pi * np.arange(_TURNS) / _TURNS
         turns = np.where(turns > np.pi, turns - 2 * np.pi, turns)
         cost = np.linalg.norm(places - pose[:2], axis=1)[:, None] + _TURN_COST * np.abs(turns)
-        order = np.argsort(cost.ravel(), kind="stable")[:_LOWERED]
-        for batch in np.array_split(order, max(1, len(order) // _BATCH)):
+        order = np.argsort(cost.ravel(), kind="stable")
+        every = len(order) // _BATCH + 1
+        for n in range(min(every, _BATCHES)):
+            # In turn what is near, and some of everything.
+            batch = order[n // 2 * _BATCH : (n // 2 + 1) * _BATCH] if n % 2 == 0 else order[n // 2 :: every]
             lowered = []
-            for n in batch.tolist():
-                place, turn = places[n // len(turns)], turns[n % len(turns)]
+            for m in batch.tolist():
+                place, turn = places[m // len(turns)], turns[m % len(turns)]
                 there = self._down(k, np.array([*place, pose[2], pose[3] + turn]))
-                lowered.append((float(cost.ravel()[n]) + _CLIMB * max(0.0, float(there[2] - pose[2])), there))
+                lowered.append((float(cost.ravel()[m]) + _CLIMB * max(0.0, float(there[2] - pose[2])), there))
             yield from (there for _, there in sorted(lowered, key=lambda item: item[0]))
 
     def _on_the_table(self, k: int) -> Iterator[FloatArray]:
