@@ -40,7 +40,7 @@ _FOLLOWED = 3  # how often the place to which the engine takes a thing is tried 
 _FARTHEST = 0.3  # how far away a neighbour to lean on is looked for, metres
 _NEIGHBOURS, _SIDES = 8, 8
 _ASKEW = (0.0, 0.7, -0.7)  # and how much a thing that leans is turned from the way that it falls, radians
-_BROKEN = 0.05  # what a lost directional relation costs, metres
+_BROKEN = 0.15  # what a lost directional relation costs, metres
 
 
 class Resting:
@@ -260,7 +260,9 @@ class Resting:
         angles = 2 * np.pi * np.arange(_AROUND) / _AROUND
         ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         middle = np.array([region.centroid.x, region.centroid.y])
-        places = np.concatenate([pose[None, :2], middle[None], *(centre + r * ring for r in _RINGS for centre in (pose[:2], middle))])
+        places = np.concatenate(
+            [pose[None, :2], middle[None], *(centre + r * ring for r in _RINGS for centre in (pose[:2], middle))]
+        )
         places = places[shapely.intersects_xy(region, places[:, 0], places[:, 1])]
         turns = 2 * np.pi * np.arange(_TURNS) / _TURNS
         turns = np.where(turns > np.pi, turns - 2 * np.pi, turns)

@@ -10,6 +10,7 @@ from stable_data.engine import mujoco
 from stable_data.physics import Body, EngineOptions, compile_bodies, without_log_file
 from stable_data.scene import FloatArray, Tabletop
 
+_OPTIONS = EngineOptions()  # as for the verdict of stability
 _SAMPLE = 0.02  # seconds between looks
 _STILL, _PATIENCE = 2e-4, 15  # what is slower than this, metres a second, for so many looks has come to rest
 _ARM = 0.05  # metres from the centre at which turning counts as speed
@@ -24,7 +25,6 @@ class Trial:
         free: Those that are let go.
         held: Those that are there but cannot move.
         table: The table.
-        options: How the engine is set.
 
     Raises:
         MeshError: A body has no solid part, or the engine refuses it.
@@ -37,18 +37,16 @@ class Trial:
         free: Sequence[int],
         held: Sequence[int],
         table: Tabletop,
-        options: EngineOptions = EngineOptions(),
     ) -> None:
         self.free = list(free)
-        self._stride = max(1, round(_SAMPLE / options.timestep))
-        self._timestep = options.timestep
+        self._stride = max(1, round(_SAMPLE / _OPTIONS.timestep))
 
         def at(k: int, *, movable: bool) -> Body:
             x, y, z, yaw = poses[k].tolist()
             return replace(bodies[k], position=(x, y, z), yaw=yaw, movable=movable)
 
         placed = [at(k, movable=True) for k in free] + [at(k, movable=False) for k in held]
-        self._model = compile_bodies(placed, table, options)
+        self._model = compile_bodies(placed, table, _OPTIONS)
         self._data = mujoco.MjData(self._model)
 
     def stays(self, poses: FloatArray, seconds: float, move: float, turn: float) -> BoolArray:
@@ -92,7 +90,7 @@ class Trial:
         moves, turns = np.zeros(len(start)), np.zeros(len(start))
         still, now = 0, start
         with without_log_file():
-            for _ in range(round(seconds / self._timestep / self._stride)):
+            for _ in range(round(seconds / _OPTIONS.timestep / self._stride)):
                 mujoco.mj_step(model, data, nstep=self._stride)
                 now = np.array(data.qpos).reshape(-1, 7)
                 if not np.isfinite(now).all():
