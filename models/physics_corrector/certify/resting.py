@@ -56,7 +56,7 @@ class Resting:
     def __init__(self, layout: Layout, meshes: Meshes, bodies: Sequence[Body], orders: Sequence[Relation]) -> None:
         self._layout, self._meshes, self._bodies = layout, meshes, bodies
         self._meant = set(wanted_carriers(layout.scene))
-        self._seen: dict[tuple[int, bytes], list[int]] = {}
+        self._seen: dict[tuple[tuple[int, ...], bytes], list[int]] = {}
         self._everything: Trial | None = None
         self._moved: list[int] = []
         self._patience = [_PATIENCE] * len(bodies)
@@ -94,7 +94,7 @@ class Resting:
         for root in layout.roots():
             tree = layout.tree(root)
             around = self._around(*self._box(tree), _BESIDE)
-            key = root, layout.poses[sorted({*tree, *around})].tobytes()
+            key = (*tree, TABLE_TOP, *around), layout.poses[[*tree, *around]].tobytes()
             if key not in self._seen:
                 self._seen[key] = self._moving(self._trial(tree, around))
             moved += self._seen[key]
