@@ -13,6 +13,7 @@ from models.physics_corrector.certify.trial import Trial
 from stable_data.errors import SceneError
 from stable_data.mesh import Mesh
 from stable_data.metrics.audit import audit_scene
+from stable_data.metrics.kept import relations_kept
 from stable_data.physics import Body, settle
 from stable_data.scene import RelationKind, Scene
 from stable_data.shape import Shape
@@ -172,3 +173,13 @@ def test_a_trial_lets_go_of_what_is_free_alone() -> None:
     assert ended[1] == pytest.approx(poses[2], abs=2e-3)
     turned = np.add(poses, (0.0, 0.0, 0.0, 2.5))
     assert trial.outcome(turned, 0.1)[1, 3] == pytest.approx(2.5, abs=1e-2)
+
+
+def test_what_leans_keeps_its_relations_where_it_can() -> None:
+    """The side of the wall that is nearest would take the brick from left of the cup to in front of it."""
+    scene, shapes = laid(("brick", tilted(), 0.3, 0.3, 0.0), ("wall", WALL, 0.41, 0.3, 0.0), ("cup", CUP, 0.5, 0.49, 0.0))
+    result = certify(scene, shapes, bodies=bodies(scene, shapes))
+    assert result.scene is not None
+    assert result.unsteady == ()
+    kept = relations_kept(scene, result.scene, shapes)
+    assert kept.directional_held == kept.directional_kept == 3
