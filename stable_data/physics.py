@@ -132,7 +132,7 @@ def settle(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = Eng
         model = compile_bodies(bodies, table, options)
     except MeshError as error:
         return _unknown(names, start, str(error))
-    with _without_log_file():
+    with without_log_file():
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         penetration = deepest_contact(data)
@@ -265,7 +265,7 @@ def _speed(data: mujoco.MjData) -> float:
 
 
 @contextmanager
-def _without_log_file() -> Iterator[None]:
+def without_log_file() -> Iterator[None]:
     """Keeps the engine from writing its warnings to a file in the working directory; the verdict says what they say."""
     mujoco.set_mju_user_warning(lambda _: None)
     try:

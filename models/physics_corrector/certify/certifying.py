@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,11 +14,14 @@ from models.physics_corrector.certify.nesting import Rest, resting_pose
 from models.physics_corrector.certify.options import Certified, CertifyOptions, Dropped, Status
 from models.physics_corrector.certify.parting import part
 from models.physics_corrector.certify.standing import Standing, directional
-from stable_data.errors import SceneError
+from stable_data.errors import MeshError, SceneError
 from stable_data.metrics.audit import BOUNDS_SLACK, Audit, audit_scene
 from stable_data.metrics.collision import TOLERANCE
 from stable_data.scene import FloatArray, Scene
 from stable_data.shape import Shape
+
+if TYPE_CHECKING:
+    from stable_data.physics import Body
 
 _DEFAULT = CertifyOptions()
 _PACKED, _FEW = 0.9, 4  # more of a table than this is never covered by what stands on it, where that is more than so many things
@@ -25,7 +29,12 @@ _LEVEL = 0.9 * TOLERANCE  # what stands so near to the table top stays at its he
 
 
 def certify(
-    scene: Scene, shapes: Sequence[Shape], options: CertifyOptions = _DEFAULT, *, original: Scene | None = None
+    scene: Scene,
+    shapes: Sequence[Shape],
+    options: CertifyOptions = _DEFAULT,
+    *,
+    original: Scene | None = None,
+    bodies: Sequence["Body"] | None = None,
 ) -> Certified:
     """Makes a scene exactly clean, moving little and keeping relations.
 
@@ -34,12 +43,14 @@ def certify(
         shapes: The geometry of each object, in the scene's order.
         options: Settings.
         original: The layout whose relations are to be kept and from which movement is measured; else ``scene`` itself.
+        bodies: The objects as the physics engine sees them (``stable_data.colliders.bodies_of``), in the scene's order. With them
+            the engine is asked what of the clean scene stays at rest, and what does not is put where it does, if that is found.
 
     Returns:
         The corrected scene with its audit, or why there is none. It never holds a collision that is not said.
 
     Raises:
-        SceneError: Shapes, ``original`` or ``options.fixed`` do not belong to the scene.
+        SceneError: Shapes, ``bodies``, ``original`` or ``options.fixed`` do not belong to the scene.
     """
     if len(shapes) != len(scene.objects):
         found = f"{len(shapes)} shapes for {len(scene.objects)} objects"
@@ -49,7 +60,12 @@ def certify(
         raise SceneError(f"{scene.scene_id}: the original has other objects, expected the same in order", "original_differs")
     if unknown := sorted(options.fixed - set(names)):
         raise SceneError(f"{scene.scene_id}: fixed {unknown} are not in the scene, expected its instances", "fixed_unknown")
-    return _Certifier(scene, shapes, options, original or scene).certified()
+    certifier = _Certifier(scene, shapes, options, original or scene)
+    if bodies is None:
+        return certifier.certified()
+    if [body.name for body in bodies] != names:
+        raise SceneError(f"{scene.scene_id}: the bodies are of other objects, expected the same in order", "bodies_differ")
+    return certifier.rested(certifier.certified(), bodies)
 
 
 class _Certifier:
@@ -65,6 +81,7 @@ class _Certifier:
         self.others: list[list[Carried]] = []  # what else may carry each object, the likeliest first
         self.restless: list[int] = []  # what has found no rest on what carried it
         self.reason = ""
+        self.is_laid_out = False
 
     def certified(self) -> Certified:
         """The correction."""
@@ -78,7 +95,7 @@ class _Certifier:
         if self.original is not self.scene:
             now = [choice[0] for choice in carriers_of(self.meshes, self.scene.poses(), wanted)]
             carried = _without_circles([a if a.parent != TABLE_TOP else b for a, b in zip(carried, now, strict=True)])
-        self.layout = Layout(self.scene, self.shapes, carried, self.options.fixed)
+        self.layout, self.is_laid_out = Layout(self.scene, self.shapes, carried, self.options.fixed), True
         orders = directional(self.layout, original_poses)
         self.standing = Standing(self.layout, self.meshes, original_poses, orders, self.options.clearance)
         self._stand_and_nest()
@@ -120,6 +137,31 @@ class _Certifier:
                 return None
         audit = audit_scene(self.scene, self.shapes)
         return audit if audit.card().clean else None
+
+    def rested(self, done: Certified, bodies: Sequence["Body"]) -> Certified:
+        """A correction of which the engine was asked what stays; what does not is elsewhere now, or named."""
+        from models.physics_corrector.certify.resting import Resting  # the engine takes long to import
+
+        if done.scene is None:
+            return done
+        poses = self.original.poses()
+        if not self.is_laid_out:
+            self.layout = Layout(self.scene, self.shapes, carriers_of(self.meshes, self.scene.poses(), {}), self.options.fixed)
+        layout, was = self.layout, (self.layout.poses.copy(), list(self.layout.carried))
+        try:
+            resting = Resting(layout, self.meshes, bodies, directional(layout, poses))
+            unsteady = resting.settled()
+        except MeshError as error:
+            return replace(done, reason="; ".join(filter(None, (done.reason, f"the engine cannot be asked: {error}"))))
+        if not np.array_equal(layout.poses, was[0]):
+            scene = self._scene()
+            audit = audit_scene(scene, [self.shapes[k] for k in layout.present()])
+            if audit.card().clean:
+                done = self._concluded(scene, audit)
+            else:
+                layout.poses[:], layout.carried[:] = was
+                unsteady = resting.moving()
+        return replace(done, unsteady=tuple(self.scene.objects[k].instance for k in unsteady))
 
     # --- trees
 

@@ -75,9 +75,10 @@ class Certified:
     Attributes:
         scene: The scene; None where it is infeasible.
         status: How it came out.
-        reason: Why it is not certified; empty where it is.
+        reason: Why it is not certified, or why the engine could not be asked; else empty.
         dropped: What was given up.
         audit: The exact audit of ``scene``; None where there is none.
+        unsteady: What does not stay in the physics engine, wherever it was tried; None where that was not asked or could not be.
     """
 
     scene: Scene | None
@@ -85,3 +86,4 @@ class Certified:
     reason: str = ""
     dropped: tuple[Dropped, ...] = ()
     audit: Audit | None = None
+    unsteady: tuple[str, ...] | None = None
