@@ -39,7 +39,7 @@ from benchmarks.audit import readable_scenes
 from benchmarks.layouts import Layout, read_layouts, shaken_layouts
 from models.baselines.methods import METHODS
 from models.baselines.outcome import Method, Outcome
-from models.physics_corrector.certify import Status
+from models.physics_corrector.certify import Status, certify
 from models.physics_corrector.checkpoint import DEFAULT_WEIGHTS
 from models.physics_corrector.corrector import Flow, PhysicsCorrector
 from models.physics_corrector.learned import AUTO, load_flow
@@ -77,29 +77,33 @@ class Ours:
         weights: Of the flow; ``none`` certifies alone.
         certifies: Whether the flow's result is certified.
         is_told: Whether it knows the scene graph that the layout means; else what the layout itself shows.
+        settles: Whether the physics engine is asked what stays.
     """
 
     weights: str = AUTO
     certifies: bool = True
     is_told: bool = False
+    settles: bool = False
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
         """Corrects; where nothing is feasible, the layout comes back as it is."""
-        corrector = PhysicsCorrector(_flow(self.weights), judges_raw=False)
-        corrector.raw([scene], [shapes], [frozenset()])  # encodes the shapes: preparation of assets
+        corrector = PhysicsCorrector(_flow(self.weights))
+        corrector.raw([scene], [shapes], [frozenset()])  # encodes the shapes: preparation of assets, as are convex parts
+        bodies = bodies_of(scene, shapes, store) if self.settles else None
+        told = scene if self.is_told else replace(scene, relations=())
         begin = time.process_time()
-        posed = PosedScene(scene, shapes)
-        audit = audit_posed(posed)
-        seen, _ = related(posed, audit, {})
-        known = replace(seen, objects=scene.objects, relations=scene.relations) if self.is_told else seen
-        raw = corrector.raw([known], [shapes], [frozenset()])[0]
+        raw = None
+        if corrector.flow is not None:  # it is shown what carries what
+            posed = PosedScene(scene, shapes)
+            seen, _ = related(posed, audit_posed(posed), {})
+            raw = corrector.raw([scene if self.is_told else seen], [shapes], [frozenset()])[0]
         if not self.certifies:
-            return Outcome(known if raw is None else raw, raw is not None, time.process_time() - begin)
-        told = known if self.is_told else replace(known, relations=())
-        done = corrector.certified(told, shapes, audit, raw)
+            return Outcome(raw or scene, raw is not None, time.process_time() - begin)
+        start = told if raw is None else replace(raw, relations=told.relations)
+        done = certify(start, shapes, original=told, bodies=bodies)
         seconds = time.process_time() - begin
         is_clean = done.status in (Status.CERTIFIED, Status.DROPPED)
-        return Outcome(done.certified or scene, is_clean, seconds, done.reason)
+        return Outcome(done.scene or scene, is_clean, seconds, done.reason)
 
 
 @lru_cache(maxsize=2)
@@ -109,7 +113,11 @@ def _flow(weights: str) -> Flow | None:
 
 def ours() -> dict[str, Method]:
     """The corrector and its parts, by name; those of the flow where its weights are there."""
-    alone: dict[str, Method] = {"certify": Ours("none"), "certify, given": Ours("none", is_told=True)}
+    alone: dict[str, Method] = {
+        "certify": Ours("none"),
+        "certify, given": Ours("none", is_told=True),
+        "certify, settled": Ours("none", settles=True),
+    }
     if not DEFAULT_WEIGHTS.is_file():
         return alone
     return {"flow": Ours(certifies=False), **alone, "corrector": Ours(), "corrector, given": Ours(is_told=True)}

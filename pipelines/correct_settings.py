@@ -21,6 +21,7 @@ class CorrectSettings:
         when_full: What happens where not everything fits: ``drop`` the least important background object, or ``infeasible``.
         restore: Whether the scene graph's on and in relations are restored where the layout broke them.
         fixed: Categories or instances that must stay, joined by commas.
+        settle: Whether the physics engine is asked what stays at rest, and what does not is put where it does, if that is found.
         judge_raw: Whether the raw result of the flow is audited too.
         important_threshold: Objects nearer than this to a task object are O^B, metres.
         seed: For task templates and splits.
@@ -36,6 +37,7 @@ class CorrectSettings:
     when_full: str = "drop"
     restore: bool = True
     fixed: str = ""
+    settle: bool = False
     judge_raw: bool = True
     important_threshold: float = 0.02
     seed: int = 0

@@ -19,7 +19,8 @@ from pipelines.runner import Loss, alone, limited
 from pipelines.scene_source import SceneSource, Taken, scene_source
 from pipelines.scene_step import num_carried, related
 from stable_data import tables
-from stable_data.errors import ConfigError, Notice
+from stable_data.colliders import bodies_of
+from stable_data.errors import ConfigError, MeshError, Notice
 from stable_data.metrics.audit import PosedScene
 from stable_data.scene import FloatArray, Scene
 from stable_data.shards import RunFolder
@@ -112,9 +113,16 @@ class CorrectWork:
         taken = self._take(scene_id, progress)
         progress.step = "certify"
         raw = None if raw_poses is None else taken.scene.with_poses(raw_poses)
-        fixed = self.settings.fixed_in(taken.scene)
-        done = _opened(self).corrector.certified(taken.scene, taken.shapes, taken.audit, raw, fixed)
-        notices = list(taken.notices)
+        opened, fixed, notices = _opened(self), self.settings.fixed_in(taken.scene), list(taken.notices)
+        bodies = None
+        if self.settings.settle:
+            progress.step = "convex parts"
+            try:
+                bodies = bodies_of(taken.scene, taken.shapes, opened.source.store)
+            except MeshError as error:
+                notices.append(Notice(scene_id, "certify", "not_settled", f"{scene_id}: the engine was not asked: {error}"))
+            progress.step = "certify"
+        done = opened.corrector.certified(taken.scene, taken.shapes, taken.audit, raw, fixed, bodies)
         found: Rows = {"corrections": [correction_row(done)]}
         if done.certified is None or done.audit is None or done.card_after is None:
             message = f"{scene_id}: {done.reason}"
@@ -131,6 +139,9 @@ class CorrectWork:
                 Notice(scene_id, "certify", "dropped", f"{scene_id}: {d.instance} is left out: {d.reason}")
                 for d in done.dropped
             ]
+            if done.unsteady:
+                message = f"{scene_id}: {', '.join(done.unsteady)} would not stay in the physics engine"
+                notices.append(Notice(scene_id, "certify", "unsteady", message))
             if done.status is Status.UNKNOWN:
                 notices.append(Notice(scene_id, "certify", "unknown", f"{scene_id}: {done.reason}"))
         return found | {"warnings": [tables.notice_row(n) for n in notices]}

@@ -3,7 +3,7 @@
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, TypeAlias
 
@@ -36,7 +36,7 @@ class Taken:
     """A scene that was taken from its source.
 
     Attributes:
-        scene: With supports, relations, task and stages.
+        scene: With supports, task and stages; its relations are those that are asked for.
         shapes: The geometry of its objects, in order.
         audit: Every verdict.
         containers: Which of its objects can hold things.
@@ -120,9 +120,11 @@ class FolderSource:
         return [ScenePart(s.shard_id, s.scenes) for s in plan.shards if s.scenes], dict(plan.inputs)
 
     def take(self, scene_id: str, settings: SceneSettings, progress: Progress) -> Taken:
-        """One scene: read, judged, related, tasked and staged as preprocess does."""
+        """One scene: read, judged, tasked and staged as preprocess does, with supports and without relations."""
         found = understand(self.dataset, scene_id, self.store, settings, progress)
-        scene = found.scene
+        scene = replace(
+            found.scene, relations=()
+        )  # a layout says nothing of relations; what it shows may be what is wrong with it
         containers = {
             o.instance: self.dataset.annotation(o.asset_id).is_container if o.asset_id else None for o in scene.objects
         }

@@ -14,6 +14,7 @@ from models.physics_corrector.certify import CertifyOptions, Dropped, Status, ce
 from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.kept import RelationsKept, relations_kept
+from stable_data.physics import Body
 from stable_data.scene import Scene
 from stable_data.shape import Shape
 
@@ -40,6 +41,7 @@ class Correction:
         card_after: Figures of the clean scene, with its movement and the relations that it kept; None where infeasible.
         audit: Every verdict on the clean scene; None where infeasible.
         kept: Relations of the start that still hold, counted; None where infeasible.
+        unsteady: Instances that the physics engine moves; None where it was not asked.
     """
 
     status: Status
@@ -53,6 +55,7 @@ class Correction:
     card_after: MetricCard | None
     audit: Audit | None
     kept: RelationsKept | None
+    unsteady: tuple[str, ...] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +97,13 @@ class PhysicsCorrector:
         return self.flow(scenes, shapes, [self.options.fixed | own for own in fixed])
 
     def certified(
-        self, scene: Scene, shapes: Sequence[Shape], audit: Audit, raw: Scene | None, fixed: Fixed = frozenset()
+        self,
+        scene: Scene,
+        shapes: Sequence[Shape],
+        audit: Audit,
+        raw: Scene | None,
+        fixed: Fixed = frozenset(),
+        bodies: Sequence[Body] | None = None,
     ) -> Correction:
         """One scene after the flow, proven or mended.
 
@@ -104,8 +113,11 @@ class PhysicsCorrector:
             audit: The verdicts on it.
             raw: What the flow made of it.
             fixed: What must stay.
+            bodies: The objects as the physics engine sees them (``stable_data.colliders.bodies_of``): with them it is asked what
+                stays at rest, and what does not is put where it does, if that is found.
         """
-        done = certify(raw or scene, shapes, replace(self.options, fixed=self.options.fixed | fixed), original=scene)
+        options = replace(self.options, fixed=self.options.fixed | fixed)
+        done = certify(raw or scene, shapes, options, original=scene, bodies=bodies)
         card_after, kept = None, None
         if done.scene is not None and done.audit is not None:
             kept = relations_kept(scene, done.scene, shapes)
@@ -130,6 +142,7 @@ class PhysicsCorrector:
             card_after=card_after,
             audit=done.audit,
             kept=kept,
+            unsteady=done.unsteady,
         )
 
 

@@ -2,9 +2,11 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
 from models.physics_corrector.certify.carriers import TABLE_TOP, Carried, carriers_of, wanted_carriers
 from models.physics_corrector.certify.contact import Meshes
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
     from stable_data.physics import Body
 
 _DEFAULT = CertifyOptions()
-_PACKED, _FEW = 0.9, 4  # more of a table than this is never covered by what stands on it, where that is more than so many things
+_OVERFULL, _PACKED = 1.2, 0.8  # where things cover more of a table than the one, some go unsearched until they cover the other
 _LEVEL = 0.9 * TOLERANCE  # what stands so near to the table top stays at its height, metres
 
 
@@ -60,12 +62,18 @@ def certify(
         raise SceneError(f"{scene.scene_id}: the original has other objects, expected the same in order", "original_differs")
     if unknown := sorted(options.fixed - set(names)):
         raise SceneError(f"{scene.scene_id}: fixed {unknown} are not in the scene, expected its instances", "fixed_unknown")
-    certifier = _Certifier(scene, shapes, options, original or scene)
-    if bodies is None:
-        return certifier.certified()
-    if [body.name for body in bodies] != names:
+    if bodies is not None and [body.name for body in bodies] != names:
         raise SceneError(f"{scene.scene_id}: the bodies are of other objects, expected the same in order", "bodies_differ")
-    return certifier.rested(certifier.certified(), bodies)
+    certifier = _Certifier(scene, shapes, options, original or scene)
+    # Its many small matrices gain nothing from more threads, and lose much where those wait for each other.
+    with _thread_pools().limit(limits=1, user_api="blas"):
+        certified = certifier.certified()
+        return certified if bodies is None else certifier.rested(certified, bodies)
+
+
+@cache
+def _thread_pools() -> ThreadpoolController:
+    return ThreadpoolController()
 
 
 class _Certifier:
@@ -146,7 +154,8 @@ class _Certifier:
             return done
         poses = self.original.poses()
         if not self.is_laid_out:
-            self.layout = Layout(self.scene, self.shapes, carriers_of(self.meshes, self.scene.poses(), {}), self.options.fixed)
+            carried = [choice[0] for choice in carriers_of(self.meshes, self.scene.poses(), {})]
+            self.layout = Layout(self.scene, self.shapes, carried, self.options.fixed)
         layout, was = self.layout, (self.layout.poses.copy(), list(self.layout.carried))
         try:
             resting = Resting(layout, self.meshes, bodies, directional(layout, poses))
@@ -255,17 +264,15 @@ class _Certifier:
             return True
 
     def _surplus(self, groups: Sequence[Sequence[int]], spare: Sequence[int]) -> list[int]:
-        """Which of those that may go have to before it is worth a search: all together they cover more than can be packed."""
+        """Which of those that may go have to before a search is worth it: all together they cover more than there is."""
         area = float(np.prod(self.scene.table.size_xy))
-        if len(groups) <= _FEW:
-            return []
         covered = [self.standing.covered(roots) for roots in groups]
         left, surplus = sum(covered), list[int]()
-        for b in spare:
-            if left <= _PACKED * area:
-                break
-            surplus.append(b)
-            left -= covered[b]
+        if left > _OVERFULL * area:
+            for b in spare:
+                if left > _PACKED * area:
+                    surplus.append(b)
+                    left -= covered[b]
         return surplus
 
     def _may_drop(self, roots: Sequence[int]) -> bool:
