@@ -14,9 +14,12 @@ from pipelines.correct import correct
 from pipelines.correct_settings import CorrectSettings
 from pipelines.correct_step import CORRECT_TABLES, CorrectShard, CorrectWork
 from pipelines.runner import Workers
+from stable_data.assets import AssetStore
+from stable_data.colliders import bodies_of
 from stable_data.errors import ConfigError
 from stable_data.lint import lint_folder
 from stable_data.mesatask import MesaTaskDataset, write_scene
+from stable_data.physics import settle
 from stable_data.scene import Scene
 from stable_data.shards import RunFolder
 from stable_data.tables import scene_from_row
@@ -94,6 +97,17 @@ def test_the_start_is_kept(broken: Path, corrected: Path) -> None:
         assert starts == {o.instance: (*o.position, o.yaw) for o in source.read(scene_id)[0].objects}
         assert row["raw"] is None
         assert row["card_raw"] is None
+
+
+def test_what_the_engine_moves_is_put_where_it_stays_or_named(broken: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    correct(str(broken), str(out), replace(SMALL, settle=True, write_dataset=False), ALONE, report=False)
+    store = AssetStore(MesaTaskDataset(broken))
+    named = {row["scene_id"] for row in rows_of(out, "warnings").values() if row["reason"] == "unsteady"}
+    for scene_id, row in rows_of(out, "scenes").items():
+        scene, shapes, _ = store.resolved(scene_from_row(row))
+        assert row["clean"]
+        assert bool(settle(bodies_of(scene, shapes, store), scene.table).stable) != (scene_id in named)
 
 
 @pytest.mark.ray
