@@ -39,7 +39,6 @@ def main() -> None:
             "corrector_losses": ["benchmarks.corrector_losses", run, data, *(["--batch", "8"] if few else [])],
             "correction": ["benchmarks.correction", data, *layouts, *(["--per-bucket", "1"] if few else [])],
             "correction_cost": ["benchmarks.correction_cost", data, *(["--scenes", "4", "--rounds", "1"] if few else [])],
-            "steerable_drake": ["benchmarks.steerable_drake", data, *(["--per-bucket", "1"] if few else [])],
             "synth": ["benchmarks.synth", "--scenes", "20" if few else "200"],
         }
         for name, command in jobs.items():

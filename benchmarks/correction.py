@@ -5,7 +5,7 @@
 Every verdict is the exact audit's, at 0.5 mm, of what a method gives back; a method's own opinion is the column ``done``.
 ``start`` is the layout itself, ``flow`` the raw result of the learned flow, ``certify`` certification without it, ``corrector``
 the two together as the toolkit uses them; ``given`` means that they are told the layout's own scene graph and restore what of it
-is broken.
+is broken, ``settled`` that MuJoCo is asked what stays. Where Drake is installed, Steerable's projection runs in it too.
 
 - clean: scenes without collision, floating, sinking or out of bounds; drop: objects left out;
 - free: scenes without collision; pairs: colliding pairs left, median; oc: their share; unknown counts as colliding;
@@ -37,6 +37,7 @@ from tqdm import tqdm
 
 from benchmarks.audit import readable_scenes
 from benchmarks.layouts import Layout, read_layouts, shaken_layouts
+from benchmarks.steerable_drake import in_drake
 from models.baselines.methods import METHODS
 from models.baselines.outcome import Method, Outcome
 from models.physics_corrector.certify import Status, certify
@@ -290,7 +291,7 @@ def ratios(results: Sequence[Result]) -> str:
         (baseline, own, *(f"{seconds(baseline, bucket) / seconds(own, bucket):.3g}" for bucket in buckets))
         for baseline in names
         for own in names
-        if baseline in METHODS and own in _TIMED
+        if baseline in (*METHODS, *in_drake()) and own in _TIMED
     ]
     return _aligned([("seconds of", "over", *(bucket or "all" for bucket in buckets)), *rows]) if rows else ""
 
@@ -362,7 +363,7 @@ def main(
     file: Annotated[Path | None, typer.Option("--json", help="Where the figures are written.")] = None,
 ) -> None:
     """Runs the corrector and the baselines on start layouts."""
-    known = {**METHODS, **ours()}
+    known = {**METHODS, **in_drake(), **ours()}
     if unknown := sorted(set(method or ()) - set(known)):
         raise typer.BadParameter(f"{', '.join(unknown)}, expected of {', '.join(known)}")
     dataset = MesaTaskDataset(data)

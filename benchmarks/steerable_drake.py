@@ -1,36 +1,28 @@
-"""Steerable's projection in Drake itself, beside the re-implementation: ``python -m benchmarks.steerable_drake DATASET …``.
+"""Steerable's projection in Drake itself, beside the re-implementation: methods of ``benchmarks.correction`` where Drake is there.
 
 Needs Drake: ``pip install -c constraints.txt -e '.[drake]'`` (its wheel brings the solver SNOPT, and MOSEK, which asks for a
-licence of its own where it is used; it is not used here). Without it nothing is measured, and that is said. Options and columns
-are those of ``benchmarks.correction``.
+licence of its own where it is used; it is not used here).
 
 The programme as released: an inverse-kinematics problem over free bodies, quaternions held, the sum of squared changes of the
 positions, ``AddMinimumDistanceLowerBoundConstraint(0, 0.03)``, SNOPT with a feasibility tolerance of 1e-3, at most 5000 major
 iterations and 60 s. One convex hull a mesh, as Drake takes a mesh in distance queries; the table is a fixed box.
 """
 
-import json
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.util import find_spec
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import typer
 
-from benchmarks.correction import chosen_layouts, run, table
 from models.baselines.hulls import solid_hull, table_box
-from models.baselines.outcome import Method, Outcome
-from models.baselines.steerable import Steerable, turned_parts
+from models.baselines.outcome import Outcome
+from models.baselines.steerable import turned_parts
 from stable_data.assets import AssetStore
-from stable_data.errors import MeshError, StableDataError
-from stable_data.mesatask import MesaTaskDataset
+from stable_data.errors import MeshError
 from stable_data.scene import FloatArray, Scene
 from stable_data.shape import Shape
-
-MISSING = "drake is not installed, nothing is measured; pip install -c constraints.txt -e '.[drake]'"
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,31 +130,8 @@ class _Problem:
     firsts: list[int]
 
 
-def main(
-    data: Annotated[Path, typer.Argument(help="Folder in the MesaTask-10K format: the layouts' meshes.")],
-    layouts: Annotated[Path | None, typer.Option(help="File of start layouts; else scenes of the dataset are shaken.")] = None,
-    per_bucket: Annotated[int, typer.Option(help="Layouts of each bucket.")] = 2,
-    with_parts: Annotated[bool, typer.Option(help="Convex parts besides hulls.")] = False,
-    limit: Annotated[float, typer.Option(help="Seconds after which no further layout is begun.")] = np.inf,
-    file: Annotated[Path | None, typer.Option("--json", help="Where the figures are written.")] = None,
-) -> None:
-    """Steerable's projection in Drake, beside its re-implementation."""
+def in_drake() -> dict[str, SteerableInDrake]:
+    """Steerable in Drake, by name, with hulls and with convex parts; empty where Drake is not installed."""
     if find_spec("pydrake") is None:
-        print(MISSING)
-        return
-    dataset = MesaTaskDataset(data)
-    store = AssetStore(dataset, max_bytes=2**30)
-    methods: Mapping[str, Method] = {"steerable": Steerable(), "steerable_drake": SteerableInDrake()}
-    if with_parts:
-        methods = {**methods, "steerable_parts": Steerable(with_parts=True), "steerable_drake_parts": SteerableInDrake(True)}
-    try:
-        results = run(chosen_layouts(dataset, store, layouts, per_bucket), store, methods, limit)
-    except StableDataError as error:
-        raise SystemExit(str(error)) from error
-    print(table(results))
-    if file is not None:
-        file.write_text(json.dumps([asdict(result) for result in results], indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    typer.run(main)
+        return {}
+    return {"steerable_drake": SteerableInDrake(), "steerable_drake_parts": SteerableInDrake(True)}

@@ -180,7 +180,8 @@ def test_ours_is_judged_as_the_others_are(scene: Scene, store: AssetStore) -> No
     assert "certify" in ours()
 
 
-def test_without_drake_it_is_said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_drake_is_a_method_where_it_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(steerable_drake, "find_spec", lambda _: None)
-    steerable_drake.main(Path("nowhere"))
-    assert "drake is not installed" in capsys.readouterr().out
+    assert not steerable_drake.in_drake()
+    monkeypatch.setattr(steerable_drake, "find_spec", lambda name: name)
+    assert [method.with_parts for method in steerable_drake.in_drake().values()] == [False, True]
