@@ -13,7 +13,8 @@ Where the paper leaves something open:
 * S_i are the tabletop and the objects whose yawed box lies over or around i's when i is lowered by ``support_reach``, but for
   those whose bottom is higher than i's: what i carries does not carry i.
 
-An extra, off by default, keeps footprints on the table and out of the restricted zone.
+Extras, off by default, keep footprints on the table and out of the restricted zone, and sampled poses near the coarse layout
+(:mod:`~models.physics_corrector.nearness`).
 """
 
 from dataclasses import dataclass, fields
@@ -36,7 +37,10 @@ class LossSettings:
     Attributes:
         sdf_weight: λ_sdf.
         support_weight: λ_sup.
+        flow_weight: Of L_flow; 1 in the paper.
         bounds_weight: Of the extra for the table's edge and the restricted zone; it is not in the paper.
+        move_weight: Of the movement of sampled poses, a unit of length each; it is not in the paper.
+        order_weight: Of the directional relations that sampled poses break; it is not in the paper.
         length_unit: In which lengths are squared, metres.
         clearance: Objects that are closer than this collide, metres; the paper's is 0.
         contact_tolerance: ε of L_sup: the paper's threshold of floating, metres.
@@ -45,7 +49,10 @@ class LossSettings:
 
     sdf_weight: float = 0.02
     support_weight: float = 0.01
+    flow_weight: float = 1.0
     bounds_weight: float = 0.0
+    move_weight: float = 0.0
+    order_weight: float = 0.0
     length_unit: float = 0.01
     clearance: float = 0.0
     contact_tolerance: float = 5e-4

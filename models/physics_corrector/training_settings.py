@@ -18,7 +18,8 @@ class PhysicsSchedule:
     """When and on how much the physical losses are taken; their weights are those of ``LossSettings``.
 
     Attributes:
-        share: Share of the scenes of a step that they are taken on, drawn anew each time; the sum is scaled by its inverse.
+        share: Share of the scenes of a step that they are taken on, drawn anew each time; the sum is scaled by its inverse. 0
+            leaves them to the sampled poses alone.
         from_time: Flow time from which on they count: an estimate made earlier is vague.
         power: w(t) = t^power from there on.
         start: Step at which they begin ...
@@ -45,7 +46,7 @@ class PhysicsSchedule:
     def __post_init__(self) -> None:
         """Refuses what cannot be drawn."""
         shares = (self.from_time, self.unroll_share)
-        if not (0 < self.share <= 1 and 0 < self.unroll_scenes <= 1 and all(0 <= share <= 1 for share in shares)):
+        if not (0 <= self.share <= 1 and 0 < self.unroll_scenes <= 1 and all(0 <= share <= 1 for share in shares)):
             raise ConfigError(f"physics: {asdict(self)}, expected shares and times between 0 and 1", "config_invalid")
         if min(self.start, self.ramp, self.unroll_gradient) < 0 or min(self.power, self.limit, self.unroll_weight) < 0:
             raise ConfigError(f"physics: {asdict(self)}, expected no negative figure", "config_invalid")
@@ -57,6 +58,7 @@ class TrainingSettings:
 
     Attributes:
         seed: Of the first weights and of every draw.
+        initial: Weights to start from, a file of a corrector with the same network; empty draws them from the seed.
         steps: Length of the run; 0 takes ``epochs``.
         epochs: Length in passes over the scenes.
         batch_size: Scenes of a step.
@@ -78,6 +80,7 @@ class TrainingSettings:
     """
 
     seed: int = 0
+    initial: str = ""
     steps: int = 0
     epochs: int = 5000
     batch_size: int = 2048
@@ -106,6 +109,13 @@ class TrainingSettings:
             raise ConfigError(f"{found}: expected a length, and nothing negative", "config_invalid")
         if not (0 <= self.ema < 1 and 0 <= self.cool_down <= 1):
             raise ConfigError(f"ema is {self.ema}, cool_down {self.cool_down}, expected shares", "config_invalid")
+        followed = self.losses.flow_weight > 0 or self.physics.share > 0
+        if not followed and (self.physics.unroll_share < 1 or self.physics.start > 0):
+            found = f"physics.unroll_share {self.physics.unroll_share}, physics.start {self.physics.start}"
+            raise ConfigError(
+                f"{found}: with losses.flow_weight and physics.share 0 there are steps without a loss, expected 1 and 0",
+                "config_invalid",
+            )
         if self.features not in get_args(FeatureSource):
             raise ConfigError(f"features is {self.features!r}, expected point or box", "config_invalid")
 
