@@ -38,6 +38,8 @@ class LossSettings:
         sdf_weight: λ_sdf.
         support_weight: λ_sup.
         flow_weight: Of L_flow; 1 in the paper.
+        object_factor: Of L_obj-obj beside L_obj-table; 1 in the paper, 0 in its ablation.
+        table_factor: Of L_obj-table beside L_obj-obj; 1 in the paper, 0 in its ablation.
         bounds_weight: Of the extra for the table's edge and the restricted zone; it is not in the paper.
         move_weight: Of the movement of sampled poses, a unit of length each; it is not in the paper.
         order_weight: Of the directional relations that sampled poses break; it is not in the paper.
@@ -50,6 +52,8 @@ class LossSettings:
     sdf_weight: float = 0.02
     support_weight: float = 0.01
     flow_weight: float = 1.0
+    object_factor: float = 1.0
+    table_factor: float = 1.0
     bounds_weight: float = 0.0
     move_weight: float = 0.0
     order_weight: float = 0.0
@@ -77,8 +81,8 @@ class PhysicsLosses:
 
     def weighted(self, settings: LossSettings) -> Tensor:
         """λ_sdf (L_obj-obj + L_obj-table) + λ_sup L_sup, and the extra, (B,)."""
-        collision = settings.sdf_weight * (self.object_object + self.object_table)
-        return collision + settings.support_weight * self.support + settings.bounds_weight * self.bounds
+        collision = settings.object_factor * self.object_object + settings.table_factor * self.object_table
+        return settings.sdf_weight * collision + settings.support_weight * self.support + settings.bounds_weight * self.bounds
 
 
 def flow_loss(velocity: Tensor, target: Tensor, mask: Tensor) -> Tensor:
