@@ -127,7 +127,7 @@ def arm(run: str, out: Path, name: str, full: TrainingSettings, watch: Watch) ->
 
 def table(arms: Sequence[Arm]) -> str:
     """The figures of all arms, the coarse layouts first."""
-    rows = [("arm", "parameters", *FIGURES)]
+    rows: list[tuple[str, ...]] = [("arm", "parameters", *FIGURES)]
     if arms:
         rows.append(("coarse layout", "", *(_written(arms[0].figure(name, "coarse"), name) for name in FIGURES)))
     rows += [(a.name, f"{a.num_parameters:,}", *(_written(a.figure(name), name) for name in FIGURES)) for a in arms]

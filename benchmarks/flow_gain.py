@@ -193,8 +193,10 @@ def table(gains: Sequence[Gain]) -> str:
     ]
     groups, methods = (list(dict.fromkeys(getattr(g, key) for g in gains)) for key in ("group", "method"))
     for group in (*groups, "all"):
-        for method in sorted(methods, key=lambda name: name != ALONE):
-            rows.append(_row(group, method, [g for g in gains if g.method == method and group in (g.group, "all")]))
+        rows += [
+            _row(group, method, [g for g in gains if g.method == method and group in (g.group, "all")])
+            for method in sorted(methods, key=lambda name: name != ALONE)
+        ]
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     return "\n".join(
         "  ".join(cell.rjust(w) if k > 1 else cell.ljust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True)))

@@ -145,7 +145,8 @@ class Training:
             flow = settings.losses.flow_weight * share * flow_loss(predicted.velocity, path.velocity, condition.is_movable)
             estimate = predicted.poses, path.t
         lots = torch.rand((2, len(batch)), generator=generator, device=coarse.device)
-        physics, terms = zero, (zero, zero, zero)
+        physics = zero
+        terms: tuple[Tensor, ...] = (zero, zero, zero)
         if strength and settings.physics.share and estimate is not None:
             poses, t = estimate
             chosen = (lots[0] < settings.physics.share) & (t > settings.physics.from_time)
@@ -301,7 +302,8 @@ def _initial_state(settings: TrainingSettings, encoder: str) -> dict[str, Any]:
     wanted = replace(found.settings, network=settings.corrector.network)  # the flow may be followed in another way
     if changed := found.settings.differences(wanted):
         raise ConfigError(
-            f"initial: {path} holds another network ({'; '.join(changed)}), expected the one that is trained", "checkpoint_mismatch"
+            f"initial: {path} holds another network ({'; '.join(changed)}), expected the one that is trained",
+            "checkpoint_mismatch",
         )
     was = found.notes.get("encoder_fingerprint", "")
     if was != encoder:

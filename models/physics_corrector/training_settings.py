@@ -156,12 +156,18 @@ def flattened(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
+NEAR = "embedded_set_near"
+"""The preset that goes on from the weights of ``embedded_set``; ``initial`` names them."""
+
+
 def training_preset(name: str) -> TrainingSettings:
     """Named settings: ``paper`` and ``paper_set`` as in the paper's appendix, ``embedded`` and ``embedded_set`` for a CPU.
 
     Raises:
         ConfigError: There are none of that name.
     """
+    if name == NEAR:
+        return _near(training_preset("embedded_set"))
     corrector = preset(name)
     if name.startswith("paper"):
         return TrainingSettings(corrector=corrector)
@@ -180,4 +186,24 @@ def training_preset(name: str) -> TrainingSettings:
         physics=PhysicsSchedule(share=0.5, limit=1.0, unroll_share=0.8, unroll_scenes=0.5, unroll_weight=2.0),
         losses=LossSettings(sdf_weight=5.0, support_weight=2.5, bounds_weight=0.5, clearance=1e-3),
         corrector=replace(corrector, flow=replace(corrector.flow, steps=4)),
+    )
+
+
+def _near(settings: TrainingSettings) -> TrainingSettings:
+    """Settings that teach a trained corrector to move little: no L_flow, and a price on what the sampler's poses move.
+
+    What is clean and near is learned from the losses alone. Half the sampler's steps do: it has less far to go, and each step
+    costs as much to learn through as to take.
+    """
+    flow = replace(settings.corrector.flow, steps=2)
+    return replace(
+        settings,
+        steps=1_600,
+        learning_rate=5e-4,
+        warm_up=50,
+        cool_down=0.5,
+        ema=0.995,
+        physics=PhysicsSchedule(share=0.0, limit=10.0, unroll_share=1.0, unroll_scenes=1.0),
+        losses=replace(settings.losses, flow_weight=0.0, move_weight=0.35, order_weight=1.0, clearance=1.5e-3),
+        corrector=replace(settings.corrector, flow=flow),
     )

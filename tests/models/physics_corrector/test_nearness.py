@@ -68,7 +68,9 @@ def test_what_held_by_less_is_asked_for_no_more() -> None:
 
 
 def test_what_carries_another_has_no_order_with_it() -> None:
-    layout = scene(thing("cube", (0.5, 0.5, SIDE / 2, 0.0), support="table"), thing("ball_1", (0.51, 0.5, SIDE, 0.0), support="cube"))
+    layout = scene(
+        thing("cube", (0.5, 0.5, SIDE / 2, 0.0), support="table"), thing("ball_1", (0.51, 0.5, SIDE, 0.0), support="cube")
+    )
     batch = batch_of([layout])[0]
     poses = batch.poses.clone()
     poses[0, 1, 0] -= 0.05

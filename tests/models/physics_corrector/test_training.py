@@ -8,7 +8,7 @@ from models.physics_corrector.checkpoint import save_corrector
 from models.physics_corrector.flow import Flow
 from models.physics_corrector.losses import LossSettings
 from models.physics_corrector.training import Place, Training, train
-from models.physics_corrector.training_settings import PhysicsSchedule, TrainingSettings, training_preset
+from models.physics_corrector.training_settings import NEAR, PhysicsSchedule, TrainingSettings, training_preset
 from stable_data.errors import ConfigError
 from tests.models.physics_corrector.training_scenes import TINY, training_set
 
@@ -146,6 +146,15 @@ def test_paper_preset_is_the_papers() -> None:
     assert settings.corrector.network.num_features == 64
     assert (settings.losses.flow_weight, settings.losses.move_weight, settings.losses.order_weight) == (1.0, 0.0, 0.0)
     assert settings.initial == ""
+
+
+def test_what_goes_on_from_trained_weights_has_their_network() -> None:
+    first, second = training_preset("embedded_set"), training_preset(NEAR)
+    assert second.corrector.network == first.corrector.network
+    assert second.losses.flow_weight == 0 < second.losses.move_weight
+    assert all(second.is_unrolled_at(step) for step in (0, second.steps - 1))
+    with pytest.raises(ConfigError, match="paper_near"):
+        training_preset("paper_near")
 
 
 def test_box_features_make_a_network_that_reads_none() -> None:
