@@ -22,7 +22,7 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from models.physics_corrector.batch import ON_TABLE, SceneBatch
+from models.physics_corrector.batch import SceneBatch
 from models.physics_corrector.broad_phase import Pairs, near_pairs
 from models.physics_corrector.closest import Queries, closest_sample, posed_distance
 from models.physics_corrector.geometry import STRETCH, Geometry
@@ -45,8 +45,6 @@ class LossSettings:
         order_weight: Of the directional relations that sampled poses break; it is not in the paper.
         length_unit: In which lengths are squared, metres.
         clearance: Objects that are closer than this collide, metres; the paper's is 0.
-        side_clearance: The same of two that both stand on the table, where it is more: what lies on or in another one has to
-            touch it, and a corrector that is right to some millimetres parts what stands apart only if it aims beyond them.
         contact_tolerance: ε of L_sup: the paper's threshold of floating, metres.
         support_reach: How far below an object a support is looked for, metres.
     """
@@ -61,7 +59,6 @@ class LossSettings:
     order_weight: float = 0.0
     length_unit: float = 0.01
     clearance: float = 0.0
-    side_clearance: float = 0.0
     contact_tolerance: float = 5e-4
     support_reach: float = 0.1
 
@@ -123,9 +120,10 @@ def physics_losses(
         poses = poses if poses.dtype == torch.float64 else poses.float()
         poses = torch.where(batch.mask[..., None], poses, 0)
         poses = torch.where(batch.is_fixed[..., None], poses.detach(), poses)
-        pairs = colliding_pairs(poses, batch, geometry, max(settings.clearance, settings.side_clearance))
         terms = PhysicsLosses(
-            object_object(poses, batch, geometry, pairs, _clearances(pairs, batch, settings).to(poses.dtype)),
+            object_object(
+                poses, batch, geometry, colliding_pairs(poses, batch, geometry, settings.clearance), settings.clearance
+            ),
             object_table(poses, batch),
             support(poses, batch, geometry, settings),
             bounds(poses, batch, geometry) if settings.bounds_weight else poses.new_zeros(len(poses)),
@@ -150,17 +148,7 @@ def colliding_pairs(poses: Tensor, batch: SceneBatch, geometry: Geometry, cleara
     return pairs.take(~is_fixed)
 
 
-def _clearances(pairs: Pairs, batch: SceneBatch, settings: LossSettings) -> Tensor:
-    """The clearance of each pair, (E,), metres."""
-    stands = batch.parent == ON_TABLE
-    are_beside = stands[pairs.scene, pairs.first] & stands[pairs.scene, pairs.second]
-    beside = max(settings.clearance, settings.side_clearance)
-    return torch.where(are_beside, beside, settings.clearance)
-
-
-def object_object(
-    poses: Tensor, batch: SceneBatch, geometry: Geometry, pairs: Pairs, clearance: Tensor | float = 0.0
-) -> Tensor:
+def object_object(poses: Tensor, batch: SceneBatch, geometry: Geometry, pairs: Pairs, clearance: float = 0.0) -> Tensor:
     """L_obj-obj: Σ_{i<j} max(0, −dist_sdf(i, j))².
 
     Args:
@@ -168,22 +156,22 @@ def object_object(
         batch: The scenes.
         geometry: Their shapes.
         pairs: Those that may contribute.
-        clearance: Added to the depth of every pair, or of each, (E,), metres.
+        clearance: Added to every depth, metres.
 
     Returns:
         (B,), square metres.
     """
     ways = pairs.both_ways()
     queries = Queries(ways.scene, ways.first, ways.second)
-    limit = torch.broadcast_to(torch.as_tensor(clearance).to(poses), (len(pairs),)).repeat(2)
+    limit = poses.new_full((len(queries),), clearance)
     sample, distance = closest_sample(poses, batch, geometry, queries, geometry.surface, limit)
-    depth = (limit - distance).clamp_min(0).reshape(2, -1)
+    depth = (clearance - distance).clamp_min(0).reshape(2, -1)
     # The deeper way alone is evaluated again; equal ones share the gradient.
     counts = ((depth > 0) & (depth == depth.amax(dim=0))).reshape(-1)
     share = 1 / counts.reshape(2, -1).sum(dim=0).clamp_min(1).repeat(2)[counts]
     queries = queries.take(counts)
     points = geometry.surface[batch.shape_index[queries.scene, queries.guest], sample[counts]]
-    deepest = (limit[counts] - posed_distance(poses, batch, geometry, queries, points)).clamp_min(0)
+    deepest = (clearance - posed_distance(poses, batch, geometry, queries, points)).clamp_min(0)
     return poses.new_zeros(len(poses)).index_add(0, queries.scene, share * deepest.square())
 
 
