@@ -142,7 +142,24 @@ def test_certify_begins_where_the_flow_ended_if_that_is_farther_than_its_error()
     ):
         poses = scene.poses()
         poses[1] += shift
-        raw = scene.with_poses(poses)
-        assert starting_point(scene, raw) is (raw if begins_anew else scene)
+        begin = starting_point(scene, scene.with_poses(poses))
+        assert (begin is not scene) == begins_anew
+        assert begin.poses() == pytest.approx(poses if begins_anew else scene.poses())
     empty = replace(scene, objects=())
     assert starting_point(empty, replace(empty)) is empty
+
+
+def test_what_would_change_sides_goes_back_with_what_it_carries() -> None:
+    scene, _ = laid(
+        ("left", CUP, 0.2, 0.3, 0.0), ("right", BOOK, 0.4, 0.3, 0.0), ("far", CUP, 0.4, 0.5, 0.0), ("top", CUP, 0.41, 0.31, 0.1)
+    )
+    scene = replace(
+        scene, objects=tuple(replace(o, support="right" if o.instance == "top" else "table") for o in scene.objects)
+    )
+    poses = scene.poses()
+    poses[0, 0] += 0.03  # stays to the left
+    poses[1, 0] -= 0.3  # goes past it
+    poses[3, 0] -= 0.28
+    begin = starting_point(scene, scene.with_poses(poses)).poses()
+    assert begin[0] == pytest.approx(poses[0])
+    assert begin[1:] == pytest.approx(scene.poses()[1:])
