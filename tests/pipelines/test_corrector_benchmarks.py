@@ -19,7 +19,7 @@ from models.physics_corrector.perturbation import KINDS, PerturbationSettings
 from models.physics_corrector.training_set import RunScenes, clean_targets
 from models.physics_corrector.training_settings import TrainingSettings, training_preset
 from models.physics_corrector.validation import Card
-from pipelines.train_corrector import Watch
+from pipelines.train_corrector import TrainCorrector, Watch
 from stable_data.errors import ConfigError
 from stable_data.scene import Scene
 from stable_data.shape import Shape
@@ -122,6 +122,14 @@ def test_an_arm_is_trained_once(clean_run: Path, tmp_path: Path, capsys: pytest.
     with pytest.raises(ConfigError, match="steps: 2 -> 3"):
         trained(clean_run, tmp_path, replace(SETTINGS, steps=3))
     shutil.rmtree(tmp_path / "no_table")
+
+
+def test_an_arm_that_was_stopped_says_so(clean_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(TrainCorrector, "run", lambda _: "stopped")
+        with pytest.raises(SystemExit, match="run again to go on"):
+            trained(clean_run, tmp_path)
+    assert trained(clean_run, tmp_path).steps == 2
 
 
 def test_figures_are_means_over_the_rows_and_unknown_ones_are_said() -> None:
