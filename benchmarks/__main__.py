@@ -39,6 +39,14 @@ def main() -> None:
             "corrector_losses": ["benchmarks.corrector_losses", run, data, *(["--batch", "8"] if few else [])],
             "correction": ["benchmarks.correction", data, *layouts, *(["--per-bucket", "1"] if few else [])],
             "correction_cost": ["benchmarks.correction_cost", data, *(["--scenes", "4", "--rounds", "1"] if few else [])],
+            "flow_gain": [
+                "benchmarks.flow_gain",
+                run,
+                data,
+                *layouts,
+                *(["--scenes", "2", "--per-bucket", "1"] if few else []),
+            ],
+            "corrector_ablation": ["benchmarks.corrector_ablation", run, *(["--steps", "20"] if few else [])],
             "synth": ["benchmarks.synth", "--scenes", "20" if few else "200"],
         }
         for name, command in jobs.items():

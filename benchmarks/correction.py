@@ -42,7 +42,7 @@ from models.baselines.methods import METHODS
 from models.baselines.outcome import Method, Outcome
 from models.physics_corrector.certify import Status, certify
 from models.physics_corrector.checkpoint import DEFAULT_WEIGHTS
-from models.physics_corrector.corrector import Flow, PhysicsCorrector
+from models.physics_corrector.corrector import Flow, PhysicsCorrector, starting_point
 from models.physics_corrector.learned import AUTO, load_flow
 from pipelines.scene_step import related
 from stable_data.assets import AssetStore
@@ -93,14 +93,15 @@ class Ours:
         bodies = bodies_of(scene, shapes, store) if self.settles else None
         told = scene if self.is_told else replace(scene, relations=())
         begin = time.process_time()
-        raw = None
+        raw, known = None, scene
         if corrector.flow is not None:  # it is shown what carries what
             posed = PosedScene(scene, shapes)
             seen, _ = related(posed, audit_posed(posed), {})
-            raw = corrector.raw([scene if self.is_told else seen], [shapes], [frozenset()])[0]
+            known = scene if self.is_told else seen
+            raw = corrector.raw([known], [shapes], [frozenset()])[0]
         if not self.certifies:
             return Outcome(raw or scene, raw is not None, time.process_time() - begin)
-        start = told if raw is None else replace(raw, relations=told.relations)
+        start = replace(starting_point(known, raw), relations=told.relations)
         done = certify(start, shapes, original=told, bodies=bodies)
         seconds = time.process_time() - begin
         is_clean = done.status in (Status.CERTIFIED, Status.DROPPED)

@@ -162,7 +162,9 @@ def train_corrector(
     out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint, logs and card; likewise.")],
     preset: Annotated[
         str,
-        typer.Option(help="paper, paper_set, embedded or embedded_set: network and training; the file and --set change it."),
+        typer.Option(
+            help="paper, paper_set, embedded, embedded_set or embedded_set_near: network and training; the file and --set change it."
+        ),
     ] = "embedded_set",
     config: Annotated[Path | None, typer.Option(help="TOML file; its table [train_corrector] is read.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,

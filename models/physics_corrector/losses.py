@@ -13,7 +13,8 @@ Where the paper leaves something open:
 * S_i are the tabletop and the objects whose yawed box lies over or around i's when i is lowered by ``support_reach``, but for
   those whose bottom is higher than i's: what i carries does not carry i.
 
-An extra, off by default, keeps footprints on the table and out of the restricted zone.
+Extras, off by default, keep footprints on the table and out of the restricted zone, and sampled poses near the coarse layout
+(:mod:`~models.physics_corrector.nearness`).
 """
 
 from dataclasses import dataclass, fields
@@ -36,7 +37,12 @@ class LossSettings:
     Attributes:
         sdf_weight: λ_sdf.
         support_weight: λ_sup.
+        flow_weight: Of L_flow; 1 in the paper.
+        object_factor: Of L_obj-obj beside L_obj-table; 1 in the paper, 0 in its ablation.
+        table_factor: Of L_obj-table beside L_obj-obj; 1 in the paper, 0 in its ablation.
         bounds_weight: Of the extra for the table's edge and the restricted zone; it is not in the paper.
+        move_weight: Of the movement of sampled poses, a unit of length each; it is not in the paper.
+        order_weight: Of the directional relations that sampled poses break; it is not in the paper.
         length_unit: In which lengths are squared, metres.
         clearance: Objects that are closer than this collide, metres; the paper's is 0.
         contact_tolerance: ε of L_sup: the paper's threshold of floating, metres.
@@ -45,7 +51,12 @@ class LossSettings:
 
     sdf_weight: float = 0.02
     support_weight: float = 0.01
+    flow_weight: float = 1.0
+    object_factor: float = 1.0
+    table_factor: float = 1.0
     bounds_weight: float = 0.0
+    move_weight: float = 0.0
+    order_weight: float = 0.0
     length_unit: float = 0.01
     clearance: float = 0.0
     contact_tolerance: float = 5e-4
@@ -70,8 +81,8 @@ class PhysicsLosses:
 
     def weighted(self, settings: LossSettings) -> Tensor:
         """λ_sdf (L_obj-obj + L_obj-table) + λ_sup L_sup, and the extra, (B,)."""
-        collision = settings.sdf_weight * (self.object_object + self.object_table)
-        return collision + settings.support_weight * self.support + settings.bounds_weight * self.bounds
+        collision = settings.object_factor * self.object_object + settings.table_factor * self.object_table
+        return settings.sdf_weight * collision + settings.support_weight * self.support + settings.bounds_weight * self.bounds
 
 
 def flow_loss(velocity: Tensor, target: Tensor, mask: Tensor) -> Tensor:

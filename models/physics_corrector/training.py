@@ -19,17 +19,20 @@ import torch
 from torch import Tensor, nn
 
 from models.physics_corrector.batch import SceneBatch
+from models.physics_corrector.checkpoint import load_corrector
 from models.physics_corrector.condition import Condition
 from models.physics_corrector.flow import Velocity
-from models.physics_corrector.losses import PhysicsLosses, flow_loss, physics_losses
+from models.physics_corrector.losses import flow_loss, physics_losses
+from models.physics_corrector.nearness import movement, order
 from models.physics_corrector.perturbation import perturb, reassign
 from models.physics_corrector.prefixes import compact, cut
 from models.physics_corrector.training_set import TrainingSet
 from models.physics_corrector.training_settings import TrainingSettings, flattened
 from stable_data.errors import ConfigError
 
-LOGGED = ("flow", "physics", "object_object", "object_table", "support", "unrolled", "total")
-"""The figures of a step: the terms of the loss as they count, those of physics also per scene and unweighted."""
+LOGGED = ("flow", "physics", "object_object", "object_table", "support", "unrolled", "moved", "total")
+"""The figures of a step: the terms of the loss as they count, those of physics also per scene and unweighted, and by how much
+sampled poses moved, metres a scene."""
 
 # What torch.load raises on bytes that are no checkpoint, and what a checkpoint of something else lacks.
 _UNREADABLE = (OSError, EOFError, RuntimeError, ValueError, KeyError, TypeError, pickle.UnpicklingError)
@@ -71,6 +74,8 @@ class Training:
         with torch.random.fork_rng():
             torch.manual_seed(settings.seed)
             network, self.flow = settings.corrector.build()
+        if settings.initial:
+            network.load_state_dict(_initial_state(settings, data.encoder))
         self.network = network.to(place.device)
         self._optimizer = torch.optim.Adam(self.network.parameters(), settings.learning_rate)
         self.average = {name: value.detach().clone() for name, value in self.network.state_dict().items()}
@@ -128,45 +133,67 @@ class Training:
 
     def _loss(self, batch: SceneBatch, share: float, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """What a chunk adds to the loss of the step, and its figures, (len(LOGGED),)."""
-        settings, velocity = self.settings, self.velocity()
+        settings = self.settings
         coarse, _ = perturb(batch, settings.perturbation, generator)
-        condition = Condition.of(replace(batch, poses=coarse))
-        path = self.flow.path(condition, reassign(coarse, batch), generator)
-        predicted = self.flow.predict(velocity, path, condition, generator)
-        flow = share * flow_loss(predicted.velocity, path.velocity, condition.is_movable)
-        lots = torch.rand((2, len(batch)), generator=generator, device=coarse.device)
         strength = settings.physics_at(self.step)
-        chosen = (lots[0] < settings.physics.share) & (path.t > settings.physics.from_time)
-        weight = strength * path.t[chosen] ** settings.physics.power
-        losses = self._physics(predicted.poses, batch, chosen) if strength else None
-        physics, terms = self._weighted(losses, weight, settings.physics.share)
-        unrolled = flow.new_zeros(())
+        zero = torch.zeros((), device=self.place.device)
+        flow, estimate = zero, None
+        if settings.losses.flow_weight or settings.physics.share:
+            condition = Condition.of(replace(batch, poses=coarse))
+            path = self.flow.path(condition, reassign(coarse, batch), generator)
+            predicted = self.flow.predict(self.velocity(), path, condition, generator)
+            flow = settings.losses.flow_weight * share * flow_loss(predicted.velocity, path.velocity, condition.is_movable)
+            estimate = predicted.poses, path.t
+        lots = torch.rand((2, len(batch)), generator=generator, device=coarse.device)
+        physics = zero
+        terms: tuple[Tensor, ...] = (zero, zero, zero)
+        if strength and settings.physics.share and estimate is not None:
+            poses, t = estimate
+            chosen = (lots[0] < settings.physics.share) & (t > settings.physics.from_time)
+            weight = strength * t[chosen] ** settings.physics.power
+            physics, terms = self._physics(poses[chosen], batch.take(chosen), weight, settings.physics.share)
+        unrolled = moved = zero
         if strength and settings.is_unrolled_at(self.step):
             sampled = lots[1] < settings.physics.unroll_scenes
-            poses = self._sampled(batch, coarse, sampled, generator)
-            found = physics_losses(poses, batch.take(sampled), self.data.geometry, settings.losses)
-            weight = poses.new_full((len(poses),), settings.physics.unroll_weight)
-            unrolled, _ = self._weighted(found, weight, settings.physics.unroll_scenes)
+            unrolled, moved = self._unrolled(batch.take(sampled), coarse[sampled], generator)
         total = flow + physics + unrolled
-        return total, torch.stack([flow, physics, *terms, unrolled, total]).detach()
+        return total, torch.stack([flow, physics, *terms, unrolled, moved, total]).detach()
 
-    def _physics(self, poses: Tensor, batch: SceneBatch, chosen: Tensor) -> PhysicsLosses:
-        return physics_losses(poses[chosen], batch.take(chosen), self.data.geometry, self.settings.losses)
+    def _unrolled(self, batch: SceneBatch, coarse: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """What sampled poses add to the loss of the step, and by how much they moved, metres a scene."""
+        settings, share = self.settings.losses, self.settings.physics.unroll_scenes
+        poses = self._sampled(batch, coarse, generator)
+        weight = poses.new_full((len(poses),), self.settings.physics.unroll_weight)
+        moved = movement(poses, coarse, batch)
+        near = settings.move_weight * moved / settings.length_unit
+        if settings.order_weight:
+            near = near + settings.order_weight * order(poses, coarse, batch) / settings.length_unit**2
+        unrolled, _ = self._physics(poses, batch, weight, share, near)
+        return unrolled, moved.sum() / (share * self.settings.batch_size)
 
-    def _weighted(self, losses: PhysicsLosses | None, weight: Tensor, share: float) -> tuple[Tensor, tuple[Tensor, ...]]:
-        """Mean over the step's scenes of the weighted physical loss, and of its terms, from a share of the scenes."""
+    def _physics(
+        self, poses: Tensor, batch: SceneBatch, weight: Tensor, share: float, near: Tensor | None = None
+    ) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """Mean over the step's scenes of the weighted physical loss, and of its terms, from a share of the scenes.
+
+        Args:
+            poses: Estimates or samples of clean poses, (S, N, 4).
+            batch: Their scenes.
+            weight: What each counts, (S,).
+            share: Which share of the step's scenes they stand for.
+            near: What is added to each scene's loss, (S,).
+        """
         scale = 1 / (share * self.settings.batch_size)
-        if losses is None:
-            zero = torch.zeros((), device=self.place.device)
-            return zero, (zero, zero, zero)
+        losses = physics_losses(poses, batch, self.data.geometry, self.settings.losses)
         of_scene, limit = losses.weighted(self.settings.losses), self.settings.physics.limit
+        of_scene = of_scene if near is None else of_scene + near
         of_scene = limit * torch.log1p(of_scene / limit) if limit else of_scene
         terms = (losses.object_object, losses.object_table, losses.support)
         return scale * (weight * of_scene).sum(), tuple(scale * term.sum() for term in terms)
 
-    def _sampled(self, batch: SceneBatch, coarse: Tensor, chosen: Tensor, generator: torch.Generator) -> Tensor:
+    def _sampled(self, batch: SceneBatch, coarse: Tensor, generator: torch.Generator) -> Tensor:
         """Poses as inference samples them, (S, N, 4), with the gradient of the last steps."""
-        condition = Condition.of(replace(batch.take(chosen), poses=coarse[chosen]))
+        condition = Condition.of(replace(batch, poses=coarse))
         start = generator if self.settings.corrector.flow.source == "gaussian" else None
         return self.flow.sample(
             self.velocity(), condition, generator=start, gradient_steps=self.settings.physics.unroll_gradient
@@ -262,6 +289,30 @@ class Training:
         self.average = {name: value.to(self.place.device) for name, value in state["average"].items()}
         self.step = state["step"]
         return True
+
+
+def _initial_state(settings: TrainingSettings, encoder: str) -> dict[str, Any]:
+    """The weights that a training starts from.
+
+    Raises:
+        ConfigError: They cannot be read, or are of another network or other features.
+    """
+    path = Path(settings.initial).expanduser()
+    found = load_corrector(path)
+    wanted = replace(found.settings, network=settings.corrector.network)  # the flow may be followed in another way
+    if changed := found.settings.differences(wanted):
+        raise ConfigError(
+            f"initial: {path} holds another network ({'; '.join(changed)}), expected the one that is trained",
+            "checkpoint_mismatch",
+        )
+    was = found.notes.get("encoder_fingerprint", "")
+    if was != encoder:
+        raise ConfigError(
+            f"initial: {path} reads the features of encoder {was or 'none'}, the run has those of {encoder or 'none'}; "
+            "preprocess it with the same encoder",
+            "encoder_mismatch",
+        )
+    return dict(found.network.state_dict())
 
 
 def train(

@@ -18,7 +18,8 @@ class PhysicsSchedule:
     """When and on how much the physical losses are taken; their weights are those of ``LossSettings``.
 
     Attributes:
-        share: Share of the scenes of a step that they are taken on, drawn anew each time; the sum is scaled by its inverse.
+        share: Share of the scenes of a step that they are taken on, drawn anew each time; the sum is scaled by its inverse. 0
+            leaves them to the sampled poses alone.
         from_time: Flow time from which on they count: an estimate made earlier is vague.
         power: w(t) = t^power from there on.
         start: Step at which they begin ...
@@ -45,7 +46,7 @@ class PhysicsSchedule:
     def __post_init__(self) -> None:
         """Refuses what cannot be drawn."""
         shares = (self.from_time, self.unroll_share)
-        if not (0 < self.share <= 1 and 0 < self.unroll_scenes <= 1 and all(0 <= share <= 1 for share in shares)):
+        if not (0 <= self.share <= 1 and 0 < self.unroll_scenes <= 1 and all(0 <= share <= 1 for share in shares)):
             raise ConfigError(f"physics: {asdict(self)}, expected shares and times between 0 and 1", "config_invalid")
         if min(self.start, self.ramp, self.unroll_gradient) < 0 or min(self.power, self.limit, self.unroll_weight) < 0:
             raise ConfigError(f"physics: {asdict(self)}, expected no negative figure", "config_invalid")
@@ -57,6 +58,7 @@ class TrainingSettings:
 
     Attributes:
         seed: Of the first weights and of every draw.
+        initial: Weights to start from, a file of a corrector with the same network; empty draws them from the seed.
         steps: Length of the run; 0 takes ``epochs``.
         epochs: Length in passes over the scenes.
         batch_size: Scenes of a step.
@@ -78,6 +80,7 @@ class TrainingSettings:
     """
 
     seed: int = 0
+    initial: str = ""
     steps: int = 0
     epochs: int = 5000
     batch_size: int = 2048
@@ -106,6 +109,13 @@ class TrainingSettings:
             raise ConfigError(f"{found}: expected a length, and nothing negative", "config_invalid")
         if not (0 <= self.ema < 1 and 0 <= self.cool_down <= 1):
             raise ConfigError(f"ema is {self.ema}, cool_down {self.cool_down}, expected shares", "config_invalid")
+        followed = self.losses.flow_weight > 0 or self.physics.share > 0
+        if not followed and (self.physics.unroll_share < 1 or self.physics.start > 0):
+            found = f"physics.unroll_share {self.physics.unroll_share}, physics.start {self.physics.start}"
+            raise ConfigError(
+                f"{found}: with losses.flow_weight and physics.share 0 there are steps without a loss, expected 1 and 0",
+                "config_invalid",
+            )
         if self.features not in get_args(FeatureSource):
             raise ConfigError(f"features is {self.features!r}, expected point or box", "config_invalid")
 
@@ -146,12 +156,18 @@ def flattened(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
+NEAR = "embedded_set_near"
+"""The preset that goes on from the weights of ``embedded_set``; ``initial`` names them."""
+
+
 def training_preset(name: str) -> TrainingSettings:
     """Named settings: ``paper`` and ``paper_set`` as in the paper's appendix, ``embedded`` and ``embedded_set`` for a CPU.
 
     Raises:
         ConfigError: There are none of that name.
     """
+    if name == NEAR:
+        return _near(training_preset("embedded_set"))
     corrector = preset(name)
     if name.startswith("paper"):
         return TrainingSettings(corrector=corrector)
@@ -170,4 +186,24 @@ def training_preset(name: str) -> TrainingSettings:
         physics=PhysicsSchedule(share=0.5, limit=1.0, unroll_share=0.8, unroll_scenes=0.5, unroll_weight=2.0),
         losses=LossSettings(sdf_weight=5.0, support_weight=2.5, bounds_weight=0.5, clearance=1e-3),
         corrector=replace(corrector, flow=replace(corrector.flow, steps=4)),
+    )
+
+
+def _near(settings: TrainingSettings) -> TrainingSettings:
+    """Settings that teach a trained corrector to move little: no L_flow, and a price on what the sampler's poses move.
+
+    What is clean and near is learned from the losses alone. Half the sampler's steps do: it has less far to go, and each step
+    costs as much to learn through as to take.
+    """
+    flow = replace(settings.corrector.flow, steps=2)
+    return replace(
+        settings,
+        steps=1_600,
+        learning_rate=5e-4,
+        warm_up=50,
+        cool_down=0.5,
+        ema=0.995,
+        physics=PhysicsSchedule(share=0.0, limit=10.0, unroll_share=1.0, unroll_scenes=1.0),
+        losses=replace(settings.losses, flow_weight=0.0, move_weight=0.35, order_weight=1.0, clearance=1.5e-3),
+        corrector=replace(settings.corrector, flow=flow),
     )

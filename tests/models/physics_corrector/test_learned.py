@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from models.physics_corrector.checkpoint import load_corrector, save_corrector
-from models.physics_corrector.corrector import PhysicsCorrector, movement
+from models.physics_corrector.corrector import PhysicsCorrector, movement, starting_point
 from models.physics_corrector.learned import LearnedFlow, load_flow, weights_fingerprint
 from models.point_encoder import PointEncoder
 from models.point_encoder import save as save_encoder
@@ -159,3 +159,37 @@ def test_movement_of_objects_that_are_still_there() -> None:
     assert [mean, farthest] == pytest.approx([25.0, 50.0])
     assert turn == pytest.approx(180 - np.degrees(0.1))
     assert movement(scene, replace(scene, objects=())) == (0.0, 0.0, 0.0)
+
+
+def test_certify_begins_where_the_flow_ended_if_that_is_farther_than_its_error() -> None:
+    (scene, _), _ = two_scenes()
+    assert starting_point(scene, None) is scene
+    for shift, begins_anew in (
+        ((0.004, 0.0, 0.0, 0.0), False),
+        ((0.0, 0.0, 0.1, 2 * np.pi), False),  # heights are found exactly, and a whole turn is none
+        ((0.004, 0.004, 0.0, 0.0), True),
+        ((0.0, 0.0, 0.0, -0.1), True),
+    ):
+        poses = scene.poses()
+        poses[1] += shift
+        begin = starting_point(scene, scene.with_poses(poses))
+        assert (begin is not scene) == begins_anew
+        assert begin.poses() == pytest.approx(poses if begins_anew else scene.poses())
+    empty = replace(scene, objects=())
+    assert starting_point(empty, replace(empty)) is empty
+
+
+def test_what_would_change_sides_goes_back_with_what_it_carries() -> None:
+    scene, _ = laid(
+        ("left", CUP, 0.2, 0.3, 0.0), ("right", BOOK, 0.4, 0.3, 0.0), ("far", CUP, 0.4, 0.5, 0.0), ("top", CUP, 0.41, 0.31, 0.1)
+    )
+    scene = replace(
+        scene, objects=tuple(replace(o, support="right" if o.instance == "top" else "table") for o in scene.objects)
+    )
+    poses = scene.poses()
+    poses[0, 0] += 0.03  # stays to the left
+    poses[1, 0] -= 0.3  # goes past it
+    poses[3, 0] -= 0.28
+    begin = starting_point(scene, scene.with_poses(poses)).poses()
+    assert begin[0] == pytest.approx(poses[0])
+    assert begin[1:] == pytest.approx(scene.poses()[1:])

@@ -6,8 +6,9 @@ import torch
 
 from models.physics_corrector.checkpoint import save_corrector
 from models.physics_corrector.flow import Flow
+from models.physics_corrector.losses import LossSettings
 from models.physics_corrector.training import Place, Training, train
-from models.physics_corrector.training_settings import PhysicsSchedule, TrainingSettings, training_preset
+from models.physics_corrector.training_settings import NEAR, PhysicsSchedule, TrainingSettings, training_preset
 from stable_data.errors import ConfigError
 from tests.models.physics_corrector.training_scenes import TINY, training_set
 
@@ -143,6 +144,17 @@ def test_paper_preset_is_the_papers() -> None:
     assert settings.steps == -(-5000 * 10_000 // 2048)
     assert (settings.losses.sdf_weight, settings.losses.support_weight) == (0.02, 0.01)
     assert settings.corrector.network.num_features == 64
+    assert (settings.losses.flow_weight, settings.losses.move_weight, settings.losses.order_weight) == (1.0, 0.0, 0.0)
+    assert settings.initial == ""
+
+
+def test_what_goes_on_from_trained_weights_has_their_network() -> None:
+    first, second = training_preset("embedded_set"), training_preset(NEAR)
+    assert second.corrector.network == first.corrector.network
+    assert second.losses.flow_weight == 0 < second.losses.move_weight
+    assert all(second.is_unrolled_at(step) for step in (0, second.steps - 1))
+    with pytest.raises(ConfigError, match="paper_near"):
+        training_preset("paper_near")
 
 
 def test_box_features_make_a_network_that_reads_none() -> None:
@@ -184,3 +196,72 @@ def test_a_limit_lets_large_losses_count_as_their_logarithm() -> None:
     assert large["physics"] == pytest.approx(plain["physics"], rel=1e-3)
     assert small["physics"] < 0.2 * plain["physics"]
     assert small["object_table"] == plain["object_table"]
+
+
+SAMPLED = PhysicsSchedule(share=0.0, unroll_share=1.0, unroll_scenes=1.0)
+
+
+def test_nearness_counts_on_sampled_poses_alone() -> None:
+    """Without physics and flow, what is left of the loss is the movement."""
+
+    def figures(losses: LossSettings, schedule: PhysicsSchedule = SAMPLED) -> dict[str, float]:
+        return trained_network(replace(TINY, losses=losses, physics=schedule)).advance()[0]
+
+    bare = LossSettings(sdf_weight=0.0, support_weight=0.0, flow_weight=0.0)
+    near = figures(replace(bare, move_weight=0.5))
+    assert near["flow"] == near["physics"] == 0
+    assert near["moved"] > 0
+    assert near["total"] == pytest.approx(0.5 * near["moved"] / 0.01, rel=1e-4)
+    assert figures(bare)["total"] == 0
+    assert figures(replace(bare, order_weight=1.0))["total"] > 0
+    assert figures(replace(bare, flow_weight=1.0, move_weight=9.0), replace(SAMPLED, unroll_share=0.0))["moved"] == 0
+    with pytest.raises(ConfigError, match="steps without a loss"):
+        replace(TINY, losses=bare, physics=replace(SAMPLED, unroll_share=0.5))
+
+
+def trained_network(settings: TrainingSettings) -> Training:
+    """A training whose network moves things: an untrained one leaves them where they are."""
+    training = Training(DATA, settings)
+    with torch.no_grad():
+        training.network.state_dict()["head.1.weight"].normal_(0, 0.5, generator=torch.Generator().manual_seed(0))
+    return training
+
+
+def test_a_price_on_movement_keeps_things_where_they_are() -> None:
+    losses = LossSettings(sdf_weight=0.0, support_weight=0.0, flow_weight=0.0, move_weight=1.0)
+    training, moved = trained_network(replace(TINY, steps=30, losses=losses, physics=SAMPLED)), []
+    train(training, wants_stop=lambda: False, after=lambda _, figures: moved.append(figures["moved"]))
+    assert moved[-1] < 0.5 * moved[0]
+
+
+def test_the_flow_counts_by_its_weight() -> None:
+    def flow(weight: float) -> float:
+        return Training(DATA, replace(TINY, losses=LossSettings(flow_weight=weight))).advance()[0]["flow"]
+
+    assert flow(0.25) == pytest.approx(0.25 * flow(1.0))
+
+
+def test_training_starts_from_the_weights_that_it_is_given(tmp_path: Path) -> None:
+    first = trained(TINY, 3)
+    path = tmp_path / "first.safetensors"
+    save_corrector(path, TINY.corrector, first.average)
+    second = Training(DATA, replace(TINY, initial=str(path), learning_rate=1e-4))
+    for name, value in first.average.items():
+        assert torch.equal(second.network.state_dict()[name], value)
+        assert torch.equal(second.average[name], value)
+    second.advance()
+    assert not torch.equal(second.network.state_dict()["head.1.bias"], first.average["head.1.bias"])
+    fewer_steps = replace(TINY.corrector, flow=replace(TINY.corrector.flow, steps=2))
+    Training(DATA, replace(TINY, initial=str(path), corrector=fewer_steps))  # how the flow is followed may differ
+
+
+def test_weights_of_another_network_or_encoder_are_no_start(tmp_path: Path) -> None:
+    path = tmp_path / "first.safetensors"
+    save_corrector(path, TINY.corrector, Training(DATA, TINY).average, {"encoder_fingerprint": "another"})
+    with pytest.raises(ConfigError, match="encoder another"):
+        Training(DATA, replace(TINY, initial=str(path)))
+    wider = replace(TINY.corrector, network=replace(TINY.corrector.network, levels=3))
+    with pytest.raises(ConfigError, match=r"levels: 2 -> 3"):
+        Training(DATA, replace(TINY, initial=str(path), corrector=wider))
+    with pytest.raises(ConfigError, match="cannot be read"):
+        Training(DATA, replace(TINY, initial=str(tmp_path / "none.safetensors")))

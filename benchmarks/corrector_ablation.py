@@ -1,0 +1,181 @@
+"""What each part of the corrector's training is worth: short equal trainings that leave one out, judged by raw samples.
+
+``python -m benchmarks.corrector_ablation RUN --out OUT [--arm NAME ...] [--steps N] [--json FILE]``, where RUN is the folder of a
+preprocess run. Every arm trains on the same scenes with the same seed for the same number of steps, and differs from ``full`` in
+one thing:
+
+- ``full``: the preset ``embedded_set`` with point features;
+- ``no support``, ``no table``, ``no objects``: without L_sup, L_obj-table, L_obj-obj, as in the paper's ablation;
+- ``no physics``: without all three, L_flow alone;
+- ``box features``: no point features; what is left of a shape are the extents of its box, which every network reads;
+- ``unet``: the paper's U-Net over the objects (preset ``embedded``) instead of the set transformer.
+
+Judged are raw samples of the flow on held-out scenes, nothing certified, by the training's own validation card (docs/corrector.md):
+mean over the scenes of all its rows. An arm that is done is not trained again and one that was stopped goes on; OUT holds them.
+Trainings this short say which way a part pulls, not where a long one ends. Run with ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``.
+"""
+
+import json
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import mean
+from typing import Annotated, Any, TypeAlias
+
+import torch
+import typer
+
+from models.physics_corrector.training_settings import TrainingSettings, training_preset
+from models.physics_corrector.validation import Card
+from pipelines.train_corrector import TrainCorrector, Watch
+from stable_data.errors import StableDataError
+
+FULL = "full"
+
+Change: TypeAlias = Callable[[TrainingSettings], TrainingSettings]
+
+
+def _losses(**changes: float) -> Change:
+    return lambda settings: replace(settings, losses=replace(settings.losses, **changes))
+
+
+def _without_physics(settings: TrainingSettings) -> TrainingSettings:
+    bare = replace(settings.losses, sdf_weight=0.0, support_weight=0.0, bounds_weight=0.0)
+    return replace(settings, losses=bare, physics=replace(settings.physics, share=0.0, unroll_share=0.0))
+
+
+def _with_unet(settings: TrainingSettings) -> TrainingSettings:
+    network = training_preset("embedded").corrector.network
+    return replace(settings, corrector=replace(settings.corrector, network=network))
+
+
+ARMS: Mapping[str, Change] = {
+    FULL: lambda settings: settings,
+    "no support": _losses(support_weight=0.0),
+    "no table": _losses(table_factor=0.0),
+    "no objects": _losses(object_factor=0.0),
+    "no physics": _without_physics,
+    "box features": lambda settings: replace(settings, features="box"),
+    "unet": _with_unet,
+}
+"""What each arm changes of the full training."""
+
+FIGURES = (
+    "grid_oc",
+    "oc",
+    "max_penetration_mm",
+    "table_penetration_mm",
+    "float_rate",
+    "max_gap_mm",
+    "out_of_bounds_rate",
+    "move_mean_mm",
+    "target_distance_mm",
+)
+"""Figures of the validation card that are shown."""
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """One training and how it came out.
+
+    Attributes:
+        name: Its name.
+        steps: How long it was trained.
+        batch_size: Scenes of a step.
+        num_parameters: Of its network.
+        card: Its validation card.
+    """
+
+    name: str
+    steps: int
+    batch_size: int
+    num_parameters: int
+    card: Card
+
+    def figure(self, name: str, side: str = "raw") -> float | None:
+        """Mean of a figure over the rows of the card; None where one is unknown."""
+        values = [row[side].get(name) for row in self.card.values()]
+        known = [value for value in values if value is not None]
+        return mean(known) if known and len(known) == len(values) else None
+
+
+def arm(run: str, out: Path, name: str, full: TrainingSettings, watch: Watch) -> Arm:
+    """Trains an arm, or what is missing of it.
+
+    Args:
+        run: Folder of the preprocess run.
+        out: Folder of all arms; what is computed of the run is kept there once.
+        name: One of ``ARMS``.
+        full: Settings of the whole training, with its length.
+        watch: How it is judged.
+    """
+    folder = out / name.replace(" ", "_")
+    folder.mkdir(parents=True, exist_ok=True)
+    (out / "cache").mkdir(exist_ok=True)
+    if not (folder / "cache").exists():
+        (folder / "cache").symlink_to((out / "cache").resolve())
+    settings = ARMS[name](full)
+    job = TrainCorrector(run, folder, settings, watch)
+    card = folder / "card.json"
+    if not card.is_file() or json.loads(card.read_text("utf-8"))["steps"] != full.steps:
+        print(job.run())
+    if not card.is_file():
+        raise SystemExit(f"{folder}: stopped before it was done; run again to go on")
+    found: dict[str, Any] = json.loads(card.read_text("utf-8"))
+    network, _ = settings.resolved(1).corrector.build()
+    return Arm(name, found["steps"], settings.batch_size, sum(p.numel() for p in network.parameters()), found["rows"])
+
+
+def table(arms: Sequence[Arm]) -> str:
+    """The figures of all arms, the coarse layouts first."""
+    rows: list[tuple[str, ...]] = [("arm", "parameters", *FIGURES)]
+    if arms:
+        rows.append(("coarse layout", "", *(_written(arms[0].figure(name, "coarse"), name) for name in FIGURES)))
+    rows += [(a.name, f"{a.num_parameters:,}", *(_written(a.figure(name), name) for name in FIGURES)) for a in arms]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return "\n".join(
+        "  ".join(cell.rjust(w) if k else cell.ljust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True)))
+        for row in rows
+    )
+
+
+def _written(value: float | None, name: str) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.2f}" if name.endswith("_mm") else f"{100 * value:.2f} %"
+
+
+def main(
+    run: Annotated[str, typer.Argument(help="Folder of a preprocess run.")],
+    out: Annotated[Path | None, typer.Option(help="Folder of the trainings; without it they are not kept.")] = None,
+    name: Annotated[list[str] | None, typer.Option("--arm", help=f"Of {', '.join(ARMS)}; all by default.")] = None,
+    steps: Annotated[int, typer.Option(help="Length of each training.")] = 1500,
+    scenes: Annotated[int, typer.Option(help="Held-out scenes of the card.")] = 96,
+    exact: Annotated[int, typer.Option(help="How many of them the exact audit judges.")] = 24,
+    seed: Annotated[int, typer.Option(help="Of the trainings.")] = 0,
+    file: Annotated[Path | None, typer.Option("--json", help="Where the figures are written.")] = None,
+) -> None:
+    """Trains the arms that are missing and shows all that were asked for."""
+    chosen = list(dict.fromkeys(name or ARMS))
+    if unknown := [wrong for wrong in chosen if wrong not in ARMS]:
+        raise typer.BadParameter(f"{', '.join(unknown)}, expected of {', '.join(ARMS)}")
+    torch.set_num_threads(1)
+    watch = Watch(card_every=steps + 1, final_scenes=scenes, exact_scenes=exact)
+    with tempfile.TemporaryDirectory() as aside:
+        try:
+            full = replace(training_preset("embedded_set"), steps=steps, seed=seed, features="point")
+            arms = [arm(run, out or Path(aside), one, full, watch) for one in chosen]
+        except StableDataError as error:
+            raise SystemExit(str(error)) from error
+    print(table(arms))
+    if file is not None:
+        document = [
+            {"arm": a.name, "steps": a.steps, "batch_size": a.batch_size, "num_parameters": a.num_parameters, "card": a.card}
+            for a in arms
+        ]
+        file.write_text(json.dumps(document, indent=1) + "\n", "utf-8")
+
+
+if __name__ == "__main__":
+    typer.run(main)
