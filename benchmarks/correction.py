@@ -40,9 +40,9 @@ from benchmarks.layouts import Layout, read_layouts, shaken_layouts
 from benchmarks.steerable_drake import in_drake
 from models.baselines.methods import METHODS
 from models.baselines.outcome import Method, Outcome
-from models.physics_corrector.certify import Status, certify
+from models.physics_corrector.certify import Status
 from models.physics_corrector.checkpoint import DEFAULT_WEIGHTS
-from models.physics_corrector.corrector import Flow, PhysicsCorrector, starting_point
+from models.physics_corrector.corrector import Flow, PhysicsCorrector, certified_from
 from models.physics_corrector.learned import AUTO, load_flow
 from pipelines.scene_step import related
 from stable_data.assets import AssetStore
@@ -101,8 +101,7 @@ class Ours:
             raw = corrector.raw([known], [shapes], [frozenset()])[0]
         if not self.certifies:
             return Outcome(raw or scene, raw is not None, time.process_time() - begin)
-        start = replace(starting_point(known, raw), relations=told.relations)
-        done = certify(start, shapes, original=told, bodies=bodies)
+        done = certified_from(replace(known, relations=told.relations), raw, shapes, bodies=bodies)
         seconds = time.process_time() - begin
         is_clean = done.status in (Status.CERTIFIED, Status.DROPPED)
         return Outcome(done.scene or scene, is_clean, seconds, done.reason)

@@ -31,8 +31,8 @@ from tqdm import tqdm
 
 from benchmarks.correction import chosen_layouts
 from models.physics_corrector.batch import SceneBatch, padded
-from models.physics_corrector.certify import Status, certify
-from models.physics_corrector.corrector import Flow, movement, starting_point
+from models.physics_corrector.certify import Status
+from models.physics_corrector.corrector import Flow, certified_from, movement
 from models.physics_corrector.learned import AUTO, load_flow
 from models.physics_corrector.perturbation import KINDS, PerturbationSettings, perturb
 from models.physics_corrector.training_set import RunScenes, clean_targets
@@ -162,7 +162,7 @@ def compared(layouts: Sequence[Coarse], flows: Mapping[str, Flow]) -> list[Gain]
 def _gain(method: str, coarse: Coarse, raw: Scene | None, flow_seconds: float) -> Gain:
     scene = coarse.scene
     begin = time.process_time()
-    done = certify(starting_point(scene, raw), coarse.shapes, original=scene)
+    done = certified_from(scene, raw, coarse.shapes)
     seconds = time.process_time() - begin
     move = farthest = turned = kept = None
     if done.scene is not None:

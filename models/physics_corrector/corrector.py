@@ -6,18 +6,20 @@ The learned flow moves all objects at once; ``certify`` proves the result or men
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from models.physics_corrector.certify import CertifyOptions, Dropped, Status, certify
+from models.physics_corrector.certify import Certified, CertifyOptions, Dropped, Status, certify
 from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.kept import RelationsKept, relations_kept
-from stable_data.physics import Body
 from stable_data.relations import scene_graph
 from stable_data.scene import FloatArray, IntArray, RelationKind, Scene
 from stable_data.shape import Shape
+
+if TYPE_CHECKING:  # the engine takes long to import
+    from stable_data.physics import Body
 
 Fixed: TypeAlias = frozenset[str]
 """Instances of a scene that must stay where they are."""
@@ -25,9 +27,9 @@ Fixed: TypeAlias = frozenset[str]
 Flow: TypeAlias = Callable[[Sequence[Scene], Sequence[Sequence[Shape]], Sequence[Fixed]], list[Scene]]
 """Moves the objects of scenes: scenes, the shapes of their objects, what must stay in each -> the scenes after."""
 
-
 _DIRECTIONS = (RelationKind.LEFT_OF, RelationKind.RIGHT_OF, RelationKind.IN_FRONT_OF, RelationKind.BEHIND)
 _STILL, _STILL_TURN = 5e-3, float(np.radians(5))  # about what the flow is accurate to, metres and radians
+_DEFAULT = CertifyOptions()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +110,7 @@ class PhysicsCorrector:
         audit: Audit,
         raw: Scene | None,
         fixed: Fixed = frozenset(),
-        bodies: Sequence[Body] | None = None,
+        bodies: Sequence["Body"] | None = None,
     ) -> Correction:
         """One scene after the flow, proven or mended.
 
@@ -122,7 +124,7 @@ class PhysicsCorrector:
                 stays at rest, and what does not is put where it does, if that is found.
         """
         options = replace(self.options, fixed=self.options.fixed | fixed)
-        done = certify(starting_point(scene, raw), shapes, options, original=scene, bodies=bodies)
+        done = certified_from(scene, raw, shapes, options, bodies)
         card_after, kept = None, None
         if done.scene is not None and done.audit is not None:
             kept = relations_kept(scene, done.scene, shapes)
@@ -149,6 +151,33 @@ class PhysicsCorrector:
             kept=kept,
             unsteady=done.unsteady,
         )
+
+
+def certified_from(
+    scene: Scene,
+    raw: Scene | None,
+    shapes: Sequence[Shape],
+    options: CertifyOptions = _DEFAULT,
+    bodies: Sequence["Body"] | None = None,
+) -> Certified:
+    """Certifies a scene from where the flow put it; where that leaves something out, once more from the scene itself.
+
+    Args:
+        scene: As it came, with the supports of its objects where they are known.
+        raw: What the flow made of it; None without one.
+        shapes: The geometry of its objects, in order.
+        options: What `certify` may do.
+        bodies: The objects as the physics engine sees them, where it is to be asked.
+
+    Returns:
+        The one of both that leaves out less.
+    """
+    start = starting_point(scene, raw)
+    done = certify(start, shapes, options, original=scene, bodies=bodies)
+    if start is scene or (done.scene is not None and not done.dropped):
+        return done
+    again = certify(scene, shapes, options, bodies=bodies)
+    return min(done, again, key=lambda each: (each.scene is None, len(each.dropped)))
 
 
 def starting_point(scene: Scene, raw: Scene | None) -> Scene:
@@ -182,7 +211,7 @@ def starting_point(scene: Scene, raw: Scene | None) -> Scene:
             break
         back = _carried_by(scene, int(ends[lengths.argmax()]))
         poses[back] = start[back]
-    return raw.with_poses(poses)
+    return scene.with_poses(poses)
 
 
 def _side_by_side(scene: Scene, poses: FloatArray) -> tuple[IntArray, IntArray, IntArray]:

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from models.physics_corrector.certify import Status
 from models.physics_corrector.checkpoint import load_corrector, save_corrector
-from models.physics_corrector.corrector import PhysicsCorrector, movement, starting_point
+from models.physics_corrector.corrector import PhysicsCorrector, certified_from, movement, starting_point
 from models.physics_corrector.learned import LearnedFlow, load_flow, weights_fingerprint
 from models.point_encoder import PointEncoder
 from models.point_encoder import save as save_encoder
@@ -193,3 +194,11 @@ def test_what_would_change_sides_goes_back_with_what_it_carries() -> None:
     begin = starting_point(scene, scene.with_poses(poses)).poses()
     assert begin[0] == pytest.approx(poses[0])
     assert begin[1:] == pytest.approx(scene.poses()[1:])
+
+
+def test_where_the_flow_leaves_no_room_the_layout_itself_decides() -> None:
+    scene, shapes = laid(("one", BOOK, 0.08, 0.11, 0.0), ("other", BOOK, 0.235, 0.11, 0.0), size=(0.32, 0.22))
+    raw = scene.with_poses(scene.poses() + np.array([0.0, 0.0, 0.0, np.pi / 4]))  # turned so, none has room
+    done = certified_from(scene, raw, shapes)
+    assert done.status is Status.CERTIFIED
+    assert not done.dropped
