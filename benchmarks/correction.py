@@ -94,10 +94,10 @@ class Ours:
         told = scene if self.is_told else replace(scene, relations=())
         begin = time.process_time()
         raw, known = None, scene
-        if corrector.flow is not None:  # it is shown what carries what
-            posed = PosedScene(scene, shapes)
-            seen, _ = related(posed, audit_posed(posed), {})
-            known = scene if self.is_told else seen
+        if corrector.flow is not None:
+            if not self.is_told:  # it is shown what carries what as it is
+                posed = PosedScene(scene, shapes)
+                known, _ = related(posed, audit_posed(posed), {})
             raw = corrector.raw([known], [shapes], [frozenset()])[0]
         if not self.certifies:
             return Outcome(raw or scene, raw is not None, time.process_time() - begin)

@@ -46,7 +46,7 @@ from stable_data.scene import Scene, SceneObject, Tabletop
 SIZES = (5, 8, 12, 18, 27, 40, 60)
 """Numbers of objects."""
 
-_METHODS = ("certify", "corrector")
+_METHODS = ("certify", "corrector", "corrector, given")
 _TYPICAL = 15  # objects
 _OCCUPANCY = 0.3  # footprints of what stands on the table over its area
 _SHAKE = 0.04  # standard deviation of x and y, metres

@@ -100,9 +100,10 @@ class _Certifier:
         choices = carriers_of(self.meshes, original_poses, wanted)
         carried = [choice[0] for choice in choices]
         self.others = [choice[1:] for choice in choices]
-        if self.original is not self.scene:
-            now = [choice[0] for choice in carriers_of(self.meshes, self.scene.poses(), wanted)]
-            carried = _without_circles([a if a.parent != TABLE_TOP else b for a, b in zip(carried, now, strict=True)])
+        if self.original is not self.scene:  # what hung in the air may have been brought to something
+            known = {k: c for k, c in enumerate(carried) if c.parent != TABLE_TOP or self._stood(k)}
+            now = carriers_of(self.meshes, self.scene.poses(), known)
+            carried = _without_circles([choice[0] for choice in now])
         self.layout, self.is_laid_out = Layout(self.scene, self.shapes, carried, self.options.fixed), True
         orders = directional(self.layout, original_poses)
         self.standing = Standing(self.layout, self.meshes, original_poses, orders, self.options.clearance)
@@ -118,6 +119,10 @@ class _Certifier:
             reason = self.reason or f"not clean after {self.options.rounds} rounds of exact checks: {_what_is_left(audit)}"
             return Certified(None, Status.INFEASIBLE, reason, tuple(self.dropped))
         return self._concluded(self._scene(), audit)
+
+    def _stood(self, k: int) -> bool:
+        """Did an object stand on the table in the original layout?"""
+        return float(self.meshes.box(k, self.original.poses()[k])[0][2]) <= TOLERANCE
 
     def _concluded(self, scene: Scene, audit: Audit) -> Certified:
         if self.dropped and not scene.objects:
