@@ -160,7 +160,7 @@ def certified_from(
     options: CertifyOptions = _DEFAULT,
     bodies: Sequence["Body"] | None = None,
 ) -> Certified:
-    """Certifies a scene from where the flow put it; where that leaves something out, once more from the scene itself.
+    """Certifies a scene from where the flow put it; where that leaves out or breaks anything, once more from the scene itself.
 
     Args:
         scene: As it came, with the supports of its objects where they are known.
@@ -170,14 +170,18 @@ def certified_from(
         bodies: The objects as the physics engine sees them, where it is to be asked.
 
     Returns:
-        The one of both that leaves out less.
+        The better of both: the one that leaves out less, of those the one that breaks less, of those the one that moves less.
     """
     start = starting_point(scene, raw)
     done = certify(start, shapes, options, original=scene, bodies=bodies)
-    if start is scene or (done.scene is not None and not done.dropped):
+    if start is scene or (done.scene is not None and not done.dropped and not done.num_broken):
         return done
-    again = certify(scene, shapes, options, bodies=bodies)
-    return min(done, again, key=lambda each: (each.scene is None, len(each.dropped)))
+
+    def badness(each: Certified) -> tuple[bool, int, int, float]:
+        move = np.inf if each.scene is None else movement(scene, each.scene)[0]
+        return each.scene is None, len(each.dropped), each.num_broken, move
+
+    return min(done, certify(scene, shapes, options, bodies=bodies), key=badness)
 
 
 def starting_point(scene: Scene, raw: Scene | None) -> Scene:

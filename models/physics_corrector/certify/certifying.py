@@ -10,7 +10,7 @@ from threadpoolctl import ThreadpoolController
 
 from models.physics_corrector.certify.carriers import TABLE_TOP, Carried, carriers_of, wanted_carriers
 from models.physics_corrector.certify.contact import Meshes
-from models.physics_corrector.certify.crowd import Crowd
+from models.physics_corrector.certify.crowd import AXES, Crowd
 from models.physics_corrector.certify.layout import Layout
 from models.physics_corrector.certify.nesting import Rest, resting_pose
 from models.physics_corrector.certify.options import Certified, CertifyOptions, Dropped, Status
@@ -19,7 +19,7 @@ from models.physics_corrector.certify.standing import Standing, directional
 from stable_data.errors import MeshError, SceneError
 from stable_data.metrics.audit import BOUNDS_SLACK, Audit, audit_scene
 from stable_data.metrics.collision import TOLERANCE
-from stable_data.scene import FloatArray, Scene
+from stable_data.scene import FloatArray, Relation, Scene
 from stable_data.shape import Shape
 
 if TYPE_CHECKING:
@@ -107,6 +107,7 @@ class _Certifier:
         self.layout, self.is_laid_out = Layout(self.scene, self.shapes, carried, self.options.fixed), True
         orders = directional(self.layout, original_poses)
         self.standing = Standing(self.layout, self.meshes, original_poses, orders, self.options.clearance)
+        meant = list(carried)
         self._stand_and_nest()
         audit = None
         for _ in range(self.options.rounds):
@@ -118,7 +119,18 @@ class _Certifier:
         if audit is None or not audit.card().clean:
             reason = self.reason or f"not clean after {self.options.rounds} rounds of exact checks: {_what_is_left(audit)}"
             return Certified(None, Status.INFEASIBLE, reason, tuple(self.dropped))
-        return self._concluded(self._scene(), audit)
+        return replace(self._concluded(self._scene(), audit), num_broken=self._num_broken(meant, orders))
+
+    def _num_broken(self, meant: Sequence[Carried], orders: Sequence[Relation]) -> int:
+        """How many of the carriers that were meant no longer carry, and of the directional relations no longer hold."""
+        layout, number = self.layout, {o.instance: k for k, o in enumerate(self.scene.objects)}
+        there = [k for k in layout.present() if meant[k].parent != TABLE_TOP and layout.is_there[meant[k].parent]]
+        broken = sum(meant[k].parent not in layout.carriers(k) for k in there)
+        for relation in orders:
+            i, j, axis = number[relation.subject], number[relation.target], np.array(AXES[relation.kind])
+            apart = layout.poses[i, :2] - layout.poses[j, :2]
+            broken += layout.is_there[i] and layout.is_there[j] and not apart @ axis > abs(apart @ axis[::-1])
+        return broken
 
     def _stood(self, k: int) -> bool:
         """Did an object stand on the table in the original layout?"""

@@ -79,6 +79,8 @@ class Certified:
         dropped: What was given up.
         audit: The exact audit of ``scene``; None where there is none.
         unsteady: What does not stay in the physics engine, wherever it was tried; None where that was not asked or could not be.
+        num_broken: Relations of the original layout that no longer hold, as `certify` reads them: left of, right of, in front of,
+            behind; and what is no longer carried by what carried it. A figure to choose by; the audit's own are `relations_kept`.
     """
 
     scene: Scene | None
@@ -87,3 +89,4 @@ class Certified:
     dropped: tuple[Dropped, ...] = ()
     audit: Audit | None = None
     unsteady: tuple[str, ...] | None = None
+    num_broken: int = 0
