@@ -30,7 +30,7 @@ DEBUG = "STABLE_DATA_DEBUG"
 
 EXTRA_OF_MODULE = {
     **dict.fromkeys(("fast_simplification", "fcl", "igl", "manifold3d", "networkx", "scipy"), "geometry,sim"),
-    **dict.fromkeys(("shapely", "trimesh", "vhacdx", "mujoco", "PIL", "OpenGL"), "geometry,sim"),
+    **dict.fromkeys(("shapely", "threadpoolctl", "trimesh", "vhacdx", "mujoco", "PIL", "OpenGL"), "geometry,sim"),
     "torch": "torch",
     **dict.fromkeys(("safetensors", "tensorboard"), "geometry,models"),
     **dict.fromkeys(("jsonschema", "ray"), "geometry,sim,pipelines"),
