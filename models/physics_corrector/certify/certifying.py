@@ -103,7 +103,7 @@ class _Certifier:
         if self.original is not self.scene:  # what hung in the air may have been brought to something
             known = {k: c for k, c in enumerate(carried) if c.parent != TABLE_TOP or self._stood(k)}
             now = carriers_of(self.meshes, self.scene.poses(), known)
-            carried = _without_circles([choice[0] for choice in now])
+            carried = [choice[0] for choice in now]
         self.layout, self.is_laid_out = Layout(self.scene, self.shapes, carried, self.options.fixed), True
         orders = directional(self.layout, original_poses)
         self.standing = Standing(self.layout, self.meshes, original_poses, orders, self.options.clearance)
@@ -373,18 +373,6 @@ class _Certifier:
                 o = o.moved((x, y, z), yaw)
             objects.append(o)
         return replace(self.scene, objects=tuple(objects))
-
-
-def _without_circles(carried: list[Carried]) -> list[Carried]:
-    """Puts on the table what would carry itself."""
-    for k in range(len(carried)):
-        seen, above = {k}, carried[k].parent
-        while above != TABLE_TOP and above not in seen:
-            seen.add(above)
-            above = carried[above].parent
-        if above == k:
-            carried[k] = Carried()
-    return carried
 
 
 def _what_is_left(audit: Audit | None) -> str:
