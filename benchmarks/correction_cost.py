@@ -239,10 +239,10 @@ def exponent(costs: Sequence[Cost]) -> float:
 def growth_table(costs: Sequence[Cost]) -> str:
     """Median seconds by number of objects and method, and the exponents."""
     names = list(dict.fromkeys(c.method for c in costs))
-    lines = ["objects" + "".join(f"{name:>12} s{'clean':>8}" for name in names)]
+    lines = ["objects" + "".join(f"{name:>18} s{'clean':>8}" for name in names)]
     for n in sorted({c.num_objects for c in costs}):
         chosen = [[c for c in costs if (c.num_objects, c.method) == (n, name)] for name in names]
-        cells = (f"{median(c.seconds for c in own):14.3f}{sum(c.is_clean for c in own):>6}/{len(own)}" for own in chosen)
+        cells = (f"{median(c.seconds for c in own):20.3f}{sum(c.is_clean for c in own):>6}/{len(own)}" for own in chosen)
         lines.append(f"{n:>7}" + "".join(cells))
     return "\n".join([*lines, *(f"{name}: exponent {exponent([c for c in costs if c.method == name]):.2f}" for name in names)])
 

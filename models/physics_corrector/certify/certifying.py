@@ -10,7 +10,7 @@ from threadpoolctl import ThreadpoolController
 
 from models.physics_corrector.certify.carriers import TABLE_TOP, Carried, carriers_of, wanted_carriers
 from models.physics_corrector.certify.contact import Meshes
-from models.physics_corrector.certify.crowd import AXES, Crowd
+from models.physics_corrector.certify.crowd import AXES, Crowd, holds
 from models.physics_corrector.certify.layout import Layout
 from models.physics_corrector.certify.nesting import Rest, resting_pose
 from models.physics_corrector.certify.options import Certified, CertifyOptions, Dropped, Status
@@ -127,9 +127,9 @@ class _Certifier:
         there = [k for k in layout.present() if meant[k].parent != TABLE_TOP and layout.is_there[meant[k].parent]]
         broken = sum(meant[k].parent not in layout.carriers(k) for k in there)
         for relation in orders:
-            i, j, axis = number[relation.subject], number[relation.target], np.array(AXES[relation.kind])
+            i, j = number[relation.subject], number[relation.target]
             apart = layout.poses[i, :2] - layout.poses[j, :2]
-            broken += layout.is_there[i] and layout.is_there[j] and not apart @ axis > abs(apart @ axis[::-1])
+            broken += layout.is_there[i] and layout.is_there[j] and not holds(apart, np.array(AXES[relation.kind]))
         return broken
 
     def _stood(self, k: int) -> bool:

@@ -13,7 +13,7 @@ import shapely
 
 from models.physics_corrector.certify.carriers import TABLE_TOP, Carried, beyond, wanted_carriers
 from models.physics_corrector.certify.contact import Meshes
-from models.physics_corrector.certify.crowd import AXES
+from models.physics_corrector.certify.crowd import AXES, holds
 from models.physics_corrector.certify.layout import Layout
 from models.physics_corrector.certify.nesting import is_at_rest
 from models.physics_corrector.certify.trial import Trial
@@ -322,11 +322,5 @@ class Resting:
             if (i in tree) != (j in tree) and layout.is_there[i] and layout.is_there[j]:
                 offset = layout.poses[i, :2] - layout.poses[j, :2]
                 after = offset + (shift if i in tree else -shift)
-                broken += _holds(offset, axis) and not _holds(after, axis)
+                broken += holds(offset, axis) and not holds(after, axis)
         return float(np.linalg.norm(shift)) + _BROKEN * broken
-
-
-def _holds(offset: FloatArray, axis: FloatArray) -> bool:
-    """Is an offset (2,) within 45 degrees of an axis (2,)?"""
-    along = float(offset @ axis)
-    return along > 0 and 2 * along * along >= float(offset @ offset)
