@@ -43,6 +43,7 @@ class PreprocessSettings:
         train_share: Share of near-duplicate groups in the training split.
         validation_share: Share in the validation split; the rest is the test split.
         position_convention: ``box_centre``, ``mesh_centre``, or ``auto``: judged on the dataset.
+        tasks_per_scene: Tasks that ``samples`` has of a scene: its own, then others by template. (MesaTask trains on five.)
         num_points: Surface points of an asset.
         all_assets: Process every annotated asset with a mesh, not only those that a scene uses.
         scenes_per_shard: Scenes of one shard.
@@ -62,6 +63,7 @@ class PreprocessSettings:
     train_share: float = 0.9
     validation_share: float = 0.05
     position_convention: str = "auto"
+    tasks_per_scene: int = 1
     num_points: int = 1024
     all_assets: bool = True
     scenes_per_shard: int = 32
@@ -74,7 +76,7 @@ class PreprocessSettings:
 
     def __post_init__(self) -> None:
         """Refuses settings that no run can follow."""
-        positive = ("important_threshold", "num_points", "scenes_per_shard", "assets_per_shard", "seconds_per_item")
+        positive = ("important_threshold", "tasks_per_scene", "num_points", "scenes_per_shard", "assets_per_shard", "seconds_per_item")
         for key in positive:
             if not 0 < getattr(self, key) < math.inf:
                 raise ConfigError(
@@ -99,7 +101,9 @@ class PreprocessSettings:
     def scene_settings(self) -> SceneSettings:
         """Those of the scene step."""
         convention = PositionConvention(self.position_convention)  # settled() has replaced auto
-        return SceneSettings(self.important_threshold, self.seed, self.train_share, self.validation_share, convention)
+        return SceneSettings(
+            self.important_threshold, self.seed, self.train_share, self.validation_share, convention, self.tasks_per_scene
+        )
 
     def settled(self, dataset: MesaTaskDataset) -> "PreprocessSettings":
         """The settings with ``auto`` replaced by what the dataset shows."""

@@ -1,7 +1,7 @@
 """One scene: read, audited, related, tasked, staged; its rows."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from pipelines.progress import Progress
@@ -29,6 +29,7 @@ class SceneSettings:
         train_share: Share of near-duplicate groups in the training split.
         validation_share: Share in the validation split; the rest is the test split.
         position_convention: Which point of a tilted object the files call its position.
+        tasks_per_scene: Tasks that ``samples`` has of a scene: its own, then others by template. (MesaTask trains on five.)
     """
 
     important_threshold: float = 0.02
@@ -36,6 +37,7 @@ class SceneSettings:
     train_share: float = 0.9
     validation_share: float = 0.05
     position_convention: PositionConvention = PositionConvention.BOX_CENTRE
+    tasks_per_scene: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +55,14 @@ class Understood:
 
     Attributes:
         scene: With supports, relations, task and stages.
+        others: The same with other tasks and the stages that go with them.
         posed: Its meshes where they stand.
         audit: Every verdict.
         notices: What about it deserves a look.
     """
 
     scene: Scene
+    others: tuple[Scene, ...]
     posed: PosedScene
     audit: Audit
     notices: tuple[Notice, ...]
@@ -77,17 +81,33 @@ def preprocess_scene(
     scene, audit = understood.scene, understood.audit
     origin = origin_of(dataset, scene, settings)
     row = {**tables.scene_row(scene), **tables.card_row(audit.card(*num_carried(scene))), **audit.rows(), **origin}
+    samples = (sample for told in (scene, *understood.others) for sample in sample_rows(told, origin["split"]))
+    return SceneRows(row, tuple(samples), understood.notices)
+
+
+def sample_rows(scene: Scene, split: str) -> Iterator[tables.Row]:
+    """Rows of ``samples`` of a staged scene: one a stage."""
+    row = tables.scene_row(scene) | {"split": split}
     head = {k: row[k] for k in ("scene_id", "split", "table_type", "table_size", "restricted_zone", "task")}
-    samples = tuple(
-        {
+    for sample in samples_of(scene):
+        yield {
             **head,
             "stage": str(sample.stage),
             "objects_in": [tables.object_row(o, with_source=False) for o in sample.objects_in],
             "objects_out": [tables.object_row(o, with_source=False) for o in sample.objects_out],
         }
-        for sample in samples_of(scene)
-    )
-    return SceneRows(row, samples, understood.notices)
+
+
+def other_tasks(scene: Scene, graph: SceneGraph, settings: SceneSettings) -> tuple[Scene, ...]:
+    """A staged scene with the further tasks that the settings ask for, each said in other words than those before it."""
+    told = {scene.task.task} if scene.task else set()
+    others = []
+    for k in range(1, settings.tasks_per_scene):
+        task = derive_task(scene, graph, task_rng(f"{scene.scene_id}/{k}", settings.seed))
+        if task.task not in told:
+            told.add(task.task)
+            others.append(stage_scene(replace(scene, task=task), settings.important_threshold))
+    return tuple(others)
 
 
 def understand(
@@ -130,7 +150,7 @@ def understand(
         task = derive_task(scene, graph, task_rng(scene.scene_id, settings.seed))
     progress.step = "stage"
     scene = stage_scene(replace(scene, task=task), settings.important_threshold)
-    return Understood(scene, posed, audit, (*read, *meshed, *notices))
+    return Understood(scene, other_tasks(scene, graph, settings), posed, audit, (*read, *meshed, *notices))
 
 
 def origin_of(dataset: MesaTaskDataset, scene: Scene, settings: SceneSettings) -> tables.Row:
