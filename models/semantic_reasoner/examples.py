@@ -1,0 +1,77 @@
+"""What the reasoner learns from: questions and answers made of rows of the table ``samples``."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+from models.semantic_reasoner.layout_text import LayoutObject, layout_names, layout_objects
+from models.semantic_reasoner.prompt import ANY_TABLE, Ask, Message, Wanted, answer, details_of, messages
+from stable_data.scene import Stage, Tabletop
+from stable_data.tables import Row, object_from_row, task_from_row
+
+
+@dataclass(frozen=True, slots=True)
+class Example:
+    """A question and its answer.
+
+    Attributes:
+        scene_id: The scene.
+        ask: The question.
+        objects: The answer's objects.
+        removed: What an edit takes away; None: no edit.
+    """
+
+    scene_id: str
+    ask: Ask
+    objects: tuple[LayoutObject, ...]
+    removed: tuple[str, ...] | None = None
+
+    @property
+    def prompt(self) -> list[Message]:
+        """The chat up to the answer."""
+        return messages(self.ask)
+
+    @property
+    def answer(self) -> str:
+        """The answer's text."""
+        return answer(self.objects, self.removed)
+
+    def on_any_table(self) -> "Example":
+        """The same without the kind of table, so that a model learns to go by its size."""
+        return replace(self, ask=replace(self.ask, table=replace(self.ask.table, table_type=ANY_TABLE)))
+
+
+def example_of(row: Row, with_details: bool = False) -> Example:
+    """The example that a row of ``samples`` makes.
+
+    Args:
+        row: The row.
+        with_details: Whether the rest of the task info is said too.
+    """
+    objects_in, objects_out = ([object_from_row(o) for o in row[key]] for key in ("objects_in", "objects_out"))
+    names = layout_names([*objects_in, *objects_out])
+    task = task_from_row(row["task"])
+    ask = Ask(
+        task.task,
+        _table(row),
+        Stage(row["stage"]),
+        layout_objects(objects_in, names),
+        details_of(task) if with_details else "",
+    )
+    return Example(row["scene_id"], ask, layout_objects(objects_out, names))
+
+
+def one_shot(examples: Iterable[Example]) -> Iterator[Example]:
+    """The paper's one-shot variant: of each scene's three examples one, its answer the whole layout in one pass.
+
+    Only the last stage of a scene says all: its layout so far and its own objects.
+    """
+    for example in examples:
+        if example.ask.wanted is Stage.SECONDARY:
+            whole: Wanted = "whole"
+            ask = replace(example.ask, wanted=whole, layout=())
+            yield Example(example.scene_id, ask, example.ask.layout + example.objects)
+
+
+def _table(row: Row) -> Tabletop:
+    width, depth = row["table_size"]
+    return Tabletop(row["table_type"], (width, depth), tuple(row["restricted_zone"]) if row["restricted_zone"] else None)
