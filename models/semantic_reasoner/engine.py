@@ -1,0 +1,83 @@
+"""What every engine is: requests in, one completion each out, in their order.
+
+An engine never raises for one request: what could not be answered comes back as a completion with a failure, so that the others go
+on. It raises a ConfigError when it is made, where it cannot work at all (a folder that is no model, an extra that is missing).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from models.semantic_reasoner.prompt import Message
+from models.semantic_reasoner.reply_form import ReplyForm
+
+
+@dataclass(frozen=True, slots=True)
+class Sampling:
+    """How tokens are drawn; the defaults are those of MesaTask's released model.
+
+    Attributes:
+        temperature: 0 takes the likeliest token.
+        top_p: Smallest set of tokens of at least this probability ...
+        top_k: ... and at most so many; 0 is no bound.
+        max_tokens: Longest reply.
+    """
+
+    temperature: float = 0.7
+    top_p: float = 0.9
+    top_k: int = 50
+    max_tokens: int = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """One thing to be completed.
+
+    Attributes:
+        messages: The chat, as :func:`models.semantic_reasoner.prompt.messages` makes it.
+        form: What replies may look like; engines that can, decode under it.
+        seed: Of its draws: the same request with the same seed has the same completion, where the engine can repeat itself.
+    """
+
+    messages: tuple[Message, ...]
+    form: ReplyForm
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Completion:
+    """What came back for a request.
+
+    Attributes:
+        text: The reply; empty where there is a failure.
+        prompt_tokens: Tokens read.
+        reply_tokens: Tokens written.
+        failure: Why there is no reply, one line; empty where there is one.
+        code: Short machine-readable reason of the failure, such as ``endpoint_down``; empty where there is none.
+        is_cached: Whether it was replayed from a cache.
+        cost: What it cost, in the currency of the engine's prices; 0 where they are not known.
+    """
+
+    text: str
+    prompt_tokens: int = 0
+    reply_tokens: int = 0
+    failure: str = ""
+    code: str = ""
+    is_cached: bool = False
+    cost: float = 0.0
+
+
+class Engine(Protocol):
+    """Something that completes chats.
+
+    Attributes:
+        name: Names the engine and its model, such as ``embedded`` or ``openai:gpt-4o``; part of cache keys and provenance.
+        repeats: Whether the same request and seed give the same text on one kind of machine.
+    """
+
+    name: str
+    repeats: bool
+
+    def complete(self, requests: Sequence[Request]) -> list[Completion]:
+        """One completion for each request, in their order."""
+        ...

@@ -1,0 +1,152 @@
+"""What a reply may look like, as a JSON Schema and as a grammar for constrained decoding.
+
+Both say the same: the keys and their order, lengths with one decimal, no white space, and limits that follow from the table: a
+position is on it, nothing is larger than its diagonal or higher than :data:`HIGHEST_CM`. What needs geometry (overlaps, supports)
+is for the checks.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from stable_data.scene import Tabletop
+
+HIGHEST_CM = 200.0
+"""No object reaches higher, centimetres."""
+
+MOST_OBJECTS = 60
+"""Most objects of one reply."""
+
+MOST_LETTERS = 160
+"""Longest description, characters."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReplyForm:
+    """The form of the replies to one request.
+
+    Attributes:
+        width_cm: Extent of the table along x, centimetres.
+        depth_cm: Along y.
+        edits: Whether a reply may take objects away.
+        names: Instances of the layout, which an edit may change or take away.
+        at_least: Fewest objects.
+        at_most: Most objects.
+    """
+
+    width_cm: float
+    depth_cm: float
+    edits: bool = False
+    names: tuple[str, ...] = ()
+    at_least: int = 0
+    at_most: int = MOST_OBJECTS
+
+    @classmethod
+    def of_table(cls, table: Tabletop, **more: Any) -> "ReplyForm":
+        """The form of layouts on a table."""
+        width, depth = (round(100 * s, 1) for s in table.size_xy)
+        return cls(width, depth, **more)
+
+    @property
+    def longest_cm(self) -> float:
+        """Largest side of an object, centimetres: the table's diagonal."""
+        return math.ceil(10 * math.hypot(self.width_cm, self.depth_cm)) / 10
+
+    def schema(self) -> dict[str, Any]:
+        """JSON Schema, for endpoints and engines that take one; every key is required and no other is allowed."""
+        size = _triple([(0.1, self.longest_cm), (0.1, self.longest_cm), (0.1, HIGHEST_CM)])
+        position = _triple([(0.0, self.width_cm), (0.0, self.depth_cm), (0.0, HIGHEST_CM)])
+        entry = _closed(
+            {
+                "instance": {"type": "string", "pattern": "^[a-z][a-z0-9_]*_[0-9]{1,2}$"},
+                "description": {"type": "string", "minLength": 1, "maxLength": MOST_LETTERS},
+                "size": size,
+                "position": position,
+                "z_rotation": {"type": "integer", "minimum": -180, "maximum": 180},
+            }
+        )
+        objects = {"type": "array", "items": entry, "minItems": self.at_least, "maxItems": self.at_most}
+        removed = {"type": "array", "items": {"type": "string", "enum": list(self.names)}, "maxItems": len(self.names)}
+        return _closed({**({"remove": removed} if self.edits and self.names else {}), "objects": objects})
+
+    def grammar(self) -> str:
+        """Lark grammar as llguidance reads it: the text of :func:`models.semantic_reasoner.layout_text.render_objects`."""
+        return _grammar(self)
+
+
+def _triple(bounds: Iterable[tuple[float, float]]) -> dict[str, Any]:
+    # One range for all three where an endpoint does not know prefixItems.
+    limits = list(bounds)
+    return {
+        "type": "array",
+        "items": {"type": "number", "minimum": min(b[0] for b in limits), "maximum": max(b[1] for b in limits)},
+        "minItems": 3,
+        "maxItems": 3,
+    }
+
+
+def _closed(properties: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "properties": properties, "required": list(properties), "additionalProperties": False}
+
+
+@lru_cache(maxsize=4096)
+def _grammar(form: ReplyForm) -> str:
+    more = form.at_most - 1
+    some = f'entry ("," entry){{{max(0, form.at_least - 1)},{more}}}' if more > 0 else "entry"
+    listed = some if form.at_least else f"({some})?"
+    removed = ""
+    if form.edits:
+        one_of = "|".join(f'"\\"{name}\\""' for name in form.names)
+        gone = f'(({one_of}) ("," ({one_of}))*)?' if form.names else ""
+        removed = f'"\\"remove\\":[" {gone} "]," '
+    longest, highest = _up_to(form.longest_cm, 1), _up_to(HIGHEST_CM, 1)
+    return "\n".join(
+        [
+            f'start: "{{" {removed}"\\"objects\\":[" {listed} "]}}"',
+            r'entry: "{\"instance\":\"" NAME "\",\"description\":\"" WORDS "\",\"size\":[" SIDE "," SIDE "," TALL'
+            r' "],\"position\":[" X "," Y "," Z "],\"z_rotation\":" ANGLE "}"',
+            r"NAME: /[a-z][a-z_]{0,40}_[0-9]{1,2}/",
+            rf'WORDS: /[^"\\<\x00-\x1f\x7f]{{1,{MOST_LETTERS}}}/',
+            f"SIDE: /{longest}/",
+            f"TALL: /{highest}/",
+            f"X: /{_up_to(form.width_cm)}/",
+            f"Y: /{_up_to(form.depth_cm)}/",
+            f"Z: /{_up_to(HIGHEST_CM)}/",
+            r"ANGLE: /-?(1[0-7][0-9]|[1-9][0-9]|[1-9])|0|180/",
+        ]
+    )
+
+
+def _up_to(most: float, least_tenths: int = 0) -> str:
+    """A pattern for the numbers with one decimal from ``least_tenths`` tenths up to ``most``, in their one spelling."""
+    tenths = math.floor(10 * most + 1e-6)
+    whole, rest = divmod(tenths, 10)
+    parts = [f"{whole}\\.[0-{rest}]"] if rest < 9 else [f"{whole}\\.[0-9]"]
+    if whole > 0:
+        parts = [f"({_integers(0 if least_tenths == 0 else 1, whole - 1)})\\.[0-9]" if whole > 1 or least_tenths == 0 else "", *parts]
+        if least_tenths:
+            parts.append(f"0\\.[{least_tenths}-9]")
+    elif least_tenths:
+        parts = [f"0\\.[{least_tenths}-{rest}]"]
+    return "|".join(p for p in parts if p)
+
+
+def _integers(low: int, high: int) -> str:
+    """A pattern for the whole numbers from ``low`` to ``high``, both below 1000, without leading zeros."""
+    found: list[str] = []
+    for digits in (1, 2, 3):
+        first, last = max(low, 10 ** (digits - 1) if digits > 1 else 0), min(high, 10**digits - 1)
+        while first <= last:
+            span = 1
+            while span < 10 ** (digits - 1) and first % (10 * span) == 0 and first + 10 * span - 1 <= last:
+                span *= 10
+            place = span
+            top = min(last, first + (9 - first // place % 10) * place + place - 1)
+            top = first + (top - first + 1) // place * place - 1
+            head, tail = str(first)[: digits - len(str(place)) + 0], "[0-9]" * (len(str(place)) - 1)
+            a, b = first // place % 10, top // place % 10
+            found.append(f"{head}{a if a == b else f'[{a}-{b}]'}{tail}")
+            first = top + 1
+    return "|".join(found)
