@@ -125,7 +125,10 @@ def _up_to(most: float, least_tenths: int = 0) -> str:
     whole, rest = divmod(tenths, 10)
     parts = [f"{whole}\\.[0-{rest}]"] if rest < 9 else [f"{whole}\\.[0-9]"]
     if whole > 0:
-        parts = [f"({_integers(0 if least_tenths == 0 else 1, whole - 1)})\\.[0-9]" if whole > 1 or least_tenths == 0 else "", *parts]
+        parts = [
+            f"({_integers(0 if least_tenths == 0 else 1, whole - 1)})\\.[0-9]" if whole > 1 or least_tenths == 0 else "",
+            *parts,
+        ]
         if least_tenths:
             parts.append(f"0\\.[{least_tenths}-9]")
     elif least_tenths:

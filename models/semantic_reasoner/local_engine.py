@@ -1,0 +1,191 @@
+"""Engines that run here: the embedded small Qwen3, or any causal language model in a Hugging Face folder, decoded under a grammar."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import llguidance.hf
+import llguidance.numpy
+import numpy as np
+import torch
+from llguidance import LLExecutor, LLMatcher
+from torch import Tensor
+from transformers import AutoModelForCausalLM, AutoTokenizer, PreTrainedModel, PreTrainedTokenizerBase
+
+from models.semantic_reasoner.decoding import ATTENTION, Decoder
+from models.semantic_reasoner.engine import Completion, Request, Sampling
+from stable_data.errors import ConfigError
+
+EMBEDDED = Path(__file__).resolve().parents[1] / "weights" / "semantic_reasoner"
+"""Our own small reasoner; models/weights/README.md says how it was made and what it does."""
+
+
+@dataclass(slots=True, eq=False)
+class _Sequence:
+    """A request that is being answered."""
+
+    index: int
+    prompt: list[int]
+    matcher: LLMatcher | None
+    draws: np.random.Generator
+    reply: list[int]
+
+
+class LocalEngine:
+    """A language model in this process: batched, seeded, and bound to the form of the replies.
+
+    Sequences are decoded ``num_slots`` at a time, and a finished one makes room for the next. Each draws from its own stream, named
+    by its seed, so its reply does not depend on what it is decoded beside, but for the rounding of batched products.
+
+    Args:
+        model: A causal language model.
+        tokenizer: Its tokenizer, with a chat template.
+        name: Names the engine.
+        sampling: How tokens are drawn.
+        num_slots: Most sequences at a time.
+        is_constrained: Whether replies are bound to their form; off, the model writes what it likes.
+    """
+
+    repeats = True
+
+    def __init__(
+        self,
+        model: PreTrainedModel,
+        tokenizer: PreTrainedTokenizerBase,
+        name: str,
+        sampling: Sampling = Sampling(),
+        num_slots: int = 64,
+        is_constrained: bool = True,
+    ) -> None:
+        model.set_attn_implementation(ATTENTION)
+        self.name, self.sampling = name, sampling
+        self._model, self._tokenizer = model.eval(), tokenizer
+        self._num_slots, self._is_constrained = num_slots, is_constrained
+        self._vocabulary = model.get_output_embeddings().weight.shape[0]
+        self._end = {model.config.eos_token_id, tokenizer.eos_token_id} - {None}
+        self._guide = llguidance.hf.from_tokenizer(tokenizer, n_vocab=self._vocabulary)
+        self._executor = LLExecutor()
+
+    @classmethod
+    def load(cls, folder: Path, name: str = "", sampling: Sampling = Sampling(), num_slots: int = 64) -> "LocalEngine":
+        """An engine from a Hugging Face folder.
+
+        Args:
+            folder: With config.json, weights in safetensors and a tokenizer.
+            name: Names the engine; by default its folder.
+            sampling: How tokens are drawn.
+            num_slots: Most sequences at a time.
+
+        Raises:
+            ConfigError: It is no folder of a causal language model, or its tokenizer has no chat template.
+        """
+        try:
+            tokenizer = AutoTokenizer.from_pretrained(folder, local_files_only=True, trust_remote_code=False)
+            model = AutoModelForCausalLM.from_pretrained(
+                folder, local_files_only=True, trust_remote_code=False, use_safetensors=True, dtype="auto"
+            )
+        except (OSError, ValueError, KeyError, RuntimeError) as error:
+            found = str(error).strip().partition("\n")[0]
+            raise ConfigError(
+                f"{folder}: no causal language model ({found}); expected a Hugging Face folder with config.json, "
+                "model.safetensors and a tokenizer",
+                "model_invalid",
+            ) from error
+        if not tokenizer.chat_template:
+            raise ConfigError(
+                f"{folder}: its tokenizer has no chat template, expected an instruction-tuned model", "model_invalid"
+            )
+        if torch.cuda.is_available():
+            model = model.to("cuda")
+        elif model.dtype in (torch.bfloat16, torch.float16):
+            model = model.float()  # half precision is slower than single on most CPUs
+        return cls(model, tokenizer, name or f"transformers:{folder.name}", sampling, num_slots)
+
+    def complete(self, requests: Sequence[Request]) -> list[Completion]:
+        """One completion for each request, in their order."""
+        done: list[Completion | None] = [None] * len(requests)
+        waiting: list[_Sequence] = []
+        for index, request in enumerate(requests):
+            sequence = self._begun(index, request)
+            if isinstance(sequence, Completion):
+                done[index] = sequence
+            else:
+                waiting.append(sequence)
+        waiting.sort(key=lambda s: len(s.prompt))  # like lengths are read together; ties keep the order
+        self._decode(waiting, done)
+        return [c if c is not None else Completion("", failure="no reply", code="internal") for c in done]
+
+    def _begun(self, index: int, request: Request) -> _Sequence | Completion:
+        prompt: list[int] = self._tokenizer.apply_chat_template(
+            list(request.messages), add_generation_prompt=True, enable_thinking=False, return_dict=True
+        )["input_ids"]
+        longest = self._model.config.get_text_config().max_position_embeddings
+        if len(prompt) + 16 > longest:
+            return Completion(
+                "",
+                len(prompt),
+                failure=f"the question has {len(prompt):,} tokens, the model reads {longest:,}; shorten it",
+                code="prompt_too_long",
+            )
+        matcher = None
+        if self._is_constrained:
+            matcher = LLMatcher(self._guide, LLMatcher.grammar_from_lark(request.form.grammar()))
+            if matcher.is_error():
+                return Completion("", len(prompt), failure=f"grammar: {matcher.get_error()}", code="grammar_invalid")
+        return _Sequence(index, prompt, matcher, np.random.default_rng(request.seed), [])
+
+    def _decode(self, waiting: list[_Sequence], done: list[Completion | None]) -> None:
+        decoder = Decoder(self._model, min(self._num_slots, max(1, len(waiting))), self._tokenizer.pad_token_id or 0)
+        active: list[_Sequence] = []
+        logits = torch.zeros(0, self._vocabulary)
+        longest = self._model.config.get_text_config().max_position_embeddings
+        while waiting or active:
+            free = decoder.num_slots - len(active)
+            if waiting and (not active or free >= max(1, decoder.num_slots // 8)):
+                admitted, waiting = waiting[:free], waiting[free:]
+                logits = torch.cat([logits, decoder.admit([s.prompt for s in admitted]).cpu()])
+                active += admitted
+            tokens = self._drawn(logits, active)
+            for slot in reversed(range(len(active))):
+                sequence, token = active[slot], tokens[slot]
+                ended = token in self._end
+                if not ended:
+                    sequence.reply.append(token)
+                    if sequence.matcher is not None:
+                        sequence.matcher.consume_token(token)
+                        ended = sequence.matcher.is_stopped()
+                room = min(self.sampling.max_tokens, longest - len(sequence.prompt))
+                if ended or len(sequence.reply) >= room:
+                    done[sequence.index] = self._completion(sequence, ended)
+                    last = decoder.release(slot)
+                    if last is not None:
+                        active[slot], tokens[slot] = active[last], tokens[last]
+                    active.pop()
+                    tokens.pop()
+            logits = decoder.step(tokens).cpu() if active else logits[:0]
+
+    def _drawn(self, logits: Tensor, active: list[_Sequence]) -> list[int]:
+        """A token for each sequence."""
+        if self._is_constrained:
+            mask = llguidance.numpy.allocate_token_bitmask(len(active), self._vocabulary)
+            matchers = [(s.matcher, row) for row, s in enumerate(active)]
+            llguidance.numpy.fill_next_token_bitmask_par(self._executor, matchers, mask)
+            allowed = np.unpackbits(mask.view(np.uint8), axis=1, bitorder="little")[:, : self._vocabulary]
+            logits = logits.masked_fill(torch.from_numpy(allowed == 0), -torch.inf)
+        sampling = self.sampling
+        if sampling.temperature == 0:
+            return logits.argmax(1).tolist()
+        best, tokens = torch.topk(logits, min(sampling.top_k or self._vocabulary, self._vocabulary))
+        share = torch.softmax(best / sampling.temperature, 1)
+        before = torch.cumsum(share, 1) - share
+        share = share * (before < sampling.top_p)  # the likeliest always stays
+        draws = torch.tensor([s.draws.random() for s in active])[:, None]
+        place = (torch.cumsum(share, 1) <= draws * share.sum(1, keepdim=True)).sum(1, keepdim=True)
+        return tokens.gather(1, place.clamp_max(share.shape[1] - 1))[:, 0].tolist()
+
+    def _completion(self, sequence: _Sequence, ended: bool) -> Completion:
+        text = self._tokenizer.decode(sequence.reply, skip_special_tokens=True, clean_up_tokenization_spaces=False)
+        read, written = len(sequence.prompt), len(sequence.reply)
+        if not ended:
+            return Completion("", read, written, f"the reply was cut off after {written:,} tokens", "reply_too_long")
+        return Completion(text, read, written)
