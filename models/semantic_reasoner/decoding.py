@@ -52,7 +52,7 @@ class _SlotLayer(CacheLayerMixin):
     """Keys and values of one layer, (slots, K, tokens, C)."""
 
     def __init__(self, cache: "SlotCache") -> None:
-        super().__init__()
+        super().__init__()  # type: ignore[no-untyped-call]
         self._cache = cache
 
     def lazy_initialization(self, key_states: Tensor, value_states: Tensor) -> None:

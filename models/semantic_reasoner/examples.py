@@ -50,6 +50,7 @@ def example_of(row: Row, with_details: bool = False) -> Example:
     objects_in, objects_out = ([object_from_row(o) for o in row[key]] for key in ("objects_in", "objects_out"))
     names = layout_names([*objects_in, *objects_out])
     task = task_from_row(row["task"])
+    assert task is not None  # rows of samples are staged by it
     ask = Ask(
         task.task,
         _table(row),

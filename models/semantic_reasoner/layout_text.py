@@ -200,7 +200,7 @@ def _parse(entry: Any, k: int) -> LayoutObject:
     size, position = _vector(entry, "size", instance), _vector(entry, "position", instance)
     if min(size) < 10**-DECIMALS:
         raise SceneError(f"reply: {instance} has size {size}, expected three lengths of 0.1 cm or more", "reply_malformed")
-    angle = entry.get("z_rotation")
+    angle: Any = entry.get("z_rotation")
     if not _is_number(angle):
         raise SceneError(f'reply: {instance} has "z_rotation" {angle!r}, expected degrees', "reply_malformed")
     return LayoutObject(instance, plain(description), size, position, _whole_degrees(math.radians(float(angle))))

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import llguidance.hf
 import llguidance.numpy
@@ -10,11 +11,13 @@ import numpy as np
 import torch
 from llguidance import LLExecutor, LLMatcher
 from torch import Tensor
-from transformers import AutoModelForCausalLM, AutoTokenizer, PreTrainedModel, PreTrainedTokenizerBase
+from transformers import AutoModelForCausalLM, AutoTokenizer, PreTrainedModel, PreTrainedTokenizerFast
 
 from models.semantic_reasoner.decoding import ATTENTION, Decoder
 from models.semantic_reasoner.engine import Completion, Request, Sampling
 from stable_data.errors import ConfigError
+
+_DEFAULT = Sampling()
 
 EMBEDDED = Path(__file__).resolve().parents[1] / "weights" / "semantic_reasoner"
 """Our own small reasoner; models/weights/README.md says how it was made and what it does."""
@@ -51,9 +54,9 @@ class LocalEngine:
     def __init__(
         self,
         model: PreTrainedModel,
-        tokenizer: PreTrainedTokenizerBase,
+        tokenizer: PreTrainedTokenizerFast,
         name: str,
-        sampling: Sampling = Sampling(),
+        sampling: Sampling = _DEFAULT,
         num_slots: int = 64,
         is_constrained: bool = True,
     ) -> None:
@@ -67,7 +70,7 @@ class LocalEngine:
         self._executor = LLExecutor()
 
     @classmethod
-    def load(cls, folder: Path, name: str = "", sampling: Sampling = Sampling(), num_slots: int = 64) -> "LocalEngine":
+    def load(cls, folder: Path, name: str = "", sampling: Sampling = _DEFAULT, num_slots: int = 64) -> "LocalEngine":
         """An engine from a Hugging Face folder.
 
         Args:
@@ -81,7 +84,7 @@ class LocalEngine:
         """
         try:
             tokenizer = AutoTokenizer.from_pretrained(folder, local_files_only=True, trust_remote_code=False)
-            model = AutoModelForCausalLM.from_pretrained(
+            model: Any = AutoModelForCausalLM.from_pretrained(
                 folder, local_files_only=True, trust_remote_code=False, use_safetensors=True, dtype="auto"
             )
         except (OSError, ValueError, KeyError, RuntimeError) as error:
@@ -91,14 +94,15 @@ class LocalEngine:
                 "model.safetensors and a tokenizer",
                 "model_invalid",
             ) from error
-        if not tokenizer.chat_template:
+        if not isinstance(tokenizer, PreTrainedTokenizerFast) or not tokenizer.chat_template:
             raise ConfigError(
-                f"{folder}: its tokenizer has no chat template, expected an instruction-tuned model", "model_invalid"
+                f"{folder}: its tokenizer is slow or has no chat template, expected that of an instruction-tuned model",
+                "model_invalid",
             )
         if torch.cuda.is_available():
-            model = model.to("cuda")
-        elif model.dtype in (torch.bfloat16, torch.float16):
-            model = model.float()  # half precision is slower than single on most CPUs
+            model.to(device="cuda")
+        else:
+            model.to(dtype=torch.float32)  # half precision is slower than single on most CPUs
         return cls(model, tokenizer, name or f"transformers:{folder.name}", sampling, num_slots)
 
     def complete(self, requests: Sequence[Request]) -> list[Completion]:
@@ -116,9 +120,10 @@ class LocalEngine:
         return [c if c is not None else Completion("", failure="no reply", code="internal") for c in done]
 
     def _begun(self, index: int, request: Request) -> _Sequence | Completion:
-        prompt: list[int] = self._tokenizer.apply_chat_template(
-            list(request.messages), add_generation_prompt=True, enable_thinking=False, return_dict=True
-        )["input_ids"]
+        chat = self._tokenizer.apply_chat_template(
+            list(request.messages), add_generation_prompt=True, enable_thinking=False, tokenize=False
+        )
+        prompt: list[int] = self._tokenizer(str(chat), add_special_tokens=False)["input_ids"]
         longest = self._model.config.get_text_config().max_position_embeddings
         if len(prompt) + 16 > longest:
             return Completion(
@@ -168,7 +173,7 @@ class LocalEngine:
         """A token for each sequence."""
         if self._is_constrained:
             mask = llguidance.numpy.allocate_token_bitmask(len(active), self._vocabulary)
-            matchers = [(s.matcher, row) for row, s in enumerate(active)]
+            matchers = [(s.matcher, row) for row, s in enumerate(active) if s.matcher is not None]
             llguidance.numpy.fill_next_token_bitmask_par(self._executor, matchers, mask)
             allowed = np.unpackbits(mask.view(np.uint8), axis=1, bitorder="little")[:, : self._vocabulary]
             logits = logits.masked_fill(torch.from_numpy(allowed == 0), -torch.inf)
@@ -188,4 +193,4 @@ class LocalEngine:
         read, written = len(sequence.prompt), len(sequence.reply)
         if not ended:
             return Completion("", read, written, f"the reply was cut off after {written:,} tokens", "reply_too_long")
-        return Completion(text, read, written)
+        return Completion(str(text), read, written)
