@@ -29,7 +29,8 @@ from stable_data.instructions.words import singular, type_words
 from stable_data.scene import FloatArray, SceneObject
 
 MAX_NODES = 1000
-"""Branchings after which the search for the most relations is given up. Twelve identical objects need fewer than ten."""
+"""Branchings after which the search for the most relations is given up: some seconds. Twelve identical objects strewn at random,
+asked for another random layout's directions, need some hundreds; twenty may need more."""
 
 Option: TypeAlias = Mapping[str, Set[str]]
 """One way for a relation to hold: required instance -> the generated ones that it may be matched to for that."""
