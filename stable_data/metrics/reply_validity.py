@@ -3,8 +3,6 @@
 from collections import Counter
 from dataclasses import dataclass
 
-from stable_data.metrics.summary import Line
-
 
 @dataclass(frozen=True, slots=True)
 class ReplyValidity:
@@ -37,8 +35,10 @@ class ReplyValidity:
 
     def __str__(self) -> str:
         """The figures as text."""
-        line = str(Line("replies valid", self.num_valid, self.num_replies, self.num_unknown))
-        return "\n".join([line, *(f"  {code:<42} {count:>6}" for code, count in self.invalid)])
+        share = f" ({100 * self.share:.1f} %)" if self.share is not None else ""
+        unknown = f", {self.num_unknown} unknown" if self.num_unknown else ""
+        line = f"{'replies valid':<44} {self.num_valid} of {self.num_replies}{share}{unknown}"
+        return "\n".join([line, *(f"  {code:<42} {count}" for code, count in self.invalid)])
 
 
 class ReplyTally:
