@@ -12,7 +12,8 @@ The other relations are MesaTask's, by boxes. Overlap is a share of the smaller 
 """
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Set
+from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias
 
 import networkx as nx
@@ -234,16 +235,66 @@ def _near_pairs(scene: Scene) -> list[tuple[str, str]]:
 
 
 def _between(scene: Scene, layout: _Layout, one: str, other: str) -> RelationKind | None:
+    vertical = _vertically(layout, one, other)
+    if vertical is not None:
+        return vertical
+    dx, dy, _ = np.subtract(scene[one].position, scene[other].position)
+    return direction_of(dx, dy)
+
+
+def _vertically(layout: _Layout, one: str, other: str) -> RelationKind | None:
     over = layout.low[one] > layout.high[other] - _ABOVE_SLACK
     under = layout.high[one] < layout.low[other] + _ABOVE_SLACK
     if (over or under) and layout.overlap(one, other) >= _ABOVE_OVERLAP:
         return RelationKind.ABOVE if over else RelationKind.BELOW
-    dx, dy, _ = np.subtract(scene[one].position, scene[other].position)
+    return None
+
+
+def direction_of(dx: float, dy: float) -> RelationKind | None:
+    """Where a subject is, seen from its target, to 45 degrees; None right on a diagonal.
+
+    Args:
+        dx: Subject minus target along x, metres.
+        dy: The same along y.
+    """
     if abs(dx) == abs(dy):
         return None
     if abs(dx) > abs(dy):
         return RelationKind.LEFT_OF if dx < 0 else RelationKind.RIGHT_OF
     return RelationKind.IN_FRONT_OF if dy < 0 else RelationKind.BEHIND
+
+
+def vertical_relation(
+    scene: Scene, one: str, other: str, footprints: Mapping[str, FloatArray] | None = None
+) -> RelationKind | None:
+    """``above`` or ``below`` where one object is over or under another, however far and whatever carries it; else None.
+
+    Args:
+        scene: The scene.
+        one: The subject.
+        other: The target.
+        footprints: As for :func:`scene_graph`.
+    """
+    pair = replace(scene, objects=(scene[one], scene[other]))
+    return _vertically(_Layout(pair, footprints, None), one, other)
+
+
+def is_held(on_in: Set[Relation], relation: Relation) -> bool:
+    """Is the subject on or in the target, directly or through others? What is in nothing on the way is not in the target.
+
+    Args:
+        on_in: The ``on`` and ``in`` relations that hold, one a subject.
+        relation: The one that is asked for; what shall be on a thing may be in it.
+    """
+    carrier = {r.subject: r for r in on_in}
+    name, is_in, seen = relation.subject, False, set[str]()
+    while name in carrier and name not in seen:
+        seen.add(name)
+        is_in |= carrier[name].kind is RelationKind.IN
+        name = carrier[name].target
+        if name == relation.target:
+            return is_in or relation.kind is RelationKind.ON
+    return False
 
 
 def cell_of(position: tuple[float, ...], size_xy: tuple[float, float]) -> str:

@@ -3,19 +3,16 @@
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from stable_data.metrics.audit import PosedScene
 from stable_data.metrics.collision import ROUNDING, TOLERANCE
-from stable_data.relations import relations_of, scene_graph
+from stable_data.relations import direction_of, is_held, relations_of, scene_graph
 from stable_data.scene import TABLE, Relation, RelationKind, Scene
 from stable_data.shape import Shape
 
 _ON_IN = frozenset({RelationKind.ON, RelationKind.IN})
-_AXES = {
-    RelationKind.LEFT_OF: (0, -1),
-    RelationKind.RIGHT_OF: (0, 1),
-    RelationKind.IN_FRONT_OF: (1, -1),
-    RelationKind.BEHIND: (1, 1),
-}
+_DIRECTIONAL = frozenset({RelationKind.LEFT_OF, RelationKind.RIGHT_OF, RelationKind.IN_FRONT_OF, RelationKind.BEHIND})
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,16 +72,16 @@ def relations_kept(
     later = shapes_after or [shape[o.instance] for o in after.objects]
     graphs = [_relations(kept, own), _relations(after, later)]
     on_in_before, on_in_after = ({r for r in found if r.kind in _ON_IN and r.target != TABLE} for found in graphs)
-    directional = [r for r in graphs[0] if r.kind in _AXES]
+    directional = [r for r in graphs[0] if r.kind in _DIRECTIONAL]
     asked = {r for r in before.relations if r.kind in _ON_IN and {r.subject, r.target} <= there}
     broken = asked - on_in_before
     return RelationsKept(
         on_in_held=len(on_in_before),
-        on_in_kept=sum(_is_held(on_in_after, r) for r in on_in_before),
+        on_in_kept=sum(is_held(on_in_after, r) for r in on_in_before),
         directional_held=len(directional),
         directional_kept=sum(_holds(after, r) for r in directional),
         asked_broken=len(broken),
-        asked_restored=sum(_is_held(on_in_after, r) for r in broken),
+        asked_restored=sum(is_held(on_in_after, r) for r in broken),
     )
 
 
@@ -108,21 +105,6 @@ def _is_stuck(posed: PosedScene, one: int, other: int) -> bool:
     return posed.penetration(min(one, other), max(one, other)) > TOLERANCE + ROUNDING
 
 
-def _is_held(on_in: Set[Relation], relation: Relation) -> bool:
-    """Is the subject on or in the target, directly or through others? What is in nothing on the way is not in the target."""
-    carrier = {r.subject: r for r in on_in}
-    name, is_in, seen = relation.subject, False, set[str]()
-    while name in carrier and name not in seen:
-        seen.add(name)
-        is_in |= carrier[name].kind is RelationKind.IN
-        name = carrier[name].target
-        if name == relation.target:
-            return is_in or relation.kind is RelationKind.ON
-    return False
-
-
 def _holds(scene: Scene, relation: Relation) -> bool:
-    axis, sign = _AXES[relation.kind]
-    one, other = scene[relation.subject].position, scene[relation.target].position
-    apart = [a - b for a, b in zip(one[:2], other[:2], strict=True)]
-    return sign * apart[axis] > abs(apart[1 - axis])
+    dx, dy, _ = np.subtract(scene[relation.subject].position, scene[relation.target].position)
+    return direction_of(dx, dy) is relation.kind

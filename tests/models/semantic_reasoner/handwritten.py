@@ -1,0 +1,44 @@
+"""Instructions as people would say them, written by hand: nothing of the reasoner's training data sounds like them."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stable_data.metrics.alignment import Reference
+from stable_data.metrics.matching import Required
+from stable_data.scene import Relation, RelationKind, Tabletop
+
+FILE = Path(__file__).with_suffix(".jsonl")
+
+
+@dataclass(frozen=True, slots=True)
+class Handwritten:
+    """One of them.
+
+    Attributes:
+        instruction: The words.
+        table: The table that it is said at.
+        reference: The objects that it speaks of, and what it says of where they are at the start.
+        unknown: Things that it speaks of and the embedded world has nothing like.
+    """
+
+    instruction: str
+    table: Tabletop
+    reference: Reference
+    unknown: tuple[str, ...]
+
+
+def read_handwritten() -> tuple[Handwritten, ...]:
+    """All of them, in the file's order."""
+    lines = FILE.read_text("utf-8").splitlines()
+    return tuple(_of(f"handwritten_{number:02}", json.loads(line)) for number, line in enumerate(lines))
+
+
+def _of(name: str, row: dict[str, Any]) -> Handwritten:
+    kinds = [entry if isinstance(entry, list) else [entry] for entry in row["objects"]]
+    required = tuple(Required(str(k), tuple(categories)) for k, categories in enumerate(kinds))
+    relations = tuple(Relation(str(a), RelationKind(kind), str(b)) for a, kind, b in row["relations"])
+    width, depth = row["table_size_cm"]
+    table = Tabletop(row["table_type"], (width / 100, depth / 100))
+    return Handwritten(row["instruction"], table, Reference(name, required, relations), tuple(row["unknown"]))
