@@ -199,11 +199,17 @@ class CachedWriter:
 
 
 def _contacts(posed: PosedScene, audit: Audit) -> Mapping[str, tuple[str, ...]]:
-    """What each object rests on: the table where the audit finds nothing else, or all that is within a larger gap."""
-    return {
-        verdict.instance: verdict.supports if verdict.supports == (TABLE,) else posed.supports(index, _CONTACT_GAP) or ()
-        for index, verdict in enumerate(audit.objects)
-    }
+    """What each object rests on: what the audit finds, and all that is within a larger gap.
+
+    The table is found by the audit or it is not touched: the larger gap reaches through a placemat.
+    """
+    found = {}
+    for index, verdict in enumerate(audit.objects):
+        near = verdict.supports if verdict.supports == (TABLE,) else posed.supports(index, _CONTACT_GAP) or ()
+        if verdict.supports and TABLE not in verdict.supports:
+            near = tuple(name for name in near if name != TABLE)
+        found[verdict.instance] = near
+    return found
 
 
 def num_carried(scene: Scene) -> tuple[int, int]:

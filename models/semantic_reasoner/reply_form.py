@@ -104,6 +104,8 @@ def _grammar(form: ReplyForm) -> str:
     longest, highest = _up_to(form.longest_cm, 1), _up_to(HIGHEST_CM, 1)
     return "\n".join(
         [
+            # Else what must come next is spelt with the tokenizer's words for that much alone, and longer tokens are lost.
+            '%llguidance {"no_forcing": true}',
             f'start: "{{" {removed}"\\"objects\\":[" {listed} "]}}"',
             r'entry: "{\"instance\":\"" NAME "\",\"description\":\"" WORDS "\",\"size\":[" SIDE "," SIDE "," TALL'
             r' "],\"position\":[" X "," Y "," Z "],\"z_rotation\":" ANGLE "}"',

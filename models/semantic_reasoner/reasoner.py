@@ -1,0 +1,209 @@
+"""The Semantic Reasoner: asks an engine, checks what comes back, asks again with the reason, and gives objects."""
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeAlias
+
+from models.semantic_reasoner.engine import Completion, Engine, Request
+from models.semantic_reasoner.layout_text import LayoutObject, Reply, parse_reply
+from models.semantic_reasoner.prompt import Ask, messages
+from models.semantic_reasoner.reply_form import ReplyForm
+from stable_data.errors import SceneError
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """What is wrong with a reply.
+
+    Attributes:
+        code: Short machine-readable reason, such as ``task_object_missing``.
+        message: One line that a model can act on.
+        is_hard: Whether it keeps the reply out; a soft one is only named where no better reply comes.
+    """
+
+    code: str
+    message: str
+    is_hard: bool = True
+
+
+Check: TypeAlias = Callable[[Reply, Ask], Sequence[Fault]]
+"""Finds faults in a reply to a question."""
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """An answer that was not taken.
+
+    Attributes:
+        answer: Its text.
+        faults: Why.
+    """
+
+    answer: str
+    faults: tuple[Fault, ...]
+
+    @property
+    def reason(self) -> str:
+        """Its faults in one line."""
+        return "; ".join(f.message for f in self.faults)
+
+    @property
+    def is_hard(self) -> bool:
+        """Whether it must be kept out."""
+        return any(f.is_hard for f in self.faults)
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """What the reasoner proposes for a question.
+
+    Attributes:
+        reply: The objects; None where no answer could be used.
+        faults: What is still wrong with them, softly.
+        refused: Answers that were not taken, in the order in which they came.
+        failure: Why there are none, one line; empty where there are.
+        code: Short machine-readable reason of the failure.
+        prompt_tokens: Read, over all tries.
+        reply_tokens: Written, over all tries.
+        cost: Of all tries, in the currency of the engine's prices.
+    """
+
+    reply: Reply | None
+    faults: tuple[Fault, ...] = ()
+    refused: tuple[Refused, ...] = ()
+    failure: str = ""
+    code: str = ""
+    prompt_tokens: int = 0
+    reply_tokens: int = 0
+    cost: float = 0.0
+
+    @property
+    def objects(self) -> tuple[LayoutObject, ...]:
+        """New and changed objects; none where there is a failure."""
+        return () if self.reply is None else self.reply.objects
+
+    @property
+    def tries(self) -> int:
+        """How often it was asked."""
+        return len(self.refused) + (1 if self.reply is not None and not self._is_second_best else 0)
+
+    @property
+    def _is_second_best(self) -> bool:
+        """Whether the reply is one of those refused before, taken for want of a better one."""
+        return bool(self.faults)
+
+
+@dataclass(slots=True, eq=False)
+class _Asking:
+    """A question that has no answer yet."""
+
+    ask: Ask
+    seed: int
+    refused: list[Refused] = field(default_factory=list)
+    best: tuple[Reply, tuple[Fault, ...]] | None = None
+    prompt_tokens: int = 0
+    reply_tokens: int = 0
+    cost: float = 0.0
+
+    def refuse(self, answer: str, faults: Sequence[Fault], reply: Reply | None = None) -> None:
+        """Keeps an answer that will not do, and the best of those that would at need."""
+        refused = Refused(answer, tuple(faults))
+        self.refused.append(refused)
+        if reply is not None and not refused.is_hard and (self.best is None or len(faults) < len(self.best[1])):
+            self.best = reply, refused.faults
+
+    def proposal(self, reply: Reply | None = None, failure: str = "", code: str = "") -> Proposal:
+        """What comes of it."""
+        faults: tuple[Fault, ...] = ()
+        if reply is None and not failure:
+            if self.best is not None:
+                reply, faults = self.best
+            else:
+                last = self.refused[-1]
+                failure, code = f"{len(self.refused)} answers could not be used, the last because {last.reason}", "reply_refused"
+        return Proposal(
+            reply, faults, tuple(self.refused), failure, code, self.prompt_tokens, self.reply_tokens, self.cost
+        )
+
+
+class SemanticReasoner:
+    """Asks an engine for the objects of a stage, of a whole layout, or of an edit.
+
+    Args:
+        engine: Answers.
+        check: Finds faults in a reply; None takes whatever can be read.
+        tries: How often a question is asked at most.
+        tells_reasons: Whether a refused answer and its reason are shown when it is asked again, as a large model can use; else
+            the same question is asked with other draws.
+    """
+
+    def __init__(self, engine: Engine, check: Check | None = None, tries: int = 4, tells_reasons: bool = False) -> None:
+        self.engine, self._check = engine, check
+        self._tries, self._tells_reasons = tries, tells_reasons
+
+    def propose(self, asks: Sequence[Ask], seeds: Sequence[int]) -> list[Proposal]:
+        """A proposal for each question, in their order; what fails does not touch the others.
+
+        Args:
+            asks: The questions.
+            seeds: One each: with an engine that repeats itself, the same question and seed have the same proposal.
+        """
+        found: list[Proposal | None] = [None] * len(asks)
+        waiting = {k: _Asking(ask, seed) for k, (ask, seed) in enumerate(zip(asks, seeds, strict=True))}
+        for attempt in range(self._tries):
+            requests = {}
+            for k, asking in list(waiting.items()):
+                try:
+                    requests[k] = self._request(asking, attempt)
+                except SceneError as error:
+                    found[k] = waiting.pop(k).proposal(failure=str(error), code=error.code)
+            for k, completion in zip(requests, self.engine.complete(list(requests.values())), strict=True):
+                proposal = self._judge(waiting[k], completion)
+                if proposal is not None:
+                    found[k] = proposal
+                    del waiting[k]
+            if not waiting:
+                break
+        for k, asking in waiting.items():
+            found[k] = asking.proposal()
+        return [p for p in found if p is not None]
+
+    def _request(self, asking: _Asking, attempt: int) -> Request:
+        ask = asking.ask
+        told = [(r.answer, r.reason) for r in asking.refused] if self._tells_reasons else []
+        names = tuple(o.instance for o in ask.layout) if ask.edits else ()
+        form = ReplyForm.of_table(ask.table, edits=ask.edits, names=names)
+        return Request(tuple(messages(ask, told)), form, _seed(asking.seed, str(ask.wanted), attempt))
+
+    def _judge(self, asking: _Asking, completion: Completion) -> Proposal | None:
+        """What comes of an answer; None where it is to be asked again."""
+        asking.prompt_tokens += completion.prompt_tokens
+        asking.reply_tokens += completion.reply_tokens
+        asking.cost += completion.cost
+        if completion.code in ("reply_too_long", "reply_filtered", "reply_empty"):
+            asking.refuse(completion.text, [Fault(completion.code, completion.failure)])
+            return None
+        if completion.failure:
+            return asking.proposal(failure=completion.failure, code=completion.code)
+        try:
+            reply = parse_reply(completion.text)
+        except SceneError as error:
+            asking.refuse(completion.text, [Fault(error.code, str(error))])
+            return None
+        faults = self._check(reply, asking.ask) if self._check else ()
+        if not faults:
+            return asking.proposal(reply)
+        asking.refuse(completion.text, faults, reply)
+        return None
+
+
+def _seed(seed: int, wanted: str, attempt: int) -> int:
+    """The seed of a try: of its own for each stage and attempt."""
+    digest = hashlib.sha256(f"{seed}:{wanted}:{attempt}".encode()).digest()
+    return int.from_bytes(digest[:6], "big")
+
+
+def extended(ask: Ask, layout: Sequence[LayoutObject]) -> Ask:
+    """The same question with more of the layout known."""
+    return replace(ask, layout=tuple(layout))
