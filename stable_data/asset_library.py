@@ -42,6 +42,16 @@ _COLUMNS = (
 )
 
 
+def sentence(words: str, category: str) -> str:
+    """What is encoded of a thing: its kind, then its words, so that a kind that is known is heard on both sides.
+
+    Example:
+        >>> sentence("a slim one with a red cap", "water_bottle")
+        'water bottle, a slim one with a red cap'
+    """
+    return ", ".join(part for part in (category.replace("_", " ").strip(), words.strip()) if part)
+
+
 @dataclass(frozen=True, slots=True)
 class RestingTilt:
     """A way in which an asset lies still.
@@ -107,6 +117,7 @@ class AssetLibrary:
         assets: N assets, by uid.
         features: Unit row of each one's words, (N, D) float32, or None: not encoded yet.
         encoder_fingerprint: Which encoder made them; empty where the dataset does not say.
+        names_category: Whether they are of :func:`sentence`, or of the words alone, as a dataset's own.
         left_out: uid -> why an asset of the dataset cannot be retrieved at all.
 
     Raises:
@@ -117,6 +128,7 @@ class AssetLibrary:
     assets: tuple[Asset, ...]
     features: Rows | None = None
     encoder_fingerprint: str = ""
+    names_category: bool = False
     left_out: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -142,8 +154,8 @@ class AssetLibrary:
             encoder: The text encoder.
             cache: A file that keeps the rows, see :func:`stable_data.text_features.text_rows`.
         """
-        rows = text_rows([a.words for a in self.assets], encoder, cache)
-        return replace(self, features=rows, encoder_fingerprint=encoder.fingerprint)
+        rows = text_rows([sentence(a.words, a.category) for a in self.assets], encoder, cache)
+        return replace(self, features=rows, encoder_fingerprint=encoder.fingerprint, names_category=True)
 
 
 def library_of_run(run: RunFolder, name: str | None = None, *, own_features: bool = False) -> AssetLibrary:

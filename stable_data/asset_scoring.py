@@ -45,8 +45,8 @@ class RetrievalSettings:
 
     text_weight: float = 0.9
     size_weight: float = 0.1
-    floor: float = 0.5
-    margin: float = 0.01
+    floor: float = 0.55
+    margin: float = 0.02
     top_k_text: int | None = None
     tilt_margin: float = 0.05
     licences: frozenset[str] | None = None
@@ -98,6 +98,7 @@ class AssetScores:
     Attributes:
         assets: The assets that may be chosen.
         features: Their rows, (N, D) float32.
+        names_category: What they are of, see :class:`~stable_data.asset_library.AssetLibrary`.
     """
 
     def __init__(self, library: AssetLibrary, settings: RetrievalSettings) -> None:
@@ -106,6 +107,7 @@ class AssetScores:
         allowed = [k for k, asset in enumerate(library.assets) if _may_be_used(asset, settings)]
         self.assets: tuple[Asset, ...] = tuple(library.assets[k] for k in allowed)
         self.features: Rows = library.features if len(allowed) == len(library) else library.features[allowed]
+        self.names_category = library.names_category
         self._boxes = proportions([t.extents for a in self.assets for t in a.tilts] or np.ones((0, 3)))
         self._num_tilts = np.array([len(a.tilts) for a in self.assets], np.int64)
         self._first_tilt = np.cumsum(self._num_tilts) - self._num_tilts
@@ -195,7 +197,8 @@ class AssetScores:
 
     def _text(self, rows: IntArray, cols: IntArray, features: Rows) -> FloatArray:
         """Text scores of pairs, (P,) float64, always added up in the same order."""
-        return (features[rows] * self.features[cols]).sum(axis=1).astype(np.float64)
+        scores: FloatArray = (features[rows] * self.features[cols]).sum(axis=1).astype(np.float64)
+        return scores
 
     def _nearest(self, rough: Rows, features: Rows, lost: IntArray) -> tuple[IntArray, FloatArray]:
         """The asset with the highest text score for some queries, and that score."""
@@ -209,21 +212,27 @@ class AssetScores:
         """Size scores of pairs at the tilt that fits best, (P,) float64."""
         if not len(cols):
             return np.zeros(0)
-        counts = self._num_tilts[cols]
-        starts = np.cumsum(counts) - counts
-        tilts = np.arange(counts.sum()) + np.repeat(self._first_tilt[cols] - starts, counts)
-        scores = size_score(self._boxes[tilts], np.repeat(shapes, counts, axis=0))
+        scores, starts = self._tilt_scores(cols, shapes)
         best: FloatArray = np.maximum.reduceat(scores, starts)
         return best
 
     def _tilt(self, cols: IntArray, shapes: FloatArray) -> IntArray:
-        """The resting tilt of each pair: the most usual one that fits as well as the best, or nearly."""
-        chosen = []
-        for col, shape in zip(cols.tolist(), shapes, strict=True):
-            first, count = self._first_tilt[col], self._num_tilts[col]
-            scores = size_score(self._boxes[first : first + count], shape)
-            chosen.append(int(np.argmax(scores >= scores.max() - self._settings.tilt_margin)))
-        return np.array(chosen, np.int64)
+        """The resting tilt of each pair: the most usual one that fits as well as the best, or nearly, (P,) int64."""
+        if not len(cols):
+            return np.zeros(0, np.int64)
+        scores, starts = self._tilt_scores(cols, shapes)
+        counts = self._num_tilts[cols]
+        fits = scores >= np.repeat(np.maximum.reduceat(scores, starts) - self._settings.tilt_margin, counts)
+        number = np.arange(len(scores)) - np.repeat(starts, counts)  # tilts are sorted, the most usual first
+        chosen: IntArray = np.minimum.reduceat(np.where(fits, number, len(scores)), starts)
+        return chosen
+
+    def _tilt_scores(self, cols: IntArray, shapes: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Size scores of pairs at each of the asset's tilts, one after the other, and where each pair's begin, (P,) int64."""
+        counts = self._num_tilts[cols]
+        starts = np.cumsum(counts) - counts
+        tilts = np.arange(counts.sum()) + np.repeat(self._first_tilt[cols] - starts, counts)
+        return size_score(self._boxes[tilts], np.repeat(shapes, counts, axis=0)), starts
 
 
 def ticket(*parts: str | int) -> int:

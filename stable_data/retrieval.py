@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from stable_data.asset_library import Asset, AssetLibrary
+from stable_data.asset_library import Asset, AssetLibrary, sentence
 from stable_data.asset_scoring import AssetScores, Choices, RetrievalSettings, ticket
 from stable_data.box_fit import stretched_scale, uniform_factor
 from stable_data.errors import ConfigError, SceneError
@@ -30,9 +30,10 @@ class Query:
     """An object that wants an asset.
 
     Attributes:
-        text: Words for it. Where there are none, its category's words are taken.
+        text: Words for it. Where there are none, its category says what it is.
         size: Box in the yaw frame, metres.
-        category: What kind of thing it is, if known: preferred among assets that are as good, never demanded.
+        category: What kind of thing it is, if known: encoded with the words, and preferred among assets that are as good; never
+            demanded.
         key: What it is drawn by beside the seed, such as ``scene_id/instance``: with a key of its own each of several equal
             queries may get another asset, and with their scene's key all get the same.
     """
@@ -48,10 +49,10 @@ class Query:
             found = f"query {shown(self.text)} has size {self.size}"
             raise SceneError(f"{found}, expected width, depth and height in metres", "size_invalid")
 
-    @property
-    def words(self) -> str:
-        """What is encoded."""
-        return self.text.strip() or (self.category or "").replace("_", " ").strip()
+    def sentence(self, *, names_category: bool = True) -> str:
+        """What is encoded of it: its category and its words, or its words alone where it has any."""
+        is_named = names_category or not self.text.strip()
+        return sentence(self.text, (self.category or "") if is_named else "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +149,8 @@ class Retriever:
         Raises:
             ConfigError: The encoder gives anything but unit rows of the libraries' length.
         """
-        texts = list(dict.fromkeys(q.words for q in queries if q.words))
+        kinds = {scores.names_category for _, scores in self._libraries}
+        texts = list(dict.fromkeys(q.sentence(names_category=kind) for kind in sorted(kinds) for q in queries if q.sentence()))
         if not texts:
             return [_wordless() for _ in queries]
         rows = checked_rows(self._encoder(texts), len(texts), "the text encoder")
@@ -161,16 +163,16 @@ class Retriever:
 
     def _answers(self, queries: Sequence[Query], rows: dict[str, Rows], seed: int) -> list[Answer]:
         answers: list[Answer] = [_wordless() for _ in queries]
-        waiting = [k for k, query in enumerate(queries) if query.words]
+        waiting = [k for k, query in enumerate(queries) if query.sentence()]
         for name, scores in self._libraries:
             if not waiting:
                 break
             asked = [queries[k] for k in waiting]
             choices = scores.choose(
-                np.stack([rows[query.words] for query in asked]),
+                np.stack([rows[query.sentence(names_category=scores.names_category)] for query in asked]),
                 np.array([query.size for query in asked], np.float64),
                 [query.category for query in asked],
-                np.array([ticket(seed, query.key, query.words) for query in asked], np.uint64),
+                np.array([ticket(seed, query.key, query.sentence()) for query in asked], np.uint64),
             )
             for k, answer in zip(waiting, self._read(name, scores, choices, asked), strict=True):
                 previous = answers[k]
@@ -225,7 +227,7 @@ class Retriever:
 
     def _unmatched(self, name: str, nearest: Asset, text: float, query: Query) -> Unmatched:
         found = f"{shown(nearest.words)} of library {name} at {text:.2f}"
-        reason = f"nothing like {shown(query.words)}: nearest is {found}, expected at least {self.settings.floor:g}"
+        reason = f"nothing like {shown(query.sentence())}: nearest is {found}, expected at least {self.settings.floor:g}"
         return Unmatched(reason, nearest.asset_id, name, text)
 
 

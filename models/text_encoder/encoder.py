@@ -83,7 +83,7 @@ class SentenceEncoder:
         from transformers.utils import logging
 
         had_bar = logging.is_progress_bar_enabled()
-        logging.disable_progress_bar()
+        logging.disable_progress_bar()  # type: ignore[no-untyped-call]
         try:
             network = AutoModel.from_pretrained(
                 self.model.folder, local_files_only=True, trust_remote_code=False, use_safetensors=True, dtype=torch.float32
@@ -94,7 +94,7 @@ class SentenceEncoder:
             raise ConfigError(message, "model_invalid") from error
         finally:
             if had_bar:
-                logging.enable_progress_bar()
+                logging.enable_progress_bar()  # type: ignore[no-untyped-call]
         return network.eval().requires_grad_(False).to(self._device)
 
     @property
