@@ -56,6 +56,7 @@ class KnownRows:
         self._place, self._rows = {text: k for k, text in enumerate(texts)}, rows
 
     def __call__(self, texts: Sequence[str], /) -> Rows:
+        """The rows of texts that are known."""
         return self._rows[[self._place[text] for text in texts]]
 
 
