@@ -50,7 +50,7 @@ def test_no_factor_comes_nearer_and_the_diagonal_is_never_longer(wanted: Vec3, b
         assert distance <= np.linalg.norm(w - other * e)
     assert np.linalg.norm(factor * e) <= np.linalg.norm(w) * (1 + 1e-9)
     assert distance == pytest.approx(
-        np.linalg.norm(w) * math.sqrt(max(0.0, 1 - score(wanted, box) ** 2)), abs=1e-6 * np.linalg.norm(w)
+        np.linalg.norm(w) * math.sqrt(max(0.0, 1 - score(wanted, box) ** 2)), abs=1e-6 * float(np.linalg.norm(w))
     )
 
 
