@@ -71,13 +71,13 @@ def enlarged(library: AssetLibrary, num: int, rng: np.random.Generator) -> Asset
 
 
 def _jittered(asset: Asset, rng: np.random.Generator) -> Asset:
-    factors = rng.uniform(0.9, 1.1, 3)
+    factors = rng.uniform(0.9, 1.1, 3).tolist()
     tilts = tuple(RestingTilt(t.quat_xyzw, _times(t.extents, factors), t.count) for t in asset.tilts)
     return replace(asset, extents=_times(asset.extents, factors), tilts=tilts)
 
 
 def _times(extents: Vec3, factors: Sequence[float]) -> Vec3:
-    x, y, z = (e * float(f) for e, f in zip(extents, factors, strict=True))
+    x, y, z = (e * f for e, f in zip(extents, factors, strict=True))
     return (x, y, z)
 
 
@@ -113,7 +113,7 @@ def measure(data: Path, num_assets: int, num_queries: int) -> tuple[list[Figure]
     drawn = rng.choice([k for k, asset in enumerate(library.assets) if asset.is_offered], num_queries)
     rows = _noisy(library.features[drawn], rng)
     queries = [
-        Query(f"{n}", _times(library.assets[k].tilts[0].extents, rng.uniform(0.8, 1.2, 3)))
+        Query(f"{n}", _times(library.assets[k].tilts[0].extents, rng.uniform(0.8, 1.2, 3).tolist()))
         for n, k in enumerate(drawn.tolist())
     ]
     known = KnownRows([query.sentence() for query in queries], rows)

@@ -3,11 +3,12 @@
 import re
 import zlib
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from stable_data.asset_library import Asset, AssetLibrary, RestingTilt
-from stable_data.scene import UPRIGHT, QuatXyzw, Vec3
+from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Vec3
 from stable_data.text_features import Rows
 
 LAID: QuatXyzw = (0.5**0.5, 0.0, 0.0, 0.5**0.5)  # a quarter turn about x: what was up points to -y
@@ -31,13 +32,13 @@ class BagOfWords:
         unit: Rows = (rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32)
         return unit
 
-    def _word(self, word: str) -> Rows:
-        row: Rows = np.random.default_rng([self._seed, zlib.crc32(word.encode())]).normal(size=self._width)
+    def _word(self, word: str) -> FloatArray:
+        row: FloatArray = np.random.default_rng([self._seed, zlib.crc32(word.encode())]).normal(size=self._width)
         return row
 
 
 def thing(
-    asset_id: str, words: str, extents: Vec3 = (1.0, 1.0, 1.0), category: str = "", *, licence: str | None = None, **more: bool
+    asset_id: str, words: str, extents: Vec3 = (1.0, 1.0, 1.0), category: str = "", *, licence: str | None = None, **more: Any
 ) -> Asset:
     return Asset(asset_id, category, words, extents, (RestingTilt(UPRIGHT, extents, 9),), licence=licence, **more)
 
