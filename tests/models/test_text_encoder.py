@@ -23,6 +23,7 @@ from models.text_encoder import SentenceEncoder, load_default, packaged_folder, 
 from stable_data.asset_library import AssetLibrary
 from stable_data.errors import ConfigError
 from stable_data.retrieval import Match, Query, Retriever, Unmatched
+from stable_data.synth.catalogue import KEYS, asset
 from tests.stable_data.bag_of_words import thing
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -133,6 +134,25 @@ def test_what_is_meant_is_near_what_is_said(encoder: SentenceEncoder) -> None:
     answers = tool.retrieve([*wanted, Query("a live elephant", size), Query("espresso machine", size, "coffee_maker")])
     assert [a.asset_id for a in answers if isinstance(a, Match)] == ["mug", "pan", "lamp"]
     assert all(isinstance(a, Unmatched) for a in answers[3:])
+
+
+def test_things_of_the_embedded_world_are_found_by_other_words(encoder: SentenceEncoder) -> None:
+    made = [asset(key).annotation for key in KEYS[::8]]
+    shelf = tuple(
+        thing(a.asset_id, a.description, a.extents_z_up or (1.0, 1.0, 1.0), a.category)
+        for a in made
+        if len(a.raw["captions"]) > 1
+    )
+    other_words = {a.asset_id: a.raw["captions"][1] for a in made if len(a.raw["captions"]) > 1}
+    tool = Retriever([AssetLibrary("world", shelf).embedded(encoder)], encoder)
+    answers = tool.retrieve([Query(other_words[a.asset_id], a.extents, a.category) for a in shelf])
+    kinds = [
+        (answer.category if isinstance(answer, Match) else "", a.category) for answer, a in zip(answers, shelf, strict=True)
+    ]
+    assert sum(found == wanted for found, wanted in kinds) > 0.95 * len(shelf)
+    size = (0.2, 0.2, 0.2)
+    absurd = ["a live elephant", "a grand piano", "a bicycle", "a fire extinguisher", "an aeroplane", "a running chainsaw"]
+    assert all(isinstance(answer, Unmatched) for answer in tool.retrieve([Query(text, size) for text in absurd]))
 
 
 def test_lower_case_is_made_where_the_folder_says_so(tmp_path: Path) -> None:
