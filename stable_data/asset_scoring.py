@@ -21,7 +21,7 @@ from stable_data.text_features import Rows
 
 Tickets = npt.NDArray[np.uint64]
 
-_BLOCK = 128  # queries: their scores stay in the processor's cache
+_BLOCK, _MAX_SCORES = 128, 1 << 24  # queries whose scores stay in the processor's cache; scores that are held at a time
 _FITTING = math.radians(5.0)  # boxes whose edge vectors are no further apart have the same proportions
 _DECIMALS = 9  # scores that agree so far are equal
 _MIX = ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB))  # the finaliser of splitmix64 (Steele, Lea and Flood 2014)
@@ -130,8 +130,9 @@ class AssetScores:
         shapes = proportions(wanted)
         codes = np.array([self._codes.get(_kind(name or ""), -1) for name in categories], np.int64)
         parts = []
-        for start in range(0, len(features), _BLOCK):
-            block = slice(start, start + _BLOCK)
+        size = max(1, min(_BLOCK, _MAX_SCORES // len(self.assets)))
+        for start in range(0, len(features), size):
+            block = slice(start, start + size)
             parts.append(self._choose(features[block], shapes[block], codes[block], tickets[block]))
         columns = zip(*((p.asset, p.tilt, p.text, p.size, p.nearest) for p in parts), strict=True)
         return Choices(*(np.concatenate(column) for column in columns))

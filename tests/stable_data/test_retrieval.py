@@ -1,6 +1,8 @@
 """From words and boxes to assets."""
 
 import math
+import subprocess
+import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -102,6 +104,12 @@ def test_only_the_nearest_by_text_are_looked_at_if_so_set() -> None:
     assert found(ask(retriever(*assets), words)) == "near"
     assert found(ask(retriever(*assets, top_k_text=2), words)) == "near"
     assert found(ask(retriever(*assets, top_k_text=1), words)) == "exact"
+
+
+def test_of_equal_words_the_first_take_the_places() -> None:
+    assets = [thing("a", "a box", (1.0, 1.0, 9.0)), thing("b", "a box"), thing("c", "a fork")]
+    assert found(ask(retriever(*assets), "a box")) == "b"
+    assert found(ask(retriever(*assets, top_k_text=1), "a box")) == "a"
 
 
 def test_the_first_library_that_has_a_match_serves() -> None:
@@ -218,6 +226,21 @@ def test_a_batch_answers_as_each_query_alone_in_any_order(top_k: int | None) -> 
     assert batch[::-1] == tool.retrieve(CROWD_QUERIES[::-1], seed=4)
     assert batch[::7] == [tool.retrieve([query], seed=4)[0] for query in CROWD_QUERIES[::7]]
     assert batch != tool.retrieve(CROWD_QUERIES, seed=5)
+
+
+def test_the_floor_is_the_same_to_the_last_bit_alone_and_in_a_batch() -> None:
+    by_text = RetrievalSettings(size_weight=0.0, margin=0.0, floor=-1.0)
+    queries = CROWD_QUERIES[:130]
+    best = [answer.text_score for answer in Retriever([CROWD], Noise(), by_text).retrieve(queries)]
+    for k in range(0, len(queries), 9):
+        at, above = (
+            Retriever([CROWD], Noise(), replace(by_text, floor=floor)) for floor in (best[k], float(np.nextafter(best[k], 2)))
+        )
+        for asked, place in ((queries, k), ([queries[k]], 0)):
+            assert isinstance(at.retrieve(asked)[place], Match)
+            refused = above.retrieve(asked)[place]
+            assert isinstance(refused, Unmatched)
+            assert refused.text_score == best[k]
 
 
 @pytest.mark.parametrize("top_k", [None, 1, 20])
@@ -353,6 +376,13 @@ def test_libraries_are_needed_and_told_apart() -> None:
 def test_settings_that_give_no_order_are_refused(name: str, value: float) -> None:
     with pytest.raises(ConfigError, match=f"{name} is "):
         RetrievalSettings(**{name: value})  # type: ignore[arg-type]
+
+
+def test_retrieval_is_light() -> None:
+    code = "import sys, stable_data.retrieval, stable_data.substitution; print(*sys.modules)"
+    root = Path(__file__).resolve().parents[2]
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root).stdout.split()
+    assert not {"torch", "ray", "scipy", "shapely", "trimesh", "transformers"} & set(loaded)
 
 
 def test_mesa_real_finds_what_it_holds(shared_data: Path) -> None:
