@@ -230,7 +230,7 @@ def test_a_batch_answers_as_each_query_alone_in_any_order(top_k: int | None) -> 
 
 def test_the_floor_is_the_same_to_the_last_bit_alone_and_in_a_batch() -> None:
     by_text = RetrievalSettings(size_weight=0.0, margin=0.0, floor=-1.0)
-    queries = CROWD_QUERIES[:130]
+    queries = [Query(f"unlike {k}", CUBE) for k in range(130)]
     best = [answer.text_score for answer in Retriever([CROWD], Noise(), by_text).retrieve(queries)]
     for k in range(0, len(queries), 9):
         at, above = (
