@@ -48,11 +48,11 @@ def slot_attention(
 AttentionInterface.register(ATTENTION, slot_attention)
 
 
-class _SlotLayer(CacheLayerMixin):
+class _SlotLayer(CacheLayerMixin):  # type: ignore[misc]
     """Keys and values of one layer, (slots, K, tokens, C)."""
 
     def __init__(self, cache: "SlotCache") -> None:
-        super().__init__()  # type: ignore[no-untyped-call]
+        super().__init__()
         self._cache = cache
 
     def lazy_initialization(self, key_states: Tensor, value_states: Tensor) -> None:
@@ -94,7 +94,7 @@ class _SlotLayer(CacheLayerMixin):
         return -1
 
 
-class SlotCache(Cache):
+class SlotCache(Cache):  # type: ignore[misc]
     """A key-value cache in which each sequence has a slot.
 
     Args:

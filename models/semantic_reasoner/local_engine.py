@@ -84,8 +84,13 @@ class LocalEngine:
         """
         try:
             tokenizer = AutoTokenizer.from_pretrained(folder, local_files_only=True, trust_remote_code=False)
-            model: Any = AutoModelForCausalLM.from_pretrained(
-                folder, local_files_only=True, trust_remote_code=False, use_safetensors=True, dtype="auto"
+            loaded: Any = AutoModelForCausalLM.from_pretrained(
+                folder,
+                local_files_only=True,
+                trust_remote_code=False,
+                use_safetensors=True,
+                dtype="auto",
+                output_loading_info=True,
             )
         except (OSError, ValueError, KeyError, RuntimeError) as error:
             found = str(error).strip().partition("\n")[0]
@@ -97,6 +102,14 @@ class LocalEngine:
         if not isinstance(tokenizer, PreTrainedTokenizerFast) or not tokenizer.chat_template:
             raise ConfigError(
                 f"{folder}: its tokenizer is slow or has no chat template, expected that of an instruction-tuned model",
+                "model_invalid",
+            )
+        model, told = loaded
+        # transformers draws what the file lacks at random, and says so in its log alone.
+        if lacking := sorted({*told["missing_keys"], *(str(k) for k in told["mismatched_keys"])}):
+            raise ConfigError(
+                f"{folder}: {lacking[0]} and {len(lacking) - 1} more tensors are missing or of another shape, expected the whole "
+                "model",
                 "model_invalid",
             )
         if torch.cuda.is_available():

@@ -121,10 +121,11 @@ class _Asking:
                 reply, faults = self.best
             else:
                 last = self.refused[-1]
-                failure, code = f"{len(self.refused)} answers could not be used, the last because {last.reason}", "reply_refused"
-        return Proposal(
-            reply, faults, tuple(self.refused), failure, code, self.prompt_tokens, self.reply_tokens, self.cost
-        )
+                failure, code = (
+                    f"{len(self.refused)} answers could not be used, the last because {last.reason}",
+                    "reply_refused",
+                )
+        return Proposal(reply, faults, tuple(self.refused), failure, code, self.prompt_tokens, self.reply_tokens, self.cost)
 
 
 class SemanticReasoner:
@@ -158,7 +159,8 @@ class SemanticReasoner:
                     requests[k] = self._request(asking, attempt)
                 except SceneError as error:
                     found[k] = waiting.pop(k).proposal(failure=str(error), code=error.code)
-            for k, completion in zip(requests, self.engine.complete(list(requests.values())), strict=True):
+            completions = self.engine.complete(list(requests.values())) if requests else []
+            for k, completion in zip(requests, completions, strict=True):
                 proposal = self._judge(waiting[k], completion)
                 if proposal is not None:
                     found[k] = proposal

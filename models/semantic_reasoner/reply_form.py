@@ -22,6 +22,8 @@ MOST_OBJECTS = 60
 MOST_LETTERS = 160
 """Longest description, characters."""
 
+_LETTER = r'[^\s"\\<\x00-\x1f\x7f]'
+
 
 @dataclass(frozen=True, slots=True)
 class ReplyForm:
@@ -110,7 +112,7 @@ def _grammar(form: ReplyForm) -> str:
             r'entry: "{\"instance\":\"" NAME "\",\"description\":\"" WORDS "\",\"size\":[" SIDE "," SIDE "," TALL'
             r' "],\"position\":[" X "," Y "," Z "],\"z_rotation\":" ANGLE "}"',
             r"NAME: /[a-z][a-z_]{0,40}_[0-9]{1,2}/",
-            rf'WORDS: /[^"\\<\x00-\x1f\x7f]{{1,{MOST_LETTERS}}}/',
+            rf"WORDS: /{_LETTER}+( {_LETTER}+)*/ & /(?s:.){{1,{MOST_LETTERS}}}/",
             f"SIDE: /{longest}/",
             f"TALL: /{highest}/",
             f"X: /{_up_to(form.width_cm)}/",

@@ -1,0 +1,96 @@
+from collections.abc import Sequence
+from dataclasses import replace
+
+from models.semantic_reasoner.engine import Completion, Request
+from models.semantic_reasoner.layout_text import LayoutObject, Reply, render_objects
+from models.semantic_reasoner.prompt import Ask
+from models.semantic_reasoner.reasoner import Fault, SemanticReasoner
+from stable_data.scene import Stage, Tabletop
+
+TABLE = Tabletop("office_table", (1.12, 0.593))
+ASK = Ask("Put the mug on the book.", TABLE, Stage.TASK)
+MUG = LayoutObject("mug_0", "a red mug", (9.0, 8.4, 10.0), (20.0, 30.5, 5.0), -15)
+GOOD, ODD, BAD = (render_objects([replace(MUG, description=d)]) for d in ("a good mug", "an odd mug", "a bad mug"))
+
+
+class Told:
+    """An engine that says what it is told to, and remembers what it was asked."""
+
+    name, repeats = "told", True
+
+    def __init__(self, *rounds: Sequence[str | Completion]) -> None:
+        self._rounds, self.asked = list(rounds), list[Sequence[Request]]()
+
+    def complete(self, requests: Sequence[Request]) -> list[Completion]:
+        self.asked.append(requests)
+        answers = self._rounds.pop(0)
+        assert len(answers) == len(requests)
+        return [a if isinstance(a, Completion) else Completion(a, 10, 5, cost=0.5) for a in answers]
+
+
+def faults(reply: Reply, ask: Ask) -> list[Fault]:
+    words = reply.objects[0].description if reply.objects else "nothing"
+    if "bad" in words:
+        return [Fault("mug_bad", "mug_0 is bad; take another")]
+    return [Fault("mug_odd", "mug_0 is odd", is_hard=False)] if "odd" in words else []
+
+
+def test_a_good_answer_is_taken_at_once() -> None:
+    engine = Told([GOOD])
+    (p,) = SemanticReasoner(engine, faults).propose([ASK], [7])
+    assert render_objects(p.objects) == GOOD
+    assert (p.tries, p.faults, p.refused, p.failure, p.cost) == (1, (), (), "", 0.5)
+
+
+def test_only_what_was_refused_is_asked_again_with_another_seed_and_the_reason() -> None:
+    engine = Told([BAD, GOOD, "no json"], [GOOD, GOOD])
+    found = SemanticReasoner(engine, faults, tells_reasons=True).propose([ASK, ASK, ASK], [1, 2, 3])
+    assert [render_objects(p.objects) for p in found] == [GOOD] * 3
+    assert [p.tries for p in found] == [2, 1, 2]
+    assert [p.refused[0].faults[0].code for p in found if p.refused] == ["mug_bad", "reply_not_json"]
+    again = engine.asked[1][0]
+    assert "mug_0 is bad" in again.messages[-1]["content"]
+    assert again.seed != engine.asked[0][0].seed
+    assert found[0].prompt_tokens == 20
+
+
+def test_without_reasons_the_same_question_is_drawn_anew() -> None:
+    engine = Told([BAD], [GOOD])
+    SemanticReasoner(engine, faults).propose([ASK], [1])
+    assert engine.asked[0][0].messages == engine.asked[1][0].messages
+    assert engine.asked[0][0].seed != engine.asked[1][0].seed
+
+
+def test_tries_are_bounded_and_the_last_reason_is_said() -> None:
+    engine = Told([BAD], [BAD], [BAD])
+    (p,) = SemanticReasoner(engine, faults, tries=3).propose([ASK], [1])
+    assert p.reply is None
+    assert (p.code, len(p.refused)) == ("reply_refused", 3)
+    assert "mug_0 is bad" in p.failure
+
+
+def test_the_best_of_what_is_soft_is_taken_in_the_end_and_named() -> None:
+    engine = Told([BAD], [ODD], [BAD])
+    (p,) = SemanticReasoner(engine, faults, tries=3).propose([ASK], [1])
+    assert render_objects(p.objects) == ODD
+    assert [f.code for f in p.faults] == ["mug_odd"]
+    assert p.tries == 3
+
+
+def test_a_failure_of_one_does_not_touch_the_others() -> None:
+    engine = Told([Completion("", failure="endpoint down", code="endpoint_down"), GOOD])
+    asks = [ASK, replace(ASK, instruction=""), ASK]
+    down, empty, fine = SemanticReasoner(engine, faults).propose(asks, [1, 2, 3])
+    assert (down.code, empty.code) == ("endpoint_down", "instruction_invalid")
+    assert fine.reply is not None
+
+
+def test_a_cut_off_answer_is_asked_for_again() -> None:
+    engine = Told([Completion("", failure="cut off", code="reply_too_long")], [GOOD])
+    (p,) = SemanticReasoner(engine, faults).propose([ASK], [1])
+    assert p.reply is not None
+    assert p.tries == 2
+
+
+def test_nothing_asked_is_nothing_found() -> None:
+    assert SemanticReasoner(Told(), faults).propose([], []) == []
