@@ -170,18 +170,35 @@ def test_it_listens_on_this_machine_alone() -> None:
 
 def test_an_address_that_is_taken_is_refused() -> None:
     with serve(ScriptedEngine(script)) as server:
-        with pytest.raises(ConfigError) as caught, serve(ScriptedEngine(script), port=server.server_address[1]):
-            pass
+        port = server.server_address[1]
+        with pytest.raises(ConfigError) as caught:
+            serve(ScriptedEngine(script), port=port).__enter__()
     assert caught.value.code == "address_unusable"
+
+
+class Held:
+    """Answers when it is let go."""
+
+    name, repeats = "held", True
+
+    def __init__(self) -> None:
+        self.begun, self.go = threading.Event(), threading.Event()
+
+    def complete(self, requests: Sequence[Request]) -> list[Completion]:
+        self.begun.set()
+        self.go.wait()
+        return [Completion("at last") for _ in requests]
 
 
 def test_what_is_under_way_is_answered_before_it_closes() -> None:
     found: list[Completion] = []
-    with serve(Slow(), max_wait_s=0.1) as server:
+    held = Held()
+    with serve(held) as server:
         engine = HttpEngine(server.settings(tries=1))
         thread = threading.Thread(target=lambda: found.extend(engine.complete([ask("x")])))
         thread.start()
-        time.sleep(0.05)
+        held.begun.wait()
+        threading.Timer(0.1, held.go.set).start()  # it is asked to close before
     thread.join()
-    assert [c.text for c in found] == ["x"]
+    assert [c.text for c in found] == ["at last"]
     assert engine.complete([ask("y")])[0].code in ("endpoint_down", "endpoint_error")

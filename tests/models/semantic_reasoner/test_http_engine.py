@@ -391,3 +391,25 @@ def test_the_form_is_kept_for_our_own_server() -> None:
         HttpEngine(server.settings(sends_form=True)).complete([ask("x")])
         assert "stable_data" not in server.bodies[0]
         assert server.bodies[1]["stable_data"]["form"]["width_cm"] == FORM.width_cm
+
+
+@pytest.mark.slow
+@pytest.mark.ray
+def test_it_works_within_a_ray_actor() -> None:
+    import ray
+
+    class Actor:
+        def __init__(self, engine: HttpEngine) -> None:
+            self.engine = engine
+
+        async def complete(self, words: list[str]) -> list[str]:  # within the running loop of an asynchronous actor
+            return [c.text for c in self.engine.complete([ask(w) for w in words])]
+
+    with endpoint() as server:
+        ray.init(num_cpus=1, include_dashboard=False, log_to_driver=False)
+        try:
+            actor = ray.remote(Actor).remote(HttpEngine(server.settings()))
+            words = [str(k) for k in range(50)]
+            assert ray.get(actor.complete.remote(words)) == [f"echo {w}" for w in words]
+        finally:
+            ray.shutdown()

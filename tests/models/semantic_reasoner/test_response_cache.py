@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ SAMPLING = Sampling()
 
 
 def never_the_same(words: str, number: int, body: dict[str, Any]) -> Act:
-    return Act(body=said(f"{words}, said the time {number + 1}"), after_s=0.01)
+    return Act(body=said(f"{words}, said the time {number + 1}"), after_s=0.03)
 
 
 def test_a_replay_is_equal_and_asks_nothing(tmp_path: Path) -> None:
@@ -59,7 +60,7 @@ def test_all_that_shapes_a_reply_is_in_the_key() -> None:
 
 
 def test_failures_are_not_kept(tmp_path: Path) -> None:
-    script = [Completion("", 9, 9, "cut", "reply_cut", cost=1.0), "better"]
+    script: list[str | Completion] = [Completion("", 9, 9, "cut", "reply_cut", cost=1.0), "better"]
     engine = CachedEngine(ScriptedEngine(script), ResponseCache(tmp_path), SAMPLING)
     first, twin = engine.complete([ask("x"), ask("x")])
     assert (first.code, twin.code) == ("reply_cut", "reply_cut")
@@ -68,7 +69,7 @@ def test_failures_are_not_kept(tmp_path: Path) -> None:
     assert engine.complete([ask("x")]) == [Completion("better", is_cached=True)]
 
 
-BROKEN = {
+BROKEN: dict[str, Callable[[bytes], bytes]] = {
     "empty": lambda b: b"",
     "half": lambda b: b[: len(b) // 2],
     "no text": lambda b: b"\xff\x00\xfe",
@@ -151,7 +152,7 @@ class Loud(ResponseCache):
         return kept
 
 engine = HttpEngine(HttpSettings(sys.argv[1], "m", concurrency=4))
-CachedEngine(engine, Loud(sys.argv[2]), Sampling()).complete([ask(str(k)) for k in range(60)])
+CachedEngine(engine, Loud(sys.argv[2]), Sampling()).complete([ask(str(k)) for k in range(100)])
 print("done", flush=True)
 """
 
@@ -172,13 +173,14 @@ def test_a_kill_loses_no_completion_that_was_kept(tmp_path: Path) -> None:
             assert child.returncode == -signal.SIGKILL
         cache = ResponseCache(tmp_path)
         engine = CachedEngine(HttpEngine(server.settings()), cache, SAMPLING)
-        requests = [ask(str(k)) for k in range(60)]
+        requests = [ask(str(k)) for k in range(100)]
         completions = engine.complete(requests)
         final = {cache.key(engine.name, SAMPLING, r): c for r, c in zip(requests, completions, strict=True)}
-        assert 21 <= len(kept) < 60
+        assert 21 <= len(kept) < 100
         assert {key: final[key].text for key in kept} == kept
         assert all(final[key].is_cached for key in kept)
-        assert {text for text in kept.values() if not text.endswith("the time 1")} <= {c.text for c in completions}
-        assert server.tries.total() < 60 + 3 * 5 * 4  # what was under way at a kill is asked again, and nothing else
+        for text in kept.values():  # nothing that was kept was asked again
+            words, _, number = text.partition(", said the time ")
+            assert server.tries[words] == int(number)
     assert not cache.notices
     assert not [c for c in completions if c.failure]
