@@ -179,7 +179,7 @@ class HttpEngine:
 
     def _try(self, request: Request, stopped: threading.Event) -> Completion:
         """Sends a request until it is answered, hopeless, or has used up its tries or its time."""
-        s, rng = self.settings, np.random.default_rng()
+        s = self.settings
         until = 0.0
         for tried in range(1, s.tries + 1):
             try:
@@ -191,7 +191,7 @@ class HttpEngine:
                 if tried == s.tries:
                     break
                 longest = min(s.longest_wait_s, s.first_wait_s * 2.0 ** (tried - 1))
-                wait = miss.wait_s + float(rng.uniform(0.0, s.first_wait_s if miss.wait_s else longest))
+                wait = miss.wait_s + float(np.random.default_rng().uniform(0.0, s.first_wait_s if miss.wait_s else longest))
                 if time.monotonic() + wait >= until:
                     asked = f"; it asks to wait {miss.wait_s:.0f} s" if miss.wait_s else ""
                     return self._failure(miss.code, f"{miss.what} (after {tried} tries, no time for more{asked})")
