@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import urllib3
-from urllib3.exceptions import HTTPError, ReadTimeoutError
+from urllib3.exceptions import HTTPError, ReadTimeoutError, SSLError
 
 from models.semantic_reasoner.chat_protocol import (
     COMPLETION_FAILED,
@@ -41,6 +41,7 @@ MAX_BYTES = 16 * 2**20
 """Longest answer."""
 
 EVERYONES = {
+    "certificate_refused",
     "endpoint_down",
     "endpoint_error",
     "endpoint_timeout",
@@ -52,6 +53,7 @@ EVERYONES = {
 """Codes of failures that say something about the endpoint and not about the request."""
 
 _DO = {
+    "certificate_refused": "name the file of its authority in SSL_CERT_FILE, if that is trusted",
     "key_refused": "check the key ({key_variable}) and what it may use",
     "model_unknown": "check base_url, which mostly ends in /v1, and model",
     "quota_spent": "add credit or use another key",
@@ -61,6 +63,7 @@ _DO = {
     "endpoint_error": "look at the endpoint's log",
     "endpoint_timeout": "raise read_s, or lower concurrency",
     "rate_limited": "lower concurrency, or raise tries and total_s",
+    "abandoned": "ask again",
     "response_invalid": "is base_url that of an OpenAI-compatible endpoint?",
 }
 """What to do, by code."""
@@ -171,7 +174,7 @@ class HttpEngine:
         except Exception as error:  # noqa: BLE001 - what nobody foresaw is one request lost, the others go on
             self._breaker.withdraw()
             return self._failure("unexpected", f"unexpected {type(error).__name__}: {error}", "please report it")
-        if stopped.is_set() and completion.failure:
+        if completion.code == "abandoned":
             self._breaker.withdraw()
         else:
             self._breaker.leave(completion if completion.code in EVERYONES else None)
@@ -179,15 +182,17 @@ class HttpEngine:
 
     def _try(self, request: Request, stopped: threading.Event) -> Completion:
         """Sends a request until it is answered, hopeless, or has used up its tries or its time."""
-        s = self.settings
-        until = 0.0
+        s, until = self.settings, 0.0
+        last = _Hopeless("abandoned", "nobody waits for it any more")
         for tried in range(1, s.tries + 1):
             try:
                 with self._slots:
+                    if stopped.is_set():
+                        break
                     until = until or time.monotonic() + s.total_s  # waiting for the first slot is no fault of the endpoint
                     return self._send(request, until)
             except _Hopeful as miss:
-                last: _Hopeless = miss
+                last = miss
                 if tried == s.tries:
                     break
                 longest = min(s.longest_wait_s, s.first_wait_s * 2.0 ** (tried - 1))
@@ -196,6 +201,7 @@ class HttpEngine:
                     asked = f"; it asks to wait {miss.wait_s:.0f} s" if miss.wait_s else ""
                     return self._failure(miss.code, f"{miss.what} (after {tried} tries, no time for more{asked})")
                 if stopped.wait(wait):
+                    last = _Hopeless("abandoned", f"nobody waits for it any more, after {miss.what}")
                     break
             except _Hopeless as miss:
                 return self._failure(miss.code, miss.what)
@@ -269,6 +275,7 @@ class HttpEngine:
 
         Raises:
             _Hopeful: No answer came, or one that is no JSON.
+            _Hopeless: The endpoint is not who it says it is.
         """
         headers = {"Content-Type": "application/json", "Accept": "application/json", "User-Agent": "stable-data"}
         if self._key:
@@ -289,6 +296,10 @@ class HttpEngine:
             content = _read(response, until)
         except ReadTimeoutError as error:
             raise _Hopeful("endpoint_timeout", f"silent for {timeout.read_timeout:g} s") from error
+        except SSLError as error:
+            if "CERTIFICATE_VERIFY_FAILED" in str(error):
+                raise _Hopeless("certificate_refused", f"{error}") from error
+            raise _Hopeful("endpoint_down", f"{type(error).__name__}: {error}") from error
         except (HTTPError, OSError) as error:
             raise _Hopeful("endpoint_down", f"{type(error).__name__}: {error}") from error
         try:

@@ -69,7 +69,7 @@ class Endpoint(ThreadingHTTPServer):
 
     def settings(self, **more: Any) -> HttpSettings:
         quick: dict[str, Any] = {"first_wait_s": 0.01, "longest_wait_s": 0.05, "read_s": 20.0, "tries": 4}
-        return HttpSettings(self.url, "m", **{**quick, **more})
+        return HttpSettings(**{"base_url": self.url, "model": "m", **quick, **more})
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         pass

@@ -171,6 +171,7 @@ def test_a_kill_loses_no_completion_that_was_kept(tmp_path: Path) -> None:
                 more = [line.partition(" ") for line in child.stdout.read().splitlines(keepends=True)]
                 kept |= {key: text.rstrip("\n") for key, _, text in more if text.endswith("\n")}
             assert child.returncode == -signal.SIGKILL
+            assert len(server.tries) < 100  # it was in the middle
         cache = ResponseCache(tmp_path)
         engine = CachedEngine(HttpEngine(server.settings()), cache, SAMPLING)
         requests = [ask(str(k)) for k in range(100)]
