@@ -48,8 +48,8 @@ class Figure:
         tries_per_second: Faults and second tries counted, too.
         limit_per_second: The server's own limit, faults left out.
         share: Tries a second over that limit.
-        lost: Requests without the reply that is theirs.
-        doubled: Requests that were answered more than once.
+        lost: Requests without the reply that is theirs, of all rounds.
+        doubled: Requests that were answered more than once, of all rounds.
         milliseconds_of_processor: Of the client, for a request.
     """
 
@@ -184,45 +184,56 @@ async def counts(port: int) -> tuple[int, int, int]:
     return tries, answered, doubled
 
 
-def measure(concurrency: int, faults: float, requests: list[Request]) -> Figure:
-    """One load, after the bare client's."""
+def ask(port: int, requests: list[Request], concurrency: int) -> tuple[float, float, int, int, int]:
+    """Asks for all of them once.
+
+    Returns:
+        Seconds, seconds of this process's processor, tries, and how many requests were lost and doubled.
+    """
+    settings = HttpSettings(f"http://127.0.0.1:{port}/v1", "m", concurrency=concurrency, first_wait_s=0.1, longest_wait_s=1.0)
+    engine = HttpEngine(settings)
+    engine.complete(requests[:1])
+    asyncio.run(counts(port))
+    start, processor = time.perf_counter(), time.process_time()
+    completions = engine.complete(requests)
+    seconds, processor = time.perf_counter() - start, time.process_time() - processor
+    tries, answered, doubled = asyncio.run(counts(port))
+    lost = sum(bool(c.failure) or json.loads(c.text)["request"] != k for k, c in enumerate(completions))
+    assert lost or answered == len(requests), f"{answered} of {len(requests)} were answered"
+    return seconds, processor, tries, lost, doubled
+
+
+def measure(concurrency: int, faults: float, requests: list[Request], rounds: int) -> Figure:
+    """One load; the bare client's and the engine's best rounds, taken in turns."""
     spelt = {name: ways[0] for name, ways in SPELLINGS.items()}
     bodies = [json.dumps(request_body("m", r, Sampling(), spelt, with_form=False)).encode() for r in requests]
-    with served(0.0) as port:
-        contents = [b"POST /v1 HTTP/1.1\r\nContent-Length: %d\r\n\r\n%s" % (len(b), b) for b in bodies]
-        limit = asyncio.run(bare(port, contents, concurrency))
-    with served(faults) as port:
-        engine = HttpEngine(
-            HttpSettings(f"http://127.0.0.1:{port}/v1", "m", concurrency=concurrency, first_wait_s=0.1, longest_wait_s=1.0)
-        )
-        engine.complete(requests[:1])
-        asyncio.run(counts(port))
-        start, processor = time.perf_counter(), time.process_time()
-        completions = engine.complete(requests)
-        seconds, processor = time.perf_counter() - start, time.process_time() - processor
-        tries, answered, doubled = asyncio.run(counts(port))
-    lost = sum(bool(c.failure) or json.loads(c.text)["request"] != k for k, c in enumerate(completions))
-    assert answered == len(requests), f"{answered} of {len(requests)} were answered"
-    rate, tried = len(requests) / seconds, tries / seconds
+    contents = [b"POST /v1 HTTP/1.1\r\nContent-Length: %d\r\n\r\n%s" % (len(b), b) for b in bodies]
+    limit, asked = 0.0, []
+    with served(0.0) as whole, served(faults) as faulty:
+        for _ in range(rounds):
+            limit = max(limit, asyncio.run(bare(whole, contents, concurrency)))
+            asked.append(ask(faulty, requests, concurrency))
+    seconds, processor, tries, _, _ = min(asked)
     return Figure(
-        concurrency,
-        faults,
-        len(requests),
-        round(seconds, 3),
-        round(rate, 1),
-        round(tried, 1),
-        round(limit, 1),
-        round(tried / limit, 3),
-        lost,
-        doubled,
-        round(1e3 * processor / len(requests), 3),
+        concurrency=concurrency,
+        faults=faults,
+        requests=len(requests),
+        seconds=round(seconds, 3),
+        requests_per_second=round(len(requests) / seconds, 1),
+        tries_per_second=round(tries / seconds, 1),
+        limit_per_second=round(limit, 1),
+        share=round(tries / seconds / limit, 3),
+        lost=sum(lost for *_, lost, _ in asked),
+        doubled=sum(doubled for *_, doubled in asked),
+        milliseconds_of_processor=round(1e3 * processor / len(requests), 3),
     )
 
 
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--requests", type=int, default=4000)
+    parser.add_argument("--requests", type=int, default=2000)
+    parser.add_argument("--rounds", type=int, default=3, help="of which the best is shown; lost and doubled are of all")
     parser.add_argument("--concurrency", type=int, nargs="+", default=[32, 200])
     parser.add_argument("--json", type=Path, help="where to keep the figures")
     parser.add_argument("--serve", type=float, help="be the server, with faults of this share")
@@ -230,7 +241,7 @@ def main() -> None:
     if arguments.serve is not None:
         asyncio.run(run_server(arguments.serve))
     requests = requests_to_send(arguments.requests)
-    figures = [measure(c, faults, requests) for c in arguments.concurrency for faults in (0.0, 0.1)]
+    figures = [measure(c, faults, requests, arguments.rounds) for c in arguments.concurrency for faults in (0.0, 0.1)]
     print(
         f"{'at once':>8} {'faults':>7} {'requests/s':>11} {'tries/s':>9} {'limit/s':>9} {'share':>7} {'lost':>5} {'doubled':>8} {'ms':>7}"
     )
