@@ -215,31 +215,32 @@ class HttpEngine:
         return words.replace(self._key, "***") if self._key else words
 
     def _send(self, request: Request, until: float) -> Completion:
-        """One try; fields that the endpoint does not take are said otherwise, once and for all."""
+        """One try; a field that the endpoint does not take is said otherwise, from now on if that is what helped."""
+        spelt, refused = dict(self._spelt), dict[str, str]()
         while True:
-            spelt = dict(self._spelt)
             body = request_body(self.settings.model, request, self.sampling, spelt, with_form=self.settings.sends_form)
             answer = self._post(body | self.settings.extra_fields(), until)
             if answer.status in (400, 422):
                 error = error_of(answer.body)
                 name = refused_field(error)
-                if name and error["type"] != COMPLETION_FAILED and self._spell_otherwise(name, spelt[name], error["message"]):
+                if name and error["type"] != COMPLETION_FAILED and spelt[name] != SPELLINGS[name][-1]:
+                    refused.setdefault(
+                        name, f"does not take {spelt[name]} ({one_line(self._without_key(error['message']), 160)})"
+                    )
+                    spelt[name] = SPELLINGS[name][SPELLINGS[name].index(spelt[name]) + 1]
                     continue
+            elif 200 <= answer.status < 300:
+                self._remember({name: (spelt[name], why) for name, why in refused.items()})
             return self._completion(answer)
 
-    def _spell_otherwise(self, name: str, refused: str, why: str) -> bool:
-        """Whether there is another way to say a field than the refused one; notes it where this is news."""
-        ways = SPELLINGS[name]
+    def _remember(self, found: Mapping[str, tuple[str, str]]) -> None:
+        """Keeps how fields are said from now on, and notes why, once."""
         with self._spelling:
-            if self._spelt[name] != refused:
-                return True  # another thread was faster
-            if refused == ways[-1]:
-                return False
-            self._spelt[name] = now = ways[ways.index(refused) + 1]
-        what = f"{name} is sent as {now} from now on" if now else f"{name} is left out from now on"
-        message = f"{self._url} does not take {refused} ({one_line(self._without_key(why), 160)}): {what}"
-        self.notices.append(Notice(self.name, "reason", f"{name}_refused", message))
-        return True
+            for name, (now, why) in found.items():
+                if SPELLINGS[name].index(now) > SPELLINGS[name].index(self._spelt[name]):
+                    self._spelt[name] = now
+                    what = f"{name} is sent as {now} from now on" if now else f"{name} is left out from now on"
+                    self.notices.append(Notice(self.name, "reason", f"{name}_refused", f"{self._url} {why}: {what}"))
 
     def _completion(self, answer: _Answer) -> Completion:
         """What an answer says.

@@ -96,6 +96,15 @@ def test_the_key_is_in_no_message_whatever_the_endpoint_says(status: int, monkey
     assert KEY.replace("/", "\\/") not in seen
 
 
+def test_the_key_is_in_no_notice(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SOME_KEY", KEY)
+    with endpoint(lambda w, n, body: Act(400, error(f"json_schema with {KEY}")) if "response_format" in body else None) as server:
+        engine = HttpEngine(server.settings(key_variable="SOME_KEY"))
+        assert engine.complete([ask("x")])[0].text == "echo x"
+    (notice,) = engine.notices
+    assert "json_schema with ***" in notice.message
+
+
 REFUSED = [
     (401, "key_refused", "check the key (key_variable names none)"),
     (403, "key_refused", "check the key"),
@@ -247,7 +256,7 @@ def test_a_schema_is_left_where_the_endpoint_takes_none_once_and_with_a_notice(t
         assert [c.text for c in engine.complete([ask("a"), ask("b")])] == ["echo a", "echo b"]
         assert [c.text for c in engine.complete([ask("c")])] == ["echo c"]
         assert server.tries == {"a": 1 + num_refused, "b": 1, "c": 1}
-    assert [n.code for n in engine.notices] == ["response_format_refused"] * num_refused
+    assert [n.code for n in engine.notices] == ["response_format_refused"] * (num_refused > 0)
     assert all("from now on" in n.message for n in engine.notices)
 
 
@@ -257,6 +266,14 @@ def test_many_threads_that_are_refused_at_once_take_one_step() -> None:
         assert not [c for c in engine.complete([ask(str(k)) for k in range(64)]) if c.failure]
         assert {body.get("response_format", {}).get("type") for body in server.bodies} == {"json_schema", "json_object"}
     assert len(engine.notices) == 1
+
+
+def test_one_request_that_is_refused_for_its_words_changes_nothing_for_the_others() -> None:
+    with endpoint(lambda words, *_: Act(400, error("bad grammar in messages")) if words == "bad" else None) as server:
+        engine = HttpEngine(server.settings(concurrency=1))
+        assert [c.code for c in engine.complete([ask("bad"), ask("good")])] == ["request_refused", ""]
+        assert server.bodies[-1]["response_format"]["type"] == "json_schema"
+    assert not engine.notices
 
 
 def test_a_model_that_takes_other_fields_gets_those() -> None:
