@@ -98,7 +98,9 @@ def test_the_key_is_in_no_message_whatever_the_endpoint_says(status: int, monkey
 
 def test_the_key_is_in_no_notice(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SOME_KEY", KEY)
-    with endpoint(lambda w, n, body: Act(400, error(f"json_schema with {KEY}")) if "response_format" in body else None) as server:
+    with endpoint(
+        lambda w, n, body: Act(400, error(f"json_schema with {KEY}")) if "response_format" in body else None
+    ) as server:
         engine = HttpEngine(server.settings(key_variable="SOME_KEY"))
         assert engine.complete([ask("x")])[0].text == "echo x"
     (notice,) = engine.notices
