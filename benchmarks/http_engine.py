@@ -1,0 +1,258 @@
+"""The openai engine against a server whose answers take 50 ms: ``python -m benchmarks.http_engine [--requests N] [--json FILE]``.
+
+The server is a process of its own on this machine; it knows of every request how often it came and was answered. Its own limit is
+what a client reaches that does nothing but write the same bytes to as many sockets and read what comes, in the same run.
+"""
+
+import argparse
+import asyncio
+import json
+import re
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from models.semantic_reasoner.chat_protocol import SPELLINGS, request_body
+from models.semantic_reasoner.engine import Request, Sampling
+from models.semantic_reasoner.http_engine import HttpEngine
+from models.semantic_reasoner.http_settings import HttpSettings
+from models.semantic_reasoner.prompt import Ask, messages
+from models.semantic_reasoner.reply_form import ReplyForm
+from stable_data.scene import Stage, Tabletop
+
+ANSWER_S = 0.05
+"""What an answer takes, seconds."""
+
+FAULTS = (b"too many", b"error", b"dropped", b"no JSON", b"cut")
+"""What the first tries of a tenth of the requests get, each as often as the others."""
+
+_NUMBER = re.compile(rb"request (\d+) ")
+_TABLE = Tabletop("desk", (1.2, 0.6))
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One load.
+
+    Attributes:
+        concurrency: Requests under way at once.
+        faults: Share of the requests whose first try fails.
+        requests: Asked.
+        seconds: Until the last completion.
+        requests_per_second: Their quotient.
+        tries_per_second: Faults and second tries counted, too.
+        limit_per_second: The server's own limit, faults left out.
+        share: Tries a second over that limit.
+        lost: Requests without the reply that is theirs, of all rounds.
+        doubled: Requests that were answered more than once, of all rounds.
+        milliseconds_of_processor: Of the client, for a request.
+    """
+
+    concurrency: int
+    faults: float
+    requests: int
+    seconds: float
+    requests_per_second: float
+    tries_per_second: float
+    limit_per_second: float
+    share: float
+    lost: int
+    doubled: int
+    milliseconds_of_processor: float
+
+
+# --- the server ---------------------------------------------------------------------------------------------------------------
+
+
+class Server:
+    """Answers chat completions after a while; faults come by the number of the request."""
+
+    def __init__(self, faults: float) -> None:
+        self.every = round(len(FAULTS) / faults) if faults else 0
+        self.tries: Counter[bytes] = Counter()
+        self.answered: Counter[bytes] = Counter()
+
+    async def talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """One connection."""
+        try:
+            while True:
+                head = await reader.readuntil(b"\r\n\r\n")
+                if head.startswith(b"GET"):  # how often what came; the next load begins at 0
+                    doubled = sum(n > 1 for n in self.answered.values())
+                    writer.write(_http(200, json.dumps([self.tries.total(), len(self.answered), doubled]).encode()))
+                    self.tries.clear()
+                    self.answered.clear()
+                    continue
+                body = await reader.readexactly(int(_length(head)))
+                found = _NUMBER.search(body)
+                assert found
+                await asyncio.sleep(ANSWER_S)
+                if not self._answer(writer, found[1]):
+                    break
+        except (asyncio.IncompleteReadError, ConnectionError):
+            pass
+        writer.close()
+
+    def _answer(self, writer: asyncio.StreamWriter, number: bytes) -> bool:
+        """Writes an answer or a fault; whether the connection goes on."""
+        self.tries[number] += 1
+        kind = int(number) % self.every if self.every and self.tries[number] == 1 else len(FAULTS)
+        fault = FAULTS[kind] if kind < len(FAULTS) else b""
+        reply = json.dumps({"objects": [], "request": int(number), "more": "x" * 1500})
+        choice = {"index": 0, "message": {"role": "assistant", "content": reply}, "finish_reason": "stop"}
+        answer = json.dumps({"choices": [choice], "usage": {"prompt_tokens": 400, "completion_tokens": 500}}).encode()
+        self.answered[number] += not fault
+        if fault == b"dropped":
+            return False
+        if fault == b"cut":
+            writer.write(_http(200, answer)[:-1000])
+            return False
+        faulty = {b"too many": _http(429, b"{}"), b"error": _http(500, b"oops"), b"no JSON": _http(200, b'{"choices"')}
+        writer.write(faulty.get(fault) or _http(200, answer))
+        return True
+
+
+def _length(head: bytes) -> bytes:
+    found = re.search(rb"content-length: *(\d+)", head, re.IGNORECASE)
+    assert found
+    return found[1]
+
+
+def _http(status: int, body: bytes) -> bytes:
+    return b"HTTP/1.1 %d -\r\nContent-Type: application/json\r\nContent-Length: %d\r\n\r\n%s" % (status, len(body), body)
+
+
+async def run_server(faults: float) -> None:
+    """Serves until it is killed; says its port first."""
+    server = await asyncio.start_server(Server(faults).talk, "127.0.0.1", 0, backlog=2048)
+    print(server.sockets[0].getsockname()[1], flush=True)
+    await server.serve_forever()
+
+
+@contextmanager
+def served(faults: float) -> Iterator[int]:
+    """The port of a server in a process of its own."""
+    command = [sys.executable, "-m", "benchmarks.http_engine", "--serve", str(faults)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            yield int(process.stdout.readline())
+        finally:
+            process.kill()
+
+
+# --- the clients --------------------------------------------------------------------------------------------------------------
+
+
+def requests_to_send(number: int) -> list[Request]:
+    """Prompts as long as those of the second stage's, mostly."""
+    form = ReplyForm.of_table(_TABLE)
+    return [
+        Request(tuple(messages(Ask(f"request {k} is to make tea for three", _TABLE, Stage.TASK, details="y" * 800))), form)
+        for k in range(number)
+    ]
+
+
+async def bare(port: int, contents: list[bytes], concurrency: int) -> float:
+    """Requests a second of a client that does nothing but write and read."""
+    waiting = iter(contents)
+
+    async def work() -> None:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        for content in waiting:
+            writer.write(content)
+            head = await reader.readuntil(b"\r\n\r\n")
+            await reader.readexactly(int(_length(head)))
+        writer.close()
+
+    start = time.perf_counter()
+    await asyncio.gather(*(work() for _ in range(concurrency)))
+    return len(contents) / (time.perf_counter() - start)
+
+
+async def counts(port: int) -> tuple[int, int, int]:
+    """Of the server since it was last asked: tries, requests that were answered, and those that were so more than once."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    writer.write(b"GET /counts HTTP/1.1\r\n\r\n")
+    tries, answered, doubled = json.loads(await reader.readexactly(int(_length(await reader.readuntil(b"\r\n\r\n")))))
+    writer.close()
+    return tries, answered, doubled
+
+
+def ask(port: int, requests: list[Request], concurrency: int) -> tuple[float, float, int, int, int]:
+    """Asks for all of them once.
+
+    Returns:
+        Seconds, seconds of this process's processor, tries, and how many requests were lost and doubled.
+    """
+    settings = HttpSettings(f"http://127.0.0.1:{port}/v1", "m", concurrency=concurrency, first_wait_s=0.1, longest_wait_s=1.0)
+    engine = HttpEngine(settings)
+    engine.complete(requests[:1])
+    asyncio.run(counts(port))
+    start, processor = time.perf_counter(), time.process_time()
+    completions = engine.complete(requests)
+    seconds, processor = time.perf_counter() - start, time.process_time() - processor
+    tries, answered, doubled = asyncio.run(counts(port))
+    lost = sum(bool(c.failure) or json.loads(c.text)["request"] != k for k, c in enumerate(completions))
+    assert lost or answered == len(requests), f"{answered} of {len(requests)} were answered"
+    return seconds, processor, tries, lost, doubled
+
+
+def measure(concurrency: int, faults: float, requests: list[Request], rounds: int) -> Figure:
+    """One load; the bare client's and the engine's best rounds, taken in turns."""
+    spelt = {name: ways[0] for name, ways in SPELLINGS.items()}
+    bodies = [json.dumps(request_body("m", r, Sampling(), spelt, with_form=False)).encode() for r in requests]
+    contents = [b"POST /v1 HTTP/1.1\r\nContent-Length: %d\r\n\r\n%s" % (len(b), b) for b in bodies]
+    limit, asked = 0.0, []
+    with served(0.0) as whole, served(faults) as faulty:
+        for _ in range(rounds):
+            limit = max(limit, asyncio.run(bare(whole, contents, concurrency)))
+            asked.append(ask(faulty, requests, concurrency))
+    seconds, processor, tries, _, _ = min(asked)
+    return Figure(
+        concurrency=concurrency,
+        faults=faults,
+        requests=len(requests),
+        seconds=round(seconds, 3),
+        requests_per_second=round(len(requests) / seconds, 1),
+        tries_per_second=round(tries / seconds, 1),
+        limit_per_second=round(limit, 1),
+        share=round(tries / seconds / limit, 3),
+        lost=sum(lost for *_, lost, _ in asked),
+        doubled=sum(doubled for *_, doubled in asked),
+        milliseconds_of_processor=round(1e3 * processor / len(requests), 3),
+    )
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--requests", type=int, default=2000)
+    parser.add_argument("--rounds", type=int, default=3, help="of which the best is shown; lost and doubled are of all")
+    parser.add_argument("--concurrency", type=int, nargs="+", default=[32, 200])
+    parser.add_argument("--json", type=Path, help="where to keep the figures")
+    parser.add_argument("--serve", type=float, help="be the server, with faults of this share")
+    arguments = parser.parse_args()
+    if arguments.serve is not None:
+        asyncio.run(run_server(arguments.serve))
+    requests = requests_to_send(arguments.requests)
+    figures = [measure(c, faults, requests, arguments.rounds) for c in arguments.concurrency for faults in (0.0, 0.1)]
+    print(
+        f"{'at once':>8} {'faults':>7} {'requests/s':>11} {'tries/s':>9} {'limit/s':>9} {'share':>7} {'lost':>5} {'doubled':>8} {'ms':>7}"
+    )
+    for f in figures:
+        print(
+            f"{f.concurrency:8} {f.faults:7.0%} {f.requests_per_second:11.1f} {f.tries_per_second:9.1f} {f.limit_per_second:9.1f} "
+            f"{f.share:7.1%} {f.lost:5} {f.doubled:8} {f.milliseconds_of_processor:7.3f}"
+        )
+    if arguments.json:
+        arguments.json.write_text(json.dumps([asdict(f) for f in figures], indent=1) + "\n", "utf-8")
+
+
+if __name__ == "__main__":
+    main()
