@@ -205,5 +205,5 @@ class LocalEngine:
         text = self._tokenizer.decode(sequence.reply, skip_special_tokens=True, clean_up_tokenization_spaces=False)
         read, written = len(sequence.prompt), len(sequence.reply)
         if not ended:
-            return Completion("", read, written, f"the reply was cut off after {written:,} tokens", "reply_too_long")
+            return Completion("", read, written, f"the reply was cut off after {written:,} tokens", "reply_cut")
         return Completion(str(text), read, written)

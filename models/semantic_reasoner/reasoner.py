@@ -183,7 +183,7 @@ class SemanticReasoner:
         asking.prompt_tokens += completion.prompt_tokens
         asking.reply_tokens += completion.reply_tokens
         asking.cost += completion.cost
-        if completion.code in ("reply_too_long", "reply_filtered", "reply_empty"):
+        if completion.code.startswith("reply_"):  # there was an answer, if none to use
             asking.refuse(completion.text, [Fault(completion.code, completion.failure)])
             return None
         if completion.failure:

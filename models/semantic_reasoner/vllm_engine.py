@@ -81,6 +81,6 @@ def _completion(output: Any) -> Completion:
     read, written = len(output.prompt_token_ids or ()), len(reply.token_ids)
     if reply.finish_reason != "stop":
         return Completion(
-            "", read, written, f"the reply ended with {reply.finish_reason!r} after {written:,} tokens", "reply_too_long"
+            "", read, written, f"the reply ended with {reply.finish_reason!r} after {written:,} tokens", "reply_cut"
         )
     return Completion(reply.text, read, written)

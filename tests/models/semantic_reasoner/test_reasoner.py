@@ -65,7 +65,7 @@ def test_tries_are_bounded_and_the_last_reason_is_said() -> None:
     engine = Told([BAD], [BAD], [BAD])
     (p,) = SemanticReasoner(engine, faults, tries=3).propose([ASK], [1])
     assert p.reply is None
-    assert (p.code, len(p.refused)) == ("reply_refused", 3)
+    assert (p.code, len(p.refused)) == ("reply_unusable", 3)
     assert "mug_0 is bad" in p.failure
 
 
@@ -86,7 +86,7 @@ def test_a_failure_of_one_does_not_touch_the_others() -> None:
 
 
 def test_a_cut_off_answer_is_asked_for_again() -> None:
-    engine = Told([Completion("", failure="cut off", code="reply_too_long")], [GOOD])
+    engine = Told([Completion("", failure="cut off", code="reply_cut")], [GOOD])
     (p,) = SemanticReasoner(engine, faults).propose([ASK], [1])
     assert p.reply is not None
     assert p.tries == 2
