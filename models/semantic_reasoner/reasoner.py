@@ -123,7 +123,7 @@ class _Asking:
                 last = self.refused[-1]
                 failure, code = (
                     f"{len(self.refused)} answers could not be used, the last because {last.reason}",
-                    "reply_refused",
+                    "reply_unusable",
                 )
         return Proposal(reply, faults, tuple(self.refused), failure, code, self.prompt_tokens, self.reply_tokens, self.cost)
 
