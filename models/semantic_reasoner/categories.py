@@ -56,6 +56,16 @@ class Category:
     carrying: float
     words: Mapping[str, int]
 
+    @property
+    def least(self) -> Vec3:
+        """Sides that hardly any such thing is below, shortest first, metres."""
+        return self.extents[1]
+
+    @property
+    def most(self) -> Vec3:
+        """Sides that hardly any such thing is above, shortest first, metres."""
+        return self.extents[-2]
+
 
 @dataclass(frozen=True)
 class CategoryStatistics:

@@ -21,7 +21,7 @@ _PLACING = (
     r"\b(?:put|place|set|lay|drop|stack|insert|collect|gather|arrange|pile|store|load|move|bring|slide|push|hang|lean|rest"
     r"|carry|transfer|shift|nudge|serve|return|want|belongs?|goes|go)\b"
 )
-_TAKING = r"\b(?:pick|take|grab|grasp|lift|get|fetch|hand|give|pass|remove|use|press|open|close|leave|keep)\b"
+_TAKING = r"(?<!-)\b(?:pick|take|grab|grasp|lift|get|fetch|hand|give|pass|remove|use|press|open|close|leave|keep)\b"
 _WISH = r"\b(?:so that|so|until|make sure|ensure)(?: that)? $"
 _FILLING = r"\b(?:fill|pour)\b[^.;]*$"
 _SPOTS = {
