@@ -16,6 +16,9 @@ GAP = 0.01
 """So far below an object is what may carry it, metres, as the scene graph has it."""
 
 
+_COMMON = 0.3  # so much of the smaller outline is common where one thing reaches into the other that carries it
+
+
 def carriers_of(objects: Sequence[SceneObject], table: Tabletop) -> dict[str, str | None]:
     """What carries each object, in the scene graph's sense without contacts.
 
@@ -74,9 +77,10 @@ def _reached_into(item: SceneObject, others: Sequence[SceneObject], carriers: Ma
     for o in others:
         if o is item or not bottom(o) < bottom(item) <= top(o) + GAP or _rests_on(o.instance, item.instance, carriers):
             continue
-        area = float(outline.intersection(shapely.Polygon(yawed_rectangle(o))).area)
-        if area > 0 and (best is None or area > best[0]):
-            best = area, o.instance
+        other = shapely.Polygon(yawed_rectangle(o))
+        share = float(outline.intersection(other).area / min(outline.area, other.area))
+        if share >= _COMMON and (best is None or share > best[0]):
+            best = share, o.instance
     return best[1] if best else None
 
 

@@ -92,6 +92,12 @@ class CategoryStatistics:
         doubts = self.doubts.get(phrase.mention.noun, {})
         return doubts.get(phrase.before, doubts.get("*", False))
 
+    @classmethod
+    def of_names(cls, categories: Iterable[str]) -> "CategoryStatistics":
+        """Categories of which nothing but the names is known, so that no size of theirs is judged."""
+        nothing = Category(0, (), (), 0.0, {})
+        return cls(dict.fromkeys(categories, nothing), {})
+
     # --- files ---
 
     def save(self, folder: Path) -> None:

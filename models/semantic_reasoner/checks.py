@@ -190,7 +190,7 @@ def _common_depth(one: FloatArray, other: FloatArray) -> float:
 
 def _size(item: LayoutObject, statistics: CategoryStatistics, s: CheckSettings) -> Iterator[Fault]:
     known = statistics.categories.get(item.category)
-    if known is None:
+    if known is None or not known.count:
         words = item.category.replace("_", " ")
         yield Fault("category_unknown", f"{item.instance}: no {words} is known, its size is not judged", is_hard=False)
         return

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 from models.semantic_reasoner.english import COUNTS, DETERMINERS, FUNCTION_WORDS, HOMOGRAPHS, NONE_OF
 from models.semantic_reasoner.nouns import Mention, Nouns, Word
+from stable_data.instructions import naming
+from stable_data.instructions.claims import mark
 
 MOST = 20
 """A larger number before a noun is no count of objects."""
@@ -34,6 +36,7 @@ class Phrase:
         modifiers: Words between its determiner and its noun, and those of a clause after it that tell it apart.
         count: How many of the thing it speaks of.
         is_denied: Whether it speaks of none.
+        has_clause: Whether a clause after the noun says where the thing is.
     """
 
     first: int
@@ -42,6 +45,7 @@ class Phrase:
     modifiers: tuple[str, ...]
     count: int
     is_denied: bool
+    has_clause: bool
 
 
 def phrases(words: Sequence[Word], nouns: Nouns) -> Iterator[Phrase]:
@@ -62,7 +66,8 @@ def phrases(words: Sequence[Word], nouns: Nouns) -> Iterator[Phrase]:
         count = max([2, *counts]) if mention.is_plural else 1
         modifiers = tuple(w for w in lead if w not in DETERMINERS and w not in COUNTS and not w.isdigit() and w != "of")
         is_denied = bool({*lead, before} & NONE_OF) or count > MOST
-        yield Phrase(k, mention, before, (*modifiers, *_clause(words, mention)), count, is_denied)
+        clause = _clause(words, mention)
+        yield Phrase(k, mention, before, (*modifiers, *clause), count, is_denied, bool(clause))
 
 
 def _opening(words: Sequence[Word], mention: Mention) -> tuple[int | None, list[int]]:
@@ -96,3 +101,20 @@ def _clause(words: Sequence[Word], mention: Mention) -> tuple[str, ...]:
         if word.text in _CLAUSE_ENDS:
             return tuple(said)
     return ()
+
+
+def marked(text: str, words: Sequence[Word], spoken: Sequence[Phrase]) -> str:
+    """A text with each phrase as its number, as the readers of :mod:`stable_data.instructions.claims` take it.
+
+    Args:
+        text: The text.
+        words: Its words.
+        spoken: Phrases in it, in its order.
+    """
+    names = [str(k) for k in range(len(spoken))]
+    unnamed = naming.Name("", "", naming.Telling.NOUN)
+    said = [
+        naming.Mention(words[p.first].start, words[p.mention.last].end, name, unnamed)
+        for name, p in zip(names, spoken, strict=True)
+    ]
+    return mark(text, (), said, names)

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from models.semantic_reasoner.categories import CategoryStatistics
 from models.semantic_reasoner.english import FUNCTION_WORDS
 from models.semantic_reasoner.nouns import Word, words_of
-from models.semantic_reasoner.phrases import Phrase, phrases
-from stable_data.instructions import naming
-from stable_data.instructions.claims import emptied, mark
+from models.semantic_reasoner.phrases import Phrase, marked, phrases
+from stable_data.instructions.claims import emptied
 
 _EVERYTHING = re.compile(r"\b(?:everything|all that|whatever|what)(?: that)?(?:'s| is| lies| stands)?(?: there)? (?:on|in|inside)\b", re.I)
 _HEADS = frozenset("opener handle lid rim cap button cover drawer spot place corner".split())
@@ -67,7 +66,7 @@ def required(instruction: str, statistics: CategoryStatistics) -> tuple[Required
         spoken.append(phrase)
         found.setdefault(phrase.mention.noun, []).append(phrase)
     asked = [_asked(instruction, words, same, statistics) for same in found.values()]
-    if emptied(_marked(instruction, words, spoken)) or _EVERYTHING.search(instruction):
+    if emptied(marked(instruction, words, spoken)) or _EVERYTHING.search(instruction):
         asked.append(Required("what is in or on it", ()))
     return tuple(asked)
 
@@ -96,12 +95,3 @@ def _asked(instruction: str, words: Sequence[Word], same: Sequence[Phrase], stat
     spelt = instruction[words[first.mention.first].start : words[first.mention.last].end]
     return Required(spelt, statistics.nouns.categories_of(first.mention.noun), count)
 
-
-def _marked(instruction: str, words: Sequence[Word], spoken: Sequence[Phrase]) -> str:
-    """The instruction with each phrase as a number, as the reader of claims takes it."""
-    names = [str(k) for k in range(len(spoken))]
-    said = [
-        naming.Mention(words[p.first].start, words[p.mention.last].end, name, naming.Name("", "", naming.Telling.NOUN))
-        for name, p in zip(names, spoken, strict=True)
-    ]
-    return mark(instruction, (), said, names)

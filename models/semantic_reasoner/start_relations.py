@@ -4,8 +4,9 @@ from collections.abc import Iterator, Sequence
 
 from models.semantic_reasoner.categories import CategoryStatistics
 from models.semantic_reasoner.nouns import own_noun, words_of
-from models.semantic_reasoner.phrases import phrases
+from models.semantic_reasoner.phrases import marked, phrases
 from models.semantic_reasoner.prompt import MAX_INSTRUCTION
+from stable_data.instructions.claims import read_claims
 from stable_data.instructions.situation import SIDES
 from stable_data.instructions.words import plural
 from stable_data.relations import SceneGraph, scene_graph
@@ -27,12 +28,15 @@ def understood(
         statistics: What is known of categories.
 
     Returns:
-        The task info with its task objects and what it says of the start, the layout as a scene, and its scene graph by boxes.
+        The task info with its task objects and what it says of the start, the objects that its nouns could mean as a scene, and
+        their scene graph by boxes.
     """
-    scene = Scene("layout", table, tuple(layout))
+    instruction = instruction[:MAX_INSTRUCTION]
+    spoken = list(phrases(words_of(instruction), statistics.nouns))
+    meant = {c for p in spoken for c in statistics.nouns.categories_of(p.mention.noun)}
+    scene = Scene("layout", table, tuple(o for o in layout if o.category in meant))
     graph = scene_graph(scene, {})
-    text = in_words_of(layout, instruction[:MAX_INSTRUCTION], statistics)
-    task, _ = resolve_task_objects(TaskInfo("", text), scene, graph)
+    task, _ = resolve_task_objects(TaskInfo("", in_words_of(layout, instruction, statistics)), scene, graph)
     return task, scene, graph
 
 
@@ -49,8 +53,17 @@ def relations_not_held(
         instruction: The instruction.
         statistics: What is known of categories.
     """
+    if not _says_where(instruction[:MAX_INSTRUCTION], statistics):
+        return ()
     task, scene, graph = understood(layout, table, instruction, statistics)
     return tuple(r for r in task.relations if not any(_holds(scene, graph, one) for one in _alike(scene, r)))
+
+
+def _says_where(instruction: str, statistics: CategoryStatistics) -> bool:
+    """Could an instruction say anything of the start? Most do not, and this is quickly told."""
+    words = words_of(instruction)
+    spoken = list(phrases(words, statistics.nouns))
+    return "corner" in instruction or any(p.has_clause for p in spoken) or bool(read_claims(marked(instruction, words, spoken)))
 
 
 def _alike(scene: Scene, relation: Relation) -> Iterator[Relation]:
