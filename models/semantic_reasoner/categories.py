@@ -249,5 +249,3 @@ class _Counting:
             for noun, contexts in sorted(seen.items())
         }
         return {noun: dict(sorted(of_noun.items())) for noun, of_noun in doubts.items() if any(of_noun.values())}
-
-

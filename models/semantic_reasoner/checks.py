@@ -100,7 +100,9 @@ def check(
         faults += _missing(layout, required)
         if not any(f.is_hard for f in faults):
             faults += [
-                Fault("relation_not_held", f"the instruction says {r.subject} {r.kind} {r.target}; place them so", is_hard=False)
+                Fault(
+                    "relation_not_held", f"the instruction says {r.subject} {r.kind} {r.target}; place them so", is_hard=False
+                )
                 for r in relations_not_held(layout, ask.table, ask.instruction, statistics)
             ]
     return sorted(faults, key=lambda f: not f.is_hard)

@@ -1,14 +1,22 @@
-"""Common English words that name no thing on a table, for readers of instructions that have no grammar but word order."""
+"""Common English words that name no thing on a table, for readers of instructions that know no grammar but word order."""
 
-DETERMINERS = frozenset(
-    "the a an my your his her our their its this that these those each every another either some any no both all".split()
+from collections.abc import Iterator
+
+
+def word_set(text: str) -> frozenset[str]:
+    """The words of a text."""
+    return frozenset(text.split())
+
+
+DETERMINERS = word_set(
+    "the a an my your his her our their its this that these those each every another either some any no both all"
 )
 """Words that open a noun phrase."""
 
-POSSESSIVES = frozenset("my your his her our their its".split())
+_NUMBERS = ("two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
 
 COUNTS = {
-    **{w: n for n, w in enumerate("two three four five six seven eight nine ten eleven twelve".split(), 2)},
+    **{w: n for n, w in enumerate(_NUMBERS, 2)},
     "both": 2,
     "pair": 2,
     "couple": 2,
@@ -18,10 +26,10 @@ COUNTS = {
 NONE_OF = frozenset({"no", "any", "without", "neither"})
 """Words before a noun that ask for none of it."""
 
-PREPOSITIONS = frozenset(
+PREPOSITIONS = word_set(
     """about above across after against along among around at before behind below beneath beside besides between beyond by
     down from in inside into near next of off on onto out outside over past through toward towards under underneath until
-    up upon with within without""".split()
+    up upon with within without"""
 )
 
 FUNCTION_WORDS = (
@@ -29,7 +37,7 @@ FUNCTION_WORDS = (
     | PREPOSITIONS
     | NONE_OF
     | frozenset(COUNTS)
-    | frozenset(
+    | word_set(
         """i me myself mine you yours yourself he him himself she hers herself it itself we us ourselves ours they them
         themselves theirs who whom whose which what whatever whichever whoever someone somebody anyone anybody everyone everybody
         nobody something anything everything nothing one ones other others another such same own
@@ -41,12 +49,15 @@ FUNCTION_WORDS = (
         ought need needs needed let lets to for like of away back forward forwards backwards together apart aside ahead
         more most less least much many few little bit lot enough several first second third last next half whole
         left right front rear top bottom side sides middle centre center corner edge end far near close closer nearer nearest
-        farther farthest further furthest leftmost rightmost upper lower inner outer opposite""".split()
+        farther farthest further furthest leftmost rightmost upper lower inner outer opposite
+        upright upside sideways lengthwise crosswise clockwise anticlockwise counterclockwise diagonal horizontal vertical straight
+        somewhere anywhere elsewhere everywhere nowhere instead otherwise careful sure afterwards beforehand meanwhile okay ugh
+        oh ah wow oops pls ones"""
     )
 )
 """Words of grammar, place and number, which a thing is never called."""
 
-VERBS = frozenset(
+VERBS = word_set(
     """accept add adjust align allow appear arrange ask attach avoid belong bring build bump call care carry catch change check
     choose clean clear close collect come connect contain cook cover cut deal deliver detach dig disappear discard drag draw
     drink drop dust eat empty end ensure evict expose face fall feel fetch fill find finish fish fit fix flank flip fold follow
@@ -57,11 +68,15 @@ VERBS = frozenset(
     scoop seat see seem select send separate serve set shake shift shove show sit slide smell sort space spin spoil spread
     squeeze stack stand start stay stick stop store stow straighten stretch swap sweep switch take tap tell tidy tilt tip touch
     trade transfer transport try tuck turn twist unpack unplug unstack upend use vanish wait wake walk wander want wash watch
-    water wipe wish work wrap write""".split()
+    water wipe wish work wrap write spend got gotten stuck kept held took taken brought gave given came went gone made found lay
+    laid lain lying sat stood left lost broke broken fell fallen forgot forgotten hung hid hidden knew known meant met read ran
+    said saw seen sent set shook slid spilt spilled spoke spoilt spun stole stuck swept told thought threw thrown wore
+    breathe check decide deserve forget hate hurry ignore knock print remember remind repeat reposition say speak spill steal
+    think throw treat unload wear wobble worry"""
 )
 """Verbs of everyday requests, in their first form."""
 
-OFF_THE_TABLE = frozenset(
+OFF_THE_TABLE = word_set(
     """person people man woman boy girl kid kids child children baby son daughter mother father mum mom dad brother sister wife
     husband friend friends guest guests visitor visitors boss colleague user human owner family anna cat dog pet robot gripper
     hand hands arm arms finger fingers head face eye eyes hair tooth teeth mouth foot feet body back neck skin nose ear ears lap
@@ -76,11 +91,26 @@ OFF_THE_TABLE = frozenset(
     ring stain stains dust water coffee tea milk juice wine drink drinks food snack content contents idea problem trouble reason
     question mind help hurry trip rush luck sense world life name word words number numbers heart peace morning sleep habit
     handle rim edge lid cap tip point base stand surface underside inside outside
-    button buttons key keys pump switch lever arm shutter bar""".split()
+    button buttons key keys pump switch lever arm shutter bar"""
 )
 """Nouns that a request may use of people, rooms, times and places; nothing to be laid out on a table."""
 
-HOMOGRAPHS = frozenset(
-    "can set watch plant light lock block box brush drill file iron stamp rest bin fan pan ruler marker train orange".split()
+HOMOGRAPHS = word_set(
+    "can set watch plant light lock block box brush drill file iron stamp rest bin fan pan ruler marker train orange"
 )
 """Things whose word is as often another part of speech: only after a determiner are they things."""
+
+
+def is_verb(word: str) -> bool:
+    """Is a word a form of a common verb: ``wipes``, ``wiping``, ``grabbed``?"""
+    return any(stem in VERBS for stem in _stems(word))
+
+
+def _stems(word: str) -> Iterator[str]:
+    yield word
+    for ending in ("s", "es", "ed", "ing", "d"):
+        if word.endswith(ending) and len(word) > len(ending) + 1:
+            stem = word[: -len(ending)]
+            yield from (stem, f"{stem}e")
+            if len(stem) > 2 and stem[-1] == stem[-2]:
+                yield stem[:-1]

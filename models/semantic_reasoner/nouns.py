@@ -74,7 +74,9 @@ class Nouns:
         self.categories = tuple(sorted(set(categories)))
         self._by_words: dict[tuple[str, ...], tuple[str, bool]] = {}
         own = sorted({noun for c in self.categories for noun in nouns_of(c)})
-        ends = sorted({" ".join(noun.split(" ")[k:]) for noun in own for k in range(1, len(noun.split(" "))) if " of " not in noun})
+        ends = sorted(
+            {" ".join(noun.split(" ")[k:]) for noun in own for k in range(1, len(noun.split(" "))) if " of " not in noun}
+        )
         classes = sorted({name for c in self.categories for name in classes_of(c)} & _CLASS_NOUNS)
         self.names = frozenset(own)
         for noun in (*own, *classes, *ends):

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from models.semantic_reasoner.english import COUNTS, DETERMINERS, FUNCTION_WORDS, HOMOGRAPHS, NONE_OF
+from models.semantic_reasoner.english import COUNTS, DETERMINERS, FUNCTION_WORDS, HOMOGRAPHS, NONE_OF, word_set
 from models.semantic_reasoner.nouns import Mention, Nouns, Word
 from stable_data.instructions import naming
 from stable_data.instructions.claims import mark
@@ -14,14 +14,14 @@ MOST = 20
 _REACH = 6  # words between a determiner and its noun, at most
 _CLAUSE = 7  # words of a clause after a noun that tell things apart
 
-_PLACES = frozenset(
+_PLACES = word_set(
     "left right front rear middle leftmost rightmost nearer nearest farther farthest other second first third last upper lower own"
-    " little next hand".split()
+    " little next hand"
 )
 """Function words that may stand between a determiner and its noun."""
 
-_CLAUSE_OPENS = frozenset("that which standing lying resting sitting closer nearer closest nearest farther on".split())
-_CLAUSE_ENDS = frozenset("left right back front me edge corner".split())
+_CLAUSE_OPENS = word_set("that which standing lying resting sitting closer nearer closest nearest farther on")
+_CLAUSE_ENDS = word_set("left right back front me edge corner")
 _ON_SIDE = 3
 
 

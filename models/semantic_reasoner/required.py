@@ -8,13 +8,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from models.semantic_reasoner.categories import CategoryStatistics
-from models.semantic_reasoner.english import FUNCTION_WORDS
+from models.semantic_reasoner.english import FUNCTION_WORDS, word_set
 from models.semantic_reasoner.nouns import Word, words_of
 from models.semantic_reasoner.phrases import Phrase, marked, phrases
 from stable_data.instructions.claims import emptied
 
-_EVERYTHING = re.compile(r"\b(?:everything|all that|whatever|what)(?: that)?(?:'s| is| lies| stands)?(?: there)? (?:on|in|inside)\b", re.I)
-_HEADS = frozenset("opener handle lid rim cap button cover drawer spot place corner".split())
+_EVERYTHING = re.compile(
+    r"\b(?:everything|all that|whatever|what)(?: that)?(?:'s| is| lies| stands)?(?: there)? (?:on|in|inside)\b", re.I
+)
+_HEADS = word_set("opener handle lid rim cap button cover drawer spot place corner")
 """Words after a noun that are the head of its phrase, such as ``can opener``."""
 
 
@@ -94,4 +96,3 @@ def _asked(instruction: str, words: Sequence[Word], same: Sequence[Phrase], stat
     first = same[0]
     spelt = instruction[words[first.mention.first].start : words[first.mention.last].end]
     return Required(spelt, statistics.nouns.categories_of(first.mention.noun), count)
-
