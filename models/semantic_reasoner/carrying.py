@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 
-import networkx as nx
 import numpy as np
 import shapely
+from scipy.sparse.csgraph import connected_components
 
-from stable_data.relations import supports, yawed_rectangle
+from stable_data.relations import INSIDE_SLACK, supports, yawed_rectangle
 from stable_data.scene import TABLE, Scene, SceneObject, Tabletop
 
 ON_TABLE = 0.01
@@ -62,12 +62,12 @@ def _meeting(objects: Sequence[SceneObject]) -> list[list[SceneObject]]:
         return []
     centres = np.array([o.position[:2] for o in objects])
     radii = np.array([np.hypot(*o.size[:2]) / 2 for o in objects])
-    # An object that is on the table carries, but needs nothing to carry it.
-    near = np.linalg.norm(centres[:, None] - centres[None], axis=2) <= radii[:, None] + radii[None]
-    graph: nx.Graph[int] = nx.Graph()
-    graph.add_nodes_from(range(len(objects)))
-    graph.add_edges_from(np.argwhere(np.triu(near, 1)).tolist())
-    return [[objects[k] for k in sorted(group)] for group in nx.connected_components(graph)]
+    near = np.linalg.norm(centres[:, None] - centres[None], axis=2) <= radii[:, None] + radii[None] + INSIDE_SLACK
+    _, group_of = connected_components(near)
+    groups: dict[int, list[SceneObject]] = {}
+    for item, group in zip(objects, group_of.tolist(), strict=True):
+        groups.setdefault(group, []).append(item)
+    return list(groups.values())
 
 
 def _reached_into(item: SceneObject, others: Sequence[SceneObject], carriers: Mapping[str, str | None]) -> str | None:

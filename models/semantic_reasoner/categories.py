@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-import pyarrow.compute as pc
 
 from models.semantic_reasoner.layout_text import layout_names
 from models.semantic_reasoner.nouns import Nouns, words_of
@@ -157,7 +156,8 @@ class CategoryStatistics:
         files = TableFiles(uri, "samples", None, "train")
         if not len(files):
             raise ConfigError(f"{uri}: table samples has no rows of the split train, expected some", "split_empty")
-        return cls.of_rows(row for group in range(len(files.groups)) for row in _rows(files, group))
+        seen: set[str] = set()
+        return cls.of_rows(row for group in range(len(files.groups)) for row in _rows(files, group, seen))
 
     @classmethod
     def of_rows(cls, rows: Iterable[Row]) -> "CategoryStatistics":
@@ -168,9 +168,17 @@ class CategoryStatistics:
         return found.statistics()
 
 
-def _rows(files: TableFiles, group: int) -> list[Row]:
+def _rows(files: TableFiles, group: int, seen: set[str]) -> list[Row]:
+    """Rows of a group that the statistics look at: every first stage, and of each scene one last stage."""
     table = files.read([group])
-    return rows_from_table(table.filter(pc.not_equal(table["stage"], str(Stage.IMPORTANT))))
+    stages = zip(table["scene_id"].to_pylist(), table["stage"].to_pylist(), strict=True)
+    chosen = []
+    for k, (scene_id, stage) in enumerate(stages):
+        if stage == Stage.TASK or (stage == Stage.SECONDARY and scene_id not in seen):
+            chosen.append(k)
+        if stage == Stage.SECONDARY:
+            seen.add(scene_id)
+    return rows_from_table(table.take(chosen))
 
 
 def _category(entry: Mapping[str, Any]) -> Category:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.semantic_reasoner.carrying import bottom, carriers_of, top
+from models.semantic_reasoner.carrying import ON_TABLE, bottom, carriers_of, top
 from models.semantic_reasoner.categories import CategoryStatistics
 from models.semantic_reasoner.layout_text import LayoutObject
 from models.semantic_reasoner.prompt import Ask
@@ -94,7 +94,7 @@ def check(
     for one, item in zip(objects, new, strict=True):
         faults += _place(item, ask.table, settings)
         faults += _size(one, statistics, settings)
-    faults += _carried(new, layout, ask, settings)
+    faults += _carried(new, layout, ask)
     faults += _twice(new, layout, settings)
     if ask.wanted in (Stage.TASK, "whole"):
         faults += _missing(layout, required)
@@ -138,7 +138,7 @@ def _numbers(
     if len(objects) > s.most_objects:
         yield Fault("too_many", f"there are {len(objects)} objects; give at most {s.most_objects}")
     width, depth = ask.table.size_xy
-    taken = sum(o.size[0] * o.size[1] for o in layout if bottom(o) <= 0.01) / (width * depth)
+    taken = sum(o.size[0] * o.size[1] for o in layout if bottom(o) <= ON_TABLE) / (width * depth)
     if new and taken > s.crowding:
         yield Fault(
             "crowded",
@@ -215,10 +215,10 @@ def _in_cm(lengths: Sequence[float]) -> list[float]:
 # --- one another --------------------------------------------------------------------------------------------------------------
 
 
-def _carried(new: Sequence[SceneObject], layout: Sequence[SceneObject], ask: Ask, s: CheckSettings) -> Iterator[Fault]:
+def _carried(new: Sequence[SceneObject], layout: Sequence[SceneObject], ask: Ask) -> Iterator[Fault]:
     carriers = carriers_of(layout, ask.table)
     names = {o.instance for o in new}
-    before = {}
+    before: dict[str, str | None] = {}
     if ask.edits and len(layout) > len(new):
         before = carriers_of([o.to_scene_object() for o in ask.layout], ask.table)
     for item in layout:

@@ -57,8 +57,8 @@ _ALSO_CALLED = MappingProxyType(
     {
         "biro": "pen", "ballpoint": "pen", "rollerball": "pen", "felt tip": "marker", "rubber": "eraser", "wok": "frying pan",
         "serviette": "napkin", "flacon": "perfume", "lippy": "lipstick", "gamepad": "game controller", "spud": "potato",
-        "post its": "sticky notes", "wristwatch": "watch", "specs": "glasses", "eyeglasses": "sunglasses", "biscuit": "cookie", "goblet": "wine glass",
-        "carafe": "pitcher",
+        "post its": "sticky notes", "wristwatch": "watch", "specs": "glasses", "eyeglasses": "sunglasses", "biscuit": "cookie",
+        "goblet": "wine glass", "carafe": "pitcher",
         "aubergine": "eggplant", "courgette": "cucumber", "clementine": "orange", "mandarin": "orange", "tangerine": "orange",
         "diary": "notebook", "statue": "figurine", "timer": "hourglass", "ramekin": "bowl", "platter": "plate", "flask": "thermos",
         "cellphone": "phone", "bagel": "bun", "hamper": "basket", "teddy": "teddy bear", "telly": "monitor", "couch pillow": "cushion",

@@ -86,7 +86,7 @@ class Nouns:
     def _add(self, noun: str) -> None:
         words = tuple(noun.split(" "))
         many = tuple(plural(noun).split(" ")) if " of " not in noun else (plural(words[0]), *words[1:])
-        for spelt, is_many in ((words, False), (many, not is_plural(noun))):
+        for spelt, is_many in ((words, False), (many, not is_plural(noun)), (singular(words), False)):
             self._by_words.setdefault(spelt, (noun, is_many))
             if len(spelt) > 1:
                 self._by_words.setdefault(("".join(spelt),), (noun, is_many))

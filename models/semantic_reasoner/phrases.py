@@ -15,8 +15,8 @@ _REACH = 6  # words between a determiner and its noun, at most
 _CLAUSE = 7  # words of a clause after a noun that tell things apart
 
 _PLACES = word_set(
-    "left right front rear middle leftmost rightmost nearer nearest farther farthest other second first third last upper lower own"
-    " little next hand"
+    "left right front rear middle leftmost rightmost nearer nearest farther farthest other second first third last"
+    " upper lower own little next hand"
 )
 """Function words that may stand between a determiner and its noun."""
 

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 from models.semantic_reasoner.categories import CategoryStatistics
 from models.semantic_reasoner.english import FUNCTION_WORDS, word_set
-from models.semantic_reasoner.nouns import Word, words_of
+from models.semantic_reasoner.nouns import Word, own_noun, words_of
 from models.semantic_reasoner.phrases import Phrase, marked, phrases
 from stable_data.instructions.claims import emptied
+from stable_data.instructions.words import is_plural
 
 _EVERYTHING = re.compile(
     r"\b(?:everything|all that|whatever|what)(?: that)?(?:'s| is| lies| stands)?(?: there)? (?:on|in|inside)\b", re.I
@@ -35,14 +36,15 @@ class Required:
     at_least: int = 1
 
     def is_met_by(self, categories: Sequence[str]) -> bool:
-        """Are there enough of these?
+        """Are there enough of these? One thing of a category that is called by a plural (``wooden_blocks``) is enough of its kind.
 
         Args:
             categories: Of every object of a layout.
         """
         if not self.categories:
             return len(categories) > self.at_least
-        return sum(c in self.categories for c in categories) >= self.at_least
+        found = [c for c in categories if c in self.categories]
+        return len(found) >= self.at_least or any(is_plural(own_noun(c)) for c in found)
 
 
 def required(instruction: str, statistics: CategoryStatistics) -> tuple[Required, ...]:
@@ -63,7 +65,12 @@ def required(instruction: str, statistics: CategoryStatistics) -> tuple[Required
     found: dict[str, list[Phrase]] = {}
     spoken = []
     for phrase in phrases(words, statistics.nouns):
-        if phrase.is_denied or statistics.is_doubtful(phrase) or _is_part_of_other(words, phrase, statistics):
+        if (
+            phrase.is_denied
+            or _is_wanted(words, phrase)
+            or statistics.is_doubtful(phrase)
+            or _is_part_of_other(words, phrase, statistics)
+        ):
             continue
         spoken.append(phrase)
         found.setdefault(phrase.mention.noun, []).append(phrase)
@@ -71,6 +78,11 @@ def required(instruction: str, statistics: CategoryStatistics) -> tuple[Required
     if emptied(marked(instruction, words, spoken)) or _EVERYTHING.search(instruction):
         asked.append(Required("what is in or on it", ()))
     return tuple(asked)
+
+
+def _is_wanted(words: Sequence[Word], phrase: Phrase) -> bool:
+    """Is it something that is not there yet: ``make room for a laptop``?"""
+    return phrase.before == "for" and words[phrase.first].text in ("a", "an", "another", "some")
 
 
 def _is_part_of_other(words: Sequence[Word], phrase: Phrase, statistics: CategoryStatistics) -> bool:
