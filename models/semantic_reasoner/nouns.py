@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
+from models.semantic_reasoner.english import OFF_THE_TABLE, VERBS
 from stable_data.instructions.vocabulary import answers_to, classes_of, nouns_of
 from stable_data.instructions.words import is_plural, plural, singular, type_words
 
@@ -79,16 +80,18 @@ class Nouns:
         )
         classes = sorted({name for c in self.categories for name in classes_of(c)} & _CLASS_NOUNS)
         self.names = frozenset(own)
-        for noun in (*own, *classes, *ends):
+        for noun in own:
+            self._add(noun, singular(tuple(noun.split(" "))))  # one of ``nesting_cups``
+        for noun in (*classes, *(end for end in ends if end not in OFF_THE_TABLE | VERBS)):
             self._add(noun)
         self._longest = max(map(len, self._by_words), default=0)
 
-    def _add(self, noun: str) -> None:
+    def _add(self, noun: str, one: tuple[str, ...] = ()) -> None:
         words = tuple(noun.split(" "))
         many = tuple(plural(noun).split(" ")) if " of " not in noun else (plural(words[0]), *words[1:])
-        for spelt, is_many in ((words, False), (many, not is_plural(noun)), (singular(words), False)):
-            self._by_words.setdefault(spelt, (noun, is_many))
-            if len(spelt) > 1:
+        for spelt, is_many in ((words, False), (many, not is_plural(noun)), (one, False)):
+            if spelt:
+                self._by_words.setdefault(spelt, (noun, is_many))
                 self._by_words.setdefault(("".join(spelt),), (noun, is_many))
 
     @cached_property

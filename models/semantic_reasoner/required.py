@@ -14,9 +14,7 @@ from models.semantic_reasoner.phrases import Phrase, marked, phrases
 from stable_data.instructions.claims import emptied
 from stable_data.instructions.words import is_plural
 
-_EVERYTHING = re.compile(
-    r"\b(?:everything|all that|whatever|what)(?: that)?(?:'s| is| lies| stands)?(?: there)? (?:on|in|inside)\b", re.I
-)
+_EVERYTHING = re.compile(r"\b(?:everything|all|whatever|what)(?: else)?(?: that)?(?:'s| is| lies| stands)? (?:on|in|inside) <")
 _HEADS = word_set("opener handle lid rim cap button cover drawer spot place corner")
 """Words after a noun that are the head of its phrase, such as ``can opener``."""
 
@@ -75,7 +73,8 @@ def required(instruction: str, statistics: CategoryStatistics) -> tuple[Required
         spoken.append(phrase)
         found.setdefault(phrase.mention.noun, []).append(phrase)
     asked = [_asked(instruction, words, same, statistics) for same in found.values()]
-    if emptied(marked(instruction, words, spoken)) or _EVERYTHING.search(instruction):
+    text = marked(instruction, words, spoken)
+    if emptied(text) or _EVERYTHING.search(text):
         asked.append(Required("what is in or on it", ()))
     return tuple(asked)
 
