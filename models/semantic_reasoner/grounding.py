@@ -33,8 +33,8 @@ TextEncoder: TypeAlias = Callable[[Sequence[str]], npt.NDArray[np.float32]]
 STEP = "grounding"
 """The step that this module's notices name."""
 
-NEAR = 0.66
-"""Least cosine similarity at which an unknown thing is read as a known one (all-MiniLM-L6-v2, ``a beaker`` with ``a glass``)."""
+NEAR = 0.7
+"""Least cosine similarity at which an unknown thing is read as a known one (all-MiniLM-L6-v2, ``a doughnut`` with ``a donut``)."""
 
 NEAR_IN_CLASS = 0.4
 """The same where the vocabulary says that both are of one kind."""

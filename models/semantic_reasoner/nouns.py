@@ -3,11 +3,17 @@
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 from models.semantic_reasoner.english import OFF_THE_TABLE, VERBS
 from stable_data.instructions.vocabulary import answers_to, classes_of, nouns_of
 from stable_data.instructions.words import is_plural, plural, singular, type_words
+
+_LOOKS = frozenset({"wooden", "large", "small", "big", "tall"})
+"""Words that are part of some category's name and may as well only describe: a ``wooden spoon`` may be a spoon of wood."""
+
+_CLASS_NOUNS = frozenset({"fruit", "toy", "cutlery", "cosmetics", "food", "tableware"})
+"""Classes of the vocabulary whose names are said of things."""
 
 _WORD = re.compile(r"[^\W\d_]+|\d+")
 
@@ -74,6 +80,7 @@ class Nouns:
     def __init__(self, categories: Iterable[str]) -> None:
         self.categories = tuple(sorted(set(categories)))
         self._by_words: dict[tuple[str, ...], tuple[str, bool]] = {}
+        self._meant: dict[str, tuple[str, ...]] = {}
         own = sorted({noun for c in self.categories for noun in nouns_of(c)})
         ends = sorted(
             {" ".join(noun.split(" ")[k:]) for noun in own for k in range(1, len(noun.split(" "))) if " of " not in noun}
@@ -101,7 +108,13 @@ class Nouns:
 
     def categories_of(self, noun: str) -> tuple[str, ...]:
         """The categories that a noun may mean, possibly none."""
-        return _meant(self.categories, noun)
+        if noun not in self._meant:
+            asked = " ".join(singular(tuple(noun.split(" "))))
+            head, _, rest = noun.partition(" ")
+            nouns = (noun, rest) if head in _LOOKS and rest else (noun,)
+            meant = (c for c in self.categories if asked in classes_of(c) or any(answers_to(c, n) for n in nouns))
+            self._meant[noun] = tuple(meant)
+        return self._meant[noun]
 
     def read(self, words: Sequence[Word]) -> list[Mention]:
         """The nouns of a text, the longest that fit, in its order; of ``orange pitcher`` the pitcher alone."""
@@ -129,20 +142,6 @@ class Nouns:
                 noun, is_many = self._by_words[spelt]
                 return Mention(k, k + size - 1, noun, is_many)
         return None
-
-
-_LOOKS = frozenset({"wooden", "large", "small", "big", "tall"})
-"""Words that are part of some category's name and may as well only describe: a ``wooden spoon`` may be a spoon of wood."""
-
-_CLASS_NOUNS = frozenset({"fruit", "toy", "cutlery", "cosmetics", "food", "tableware"})
-
-
-@lru_cache(maxsize=65536)
-def _meant(categories: tuple[str, ...], noun: str) -> tuple[str, ...]:
-    asked = " ".join(singular(tuple(noun.split(" "))))
-    head, _, rest = noun.partition(" ")
-    nouns = (noun, rest) if head in _LOOKS and rest else (noun,)
-    return tuple(c for c in categories if asked in classes_of(c) or any(answers_to(c, n) for n in nouns))
 
 
 def own_noun(category: str) -> str:

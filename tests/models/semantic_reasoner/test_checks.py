@@ -3,7 +3,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from models.semantic_reasoner.carrying import GAP, carriers_of
@@ -72,6 +72,7 @@ def test_the_restricted_zone_stays_empty() -> None:
     assert hard(replace(MUG, position_cm=(44.0, 30.0, 4.8)), PLATE, of=sink, overhang_cm=1.0) == {"in_restricted_zone"}
 
 
+@settings(deadline=None)
 @given(st.floats(-179, 180), st.floats(0, 5))
 def test_the_overhang_is_that_of_the_turned_box(turned: float, inside: float) -> None:
     item = thing("serving_tray_0", 60, 30, turned=round(turned))
@@ -217,6 +218,7 @@ def layouts(draw: st.DrawFn) -> list[SceneObject]:
     return found
 
 
+@settings(deadline=None)
 @given(layouts())
 def test_carriers_are_those_of_the_scene_graph(layout: list[SceneObject]) -> None:
     graph, found = supports(Scene("layout", TABLE, tuple(layout)), {}), carriers_of(layout, TABLE)
@@ -224,6 +226,7 @@ def test_carriers_are_those_of_the_scene_graph(layout: list[SceneObject]) -> Non
     assert {n: c for n, c in found.items() if graph[n] is not None} == {n: c for n, c in graph.items() if c is not None}
 
 
+@settings(deadline=None)
 @given(layouts())
 def test_nothing_carries_itself(layout: list[SceneObject]) -> None:
     carriers = carriers_of(layout, TABLE)
@@ -236,6 +239,7 @@ def test_nothing_carries_itself(layout: list[SceneObject]) -> None:
             above = carriers[above]
 
 
+@settings(deadline=None)
 @given(st.floats(1.2, 60), st.sampled_from(sorted(SIZES_CM)))
 def test_whatever_is_lifted_off_an_empty_table_floats(height: float, name: str) -> None:
     item = thing(f"{name}_0", 60, 30, bottom=round(height, 1) + 0.1)
@@ -243,12 +247,14 @@ def test_whatever_is_lifted_off_an_empty_table_floats(height: float, name: str) 
     assert height > 100 * GAP
 
 
+@settings(deadline=None)
 @given(st.sampled_from(sorted(SIZES_CM)), st.sampled_from([0.2, 0.25, 4.0, 10.0]))
 def test_whatever_is_scaled_is_noticed(name: str, share: float) -> None:
     x, y, z = (max(0.1, round(share * v, 1)) for v in SIZES_CM[name])
     assert "size_implausible" in hard(thing(f"{name}_0", 60, 30, size=(x, y, z)), of=ask("Take it."))
 
 
+@settings(deadline=None)
 @given(layouts())
 def test_the_verdict_does_not_depend_on_the_order(layout: list[SceneObject]) -> None:
     objects = [

@@ -3,7 +3,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.semantic_reasoner.categories import CategoryStatistics
@@ -140,12 +140,14 @@ def test_nothing_is_read_where_nothing_is_known() -> None:
     assert Grounding(CategoryStatistics({}, {}), encode).nearest("tumbler") is None
 
 
+@settings(deadline=None)
 @given(st.lists(st.sampled_from(sorted(SIZES_CM)), min_size=1, max_size=6))
 def test_known_things_are_never_unknown(categories: list[str]) -> None:
     text = f"Put the {' and the '.join(c.replace('_', ' ') for c in categories)} in a row."
     assert GROUNDING.ground(text) == Grounded(text)
 
 
+@settings(deadline=None)
 @given(st.text(max_size=200))
 def test_any_text_can_be_grounded(text: str) -> None:
     found = GROUNDING.ground(text)

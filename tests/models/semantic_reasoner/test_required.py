@@ -1,7 +1,7 @@
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.semantic_reasoner.categories import CategoryStatistics
@@ -96,6 +96,7 @@ def test_a_doubtful_word_asks_for_nothing() -> None:
     assert asked("Take the camera.", doubting) == {"camera": 1}
 
 
+@settings(deadline=None)
 @given(st.lists(st.sampled_from(NOUNS), min_size=1, unique=True), st.data())
 def test_exactly_the_named_things_are_asked_for(nouns: list[str], data: st.DataObject) -> None:
     counts = [data.draw(st.integers(1, 5)) for _ in nouns]
@@ -110,6 +111,7 @@ def test_exactly_the_named_things_are_asked_for(nouns: list[str], data: st.DataO
         assert [r for r in found if not r.is_met_by(fewer)] == [r for r in found if r.categories == (noun,)]
 
 
+@settings(deadline=None)
 @given(st.text(max_size=300))
 def test_any_text_can_be_read(text: str) -> None:
     found = required(text, STATISTICS)
