@@ -22,7 +22,7 @@ _COMMON = 0.3  # so much of the smaller outline is common where one thing reache
 def carriers_of(objects: Sequence[SceneObject], table: Tabletop) -> dict[str, str | None]:
     """What carries each object, in the scene graph's sense without contacts.
 
-    Only objects whose boxes meet seen from above can carry each other, so each such group is looked at by itself. An object that
+    Only what has another's centre above it can carry it, so objects are looked at in groups. An object that
     reaches deeper into another than the scene graph allows (the bow of a gift box) is carried by it all the same: it does not
     float, and how deep it may be is for the correction.
 
@@ -57,13 +57,14 @@ def top(item: SceneObject) -> float:
 
 
 def _meeting(objects: Sequence[SceneObject]) -> list[list[SceneObject]]:
-    """Objects grouped so that circles around boxes of different groups do not meet."""
+    """Objects in groups: what may carry another has the other's centre within the extent of its box, or nearly so."""
     if not objects:
         return []
     centres = np.array([o.position[:2] for o in objects])
-    radii = np.array([np.hypot(*o.size[:2]) / 2 for o in objects])
-    near = np.linalg.norm(centres[:, None] - centres[None], axis=2) <= radii[:, None] + radii[None] + INSIDE_SLACK
-    _, group_of = connected_components(near)
+    corners = np.array([yawed_rectangle(o) for o in objects])
+    low, high = corners.min(1) - INSIDE_SLACK, corners.max(1) + INSIDE_SLACK
+    within = ((centres[:, None] >= low) & (centres[:, None] <= high)).all(2)
+    _, group_of = connected_components(within)
     groups: dict[int, list[SceneObject]] = {}
     for item, group in zip(objects, group_of.tolist(), strict=True):
         groups.setdefault(group, []).append(item)

@@ -43,7 +43,7 @@ _WITHIN = r"(?: of| inside| within| the top of)? "
 _TAKE = r"(?:removing|taking|lifting|picking)"
 
 _AWAY = re.compile(rf"{_LIST}(?: up| gently| carefully)?(?P<gone> away)? (?P<how>out of|off|from){_WITHIN}{_B}")
-_AWAY_IT = re.compile(rf"{_B}[^.;]* (?:by|after) {_TAKE} {_LIST}(?: up)? (?P<how>out of|off|from) it\b")
+_AWAY_IT = re.compile(rf"{_B}[^.;<]* (?:by|after) {_TAKE} {_LIST}(?: up)? (?P<how>out of|off|from) it\b")
 _IT_AWAY = re.compile(rf"{_LIST}\. (?:take|get|lift|remove) (?:it|them) (?P<how>out of|off|from) {_B}")
 _OUT = re.compile(rf"(?:reach into|empty) {_B} (?:and|by) (?:take|get|taking|getting) out {_LIST}")
 _ILL_PLACED = re.compile(rf"{_LIST} do(?:es)? not belong (?P<spot>in|on) {_B}")
