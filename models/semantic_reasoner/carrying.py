@@ -22,9 +22,9 @@ _COMMON = 0.3  # so much of the smaller outline is common where one thing reache
 def carriers_of(objects: Sequence[SceneObject], table: Tabletop) -> dict[str, str | None]:
     """What carries each object, in the scene graph's sense without contacts.
 
-    Only what has another's centre above it can carry it, so objects are looked at in groups. An object that
-    reaches deeper into another than the scene graph allows (the bow of a gift box) is carried by it all the same: it does not
-    float, and how deep it may be is for the correction.
+    Only what has another's centre above it can carry it, so objects are looked at in groups. An object that reaches deeper into
+    another than the scene graph allows (the bow of a gift box) is carried by it all the same: it does not float, and how deep it
+    may be is for the correction.
 
     Args:
         objects: All objects of a layout; instances are unique.

@@ -159,7 +159,7 @@ class Grounding:
             or text in self.statistics.words
             or text in self.statistics.nouns.words
             or text in OFF_THE_TABLE
-            or text.isdigit()
+            or text.isdecimal()
             or len(text) == 1
             or is_verb(text)
         )
@@ -203,7 +203,7 @@ class Grounding:
             return None  # "the mug wobbles": the unknown word may be a verb
         begin = next((j for j in range(first, last + 1) if not self._only_describes(words[j])), k)
         before = words[first - 1].text if first > 0 and not words[first].is_first else ""
-        is_opened = before in DETERMINERS or before in COUNTS or before.isdigit() or before in _ORDINALS
+        is_opened = before in DETERMINERS or before in COUNTS or before.isdecimal() or before in _ORDINALS
         if not is_opened and before == "to":
             is_near = first > 1 and words[first - 2].text in _NEXT
             return Span(begin, last, is_opened=False) if is_near else None
@@ -249,7 +249,7 @@ _NEXT = frozenset({"next", "close", "on", "in", "closer", "nearer", "nearest", "
 
 def _is_content(word: Word, after: bool = False) -> bool:
     """Could it be part of a noun phrase? Before its noun ``chipped`` is, after it no form of a verb."""
-    if word.text in FUNCTION_WORDS or word.text.isdigit() or word.text.endswith("ly"):
+    if word.text in FUNCTION_WORDS or word.text.isdecimal() or word.text.endswith("ly"):
         return False
     is_participle = word.text.endswith(("ed", "ing"))
     return not (is_verb(word.text) or is_participle) if after else not is_verb(word.text) or is_participle

@@ -45,7 +45,11 @@ def words_of(text: str) -> tuple[Word, ...]:
         between = text[last : m.start()]
         is_first = not found or re.search(r"[^\s'’_-]", between) is not None
         starts_sentence = not found or re.search(r"[.!?:;\n\"]", between) is not None
-        found.append(Word(m[0].lower(), m.start(), m.end(), is_first, m[0][0].isupper() and not starts_sentence))
+        found.append(
+            Word(
+                m[0].lower(), m.start(), m.end(), is_first, m[0][0].isupper() and not m[0][1:].isupper() and not starts_sentence
+            )
+        )
         last = m.end()
     return tuple(found)
 

@@ -64,8 +64,8 @@ def phrases(words: Sequence[Word], nouns: Nouns) -> Iterator[Phrase]:
         lead = [w.text for w in words[k : mention.first]]
         before = words[k - 1].text if k > 0 and not words[k].is_first else ""
         count = max([2, *counts]) if mention.is_plural else 1
-        modifiers = tuple(w for w in lead if w not in DETERMINERS and w not in COUNTS and not w.isdigit() and w != "of")
-        is_denied = bool({*lead, before} & NONE_OF) or count > MOST
+        modifiers = tuple(w for w in lead if w not in DETERMINERS and w not in COUNTS and not w.isdecimal() and w != "of")
+        is_denied = bool({*lead, before} & NONE_OF) or count > MOST or 0 in counts
         clause = _clause(words, mention)
         yield Phrase(k, mention, before, (*modifiers, *clause), count, is_denied, bool(clause))
 
@@ -77,7 +77,7 @@ def _opening(words: Sequence[Word], mention: Mention) -> tuple[int | None, list[
     k = mention.first
     while k > 0 and mention.first - k < _REACH and not words[k].is_first:
         word = words[k - 1].text
-        if word in COUNTS or word.isdigit():
+        if word in COUNTS or word.isdecimal():
             counts.append(COUNTS[word] if word in COUNTS else int(word[:4]))
             first = k - 1
         elif word in DETERMINERS or word in NONE_OF or (word == "of" and counts):

@@ -93,7 +93,7 @@ def _is_part_of_other(words: Sequence[Word], phrase: Phrase, statistics: Categor
         return after in _HEADS
     modifiers = (w.text for w in words[phrase.first : mention.first])
     return after in _HEADS | {"of"} or any(
-        m not in FUNCTION_WORDS and not m.isdigit() and (m in nouns.words or m not in statistics.words) for m in modifiers
+        m not in FUNCTION_WORDS and not m.isdecimal() and (m in nouns.words or m not in statistics.words) for m in modifiers
     )
 
 

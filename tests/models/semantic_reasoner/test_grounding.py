@@ -48,6 +48,7 @@ def codes(found: Grounded) -> list[str]:
         ("Put my red quill on the plate.", "Put my red pen on the plate."),
         ("Put the biro on the plate.", "Put the pen on the plate."),
         ("Close the notebook computer.", "Close the laptop."),
+        ("PUT THE QUILL ON THE PLATE.", "PUT THE pen ON THE PLATE."),
         ("Grab quill and go.", "Grab pen and go."),
     ],
 )

@@ -45,6 +45,8 @@ def asked(instruction: str, statistics: CategoryStatistics = STATISTICS) -> dict
         ("Make room for the laptop.", {"laptop": 1}),
         ("Put all the fruit on the plate.", {"fruit": 1, "plate": 1}),
         ("Set 250 plates.", {}),
+        ("Set 0 plates and ² mugs.", {"mugs": 2}),
+        ("PUT THE MUG ON A PLATE!", {"mug": 1, "plate": 1}),
         ("I want everything in order. Move the mug.", {"mug": 1}),
         ("", {}),
         ("Lege die Tasse auf den Teller.", {}),
