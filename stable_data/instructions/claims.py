@@ -21,7 +21,7 @@ _PLACING = (
     r"\b(?:put|place|set|lay|drop|stack|insert|collect|gather|arrange|pile|store|load|move|bring|slide|push|hang|lean|rest"
     r"|carry|transfer|shift|nudge|serve|return|want|belongs?|goes|go)\b"
 )
-_TAKING = r"\b(?:pick|take|grab|grasp|lift|get|fetch|hand|give|pass|remove|use|press|open|close|leave|keep)\b"
+_TAKING = r"(?<!-)\b(?:pick|take|grab|grasp|lift|get|fetch|hand|give|pass|remove|use|press|open|close|leave|keep)\b"
 _WISH = r"\b(?:so that|so|until|make sure|ensure)(?: that)? $"
 _FILLING = r"\b(?:fill|pour)\b[^.;]*$"
 _SPOTS = {
@@ -43,7 +43,7 @@ _WITHIN = r"(?: of| inside| within| the top of)? "
 _TAKE = r"(?:removing|taking|lifting|picking)"
 
 _AWAY = re.compile(rf"{_LIST}(?: up| gently| carefully)?(?P<gone> away)? (?P<how>out of|off|from){_WITHIN}{_B}")
-_AWAY_IT = re.compile(rf"{_B}[^.;]* (?:by|after) {_TAKE} {_LIST}(?: up)? (?P<how>out of|off|from) it\b")
+_AWAY_IT = re.compile(rf"{_B}[^.;<]* (?:by|after) {_TAKE} {_LIST}(?: up)? (?P<how>out of|off|from) it\b")
 _IT_AWAY = re.compile(rf"{_LIST}\. (?:take|get|lift|remove) (?:it|them) (?P<how>out of|off|from) {_B}")
 _OUT = re.compile(rf"(?:reach into|empty) {_B} (?:and|by) (?:take|get|taking|getting) out {_LIST}")
 _ILL_PLACED = re.compile(rf"{_LIST} do(?:es)? not belong (?P<spot>in|on) {_B}")

@@ -28,6 +28,8 @@ def test_the_longest_types_are_marked_first() -> None:
         ("fill <0> from <1>.", []),
         ("<0> belongs in <1> and <2> in <1>.", []),
         ("put <0> on <1>.", []),
+        ("lift <2>, then hand me <1> after taking <0> off it.", [Claim(0, ON, 1)]),
+        ("put the right-hand <0>, <1> and <2> inside <3>.", []),
     ],
 )
 def test_claims_are_what_the_words_presuppose(marked: str, claims: list[Claim]) -> None:

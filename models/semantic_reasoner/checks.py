@@ -1,0 +1,281 @@
+"""What is wrong with a reply, before it enters a scene.
+
+Hard faults keep a reply out. Soft ones are named: the correction may mend them, or nobody can tell. A fault's message is one line
+that says which thing, what was found and what to do, so that it can be said to a language model as it is.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.semantic_reasoner.carrying import ON_TABLE, bottom, carriers_of, top
+from models.semantic_reasoner.categories import CategoryStatistics
+from models.semantic_reasoner.layout_text import LayoutObject
+from models.semantic_reasoner.prompt import Ask
+from models.semantic_reasoner.reply_form import MOST_OBJECTS
+from models.semantic_reasoner.required import Required
+from models.semantic_reasoner.start_relations import relations_not_held
+from stable_data.relations import yawed_rectangle
+from stable_data.scene import FloatArray, SceneObject, Stage, Tabletop
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Something wrong with a reply.
+
+    Attributes:
+        code: Short machine-readable reason, such as ``floats``.
+        message: One line.
+        is_hard: Whether it keeps the reply out.
+    """
+
+    code: str
+    message: str
+    is_hard: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class CheckSettings:
+    """How strict the checks are.
+
+    Attributes:
+        overhang_cm: A box may leave the table, or enter the restricted zone, by this much: the correction moves it back.
+        sunk_cm: An underside may be below the table top by this much.
+        size_slack: A side may be this many times beyond the sizes of its category ...
+        rare_size_slack: ... and this many where fewer than ``rare`` objects of it are known.
+        rare: See there.
+        unusual: Beyond this many times a size is named, though it may pass.
+        same_place: Two boxes with this much in common, as a share of both together, are the same thing twice.
+        crowding: What stands on the table takes at most this share of its area.
+        most_objects: Of one reply.
+    """
+
+    overhang_cm: float = 2.0
+    sunk_cm: float = 0.5
+    size_slack: float = 2.0
+    rare_size_slack: float = 3.0
+    rare: int = 20
+    unusual: float = 1.4
+    same_place: float = 0.85
+    crowding: float = 1.1
+    most_objects: int = MOST_OBJECTS
+
+
+def check(
+    objects: Sequence[LayoutObject],
+    removed: Sequence[str],
+    ask: Ask,
+    statistics: CategoryStatistics,
+    required: Sequence[Required],
+    settings: CheckSettings = CheckSettings(),
+) -> list[Fault]:
+    """What is wrong with a reply.
+
+    Args:
+        objects: The reply's objects.
+        removed: What it takes away; only edits do.
+        ask: What it answers, the layout so far included.
+        statistics: What is known of categories.
+        required: What the instruction asks for; looked at where the task objects are wanted, alone or with all else.
+        settings: How strict to be.
+
+    Returns:
+        The faults, hard ones first; empty where there is nothing to say. The same for the same input.
+    """
+    faults = list(_names(objects, removed, ask))
+    if any(f.is_hard for f in faults):
+        return faults  # without names nothing else can be told
+    kept = _kept(objects, removed, ask)
+    new = [o.to_scene_object() for o in objects]
+    layout = [*(o.to_scene_object() for o in kept), *new]
+    faults += _numbers(objects, new, layout, ask, settings)
+    for one, item in zip(objects, new, strict=True):
+        faults += _place(item, ask.table, settings)
+        faults += _size(one, statistics, settings)
+    faults += _carried(new, layout, ask)
+    faults += _twice(new, layout, settings)
+    if ask.wanted in (Stage.TASK, "whole"):
+        faults += _missing(layout, required)
+        if not any(f.is_hard for f in faults):
+            faults += [
+                Fault(
+                    "relation_not_held", f"the instruction says {r.subject} {r.kind} {r.target}; place them so", is_hard=False
+                )
+                for r in relations_not_held(layout, ask.table, ask.instruction, statistics)
+            ]
+    return sorted(faults, key=lambda f: not f.is_hard)
+
+
+def _kept(objects: Sequence[LayoutObject], removed: Sequence[str], ask: Ask) -> list[LayoutObject]:
+    """What stays of the layout so far as it is."""
+    gone = {*removed, *(o.instance for o in objects)} if ask.edits else set()
+    return [o for o in ask.layout if o.instance not in gone]
+
+
+def _names(objects: Sequence[LayoutObject], removed: Sequence[str], ask: Ask) -> Iterator[Fault]:
+    layout = {o.instance for o in ask.layout}
+    names = Counter(o.instance for o in objects)
+    for name, count in names.items():
+        if count > 1:
+            yield Fault("instance_twice", f"{name} is there {count} times; give every object a number of its own")
+        if name in layout and not ask.edits:
+            yield Fault("instance_repeated", f"{name} is in the layout already; leave it out, or number a new one differently")
+    for name in sorted(set(removed) - layout):
+        yield Fault("removed_unknown", f"{name} is to be removed, but is not in the layout; remove only what is there")
+    for name in sorted(set(removed) & set(names)):
+        yield Fault("removed_and_there", f"{name} is removed and given anew; do one of the two")
+    if removed and not ask.edits:
+        yield Fault("removed_unasked", "nothing may be removed here; leave out remove")
+
+
+def _numbers(
+    objects: Sequence[LayoutObject], new: Sequence[SceneObject], layout: Sequence[SceneObject], ask: Ask, s: CheckSettings
+) -> Iterator[Fault]:
+    if not objects and ask.wanted in (Stage.TASK, "whole"):
+        yield Fault("empty", "there are no objects; give those that the instruction names and what carries them")
+    if len(objects) > s.most_objects:
+        yield Fault("too_many", f"there are {len(objects)} objects; give at most {s.most_objects}")
+    width, depth = ask.table.size_xy
+    taken = sum(o.size[0] * o.size[1] for o in layout if bottom(o) <= ON_TABLE) / (width * depth)
+    if new and taken > s.crowding:
+        yield Fault(
+            "crowded",
+            f"what stands on the table takes {100 * taken:.0f} % of its {100 * width:.0f} x {100 * depth:.0f} cm; give fewer objects",
+        )
+
+
+# --- the table ----------------------------------------------------------------------------------------------------------------
+
+
+def _place(item: SceneObject, table: Tabletop, s: CheckSettings) -> Iterator[Fault]:
+    corners = yawed_rectangle(item)
+    (width, depth), (x, y, _) = table.size_xy, item.position
+    over = 100 * max(-float(corners.min()), float(corners[:, 0].max()) - width, float(corners[:, 1].max()) - depth)
+    if not (0 <= x <= width and 0 <= y <= depth) or over > s.overhang_cm:
+        yield Fault(
+            "off_table",
+            f"{item.instance} leaves the table by {over:.1f} cm; move it into 0 to {100 * width:.0f} by 0 to {100 * depth:.0f} cm, "
+            "or leave it out",
+        )
+    if table.restricted_zone is not None:
+        x_min, x_max, y_min, y_max = table.restricted_zone
+        zone = np.array([(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)])
+        deep = 100 * _common_depth(corners, zone)
+        if (x_min < x < x_max and y_min < y < y_max) or deep > s.overhang_cm:
+            shown = ", ".join(f"{100 * v:.0f}" for v in table.restricted_zone)
+            yield Fault(
+                "in_restricted_zone",
+                f"{item.instance} reaches {deep:.1f} cm into [{shown}], where nothing may stand; put it elsewhere",
+            )
+    if 100 * bottom(item) < -s.sunk_cm:
+        sunk = -100 * bottom(item)
+        yield Fault(
+            "below_table", f"{item.instance} is {sunk:.1f} cm below the table top; its z must be half its height on the table"
+        )
+
+
+def _common_depth(one: FloatArray, other: FloatArray) -> float:
+    """How far two convex outlines, (4, 2) each, reach into each other, 0 or less where they do not."""
+    depth = np.inf
+    for outline in (one, other):
+        for edge in (outline[1] - outline[0], outline[2] - outline[1]):
+            normal = np.array((-edge[1], edge[0])) / np.hypot(*edge)
+            a, b = one @ normal, other @ normal
+            depth = min(depth, a.max() - b.min(), b.max() - a.min())
+    return float(depth)
+
+
+# --- sizes --------------------------------------------------------------------------------------------------------------------
+
+
+def _size(item: LayoutObject, statistics: CategoryStatistics, s: CheckSettings) -> Iterator[Fault]:
+    known = statistics.categories.get(item.category)
+    if known is None or not known.count:
+        words = item.category.replace("_", " ")
+        yield Fault("category_unknown", f"{item.instance}: no {words} is known, its size is not judged", is_hard=False)
+        return
+    own, least, most = sorted(item.size_cm), _in_cm(known.least), _in_cm(known.most)
+    beyond = max(max(low / v, v / high) for v, low, high in zip(own, least, most, strict=True))
+    if beyond > s.unusual:
+        is_hard = beyond > (s.size_slack if known.count >= s.rare else s.rare_size_slack)
+        found, low, high = (" x ".join(f"{v:.1f}" for v in sides) for sides in (own, least, most))
+        yield Fault(
+            "size_implausible" if is_hard else "size_unusual",
+            f"{item.instance} is {found} cm, such things are {low} to {high} cm, shortest side first; give it such a size",
+            is_hard,
+        )
+
+
+def _in_cm(lengths: Sequence[float]) -> list[float]:
+    return [100 * v for v in lengths]
+
+
+# --- one another --------------------------------------------------------------------------------------------------------------
+
+
+def _carried(new: Sequence[SceneObject], layout: Sequence[SceneObject], ask: Ask) -> Iterator[Fault]:
+    carriers = carriers_of(layout, ask.table)
+    names = {o.instance for o in new}
+    before: dict[str, str | None] = {}
+    if ask.edits and len(layout) > len(new):
+        before = carriers_of([o.to_scene_object() for o in ask.layout], ask.table)
+    for item in layout:
+        if carriers[item.instance] is not None:
+            continue
+        below = _highest_below(item, layout)
+        if item.instance in names:
+            yield Fault(
+                "floats",
+                f"{item.instance} is {100 * (bottom(item) - below):.1f} cm above everything; put it on the table or on another "
+                "object",
+            )
+        elif before.get(item.instance) is not None:
+            yield Fault(
+                "loses_carrier",
+                f"{item.instance} rested on {before[item.instance]}, which is no longer under it; move or remove it too",
+            )
+
+
+def _highest_below(item: SceneObject, layout: Sequence[SceneObject]) -> float:
+    """Height of the highest top under an object's centre, metres; the table's where there is none."""
+    heights = [0.0]
+    for o in layout:
+        away = np.hypot(o.position[0] - item.position[0], o.position[1] - item.position[1])
+        if o is not item and away <= min(o.size[:2]) / 2 and top(o) <= bottom(item):
+            heights.append(top(o))
+    return max(heights)
+
+
+def _twice(new: Sequence[SceneObject], layout: Sequence[SceneObject], s: CheckSettings) -> Iterator[Fault]:
+    if len(layout) < 2 or not new:
+        return
+    size = np.array([o.size for o in layout])
+    centre = np.array([o.position for o in layout])
+    low, high = centre - size / 2, centre + size / 2
+    volume = size.prod(1)
+    first = len(layout) - len(new)
+    common = np.maximum(0.0, np.minimum(high[first:, None], high) - np.maximum(low[first:, None], low)).prod(2)
+    share = common / (volume[first:, None] + volume - common)
+    for i, j in np.argwhere(share > s.same_place):
+        if j < first + i:
+            yield Fault(
+                "same_place", f"{layout[first + i].instance} is where {layout[j].instance} is; leave it out or put it elsewhere"
+            )
+
+
+# --- the instruction ----------------------------------------------------------------------------------------------------------
+
+
+def _missing(layout: Sequence[SceneObject], required: Sequence[Required]) -> Iterator[Fault]:
+    categories = [o.category for o in layout]
+    for asked in required:
+        if asked.is_met_by(categories):
+            continue
+        there = sum(c in asked.categories for c in categories)
+        wanted = " or ".join(c.replace("_", " ") for c in asked.categories[:5]) or "something in or on it"
+        yield Fault(
+            "required_missing",
+            f'the instruction speaks of "{asked.words}": give {asked.at_least} ({wanted}), {there if asked.categories else 0} found',
+        )
