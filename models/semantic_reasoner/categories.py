@@ -75,11 +75,13 @@ class CategoryStatistics:
         words: How often each word is in the instructions.
         doubts: Of nouns that often speak of something else (``up to the camera``): whether they do, by the word before their
             phrase; under ``*`` for other words.
+        tables: How many scenes there are of each kind of table.
     """
 
     categories: Mapping[str, Category]
     words: Mapping[str, int]
     doubts: Mapping[str, Mapping[str, bool]] = field(default_factory=dict)
+    tables: Mapping[str, int] = field(default_factory=dict)
 
     @cached_property
     def nouns(self) -> Nouns:
@@ -137,7 +139,8 @@ class CategoryStatistics:
             raise ConfigError(f"{path}: expected statistics of version {VERSION}; make them again", "statistics_invalid")
         try:
             categories = {name: _category(entry) for name, entry in data["categories"].items()}
-            return cls(categories, dict(data["words"]), {n: dict(d) for n, d in data["doubts"].items()})
+            doubts = {n: dict(d) for n, d in data["doubts"].items()}
+            return cls(categories, dict(data["words"]), doubts, dict(data["tables"]))
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ConfigError(f"{path}: {error!r}; make the statistics again", "statistics_invalid") from error
 
@@ -210,6 +213,7 @@ class _Counting:
         self._described: dict[str, Counter[str]] = {}
         self._words: Counter[str] = Counter()
         self._told: Counter[tuple[str, frozenset[str]]] = Counter()
+        self._tables: Counter[str] = Counter()
 
     def add(self, row: Row) -> None:
         """Counts a row: the instruction of a first stage, the whole layout of a last one."""
@@ -219,6 +223,7 @@ class _Counting:
             self._told[text, frozenset(_as_written(o["category"]) for o in row["objects_out"])] += 1
         elif row["stage"] == Stage.SECONDARY and row["scene_id"] not in self._scenes:
             self._scenes.add(row["scene_id"])  # its other tasks have the same layout
+            self._tables[row["table_type"]] += 1
             self._add_layout([*row["objects_in"], *row["objects_out"]])
 
     def _add_layout(self, objects: list[Row]) -> None:
@@ -231,7 +236,7 @@ class _Counting:
 
     def statistics(self) -> CategoryStatistics:
         categories = {name: self._category(name) for name in sorted(self._sizes)}
-        return CategoryStatistics(categories, dict(self._words), self._doubts(Nouns(categories)))
+        return CategoryStatistics(categories, dict(self._words), self._doubts(Nouns(categories)), dict(self._tables))
 
     def _category(self, name: str) -> Category:
         sizes = np.array(self._sizes[name], np.float64)

@@ -7,15 +7,16 @@ that says which thing, what was found and what to do, so that it can be said to 
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from models.semantic_reasoner.carrying import ON_TABLE, bottom, carriers_of, top
 from models.semantic_reasoner.categories import CategoryStatistics
-from models.semantic_reasoner.layout_text import LayoutObject
+from models.semantic_reasoner.layout_text import LayoutObject, Reply
 from models.semantic_reasoner.prompt import Ask
 from models.semantic_reasoner.reply_form import MOST_OBJECTS
-from models.semantic_reasoner.required import Required
+from models.semantic_reasoner.required import Required, required
 from models.semantic_reasoner.start_relations import relations_not_held
 from stable_data.relations import yawed_rectangle
 from stable_data.scene import FloatArray, SceneObject, Stage, Tabletop
@@ -63,12 +64,30 @@ class CheckSettings:
     most_objects: int = MOST_OBJECTS
 
 
+class ReplyCheck:
+    """The checks with all that they need to know but the question and the reply.
+
+    Args:
+        statistics: What is known of categories.
+        settings: How strict to be.
+    """
+
+    def __init__(self, statistics: CategoryStatistics, settings: CheckSettings = CheckSettings()) -> None:
+        self._statistics, self._settings = statistics, settings
+        self._required = lru_cache(maxsize=4096)(lambda instruction: required(instruction, statistics))
+
+    def __call__(self, reply: Reply, ask: Ask, /) -> list[Fault]:
+        """The faults of a reply to a question."""
+        asked_for = () if ask.edits else self._required(ask.instruction)
+        return check(reply.objects, reply.removed, ask, self._statistics, asked_for, self._settings)
+
+
 def check(
     objects: Sequence[LayoutObject],
     removed: Sequence[str],
     ask: Ask,
     statistics: CategoryStatistics,
-    required: Sequence[Required],
+    asked_for: Sequence[Required],
     settings: CheckSettings = CheckSettings(),
 ) -> list[Fault]:
     """What is wrong with a reply.
@@ -78,7 +97,7 @@ def check(
         removed: What it takes away; only edits do.
         ask: What it answers, the layout so far included.
         statistics: What is known of categories.
-        required: What the instruction asks for; looked at where the task objects are wanted, alone or with all else.
+        asked_for: What the instruction asks for; looked at where the task objects are wanted, alone or with all else.
         settings: How strict to be.
 
     Returns:
@@ -97,7 +116,7 @@ def check(
     faults += _carried(new, layout, ask)
     faults += _twice(new, layout, settings)
     if ask.wanted in (Stage.TASK, "whole"):
-        faults += _missing(layout, required)
+        faults += _missing(layout, asked_for)
         if not any(f.is_hard for f in faults):
             faults += [
                 Fault(

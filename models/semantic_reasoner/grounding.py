@@ -23,6 +23,7 @@ from models.semantic_reasoner.english import (
     is_verb,
 )
 from models.semantic_reasoner.nouns import Mention, Word, words_of
+from models.semantic_reasoner.prompt import ANY_TABLE
 from stable_data.errors import Notice
 from stable_data.instructions.vocabulary import classes_of
 from stable_data.instructions.words import is_plural, plural, singular
@@ -143,6 +144,22 @@ class Grounding:
         for start, end, noun in reversed(changes):
             instruction = f"{instruction[:start]}{noun}{instruction[end:]}"
         return Grounded(instruction, tuple(dict.fromkeys(notices)))
+
+    def table_type(self, table_type: str, item_id: str = "table") -> tuple[str, tuple[Notice, ...]]:
+        """A kind of table as it is to be said: itself where it is known, else none, so that its size alone tells.
+
+        Args:
+            table_type: The kind of table.
+            item_id: Under which a notice goes.
+
+        Returns:
+            The kind, and the notice ``table_unknown`` where it is unknown.
+        """
+        known = self.statistics.tables
+        if not known or table_type in (*known, ANY_TABLE):
+            return table_type, ()
+        message = f"{item_id}: {_shown(table_type)} is an unknown kind of table, its size alone is gone by; known are "
+        return ANY_TABLE, (Notice(item_id, STEP, "table_unknown", message + ", ".join(sorted(known))),)
 
     # --- what is unknown ---
 

@@ -5,12 +5,13 @@ decimal, angles none, so that text and :class:`LayoutObject` are inverses of eac
 object, and what parsed renders to the same text.
 """
 
+import itertools
 import json
 import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from stable_data.errors import SceneError
@@ -93,6 +94,26 @@ def layout_names(objects: Iterable[SceneObject]) -> dict[str, str]:
         names[o.instance] = f"{category}_{count[category]}"
         count[category] += 1
     return names
+
+
+def renumbered(objects: Iterable[LayoutObject], taken: Iterable[str]) -> tuple[LayoutObject, ...]:
+    """Objects whose names are unique: one that is taken already gets the next number of its category that is free.
+
+    Numbers say nothing but which is which, so a reply that counts wrongly loses nothing by it.
+
+    Args:
+        objects: The objects.
+        taken: Names that others have.
+    """
+    used = set(taken)
+    named = []
+    for o in objects:
+        if o.instance in used:
+            numbers = (f"{o.category}_{n}" for n in itertools.count())
+            o = replace(o, instance=next(name for name in numbers if name not in used))
+        used.add(o.instance)
+        named.append(o)
+    return tuple(named)
 
 
 def _category_word(category: str) -> str:

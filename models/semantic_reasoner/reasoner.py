@@ -1,34 +1,25 @@
 """The Semantic Reasoner: asks an engine, checks what comes back, asks again with the reason, and gives objects."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias
+from typing import Protocol
 
+from models.semantic_reasoner.checks import Fault
 from models.semantic_reasoner.engine import Completion, Engine, Request
-from models.semantic_reasoner.layout_text import LayoutObject, Reply, parse_reply
-from models.semantic_reasoner.prompt import Ask, messages
+from models.semantic_reasoner.grounding import Grounding
+from models.semantic_reasoner.layout_text import LayoutObject, Reply, parse_reply, renumbered
+from models.semantic_reasoner.prompt import MAX_INSTRUCTION, Ask, messages
 from models.semantic_reasoner.reply_form import ReplyForm
-from stable_data.errors import SceneError
+from stable_data.errors import ConfigError, Notice, SceneError
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """What is wrong with a reply.
+class Check(Protocol):
+    """Finds faults in a reply to a question."""
 
-    Attributes:
-        code: Short machine-readable reason, such as ``task_object_missing``.
-        message: One line that a model can act on.
-        is_hard: Whether it keeps the reply out; a soft one is only named where no better reply comes.
-    """
-
-    code: str
-    message: str
-    is_hard: bool = True
-
-
-Check: TypeAlias = Callable[[Reply, Ask], Sequence[Fault]]
-"""Finds faults in a reply to a question."""
+    def __call__(self, reply: Reply, ask: Ask, /) -> Sequence[Fault]:
+        """The faults; none where the reply may enter the scene."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +55,7 @@ class Proposal:
         refused: Answers that were not taken, in the order in which they came.
         failure: Why there are none, one line; empty where there are.
         code: Short machine-readable reason of the failure.
+        notices: What was unknown in the question, and what it was read as.
         prompt_tokens: Read, over all tries.
         reply_tokens: Written, over all tries.
         cost: Of all tries, in the currency of the engine's prices.
@@ -74,6 +66,7 @@ class Proposal:
     refused: tuple[Refused, ...] = ()
     failure: str = ""
     code: str = ""
+    notices: tuple[Notice, ...] = ()
     prompt_tokens: int = 0
     reply_tokens: int = 0
     cost: float = 0.0
@@ -100,6 +93,7 @@ class _Asking:
 
     ask: Ask
     seed: int
+    notices: tuple[Notice, ...] = ()
     refused: list[Refused] = field(default_factory=list)
     best: tuple[Reply, tuple[Fault, ...]] | None = None
     prompt_tokens: int = 0
@@ -125,7 +119,8 @@ class _Asking:
                     f"{len(self.refused)} answers could not be used, the last because {last.reason}",
                     "reply_unusable",
                 )
-        return Proposal(reply, faults, tuple(self.refused), failure, code, self.prompt_tokens, self.reply_tokens, self.cost)
+        told = (self.prompt_tokens, self.reply_tokens, self.cost)
+        return Proposal(reply, faults, tuple(self.refused), failure, code, self.notices, *told)
 
 
 class SemanticReasoner:
@@ -137,10 +132,20 @@ class SemanticReasoner:
         tries: How often a question is asked at most.
         tells_reasons: Whether a refused answer and its reason are shown when it is asked again, as a large model can use; else
             the same question is asked with other draws.
+        grounding: Puts an instruction into words that the engine knows; None for an engine that knows them all.
     """
 
-    def __init__(self, engine: Engine, check: Check | None = None, tries: int = 4, tells_reasons: bool = False) -> None:
-        self.engine, self._check = engine, check
+    def __init__(
+        self,
+        engine: Engine,
+        check: Check | None = None,
+        tries: int = 4,
+        tells_reasons: bool = False,
+        grounding: Grounding | None = None,
+    ) -> None:
+        if tries < 1:
+            raise ConfigError(f"tries is {tries}, expected at least 1", "config_invalid")
+        self.engine, self._check, self._grounding = engine, check, grounding
         self._tries, self._tells_reasons = tries, tells_reasons
 
     def propose(self, asks: Sequence[Ask], seeds: Sequence[int]) -> list[Proposal]:
@@ -151,7 +156,7 @@ class SemanticReasoner:
             seeds: One each: with an engine that repeats itself, the same question and seed have the same proposal.
         """
         found: list[Proposal | None] = [None] * len(asks)
-        waiting = {k: _Asking(ask, seed) for k, (ask, seed) in enumerate(zip(asks, seeds, strict=True))}
+        waiting = {k: self._asking(ask, seed) for k, (ask, seed) in enumerate(zip(asks, seeds, strict=True))}
         for attempt in range(self._tries):
             requests = {}
             for k, asking in list(waiting.items()):
@@ -170,6 +175,14 @@ class SemanticReasoner:
         for k, asking in waiting.items():
             found[k] = asking.proposal()
         return [p for p in found if p is not None]
+
+    def _asking(self, ask: Ask, seed: int) -> _Asking:
+        if self._grounding is None:
+            return _Asking(ask, seed)
+        grounded = self._grounding.ground(ask.instruction[: MAX_INSTRUCTION + 1])
+        table_type, notices = self._grounding.table_type(ask.table.table_type)
+        known = replace(ask, instruction=grounded.instruction, table=replace(ask.table, table_type=table_type))
+        return _Asking(known, seed, (*grounded.notices, *notices))
 
     def _request(self, asking: _Asking, attempt: int) -> Request:
         ask = asking.ask
@@ -193,6 +206,8 @@ class SemanticReasoner:
         except SceneError as error:
             asking.refuse(completion.text, [Fault(error.code, str(error))])
             return None
+        if not asking.ask.edits:  # there a name says which object is meant
+            reply = replace(reply, objects=renumbered(reply.objects, (o.instance for o in asking.ask.layout)))
         faults = self._check(reply, asking.ask) if self._check else ()
         if not faults:
             return asking.proposal(reply)
@@ -204,8 +219,3 @@ def _seed(seed: int, wanted: str, attempt: int) -> int:
     """The seed of a try: of its own for each stage and attempt."""
     digest = hashlib.sha256(f"{seed}:{wanted}:{attempt}".encode()).digest()
     return int.from_bytes(digest[:6], "big")
-
-
-def extended(ask: Ask, layout: Sequence[LayoutObject]) -> Ask:
-    """The same question with more of the layout known."""
-    return replace(ask, layout=tuple(layout))

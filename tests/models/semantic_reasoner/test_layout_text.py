@@ -13,6 +13,7 @@ from models.semantic_reasoner.layout_text import (
     parse_reply,
     plain,
     render_objects,
+    renumbered,
 )
 from stable_data.errors import SceneError
 from stable_data.scene import SceneObject
@@ -58,6 +59,14 @@ def test_names_are_numbered_by_category_in_the_order_given() -> None:
     ]
     assert list(layout_names(things).values()) == ["mug_0", "toy_car_0", "mug_1", "object_3d_print_0", "object_0"]
     assert all(parse_reply(render_objects([o])).objects == (o,) for o in layout_objects(things))
+
+
+@given(st.lists(objects, max_size=12), st.lists(names, max_size=6))
+def test_names_that_are_taken_get_the_next_free_number(layout: list[LayoutObject], taken: list[str]) -> None:
+    found = renumbered(layout, taken)
+    assert len({*taken, *(o.instance for o in found)}) == len(set(taken)) + len(layout)
+    assert [o.category for o in found] == [o.category for o in layout]
+    assert renumbered(found, taken) == found
 
 
 @pytest.mark.parametrize(
