@@ -51,11 +51,11 @@ def example_of(row: Row, with_details: bool = False) -> Example:
     names = layout_names([*objects_in, *objects_out])
     task = task_from_row(row["task"])
     ask = Ask(
-        task.task,
+        "" if task is None else task.task,  # which cannot be asked, and is counted where it is left out
         _table(row),
         Stage(row["stage"]),
         layout_objects(objects_in, names),
-        details_of(task) if with_details else "",
+        details_of(task) if with_details and task is not None else "",
     )
     return Example(row["scene_id"], ask, layout_objects(objects_out, names))
 

@@ -41,7 +41,7 @@ class ReplyLoss(nn.Module):
         self.network = network
         self._settings = settings
         if settings.recomputes:
-            network.gradient_checkpointing_enable(gradient_checkpointing_kwargs={"use_reentrant": False})
+            network.gradient_checkpointing_enable({"use_reentrant": False})  # type: ignore[no-untyped-call]
 
     def forward(self, tokens: Tensor, target: Tensor, position: Tensor | None = None) -> Tensor:
         """Sum over the replies' tokens, nats.
@@ -61,7 +61,7 @@ class ReplyLoss(nn.Module):
             hidden, target = hidden[counts], target[counts]  # (R, C), (R,): the vocabulary is wide, and prompts are long
             if not self._settings.recomputes:
                 return self._head(hidden, target)
-            parts = zip(hidden.split(_HEAD_AT_ONCE), target.split(_HEAD_AT_ONCE), strict=True)
+            parts = zip(torch.split(hidden, _HEAD_AT_ONCE), torch.split(target, _HEAD_AT_ONCE), strict=True)
             losses = [checkpoint(self._head, h, t, use_reentrant=False) for h, t in parts]
         return torch.stack(losses).sum()
 
@@ -78,7 +78,7 @@ class ReplyLoss(nn.Module):
 
 def put_in_place(loss: ReplyLoss, place: Place) -> None:
     """Moves a network to where it is trained, in float32: whole, or this process's shard of each layer."""
-    network = loss.network
+    network: Any = loss.network
     if place.world_size == 1:
         network.to(place.device, torch.float32)
         return

@@ -130,7 +130,7 @@ class Training:
         world = self.place.world_size
         for rows in batches[self.place.rank :: world]:
             loss = self.loss.of_batch(batch_of(self.data, rows, self._pad), self.place) / count
-            (loss * world).backward()  # sharded gradients come as means over the processes
+            (loss * world).backward()  # type: ignore[no-untyped-call]  # sharded gradients come as means over the processes
             figures[0] += loss.detach()
         norm = gathered(torch.nn.utils.clip_grad_norm_(self._parameters.values(), self.settings.clip))
         self._optimizer.step()

@@ -131,7 +131,7 @@ class RunExamples:
     def _is_on_any_table(self, example: Example) -> bool:
         # Named by the example, so that it does not matter where in the table it lies.
         lot = content_id(self.settings.seed, example.scene_id, str(example.ask.wanted), example.ask.instruction)
-        return int(lot, 16) < self.settings.any_table_share * 16 ** len(lot)
+        return int(lot, 16) / 16.0 ** len(lot) < self.settings.any_table_share
 
     def _texts(self) -> Iterator[str]:
         """Questions and answers of about so many examples as a tokenizer needs."""

@@ -56,13 +56,13 @@ class LoraSettings:
     """
 
     rank: int = 0
-    alpha: float = 32.0
+    alpha: int = 32
     merges: bool = True
 
     def __post_init__(self) -> None:
         """Refuses what cannot run."""
-        if self.rank < 0 or not self.alpha > 0:
-            raise ConfigError(f"lora: rank {self.rank}, alpha {self.alpha}: expected 0 or more, and above 0", "config_invalid")
+        if self.rank < 0 or self.alpha < 1:
+            raise ConfigError(f"lora: rank {self.rank}, alpha {self.alpha}: expected 0 or more, and 1 or more", "config_invalid")
 
 
 @dataclass(frozen=True, slots=True)
