@@ -241,7 +241,7 @@ def page_of(plan: dict[str, Any]) -> str:
     lines += [
         "",
         f"padding     {padding}; this run: {way}",
-        f"steps       {plan['steps']:,} of about {plan['tokens_a_step']:,} tokens, {settings['accumulate']} batches each",
+        f"steps       {plan['steps']:,} of about {plan['tokens_a_step']:,} tokens, batches of each: {settings['accumulate']}",
         f"time        {_duration(seconds)} at {plan['time']['tokens_a_second']:,.0f} tokens a second ({plan['time']['how']})",
         f"memory      {_size(memory['each_process'])} in each of {plan['processes']}: "
         + ", ".join(f"{name} {_size(memory[name])}" for name in ("weights", "gradients", "optimizer", "activations")),

@@ -63,13 +63,13 @@ class TrainedNetwork:
         else:
             self.network = new_network(settings.network, tokenizer, settings.max_tokens, settings.seed)
         if settings.lora.rank:
-            self._adapted = _adapted(self.network.to(torch.float32), settings.lora, settings.seed)
+            self._adapted = _adapted(self.network.to(torch.float32), settings.lora, settings.seed)  # type: ignore[arg-type]
             self.network = self._adapted.get_base_model()
         self.network.train()
 
     def with_values(self, values: Mapping[str, Tensor]) -> "TrainedNetwork":
         """The same with these values, by the names of :func:`trained`, in float32."""
-        self.network.to(torch.float32)
+        self.network.to(torch.float32)  # type: ignore[arg-type]
         parameters = trained(self.network)
         with torch.no_grad():
             for name, value in values.items():

@@ -188,13 +188,14 @@ class Training:
     def save(self, path: Path) -> None:
         """Keeps the training where another process can go on with it, in one step; all processes call it."""
         values = self.values()
+        state = self._optimizer.state
         averages = {
-            key: dict(self._on_first((name, self._optimizer.state[p][key]) for name, p in self._parameters.items()))
+            key: dict(self._on_first((n, state[p][key]) for n, p in self._parameters.items() if p in state))
             for key in ("step", "exp_avg", "exp_avg_sq")
         }
         if self.place.rank == 0:
-            state = {"about": json.dumps(self._about(), sort_keys=True), "step": self.step, "tokens": self.tokens}
-            _write(path, state | {"values": values, "averages": averages})
+            about = {"about": json.dumps(self._about(), sort_keys=True), "step": self.step, "tokens": self.tokens}
+            _write(path, about | {"values": values, "averages": averages})
 
     def resume(self, path: Path) -> bool:
         """Goes on where :meth:`save` was called, with any number of processes; False where nothing was kept.
@@ -231,6 +232,8 @@ class Training:
         values, averages = state["values"], state["averages"]
         for name, parameter in self._parameters.items():
             parameter.copy_(sharded_as(values[name], parameter))
+            if name not in averages["step"]:
+                continue  # kept before the first step
             self._optimizer.state[parameter] = {
                 "step": averages["step"][name].to(self.place.device).clone(),
                 "exp_avg": sharded_as(averages["exp_avg"][name], parameter).clone(),
