@@ -163,7 +163,7 @@ def _saved(config: Any, layers: int, length: int, settings: ReasonerTraining) ->
     """Bytes kept for the backward pass of a network of the same widths, its parameters left out."""
     values = config.to_dict() | {"num_hidden_layers": layers, "vocab_size": 64, "pad_token_id": None}
     if values.get("layer_types"):
-        values["layer_types"] = values["layer_types"][:layers]
+        values["layer_types"] = values["layer_types"][:1] * layers
     small = type(config)(**values)
     network: Any = AutoModelForCausalLM.from_config(small, dtype=torch.float32)  # type: ignore[no-untyped-call]
     own = {p.untyped_storage().data_ptr() for p in network.parameters()}
