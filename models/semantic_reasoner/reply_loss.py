@@ -14,7 +14,8 @@ from torch.distributed.fsdp import fully_shard
 from torch.distributed.tensor import DTensor, distribute_tensor
 from torch.nn import functional
 from torch.utils.checkpoint import checkpoint
-from transformers import PreTrainedModel
+from transformers import AttentionInterface, PreTrainedModel
+from transformers.masking_utils import AttentionMaskInterface, sdpa_mask
 
 from models.place import Place
 from models.semantic_reasoner.batches import IGNORED, TokenBatch
@@ -76,9 +77,39 @@ class ReplyLoss(nn.Module):
         return loss
 
 
+def _attention_in_float32(
+    module: nn.Module,
+    query: Tensor,
+    key: Tensor,
+    value: Tensor,
+    attention_mask: Tensor | None,
+    scaling: float | None = None,
+    **_: Any,
+) -> tuple[Tensor, None]:
+    """Attention as transformers calls it: PyTorch's kernel for CPUs is far slower in bfloat16 than in float32, most so backward."""
+    with torch.autocast("cpu", enabled=False):
+        found = functional.scaled_dot_product_attention(
+            query.float(),
+            key.float(),
+            value.float(),
+            attn_mask=attention_mask,
+            is_causal=attention_mask is None,
+            scale=scaling,
+            enable_gqa=True,
+        )
+    return found.transpose(1, 2).contiguous().to(value.dtype), None
+
+
+_ON_CPU = "float32_on_cpu"
+AttentionInterface.register(_ON_CPU, _attention_in_float32)
+AttentionMaskInterface.register(_ON_CPU, sdpa_mask)
+
+
 def put_in_place(loss: ReplyLoss, place: Place) -> None:
     """Moves a network to where it is trained, in float32: whole, or this process's shard of each layer."""
     network: Any = loss.network
+    if place.device.type == "cpu":
+        network.set_attn_implementation(_ON_CPU)
     if place.world_size == 1:
         network.to(place.device, torch.float32)
         return
