@@ -33,6 +33,7 @@ _TRIED = 5e7  # parameters up to which a few steps are measured
 _STEPS = 3
 _QUANTILES = (0.5, 0.9, 0.99, 1.0)
 _FLOAT = 4  # bytes
+_PARTS = ("weights", "gradients", "optimizer", "gathered", "activations")
 
 
 def plan_of(job: TrainReasoner, workers: int) -> dict[str, Any]:
@@ -136,10 +137,15 @@ def _memory(settings: ReasonerTraining, tokenizer: PreTrainedTokenizerBase, data
     else:
         kept = layers * of_layer
     logits = replies * config.vocab_size * (2 + 2 * _FLOAT)  # bfloat16, and float32 with its gradient
+    of_one = sum(p.numel() for p in network.model.layers[0].parameters())
+    outside = num_weights - sum(p.numel() for p in network.model.layers.parameters())
+    # Whole on each process while they are used: embedding and head with their gradients; a layer, its gradient and the next one.
+    gathered = _FLOAT * (2 * outside + 3 * of_one) if world > 1 else 0
     parts = {
         "weights": _FLOAT * num_weights / world,
         "gradients": _FLOAT * num_trained / world,
         "optimizer": 2 * _FLOAT * num_trained / world,
+        "gathered": gathered,
         "activations": kept + logits,
     }
     figures = {name: round(size) for name, size in parts.items()}
@@ -244,7 +250,7 @@ def page_of(plan: dict[str, Any]) -> str:
         f"steps       {plan['steps']:,} of about {plan['tokens_a_step']:,} tokens, batches of each: {settings['accumulate']}",
         f"time        {_duration(seconds)} at {plan['time']['tokens_a_second']:,.0f} tokens a second ({plan['time']['how']})",
         f"memory      {_size(memory['each_process'])} in each of {plan['processes']}: "
-        + ", ".join(f"{name} {_size(memory[name])}" for name in ("weights", "gradients", "optimizer", "activations")),
+        + ", ".join(f"{name} {_size(memory[name])}" for name in _PARTS if memory[name]),
         f"checkpoint  {_size(memory['checkpoint'])}, gathered by the first process",
     ]
     return "\n".join(lines)

@@ -336,6 +336,7 @@ def test_memory_is_shared_and_lora_trains_little(run: Path, out: Path, base: Pat
     lora = replace(SETTINGS, base=str(base), lora=LoraSettings(4, 8))
     little = plan_of(job(run, out, lora), 0)["memory_bytes"]
     assert whole["weights"] == alone["weights"] / 2
+    assert whole["gathered"] > alone["gathered"] == 0
     assert little["num_weights"] == alone["num_weights"]
     job(run, out, lora, minutes=1e-9).run()
     assert little["num_trained"] == sum(v.numel() for v in torch.load(out / STATE)["values"].values())
