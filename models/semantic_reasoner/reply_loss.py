@@ -42,7 +42,7 @@ class ReplyLoss(nn.Module):
         self.network = network
         self._settings = settings
         if settings.recomputes:
-            network.activation_checkpointing_enable({"use_reentrant": False})  # type: ignore[no-untyped-call]
+            network.activation_checkpointing_enable({"use_reentrant": False})
 
     def forward(self, tokens: Tensor, target: Tensor, position: Tensor | None = None) -> Tensor:
         """Sum over the replies' tokens, nats.

@@ -62,7 +62,9 @@ class LoraSettings:
     def __post_init__(self) -> None:
         """Refuses what cannot run."""
         if self.rank < 0 or self.alpha < 1:
-            raise ConfigError(f"lora: rank {self.rank}, alpha {self.alpha}: expected 0 or more, and 1 or more", "config_invalid")
+            raise ConfigError(
+                f"lora: rank {self.rank}, alpha {self.alpha}: expected 0 or more, and 1 or more", "config_invalid"
+            )
 
 
 @dataclass(frozen=True, slots=True)

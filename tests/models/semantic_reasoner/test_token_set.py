@@ -1,5 +1,6 @@
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,8 +25,9 @@ def test_the_tokens_are_the_chat_and_the_reply_that_ends_it() -> None:
     for k, example in enumerate(examples(24)):
         words, num_prompt = DATA.of(k)
         chat = [*example.prompt, {"role": "assistant", "content": example.answer}]
-        asked = tokenizer().apply_chat_template(example.prompt, add_generation_prompt=True, return_dict=True)["input_ids"]
-        whole = tokenizer().apply_chat_template(chat, return_dict=True)["input_ids"]
+        words_of: Any = tokenizer()
+        asked = words_of.apply_chat_template(example.prompt, add_generation_prompt=True, return_dict=True)["input_ids"]
+        whole = words_of.apply_chat_template(chat, return_dict=True)["input_ids"]
         assert words.tolist() == whole
         assert words[:num_prompt].tolist() == asked
         assert tokenizer().decode(words[num_prompt:]) == example.answer + str(tokenizer().eos_token)

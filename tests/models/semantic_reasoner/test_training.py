@@ -142,9 +142,10 @@ def test_a_network_learns_eight_examples_by_heart() -> None:
     settings = replace(TINY, steps=150, tokens_per_batch=2000, learning_rate=1e-2, cool_down=0.3, precision="bfloat16")
     made = training(settings, token_set(8))
     assert train(made, wants_stop=lambda: False, wants_save=lambda: False, after=lambda *_: None)
-    network: Any = made.loss.network.eval()
+    network: Any = made.loss.network
+    network.eval()
     for example in examples(8):
-        asked = tokenizer().apply_chat_template(example.prompt, add_generation_prompt=True, return_tensors="pt")
+        asked: Any = tokenizer().apply_chat_template(example.prompt, add_generation_prompt=True, return_tensors="pt")
         found = network.generate(**asked, max_new_tokens=200, do_sample=False)[0, asked["input_ids"].shape[1] :]
         assert tokenizer().decode(found, skip_special_tokens=True) == example.answer
     assert max(made.validate(token_set(8), 8).values()) < 0.05
@@ -221,7 +222,7 @@ def test_processes_that_cannot_share_a_step_are_refused() -> None:
 def test_what_is_kept_loads_without_our_code(tmp_path: Path) -> None:
     made = advanced(TINY, 3)
     for storage in ("float32", "bfloat16"):
-        settings = replace(TINY, storage=storage)  # type: ignore[arg-type]
+        settings = replace(TINY, storage=storage)
         model = TrainedNetwork(settings, tokenizer()).with_values(made.values()).to_keep(settings)
         write_model(tmp_path / storage, model, tokenizer(), {"steps": 3})
     tokens = torch.from_numpy(batch_of(DATA, [[4]], 0).tokens)
@@ -230,10 +231,12 @@ def test_what_is_kept_loads_without_our_code(tmp_path: Path) -> None:
         loaded: Any = AutoModelForCausalLM.from_pretrained(tmp_path / storage)
         assert loaded.dtype == getattr(torch, storage)
         torch.testing.assert_close(loaded(tokens).logits.float(), here(tokens).logits, rtol=tolerance, atol=tolerance)
-    read = AutoTokenizer.from_pretrained(tmp_path / "float32")
+    read: Any = AutoTokenizer.from_pretrained(tmp_path / "float32")
     for example in examples(4):
-        asked = {"add_generation_prompt": True, "tokenize": False}
-        assert read.apply_chat_template(example.prompt, **asked) == tokenizer().apply_chat_template(example.prompt, **asked)
+        found, expected = (
+            t.apply_chat_template(example.prompt, add_generation_prompt=True, tokenize=False) for t in (read, tokenizer())
+        )
+        assert found == expected
         assert read(example.answer)["input_ids"] == tokenizer()(example.answer)["input_ids"]
     assert (read.eos_token, read.pad_token) == (tokenizer().eos_token, tokenizer().pad_token)
 
@@ -264,7 +267,7 @@ def test_lora_trains_its_matrices_alone(base: Path, tmp_path: Path, merges: bool
     model = TrainedNetwork(settings, tokenizer()).with_values(made.values()).to_keep(settings)
     write_model(tmp_path / "weights", model, tokenizer(), {})
     assert (tmp_path / "weights" / "adapter_config.json").is_file() is not merges
-    loaded: Any = AutoModelForCausalLM.from_pretrained(tmp_path / "weights").float()
+    loaded: Any = AutoModelForCausalLM.from_pretrained(tmp_path / "weights", dtype=torch.float32)
     tokens = torch.from_numpy(batch_of(DATA, [[4]], 0).tokens)
     here: Any = made.loss.network
     torch.testing.assert_close(loaded(tokens).logits, here(tokens).logits, rtol=1e-3, atol=1e-3)
