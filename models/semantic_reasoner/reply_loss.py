@@ -93,7 +93,7 @@ def _attention_in_float32(
             key.float(),
             value.float(),
             attn_mask=attention_mask,
-            is_causal=attention_mask is None,
+            is_causal=attention_mask is None and query.shape[2] > 1,  # a token that is generated sees all before it
             scale=scaling,
             enable_gqa=True,
         )
