@@ -14,9 +14,10 @@ import numpy as np
 import torch
 from transformers import AutoModelForCausalLM, PreTrainedTokenizerBase
 
-from models.place import Place
+from models.place import CPU, Place
 from models.semantic_reasoner.batches import batches_of_pass, padding_of
 from models.semantic_reasoner.network import new_network
+from models.semantic_reasoner.reply_loss import ReplyLoss, put_in_place
 from models.semantic_reasoner.saved_model import read_config
 from models.semantic_reasoner.token_set import KINDS, TokenSet
 from models.semantic_reasoner.training import Training
@@ -136,7 +137,8 @@ def _memory(settings: ReasonerTraining, tokenizer: PreTrainedTokenizerBase, data
         replies = min(replies, 1024)
     else:
         kept = layers * of_layer
-    logits = replies * config.vocab_size * (2 + 2 * _FLOAT)  # bfloat16, and float32 with its gradient
+    kept += of_layer  # gradients, of about what one layer keeps
+    logits = replies * config.vocab_size * (2 + 3 * _FLOAT)  # bfloat16; float32, its logarithmic softmax and its gradient
     of_one = sum(p.numel() for p in network.model.layers[0].parameters())
     outside = num_weights - sum(p.numel() for p in network.model.layers.parameters())
     # Whole on each process while they are used: embedding and head with their gradients; a layer, its gradient and the next one.
@@ -172,6 +174,8 @@ def _saved(config: Any, layers: int, length: int, settings: ReasonerTraining) ->
         values["layer_types"] = values["layer_types"][:1] * layers
     small = type(config)(**values)
     network: Any = AutoModelForCausalLM.from_config(small, dtype=torch.float32)  # type: ignore[no-untyped-call]
+    if here().type == "cpu":
+        put_in_place(ReplyLoss(network, replace(settings, recomputes=False)), CPU)  # attention as it is there
     own = {p.untyped_storage().data_ptr() for p in network.parameters()}
     kept: dict[int, int] = {}
 

@@ -10,7 +10,7 @@ from transformers import AutoModelForCausalLM, AutoTokenizer
 from models.place import CPU, Place
 from models.semantic_reasoner.batches import TokenBatch, batch_of
 from models.semantic_reasoner.network import TrainedNetwork, new_network, trained
-from models.semantic_reasoner.reply_loss import ReplyLoss
+from models.semantic_reasoner.reply_loss import ReplyLoss, put_in_place
 from models.semantic_reasoner.saved_model import read_model, read_tokenizer, write_model
 from models.semantic_reasoner.token_set import TokenSet
 from models.semantic_reasoner.training import Identity, Training, train
@@ -78,6 +78,20 @@ def test_packed_rows_have_the_gradients_of_separate_ones() -> None:
     for a, b in zip(packed.parameters(), apart.parameters(), strict=True):
         assert a.grad is not None
         assert b.grad is not None
+        torch.testing.assert_close(a.grad, b.grad, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize(("settings", "rows"), [(TINY, [[0], [3]]), (PACKED, [[0, 1], [2, 3]])])
+def test_where_it_is_trained_the_loss_and_its_gradient_are_those_of_transformers(
+    settings: ReasonerTraining, rows: list[list[int]]
+) -> None:
+    plain, placed = sharp(settings), sharp(settings)
+    put_in_place(placed, CPU)
+    losses = [loss.of_batch(batch_of(DATA, rows, 0), CPU) for loss in (plain, placed)]
+    torch.testing.assert_close(*losses)
+    for loss in losses:
+        loss.backward()  # type: ignore[no-untyped-call]
+    for a, b in zip(plain.parameters(), placed.parameters(), strict=True):
         torch.testing.assert_close(a.grad, b.grad, rtol=1e-3, atol=1e-4)
 
 
