@@ -56,10 +56,11 @@ preprocess: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA
 correct: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA=<folder of scenes, or a run> OUT=<folder> to scenes that are exactly clean
 	$(BIN)/python -m pipelines correct --scenes $(DATA) --out $(if $(filter runs/preprocess,$(OUT)),runs/correct,$(OUT))
 
-train: preprocess ## Point encoder and corrector on the tables in OUT (hours on a CPU): runs/encoder, runs/corrector, runs/near
+train: preprocess ## Point encoder, corrector and reasoner on the tables in OUT (hours on a CPU): runs/encoder, runs/corrector, runs/near, runs/reasoner
 	$(BIN)/python -m models.point_encoder.pretrain --out runs/encoder
 	$(BIN)/python -m pipelines train-corrector --data $(OUT) --out runs/corrector --preset embedded_set --config workflows/embedded.toml
 	$(BIN)/python -m pipelines train-corrector --data $(OUT) --out runs/near --preset embedded_set_near --set initial=runs/corrector/weights/physics_corrector.safetensors
+	$(BIN)/python -m pipelines train-reasoner --data $(OUT) --out runs/reasoner --config workflows/embedded.toml
 
 evaluate: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## The paper's tables: DATA=<folder of meshes> LAYOUTS=<file of start layouts> (without: scenes of DATA, shaken) OPTIONS=<more of benchmarks.correction>
 	mkdir -p runs/evaluate

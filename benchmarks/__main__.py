@@ -49,6 +49,7 @@ def main() -> None:
             "corrector_ablation": ["benchmarks.corrector_ablation", run, *(["--steps", "20"] if few else [])],
             "retrieval": ["benchmarks.retrieval", data, *(["--assets", "1000", "--queries", "100"] if few else [])],
             "http_engine": ["benchmarks.http_engine", *(["--requests", "400"] if few else [])],
+            "reasoner": ["benchmarks.reasoner", run, "--split", "test", "--scenes", "4" if few else "200"],
             "synth": ["benchmarks.synth", "--scenes", "20" if few else "200"],
         }
         for name, command in jobs.items():

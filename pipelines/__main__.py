@@ -193,6 +193,51 @@ def train_corrector(
     typer.echo(job.run(_count(workers, address) if address or workers else 0, address))
 
 
+@app.command("train-reasoner")
+@with_clear_errors
+def train_reasoner(
+    data: Annotated[str, typer.Option(help="Folder of a preprocess run, or its URI; every node of a cluster must see it.")],
+    out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint and logs; likewise.")],
+    preset: Annotated[
+        str,
+        typer.Option(
+            help="embedded: a small Qwen3 from scratch. paper: the paper's fine-tuning of the model in the folder --set base=DIR."
+        ),
+    ] = "embedded",
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table [train_reasoner] is read.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
+    minutes: Annotated[
+        float, typer.Option(help="Stop after so long and keep the checkpoint; run again to go on. 0 is no limit.")
+    ] = 0.0,
+    workers: Annotated[
+        int, typer.Option(help="Training processes of Ray Train, one GPU each where there are any. 0 trains in this process.")
+    ] = 0,
+    address: Address = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print examples, steps, memory and time, and stop.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="The same as JSON.")] = False,
+) -> None:
+    """Train the Semantic Reasoner on the samples of a run. Run again to go on where it was stopped.
+
+    OUT/weights is a plain Hugging Face folder. Status 0: done, or stopped with its checkpoint kept. 2: could not start or go on.
+    """
+    from models.semantic_reasoner.training_settings import ReasonerTraining, training_preset
+    from pipelines.settings import resolve
+    from pipelines.train_reasoner import TrainReasoner
+
+    settings = resolve(ReasonerTraining, "train_reasoner", config, set_ or [], training_preset(preset))
+    if preset == "paper" and not settings.base:
+        raise ConfigError("preset paper fine-tunes a model: name its folder with --set base=DIR", "config_invalid")
+    job = TrainReasoner(data, out, settings, minutes=minutes)
+    count = _count(workers, address) if address or workers else 0
+    if dry_run or as_json:
+        from pipelines.reasoner_plan import page_of, plan_of
+
+        plan = plan_of(job, count)
+        typer.echo(json.dumps(plan, indent=2) if as_json else page_of(plan))
+        return
+    typer.echo(job.run(count, address))
+
+
 def _count(workers: int, address: str | None) -> int:
     """Workers as the runner counts them."""
     if address and workers == 0:

@@ -1,6 +1,6 @@
-"""The corrector's training on Ray Train: so many processes, each with a GPU where there are any, run the job's own loop.
+"""A training on Ray Train: so many processes, each with a GPU where there are any, run the job's own loop.
 
-What a process needs lies in the job's folder: the checkpoint to go on from, the cached scenes. So Ray moves no data, and a
+What a process needs lies in the job's folder: the checkpoint to go on from, the cached data. So Ray moves no data, and a
 training goes on with another number of processes than it was begun with.
 """
 
@@ -13,7 +13,7 @@ import torch
 from ray.train import RunConfig, ScalingConfig, TrainingFailedError, WorkerGroupError, get_context
 from ray.train.torch import TorchTrainer, get_device
 
-from models.physics_corrector.training import Place
+from models.place import Place
 from pipelines.runner import Workers, connect
 from stable_data.errors import ConfigError, StableDataError
 
@@ -35,7 +35,7 @@ def run_on_ray(job: Job, workers: int, address: str | None) -> None:
     """Trains in the processes of Ray Train.
 
     Args:
-        job: The job, its settings resolved and its scenes cached.
+        job: The job, its settings resolved and its data cached.
         workers: How many processes.
         address: An existing Ray cluster; None starts a local one.
 

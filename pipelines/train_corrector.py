@@ -17,16 +17,16 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import torch
 from tqdm import tqdm
 
 import stable_data
 from models.physics_corrector.checkpoint import save_corrector
-from models.physics_corrector.training import Place, Training, train
+from models.physics_corrector.training import Training, train
 from models.physics_corrector.training_set import RunScenes, TrainingSet
 from models.physics_corrector.training_settings import TrainingSettings
 from models.physics_corrector.validation import Card, HeldOut, scalars, validation_card
-from pipelines.settings import differences
+from models.place import Place
+from pipelines.training_run import as_json, event_log, here, on_signals, refuse_changes
 from stable_data.errors import ConfigError
 from stable_data.shards import RunFolder
 
@@ -110,15 +110,15 @@ class TrainCorrector:
             settings = self.settings.resolved(len(data.of_split(0)))
             job = replace(self, settings=settings, out=self._folder())
             manifest = _manifest(job, data)
-            _check_same(folder, manifest)
-            folder.write_bytes("manifest.json", _json(manifest))
+            refuse_changes(folder, manifest, ("job", "code_version", "data_fingerprint", "encoder_fingerprint"))
+            folder.write_bytes("manifest.json", as_json(manifest))
             if workers:
                 from pipelines.ray_training import run_on_ray  # Ray Train takes seconds to import
 
                 del data  # each process reads its own
                 run_on_ray(job, workers, address)
             else:
-                job.work(Place(_device()), data)
+                job.work(Place(here()), data)
             return _finish(folder, manifest)
 
     def work(self, place: Place, data: TrainingSet | None = None) -> None:
@@ -146,11 +146,11 @@ class _Watcher:
         self._began = self._saved = time.monotonic()
         self._sums: dict[str, float] = {}
         self._stopped = threading.Event()
-        self._log = _event_log(job.out / "logs", training.step) if self._is_first else None
+        self._log = event_log(job.out / "logs", training.step) if self._is_first else None
         self._bar = tqdm(total=job.settings.steps, initial=training.step, desc="train", unit="step", disable=not self._is_first)
 
     def __enter__(self) -> "_Watcher":
-        self._restored = _on_signals(self._stopped)
+        self._restored = on_signals(self._stopped)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -205,7 +205,7 @@ class _Watcher:
             card = self._card(job.watch.final_scenes, job.watch.exact_scenes)
             self._add_card(card, training.step)
             document = {"steps": training.step, "seed": job.settings.seed, "rows": card}
-            RunFolder(str(job.out)).write_bytes("card.json", _json(document))
+            RunFolder(str(job.out)).write_bytes("card.json", as_json(document))
 
     def _card(self, num_scenes: int, num_exact: int, rows: tuple[str, ...] | None = None) -> Card:
         training, data = self._training, self._data
@@ -225,28 +225,6 @@ class _Watcher:
                 self._log.add_scalar(f"card/{name}", value, step)
 
 
-def _event_log(folder: Path, step: int) -> Any:
-    """A writer of TensorBoard's files; what an earlier process logged of later steps is hidden."""
-    from torch.utils.tensorboard import SummaryWriter
-
-    return SummaryWriter(str(folder), purge_step=step + 1, flush_secs=20)
-
-
-def _on_signals(stopped: threading.Event) -> dict[int, Any]:
-    """Lets an interrupt or termination end the run after its step; gives the former handlers."""
-    if threading.current_thread() is not threading.main_thread():
-        return {}  # a worker of Ray: its driver passes the end on
-
-    def stop(number: int, frame: object) -> None:
-        stopped.set()
-
-    return {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-
-
-def _device() -> torch.device:
-    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-
-
 def _manifest(job: TrainCorrector, data: TrainingSet) -> dict[str, Any]:
     return {
         "job": "train_corrector",
@@ -262,30 +240,6 @@ def _manifest(job: TrainCorrector, data: TrainingSet) -> dict[str, Any]:
     }
 
 
-def _check_same(folder: RunFolder, manifest: dict[str, Any]) -> None:
-    """Refuses to go on with a run of other settings, data or code."""
-    content = folder.read_bytes("manifest.json")
-    if content is None:
-        return
-    try:
-        was = dict(json.loads(content))
-        was_settings = dict(was.get("settings", {}))
-    except (ValueError, TypeError) as error:
-        raise ConfigError(
-            f"{folder.uri}/manifest.json: not a JSON object ({error}); is this the folder of a run?", "manifest_invalid"
-        ) from error
-    from models.physics_corrector.training_settings import flattened
-
-    compared = ("job", "code_version", "data_fingerprint", "encoder_fingerprint")
-    changed = differences({k: was.get(k) for k in compared}, {k: manifest[k] for k in compared})
-    changed += differences(flattened(was_settings), flattened(manifest["settings"]))
-    if changed:
-        raise ConfigError(
-            f"{folder.uri}: was made with another configuration ({'; '.join(changed)}); choose a new folder or restore it",
-            "config_changed",
-        )
-
-
 def _finish(folder: RunFolder, manifest: dict[str, Any]) -> str:
     """Closes the manifest; one line on what was done."""
     from safetensors import safe_open
@@ -294,14 +248,12 @@ def _finish(folder: RunFolder, manifest: dict[str, Any]) -> str:
         step = int(file.metadata()["steps"])
     steps = manifest["settings"]["steps"]
     is_done = step >= steps
-    folder.write_bytes("manifest.json", _json(manifest | {"status": "complete" if is_done else "stopped", "steps_done": step}))
+    folder.write_bytes(
+        "manifest.json", as_json(manifest | {"status": "complete" if is_done else "stopped", "steps_done": step})
+    )
     left_out = {k.removeprefix("left_out_"): v for k, v in manifest["targets"].items() if k.startswith("left_out_") and v}
     without = (
         f", {sum(left_out.values())} scenes left out ({', '.join(f'{k} {v}' for k, v in left_out.items())})" if left_out else ""
     )
     rest = "; card.json" if is_done else "; run again to go on"
     return f"{folder.uri}: {step} of {steps} steps on {manifest['num_train']} scenes{without}; {WEIGHTS}{rest}"
-
-
-def _json(document: dict[str, Any]) -> bytes:
-    return (json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False) + "\n").encode()

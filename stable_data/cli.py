@@ -32,7 +32,7 @@ EXTRA_OF_MODULE = {
     **dict.fromkeys(("fast_simplification", "fcl", "igl", "manifold3d", "networkx", "scipy"), "geometry,sim"),
     **dict.fromkeys(("shapely", "threadpoolctl", "trimesh", "vhacdx", "mujoco", "PIL", "OpenGL"), "geometry,sim"),
     "torch": "torch",
-    **dict.fromkeys(("safetensors", "tensorboard"), "geometry,models"),
+    **dict.fromkeys(("peft", "safetensors", "tensorboard", "transformers"), "geometry,models"),
     **dict.fromkeys(("jsonschema", "ray"), "geometry,sim,pipelines"),
 }
 """What to install where a module is missing: all that the commands which import it need, so that it is asked for once."""

@@ -10,7 +10,7 @@ import json
 import os
 import pickle
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from models.physics_corrector.perturbation import perturb, reassign
 from models.physics_corrector.prefixes import compact, cut
 from models.physics_corrector.training_set import TrainingSet
 from models.physics_corrector.training_settings import TrainingSettings, flattened
+from models.place import CPU, Place
 from stable_data.errors import ConfigError
 
 LOGGED = ("flow", "physics", "object_object", "object_table", "support", "unrolled", "moved", "total")
@@ -36,21 +37,6 @@ sampled poses moved, metres a scene."""
 
 # What torch.load raises on bytes that are no checkpoint, and what a checkpoint of something else lacks.
 _UNREADABLE = (OSError, EOFError, RuntimeError, ValueError, KeyError, TypeError, pickle.UnpicklingError)
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where a process trains.
-
-    Attributes:
-        device: Its device.
-        rank: Its number among those that train together.
-        world_size: How many they are; more than one need a ``torch.distributed`` process group.
-    """
-
-    device: torch.device = field(default_factory=lambda: torch.device("cpu"))
-    rank: int = 0
-    world_size: int = 1
 
 
 class Training:
@@ -68,7 +54,7 @@ class Training:
         average: The exponential average of its weights, by name.
     """
 
-    def __init__(self, data: TrainingSet, settings: TrainingSettings, place: Place = Place()) -> None:
+    def __init__(self, data: TrainingSet, settings: TrainingSettings, place: Place = CPU) -> None:
         self.settings, self.place = settings, place
         self.data, self._train = data.to(place.device), data.of_split(0)
         with torch.random.fork_rng():

@@ -8,6 +8,9 @@ from models.semantic_reasoner.engine import Engine, Sampling
 from models.semantic_reasoner.http_settings import HttpSettings
 from stable_data.errors import ConfigError
 
+EMBEDDED = Path(__file__).resolve().parents[1] / "weights" / "semantic_reasoner"
+"""Our own small reasoner; models/weights/README.md says how it was made and what it does."""
+
 KINDS = ("embedded", "transformers", "vllm", "openai", "scripted")
 """Kinds of engines."""
 
@@ -57,6 +60,13 @@ class EngineSettings:
         """Whether the engine can use the reason why an answer was refused: the embedded model has seen none."""
         return self.kind != "embedded"
 
+    @property
+    def folder(self) -> Path | None:
+        """The model's folder, where it is one here."""
+        if self.kind == "embedded":
+            return EMBEDDED
+        return Path(self.engine.partition(":")[2]) if self.kind in ("transformers", "vllm") else None
+
 
 def load_engine(settings: EngineSettings) -> Engine:
     """The engine that the settings name.
@@ -87,10 +97,11 @@ def _bare(settings: EngineSettings) -> Engine:
         from models.semantic_reasoner.scripted_engine import ScriptedEngine
 
         return ScriptedEngine.from_file(Path(what))
-    from models.semantic_reasoner.local_engine import EMBEDDED, LocalEngine
+    from models.semantic_reasoner.local_engine import LocalEngine
 
-    folder, name = (EMBEDDED, "embedded") if settings.kind == "embedded" else (Path(what), "")
-    return LocalEngine.load(folder, name, settings.sampling, settings.num_slots)
+    assert settings.folder is not None
+    name = "embedded" if settings.kind == "embedded" else ""
+    return LocalEngine.load(settings.folder, name, settings.sampling, settings.num_slots)
 
 
 def _options(text: str) -> dict[str, object]:

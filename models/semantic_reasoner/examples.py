@@ -52,11 +52,11 @@ def example_of(row: Row, with_details: bool = False) -> Example:
     task = task_from_row(row["task"])
     assert task is not None  # rows of samples are staged by it
     ask = Ask(
-        task.task,
+        "" if task is None else task.task,  # which cannot be asked, and is counted where it is left out
         _table(row),
         Stage(row["stage"]),
         layout_objects(objects_in, names),
-        details_of(task) if with_details else "",
+        details_of(task) if with_details and task is not None else "",
     )
     return Example(row["scene_id"], ask, layout_objects(objects_out, names))
 

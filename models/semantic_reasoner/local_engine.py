@@ -19,9 +19,6 @@ from stable_data.errors import ConfigError
 
 _DEFAULT = Sampling()
 
-EMBEDDED = Path(__file__).resolve().parents[1] / "weights" / "semantic_reasoner"
-"""Our own small reasoner; models/weights/README.md says how it was made and what it does."""
-
 
 @dataclass(slots=True, eq=False)
 class _Sequence:

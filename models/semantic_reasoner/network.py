@@ -1,9 +1,15 @@
-"""The small Qwen3 of the embedded engine, and its folder: a plain Hugging Face model that any of its tools loads."""
+"""The networks that are trained: the small Qwen3 of the embedded engine, or a base model, adapted or whole."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 import torch
-from transformers import PreTrainedTokenizerBase, Qwen3Config, Qwen3ForCausalLM
+from torch import Tensor
+from transformers import PreTrainedModel, PreTrainedTokenizerBase, Qwen3Config, Qwen3ForCausalLM
 
-from models.semantic_reasoner.training_settings import NetworkSettings
+from models.semantic_reasoner.saved_model import read_model
+from models.semantic_reasoner.training_settings import LoraSettings, NetworkSettings, ReasonerTraining
 
 
 def new_network(settings: NetworkSettings, tokenizer: PreTrainedTokenizerBase, max_tokens: int, seed: int) -> Qwen3ForCausalLM:
@@ -33,3 +39,62 @@ def new_network(settings: NetworkSettings, tokenizer: PreTrainedTokenizerBase, m
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         return Qwen3ForCausalLM(config)
+
+
+class TrainedNetwork:
+    """A network and what of it is trained.
+
+    Args:
+        settings: Of the training.
+        tokenizer: Whose vocabulary a new network reads.
+
+    Attributes:
+        network: The causal language model, on the CPU; under LoRA its linear layers have matrices beside them, and these alone
+            are trained.
+
+    Raises:
+        ConfigError: ``base`` is no model that can be read.
+    """
+
+    def __init__(self, settings: ReasonerTraining, tokenizer: PreTrainedTokenizerBase) -> None:
+        self._adapted: Any = None
+        if settings.base:
+            self.network = read_model(Path(settings.base).expanduser(), settings.max_tokens)
+        else:
+            self.network = new_network(settings.network, tokenizer, settings.max_tokens, settings.seed)
+        if settings.lora.rank:
+            self._adapted = _adapted(self.network.to(torch.float32), settings.lora, settings.seed)
+            self.network = self._adapted.get_base_model()
+        self.network.train()
+
+    def with_values(self, values: Mapping[str, Tensor]) -> "TrainedNetwork":
+        """The same with these values, by the names of :func:`trained`, in float32."""
+        self.network.to(torch.float32)
+        parameters = trained(self.network)
+        with torch.no_grad():
+            for name, value in values.items():
+                parameters[name].copy_(value)
+        return self
+
+    def to_keep(self, settings: ReasonerTraining) -> Any:
+        """What is kept of it in the end: a model of transformers, or an adapter of peft. It cannot be trained on after that."""
+        dtype = getattr(torch, settings.storage)
+        if self._adapted is None:
+            return self.network.to(dtype).eval()
+        if settings.lora.merges:
+            return self._adapted.merge_and_unload().to(dtype).eval()
+        return self._adapted.to(dtype).eval()
+
+
+def trained(network: PreTrainedModel) -> dict[str, torch.nn.Parameter]:
+    """The parameters that are trained, by name; one that has two places has one name."""
+    return {name: p for name, p in network.named_parameters() if p.requires_grad}
+
+
+def _adapted(network: PreTrainedModel, settings: LoraSettings, seed: int) -> Any:
+    from peft import LoraConfig, get_peft_model
+
+    config = LoraConfig(r=settings.rank, lora_alpha=settings.alpha, target_modules="all-linear", task_type="CAUSAL_LM")
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return get_peft_model(network, config)

@@ -1,121 +1,293 @@
 """The training of the reasoner, step by step: cross-entropy on the replies alone (the paper's supervised fine-tuning).
 
 A step is a function of the weights and of its number: which examples it takes comes from streams named by (seed, pass), so a run
-that was stopped and resumed is the run that was not.
+that was stopped and resumed is the run that was not. Processes share a step by its batches, and every one of them knows all
+batches, so that their number changes what each does and not what is learned.
 """
 
 import itertools
+import json
 import math
-from collections.abc import Iterator
+import os
+import pickle
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn import functional
-from transformers import PreTrainedModel
+from transformers import PreTrainedTokenizerBase
 
-from models.semantic_reasoner.token_set import TokenSet, batch_of, batches_of_pass
+from models.physics_corrector.training_settings import flattened
+from models.place import CPU, Place
+from models.semantic_reasoner.batches import Rows, batch_of, batches_in_order, batches_of_pass
+from models.semantic_reasoner.network import TrainedNetwork, trained
+from models.semantic_reasoner.reply_loss import ReplyLoss, gathered, put_in_place, sharded_as
+from models.semantic_reasoner.token_set import KINDS, TokenSet
 from models.semantic_reasoner.training_settings import ReasonerTraining
+from stable_data.errors import ConfigError
+
+# What torch.load raises on bytes that are no checkpoint, and what a checkpoint of something else lacks.
+_UNREADABLE = (OSError, EOFError, RuntimeError, ValueError, KeyError, TypeError, pickle.UnpicklingError)
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What a checkpoint goes with, beside the settings.
+
+    Attributes:
+        data: Fingerprint of the examples.
+        tokenizer: Of the tokenizer.
+        base: Of the model that is fine-tuned; empty where none is.
+    """
+
+    data: str = ""
+    tokenizer: str = ""
+    base: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What a step says, of all processes.
+
+    Attributes:
+        loss: Nats a token, before the step.
+        norm: Of the gradient, before it was clipped.
+        stops: Whether a process wants to stop.
+        saves: Whether a process wants to keep a checkpoint.
+    """
+
+    loss: float
+    norm: float
+    stops: bool
+    saves: bool
 
 
 class Training:
     """A reasoner being trained.
 
     Args:
-        network: A causal language model with ``model`` (the decoder) and ``lm_head``.
         data: What it learns from.
         settings: What shapes the weights, ``steps`` set.
-        pad: Token that fills rows up.
+        tokenizer: What made the tokens.
+        place: Where it is trained.
+        identity: What a checkpoint must go with.
 
     Attributes:
         step: Steps done.
-        tokens: Tokens of replies seen.
+        tokens: Tokens of replies learned from.
+        loss: The network with its loss.
+
+    Raises:
+        ConfigError: ``base`` cannot be used, or the batches of a step cannot be shared by so many processes.
     """
 
-    def __init__(self, network: PreTrainedModel, data: TokenSet, settings: ReasonerTraining, pad: int) -> None:
-        self.network, self.data, self.settings, self._pad = network, data, settings, pad
-        matrices = [p for p in network.parameters() if p.dim() >= 2]
-        others = [p for p in network.parameters() if p.dim() < 2]
+    def __init__(
+        self,
+        data: TokenSet,
+        settings: ReasonerTraining,
+        tokenizer: PreTrainedTokenizerBase,
+        place: Place = CPU,
+        identity: Identity = Identity(),
+    ) -> None:
+        if settings.accumulate % place.world_size:
+            raise ConfigError(
+                f"accumulate is {settings.accumulate}, expected a multiple of the {place.world_size} processes that share a step",
+                "config_invalid",
+            )
+        self.data, self.settings, self.place, self.tokenizer = data, settings, place, tokenizer
+        self._identity = identity
+        self.loss = ReplyLoss(TrainedNetwork(settings, tokenizer).network, settings)
+        put_in_place(self.loss, place)
+        self._parameters = trained(self.loss.network)
+        matrices = [p for p in self._parameters.values() if p.dim() >= 2]
+        others = [p for p in self._parameters.values() if p.dim() < 2]
         groups = [{"params": matrices, "weight_decay": settings.weight_decay}, {"params": others, "weight_decay": 0.0}]
-        self._optimizer = torch.optim.AdamW(groups, settings.learning_rate, betas=(0.9, 0.95))
+        # Fused: a tenth of a step of the small network is AdamW otherwise.
+        self._optimizer = torch.optim.AdamW(groups, settings.learning_rate, betas=(0.9, 0.95), fused=True)
         self.step = self.tokens = 0
         self._batches = self._from(0)
 
-    def _from(self, step: int) -> Iterator[list[list[int]]]:
+    def _from(self, step: int) -> Iterator[Rows]:
         """Batches of all passes, one after another, from a step on."""
-        batches = itertools.chain.from_iterable(map(self.pass_of, itertools.count()))
-        return itertools.islice(batches, step * self.settings.accumulate, None)
+        passes = (batches_of_pass(self.data, self.settings, number) for number in itertools.count())
+        return itertools.islice(itertools.chain.from_iterable(passes), step * self.settings.accumulate, None)
 
-    def pass_of(self, number: int) -> list[list[list[int]]]:
-        """The batches of a pass."""
-        s = self.settings
-        rng = np.random.default_rng([s.seed, number])
-        return batches_of_pass(self.data, s.shares.of_kinds(), s.tokens_per_batch, s.max_tokens, s.packs, rng)
+    def advance(self, wants_stop: bool = False, wants_save: bool = False) -> Step:
+        """One step.
 
-    def advance(self) -> float:
-        """One step; gives its loss, nats a token."""
+        Args:
+            wants_stop: Whether this process wants to stop after it.
+            wants_save: Whether it wants to keep a checkpoint after it.
+        """
         for group in self._optimizer.param_groups:
             group["lr"] = self.settings.learning_rate_at(self.step)
-        batches = [batch_of(self.data, rows, self._pad) for rows in itertools.islice(self._batches, self.settings.accumulate)]
-        count = sum(int((b.target >= 0).sum()) for b in batches)
-        total = 0.0
-        for b in batches:
-            loss = self._loss(torch.from_numpy(b.tokens), torch.from_numpy(b.position), torch.from_numpy(b.target)) / count
-            loss.backward()  # type: ignore[no-untyped-call]
-            total += float(loss.detach())
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.clip)
+        batches = list(itertools.islice(self._batches, self.settings.accumulate))
+        count = sum(self._replies(rows) for rows in batches)
+        figures = torch.tensor([0.0, wants_stop, wants_save], dtype=torch.float64, device=self.place.device)
+        world = self.place.world_size
+        for rows in batches[self.place.rank :: world]:
+            loss = self.loss.of_batch(batch_of(self.data, rows, self._pad), self.place) / count
+            (loss * world).backward()  # type: ignore[no-untyped-call]  # sharded gradients come as means over the processes
+            figures[0] += loss.detach()
+        norm = gathered(torch.nn.utils.clip_grad_norm_(self._parameters.values(), self.settings.clip))
         self._optimizer.step()
         self._optimizer.zero_grad()
+        self._add_up(figures)
         self.step += 1
         self.tokens += count
-        return total
+        total, stops, saves = figures.tolist()
+        return Step(total, float(norm), stops > 0, saves > 0)
 
-    def _loss(self, tokens: Tensor, position: Tensor, target: Tensor) -> Tensor:
-        """Sum of the negative log-likelihood of the replies' tokens."""
-        with torch.autocast(self.network.device.type, torch.bfloat16):
-            # Without packing nothing comes after what counts but padding, which a causal model does not see.
-            known: dict[str, Any] = {"position_ids": position} if self.settings.packs else {}
-            hidden = self.network.model(input_ids=tokens, use_cache=False, **known).last_hidden_state
-            counts = target >= 0
-            logits = self.network.lm_head(hidden[counts])  # of the replies alone
-        return functional.cross_entropy(logits.float(), target[counts], reduction="sum")
+    @property
+    def _pad(self) -> int:
+        return int(self.tokenizer.pad_token_id)
+
+    def _replies(self, rows: Rows) -> int:
+        examples = list(itertools.chain.from_iterable(rows))
+        return int((self.data.start[1:][examples] - self.data.reply[examples]).sum())
+
+    def _add_up(self, figures: Tensor) -> None:
+        if self.place.world_size > 1:
+            torch.distributed.all_reduce(figures)
 
     @torch.no_grad()
-    def validate(self, data: TokenSet, most: int = 600) -> dict[int, float]:
-        """Nats a token of held-out replies, by kind."""
-        found: dict[int, float] = {}
+    def validate(self, data: TokenSet, most: int) -> dict[str, float]:
+        """Nats a token of held-out replies, by kind.
+
+        Args:
+            data: The examples.
+            most: How many of each kind, the first ones.
+        """
+        found: dict[str, float] = {}
         for kind in np.unique(data.kind).tolist():
             members = np.flatnonzero(data.kind == kind)[:most]
-            members = members[np.argsort(data.length[members])]
-            total, count = 0.0, 0
-            for part in np.array_split(members, max(1, math.ceil(len(members) / 32))):
-                b = batch_of(data, [[int(k)] for k in part], self._pad)
-                total += float(self._loss(*(torch.from_numpy(v) for v in (b.tokens, b.position, b.target))))
-                count += int((b.target >= 0).sum())
-            found[kind] = total / count
+            batches = batches_in_order(data, members, self.settings)
+            total = torch.zeros(1, dtype=torch.float64, device=self.place.device)
+            # Sharded weights are gathered by all processes together: where one has no batch left, it does the last once more.
+            for turn in range(math.ceil(len(batches) / self.place.world_size)):
+                own = turn * self.place.world_size + self.place.rank
+                loss = self.loss.of_batch(batch_of(data, batches[min(own, len(batches) - 1)], self._pad), self.place)
+                total += loss if own < len(batches) else 0.0
+            self._add_up(total)
+            found[str(KINDS[kind])] = float(total) / int(data.reply_length[members].sum())
         return found
 
+    def values(self) -> dict[str, Tensor]:
+        """What is trained, by name, whole and on the CPU; empty on all processes but the first, which all have to ask."""
+        return dict(self._on_first(self._parameters.items()))
+
+    def _on_first(self, items: Any) -> Iterator[tuple[str, Tensor]]:
+        for name, value in items:
+            whole = gathered(value.detach())
+            if self.place.rank == 0:
+                yield name, whole.cpu()
+
     def save(self, path: Path) -> None:
-        """Keeps the training where another process can go on with it, in one step."""
-        aside = path.with_name(f".{path.name}.tmp")
-        state = {
-            "step": self.step,
-            "tokens": self.tokens,
-            "network": self.network.state_dict(),
-            "optimizer": self._optimizer.state_dict(),
+        """Keeps the training where another process can go on with it, in one step; all processes call it."""
+        values = self.values()
+        state = self._optimizer.state
+        averages = {
+            key: dict(self._on_first((n, state[p][key]) for n, p in self._parameters.items() if p in state))
+            for key in ("step", "exp_avg", "exp_avg_sq")
         }
-        torch.save(state, aside)
-        aside.replace(path)
+        if self.place.rank == 0:
+            about = {"about": json.dumps(self._about(), sort_keys=True), "step": self.step, "tokens": self.tokens}
+            _write(path, about | {"values": values, "averages": averages})
 
     def resume(self, path: Path) -> bool:
-        """Goes on where :meth:`save` was called; False where nothing was kept."""
+        """Goes on where :meth:`save` was called, with any number of processes; False where nothing was kept.
+
+        Raises:
+            ConfigError: What is there cannot be read, or is of other settings, data or models.
+        """
         if not path.is_file():
             return False
-        state = torch.load(path, map_location="cpu", weights_only=True)
-        self.network.load_state_dict(state["network"])
-        self._optimizer.load_state_dict(state["optimizer"])
+        try:
+            state = torch.load(path, map_location="cpu", weights_only=True, mmap=True)
+            was, now = flattened(json.loads(state["about"])), flattened(self._about())
+            changed = [
+                f"{k}: {was.get(k)} -> {now.get(k)}" for k in sorted(was.keys() | now.keys()) if was.get(k) != now.get(k)
+            ]
+            if not changed:
+                self._take(state)
+        except _UNREADABLE as error:
+            if isinstance(error, ConfigError):
+                raise
+            raise ConfigError(
+                f"{path}: cannot be read as a checkpoint ({type(error).__name__}); remove it to start anew",
+                "checkpoint_invalid",
+            ) from error
+        if changed:
+            raise ConfigError(
+                f"{path}: is of another configuration ({'; '.join(changed)}); choose a new folder or restore it",
+                "config_changed",
+            )
+        return True
+
+    @torch.no_grad()
+    def _take(self, state: dict[str, Any]) -> None:
+        values, averages = state["values"], state["averages"]
+        for name, parameter in self._parameters.items():
+            parameter.copy_(sharded_as(values[name], parameter))
+            if name not in averages["step"]:
+                continue  # kept before the first step
+            self._optimizer.state[parameter] = {
+                "step": averages["step"][name].to(self.place.device).clone(),
+                "exp_avg": sharded_as(averages["exp_avg"][name], parameter).clone(),
+                "exp_avg_sq": sharded_as(averages["exp_avg_sq"][name], parameter).clone(),
+            }
         self.step, self.tokens = state["step"], state["tokens"]
         self._batches = self._from(self.step)
-        return True
+
+    def _about(self) -> dict[str, Any]:
+        return {"settings": asdict(self.settings), "identity": asdict(self._identity)}
+
+
+def train(
+    training: Training,
+    *,
+    wants_stop: Callable[[], bool],
+    wants_save: Callable[[], bool],
+    after: Callable[[Training, Step], None],
+) -> bool:
+    """Steps until the run is as long as its settings say, or a process wants to stop.
+
+    Args:
+        training: What is trained.
+        wants_stop: Asked before each step.
+        wants_save: Likewise, whether a checkpoint is to be kept after it.
+        after: Called after each step.
+
+    Returns:
+        Whether it is done.
+
+    Raises:
+        ConfigError: The loss is not finite.
+    """
+    stops = False
+    while not stops and training.step < training.settings.steps:
+        step = training.advance(wants_stop(), wants_save())
+        if not (math.isfinite(step.loss) and math.isfinite(step.norm)):
+            raise ConfigError(
+                f"step {training.step}: the loss or its gradient is not finite ({step.loss}, {step.norm}); lower learning_rate",
+                "training_diverged",
+            )
+        stops = step.stops
+        after(training, step)
+    return training.step >= training.settings.steps
+
+
+def _write(path: Path, state: dict[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    aside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with aside.open("wb") as file:
+            torch.save(state, file)
+            file.flush()
+            os.fsync(file.fileno())  # a rename must not outlive its content
+        aside.replace(path)
+    finally:
+        aside.unlink(missing_ok=True)

@@ -1,11 +1,14 @@
 """Settings of the reasoner's training, and the named ones."""
 
 import math
-from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Literal, TypeAlias
 
+from models.physics_corrector.training_settings import flattened
 from models.semantic_reasoner.prompt import WANTED
 from stable_data.errors import ConfigError
+
+Precision: TypeAlias = Literal["bfloat16", "float32"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +33,39 @@ class NetworkSettings:
     intermediate: int = 704
     vocabulary: int = 2560
 
+    def __post_init__(self) -> None:
+        """Refuses what is no network."""
+        for key, value in asdict(self).items():
+            if value < 1:
+                raise ConfigError(f"network.{key} is {value}, expected a positive number", "config_invalid")
+        if self.heads % self.key_value_heads or self.head % 2:
+            found = f"heads {self.heads}, key_value_heads {self.key_value_heads}, head {self.head}"
+            raise ConfigError(
+                f"network: {found}: expected as many heads or a multiple of them, and an even width", "config_invalid"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class LoraSettings:
+    """Low-rank matrices beside the linear layers of ``base``, trained instead of its weights.
+
+    Attributes:
+        rank: Of the matrices; 0 trains the weights themselves.
+        alpha: Their product counts ``alpha / rank``.
+        merges: Whether the weights that are kept are a model of their own; else an adapter beside ``base``, as peft reads it.
+    """
+
+    rank: int = 0
+    alpha: int = 32
+    merges: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuses what cannot run."""
+        if self.rank < 0 or self.alpha < 1:
+            raise ConfigError(
+                f"lora: rank {self.rank}, alpha {self.alpha}: expected 0 or more, and 1 or more", "config_invalid"
+            )
+
 
 @dataclass(frozen=True, slots=True)
 class StageShares:
@@ -51,13 +87,16 @@ class ReasonerTraining:
     """What shapes the weights; ``--set key=value`` or the table ``[train_reasoner]`` of a TOML file.
 
     Attributes:
-        base: Folder of a Hugging Face model to fine-tune; empty trains ``network`` from scratch with a tokenizer of its own.
+        base: Folder of a Hugging Face model to fine-tune; empty trains ``network`` from scratch.
+        tokenizer: Folder of a tokenizer with a chat template; empty takes that of ``base``, or without one trains its own.
         seed: Of the first weights and of every draw.
         steps: Length of the run; 0 takes ``passes``.
         passes: Length in passes over the examples.
-        tokens_per_batch: Of a step on each process, padding included.
-        accumulate: Batches whose gradients add up to a step.
-        max_tokens: Longest example; longer ones are left out and counted.
+        tokens_per_batch: Most tokens of a batch, padding included; a batch has one row at least.
+        rows_per_batch: Most rows of a batch; 0 is no bound.
+        accumulate: Batches whose gradients add up to a step. Processes share a step by its batches, so that its examples do not
+            depend on their number, which must divide this one.
+        max_tokens: Longest example; longer ones are left out and counted. Also the width of a row that is packed.
         packs: Whether a row has several examples, each blind to the others; else each has a row of its own beside others of
             like length, which is faster on a CPU.
         learning_rate: Of AdamW.
@@ -68,15 +107,21 @@ class ReasonerTraining:
         any_table_share: Share of the examples whose kind of table is not said, so that a model learns to go by its size.
         with_details: Whether the rest of the task info is said too.
         one_shot: The paper's ablation: the whole layout in one pass.
+        precision: Of multiplications; weights, norms, gradients and AdamW's averages are float32.
+        storage: Of the weights that are kept in the end.
+        recomputes: Whether activations are computed again in the backward pass instead of kept (gradient checkpointing).
         shares: Of the stages.
         network: Where ``base`` is empty.
+        lora: Trains little of ``base``.
     """
 
     base: str = ""
+    tokenizer: str = ""
     seed: int = 0
     steps: int = 0
     passes: float = 1.0
     tokens_per_batch: int = 6144
+    rows_per_batch: int = 0
     accumulate: int = 1
     max_tokens: int = 2048
     packs: bool = False
@@ -88,18 +133,38 @@ class ReasonerTraining:
     any_table_share: float = 0.2
     with_details: bool = False
     one_shot: bool = False
+    precision: Precision = "bfloat16"
+    storage: Precision = "float32"
+    recomputes: bool = False
     shares: StageShares = field(default_factory=StageShares)
     network: NetworkSettings = field(default_factory=NetworkSettings)
+    lora: LoraSettings = field(default_factory=LoraSettings)
 
     def __post_init__(self) -> None:
         """Refuses what cannot run."""
         for key in ("tokens_per_batch", "accumulate", "max_tokens", "learning_rate", "clip"):
             if not 0 < getattr(self, key) < math.inf:
                 raise ConfigError(f"{key} is {getattr(self, key)}, expected a positive number", "config_invalid")
-        if not (min(self.steps, self.passes, self.warm_up) >= 0 and self.steps + self.passes > 0):
-            raise ConfigError(f"steps {self.steps}, passes {self.passes}: expected a length", "config_invalid")
-        if not (0 <= self.cool_down <= 1 and 0 <= self.any_table_share <= 1 and min(self.shares.of_kinds()) >= 0):
+        least = min(self.steps, self.passes, self.warm_up, self.rows_per_batch, self.weight_decay, self.seed)
+        if not (least >= 0 and self.steps + self.passes > 0):
+            found = f"steps {self.steps}, passes {self.passes}, warm_up {self.warm_up}, rows_per_batch {self.rows_per_batch}"
+            raise ConfigError(
+                f"{found}, weight_decay {self.weight_decay}, seed {self.seed}: expected a length, and nothing negative",
+                "config_invalid",
+            )
+        shares = self.shares.of_kinds()
+        if not all(0 <= share <= 1 for share in (self.cool_down, self.any_table_share, *shares)):
             raise ConfigError("cool_down, any_table_share and shares: expected shares between 0 and 1", "config_invalid")
+        if self.lora.rank and not self.base:
+            raise ConfigError("lora.rank is set but base is empty, expected the model that it adapts", "config_invalid")
+
+    def resolved(self, num_batches: int) -> "ReasonerTraining":
+        """The same with ``steps`` set.
+
+        Args:
+            num_batches: Of a pass.
+        """
+        return replace(self, steps=self.steps or max(1, math.ceil(self.passes * num_batches / self.accumulate)))
 
     def learning_rate_at(self, step: int) -> float:
         """AdamW's learning rate at a step of a run whose ``steps`` is set: it grows, stays, and falls to 0."""
@@ -110,9 +175,42 @@ class ReasonerTraining:
 
     def flat(self) -> dict[str, Any]:
         """Every setting by its dotted key."""
-        from models.physics_corrector.training_settings import flattened
-
         return flattened(asdict(self))
 
 
-Preset = Literal["paper", "embedded"]
+EMBEDDED = ReasonerTraining(shares=StageShares(important=0.3, secondary=0.25, whole=0.35))
+"""The small model of the embedded engine: from scratch, with a tokenizer of its own, on one core of a CPU.
+
+The first stage decides what a scene is about and is the hardest to get right, so it is shown most."""
+
+PAPER = ReasonerTraining(
+    learning_rate=1e-5,
+    max_tokens=5000,
+    tokens_per_batch=4 * 5000,
+    rows_per_batch=4,
+    accumulate=8,
+    passes=1.0,
+    warm_up=0,
+    cool_down=0.0,
+    weight_decay=0.0,
+    any_table_share=0.0,
+    storage="bfloat16",
+    recomputes=True,
+)
+"""The paper's Appendix "Training Details": full-parameter fine-tuning of Qwen3-8B, 1e-5, 5,000 tokens, micro-batches of 4, 1 epoch.
+
+It says neither on how many GPUs nor with which schedule: ``accumulate`` is 8 micro-batches a step, such as one on each of 8 GPUs,
+and the rate is constant. ``base`` is yours to name."""
+
+_PRESETS = {"embedded": EMBEDDED, "paper": PAPER}
+
+
+def training_preset(name: str) -> ReasonerTraining:
+    """Named settings.
+
+    Raises:
+        ConfigError: There are none of that name.
+    """
+    if name not in _PRESETS:
+        raise ConfigError(f"reasoner preset {name!r} is not known, expected {' or '.join(_PRESETS)}", "config_invalid")
+    return _PRESETS[name]

@@ -7,8 +7,9 @@ import torch
 from models.physics_corrector.checkpoint import save_corrector
 from models.physics_corrector.flow import Flow
 from models.physics_corrector.losses import LossSettings
-from models.physics_corrector.training import Place, Training, train
+from models.physics_corrector.training import Training, train
 from models.physics_corrector.training_settings import NEAR, PhysicsSchedule, TrainingSettings, training_preset
+from models.place import Place
 from stable_data.errors import ConfigError
 from tests.models.physics_corrector.training_scenes import TINY, training_set
 

@@ -1,0 +1,207 @@
+"""What the Semantic Reasoner lays out, before any correction, beside the data itself.
+
+``python -m benchmarks.reasoner RUN [--engine embedded] [--split test,unseen] [--scenes N] [--one-shot] [--json FILE]``. RUN is the
+folder of a preprocess run with scenes of splits that training never saw; the reasoner is told their instructions and tables alone.
+
+- answered: layouts all of whose stages have an answer that passed the checks, of all; at once: of the questions, those whose first
+  answer did. An answer that cannot be read or used counts as none.
+- AwT, AwS: required objects present, and entailed relations that hold, by boxes; a layout without an answer has none of its own;
+- distractors: objects that are no task objects; objects: number of them, on and in: carried by another. Each beside the data's;
+- OC, floats, off table: of raw layouts after each stage, by their meshes: what the corrector has to do;
+- unmatched: objects for which retrieval found no asset; they are left out of OC.
+
+Run with ``OMP_NUM_THREADS=1``.
+"""
+
+import json
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from statistics import mean
+from typing import Annotated, Any
+
+import polars as pl
+import typer
+from tqdm import tqdm
+
+from models.semantic_reasoner.assembly import ReasonerSettings, load_reasoner
+from models.semantic_reasoner.engines import EngineSettings
+from models.semantic_reasoner.staged import ONE_SHOT, PROGRESSIVE, StagedLayout, of_scene, staged_layouts
+from models.text_encoder import load_default
+from stable_data.asset_library import library_of_run
+from stable_data.assets import AssetStore
+from stable_data.metrics.alignment import align, reference_of
+from stable_data.metrics.alignment_summary import AlignmentSummary, summarise_alignment
+from stable_data.metrics.audit import PosedScene, audit_posed
+from stable_data.metrics.card import MetricCard
+from stable_data.retrieval import Match, Query, Retriever
+from stable_data.scene import Scene, SceneObject, Stage
+from stable_data.shards import RunFolder
+from stable_data.substitution import with_assets
+from stable_data.table_assets import TableAssets
+from stable_data.tables import scene_from_row
+
+ORDER = {stage: n for n, stage in enumerate(Stage)}
+
+
+def held_out(run: str, split: str, most: int) -> list[Scene]:
+    """Scenes of a split, spread over its kinds of table; the same ones each time."""
+    rows = pl.scan_parquet(f"{run}/scenes/*.parquet").filter(pl.col("split") == split).collect()
+    rows = rows.sort(pl.col("scene_id").str.extract(r"(\d+)$").cast(pl.Int64), "scene_id").head(most)
+    return [scene_from_row(row) for row in rows.iter_rows(named=True)]
+
+
+class Furnisher:
+    """Gives the objects of raw layouts their assets, and judges them by their meshes.
+
+    Args:
+        run: A preprocess run, whose assets are retrieved from.
+        folder: For what is unpacked of it.
+    """
+
+    def __init__(self, run: str, folder: Path) -> None:
+        encoder = load_default()
+        self._retriever = Retriever([library_of_run(RunFolder(run)).embedded(encoder)], encoder)
+        self._store = AssetStore(TableAssets(RunFolder(run), folder))
+
+    def furnished(self, scenes: Sequence[Scene]) -> list[tuple[Scene, int]]:
+        """The scenes with assets, objects without a match left out, and how many those are."""
+        asked = [(scene, o) for scene in scenes for o in scene.objects]
+        queries = [Query(o.description, o.size, o.category, f"{scene.scene_id}/{o.instance}") for scene, o in asked]
+        found: dict[str, dict[str, Match]] = {}
+        for (scene, o), answer in zip(asked, self._retriever.retrieve(queries), strict=True):
+            if isinstance(answer, Match):
+                found.setdefault(scene.scene_id, {})[o.instance] = answer
+        return [_with(scene, found.get(scene.scene_id, {})) for scene in scenes]
+
+    def card(self, scene: Scene) -> MetricCard:
+        """The exact verdicts."""
+        _, shapes, _ = self._store.resolved(scene)
+        return audit_posed(PosedScene(scene, shapes)).card(0, 0)
+
+
+def _with(scene: Scene, matches: dict[str, Match]) -> tuple[Scene, int]:
+    kept = [replace(o, support=o.support if o.support in matches else None) for o in scene.objects if o.instance in matches]
+    return replace(scene, objects=with_assets(kept, matches)), len(scene.objects) - len(kept)
+
+
+def up_to(objects: Sequence[SceneObject], stage: Stage) -> tuple[SceneObject, ...]:
+    """Objects of a stage and of those before it."""
+    return tuple(o for o in objects if o.stage is not None and ORDER[o.stage] <= ORDER[stage])
+
+
+def raw_figures(layouts: Sequence[StagedLayout], furnisher: Furnisher) -> dict[str, Any]:
+    """Verdicts of raw layouts after each stage, means over layouts with two objects or more, percent."""
+    furnished = furnisher.furnished([layout.scene for layout in layouts])
+    found: dict[str, Any] = {"unmatched": sum(n for _, n in furnished)}
+    for stage in Stage:
+        cards = [
+            furnisher.card(replace(scene, objects=objects))
+            for scene, _ in tqdm(furnished, desc=f"audit {stage}", leave=False)
+            if len(objects := up_to(scene.objects, stage)) > 1
+        ]
+        for key in ("oc", "float_rate", "out_of_bounds_rate"):
+            values = [v for card in cards if (v := getattr(card, key)) is not None]
+            found[f"{stage}_{key}"] = round(100 * mean(values), 2) if values else None
+        found[f"{stage}_unknown"] = sum(card.oc is None for card in cards)
+    return found
+
+
+def figures(layouts: Sequence[StagedLayout], truth: Sequence[Scene], seconds: float) -> dict[str, Any]:
+    """What is said of the layouts without meshes."""
+    proposals = [p for layout in layouts for _, p in layout.proposals]
+    summary = summarise_alignment([align(x.scene, reference_of(s)) for x, s in zip(layouts, truth, strict=True)])
+    itself = summarise_alignment([align(s, reference_of(s)) for s in truth])
+    return {
+        "layouts": len(layouts),
+        "answered": _percent(sum(layout.is_whole for layout in layouts), len(layouts)),
+        "at_once": _percent(sum(not p.refused for p in proposals), len(proposals)),
+        "tries": round(mean(len(p.refused) + (p.reply is not None and not p.faults) for p in proposals), 3),
+        **_aligned(summary),
+        **{f"data_{key}": value for key, value in _aligned(itself).items() if key in ("distractors", "objects", "on", "in")},
+        "refused": dict(Counter(f.code for p in proposals for r in p.refused for f in r.faults).most_common()),
+        "left": dict(Counter(f.code for p in proposals for f in p.faults).most_common()),
+        "failures": dict(Counter(p.code for p in proposals if p.reply is None)),
+        "layouts_a_minute": round(60 * len(layouts) / seconds, 1),
+        "tokens_a_second": round(sum(p.reply_tokens for p in proposals) / seconds),
+    }
+
+
+def _aligned(s: AlignmentSummary) -> dict[str, Any]:
+    return {
+        "awt": _rounded(s.awt),
+        "aws": _rounded(s.aws.micro),
+        "aws_relations": s.aws.num_relations,
+        "aws_graph": _rounded(s.aws_graph.micro),
+        "distractors": _rounded(s.distractor_rate),
+        "objects": round(s.num_objects or 0, 2),
+        "on": round(s.num_stacked or 0, 2),
+        "in": round(s.num_contained or 0, 2),
+    }
+
+
+def _rounded(share: float | None) -> float | None:
+    return None if share is None else round(100 * share, 2)
+
+
+def _percent(part: int, whole: int) -> float | None:
+    return round(100 * part / whole, 2) if whole else None
+
+
+def main(
+    run: Annotated[str, typer.Argument(help="Folder of a preprocess run.")],
+    engine: Annotated[str, typer.Option(help="Which engine; see models/semantic_reasoner/engines.py.")] = "embedded",
+    split: Annotated[str, typer.Option(help="Splits, joined by commas.")] = "test,unseen",
+    scenes: Annotated[int, typer.Option(help="Scenes of each split.")] = 200,
+    one_shot: Annotated[bool, typer.Option("--one-shot", help="Ask for the whole layout at once.")] = False,
+    temperature: Annotated[float, typer.Option(help="Of the draws.")] = 0.7,
+    tries: Annotated[int, typer.Option(help="How often a question is asked at most.")] = 4,
+    seed: Annotated[int, typer.Option(help="Of the draws.")] = 0,
+    meshes: Annotated[bool, typer.Option(help="Retrieve assets and judge raw layouts by their meshes.")] = True,
+    show: Annotated[int, typer.Option(help="How many layouts with something amiss are described.")] = 0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Where the figures go.")] = None,
+) -> None:
+    """Prints a table, one column a split."""
+    chosen = EngineSettings(engine)
+    reasoner, statistics = load_reasoner(
+        replace(chosen, sampling=replace(chosen.sampling, temperature=temperature)), ReasonerSettings(tries=tries)
+    )
+    found: dict[str, dict[str, Any]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        furnisher = Furnisher(run, Path(folder)) if meshes else None
+        for name in split.split(","):
+            truth = held_out(run, name, scenes)
+            began = time.perf_counter()
+            seeds = range(seed * 1_000_003, seed * 1_000_003 + len(truth))
+            layouts = staged_layouts(
+                reasoner, [of_scene(s) for s in truth], seeds, ONE_SHOT if one_shot else PROGRESSIVE, statistics
+            )
+            found[name] = figures(layouts, truth, time.perf_counter() - began)
+            if furnisher is not None:
+                found[name] |= raw_figures(layouts, furnisher)
+            for layout, scene in zip(layouts, truth, strict=True):
+                aligned = align(layout.scene, reference_of(scene))
+                if show > 0 and (aligned.missing or aligned.broken or not layout.is_whole):
+                    show -= 1
+                    failed = [p.failure for _, p in layout.proposals if p.failure]
+                    print(f"{scene.task.task if scene.task else ''}\n    {aligned} {failed}")
+    keys = list(dict.fromkeys(key for column in found.values() for key in column))
+    print(f"{'':28}" + "".join(f"{name:>28}" for name in found))
+    for key in keys:
+        print(f"{key:28}" + "".join(f"{_shown(column.get(key)):>28}" for column in found.values()))
+    if json_file is not None:
+        document = {"engine": engine, "one_shot": one_shot, "temperature": temperature, "tries": tries, "splits": found}
+        json_file.write_text(json.dumps(document, indent=2) + "\n", "utf-8")
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{k} {v}" for k, v in list(value.items())[:2]) or "none"
+    return "unknown" if value is None else str(value)
+
+
+if __name__ == "__main__":
+    typer.run(main)
