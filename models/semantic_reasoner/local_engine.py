@@ -15,6 +15,7 @@ from transformers import AutoModelForCausalLM, AutoTokenizer, PreTrainedModel, P
 
 from models.semantic_reasoner.decoding import ATTENTION, Decoder
 from models.semantic_reasoner.engine import Completion, Request, Sampling
+from models.semantic_reasoner.tokenizer import chat_text
 from stable_data.errors import ConfigError
 
 _DEFAULT = Sampling()
@@ -130,10 +131,8 @@ class LocalEngine:
         return [c if c is not None else Completion("", failure="no reply", code="internal") for c in done]
 
     def _begun(self, index: int, request: Request) -> _Sequence | Completion:
-        chat = self._tokenizer.apply_chat_template(
-            list(request.messages), add_generation_prompt=True, enable_thinking=False, tokenize=False
-        )
-        prompt: list[int] = self._tokenizer(str(chat), add_special_tokens=False)["input_ids"]
+        chat = chat_text(self._tokenizer, request.messages)
+        prompt: list[int] = self._tokenizer(chat, add_special_tokens=False)["input_ids"]
         longest = self._model.config.get_text_config().max_position_embeddings
         if len(prompt) + 16 > longest:
             return Completion(

@@ -13,6 +13,7 @@ from transformers import PreTrainedTokenizerBase
 
 from models.semantic_reasoner.examples import Example
 from models.semantic_reasoner.prompt import WANTED
+from models.semantic_reasoner.tokenizer import chat_text
 from stable_data.errors import SceneError
 from stable_data.scene import IntArray
 
@@ -87,7 +88,7 @@ def _prompt(example: Example, tokenizer: PreTrainedTokenizerBase, index: "_Index
     except SceneError:
         index.unasked[KINDS.index(example.ask.wanted)] += 1
         return None
-    return str(tokenizer.apply_chat_template(chat, add_generation_prompt=True, tokenize=False))
+    return chat_text(tokenizer, chat)
 
 
 def tokenized(examples: Iterable[Example], tokenizer: PreTrainedTokenizerBase, max_tokens: int) -> TokenSet:

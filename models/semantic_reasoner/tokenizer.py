@@ -5,13 +5,13 @@ the samples, so that any text can be read and written, if at more tokens.
 """
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from tokenizers import AddedToken, Regex, Tokenizer, decoders, models, pre_tokenizers, trainers
-from transformers import PreTrainedTokenizerFast
+from transformers import PreTrainedTokenizerBase, PreTrainedTokenizerFast
 
-from models.semantic_reasoner.prompt import FIXED
+from models.semantic_reasoner.prompt import FIXED, Message
 
 PAD, SYSTEM, USER, ASSISTANT, END = "<|pad|>", "<|system|>", "<|user|>", "<|assistant|>", "<|end|>"
 _SPECIAL = (PAD, SYSTEM, USER, ASSISTANT, END)
@@ -89,6 +89,18 @@ def train_tokenizer(texts: Iterable[str], vocab_size: int = 2048) -> PreTrainedT
         chat_template=CHAT_TEMPLATE,
         clean_up_tokenization_spaces=False,
     )
+
+
+def chat_text(tokenizer: PreTrainedTokenizerBase, messages: Sequence[Message]) -> str:
+    """A chat up to the answer, as a model is trained on it and asked with it.
+
+    Args:
+        tokenizer: With a chat template.
+        messages: The chat.
+    """
+    # Qwen3's own template leaves room for a chain of thought unless it is told that there is none.
+    told = tokenizer.apply_chat_template(list(messages), add_generation_prompt=True, enable_thinking=False, tokenize=False)
+    return str(told)
 
 
 def load_tokenizer(folder: Path) -> PreTrainedTokenizerFast:
