@@ -68,7 +68,9 @@ class LocalEngine:
         self._executor = LLExecutor()
 
     @classmethod
-    def load(cls, folder: Path, name: str = "", sampling: Sampling = _DEFAULT, num_slots: int = 64) -> "LocalEngine":
+    def load(
+        cls, folder: Path, name: str = "", sampling: Sampling = _DEFAULT, num_slots: int = 64, is_constrained: bool = True
+    ) -> "LocalEngine":
         """An engine from a Hugging Face folder.
 
         Args:
@@ -76,6 +78,7 @@ class LocalEngine:
             name: Names the engine; by default its folder.
             sampling: How tokens are drawn.
             num_slots: Most sequences at a time.
+            is_constrained: Whether replies are bound to their form.
 
         Raises:
             ConfigError: It is no folder of a causal language model, or its tokenizer has no chat template.
@@ -114,7 +117,7 @@ class LocalEngine:
             model.to(device="cuda")
         else:
             model.to(dtype=torch.float32)  # half precision is slower than single on most CPUs
-        return cls(model, tokenizer, name or f"transformers:{folder.name}", sampling, num_slots)
+        return cls(model, tokenizer, name or f"transformers:{folder.name}", sampling, num_slots, is_constrained)
 
     def complete(self, requests: Sequence[Request]) -> list[Completion]:
         """One completion for each request, in their order."""

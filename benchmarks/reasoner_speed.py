@@ -1,0 +1,123 @@
+"""How fast the reasoner's local engine answers: batched against one at a time, bound to a grammar against unbound.
+
+``python -m benchmarks.reasoner_speed RUN [--model DIR] [--scenes N] [--json FILE]``. RUN is the folder of a preprocess run: its
+test scenes' instructions and tables are laid out in three stages. The model's folder is the embedded one by default.
+
+- scenes: staged layouts a minute with so many at a time, checks and retries left out;
+- generate: the same questions to the same model by the library's own ``generate``, one after the other, unbound, against the engine
+  with all of them at once; requests a second, and tokens a second, since replies differ in length;
+- grammar: seconds a token bound to the form of the replies, over those unbound.
+
+Run with ``OMP_NUM_THREADS`` as many as there are cores.
+"""
+
+import json
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+from typing import Annotated, Any
+
+import torch
+import typer
+from transformers import AutoModelForCausalLM, AutoTokenizer
+
+from benchmarks.reasoner import held_out
+from models.semantic_reasoner.engine import Request, Sampling
+from models.semantic_reasoner.engines import EMBEDDED
+from models.semantic_reasoner.layout_text import layout_objects
+from models.semantic_reasoner.local_engine import LocalEngine
+from models.semantic_reasoner.prompt import Ask, messages
+from models.semantic_reasoner.reasoner import SemanticReasoner
+from models.semantic_reasoner.reply_form import ReplyForm
+from models.semantic_reasoner.staged import of_scene, staged_layouts
+from models.semantic_reasoner.tokenizer import chat_text
+from stable_data.scene import Scene, Stage
+
+SAMPLING = Sampling(max_tokens=1024)
+
+
+def scenes_a_minute(engine: LocalEngine, scenes: Sequence[Scene], at_once: int) -> float:
+    """Staged layouts a minute."""
+    reasoner = SemanticReasoner(engine, tries=1)
+    began = time.perf_counter()
+    for first in range(0, len(scenes), at_once):
+        part = scenes[first : first + at_once]
+        staged_layouts(reasoner, [of_scene(s) for s in part], range(len(part)))
+    return 60 * len(scenes) / (time.perf_counter() - began)
+
+
+def questions(scenes: Sequence[Scene]) -> list[Request]:
+    """For each scene the question of its last stage, told the data's own earlier stages: the longest that are asked."""
+    found = []
+    for seed, scene in enumerate(scenes):
+        known = layout_objects([o for o in scene.objects if o.stage is not Stage.SECONDARY])
+        ask = replace(Ask(of_scene(scene).instruction, scene.table, Stage.SECONDARY), layout=known)
+        found.append(Request(tuple(messages(ask)), ReplyForm.of_table(scene.table), seed))
+    return found
+
+
+def by_generate(folder: Path, asked: Sequence[Request]) -> tuple[float, int]:
+    """Seconds and tokens of the library's own loop, one request after the other."""
+    tokenizer = AutoTokenizer.from_pretrained(folder)
+    model = AutoModelForCausalLM.from_pretrained(folder, dtype=torch.float32).eval()
+    began, tokens = time.perf_counter(), 0
+    for request in asked:
+        torch.manual_seed(request.seed)
+        ids = tokenizer(chat_text(tokenizer, request.messages), return_tensors="pt", add_special_tokens=False)
+        told = model.generate(
+            **ids,
+            do_sample=True,
+            temperature=SAMPLING.temperature,
+            top_p=SAMPLING.top_p,
+            top_k=SAMPLING.top_k,
+            max_new_tokens=SAMPLING.max_tokens,
+        )
+        tokens += told.shape[1] - ids["input_ids"].shape[1]
+    return time.perf_counter() - began, tokens
+
+
+def seconds_a_token(engine: LocalEngine, asked: Sequence[Request]) -> float:
+    """Of all requests at once."""
+    began = time.perf_counter()
+    told = engine.complete(asked)
+    return (time.perf_counter() - began) / sum(c.reply_tokens for c in told)
+
+
+def main(
+    run: Annotated[str, typer.Argument(help="Folder of a preprocess run.")],
+    model: Annotated[Path, typer.Option(help="A model's folder.")] = EMBEDDED,
+    scenes: Annotated[int, typer.Option(help="How many scenes.")] = 64,
+    rounds: Annotated[int, typer.Option(help="Of the comparison with and without a grammar; the median counts.")] = 3,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Where the figures go.")] = None,
+) -> None:
+    """Prints a line a figure."""
+    engine = LocalEngine.load(model, sampling=SAMPLING)
+    free = LocalEngine.load(model, sampling=SAMPLING, is_constrained=False)
+    truth = held_out(run, "test", scenes)
+    asked = questions(truth)
+    engine.complete(asked[:2])  # what is made once is not counted
+    figures: dict[str, Any] = {"cores": len(os.sched_getaffinity(0)), "threads": torch.get_num_threads(), "scenes": len(truth)}
+    for at_once in (1, 8, 64):
+        part = truth[: max(1, min(len(truth), 4 * at_once))]
+        figures[f"scenes_a_minute_{at_once}"] = round(scenes_a_minute(engine, part, at_once), 1)
+    began = time.perf_counter()
+    told = engine.complete(asked)
+    seconds = time.perf_counter() - began
+    their_seconds, their_tokens = by_generate(model, asked)
+    figures["tokens_a_second"] = round(sum(c.reply_tokens for c in told) / seconds)
+    figures["generate_tokens_a_second"] = round(their_tokens / their_seconds)
+    figures["requests_ratio"] = round(their_seconds / seconds, 2)
+    figures["tokens_ratio"] = round(figures["tokens_a_second"] / max(1, figures["generate_tokens_a_second"]), 2)
+    pairs = [(seconds_a_token(engine, asked), seconds_a_token(free, asked)) for _ in range(rounds)]
+    figures["grammar_overhead_percent"] = round(100 * (median(bound / loose for bound, loose in pairs) - 1), 1)
+    for key, value in figures.items():
+        print(f"{key:28}{value:>10}")
+    if json_file is not None:
+        json_file.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
+
+
+if __name__ == "__main__":
+    typer.run(main)
