@@ -186,7 +186,9 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column("kind", _text, "add, remove, replace, move or restyle"),
             _column("instruction", _text, "what is asked for"),
             _column("objects_in", pa.list_(SAMPLE_OBJECT), "the scene as it was, in its order", "m, rad"),
-            _column("objects_out", pa.list_(SAMPLE_OBJECT), "objects that are new, and changed ones under their names", "m, rad"),
+            _column(
+                "objects_out", pa.list_(SAMPLE_OBJECT), "objects that are new, and changed ones under their names", "m, rad"
+            ),
             _column("removed", _texts, "instances of objects_in that go"),
         ]
     ),

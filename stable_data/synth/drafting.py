@@ -69,9 +69,7 @@ class Desk:
     def standing(self) -> list[SceneObject]:
         """Objects on the table that can be named."""
         graph = self.namer.graph
-        return [
-            o for o in self.scene.objects if graph.nodes[o.instance]["support"] == TABLE and self.namer.names(o.instance)
-        ]
+        return [o for o in self.scene.objects if graph.nodes[o.instance]["support"] == TABLE and self.namer.names(o.instance)]
 
     def name(self, instance: str) -> str:
         """Words for an object."""
@@ -92,7 +90,6 @@ class Desk:
         """Every thing, some of them changed (None: gone), new ones at the end."""
         kept = ((instance, change.get(instance, thing)) for instance, thing in self.things.items())
         return (*((instance, thing) for instance, thing in kept if thing is not None), *((None, thing) for thing in new))
-
 
     def drafts(self, kind: str) -> Iterator[Draft]:
         """Drafts of a kind, those that make a scene too empty or too full left out."""

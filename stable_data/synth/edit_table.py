@@ -4,7 +4,6 @@ What a reasoner writes is corrected afterwards, so an example needs no proof tha
 that one proof takes. :mod:`stable_data.synth.edits` makes the ones that are proved.
 """
 
-import json
 import math
 import zlib
 from collections.abc import Iterator, Mapping
