@@ -47,6 +47,7 @@ def main() -> None:
                 *(["--scenes", "2", "--per-bucket", "1"] if few else []),
             ],
             "corrector_ablation": ["benchmarks.corrector_ablation", run, *(["--steps", "20"] if few else [])],
+            "retrieval": ["benchmarks.retrieval", data, *(["--assets", "1000", "--queries", "100"] if few else [])],
             "synth": ["benchmarks.synth", "--scenes", "20" if few else "200"],
         }
         for name, command in jobs.items():

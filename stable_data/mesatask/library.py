@@ -59,6 +59,11 @@ class AssetAnnotation:
         """Its description, else its caption."""
         return self.description or self.caption
 
+    @property
+    def licence(self) -> str | None:
+        """Under which it may be used, if the file says so."""
+        return str(self.raw.get("licence") or self.raw.get("license") or "").strip() or None
+
 
 def read_annotation(asset_id: str, entry: Mapping[str, Any]) -> AssetAnnotation:
     """One entry of Asset_annotation.json. What is missing or of the wrong type gets its default.

@@ -1,0 +1,174 @@
+"""Retrieval: a batch of queries at once, against one query after the other as MesaTask does it.
+
+``python -m benchmarks.retrieval DATASET [--assets 12000] [--queries 1000] [--json FILE]``. The library is the dataset's own,
+repeated with a little noise on features and boxes until it is as large as MesaTask-10K's. The queries are the words of assets
+drawn from it, with noise of the same kind and boxes up to a fifth off. Both sides get the same encoded queries; what the encoding
+takes is measured apart. Run with ``OMP_NUM_THREADS=1``.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from models.text_encoder import load_default
+from stable_data.asset_library import Asset, AssetLibrary, RestingTilt, library_of_folder
+from stable_data.asset_scoring import RetrievalSettings
+from stable_data.retrieval import Match, Query, Retriever
+from stable_data.scene import Vec3
+from stable_data.text_features import Rows
+
+_NOISE = 0.005  # of each feature's components, before it is of unit length again: copies agree by 0.99
+_ROUNDS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One way of retrieving.
+
+    Attributes:
+        name: Which.
+        num_assets: Size of the library.
+        num_queries: Size of the batch.
+        seconds: Of processor time for the batch, encoding left out; the best of some rounds.
+        ratio: How many times as fast as one query after the other.
+        found: Share of queries that get an asset of their own category.
+    """
+
+    name: str
+    num_assets: int
+    num_queries: int
+    seconds: float
+    ratio: float
+    found: float
+
+
+class KnownRows:
+    """A text encoder that looks its rows up, so that encoding takes no time."""
+
+    fingerprint = "known"
+
+    def __init__(self, texts: Sequence[str], rows: Rows) -> None:
+        self._place, self._rows = {text: k for k, text in enumerate(texts)}, rows
+
+    def __call__(self, texts: Sequence[str], /) -> Rows:
+        return self._rows[[self._place[text] for text in texts]]
+
+
+def enlarged(library: AssetLibrary, num: int, rng: np.random.Generator) -> AssetLibrary:
+    """A library of so many assets: those of another, again and again, a little different each time."""
+    assert library.features is not None
+    chosen = np.arange(num) % len(library)
+    assets = [
+        replace(_jittered(library.assets[k], rng), asset_id=f"{library.assets[k].asset_id}-{n}") for n, k in enumerate(chosen)
+    ]
+    return replace(library, assets=tuple(assets), features=_noisy(library.features[chosen], rng), encoder_fingerprint="known")
+
+
+def _jittered(asset: Asset, rng: np.random.Generator) -> Asset:
+    factors = rng.uniform(0.9, 1.1, 3)
+    tilts = tuple(RestingTilt(t.quat_xyzw, _times(t.extents, factors), t.count) for t in asset.tilts)
+    return replace(asset, extents=_times(asset.extents, factors), tilts=tilts)
+
+
+def _times(extents: Vec3, factors: Sequence[float]) -> Vec3:
+    x, y, z = (e * float(f) for e, f in zip(extents, factors, strict=True))
+    return (x, y, z)
+
+
+def _noisy(rows: Rows, rng: np.random.Generator) -> Rows:
+    moved = rows + rng.normal(0.0, _NOISE, rows.shape)
+    unit: Rows = (moved / np.linalg.norm(moved, axis=1, keepdims=True)).astype(np.float32)
+    return unit
+
+
+def one_by_one(library: AssetLibrary, rows: Rows, queries: Sequence[Query]) -> list[str | None]:
+    """The published way: twenty by text, of them five by text and size, of them the first that may be used."""
+    assert library.features is not None
+    found: list[str | None] = []
+    for row, query in zip(rows, queries, strict=True):
+        text = library.features @ row
+        wanted = np.array(query.size)
+        scored = []
+        for k in np.argsort(-text)[:20].tolist():
+            box = np.array(library.assets[k].extents)
+            size = float(wanted @ box / (np.linalg.norm(wanted) * np.linalg.norm(box)))
+            scored.append((0.9 * float(text[k]) + 0.1 * size, k))
+        best = [k for _, k in sorted(scored, reverse=True)[:5]]
+        found.append(next((library.assets[k].asset_id for k in best if library.assets[k].is_offered), None))
+    return found
+
+
+def measure(data: Path, num_assets: int, num_queries: int) -> tuple[list[Figure], float]:
+    """All ways on the same library and queries, the published one first; and the seconds that encoding the queries takes."""
+    rng = np.random.default_rng(0)
+    encoder = load_default()
+    library = enlarged(library_of_folder(data).embedded(encoder), num_assets, rng)
+    assert library.features is not None
+    drawn = rng.choice([k for k, asset in enumerate(library.assets) if asset.is_offered], num_queries)
+    rows = _noisy(library.features[drawn], rng)
+    queries = [
+        Query(f"{n}", _times(library.assets[k].tilts[0].extents, rng.uniform(0.8, 1.2, 3)))
+        for n, k in enumerate(drawn.tolist())
+    ]
+    known = KnownRows([query.sentence() for query in queries], rows)
+    texts = [f"{library.assets[k].words}, number {n}" for n, k in enumerate(drawn.tolist())]
+    start = time.process_time()
+    encoder(texts)
+    encoding = time.process_time() - start
+    category = {asset.asset_id: asset.category for asset in library.assets}
+    wanted = [library.assets[k].category for k in drawn.tolist()]
+
+    def batch(settings: RetrievalSettings) -> Callable[[], list[str | None]]:
+        retriever = Retriever([library], known, settings)
+        return lambda: [a.asset_id if isinstance(a, Match) else None for a in retriever.retrieve(queries)]
+
+    ways = {
+        "one query after the other, as published": (lambda: one_by_one(library, rows, queries), 1),
+        "a batch": (batch(RetrievalSettings()), _ROUNDS),
+        "a batch, of the twenty nearest by text": (batch(RetrievalSettings(top_k_text=20)), _ROUNDS),
+    }
+    figures: list[Figure] = []
+    for name, (way, rounds) in ways.items():
+        found, seconds = _best_of(way, rounds)
+        right = sum(uid is not None and category[uid] == kind for uid, kind in zip(found, wanted, strict=True)) / num_queries
+        ratio = figures[0].seconds / seconds if figures else 1.0
+        figures.append(Figure(name, num_assets, num_queries, round(seconds, 4), round(ratio, 1), round(right, 4)))
+    return figures, encoding
+
+
+def _best_of(way: Callable[[], list[str | None]], rounds: int) -> tuple[list[str | None], float]:
+    """What it finds, and the seconds of its fastest round."""
+    found: list[str | None] = []
+    seconds = []
+    for _ in range(rounds):
+        start = time.process_time()
+        found = way()
+        seconds.append(time.process_time() - start)
+    return found, min(seconds)
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path, help="a dataset in the MesaTask-10K format")
+    parser.add_argument("--assets", type=int, default=12_000)
+    parser.add_argument("--queries", type=int, default=1_000)
+    parser.add_argument("--json", type=Path, help="where to keep the figures")
+    arguments = parser.parse_args()
+    figures, encoding = measure(arguments.data, arguments.assets, arguments.queries)
+    print(f"{arguments.queries} queries, {arguments.assets} assets; encoding the queries takes {encoding:.2f} s")
+    print(f"{'retrieval':44} {'seconds':>8} {'ratio':>8} {'own category':>13}")
+    for figure in figures:
+        print(f"{figure.name:44} {figure.seconds:8.3f} {figure.ratio:7.1f}x {figure.found:13.1%}")
+    if arguments.json:
+        content = {"encoding_seconds": round(encoding, 3), "figures": [asdict(figure) for figure in figures]}
+        arguments.json.write_text(json.dumps(content, indent=1) + "\n", "utf-8")
+
+
+if __name__ == "__main__":
+    main()

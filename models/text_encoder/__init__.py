@@ -1,0 +1,9 @@
+"""Sentence embeddings, offline: the packaged all-MiniLM-L6-v2, or any local folder in the sentence-transformers layout.
+
+``folder`` reads what such a folder says; ``encoder`` runs it on transformers alone.
+"""
+
+from models.text_encoder.encoder import SentenceEncoder, load_default
+from models.text_encoder.folder import Pooling, SentenceModel, packaged_folder, read_folder
+
+__all__ = ["Pooling", "SentenceEncoder", "SentenceModel", "load_default", "packaged_folder", "read_folder"]
