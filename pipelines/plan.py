@@ -76,14 +76,7 @@ class PreprocessSettings:
 
     def __post_init__(self) -> None:
         """Refuses settings that no run can follow."""
-        positive = (
-            "important_threshold",
-            "tasks_per_scene",
-            "num_points",
-            "scenes_per_shard",
-            "assets_per_shard",
-            "seconds_per_item",
-        )
+        positive = ("important_threshold", "tasks_per_scene", "num_points", "scenes_per_shard", "assets_per_shard", "seconds_per_item")
         for key in positive:
             if not 0 < getattr(self, key) < math.inf:
                 raise ConfigError(
