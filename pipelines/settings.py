@@ -12,7 +12,7 @@ from stable_data.errors import ConfigError
 
 C = TypeVar("C")
 
-SECTIONS = ("preprocess", "correct", "train_corrector")
+SECTIONS = ("preprocess", "correct", "edit", "train_corrector")
 """Tables that a file may have: one for each job."""
 
 
