@@ -20,7 +20,7 @@ class EditSettings(CorrectSettings):
         when_full: What happens where not everything fits: ``infeasible``, or ``drop`` the least important background object.
         correct: Whether the edited scene is corrected; else it is as the reply has it.
         others: Things that the edit does not name: ``fixed`` never move, ``free`` may, ``fixed_first`` move only where no clean
-            layout is found otherwise, and a warning names them.
+            layout is found otherwise, those first that are in the way or at fault themselves; a warning names them.
         attempts: How often the reasoner is asked until its reply can be used.
         temperature: Of its draws; 0 takes the likeliest token.
         max_tokens: Longest reply.

@@ -18,7 +18,7 @@ from models.semantic_reasoner.engine import Engine, Request
 from models.semantic_reasoner.layout_text import parse_reply
 from models.semantic_reasoner.prompt import messages
 from pipelines.correct_step import correction_row
-from pipelines.edit_assets import AssetFinder
+from pipelines.edit_assets import AssetFinder, resting_on
 from pipelines.edit_engine import EngineChoice
 from pipelines.edit_file import WantedEdit
 from pipelines.edit_settings import EditSettings
@@ -31,6 +31,7 @@ from stable_data import tables
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed
 from stable_data.metrics.card import MetricCard
+from stable_data.metrics.collision import ROUNDING
 from stable_data.scene import Scene, SceneObject
 from stable_data.shape import Shape
 from stable_data.shards import RunFolder
@@ -186,11 +187,14 @@ class EditWork:
     ) -> tuple[Correction, list[Notice]]:
         """The scene corrected, with what the edit does not name fixed as the settings say."""
         always = self.settings.fixed_in(scene)
-        fixed = always if self.settings.others == "free" else always | untouched
-        done = self._certified(scene, shapes, audit, fixed)
-        if self.settings.others == "fixed_first" and fixed != always and _is_poor(done):
-            freer = self._certified(scene, shapes, audit, always)
-            done = done if _is_poor(freer) else freer
+        wished = [always | untouched, always | (untouched - _at_fault(scene, audit)), always]
+        allowed = {"fixed": wished[:1], "free": wished[2:], "fixed_first": wished}[self.settings.others]
+        for fixed in dict.fromkeys(allowed):
+            tried = self._certified(scene, shapes, audit, fixed)
+            if fixed == allowed[0] or not _is_poor(tried):
+                done = tried
+            if not _is_poor(tried):
+                break
         notices = [
             Notice(scene.scene_id, "certify", "dropped", f"{scene.scene_id}: {d.instance} is left out: {d.reason}")
             for d in done.dropped
@@ -321,6 +325,18 @@ def _opened(work: EditWork) -> _Opened:
 def _is_poor(done: Correction) -> bool:
     """Whether something was not found a place."""
     return done.certified is None or bool(done.dropped)
+
+
+def _at_fault(scene: Scene, audit: Audit) -> frozenset[str]:
+    """What keeps a scene from being clean, with all that rests on it."""
+    deep = audit.tolerance + ROUNDING
+    found = {
+        o.instance for o in audit.objects if o.floats is not False or o.is_outside is not False or o.table_penetration > deep
+    }
+    for pair in audit.pairs:
+        if pair.penetration is None or pair.penetration > audit.tolerance:
+            found |= {pair.first, pair.second}
+    return frozenset(resting_on(scene, found))
 
 
 def _staged(scene: Scene, threshold: float) -> tuple[Scene, list[Notice]]:
