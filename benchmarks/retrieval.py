@@ -4,6 +4,9 @@
 repeated with a little noise on features and boxes until it is as large as MesaTask-10K's. The queries are the words of assets
 drawn from it, with noise of the same kind and boxes up to a fifth off. Both sides get the same encoded queries; what the encoding
 takes is measured apart. Run with ``OMP_NUM_THREADS=1``.
+
+Then objects of the dataset's scenes are looked for in its library by their words and boxes, by other words where the annotations
+have some (``captions``), and things that stand on no table: how often the same is found, and what the floor keeps out.
 """
 
 import argparse
@@ -18,12 +21,24 @@ import numpy as np
 from models.text_encoder import load_default
 from stable_data.asset_library import Asset, AssetLibrary, RestingTilt, library_of_folder
 from stable_data.asset_scoring import RetrievalSettings
+from stable_data.errors import SceneError
+from stable_data.mesatask import MesaTaskDataset
 from stable_data.retrieval import Match, Query, Retriever
-from stable_data.scene import Vec3
+from stable_data.scene import Scene, SceneObject, Vec3
 from stable_data.text_features import Rows
 
 _NOISE = 0.005  # of each feature's components, before it is of unit length again: copies agree by 0.99
 _ROUNDS = 5
+
+_ABSENT = """
+elephant, motorcycle, sofa, airplane, swimming pool, bicycle, grand piano, refrigerator, stethoscope,
+violin, fire extinguisher, skateboard, telescope, microscope, rifle, sewing machine, quadcopter,
+sleeping cat, tennis racket, umbrella, running shoe, car tyre, traffic cone, bathtub, human skull,
+guitar, lawn mower, printer, vacuum cleaner, syringe, backpack, pizza, hamburger, typewriter, aquarium,
+gas mask, teddy bear, brass bell, yoga mat, toy drum, ladder, tent
+"""
+ABSENT = tuple(kind.strip() for kind in _ABSENT.split(","))
+"""What no table of the embedded world has, nor one of the development sets."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +62,27 @@ class Figure:
     found: float
 
 
+@dataclass(frozen=True, slots=True)
+class Recall:
+    """What is found for some queries.
+
+    Attributes:
+        name: What is asked.
+        num_queries: How many.
+        matched: Share that gets an asset at all.
+        same_asset: Share that gets the asset that was meant.
+        same_words: Share that gets one of the same description.
+        same_category: Share that gets one of the same category.
+    """
+
+    name: str
+    num_queries: int
+    matched: float
+    same_asset: float
+    same_words: float
+    same_category: float
+
+
 class KnownRows:
     """A text encoder that looks its rows up, so that encoding takes no time."""
 
@@ -56,6 +92,7 @@ class KnownRows:
         self._place, self._rows = {text: k for k, text in enumerate(texts)}, rows
 
     def __call__(self, texts: Sequence[str], /) -> Rows:
+        """The rows of texts that are known."""
         return self._rows[[self._place[text] for text in texts]]
 
 
@@ -70,13 +107,13 @@ def enlarged(library: AssetLibrary, num: int, rng: np.random.Generator) -> Asset
 
 
 def _jittered(asset: Asset, rng: np.random.Generator) -> Asset:
-    factors = rng.uniform(0.9, 1.1, 3)
+    factors = rng.uniform(0.9, 1.1, 3).tolist()
     tilts = tuple(RestingTilt(t.quat_xyzw, _times(t.extents, factors), t.count) for t in asset.tilts)
     return replace(asset, extents=_times(asset.extents, factors), tilts=tilts)
 
 
 def _times(extents: Vec3, factors: Sequence[float]) -> Vec3:
-    x, y, z = (e * float(f) for e, f in zip(extents, factors, strict=True))
+    x, y, z = (e * f for e, f in zip(extents, factors, strict=True))
     return (x, y, z)
 
 
@@ -112,7 +149,7 @@ def measure(data: Path, num_assets: int, num_queries: int) -> tuple[list[Figure]
     drawn = rng.choice([k for k, asset in enumerate(library.assets) if asset.is_offered], num_queries)
     rows = _noisy(library.features[drawn], rng)
     queries = [
-        Query(f"{n}", _times(library.assets[k].tilts[0].extents, rng.uniform(0.8, 1.2, 3)))
+        Query(f"{n}", _times(library.assets[k].tilts[0].extents, rng.uniform(0.8, 1.2, 3).tolist()))
         for n, k in enumerate(drawn.tolist())
     ]
     known = KnownRows([query.sentence() for query in queries], rows)
@@ -141,6 +178,50 @@ def measure(data: Path, num_assets: int, num_queries: int) -> tuple[list[Figure]
     return figures, encoding
 
 
+def recall(data: Path, num_objects: int) -> list[Recall]:
+    """What is found of the objects of scenes, drawn evenly from the dataset, and of things that it does not have."""
+    dataset, encoder = MesaTaskDataset(data), load_default()
+    scenes, objects = list[Scene](), list[SceneObject]()
+    offered = {a.asset_id: a for a in library_of_folder(data).assets if a.is_offered}
+    order = np.random.default_rng(0).permutation(len(dataset.scene_ids)).tolist()
+    for k in order:
+        if len(objects) >= num_objects:
+            break
+        try:
+            scenes.append(dataset.read(dataset.scene_ids[k])[0])
+        except SceneError:
+            continue
+        objects += [o for o in scenes[-1].objects if o.asset_id in offered]
+    objects = objects[:num_objects]
+    retriever = Retriever([library_of_folder(data, scenes=scenes).embedded(encoder)], encoder)
+    assets = [offered[o.asset_id or ""] for o in objects]
+    ways = {"own words": [o.description or a.words for o, a in zip(objects, assets, strict=True)]}
+    captions = [dataset.annotation(a.asset_id).raw.get("captions", []) for a in assets]
+    if all(len(texts) > 1 for texts in captions):
+        ways["other words"] = [texts[1 + n % (len(texts) - 1)] for n, texts in enumerate(captions)]
+    found: list[Recall] = []
+    for name, texts in ways.items():
+        for is_named in (True, False):
+            kinds = [o.category if is_named else None for o in objects]
+            queries = [Query(t, o.size, kind, str(n)) for n, (t, o, kind) in enumerate(zip(texts, objects, kinds, strict=True))]
+            answers = [
+                (offered[x.asset_id] if isinstance(x, Match) else None, a)
+                for x, a in zip(retriever.retrieve(queries), assets, strict=True)
+            ]
+            same = [
+                (x.asset_id == a.asset_id, x.words == a.words, x.category == a.category) for x, a in answers if x is not None
+            ]
+            shares = np.array(same, np.float64).reshape(-1, 3).sum(axis=0) / len(objects)
+            title = f"{name}{' and category' if is_named else ''}"
+            found.append(Recall(title, len(objects), len(same) / len(objects), *np.round(shares, 4).tolist()))
+    size = (0.2, 0.2, 0.2)
+    for is_named in (True, False):
+        queries = [Query(f"a {kind}", size, kind if is_named else None) for kind in ABSENT]
+        matched = sum(isinstance(x, Match) for x in retriever.retrieve(queries)) / len(ABSENT)
+        found.append(Recall(f"not there{', with category' if is_named else ''}", len(ABSENT), round(matched, 4), 0.0, 0.0, 0.0))
+    return found
+
+
 def _best_of(way: Callable[[], list[str | None]], rounds: int) -> tuple[list[str | None], float]:
     """What it finds, and the seconds of its fastest round."""
     found: list[str | None] = []
@@ -165,8 +246,14 @@ def main() -> None:
     print(f"{'retrieval':44} {'seconds':>8} {'ratio':>8} {'own category':>13}")
     for figure in figures:
         print(f"{figure.name:44} {figure.seconds:8.3f} {figure.ratio:7.1f}x {figure.found:13.1%}")
+    recalls = recall(arguments.data, arguments.queries)
+    print(f"\n{'asked for':30} {'queries':>7} {'matched':>8} {'asset':>7} {'words':>7} {'category':>9}")
+    for r in recalls:
+        shares = f"{r.matched:8.1%} {r.same_asset:7.1%} {r.same_words:7.1%} {r.same_category:9.1%}"
+        print(f"{r.name:30} {r.num_queries:7} {shares}")
     if arguments.json:
-        content = {"encoding_seconds": round(encoding, 3), "figures": [asdict(figure) for figure in figures]}
+        speed, known = ([asdict(figure) for figure in table] for table in (figures, recalls))
+        content = {"encoding_seconds": round(encoding, 3), "figures": speed, "recall": known}
         arguments.json.write_text(json.dumps(content, indent=1) + "\n", "utf-8")
 
 

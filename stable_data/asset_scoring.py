@@ -21,7 +21,8 @@ from stable_data.text_features import Rows
 
 Tickets = npt.NDArray[np.uint64]
 
-_BLOCK = 128  # queries: their scores stay in the processor's cache
+_BLOCK, _MAX_SCORES = 128, 1 << 24  # queries whose scores stay in the processor's cache; scores that are held at a time
+_FITTING = math.radians(5.0)  # boxes whose edge vectors are no further apart have the same proportions
 _DECIMALS = 9  # scores that agree so far are equal
 _MIX = ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB))  # the finaliser of splitmix64 (Steele, Lea and Flood 2014)
 
@@ -37,7 +38,8 @@ class RetrievalSettings:
         margin: Scores this close to the best are as good: among them the same category is preferred, then the seed decides.
         top_k_text: Look at so many assets by text score alone, as MesaTask does with 20; None: at all of them. Assets that are
             not offered take no place among them.
-        tilt_margin: A rarer resting tilt is taken where its size score is better than the more usual one's by more than this.
+        tilt_patience: The most usual resting tilt is taken whose misfit (the angle of which the size score is the cosine) is at
+            most so many times that of the tilt that fits best, or five degrees.
         licences: Licences that are allowed, or None: all. An unknown licence is in no list.
         stretch: Scale along each axis to the wanted size, as the paper does; else by one factor.
         max_distortion: Largest factor over the smallest up to which an asset is stretched; infinite as in the paper.
@@ -48,7 +50,7 @@ class RetrievalSettings:
     floor: float = 0.55
     margin: float = 0.02
     top_k_text: int | None = None
-    tilt_margin: float = 0.05
+    tilt_patience: float = 2.0
     licences: frozenset[str] | None = None
     stretch: bool = False
     max_distortion: float = 2.0
@@ -61,7 +63,7 @@ class RetrievalSettings:
             "floor": (self.floor, -1.0, 1.0),
             "margin": (self.margin, 0.0, math.inf),
             "top_k_text": (1 if self.top_k_text is None else self.top_k_text, 1, math.inf),
-            "tilt_margin": (self.tilt_margin, 0.0, 1.0),
+            "tilt_patience": (self.tilt_patience, 1.0, math.inf),
             "max_distortion": (self.max_distortion, 1.0, math.inf),
         }
         for name, (value, low, high) in bounds.items():
@@ -128,8 +130,9 @@ class AssetScores:
         shapes = proportions(wanted)
         codes = np.array([self._codes.get(_kind(name or ""), -1) for name in categories], np.int64)
         parts = []
-        for start in range(0, len(features), _BLOCK):
-            block = slice(start, start + _BLOCK)
+        size = max(1, min(_BLOCK, _MAX_SCORES // len(self.assets)))
+        for start in range(0, len(features), size):
+            block = slice(start, start + size)
             parts.append(self._choose(features[block], shapes[block], codes[block], tickets[block]))
         columns = zip(*((p.asset, p.tilt, p.text, p.size, p.nearest) for p in parts), strict=True)
         return Choices(*(np.concatenate(column) for column in columns))
@@ -222,7 +225,9 @@ class AssetScores:
             return np.zeros(0, np.int64)
         scores, starts = self._tilt_scores(cols, shapes)
         counts = self._num_tilts[cols]
-        fits = scores >= np.repeat(np.maximum.reduceat(scores, starts) - self._settings.tilt_margin, counts)
+        misfits = np.arccos(scores)
+        most = np.maximum(self._settings.tilt_patience * np.minimum.reduceat(misfits, starts), _FITTING)
+        fits = misfits <= np.repeat(most, counts)
         number = np.arange(len(scores)) - np.repeat(starts, counts)  # tilts are sorted, the most usual first
         chosen: IntArray = np.minimum.reduceat(np.where(fits, number, len(scores)), starts)
         return chosen

@@ -24,9 +24,7 @@ def proportions(boxes: npt.ArrayLike) -> FloatArray:
         boxes: Edges along x, y and z, (..., 3), any unit, not all zero.
     """
     edges = np.asarray(boxes, np.float64)
-    largest = edges.max(axis=-1, keepdims=True)
-    edges = edges / largest  # first, so that squares of very small and very large edges stay numbers
-    unit: FloatArray = edges / np.sqrt((edges * edges).sum(axis=-1, keepdims=True))
+    unit: FloatArray = edges / _diagonal(edges)[..., None]
     return unit
 
 
@@ -54,8 +52,7 @@ def uniform_factor(wanted: npt.ArrayLike, boxes: npt.ArrayLike) -> FloatArray:
     """
     w, e = np.asarray(wanted, np.float64), np.asarray(boxes, np.float64)
     cosine = size_score(proportions(w), proportions(e))
-    diagonals = np.linalg.norm(w, axis=-1) / np.linalg.norm(e, axis=-1)
-    factor: FloatArray = diagonals * np.where(cosine > _ORTHOGONAL, cosine, 1.0)
+    factor: FloatArray = _diagonal(w) / _diagonal(e) * np.where(cosine > _ORTHOGONAL, cosine, 1.0)
     return factor
 
 
@@ -77,3 +74,11 @@ def stretched_scale(wanted: Vec3, box: Vec3, tilt_quat_xyzw: QuatXyzw) -> tuple[
     factors = np.divide(wanted, box)
     x, y, z = factors[turn.argmax(axis=0)].tolist()  # mesh axis j is the box's axis argmax_i |R_ij|
     return (x, y, z), float(factors.max() / factors.min())
+
+
+def _diagonal(boxes: FloatArray) -> FloatArray:
+    """Lengths of boxes' diagonals, (...)."""
+    largest = boxes.max(axis=-1)
+    edges = boxes / largest[..., None]  # first, so that squares of very small and very large edges stay numbers
+    lengths: FloatArray = largest * np.sqrt((edges * edges).sum(axis=-1))
+    return lengths

@@ -4,8 +4,10 @@ A row depends on its sentence and on nothing else, to the last bit: sentences ar
 of one fixed shape, because a matrix product adds up in another order when its shape changes.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
+from logging import CRITICAL
 from pathlib import Path
 from typing import Any
 
@@ -78,23 +80,28 @@ class SentenceEncoder:
 
     @cached_property
     def _network(self) -> Any:
-        """The transformer."""
+        """The transformer, every weight of it from the file."""
         from transformers import AutoModel
-        from transformers.utils import logging
 
-        had_bar = logging.is_progress_bar_enabled()
-        logging.disable_progress_bar()  # type: ignore[no-untyped-call]
-        try:
-            network = AutoModel.from_pretrained(
-                self.model.folder, local_files_only=True, trust_remote_code=False, use_safetensors=True, dtype=torch.float32
-            )
-        except Exception as error:
-            reason = f"{type(error).__name__}: {error}".partition("\n")[0]
-            message = f"{self.model.folder}: cannot be loaded ({reason}), expected a transformer; fetch the model again"
-            raise ConfigError(message, "model_invalid") from error
-        finally:
-            if had_bar:
-                logging.enable_progress_bar()  # type: ignore[no-untyped-call]
+        with _quiet():
+            try:
+                network, found = AutoModel.from_pretrained(
+                    self.model.folder,
+                    local_files_only=True,
+                    trust_remote_code=False,
+                    use_safetensors=True,
+                    dtype=torch.float32,
+                    output_loading_info=True,
+                )
+            except Exception as error:
+                reason = f"{type(error).__name__}: {error}".partition("\n")[0]
+                message = f"{self.model.folder}: cannot be loaded ({reason}), expected a transformer; fetch the model again"
+                raise ConfigError(message, "model_invalid") from error
+        # What is missing would be left at random; a pooler is not used.
+        missing = sorted(name for name in found["missing_keys"] if not name.startswith("pooler."))
+        if missing:
+            message = f"{self.model.folder}: model.safetensors lacks {len(missing)} weights, {missing[0]} first"
+            raise ConfigError(f"{message}, expected those of its config.json; fetch the model again", "model_invalid")
         return network.eval().requires_grad_(False).to(self._device)
 
     @property
@@ -121,6 +128,22 @@ class SentenceEncoder:
             pooled = torch.nn.functional.normalize(_pooled(states, mask, self.model.pooling), dim=-1)
         rows: Rows = pooled.cpu().numpy()
         return rows
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keeps transformers from drawing bars and reports: what matters of them is an error of ours."""
+    from transformers.utils import logging
+
+    verbosity, had_bar = logging.get_verbosity(), logging.is_progress_bar_enabled()
+    logging.set_verbosity(CRITICAL)
+    logging.disable_progress_bar()  # type: ignore[no-untyped-call]
+    try:
+        yield
+    finally:
+        logging.set_verbosity(verbosity)
+        if had_bar:
+            logging.enable_progress_bar()  # type: ignore[no-untyped-call]
 
 
 def load_default(device: str = "cpu") -> SentenceEncoder:

@@ -17,6 +17,7 @@ import pytest
 from pipelines.plan import PreprocessSettings
 from pipelines.preprocess import TABLES, preprocess
 from pipelines.runner import Workers
+from stable_data.asset_library import library_of_folder, library_of_run
 from stable_data.assets import AssetStore
 from stable_data.export.glb import write_glb
 from stable_data.mesatask import MesaTaskDataset, to_box_centre, write_text_features, yaw_frame_box
@@ -264,6 +265,26 @@ def test_text_features_come_along(tiny: Path, tmp_path: Path) -> None:
     found = {r["asset_id"]: r["text_embedding"] for r in RunFolder(str(tmp_path / "out")).table("assets").to_pylist()}
     assert found.pop(uid) == pytest.approx([0.6, 0.8])
     assert list(found.values()) == [None, None]
+
+
+def test_a_run_is_a_library_that_leaves_out_what_the_annotators_did(tiny: Path, tmp_path: Path) -> None:
+    root = tmp_path / "data"
+    shutil.copytree(tiny, root)
+    path = root / "Asset_annotation.json"
+    annotations = json.loads(path.read_text("utf-8"))
+    marked, composite, kept = sorted(p.stem for p in root.glob("Assets_library/*.glb"))
+    annotations[marked] |= {"mark_deletion": True, "licence": "CC0-1.0"}
+    annotations[composite] |= {"is_composite": "yes", "onTable": 0}
+    path.write_text(json.dumps(annotations), "utf-8")
+    preprocess(str(root), str(tmp_path / "out"), SMALL, Workers())
+    of_run, of_folder = library_of_run(RunFolder(str(tmp_path / "out"))), library_of_folder(root)
+    assert {a.asset_id: a.is_offered for a in of_run.assets} == {marked: False, composite: False, kept: True}
+    same = {a.asset_id: a for a in of_folder.assets}
+    for asset in of_run.assets:
+        other = same[asset.asset_id]
+        assert asset.extents == pytest.approx(other.extents, rel=1e-3)
+        for name in ("category", "words", "licence", "source", "on_table", "mark_deletion", "is_composite"):
+            assert getattr(asset, name) == getattr(other, name)
 
 
 @pytest.mark.slow
