@@ -191,7 +191,7 @@ class _Change:
         return along.moved((x, y, min(underside(along), underside(carrier)) + o.size[2] / 2), along.yaw)
 
     def _changed(self, o: SceneObject, wanted: LayoutObject) -> SceneObject:
-        """An object as the reply has it; numbers that the reply repeats stay as they are."""
+        """An object as the reply has it; numbers that the reply repeats stay as they are, the height of its underside likewise."""
         shown = self.was[wanted.instance]
         position, size = (
             _triple(old if said == was else said / 100 for old, was, said in zip(exact, before, after, strict=True))
@@ -200,6 +200,8 @@ class _Change:
                 (o.size, shown.size_cm, wanted.size_cm),
             )
         )
+        if size[2] != o.size[2] and position[2] == o.position[2]:
+            position = (*position[:2], underside(o) + size[2] / 2)  # what is higher or lower stands where it stood
         yaw = o.yaw if wanted.z_rotation_deg == shown.z_rotation_deg else math.radians(wanted.z_rotation_deg)
         if self._is_reworded(wanted):
             return replace(o, position=position, yaw=yaw, size=size, description=wanted.description, asset_id=None, scale=None)

@@ -18,15 +18,19 @@ import pytest
 from typer.testing import CliRunner
 
 import stable_data.shards as shards
+from models.semantic_reasoner.editing import apply_edit, editing
 from models.semantic_reasoner.engine import Completion, Request, Sampling
 from models.semantic_reasoner.examples import edit_example_of
+from models.semantic_reasoner.layout_text import Reply, render_objects
 from pipelines.__main__ import app
 from pipelines.edit import edit
+from pipelines.edit_assets import AssetFinder
 from pipelines.edit_engine import EngineChoice, engine_choice
 from pipelines.edit_file import WantedEdit, read_edits
 from pipelines.edit_settings import EditSettings
 from pipelines.edit_step import EDIT_TABLES, EditShard, EditWork
 from pipelines.runner import Workers
+from pipelines.scene_source import FolderSource
 from stable_data.errors import ConfigError
 from stable_data.lint import lint_folder
 from stable_data.mesatask import MesaTaskDataset
@@ -285,9 +289,6 @@ def test_an_engine_is_named_or_refused(tmp_path: Path, dataset: Path, wanted: li
 
 def onto_another(dataset: Path, scene_id: str) -> tuple[dict[str, Any], str]:
     """A line that moves a thing into its neighbour, and the name of the neighbour's instance."""
-    from models.semantic_reasoner.editing import editing
-    from models.semantic_reasoner.layout_text import render_objects
-
     scene = MesaTaskDataset(dataset).read(scene_id)[0]
     shown = editing(scene)
     standing = [o for o in shown.layout if abs(o.position_cm[2] - o.size_cm[2] / 2) <= 0.1]
@@ -314,6 +315,32 @@ def test_what_is_put_into_another_thing_is_parted_from_it_and_the_other_stays(da
         if edit_id not in moved:
             assert poses(scene_from_row(out[edit_id]).objects)[instance] == poses(was.objects)[instance]
     assert len(moved) < len(told)
+
+
+@pytest.mark.parametrize(("factors", "is_even"), [((1.2, 1.2, 1.2), True), ((1.0, 1.0, 1.3), False)])
+def test_a_thing_of_another_size_is_the_same_mesh_scaled(
+    dataset: Path, factors: tuple[float, float, float], is_even: bool
+) -> None:
+    source = FolderSource(dataset)
+    scene = source.dataset.read(source.dataset.scene_ids[0])[0]
+    shown = editing(scene)
+    last = shown.layout[-1]  # carries nothing
+    (instance,) = [i for i, name in shown.names.items() if name == last.instance]
+    x, y, z = (s * f for s, f in zip(scene[instance].size, factors, strict=True))
+    resized = replace(last, size_cm=(round(100 * x, 1), round(100 * y, 1), round(100 * z, 1)))
+    done = AssetFinder(source).with_assets(apply_edit(scene, Reply((resized,))), "edit", 0)
+    now, was = done.scene[instance], scene[instance]
+    assert (now.asset_id, now.tilt_quat_xyzw) == (was.asset_id, was.tilt_quat_xyzw)
+    assert now.scale is not None
+    assert was.scale is not None
+    assert now.size == pytest.approx((x, y, z), abs=1e-3)
+    assert now.position[2] - now.size[2] / 2 == pytest.approx(was.position[2] - was.size[2] / 2, abs=1e-9)
+    ratios = [a / b for a, b in zip(now.scale, was.scale, strict=True)]
+    assert (max(ratios) < 1.001 * min(ratios)) == is_even
+    assert done.kept >= {o.instance for o in scene.objects} - {instance}
+    shape, odd = source.store.shape(now)
+    assert shape.size == pytest.approx(now.size)
+    assert not odd
 
 
 @pytest.mark.parametrize(

@@ -126,6 +126,12 @@ def test_another_size_keeps_the_asset() -> None:
     assert mug.position[2] - mug.size[2] / 2 == pytest.approx(0.0401, abs=1e-12)
 
 
+def test_what_is_higher_stands_where_it_stood() -> None:
+    done = edit(replace(shown("mug_1"), size_cm=(7.0, 7.0, 15.0)))
+    mug = done.scene["4_mug_1"]
+    assert mug.position == (0.9, 0.5, pytest.approx(0.075))
+
+
 def test_new_things_get_names_of_their_own_and_what_carries_them() -> None:
     new = LayoutObject("mug_7", "a red mug", (8.0, 8.0, 9.0), (50.0, 10.0, 4.5), 90)
     on_top = LayoutObject("coin_0", "a coin", (2.0, 2.0, 0.2), (25.0, 35.0, 2.1), 0)
