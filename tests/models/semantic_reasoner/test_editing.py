@@ -128,8 +128,7 @@ def test_another_size_keeps_the_asset() -> None:
 
 def test_what_is_higher_stands_where_it_stood() -> None:
     done = edit(replace(shown("mug_1"), size_cm=(7.0, 7.0, 15.0)))
-    mug = done.scene["4_mug_1"]
-    assert mug.position == (0.9, 0.5, pytest.approx(0.075))
+    assert done.scene["4_mug_1"].position == pytest.approx((0.9, 0.5, 0.075))
 
 
 def test_new_things_get_names_of_their_own_and_what_carries_them() -> None:
