@@ -9,7 +9,7 @@ DATA ?= data/embedded
 OUT ?= runs/preprocess
 EIGEN := $(VENV)/lib/python3.11/site-packages/cmeel.prefix/include/eigen3
 
-.PHONY: help env demo test test-all lint format schemas preprocess correct train evaluate bench clean
+.PHONY: help env demo test test-all lint format schemas preprocess correct edit train evaluate bench clean
 
 help: ## Show this page
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -55,6 +55,9 @@ preprocess: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA
 
 correct: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA=<folder of scenes, or a run> OUT=<folder> to scenes that are exactly clean
 	$(BIN)/python -m pipelines correct --scenes $(DATA) --out $(if $(filter runs/preprocess,$(OUT)),runs/correct,$(OUT))
+
+edit: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA=<folder of scenes, or a run> EDITS=<file of edits> OUT=<folder> ENGINE=<reasoner> to changed scenes
+	$(BIN)/python -m pipelines edit --scenes $(DATA) --edits $(EDITS) --out $(if $(filter runs/preprocess,$(OUT)),runs/edit,$(OUT)) $(if $(ENGINE),--engine $(ENGINE))
 
 train: preprocess ## Point encoder, corrector and reasoner on the tables in OUT (hours on a CPU): runs/encoder, runs/corrector, runs/near, runs/reasoner
 	$(BIN)/python -m models.point_encoder.pretrain --out runs/encoder

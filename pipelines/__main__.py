@@ -125,6 +125,63 @@ def correct(
 
 @app.command()
 @with_clear_errors
+def edit(
+    scenes: Annotated[
+        str,
+        typer.Option(help="A folder in the MesaTask-10K format, or a run with a table scenes; every node must see it."),
+    ],
+    edits: Annotated[
+        Path,
+        typer.Option(
+            help='One edit a line: {"scene_id": ..., "instruction": ...}; if wanted "edit_id", the name of the new scene, and '
+            '"reply", which is carried out without asking the reasoner.'
+        ),
+    ],
+    out: Annotated[str, typer.Option(help="Run folder: a path that every node sees, or a URI such as s3://bucket/prefix.")],
+    engine: Annotated[
+        str, typer.Option(help="The reasoner: embedded, a Hugging Face folder, or none where every edit has its reply.")
+    ] = "embedded",
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table [edit] is read.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
+    workers: Annotated[
+        int,
+        typer.Option(
+            help="Worker processes on a local Ray, or shards at once with --address; -1 is one a core; 0 this process."
+        ),
+    ] = -1,
+    address: Address = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")] = False,
+) -> None:
+    """Change scenes as instructions say, and nothing else. Run again to go on where it was stopped.
+
+    Edited scenes are in the table scenes, what was changed in the table edits; of a folder in the MesaTask-10K format OUT/dataset
+    is the folder of edited scenes. Status 0: done. 1: some edits could not be done; the table failures says which and why. 2: could
+    not start.
+    """
+    from pipelines.edit import describe_edits
+    from pipelines.edit import edit as run
+    from pipelines.edit_settings import EditSettings
+    from pipelines.runner import Workers
+    from pipelines.settings import resolve
+
+    count = _count(workers, address)
+    settings = resolve(EditSettings, "edit", config, set_ or [])
+    if dry_run:
+        typer.echo(json.dumps(describe_edits(scenes, edits, settings, engine), indent=2))
+        return
+    manifest = run(scenes, edits, out, settings, Workers(count, address), engine)
+    counts = manifest["counts"]
+    kinds = ", ".join(f"{counts['by_kind'][key]} {key}" for key in sorted(counts["by_kind"]))
+    typer.echo(
+        f"{out}: {counts['scenes']} of {manifest['num_edits']} edits ({kinds}), {counts['warnings']} warnings, "
+        f"{counts['failures']} failures; report/index.html"
+    )
+    if counts["failures"]:
+        raise typer.Exit(SOME_FAILED)
+
+
+@app.command()
+@with_clear_errors
 def synth(
     out: SynthOut,
     scenes: NumScenes = 24,

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from models.physics_corrector.learned import load_flow, weights_fingerprint
 from pipelines.correct_report import write_correct_report
@@ -22,10 +22,13 @@ from stable_data.mesatask import write_annotations, write_scene
 from stable_data.mesatask.library import LIBRARY_FOLDER
 from stable_data.shards import RunFolder, content_id, unwritable
 
+S = TypeVar("S", bound=CorrectSettings)
+
 CARRIED_TABLES = ("assets", "meshes", "sdf", "features")
 """Tables of the input run that the output carries, so that it can be trained on and exported as it is."""
 
-_OF_DATASET = content_id("dataset")
+OF_DATASET = content_id("dataset")
+"""The shard of rows that belong to no other: what is lost or odd of the input as a whole."""
 
 
 def correct(scenes: str, out: str, settings: CorrectSettings, workers: Workers, *, report: bool = True) -> dict[str, Any]:
@@ -44,12 +47,9 @@ def correct(scenes: str, out: str, settings: CorrectSettings, workers: Workers, 
     Raises:
         ConfigError: The run cannot start or go on; what is in place stays.
     """
-    where = scenes if "://" in scenes else str(Path(scenes).expanduser().resolve())
-    folder = RunFolder(out)
-    if "://" not in scenes and folder.is_local and Path(where) in (Path(folder.root), *Path(folder.root).parents):
-        raise ConfigError(f"{out}: lies in the scenes that are read, expected another folder", "output_invalid")
+    where, folder = places(scenes, out)
     source = scene_source(where)
-    settings = _settled(source, settings, workers)
+    settings = settled_here(source, settings, workers)
     weights = weights_fingerprint(settings.weights)
     load_flow(settings.weights, settings.steps)  # what cannot be used is refused before anything is written
     with folder.locked():
@@ -64,12 +64,12 @@ def correct(scenes: str, out: str, settings: CorrectSettings, workers: Workers, 
         check_resume(folder, manifest, settings.shaping())
         write_manifest(folder, manifest)
         lost = [n for n in source.notices if n.code == "layout_missing"]
-        _write_notices(folder, lost, [n for n in source.notices if n.code != "layout_missing"])
+        write_notices(folder, lost, [n for n in source.notices if n.code != "layout_missing"])
         work = CorrectWork(where, folder.root if folder.is_local else out, settings, fingerprint)
         run_missing(folder, shards, lambda _: CORRECT_TABLES, work, workers, "correct", "scene")
         ids = {shard.shard_id for shard in shards}
-        check_shards(folder, {t: ids | {_OF_DATASET} if t in ("warnings", "failures") else ids for t in CORRECT_TABLES})
-        carried = _carry(source, folder)
+        check_shards(folder, {t: ids | {OF_DATASET} if t in ("warnings", "failures") else ids for t in CORRECT_TABLES})
+        carried = carry_assets(source, folder)
         failed = count_items(folder, "scenes", "scene_id", [*scene_ids, *(n.item_id for n in lost)])
         status = Counter(folder.table("corrections", ["status"])["status"].to_pylist())
         counts = {**count_rows(folder, (*CORRECT_TABLES, *carried)), "failed_scenes": failed, "by_status": dict(status)}
@@ -82,7 +82,20 @@ def correct(scenes: str, out: str, settings: CorrectSettings, workers: Workers, 
     return manifest
 
 
-def _settled(source: SceneSource, settings: CorrectSettings, workers: Workers) -> CorrectSettings:
+def places(scenes: str, out: str) -> tuple[str, RunFolder]:
+    """Where scenes are, as every worker can read it, and the run's folder.
+
+    Raises:
+        ConfigError: The folder lies in the scenes (``output_invalid``).
+    """
+    where = scenes if "://" in scenes else str(Path(scenes).expanduser().resolve())
+    folder = RunFolder(out)
+    if "://" not in scenes and folder.is_local and Path(where) in (Path(folder.root), *Path(folder.root).parents):
+        raise ConfigError(f"{out}: lies in the scenes that are read, expected another folder", "output_invalid")
+    return where, folder
+
+
+def settled_here(source: SceneSource, settings: S, workers: Workers) -> S:
     """The settings with ``auto`` replaced, by a process of its own where workers are: a mesh must not end the run's."""
     if settings.position_convention != "auto" or workers.are_this_process or isinstance(source, TableSource):
         return settings.settled(source)
@@ -96,15 +109,15 @@ def _settled(source: SceneSource, settings: CorrectSettings, workers: Workers) -
     return settled
 
 
-def _write_notices(folder: RunFolder, lost: Sequence[Notice], odd: Sequence[Notice]) -> None:
+def write_notices(folder: RunFolder, lost: Sequence[Notice], odd: Sequence[Notice]) -> None:
     """Rows that belong to no shard: scene folders without a layout, and what is odd about the source as a whole."""
     for table, found in (("failures", lost), ("warnings", odd)):
-        if _OF_DATASET not in folder.shard_ids(table):
-            folder.write_shard(table, _OF_DATASET, [tables.notice_row(n) for n in found])
+        if OF_DATASET not in folder.shard_ids(table):
+            folder.write_shard(table, OF_DATASET, [tables.notice_row(n) for n in found])
 
 
-def _carry(source: SceneSource, folder: RunFolder) -> list[str]:
-    """Copies the tables of assets of a run, file by file; a dataset has none."""
+def carry_assets(source: SceneSource, folder: RunFolder) -> list[str]:
+    """Copies the tables of assets of a run, file by file, and gives their names; a dataset has none."""
     carried = []
     if isinstance(source, TableSource):
         for table in CARRIED_TABLES:

@@ -102,14 +102,14 @@ def _pictures(folder: RunFolder, corrections: pl.DataFrame, store: AssetStore, c
         try:
             after = scene_from_row(rows[scene_id])
             pictures = [(_before(after, starts[scene_id]), "before"), (after, "corrected")]
-            drawn = [(_drawn(scene, store), title) for scene, title in pictures]
+            images = [(drawn(scene, store), title) for scene, title in pictures]
         except ConfigError as error:  # this machine draws nothing at all
             yield f'</div><p class="note">{escape(str(error))}</p>'
             return
         except Exception as error:  # noqa: BLE001 - a scene that cannot be drawn is no reason to be without the page
             yield f'<p class="note">{name} cannot be drawn: {escape(f"{type(error).__name__}: {error}")}</p>'
             continue
-        for picture, title in drawn:
+        for picture, title in images:
             yield f'<figure><img alt="{name} {title}" src="{image_uri(picture)}"><figcaption><b>{name}</b> {title}</figcaption></figure>'
     yield "</div>"
 
@@ -121,7 +121,8 @@ def _before(after: Scene, start: list[dict[str, Any]]) -> Scene:
     return replace(after, objects=tuple(objects))
 
 
-def _drawn(scene: Scene, store: AssetStore) -> Any:
+def drawn(scene: Scene, store: AssetStore) -> Any:
+    """A picture of a scene, (H, W, 3) uint8."""
     shapes, _ = store.shapes(scene)
     return render_scene(scene, [Mesh(s.vertices, s.faces) if s.is_exact else None for s in shapes])
 

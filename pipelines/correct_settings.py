@@ -2,7 +2,7 @@
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Self
 
 from pipelines.scene_source import SceneSource
 from pipelines.scene_step import SceneSettings
@@ -32,6 +32,8 @@ class CorrectSettings:
         seconds_per_item: A scene that takes longer is a failure; not watched without worker processes.
     """
 
+    section: ClassVar[str] = "correct"
+
     weights: str = "auto"
     steps: int = 0
     when_full: str = "drop"
@@ -50,16 +52,18 @@ class CorrectSettings:
     def __post_init__(self) -> None:
         """Refuses settings that no run can follow."""
         if self.when_full not in ("drop", "infeasible"):
-            raise ConfigError(f"setting correct.when_full is {self.when_full}, expected drop or infeasible", "config_invalid")
+            raise ConfigError(
+                f"setting {self.section}.when_full is {self.when_full}, expected drop or infeasible", "config_invalid"
+            )
         if self.position_convention not in ("auto", *PositionConvention):
-            found = f"setting correct.position_convention is {self.position_convention}"
+            found = f"setting {self.section}.position_convention is {self.position_convention}"
             raise ConfigError(f"{found}, expected auto, box_centre or mesh_centre", "config_invalid")
         for key in ("important_threshold", "scenes_per_shard", "seconds_per_item"):
             if getattr(self, key) <= 0:
-                found = f"setting correct.{key} is {getattr(self, key)}"
+                found = f"setting {self.section}.{key} is {getattr(self, key)}"
                 raise ConfigError(f"{found}, expected a positive number", "config_invalid")
         if self.steps < 0:
-            raise ConfigError(f"setting correct.steps is {self.steps}, expected 0 or more", "config_invalid")
+            raise ConfigError(f"setting {self.section}.steps is {self.steps}, expected 0 or more", "config_invalid")
 
     def shaping(self) -> dict[str, Any]:
         """The settings that shape rows: a run is resumed only under the same."""
@@ -71,7 +75,7 @@ class CorrectSettings:
         convention = PositionConvention(self.position_convention)  # settled() has replaced auto
         return SceneSettings(self.important_threshold, self.seed, position_convention=convention)
 
-    def settled(self, source: SceneSource) -> "CorrectSettings":
+    def settled(self, source: SceneSource) -> Self:
         """The settings with ``auto`` replaced: what positions mean, and where the weights are."""
         settings = self
         if settings.position_convention == "auto":

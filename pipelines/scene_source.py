@@ -2,7 +2,8 @@
 
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, TypeAlias
@@ -14,9 +15,10 @@ from pipelines.plan import PreprocessSettings, plan_run
 from pipelines.progress import Progress
 from pipelines.scene_step import SceneSettings, origin_of, understand
 from stable_data import tables
+from stable_data.asset_library import AssetLibrary, library_of_folder, library_of_run
 from stable_data.assets import AssetStore
 from stable_data.conventions import position_convention
-from stable_data.errors import ConfigError, Notice
+from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.scene import Scene
@@ -26,6 +28,8 @@ from stable_data.table_assets import TableAssets
 
 ORIGIN_COLUMNS = ("source", "split", "layout_path", "layout_sha256", "duplicate_group")
 """Columns of ``scenes`` that say where a scene comes from."""
+
+_LOOKED_AT = 2000  # scenes of a folder that show how its assets rest
 
 Containers: TypeAlias = Mapping[str, bool | None]
 """Whether things can be put into an object, by instance; None or missing where it is not known."""
@@ -88,6 +92,14 @@ class SceneSource(Protocol):
         """
         ...
 
+    def containers(self, scene: Scene) -> Containers:
+        """Which objects of a scene can hold things, by their assets."""
+        ...
+
+    def library(self) -> AssetLibrary:
+        """The catalogue of its assets, not encoded."""
+        ...
+
 
 class FolderSource:
     """A folder in the MesaTask-10K format.
@@ -125,11 +137,21 @@ class FolderSource:
         scene = replace(
             found.scene, relations=()
         )  # a layout says nothing of relations; what it shows may be what is wrong with it
-        containers = {
-            o.instance: self.dataset.annotation(o.asset_id).is_container if o.asset_id else None for o in scene.objects
-        }
         origin = origin_of(self.dataset, scene, settings)
-        return Taken(scene, found.posed.shapes, found.audit, containers, origin, found.notices)
+        return Taken(scene, found.posed.shapes, found.audit, self.containers(scene), origin, found.notices)
+
+    def containers(self, scene: Scene) -> Containers:
+        """As the annotations have it."""
+        return {o.instance: self.dataset.annotation(o.asset_id).is_container if o.asset_id else None for o in scene.objects}
+
+    def library(self) -> AssetLibrary:
+        """Its annotated assets; how they rest is what its first scenes show."""
+        return library_of_folder(self.dataset.root, self.name, scenes=self._first_scenes())
+
+    def _first_scenes(self) -> Iterator[Scene]:
+        for scene_id in self.dataset.scene_ids[:_LOOKED_AT]:
+            with suppress(SceneError):
+                yield self.dataset.read(scene_id)[0]
 
 
 class TableSource:
@@ -175,9 +197,16 @@ class TableSource:
         scene, shapes, notices = self.store.resolved(scene)
         progress.step = "audit"
         audit = audit_scene(scene, shapes)
-        containers = {o.instance: self._is_container.get(o.asset_id or "") for o in scene.objects}
         origin = {column: row[column] for column in ORIGIN_COLUMNS}
-        return Taken(scene, shapes, audit, containers, origin, notices)
+        return Taken(scene, shapes, audit, self.containers(scene), origin, notices)
+
+    def containers(self, scene: Scene) -> Containers:
+        """As the table ``assets`` has it."""
+        return {o.instance: self._is_container.get(o.asset_id or "") for o in scene.objects}
+
+    def library(self) -> AssetLibrary:
+        """The table ``assets``."""
+        return library_of_run(self.folder, self.name)
 
     def _row(self, scene_id: str) -> tables.Row:
         """A row of ``scenes``; the file that it is in is kept for the next one."""

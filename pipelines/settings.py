@@ -12,7 +12,7 @@ from stable_data.errors import ConfigError
 
 C = TypeVar("C")
 
-SECTIONS = ("preprocess", "correct", "train_corrector", "train_reasoner")
+SECTIONS = ("preprocess", "correct", "edit", "train_corrector", "train_reasoner")
 """Tables that a file may have: one for each job."""
 
 

@@ -145,6 +145,35 @@ def _on_ray(out: Path, scenes: int, world: "World", workers: int, address: str |
     return subprocess.run(command, check=False, env=os.environ | {"PYTHONPATH": path}).returncode
 
 
+@app.command("draft-edits")
+@with_clear_errors
+def draft_edits(
+    run: Annotated[str, typer.Argument(help="A run over the embedded world, with its scenes; a folder or its URI.")],
+    out: Annotated[str | None, typer.Argument(help="Folder to write the table edits in; the run's own by default.")] = None,
+    per_scene: Annotated[int, typer.Option(min=1, help="Edits a scene; the kinds take turns.")] = 4,
+    seed: Annotated[int, typer.Option(min=0, help="A scene's edits depend on the seed and the scene alone.")] = 0,
+) -> None:
+    """Draft edits of the scenes of a run, to train on: the table edits; run again to go on.
+
+    Nothing is settled or judged: synth --edits makes edits that are. Status 0: done. 1: some scenes are not of the embedded world;
+    they are listed. 2: could not start.
+    """
+    from stable_data.shards import RunFolder
+    from stable_data.synth.edit_table import write_edits
+
+    source, target = RunFolder(run), RunFolder(out or run)
+    num_edits, failures = 0, []
+    with target.locked():
+        for count, failed in write_edits(source, target, per_scene, seed):
+            num_edits += count
+            failures += failed
+    for error in failures:
+        typer.echo(f"no edits: {error}", err=True)
+    typer.echo(f"{target.uri}: {num_edits} edits added, {len(failures)} scenes without; {target.num_rows('edits')} rows in all")
+    if failures:
+        raise typer.Exit(SOME_FAILED)
+
+
 @app.command()
 @with_clear_errors
 def lint(

@@ -5,7 +5,7 @@ added to the paper: what carries an object is generated no later than the object
 """
 
 import heapq
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -119,14 +119,22 @@ def samples_of(scene: Scene) -> tuple[StageSample, ...]:
     samples: list[StageSample] = []
     done: tuple[SceneObject, ...] = ()
     for stage in Stage:
-        objects_out = _ordered(scene, [o for o in scene.objects if o.stage is stage])
+        objects_out = generation_order(scene.scene_id, [o for o in scene.objects if o.stage is stage])
         samples.append(StageSample(scene.scene_id, stage, done, objects_out))
         done += objects_out
     return tuple(samples)
 
 
-def _ordered(scene: Scene, objects: list[SceneObject]) -> tuple[SceneObject, ...]:
-    """Large to small by footprint, then by height; nothing before what carries it."""
+def generation_order(scene_id: str, objects: Sequence[SceneObject]) -> tuple[SceneObject, ...]:
+    """Objects large to small by footprint, then by height; nothing before what carries it.
+
+    Args:
+        scene_id: Their scene, for the error.
+        objects: Objects with their supports; a support that is not among them counts as none.
+
+    Raises:
+        SceneError: Supports form a circle (``support_circle``).
+    """
     members = {o.instance: o for o in objects}
     carried: dict[str | None, list[SceneObject]] = {}
     for o in objects:
@@ -142,5 +150,5 @@ def _ordered(scene: Scene, objects: list[SceneObject]) -> tuple[SceneObject, ...
             heapq.heappush(ready, (rank[o.instance], o.instance))
     if len(ordered) < len(objects):
         left = sorted(members.keys() - {o.instance for o in ordered})
-        raise SceneError(f"{scene.scene_id}: {left} form a circle of supports; derive supports anew", "support_circle")
+        raise SceneError(f"{scene_id}: {left} form a circle of supports; derive supports anew", "support_circle")
     return tuple(ordered)

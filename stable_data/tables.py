@@ -179,6 +179,19 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column("objects_out", pa.list_(SAMPLE_OBJECT), "objects of this stage, large to small, supports first", "m, rad"),
         ]
     ),
+    "edits": pa.schema(
+        [
+            _column("edit_id", _text, "unique in the run"),
+            *_scene_head[:-1],
+            _column("kind", _text, "add, remove, replace, move or restyle"),
+            _column("instruction", _text, "what is asked for"),
+            _column("objects_in", pa.list_(SAMPLE_OBJECT), "the scene as it was, in its order", "m, rad"),
+            _column(
+                "objects_out", pa.list_(SAMPLE_OBJECT), "objects that are new, and changed ones under their names", "m, rad"
+            ),
+            _column("removed", _texts, "instances of objects_in that go"),
+        ]
+    ),
     "assets": pa.schema(
         [
             _column("asset_id", _text, "unique"),

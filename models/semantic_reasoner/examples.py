@@ -1,4 +1,4 @@
-"""What the reasoner learns from: questions and answers made of rows of the table ``samples``."""
+"""What the reasoner learns from: questions and answers made of rows of the tables ``samples`` and ``edits``."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from models.semantic_reasoner.layout_text import LayoutObject, layout_names, layout_objects
 from models.semantic_reasoner.prompt import ANY_TABLE, Ask, Message, Wanted, answer, details_of, messages
 from stable_data.scene import Stage, Tabletop
+from stable_data.staging import generation_order
 from stable_data.tables import Row, object_from_row, task_from_row
 
 
@@ -59,6 +60,21 @@ def example_of(row: Row, with_details: bool = False) -> Example:
         details_of(task) if with_details and task is not None else "",
     )
     return Example(row["scene_id"], ask, layout_objects(objects_out, names))
+
+
+def edit_example_of(row: Row) -> Example:
+    """The example that a row of ``edits`` makes: the scene as it was is the layout so far, in the order of generation.
+
+    Args:
+        row: The row.
+    """
+    before, after = ([object_from_row(o) for o in row[key]] for key in ("objects_in", "objects_out"))
+    present = generation_order(row["scene_id"], before)
+    known = {o.instance for o in present}
+    names = layout_names([*present, *(o for o in after if o.instance not in known)])
+    ask = Ask(row["instruction"], _table(row), "edit", layout_objects(present, names))
+    changes = layout_objects(generation_order(row["scene_id"], after), names)
+    return Example(row["scene_id"], ask, changes, tuple(names[instance] for instance in row["removed"]))
 
 
 def one_shot(examples: Iterable[Example]) -> Iterator[Example]:

@@ -23,7 +23,8 @@ from stable_data.mesh import Mesh
 from stable_data.render import contact_sheet, render_scene
 from stable_data.shape import Shape
 from stable_data.synth.catalogue import KEYS, asset, unit_cube
-from stable_data.synth.edits import KINDS, Edit, make_edit
+from stable_data.synth.drafting import KINDS
+from stable_data.synth.edits import Edit, make_edit
 from stable_data.synth.scenes import RECORD, MadeScene, make_scene, plan_of, scene_id_of, table_type_of
 from stable_data.synth.statistics import card, counted
 

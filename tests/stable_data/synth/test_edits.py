@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from stable_data.physics import settle
-from stable_data.synth.edits import KINDS, make_edit
+from stable_data.synth.drafting import KINDS
+from stable_data.synth.edits import make_edit
 from stable_data.synth.scenes import MadeScene, make_scene
 from stable_data.synth.settling import audit, bodies_of, restless
 

@@ -1,0 +1,120 @@
+"""What the edit job is asked: a file with one edit a line, each of which becomes a scene or a failure."""
+
+import json
+import re
+from collections import Counter
+from collections.abc import Container
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stable_data.errors import ConfigError, Notice, SceneError
+
+KEYS = ("scene_id", "instruction", "edit_id", "reply")
+
+_PLAIN = re.compile(r"[\w.-]+(?:/[\w.-]+)*")
+
+
+@dataclass(frozen=True, slots=True)
+class WantedEdit:
+    """An edit that is asked for.
+
+    Attributes:
+        edit_id: The name of the scene that it makes.
+        scene_id: The scene.
+        instruction: What is to be changed.
+        reply: The text of a reply that is there already; None: the reasoner is asked.
+    """
+
+    edit_id: str
+    scene_id: str
+    instruction: str
+    reply: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class EditFile:
+    """A file of edits.
+
+    Attributes:
+        edits: Those that can be tried, in order.
+        failures: One for each other line.
+    """
+
+    edits: tuple[WantedEdit, ...]
+    failures: tuple[Notice, ...]
+
+    @property
+    def ids(self) -> list[str]:
+        """Ids of all, failures after the others."""
+        return [*(edit.edit_id for edit in self.edits), *(notice.item_id for notice in self.failures)]
+
+
+def read_edits(path: Path, scene_ids: Container[str]) -> EditFile:
+    """Reads edits, one JSON object a line: ``scene_id``, ``instruction``, and if wanted ``edit_id`` and ``reply``.
+
+    Args:
+        path: The file. Empty lines are passed over; a line that is no edit is a failure of its own.
+        scene_ids: The scenes that are there.
+
+    Returns:
+        The edits. Without an id the k-th edit of a scene is ``<scene_id>_edit<k>``, counted from 1.
+
+    Raises:
+        ConfigError: It cannot be read, or holds nothing (``edits_invalid``).
+    """
+    try:
+        lines = path.read_bytes().decode("utf-8-sig").splitlines()
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "no UTF-8"
+        raise ConfigError(f"{path}: cannot be read ({reason}), expected one edit a line as JSON", "edits_invalid") from error
+    edits: dict[str, WantedEdit] = {}
+    failures: list[Notice] = []
+    count: Counter[str] = Counter()
+    for number, line in enumerate(lines, 1):
+        if not line.strip():
+            continue
+        item_id = f"line_{number:06d}"
+        try:
+            edit = _edit_of(line, count)
+            item_id = item_id if edit.edit_id in edits else edit.edit_id
+            if edit.edit_id in edits or edit.edit_id in scene_ids:
+                raise SceneError(f"edit_id {edit.edit_id} is taken, expected one of its own; choose another", "edit_invalid")
+            if edit.scene_id not in scene_ids:
+                raise SceneError(f"scene {edit.scene_id} is not in the scenes; is it their edit?", "scene_unknown")
+        except SceneError as error:
+            failures.append(Notice(item_id, "edits", error.code, f"{path.name}, line {number}: {error}"))
+        else:
+            edits[edit.edit_id] = edit
+    if not edits and not failures:
+        raise ConfigError(f"{path}: holds no edits, expected one a line as JSON", "edits_invalid")
+    return EditFile(tuple(edits.values()), tuple(failures))
+
+
+def _edit_of(line: str, count: Counter[str]) -> WantedEdit:
+    try:
+        data = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise SceneError(f"no JSON ({error})", "edit_invalid") from error
+    if not isinstance(data, dict):
+        raise SceneError(f"is {type(data).__name__}, expected an object", "edit_invalid")
+    if unknown := sorted(data.keys() - set(KEYS)):
+        raise SceneError(f"has {unknown[0]!r}, expected only {', '.join(KEYS)}", "edit_invalid")
+    scene_id, instruction = _words(data, "scene_id"), _words(data, "instruction")
+    count[scene_id] += 1
+    edit_id = _words(data, "edit_id") if "edit_id" in data else f"{scene_id}_edit{count[scene_id]}"
+    if not _PLAIN.fullmatch(edit_id) or set(edit_id.split("/")) & {".", ".."}:
+        raise SceneError(f"edit_id is {edit_id!r}, expected a plain name", "edit_invalid")
+    reply = data.get("reply")
+    if reply is not None and not isinstance(reply, str):
+        reply = json.dumps(reply, ensure_ascii=False)
+    return WantedEdit(edit_id, scene_id, instruction, reply)
+
+
+def _words(data: dict[str, Any], key: str) -> str:
+    found = data.get(key)
+    if not isinstance(found, str) or not found.strip():
+        raise SceneError(
+            f"has {key} {found!r}, expected words", "instruction_invalid" if key == "instruction" else "edit_invalid"
+        )
+    return found.strip()
