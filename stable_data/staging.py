@@ -4,7 +4,6 @@ O^t are the objects that the instruction names. O^B are those whose boxes come n
 added to the paper: what carries an object is generated no later than the object, so that no sub-layout floats.
 """
 
-import heapq
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -29,7 +28,7 @@ class StageSample:
         scene_id: The scene.
         stage: The stage.
         objects_in: All objects of earlier stages, in the order in which they were generated.
-        objects_out: This stage's objects, large to small, carriers before what they carry; possibly none.
+        objects_out: This stage's objects in the order of generation (:func:`generation_order`); possibly none.
     """
 
     scene_id: str
@@ -126,7 +125,9 @@ def samples_of(scene: Scene) -> tuple[StageSample, ...]:
 
 
 def generation_order(scene_id: str, objects: Sequence[SceneObject]) -> tuple[SceneObject, ...]:
-    """Objects large to small by footprint, then by height; nothing before what carries it.
+    """Objects large to small by footprint, then by height; each is followed at once by what it carries, in the same order.
+
+    So a model that writes them one after the other has just written where a thing's carrier stands.
 
     Args:
         scene_id: Their scene, for the error.
@@ -137,17 +138,13 @@ def generation_order(scene_id: str, objects: Sequence[SceneObject]) -> tuple[Sce
     """
     members = {o.instance: o for o in objects}
     carried: dict[str | None, list[SceneObject]] = {}
-    for o in objects:
+    for o in sorted(objects, key=lambda o: (-o.size[0] * o.size[1], -o.size[2])):  # stable: ties keep the given order
         carried.setdefault(o.support if o.support in members else None, []).append(o)
-    rank = {o.instance: (-o.size[0] * o.size[1], -o.size[2], index) for index, o in enumerate(objects)}
-    ready = [(rank[o.instance], o.instance) for o in carried.get(None, ())]
-    heapq.heapify(ready)
     ordered: list[SceneObject] = []
-    while ready:
-        _, instance = heapq.heappop(ready)
-        ordered.append(members[instance])
-        for o in carried.get(instance, ()):
-            heapq.heappush(ready, (rank[o.instance], o.instance))
+    waiting = carried.get(None, [])[::-1]
+    while waiting:
+        ordered.append(waiting.pop())
+        waiting += carried.get(ordered[-1].instance, [])[::-1]
     if len(ordered) < len(objects):
         left = sorted(members.keys() - {o.instance for o in ordered})
         raise SceneError(f"{scene_id}: {left} form a circle of supports; derive supports anew", "support_circle")

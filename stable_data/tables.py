@@ -176,7 +176,12 @@ SCHEMAS: dict[str, pa.Schema] = {
             *_scene_head,
             _column("stage", _text, "task (O^t), important (O^B) or secondary (O^b)"),
             _column("objects_in", pa.list_(SAMPLE_OBJECT), "objects of all earlier stages", "m, rad"),
-            _column("objects_out", pa.list_(SAMPLE_OBJECT), "objects of this stage, large to small, supports first", "m, rad"),
+            _column(
+                "objects_out",
+                pa.list_(SAMPLE_OBJECT),
+                "objects of this stage, large to small, each followed by what it carries",
+                "m, rad",
+            ),
         ]
     ),
     "edits": pa.schema(

@@ -1,5 +1,7 @@
 """The networks that are trained: the small Qwen3 of the embedded engine, or a base model, adapted or whole."""
 
+import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -38,7 +40,24 @@ def new_network(settings: NetworkSettings, tokenizer: PreTrainedTokenizerBase, m
     )
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        return Qwen3ForCausalLM(config)
+        network = Qwen3ForCausalLM(config)
+    _order_numbers(network.get_input_embeddings().weight, tokenizer.get_vocab(), config.initializer_range)
+    return network
+
+
+@torch.no_grad()
+def _order_numbers(embeddings: Tensor, vocabulary: Mapping[str, int], scale: float) -> None:
+    """Puts near numbers near each other, in a quarter of the width, by waves of 3 to 1,200.
+
+    A layout is mostly numbers, and what stands in a bowl stands where the bowl stands, give or take. Drawn at random, that 45 is
+    next to 46 would have to be learned for each of them.
+    """
+    numbers = {int(word): index for word, index in vocabulary.items() if re.fullmatch(r"-?[0-9]{1,3}", word)}
+    values = torch.tensor(sorted(numbers), dtype=torch.float32)
+    width = embeddings.shape[1] // 8
+    waves = 2 * math.pi * values[:, None] / torch.logspace(math.log10(3), math.log10(1200), width)
+    rows = torch.tensor([numbers[int(v)] for v in values])
+    embeddings[rows, : 2 * width] = math.sqrt(2) * scale * torch.cat([waves.sin(), waves.cos()], 1)
 
 
 class TrainedNetwork:
