@@ -38,7 +38,7 @@ def preprocess(
         str, typer.Option(help="A folder in the MesaTask-10K format; every node of a cluster must see it under this path.")
     ],
     out: Annotated[str, typer.Option(help="Run folder: a path that every node sees, or a URI such as s3://bucket/prefix.")],
-    config: Annotated[Path | None, typer.Option(help="TOML file; its table [preprocess] is read.")] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table preprocess is read.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
     workers: Annotated[
         int,
@@ -84,7 +84,7 @@ def correct(
         typer.Option(help="A folder in the MesaTask-10K format, or a run with a table scenes; every node must see it."),
     ],
     out: Annotated[str, typer.Option(help="Run folder: a path that every node sees, or a URI such as s3://bucket/prefix.")],
-    config: Annotated[Path | None, typer.Option(help="TOML file; its table [correct] is read.")] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table correct is read.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
     workers: Annotated[
         int,
@@ -141,7 +141,7 @@ def edit(
     engine: Annotated[
         str, typer.Option(help="The reasoner: embedded, a Hugging Face folder, or none where every edit has its reply.")
     ] = "embedded",
-    config: Annotated[Path | None, typer.Option(help="TOML file; its table [edit] is read.")] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table edit is read.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
     workers: Annotated[
         int,
@@ -223,7 +223,7 @@ def train_corrector(
             help="paper, paper_set, embedded, embedded_set or embedded_set_near: network and training; the file and --set change it."
         ),
     ] = "embedded_set",
-    config: Annotated[Path | None, typer.Option(help="TOML file; its table [train_corrector] is read.")] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table train_corrector is read.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
     minutes: Annotated[
         float, typer.Option(help="Stop after so long and keep the checkpoint; run again to go on. 0 is no limit.")
@@ -261,7 +261,7 @@ def train_reasoner(
             help="embedded: a small Qwen3 from scratch. paper: the paper's fine-tuning of the model in the folder --set base=DIR."
         ),
     ] = "embedded",
-    config: Annotated[Path | None, typer.Option(help="TOML file; its table [train_reasoner] is read.")] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table train_reasoner is read.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
     minutes: Annotated[
         float, typer.Option(help="Stop after so long and keep the checkpoint; run again to go on. 0 is no limit.")
