@@ -23,7 +23,7 @@ from models.semantic_reasoner.http_engine import HttpEngine
 from models.semantic_reasoner.http_settings import HttpSettings
 from models.semantic_reasoner.prompt import Ask, messages
 from models.semantic_reasoner.reply_form import ReplyForm
-from stable_data.scene import Stage, Tabletop
+from stable_data.scene import Stage, Tabletop, TaskInfo
 
 ANSWER_S = 0.05
 """What an answer takes, seconds."""
@@ -153,7 +153,10 @@ def requests_to_send(number: int) -> list[Request]:
     """Prompts as long as those of the second stage's, mostly."""
     form = ReplyForm.of_table(_TABLE)
     return [
-        Request(tuple(messages(Ask(f"request {k} is to make tea for three", _TABLE, Stage.TASK, details="y" * 800))), form)
+        Request(
+            tuple(messages(Ask(f"request {k} is to make tea for three", _TABLE, Stage.TASK, details=TaskInfo("y" * 800, "")))),
+            form,
+        )
         for k in range(number)
     ]
 

@@ -2,12 +2,15 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from models.semantic_reasoner.categories import CategoryStatistics
 from models.semantic_reasoner.checks import CheckSettings, ReplyCheck
+from models.semantic_reasoner.dialect import dialect_of
 from models.semantic_reasoner.engines import EngineSettings, load_engine
 from models.semantic_reasoner.grounding import Grounding
 from models.semantic_reasoner.reasoner import SemanticReasoner
+from stable_data.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,11 +22,15 @@ class ReasonerSettings:
         statistics: What is known of categories, for the checks: a model's folder with ``categories.json``, or a preprocess run
             with the table ``samples``; empty takes that of the engine's own folder, and without any only form is checked.
         checks: How strict the checks are.
+        dialect: How the engine is spoken to: ``stages``, our own words, or ``mesatask``, as MesaTask's released model was trained.
+        wording: File with the text of MesaTask's question; empty takes ours, which says the same in other words.
     """
 
     tries: int = 4
     statistics: str = ""
     checks: CheckSettings = field(default_factory=CheckSettings)
+    dialect: Literal["stages", "mesatask"] = "stages"
+    wording: str = ""
 
 
 def load_reasoner(
@@ -46,8 +53,16 @@ def load_reasoner(
         from models.text_encoder import load_default
 
         grounding = Grounding(statistics, load_default())
-    reasoner = SemanticReasoner(load_engine(engine), check, settings.tries, engine.reads_reasons, grounding)
+    dialect = dialect_of(settings.dialect, _text(settings.wording))
+    reasoner = SemanticReasoner(load_engine(engine), check, settings.tries, engine.reads_reasons, grounding, dialect)
     return reasoner, statistics
+
+
+def _text(file: str) -> str:
+    try:
+        return Path(file).read_text("utf-8") if file else ""
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file}: cannot be read as text ({error})", "config_invalid") from error
 
 
 def _statistics(engine: EngineSettings, settings: ReasonerSettings) -> CategoryStatistics | None:

@@ -65,7 +65,9 @@ def request_body(model: str, request: Request, sampling: Sampling, spelt: Mappin
     }
     body: Fields = {"model": model, "messages": list(request.messages)}
     body |= {spelt[name]: value for name, value in values.items() if spelt[name]}
-    if spelt["response_format"] == "json_schema":
+    if not request.form.binds:
+        pass  # it says what it likes
+    elif spelt["response_format"] == "json_schema":
         schema = {"name": "layout", "strict": True, "schema": strict_schema(request.form.schema())}
         body["response_format"] = {"type": "json_schema", "json_schema": schema}
     elif spelt["response_format"]:

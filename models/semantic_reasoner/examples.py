@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 from models.semantic_reasoner.layout_text import LayoutObject, layout_names, layout_objects
-from models.semantic_reasoner.prompt import ANY_TABLE, Ask, Message, Wanted, answer, details_of, messages
+from models.semantic_reasoner.prompt import ANY_TABLE, Ask, Message, Wanted, answer, messages
 from stable_data.scene import Stage, Tabletop
 from stable_data.staging import generation_order
 from stable_data.tables import Row, object_from_row, task_from_row
@@ -56,7 +56,7 @@ def example_of(row: Row, with_details: bool = False) -> Example:
         _table(row),
         Stage(row["stage"]),
         layout_objects(objects_in, names),
-        details_of(task) if with_details and task is not None else "",
+        task if with_details else None,
     )
     return Example(row["scene_id"], ask, layout_objects(objects_out, names))
 

@@ -134,7 +134,7 @@ class LocalEngine:
         return [c if c is not None else Completion("", failure="no reply", code="internal") for c in done]
 
     def _begun(self, index: int, request: Request) -> _Sequence | Completion:
-        chat = chat_text(self._tokenizer, request.messages)
+        chat = chat_text(self._tokenizer, request.messages, thinks=not request.form.binds)
         prompt: list[int] = self._tokenizer(chat, add_special_tokens=False)["input_ids"]
         longest = self._model.config.get_text_config().max_position_embeddings
         if len(prompt) + 16 > longest:
@@ -145,7 +145,7 @@ class LocalEngine:
                 code="prompt_too_long",
             )
         matcher = None
-        if self._is_constrained:
+        if self._is_constrained and request.form.binds:
             matcher = LLMatcher(self._guide, LLMatcher.grammar_from_lark(request.form.grammar()))
             if matcher.is_error():
                 return Completion("", len(prompt), failure=f"grammar: {matcher.get_error()}", code="grammar_invalid")
@@ -183,9 +183,9 @@ class LocalEngine:
 
     def _drawn(self, logits: Tensor, active: list[_Sequence]) -> list[int]:
         """A token for each sequence."""
-        if self._is_constrained:
+        matchers = [(s.matcher, row) for row, s in enumerate(active) if s.matcher is not None]
+        if matchers:
             mask = llguidance.numpy.allocate_token_bitmask(len(active), self._vocabulary)
-            matchers = [(s.matcher, row) for row, s in enumerate(active) if s.matcher is not None]
             llguidance.numpy.fill_next_token_bitmask_par(self._executor, matchers, mask)
             allowed = np.unpackbits(mask.view(np.uint8), axis=1, bitorder="little")[:, : self._vocabulary]
             logits = logits.masked_fill(torch.from_numpy(allowed == 0), -torch.inf)

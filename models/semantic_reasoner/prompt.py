@@ -69,14 +69,14 @@ class Ask:
         table: The table.
         wanted: What is asked for.
         layout: The layout so far.
-        details: The rest of the task info, a line; empty where there is none or the model was not trained on any.
+        details: The task info, where the rest of it is to be said too and the model was trained on that.
     """
 
     instruction: str
     table: Tabletop
     wanted: Wanted
     layout: tuple[LayoutObject, ...] = ()
-    details: str = ""
+    details: TaskInfo | None = None
 
     @property
     def edits(self) -> bool:
@@ -106,7 +106,27 @@ def messages(ask: Ask, refused: Sequence[tuple[str, str]] = ()) -> list[Message]
 
 def question(ask: Ask) -> str:
     """The user's message."""
-    instruction = plain(ask.instruction)
+    instruction = checked_instruction(ask.instruction)
+    width, depth = (f"{100 * s:.{DECIMALS}f}" for s in ask.table.size_xy)
+    zone = ask.table.restricted_zone
+    parts = [INSTRUCTION, instruction, TABLE, plain(ask.table.table_type) or ANY_TABLE, ", ", width, BY, depth, CM]
+    if zone is not None:
+        x_min, x_max, y_min, y_max = (f"{100 * v:.{DECIMALS}f}" for v in zone)
+        parts += [ZONE, f"[{x_min},{x_max},{y_min},{y_max}]"]
+    if ask.details is not None and (details := plain(details_of(ask.details))):
+        parts += [DETAILS, details]
+    if ask.layout:
+        parts += [LAYOUT, render_objects(ask.layout)]
+    return "".join([*parts, WANTED[ask.wanted]])
+
+
+def checked_instruction(words: str) -> str:
+    """An instruction as it is said.
+
+    Raises:
+        SceneError: It is empty or too long (``instruction_invalid``).
+    """
+    instruction = plain(words)
     if not instruction:
         raise SceneError("instruction is empty, expected what is to be done on the table", "instruction_invalid")
     if len(instruction) > MAX_INSTRUCTION:
@@ -114,17 +134,7 @@ def question(ask: Ask) -> str:
             f"instruction has {len(instruction):,} characters, expected at most {MAX_INSTRUCTION:,}; shorten it",
             "instruction_invalid",
         )
-    width, depth = (f"{100 * s:.{DECIMALS}f}" for s in ask.table.size_xy)
-    zone = ask.table.restricted_zone
-    parts = [INSTRUCTION, instruction, TABLE, plain(ask.table.table_type) or ANY_TABLE, ", ", width, BY, depth, CM]
-    if zone is not None:
-        x_min, x_max, y_min, y_max = (f"{100 * v:.{DECIMALS}f}" for v in zone)
-        parts += [ZONE, f"[{x_min},{x_max},{y_min},{y_max}]"]
-    if ask.details:
-        parts += [DETAILS, plain(ask.details)]
-    if ask.layout:
-        parts += [LAYOUT, render_objects(ask.layout)]
-    return "".join([*parts, WANTED[ask.wanted]])
+    return instruction
 
 
 def answer(objects: Sequence[LayoutObject], removed: Sequence[str] | None = None) -> str:

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from models.semantic_reasoner.checks import Fault
+from models.semantic_reasoner.dialect import Dialect, StagedDialect
 from models.semantic_reasoner.engine import Completion, Engine, Request
 from models.semantic_reasoner.grounding import Grounding
-from models.semantic_reasoner.layout_text import LayoutObject, Reply, parse_reply, renumbered
-from models.semantic_reasoner.prompt import MAX_INSTRUCTION, Ask, messages
-from models.semantic_reasoner.reply_form import ReplyForm
+from models.semantic_reasoner.layout_text import LayoutObject, Reply, renumbered
+from models.semantic_reasoner.prompt import MAX_INSTRUCTION, Ask
 from stable_data.errors import ConfigError, Notice, SceneError
 
 
@@ -133,6 +133,7 @@ class SemanticReasoner:
         tells_reasons: Whether a refused answer and its reason are shown when it is asked again, as a large model can use; else
             the same question is asked with other draws.
         grounding: Puts an instruction into words that the engine knows; None for an engine that knows them all.
+        dialect: How it is spoken to; our own words by default.
     """
 
     def __init__(
@@ -142,11 +143,13 @@ class SemanticReasoner:
         tries: int = 4,
         tells_reasons: bool = False,
         grounding: Grounding | None = None,
+        dialect: Dialect | None = None,
     ) -> None:
         if tries < 1:
             raise ConfigError(f"tries is {tries}, expected at least 1", "config_invalid")
         self.engine, self._check, self._grounding = engine, check, grounding
         self._tries, self._tells_reasons = tries, tells_reasons
+        self._dialect = dialect or StagedDialect()
 
     def propose(self, asks: Sequence[Ask], seeds: Sequence[int]) -> list[Proposal]:
         """A proposal for each question, in their order; what fails does not touch the others.
@@ -187,9 +190,8 @@ class SemanticReasoner:
     def _request(self, asking: _Asking, attempt: int) -> Request:
         ask = asking.ask
         told = [(r.answer, r.reason) for r in asking.refused] if self._tells_reasons else []
-        names = tuple(o.instance for o in ask.layout) if ask.edits else ()
-        form = ReplyForm.of_table(ask.table, edits=ask.edits, names=names)
-        return Request(tuple(messages(ask, told)), form, _seed(asking.seed, str(ask.wanted), attempt))
+        chat = tuple(self._dialect.messages(ask, told))
+        return Request(chat, self._dialect.form(ask), _seed(asking.seed, str(ask.wanted), attempt))
 
     def _judge(self, asking: _Asking, completion: Completion) -> Proposal | None:
         """What comes of an answer; None where it is to be asked again."""
@@ -202,7 +204,7 @@ class SemanticReasoner:
         if completion.failure:
             return asking.proposal(failure=completion.failure, code=completion.code)
         try:
-            reply = parse_reply(completion.text)
+            reply = self._dialect.parse(completion.text)
         except SceneError as error:
             asking.refuse(completion.text, [Fault(error.code, str(error))])
             return None

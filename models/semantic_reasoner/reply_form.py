@@ -36,6 +36,7 @@ class ReplyForm:
         names: Instances of the layout, which an edit may change or take away.
         at_least: Fewest objects.
         at_most: Most objects.
+        binds: Whether an answer is this JSON alone; else the model says what it likes around it, and thinks if it does.
     """
 
     width_cm: float
@@ -44,6 +45,7 @@ class ReplyForm:
     names: tuple[str, ...] = ()
     at_least: int = 0
     at_most: int = MOST_OBJECTS
+    binds: bool = True
 
     @classmethod
     def of_table(cls, table: Tabletop, **more: Any) -> "ReplyForm":

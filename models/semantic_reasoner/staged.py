@@ -11,7 +11,7 @@ from models.semantic_reasoner.categories import CategoryStatistics
 from models.semantic_reasoner.layout_text import LayoutObject
 from models.semantic_reasoner.prompt import Ask, Wanted
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
-from stable_data.scene import Scene, SceneObject, Stage, Tabletop
+from stable_data.scene import Scene, SceneObject, Stage, Tabletop, TaskInfo
 
 PROGRESSIVE: tuple[Wanted, ...] = tuple(Stage)
 """The paper's three stages."""
@@ -28,13 +28,13 @@ class LayoutTask:
         scene_id: Names the layout.
         instruction: What is to be done on the table.
         table: The table.
-        details: The rest of the task info, a line; empty where there is none, or the engine was not trained on any.
+        details: The task info, where the rest of it is to be said too and the engine was trained on that.
     """
 
     scene_id: str
     instruction: str
     table: Tabletop
-    details: str = ""
+    details: TaskInfo | None = None
 
 
 @dataclass(slots=True)

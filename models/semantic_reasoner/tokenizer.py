@@ -91,15 +91,16 @@ def train_tokenizer(texts: Iterable[str], vocab_size: int = 2048) -> PreTrainedT
     )
 
 
-def chat_text(tokenizer: PreTrainedTokenizerBase, messages: Sequence[Message]) -> str:
+def chat_text(tokenizer: PreTrainedTokenizerBase, messages: Sequence[Message], thinks: bool = False) -> str:
     """A chat up to the answer, as a model is trained on it and asked with it.
 
     Args:
         tokenizer: With a chat template.
         messages: The chat.
+        thinks: Whether a chain of thought may come before the answer.
     """
     # Qwen3's own template leaves room for a chain of thought unless it is told that there is none.
-    told = tokenizer.apply_chat_template(list(messages), add_generation_prompt=True, enable_thinking=False, tokenize=False)
+    told = tokenizer.apply_chat_template(list(messages), add_generation_prompt=True, enable_thinking=thinks, tokenize=False)
     return str(told)
 
 

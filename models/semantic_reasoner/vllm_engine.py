@@ -60,7 +60,7 @@ class VllmEngine:
             [list(r.messages) for r in requests],
             [self._of(r) for r in requests],
             use_tqdm=False,
-            chat_template_kwargs={"enable_thinking": False},
+            chat_template_kwargs={"enable_thinking": not requests[0].form.binds},
         )
         return [_completion(output) for output in outputs]
 
@@ -72,7 +72,7 @@ class VllmEngine:
             top_k=s.top_k or -1,
             max_tokens=s.max_tokens,
             seed=request.seed % 2**31,
-            structured_outputs=self._structured(grammar=request.form.grammar()),
+            structured_outputs=self._structured(grammar=request.form.grammar()) if request.form.binds else None,
         )
 
 
