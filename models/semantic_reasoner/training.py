@@ -5,11 +5,13 @@ that was stopped and resumed is the run that was not. Processes share a step by 
 batches, so that their number changes what each does and not what is learned.
 """
 
+import ctypes
 import itertools
 import json
 import math
 import os
 import pickle
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -63,6 +65,16 @@ class Step:
     norm: float
     stops: bool
     saves: bool
+
+
+_TRIM_EVERY = 32  # steps
+
+
+def _give_back() -> None:
+    """Gives what is free back to the system: batches of ever new shapes leave holes that glibc keeps, 6 GB in twenty minutes."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+    if trim is not None:
+        trim(0)
 
 
 class Training:
@@ -138,6 +150,8 @@ class Training:
         self._add_up(figures)
         self.step += 1
         self.tokens += count
+        if self.step % _TRIM_EVERY == 0:
+            _give_back()
         total, stops, saves = figures.tolist()
         return Step(total, float(norm), stops > 0, saves > 0)
 
