@@ -126,36 +126,23 @@ def _grammar(form: ReplyForm) -> str:
 
 
 def _up_to(most: float, least_tenths: int = 0) -> str:
-    """A pattern for the numbers with one decimal from ``least_tenths`` tenths up to ``most``, in their one spelling."""
-    tenths = math.floor(10 * most + 1e-6)
-    whole, rest = divmod(tenths, 10)
-    parts = [f"{whole}\\.[0-{rest}]"] if rest < 9 else [f"{whole}\\.[0-9]"]
+    """A pattern for the numbers with one decimal from 0, or one tenth, up to ``most``, in their one spelling."""
+    whole, rest = divmod(math.floor(10 * most + 1e-6), 10)
+    first = least_tenths if whole == 0 else 0
+    parts = [rf"{whole}\.[{first}-{rest}]"]
     if whole > 0:
-        parts = [
-            f"({_integers(0 if least_tenths == 0 else 1, whole - 1)})\\.[0-9]" if whole > 1 or least_tenths == 0 else "",
-            *parts,
-        ]
-        if least_tenths:
-            parts.append(f"0\\.[{least_tenths}-9]")
-    elif least_tenths:
-        parts = [f"0\\.[{least_tenths}-{rest}]"]
-    return "|".join(p for p in parts if p)
+        parts.append(rf"0\.[{least_tenths}-9]")
+    if whole > 1:
+        parts.append(rf"({_whole_up_to(whole - 1)})\.[0-9]")
+    return "|".join(parts)
 
 
-def _integers(low: int, high: int) -> str:
-    """A pattern for the whole numbers from ``low`` to ``high``, both below 1000, without leading zeros."""
-    found: list[str] = []
-    for digits in (1, 2, 3):
-        first, last = max(low, 10 ** (digits - 1) if digits > 1 else 0), min(high, 10**digits - 1)
-        while first <= last:
-            span = 1
-            while span < 10 ** (digits - 1) and first % (10 * span) == 0 and first + 10 * span - 1 <= last:
-                span *= 10
-            place = span
-            top = min(last, first + (9 - first // place % 10) * place + place - 1)
-            top = first + (top - first + 1) // place * place - 1
-            head, tail = str(first)[: digits - len(str(place)) + 0], "[0-9]" * (len(str(place)) - 1)
-            a, b = first // place % 10, top // place % 10
-            found.append(f"{head}{a if a == b else f'[{a}-{b}]'}{tail}")
-            first = top + 1
-    return "|".join(found)
+def _whole_up_to(most: int) -> str:
+    """A pattern for the whole numbers from 1 to ``most``, without leading zeros."""
+    digits = str(most)
+    parts = ["[1-9]" + "[0-9]" * (size - 1) for size in range(1, len(digits))]
+    for place, digit in enumerate(digits):  # alike up to here, and smaller here
+        low, high = int(place == 0), int(digit) - 1
+        if low <= high:
+            parts.append(digits[:place] + f"[{low}-{high}]" + "[0-9]" * (len(digits) - place - 1))
+    return "|".join([*parts, digits])
