@@ -1,13 +1,17 @@
 """A reasoner from its settings: engine, checks, and what a closed vocabulary needs."""
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from models.semantic_reasoner.categories import CategoryStatistics
-from models.semantic_reasoner.checks import CheckSettings, ReplyCheck
+from models.semantic_reasoner.checks import CheckSettings, ReplyCheck, form_check
 from models.semantic_reasoner.engines import EngineSettings, load_engine
 from models.semantic_reasoner.grounding import Grounding
+from models.semantic_reasoner.prompt import PROMPT_VERSION
 from models.semantic_reasoner.reasoner import SemanticReasoner
+from stable_data.errors import ConfigError
+from stable_data.shards import content_id
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +29,17 @@ class ReasonerSettings:
     statistics: str = ""
     checks: CheckSettings = field(default_factory=CheckSettings)
 
+    def __post_init__(self) -> None:
+        """Refuses what never asks."""
+        if self.tries < 1:
+            raise ConfigError(f"tries is {self.tries}, expected at least 1", "config_invalid")
+
+    def settled(self) -> "ReasonerSettings":
+        """The same for any working directory: its path is absolute."""
+        if not self.statistics or "://" in self.statistics:
+            return self
+        return replace(self, statistics=str(Path(self.statistics).expanduser().resolve()))
+
 
 def load_reasoner(
     engine: EngineSettings, settings: ReasonerSettings | None = None
@@ -40,7 +55,7 @@ def load_reasoner(
     """
     settings = settings or ReasonerSettings()
     statistics = _statistics(engine, settings)
-    check = None if statistics is None else ReplyCheck(statistics, settings.checks)
+    check = form_check if statistics is None else ReplyCheck(statistics, settings.checks)
     grounding = None
     if engine.kind == "embedded" and statistics is not None:
         from models.text_encoder import load_default
@@ -48,6 +63,26 @@ def load_reasoner(
         grounding = Grounding(statistics, load_default())
     reasoner = SemanticReasoner(load_engine(engine), check, settings.tries, engine.reads_reasons, grounding)
     return reasoner, statistics
+
+
+def shaping_of_proposals(engine: EngineSettings, settings: ReasonerSettings | None = None) -> dict[str, Any]:
+    """All that a reasoner's proposals depend on beside questions and seeds, as JSON takes it.
+
+    A job that is resumed compares it: rows of two reasoners are not to be mixed. Nothing is opened.
+
+    Args:
+        engine: Who answers.
+        settings: How it is asked.
+
+    Raises:
+        ConfigError: The engine or the statistics are not there.
+    """
+    settings = settings or ReasonerSettings()
+    found = engine.shaping() | {"tries": settings.tries, "checks": asdict(settings.checks), "prompt_version": PROMPT_VERSION}
+    if settings.statistics:  # those of the engine's own folder are a file of its model
+        statistics = _statistics(engine, settings)
+        found["statistics"] = content_id(None if statistics is None else asdict(statistics))
+    return found
 
 
 def _statistics(engine: EngineSettings, settings: ReasonerSettings) -> CategoryStatistics | None:
