@@ -278,7 +278,7 @@ def train_reasoner(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print examples, steps, memory and time, and stop.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="The same as JSON.")] = False,
 ) -> None:
-    """Train the Semantic Reasoner on the samples of a run. Run again to go on where it was stopped.
+    """Train the Semantic Reasoner on the samples and edits of a run. Run again to go on where it was stopped.
 
     OUT/weights is a plain Hugging Face folder. Status 0: done, or stopped with its checkpoint kept. 2: could not start or go on.
     """
