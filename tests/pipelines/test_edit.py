@@ -41,6 +41,7 @@ from stable_data.shards import RunFolder
 from stable_data.synth.drafting import KINDS
 from stable_data.synth.edit_table import edit_rows
 from stable_data.tables import Row, object_from_row, scene_from_row
+from tests.models.semantic_reasoner.endpoint import Act, endpoint, said
 from tests.models.semantic_reasoner.known_categories import ask
 from tests.pipelines.runs import ROOT, content, used_assets
 from tests.stable_data.synth.edit_scenes import made_scenes, row_of
@@ -323,6 +324,30 @@ def test_what_was_said_once_is_kept_and_said_again(dataset: Path, wanted: list[d
     assert rows_of(tmp_path / "one", "scenes") == rows_of(tmp_path / "other", "scenes")
 
 
+def test_an_endpoint_is_asked_with_a_key_that_is_nowhere_on_disk(
+    dataset: Path, wanted: list[dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("A_KEY", "very-secret")
+    lines = [{"scene_id": wanted[0]["scene_id"], "instruction": wanted[0]["instruction"], "edit_id": "one"}]
+    path, out = file_of(lines, tmp_path / "e.jsonl"), tmp_path / "out"
+
+    def plan(words: str, number: int, body: dict[str, Any]) -> Act:
+        was_refused = len(body["messages"]) > 2
+        return Act(body=said(json.dumps(wanted[0]["reply"]) if was_refused else '{"remove":["zebra_0"],"objects":[]}'))
+
+    with endpoint(plan) as server:
+        engine = EngineSettings("openai:large", http=server.settings(key_variable="A_KEY"), cache=str(tmp_path / "kept"))
+        edit(str(dataset), path, str(out), replace(SMALL, engine=engine), ALONE, report=False)
+    assert rows_of(out, "scenes").keys() == {"one"}
+    assert [len(body["messages"]) for body in server.bodies] == [2, 4]
+    assert "zebra_0 is to be removed, but is not in the layout" in server.bodies[1]["messages"][-1]["content"]
+    assert {body["model"] for body in server.bodies} == {"large"}
+    assert all("very-secret" in headers["Authorization"] for headers in server.headers)
+    assert not [f for f in tmp_path.rglob("*") if f.is_file() and b"very-secret" in f.read_bytes()]
+    edit(str(dataset), path, str(tmp_path / "again"), replace(SMALL, engine=engine), ALONE, report=False)  # nobody is there
+    assert rows_of(tmp_path / "again", "scenes") == rows_of(out, "scenes")
+
+
 def test_a_seed_is_of_the_edit_and_not_of_its_shard() -> None:
     one = WantedEdit("a_edit1", "a", "Move it.")
     assert seed_of(one, 0) == seed_of(replace(one, reply=EMPTY), 0)
@@ -378,11 +403,11 @@ def test_an_engine_that_is_not_there_is_refused_before_anything_is_written(
     path = file_of([{"scene_id": wanted[0]["scene_id"], "instruction": "Move it."}], tmp_path / "e.jsonl")
     monkeypatch.delenv("A_KEY", raising=False)
     http = replace(SMALL.engine.http, key_variable="A_KEY")
-    for engine, said in (
+    for engine, message in (
         (EngineSettings(f"transformers:{tmp_path}"), "config.json: cannot be read"),
         (EngineSettings("openai:large", http=http), "A_KEY is not set"),
     ):
-        with pytest.raises(ConfigError, match=said):
+        with pytest.raises(ConfigError, match=message):
             edit(str(dataset), path, str(tmp_path / "out"), replace(SMALL, engine=engine), ALONE)
         assert not (tmp_path / "out" / "manifest.json").exists()
 
