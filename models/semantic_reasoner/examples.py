@@ -51,7 +51,6 @@ def example_of(row: Row, with_details: bool = False) -> Example:
     objects_in, objects_out = ([object_from_row(o) for o in row[key]] for key in ("objects_in", "objects_out"))
     names = layout_names([*objects_in, *objects_out])
     task = task_from_row(row["task"])
-    assert task is not None  # rows of samples are staged by it
     ask = Ask(
         "" if task is None else task.task,  # which cannot be asked, and is counted where it is left out
         _table(row),
