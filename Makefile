@@ -56,7 +56,7 @@ preprocess: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA
 correct: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA=<folder of scenes, or a run> OUT=<folder> to scenes that are exactly clean
 	$(BIN)/python -m pipelines correct --scenes $(DATA) --out $(if $(filter runs/preprocess,$(OUT)),runs/correct,$(OUT))
 
-edit: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA=<folder of scenes, or a run> EDITS=<file of edits> OUT=<folder> ENGINE=<reasoner> to changed scenes
+edit: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA=<folder of scenes, or a run> EDITS=<file of edits> OUT=<folder> ENGINE=<embedded, transformers:FOLDER, openai:MODEL, …> to changed scenes
 	$(BIN)/python -m pipelines edit --scenes $(DATA) --edits $(EDITS) --out $(if $(filter runs/preprocess,$(OUT)),runs/edit,$(OUT)) $(if $(ENGINE),--engine $(ENGINE))
 
 train: preprocess ## Point encoder, corrector and reasoner on the tables in OUT (hours on a CPU): runs/encoder, runs/corrector, runs/near, runs/reasoner

@@ -139,8 +139,12 @@ def edit(
     ],
     out: Annotated[str, typer.Option(help="Run folder: a path that every node sees, or a URI such as s3://bucket/prefix.")],
     engine: Annotated[
-        str, typer.Option(help="The reasoner: embedded, a Hugging Face folder, or none where every edit has its reply.")
-    ] = "embedded",
+        str | None,
+        typer.Option(
+            help="Who is asked: embedded, transformers:FOLDER, vllm:FOLDER, openai:MODEL (--set engine.http.base_url=URL, and "
+            "engine.http.key_variable=NAME of the variable that holds the key) or scripted:FILE. By default embedded."
+        ),
+    ] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file; its table edit is read.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
     workers: Annotated[
@@ -165,11 +169,12 @@ def edit(
     from pipelines.settings import resolve
 
     count = _count(workers, address)
-    settings = resolve(EditSettings, "edit", config, set_ or [])
+    asked = [f"engine.engine={json.dumps(engine)}"] if engine is not None else []
+    settings = resolve(EditSettings, "edit", config, [*(set_ or []), *asked])
     if dry_run:
-        typer.echo(json.dumps(describe_edits(scenes, edits, settings, engine), indent=2))
+        typer.echo(json.dumps(describe_edits(scenes, edits, settings), indent=2))
         return
-    manifest = run(scenes, edits, out, settings, Workers(count, address), engine)
+    manifest = run(scenes, edits, out, settings, Workers(count, address))
     counts = manifest["counts"]
     kinds = ", ".join(f"{counts['by_kind'][key]} {key}" for key in sorted(counts["by_kind"]))
     typer.echo(
@@ -273,7 +278,7 @@ def train_reasoner(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print examples, steps, memory and time, and stop.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="The same as JSON.")] = False,
 ) -> None:
-    """Train the Semantic Reasoner on the samples of a run. Run again to go on where it was stopped.
+    """Train the Semantic Reasoner on the samples and edits of a run. Run again to go on where it was stopped.
 
     OUT/weights is a plain Hugging Face folder. Status 0: done, or stopped with its checkpoint kept. 2: could not start or go on.
     """

@@ -1,9 +1,12 @@
-"""Settings of the edit job: those of correcting, and what is asked of the reasoner."""
+"""Settings of the edit job: those of correcting, and who is asked and how."""
 
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Self
 
+from models.semantic_reasoner.assembly import ReasonerSettings
+from models.semantic_reasoner.engines import EngineSettings
 from pipelines.correct_settings import CorrectSettings
+from pipelines.scene_source import SceneSource
 from stable_data.errors import ConfigError
 
 OTHERS = ("fixed", "free", "fixed_first")
@@ -21,9 +24,8 @@ class EditSettings(CorrectSettings):
         correct: Whether the edited scene is corrected; else it is as the reply has it.
         others: Things that the edit does not name: ``fixed`` never move, ``free`` may, ``fixed_first`` move only where no clean
             layout is found otherwise, those first that are in the way or at fault themselves; a warning names them.
-        attempts: How often the reasoner is asked until its reply can be used.
-        temperature: Of its draws; 0 takes the likeliest token.
-        max_tokens: Longest reply.
+        engine: Who is asked; opened where an edit has no reply.
+        reasoner: How it is asked.
     """
 
     section: ClassVar[str] = "edit"
@@ -31,21 +33,22 @@ class EditSettings(CorrectSettings):
     when_full: str = "infeasible"
     correct: bool = True
     others: str = "fixed_first"
-    attempts: int = 3
-    temperature: float = 0.0
-    max_tokens: int = 4096
+    engine: EngineSettings = field(default_factory=EngineSettings)
+    reasoner: ReasonerSettings = field(default_factory=ReasonerSettings)
 
     def __post_init__(self) -> None:
         """Refuses settings that no run can follow."""
         CorrectSettings.__post_init__(self)
         if self.others not in OTHERS:
             raise ConfigError(f"setting edit.others is {self.others}, expected one of {', '.join(OTHERS)}", "config_invalid")
-        for key in ("attempts", "max_tokens"):
-            if getattr(self, key) < 1:
-                raise ConfigError(f"setting edit.{key} is {getattr(self, key)}, expected 1 or more", "config_invalid")
-        if not 0 <= self.temperature <= 2:
-            raise ConfigError(f"setting edit.temperature is {self.temperature}, expected 0 to 2", "config_invalid")
 
     def shaping(self) -> dict[str, Any]:
-        """The settings that shape rows: a run is resumed only under the same."""
-        return CorrectSettings.shaping(self)
+        """The settings that shape rows: a run is resumed only under the same.
+
+        What of the reasoner does is an input, by its content (:func:`models.semantic_reasoner.assembly.shaping_of_proposals`).
+        """
+        return {k: v for k, v in CorrectSettings.shaping(self).items() if k not in ("engine", "reasoner")}
+
+    def settled(self, source: SceneSource) -> Self:
+        """The settings with ``auto`` replaced, and with paths that workers elsewhere can follow."""
+        return replace(CorrectSettings.settled(self, source), engine=self.engine.settled(), reasoner=self.reasoner.settled())

@@ -3,23 +3,21 @@
 A shard's rows depend on nothing but the shard.
 """
 
-import hashlib
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
 from typing import Literal, TypeAlias, TypeVar
 
 from models.physics_corrector.certify import CertifyOptions, Status
 from models.physics_corrector.corrector import Correction, PhysicsCorrector
 from models.physics_corrector.learned import load_flow
+from models.semantic_reasoner.assembly import load_reasoner
 from models.semantic_reasoner.editing import EditedScene, Editing, apply_edit, editing
-from models.semantic_reasoner.engine import Engine, Request
 from models.semantic_reasoner.layout_text import parse_reply
-from models.semantic_reasoner.prompt import messages
+from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
 from pipelines.correct_step import correction_row
 from pipelines.edit_assets import AssetFinder, resting_on
-from pipelines.edit_engine import EngineChoice
 from pipelines.edit_file import WantedEdit
 from pipelines.edit_settings import EditSettings
 from pipelines.job import Rows, rows_alone, rows_or_failure
@@ -34,13 +32,10 @@ from stable_data.metrics.card import MetricCard
 from stable_data.metrics.collision import ROUNDING
 from stable_data.scene import Scene, SceneObject
 from stable_data.shape import Shape
-from stable_data.shards import RunFolder
+from stable_data.shards import RunFolder, content_id
 from stable_data.staging import stage_scene
 
 I = TypeVar("I")  # noqa: E741 - an item
-
-Replied: TypeAlias = EditedScene | Notice
-"""What a reply makes of a scene, or why there is none."""
 
 WhenFull: TypeAlias = Literal["drop", "infeasible"]
 
@@ -67,6 +62,19 @@ class EditShard:
         return f"shard {self.shard_id} ({len(self.edits)} edits)"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Replied:
+    """What a reply makes of a scene.
+
+    Attributes:
+        edited: The scene, or why there is none.
+        notices: What about the question or the reply deserves a look.
+    """
+
+    edited: EditedScene | Notice
+    notices: tuple[Notice, ...] = ()
+
+
 @dataclass(frozen=True, slots=True)
 class EditWork:
     """The work of one shard; sent to the workers.
@@ -75,14 +83,12 @@ class EditWork:
         scenes: Where the scenes are: an absolute path or a URI that every worker can read.
         out: The run's folder, which every worker can write, likewise.
         settings: The job's settings.
-        engine: The reasoner; None where every edit has its reply.
         fingerprint: Content of the inputs: what a process keeps of one is not used for another in the same place.
     """
 
     scenes: str
     out: str
     settings: EditSettings
-    engine: EngineChoice | None = None
     fingerprint: str = ""
 
     def __call__(self, shard: EditShard, *, isolated: bool = False) -> tuple[int, int]:
@@ -108,7 +114,7 @@ class EditWork:
         progress = Progress("read")
 
         def take() -> Rows:
-            self._take(edit.scene_id, progress)
+            editing(self._take(edit.scene_id, progress).scene)
             return {}
 
         return rows_or_failure(edit.edit_id, progress, take)
@@ -116,35 +122,27 @@ class EditWork:
     def replies(self, edits: Sequence[WantedEdit]) -> list[Replied]:
         """What the replies make of the scenes of some edits; the reasoner is asked for all of them at once."""
         shown = [editing(self._take(edit.scene_id, Progress("read")).scene) for edit in edits]
-        asked = [_Asked(edit, own) for edit, own in zip(edits, shown, strict=True)]
-        for one in asked:
-            if one.edit.reply is not None:
-                one.hear(one.edit.reply)
-        opened = _opened(self)
-        for _ in range(self.settings.attempts):
-            waiting = [one for one in asked if one.waits]
-            requests = [(one, request) for one in waiting if (request := one.request(self.settings.seed)) is not None]
-            if not requests:
-                break
-            assert opened.engine is not None  # the job refuses edits without a reply where there is none
-            for (one, _), done in zip(requests, opened.engine.complete([r for _, r in requests]), strict=True):
-                if done.failure:
-                    one.fails(done.code or "no_reply", done.failure)
-                else:
-                    one.hear(done.text)
-        return [one.result for one in asked]
+        waiting = [k for k, edit in enumerate(edits) if edit.reply is None]
+        proposals: dict[int, Proposal] = {}
+        if waiting:
+            asks = [shown[k].ask(edits[k].instruction) for k in waiting]
+            seeds = [seed_of(edits[k], self.settings.seed) for k in waiting]
+            proposals = dict(zip(waiting, _opened(self).reasoner.propose(asks, seeds), strict=True))
+        return [_replied(edit, own, proposals.get(k)) for k, (edit, own) in enumerate(zip(edits, shown, strict=True))]
 
     def edited(self, item: tuple[WantedEdit, Replied]) -> Rows:
         """Rows of one edit, from its reply."""
         edit, replied = item
-        if isinstance(replied, Notice):
-            return {"failures": [tables.notice_row(replied)]}
+        edited = replied.edited
+        if isinstance(edited, Notice):
+            return {"failures": [tables.notice_row(edited)], "warnings": _notice_rows(edit, replied.notices)}
         progress = Progress("assets")
-        return rows_or_failure(edit.edit_id, progress, lambda: self._rows(edit, replied, progress))
+        rows = rows_or_failure(edit.edit_id, progress, lambda: self._rows(edit, edited, replied.notices, progress))
+        return {"warnings": _notice_rows(edit, replied.notices)} | rows
 
-    def _rows(self, edit: WantedEdit, replied: EditedScene, progress: Progress) -> Rows:
+    def _rows(self, edit: WantedEdit, replied: EditedScene, said: Sequence[Notice], progress: Progress) -> Rows:
         taken, opened = self._take(edit.scene_id, progress), _opened(self)
-        notices = [*taken.notices]
+        notices = [*taken.notices, *said]
         progress.step = "assets"
         found = opened.finder.with_assets(replied, edit.edit_id, self.settings.seed)
         notices += found.notices
@@ -161,8 +159,8 @@ class EditWork:
         rows: Rows = {}
         if self.settings.correct and replied.kind != "none":
             progress.step = "certify"
-            done, said = self._corrected(scene, shapes, audit, replied.untouched & found.kept)
-            notices += said
+            done, noted = self._corrected(scene, shapes, audit, replied.untouched & found.kept)
+            notices += noted
             rows["corrections"] = [correction_row(done)]
             if done.certified is None or done.audit is None:
                 message = f"{edit.edit_id}: {done.reason}"
@@ -218,7 +216,7 @@ class EditWork:
         if not isolated:
             return self.replies(edits)
         seconds = self.settings.seconds_per_item * max(1, len(edits))
-        found = alone(self.replies, edits, seconds=seconds, prepare=self._prepare)
+        found = alone(self.replies, edits, seconds=seconds, prepare=self._prepare_to_ask)
         if isinstance(found, Loss):
             raise ConfigError(
                 f"the reasoner {str(found).replace('_', ' ')} over {len(edits)} edits such as {edits[0].edit_id}; free memory, or "
@@ -239,6 +237,9 @@ class EditWork:
         """Opens what edits need, outside of the time of the first one."""
         _opened(self)
 
+    def _prepare_to_ask(self) -> None:
+        _ = _opened(self).reasoner
+
     def _take(self, scene_id: str, progress: Progress) -> Taken:
         opened = _opened(self)
         if scene_id not in opened.taken:
@@ -246,69 +247,52 @@ class EditWork:
         return opened.taken[scene_id]
 
 
-@dataclass(eq=False)
-class _Asked:
-    """An edit on its way to a reply that can be used.
-
-    Attributes:
-        edit: The edit.
-        shown: Its scene as the reasoner sees it.
-        result: What became of it so far.
-        waits: Whether the reasoner is to be asked, or asked again.
-    """
-
-    edit: WantedEdit
-    shown: Editing
-
-    def __post_init__(self) -> None:
-        self.result: Replied = Notice(self.edit.edit_id, "reply", "no_reply", f"{self.edit.edit_id}: there is no reply")
-        self.waits = self.edit.reply is None
-        self._refused: list[tuple[str, str]] = []
-
-    def request(self, seed: int) -> Request | None:
-        """What the reasoner is asked; None where it cannot be asked at all."""
-        try:
-            chat = messages(self.shown.ask(self.edit.instruction), self._refused)
-        except SceneError as error:
-            self.fails(error.code, str(error))
-            return None
-        drawn = hashlib.sha256(f"{seed}/{self.edit.edit_id}/{len(self._refused)}".encode()).digest()
-        return Request(tuple(chat), self.shown.form, int.from_bytes(drawn[:4]))
-
-    def hear(self, text: str) -> None:
-        """Carries a reply out, or keeps why that cannot be."""
-        try:
-            self.result = apply_edit(self.shown, parse_reply(text))
-            self.waits = False
-        except SceneError as error:
-            self._refused.append((text, str(error)))
-            self.result = self._failure(error.code, str(error))
-
-    def fails(self, code: str, reason: str) -> None:
-        """Gives up."""
-        self.result, self.waits = self._failure(code, reason), False
-
-    def _failure(self, code: str, reason: str) -> Notice:
-        return Notice(self.edit.edit_id, "reply", code, f"{self.edit.edit_id}: {reason}")
+def seed_of(edit: WantedEdit, seed: int) -> int:
+    """The seed of an edit's draws: of the edit and the job's seed, whichever shard it is in."""
+    return int(content_id(seed, edit.edit_id, edit.scene_id, edit.instruction), 16)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+def _replied(edit: WantedEdit, shown: Editing, proposal: Proposal | None) -> Replied:
+    """What the reply of an edit, or what was proposed where it has none, makes of its scene."""
+    notices = []
+    if proposal is not None:
+        told = [(n.step, n.code, n.message) for n in proposal.notices]
+        told += [("reply", f.code, f.message) for f in proposal.faults if f.code != "nothing_changed"]  # which is seen later
+        notices = [Notice(edit.edit_id, step, code, f"{edit.edit_id}: {message}") for step, code, message in told]
+    try:
+        reply = parse_reply(edit.reply or "") if proposal is None else proposal.reply
+        if reply is not None:
+            return Replied(apply_edit(shown, reply), tuple(notices))
+        assert proposal is not None
+        code, reason = proposal.code, proposal.failure
+    except SceneError as error:
+        code, reason = error.code, str(error)
+    return Replied(Notice(edit.edit_id, "reply", code or "no_reply", f"{edit.edit_id}: {reason}"), tuple(notices))
+
+
+@dataclass(frozen=True, eq=False)
 class _Opened:
     """What a process keeps of its work.
 
     Attributes:
+        settings: Of the job.
         source: Where the scenes are.
         finder: Finds assets for what is new.
         corrector: Corrects the edited scenes.
-        engine: The reasoner.
         taken: The scenes of the shard, each of which is asked for three times.
     """
 
+    settings: EditSettings
     source: SceneSource
     finder: AssetFinder
     corrector: PhysicsCorrector
-    engine: Engine | None
-    taken: dict[str, Taken]
+    taken: dict[str, Taken] = field(default_factory=dict)
+
+    @cached_property
+    def reasoner(self) -> SemanticReasoner:
+        """The reasoner, opened when the first edit without a reply comes."""
+        reasoner, _ = load_reasoner(self.settings.engine, self.settings.reasoner)
+        return reasoner
 
 
 @lru_cache(maxsize=1)
@@ -318,8 +302,7 @@ def _opened(work: EditWork) -> _Opened:
     options = CertifyOptions(when_full=when_full, restore=settings.restore)
     flow = load_flow(settings.weights, settings.steps) if settings.correct else None
     corrector = PhysicsCorrector(flow, options, settings.judge_raw)
-    engine = None if work.engine is None else work.engine.open()
-    return _Opened(source, AssetFinder(source), corrector, engine, {})
+    return _Opened(settings, source, AssetFinder(source), corrector)
 
 
 def _is_poor(done: Correction) -> bool:

@@ -30,7 +30,7 @@ def resolve(kind: type[C], section: str, file: Path | None, overrides: Iterable[
     Raises:
         ConfigError: A table or key is not known, or a value has the wrong type or is not finite.
     """
-    values = _flat(_section(file, section)) if file else {}
+    values = flat(_section(file, section)) if file else {}
     for text in overrides:
         key, equals, value = text.partition("=")
         if not equals:
@@ -72,11 +72,12 @@ def _checked(value: Any, wanted: Any, name: str, example: Any) -> Any:
     return value
 
 
-def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
+def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested values by their dotted keys."""
+    found: dict[str, Any] = {}
     for key, value in values.items():
-        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) and value else {prefix + key: value}
-    return flat
+        found |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) and value else {prefix + key: value}
+    return found
 
 
 def differences(was: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:

@@ -1,16 +1,18 @@
 """A reasoner from its settings: engine, checks, and what a closed vocabulary needs."""
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from models.semantic_reasoner.categories import CategoryStatistics
-from models.semantic_reasoner.checks import CheckSettings, ReplyCheck
+from models.semantic_reasoner.checks import CheckSettings, ReplyCheck, form_check
 from models.semantic_reasoner.dialect import dialect_of
 from models.semantic_reasoner.engines import EngineSettings, load_engine
 from models.semantic_reasoner.grounding import Grounding
+from models.semantic_reasoner.prompt import PROMPT_VERSION
 from models.semantic_reasoner.reasoner import SemanticReasoner
 from stable_data.errors import ConfigError
+from stable_data.shards import content_id
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +34,15 @@ class ReasonerSettings:
     dialect: Literal["stages", "mesatask"] = "stages"
     wording: str = ""
 
+    def __post_init__(self) -> None:
+        """Refuses what never asks."""
+        if self.tries < 1:
+            raise ConfigError(f"tries is {self.tries}, expected at least 1", "config_invalid")
+
+    def settled(self) -> "ReasonerSettings":
+        """The same for any working directory: its paths are absolute."""
+        return replace(self, statistics=_absolute(self.statistics), wording=_absolute(self.wording))
+
 
 def load_reasoner(
     engine: EngineSettings, settings: ReasonerSettings | None = None
@@ -47,7 +58,7 @@ def load_reasoner(
     """
     settings = settings or ReasonerSettings()
     statistics = _statistics(engine, settings)
-    check = None if statistics is None else ReplyCheck(statistics, settings.checks)
+    check = form_check if statistics is None else ReplyCheck(statistics, settings.checks)
     grounding = None
     if engine.kind == "embedded" and statistics is not None:
         from models.text_encoder import load_default
@@ -58,11 +69,37 @@ def load_reasoner(
     return reasoner, statistics
 
 
+def _absolute(path: str) -> str:
+    return path if not path or "://" in path else str(Path(path).expanduser().resolve())
+
+
 def _text(file: str) -> str:
     try:
         return Path(file).read_text("utf-8") if file else ""
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file}: cannot be read as text ({error})", "config_invalid") from error
+
+
+def shaping_of_proposals(engine: EngineSettings, settings: ReasonerSettings | None = None) -> dict[str, Any]:
+    """All that a reasoner's proposals depend on beside questions and seeds, as JSON takes it.
+
+    A job that is resumed compares it: rows of two reasoners are not to be mixed. Nothing is opened.
+
+    Args:
+        engine: Who answers.
+        settings: How it is asked.
+
+    Raises:
+        ConfigError: The engine or the statistics are not there.
+    """
+    settings = settings or ReasonerSettings()
+    found = engine.shaping() | {"tries": settings.tries, "checks": asdict(settings.checks), "prompt_version": PROMPT_VERSION}
+    if settings.dialect != "stages":
+        found |= {"dialect": settings.dialect, "wording": content_id(_text(settings.wording))}
+    if settings.statistics:  # those of the engine's own folder are a file of its model
+        statistics = _statistics(engine, settings)
+        found["statistics"] = content_id(None if statistics is None else asdict(statistics))
+    return found
 
 
 def _statistics(engine: EngineSettings, settings: ReasonerSettings) -> CategoryStatistics | None:

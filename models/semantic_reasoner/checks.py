@@ -2,11 +2,15 @@
 
 Hard faults keep a reply out. Soft ones are named: the correction may mend them, or nobody can tell. A fault's message is one line
 that says which thing, what was found and what to do, so that it can be said to a language model as it is.
+
+Of an edit only what it brings is judged: a thing that stays where it was, or is as large as it was, was there before. That a thing is
+left behind by what carried it is soft, for :func:`models.semantic_reasoner.editing.apply_edit` takes it along; so is a reply that
+changes nothing, for there are instructions that ask for nothing (``take the cups away`` where there are none).
 """
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -20,6 +24,8 @@ from models.semantic_reasoner.required import Required, required
 from models.semantic_reasoner.start_relations import relations_not_held
 from stable_data.relations import yawed_rectangle
 from stable_data.scene import FloatArray, SceneObject, Stage, Tabletop
+
+_SHOWN = 8  # names in a message
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +88,11 @@ class ReplyCheck:
         return check(reply.objects, reply.removed, ask, self._statistics, asked_for, self._settings)
 
 
+def form_check(reply: Reply, ask: Ask, /) -> list[Fault]:
+    """The faults that can be told without knowing anything of categories: names, and edits that change nothing."""
+    return list(name_faults(reply.objects, reply.removed, ask)) or list(_unchanged(reply.objects, reply.removed, ask))
+
+
 def check(
     objects: Sequence[LayoutObject],
     removed: Sequence[str],
@@ -103,18 +114,23 @@ def check(
     Returns:
         The faults, hard ones first; empty where there is nothing to say. The same for the same input.
     """
-    faults = list(_names(objects, removed, ask))
+    faults = list(name_faults(objects, removed, ask))
     if any(f.is_hard for f in faults):
         return faults  # without names nothing else can be told
     kept = _kept(objects, removed, ask)
-    new = [o.to_scene_object() for o in objects]
+    was = _changed(ask)
+    still = {o.instance for o in objects if o.instance in was and _is_still(o, was[o.instance])}
+    new = [_standing_still(o, was).to_scene_object() for o in objects]
     layout = [*(o.to_scene_object() for o in kept), *new]
     faults += _numbers(objects, new, layout, ask, settings)
     for one, item in zip(objects, new, strict=True):
-        faults += _place(item, ask.table, settings)
-        faults += _size(one, statistics, settings)
-    faults += _carried(new, layout, ask)
-    faults += _twice(new, layout, settings)
+        if one.instance not in still:
+            faults += _place(item, ask.table, settings)
+        if one.instance not in was or not _may_be_laid_so(one, was[one.instance], settings):
+            faults += _size(one, statistics, settings)
+    faults += _carried(new, layout, ask, still)
+    faults += _twice(new, layout, still, settings)
+    faults += _renamed(objects, removed, was)
     if ask.wanted in (Stage.TASK, "whole"):
         faults += _missing(layout, asked_for)
         if not any(f.is_hard for f in faults):
@@ -124,7 +140,7 @@ def check(
                 )
                 for r in relations_not_held(layout, ask.table, ask.instruction, statistics)
             ]
-    return sorted(faults, key=lambda f: not f.is_hard)
+    return sorted(faults, key=lambda f: not f.is_hard) or list(_unchanged(objects, removed, ask))
 
 
 def _kept(objects: Sequence[LayoutObject], removed: Sequence[str], ask: Ask) -> list[LayoutObject]:
@@ -133,20 +149,66 @@ def _kept(objects: Sequence[LayoutObject], removed: Sequence[str], ask: Ask) -> 
     return [o for o in ask.layout if o.instance not in gone]
 
 
-def _names(objects: Sequence[LayoutObject], removed: Sequence[str], ask: Ask) -> Iterator[Fault]:
-    layout = {o.instance for o in ask.layout}
-    names = Counter(o.instance for o in objects)
-    for name, count in names.items():
-        if count > 1:
-            yield Fault("instance_twice", f"{name} is there {count} times; give every object a number of its own")
+def _changed(ask: Ask) -> dict[str, LayoutObject]:
+    """What a reply may name as it is in the layout: only edits do."""
+    return {o.instance: o for o in ask.layout} if ask.edits else {}
+
+
+def _is_still(one: LayoutObject, was: LayoutObject) -> bool:
+    return (one.position_cm, one.z_rotation_deg, one.size_cm) == (was.position_cm, was.z_rotation_deg, was.size_cm)
+
+
+def _standing_still(one: LayoutObject, was: Mapping[str, LayoutObject]) -> LayoutObject:
+    """The object; where another height is given it and the same z, with its underside where it was, as an edit has it."""
+    old = was.get(one.instance)
+    if old is None or one.size_cm[2] == old.size_cm[2] or one.position_cm[2] != old.position_cm[2]:
+        return one
+    x, y, z = one.position_cm
+    return replace(one, position_cm=(x, y, z + (one.size_cm[2] - old.size_cm[2]) / 2))
+
+
+def _may_be_laid_so(one: LayoutObject, was: LayoutObject, s: CheckSettings) -> bool:
+    """Is it as large as it was, or as it would be where it leans less: as long, and no thicker?"""
+    now, before = np.array(sorted(one.size_cm)), np.array(sorted(was.size_cm))
+    return bool((now <= s.unusual * before).all() and now[-1] * s.unusual >= before[-1])
+
+
+def name_faults(objects: Sequence[LayoutObject], removed: Sequence[str], ask: Ask) -> Iterator[Fault]:
+    """What is wrong with the names of a reply, all of it hard: nobody can tell what such a reply means.
+
+    Args:
+        objects: The reply's objects.
+        removed: What it takes away.
+        ask: What it answers.
+    """
+    layout = [o.instance for o in ask.layout]
+    names = [o.instance for o in objects]
+    for name in _repeated(names):
+        yield Fault("instance_twice", f"{name} is there {names.count(name)} times; give every object a number of its own")
+    for name in dict.fromkeys(names):
         if name in layout and not ask.edits:
             yield Fault("instance_repeated", f"{name} is in the layout already; leave it out, or number a new one differently")
-    for name in sorted(set(removed) - layout):
-        yield Fault("removed_unknown", f"{name} is to be removed, but is not in the layout; remove only what is there")
+    for name in sorted(set(removed) - set(layout)):
+        yield Fault("removed_unknown", f"{name} is to be removed, but is not in the layout, which has {_some(layout, name)}")
+    for name in _repeated(removed):
+        yield Fault("removed_twice", f"{name} is removed {removed.count(name)} times; name it once")
     for name in sorted(set(removed) & set(names)):
-        yield Fault("removed_and_there", f"{name} is removed and given anew; do one of the two")
+        yield Fault(
+            "removed_and_there", f"{name} is removed and given anew; do one of the two, or give what is new another number"
+        )
     if removed and not ask.edits:
         yield Fault("removed_unasked", "nothing may be removed here; leave out remove")
+
+
+def _repeated(names: Sequence[str]) -> list[str]:
+    return [name for name, count in Counter(names).items() if count > 1]
+
+
+def _some(known: Sequence[str], wanted: str) -> str:
+    """Instances to choose from, those of the same kind if there are any."""
+    kind = wanted.rpartition("_")[0]
+    near = [name for name in known if name.rpartition("_")[0] == kind] or known
+    return (", ".join(near[:_SHOWN]) + (", …" if len(near) > _SHOWN else "")) or "no objects"
 
 
 def _numbers(
@@ -157,12 +219,18 @@ def _numbers(
     if len(objects) > s.most_objects:
         yield Fault("too_many", f"there are {len(objects)} objects; give at most {s.most_objects}")
     width, depth = ask.table.size_xy
-    taken = sum(o.size[0] * o.size[1] for o in layout if bottom(o) <= ON_TABLE) / (width * depth)
-    if new and taken > s.crowding:
+    taken = _standing(layout) / (width * depth)
+    before = _standing([o.to_scene_object() for o in ask.layout]) / (width * depth) if ask.edits else 0.0
+    if new and taken > max(s.crowding, before):
         yield Fault(
             "crowded",
             f"what stands on the table takes {100 * taken:.0f} % of its {100 * width:.0f} x {100 * depth:.0f} cm; give fewer objects",
         )
+
+
+def _standing(layout: Sequence[SceneObject]) -> float:
+    """Area that stands on the table, square metres."""
+    return sum(o.size[0] * o.size[1] for o in layout if bottom(o) <= ON_TABLE)
 
 
 # --- the table ----------------------------------------------------------------------------------------------------------------
@@ -234,11 +302,11 @@ def _in_cm(lengths: Sequence[float]) -> list[float]:
 # --- one another --------------------------------------------------------------------------------------------------------------
 
 
-def _carried(new: Sequence[SceneObject], layout: Sequence[SceneObject], ask: Ask) -> Iterator[Fault]:
+def _carried(new: Sequence[SceneObject], layout: Sequence[SceneObject], ask: Ask, still: Set[str]) -> Iterator[Fault]:
     carriers = carriers_of(layout, ask.table)
-    names = {o.instance for o in new}
+    names = {o.instance for o in new} - still
     before: dict[str, str | None] = {}
-    if ask.edits and len(layout) > len(new):
+    if ask.edits and len(layout) > len(names):
         before = carriers_of([o.to_scene_object() for o in ask.layout], ask.table)
     for item in layout:
         if carriers[item.instance] is not None:
@@ -254,6 +322,7 @@ def _carried(new: Sequence[SceneObject], layout: Sequence[SceneObject], ask: Ask
             yield Fault(
                 "loses_carrier",
                 f"{item.instance} rested on {before[item.instance]}, which is no longer under it; move or remove it too",
+                is_hard=False,
             )
 
 
@@ -267,7 +336,7 @@ def _highest_below(item: SceneObject, layout: Sequence[SceneObject]) -> float:
     return max(heights)
 
 
-def _twice(new: Sequence[SceneObject], layout: Sequence[SceneObject], s: CheckSettings) -> Iterator[Fault]:
+def _twice(new: Sequence[SceneObject], layout: Sequence[SceneObject], still: Set[str], s: CheckSettings) -> Iterator[Fault]:
     if len(layout) < 2 or not new:
         return
     size = np.array([o.size for o in layout])
@@ -277,11 +346,36 @@ def _twice(new: Sequence[SceneObject], layout: Sequence[SceneObject], s: CheckSe
     first = len(layout) - len(new)
     common = np.maximum(0.0, np.minimum(high[first:, None], high) - np.maximum(low[first:, None], low)).prod(2)
     share = common / (volume[first:, None] + volume - common)
+    kept = {o.instance for o in layout[:first]} | still
     for i, j in np.argwhere(share > s.same_place):
-        if j < first + i:
+        if j < first + i and not {layout[first + i].instance, layout[j].instance} <= kept:
             yield Fault(
                 "same_place", f"{layout[first + i].instance} is where {layout[j].instance} is; leave it out or put it elsewhere"
             )
+
+
+# --- edits --------------------------------------------------------------------------------------------------------------------
+
+
+def _renamed(objects: Sequence[LayoutObject], removed: Sequence[str], was: Mapping[str, LayoutObject]) -> Iterator[Fault]:
+    """Things that are taken away and given anew, though they are the same."""
+    gone = {(was[name].category, was[name].description): name for name in removed if name in was}
+    for o in objects:
+        name = gone.get((o.category, o.description))
+        if o.instance not in was and name is not None:
+            yield Fault(
+                "renamed",
+                f"{o.instance} is {name} by another name; give it as {name}, and leave that out of remove",
+                is_hard=False,
+            )
+
+
+def _unchanged(objects: Sequence[LayoutObject], removed: Sequence[str], ask: Ask) -> Iterator[Fault]:
+    was = _changed(ask)
+    if ask.edits and not removed and all(was.get(o.instance) == o for o in objects):
+        yield Fault(
+            "nothing_changed", "nothing is changed; give what the instruction asks for as it is afterwards", is_hard=False
+        )
 
 
 # --- the instruction ----------------------------------------------------------------------------------------------------------

@@ -7,15 +7,13 @@ what rested on a thing that goes comes down to where that one stood.
 
 import math
 import re
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import NoReturn
 
+from models.semantic_reasoner.checks import name_faults
 from models.semantic_reasoner.layout_text import LayoutObject, Reply, layout_names, layout_objects
 from models.semantic_reasoner.prompt import Ask
-from models.semantic_reasoner.reply_form import ReplyForm
 from stable_data.errors import SceneError
 from stable_data.relations import supports
 from stable_data.scene import TABLE, Relation, Scene, SceneObject, Vec3
@@ -23,7 +21,6 @@ from stable_data.staging import generation_order
 from stable_data.substitution import underside
 
 _ARTICLES = frozenset(("a", "an", "the", "some"))
-_SHOWN = 8  # names in a message
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,11 +40,6 @@ class Editing:
     def ask(self, instruction: str) -> Ask:
         """What a model is asked."""
         return Ask(instruction, self.scene.table, "edit", self.layout)
-
-    @property
-    def form(self) -> ReplyForm:
-        """What its reply may look like."""
-        return ReplyForm.of_table(self.scene.table, edits=True, names=tuple(o.instance for o in self.layout))
 
 
 def editing(scene: Scene) -> Editing:
@@ -114,40 +106,13 @@ def apply_edit(edited: Editing | Scene, reply: Reply) -> EditedScene:
     return _Change(shown, reply).carried_out()
 
 
-def refusal(edited: Editing, reply: Reply) -> str | None:
-    """Why a reply cannot be meant, one line; None where it can."""
-    known = [o.instance for o in edited.layout]
-    listed = [o.instance for o in reply.objects]
-    for name in reply.removed:
-        if name not in known:
-            return f'"remove" names {name}, which is not in the layout: it has {_some(known, name)}'
-    if twice := _twice(reply.removed):
-        return f'"remove" names {twice} twice; name it once'
-    if twice := _twice(listed):
-        return f"{twice} is listed twice; list it once, or number the second one on"
-    if both := [name for name in listed if name in reply.removed]:
-        return f'{both[0]} is in "remove" and in "objects"; leave it out of one, or give what is new another number'
-    return None
-
-
-def _twice(names: Iterable[str]) -> str | None:
-    return next((name for name, count in Counter(names).items() if count > 1), None)
-
-
-def _some(known: Sequence[str], wanted: str) -> str:
-    """Instances to choose from, those of the same kind if there are any."""
-    kind = wanted.rpartition("_")[0]
-    near = [name for name in known if name.rpartition("_")[0] == kind] or known
-    return (", ".join(near[:_SHOWN]) + (", …" if len(near) > _SHOWN else "")) or "no objects"
-
-
 class _Change:
     """A reply being carried out."""
 
     def __init__(self, shown: Editing, reply: Reply) -> None:
-        reason = refusal(shown, reply)
-        if reason is not None:
-            _refuse(reason)
+        refused = next(name_faults(reply.objects, reply.removed, shown.ask("")), None)
+        if refused is not None:
+            raise SceneError(refused.message, "edit_refused")
         self.scene, self.reply = shown.scene, reply
         self.instances = {name: instance for instance, name in shown.names.items()}
         self.was = {o.instance: o for o in shown.layout}
@@ -268,7 +233,3 @@ def _words(description: str) -> tuple[str, ...]:
 def _triple(values: Iterable[float]) -> Vec3:
     x, y, z = values
     return x, y, z
-
-
-def _refuse(reason: str) -> NoReturn:
-    raise SceneError(reason, "edit_refused")

@@ -1,18 +1,23 @@
 """Which engine answers: named in a word, made in one place."""
 
+import hashlib
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from models.semantic_reasoner.engine import Engine, Sampling
 from models.semantic_reasoner.http_settings import HttpSettings
 from stable_data.errors import ConfigError
+from stable_data.shards import content_id
 
 EMBEDDED = Path(__file__).resolve().parents[1] / "weights" / "semantic_reasoner"
 """Our own small reasoner; models/weights/README.md says how it was made and what it does."""
 
 KINDS = ("embedded", "transformers", "vllm", "openai", "scripted")
 """Kinds of engines."""
+
+_MODEL_FILES = ("*.json", "*.safetensors", "*.jinja", "*.model")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +65,31 @@ class EngineSettings:
         """Whether the engine can use the reason why an answer was refused: the embedded model has seen none."""
         return self.kind != "embedded"
 
+    def settled(self) -> "EngineSettings":
+        """The same for any working directory: its paths are absolute."""
+        kind, _, what = self.engine.partition(":")
+        engine = f"{kind}:{_absolute(what)}" if kind in ("transformers", "vllm", "scripted") else self.engine
+        return replace(self, engine=engine, cache=_absolute(self.cache) if self.cache else "")
+
+    def shaping(self) -> dict[str, Any]:
+        """All that replies depend on, the content of files included; what is asked of whom, and how patiently, is not.
+
+        Raises:
+            ConfigError: The engine is not there (``engine_missing``): no model in the folder, no script, no key.
+        """
+        kind, _, what = self.engine.partition(":")
+        found: dict[str, Any] = {"engine": kind, "sampling": asdict(self.sampling)}
+        if kind == "openai":
+            self.http.read_key()
+            return found | {"model": what, "extra": self.http.extra_fields()}
+        if kind == "scripted":
+            return found | {"model": _content(Path(what), "a script")}
+        assert self.folder is not None
+        _content(self.folder / "config.json", "a Hugging Face folder")
+        files = sorted(path for pattern in _MODEL_FILES for path in self.folder.glob(pattern))
+        found["model"] = content_id({path.name: _content(path, "a file of a model") for path in files})
+        return found | ({"vllm": _options(self.vllm)} if kind == "vllm" else {})
+
     @property
     def folder(self) -> Path | None:
         """The model's folder, where it is one here."""
@@ -102,6 +132,21 @@ def _bare(settings: EngineSettings) -> Engine:
     assert settings.folder is not None
     name = "embedded" if settings.kind == "embedded" else ""
     return LocalEngine.load(settings.folder, name, settings.sampling, settings.num_slots)
+
+
+def _absolute(path: str) -> str:
+    return str(Path(path).expanduser().resolve())
+
+
+def _content(path: Path, expected: str) -> str:
+    """Hash of a file."""
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()[:16]
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: cannot be read ({error.strerror or error}), expected {expected}; name another engine", "engine_missing"
+        ) from error
 
 
 def _options(text: str) -> dict[str, object]:

@@ -104,7 +104,7 @@ class _Asking:
         """Keeps an answer that will not do, and the best of those that would at need."""
         refused = Refused(answer, tuple(faults))
         self.refused.append(refused)
-        if reply is not None and not refused.is_hard and (self.best is None or len(faults) < len(self.best[1])):
+        if reply is not None and not refused.is_hard and (self.best is None or _amiss(faults) < _amiss(self.best[1])):
             self.best = reply, refused.faults
 
     def proposal(self, reply: Reply | None = None, failure: str = "", code: str = "") -> Proposal:
@@ -215,6 +215,11 @@ class SemanticReasoner:
             return asking.proposal(reply)
         asking.refuse(completion.text, faults, reply)
         return None
+
+
+def _amiss(faults: Sequence[Fault]) -> tuple[bool, int]:
+    """How much is wrong with a reply; an edit that does something, if oddly, is better than one that does nothing."""
+    return any(f.code == "nothing_changed" for f in faults), len(faults)
 
 
 def _seed(seed: int, wanted: str, attempt: int) -> int:

@@ -1,4 +1,4 @@
-"""What a run of the preprocess job has for the reasoner: the rows of ``samples`` as tokens, and the tokenizer that makes them.
+"""What a run has for the reasoner: the rows of ``samples`` and ``edits`` as tokens, and the tokenizer that makes them.
 
 Rows are read row group by row group, from a local folder or an object store; what was made of them is kept in files named by all
 that shapes it. The split ``train`` is learned from and ``validation`` watched; ``test`` and ``unseen`` are not opened. Splits are
@@ -9,6 +9,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -16,7 +17,7 @@ import numpy as np
 from tqdm import tqdm
 from transformers import PreTrainedTokenizerBase
 
-from models.semantic_reasoner.examples import Example, example_of, one_shot
+from models.semantic_reasoner.examples import Example, edit_example_of, example_of, one_shot
 from models.semantic_reasoner.prompt import FIXED, PROMPT_VERSION
 from models.semantic_reasoner.saved_model import read_tokenizer
 from models.semantic_reasoner.token_set import TokenSet, read_tokens, write_tokens
@@ -26,6 +27,7 @@ from stable_data.errors import ConfigError, SceneError
 from stable_data.scene import Stage
 from stable_data.shards import RunFolder, content_id
 from stable_data.table_files import TableFiles, rows_from_table, slices
+from stable_data.tables import Row
 
 Split: TypeAlias = Literal["train", "validation"]
 
@@ -50,14 +52,26 @@ class RunExamples:
     every: int = 1
 
     def fingerprint(self) -> str:
-        """Content of the table that is read.
+        """Content of the tables that are read.
 
         Raises:
-            ConfigError: It is not there.
+            ConfigError: One is not there.
         """
-        run = RunFolder(self.uri)
-        run.dataset("samples")  # says what is missing
-        return content_id({"samples": sorted(run.shard_ids("samples"))})
+        folders = {"samples": self.uri} | ({} if self.edits is None else {"edits": self.edits})
+        for table, folder in folders.items():
+            RunFolder(folder).dataset(table)  # says what is missing
+        return content_id({table: sorted(RunFolder(folder).shard_ids(table)) for table, folder in folders.items()})
+
+    @property
+    def edits(self) -> str | None:
+        """The run folder whose table ``edits`` is read; None where none is."""
+        named = self.settings.edits
+        if self.settings.shares.edit == 0:
+            return None
+        if not named:
+            return self.uri if RunFolder(self.uri).files("edits") else None
+        is_the_table = "://" not in named and Path(named).name == "edits" and not RunFolder(named).files("edits")
+        return str(Path(named).parent) if is_the_table else named
 
     def tokenizer(self) -> PreTrainedTokenizerBase:
         """The tokenizer: that of ``tokenizer`` or ``base``; else one made for the words of the split ``train``, and kept.
@@ -102,23 +116,23 @@ class RunExamples:
         return found
 
     def examples(self, split: Split) -> Iterator[Example]:
-        """The examples of a split, in the order of the table's files.
-
-        Edits (:attr:`Example.removed`) come from elsewhere than ``samples``: they would be chained here.
-        """
-        examples: Iterable[Example] = self._stages(split)
+        """The examples of a split in the order of the tables' files, edits last."""
+        examples: Iterable[Example] = (
+            example_of(row, self.settings.with_details) for row in self._rows(self.uri, "samples", split)
+        )
         if self.settings.one_shot:
             examples = one_shot(examples)
+        if self.edits is not None:
+            examples = chain(examples, (edit_example_of(row) for row in self._rows(self.edits, "edits", split)))
         if split != "train":  # every question is asked as it stands
             return iter(examples)
         return (e.on_any_table() if self._is_on_any_table(e) else e for e in examples)
 
-    def _stages(self, split: Split) -> Iterator[Example]:
-        table = TableFiles(self.uri, "samples", None, split)
-        for group in tqdm(range(0, len(table.groups), self.every), desc=split, unit="group", leave=False):
+    def _rows(self, uri: str, name: str, split: Split) -> Iterator[Row]:
+        table = TableFiles(uri, name, None, split)
+        for group in tqdm(range(0, len(table.groups), self.every), desc=f"{split} {name}", unit="group", leave=False):
             for part in slices(table.read([group])):
-                for row in rows_from_table(part):
-                    yield example_of(row, self.settings.with_details)
+                yield from rows_from_table(part)
 
     def num_examples(self, split: Split) -> Counter[str]:
         """How many examples of each kind a split has, those that are too long included, whatever ``every`` is."""
@@ -126,7 +140,11 @@ class RunExamples:
         found: Counter[str] = Counter()
         for group in range(len(table.groups)):
             found.update(table.read([group])["stage"].to_pylist())
-        return Counter({"whole": found[Stage.SECONDARY]}) if self.settings.one_shot else found
+        if self.settings.one_shot:
+            found = Counter({"whole": found[Stage.SECONDARY]})
+        if self.edits is not None:
+            found["edit"] = len(TableFiles(self.edits, "edits", ["edit_id"], split))
+        return found
 
     def _is_on_any_table(self, example: Example) -> bool:
         # Named by the example, so that it does not matter where in the table it lies.

@@ -89,6 +89,8 @@ class ReasonerTraining:
     Attributes:
         base: Folder of a Hugging Face model to fine-tune; empty trains ``network`` from scratch.
         tokenizer: Folder of a tokenizer with a chat template; empty takes that of ``base``, or without one trains its own.
+        edits: Run folder whose table ``edits`` is learned from beside ``samples``; empty takes the run's own, where it has one.
+            It is not read where ``shares.edit`` is 0.
         seed: Of the first weights and of every draw.
         steps: Length of the run; 0 takes ``passes``.
         passes: Length in passes over the examples.
@@ -117,6 +119,7 @@ class ReasonerTraining:
 
     base: str = ""
     tokenizer: str = ""
+    edits: str = ""
     seed: int = 0
     steps: int = 0
     passes: float = 1.0
@@ -178,10 +181,11 @@ class ReasonerTraining:
         return flattened(asdict(self))
 
 
-EMBEDDED = ReasonerTraining(shares=StageShares(important=0.3, secondary=0.25, whole=0.35))
+EMBEDDED = ReasonerTraining(shares=StageShares(important=0.3, secondary=0.25, whole=0.35, edit=0.15))
 """The small model of the embedded engine: from scratch, with a tokenizer of its own, on one core of a CPU.
 
-The first stage decides what a scene is about and is the hardest to get right, so it is shown most."""
+The first stage decides what a scene is about and is the hardest to get right, so it is shown most. An edit is a long question and a
+short answer, 374 tokens and 28 on the embedded world, against 37 and 58 of a first stage, so few of them are shown."""
 
 PAPER = ReasonerTraining(
     learning_rate=1e-5,
@@ -196,11 +200,12 @@ PAPER = ReasonerTraining(
     any_table_share=0.0,
     storage="bfloat16",
     recomputes=True,
+    shares=StageShares(edit=0.0),
 )
 """The paper's Appendix "Training Details": full-parameter fine-tuning of Qwen3-8B, 1e-5, 5,000 tokens, micro-batches of 4, 1 epoch.
 
 It says neither on how many GPUs nor with which schedule: ``accumulate`` is 8 micro-batches a step, such as one on each of 8 GPUs,
-and the rate is constant. ``base`` is yours to name."""
+and the rate is constant. Nothing is learned of edits. ``base`` is yours to name."""
 
 _PRESETS = {"embedded": EMBEDDED, "paper": PAPER}
 

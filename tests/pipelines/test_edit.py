@@ -8,27 +8,29 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
+import models.semantic_reasoner.assembly as assembly
 import stable_data.shards as shards
+from models.semantic_reasoner.assembly import ReasonerSettings
 from models.semantic_reasoner.editing import apply_edit, editing
-from models.semantic_reasoner.engine import Completion, Request, Sampling
+from models.semantic_reasoner.engine import Completion, Request
+from models.semantic_reasoner.engines import EMBEDDED, EngineSettings
 from models.semantic_reasoner.examples import edit_example_of
 from models.semantic_reasoner.layout_text import Reply, render_objects
+from models.semantic_reasoner.reasoner import SemanticReasoner
 from pipelines.__main__ import app
 from pipelines.edit import edit
 from pipelines.edit_assets import AssetFinder
-from pipelines.edit_engine import EngineChoice, engine_choice
 from pipelines.edit_file import WantedEdit, read_edits
 from pipelines.edit_settings import EditSettings
-from pipelines.edit_step import EDIT_TABLES, EditShard, EditWork
+from pipelines.edit_step import EDIT_TABLES, EditShard, EditWork, seed_of
 from pipelines.runner import Workers
 from pipelines.scene_source import FolderSource
 from stable_data.errors import ConfigError
@@ -39,6 +41,8 @@ from stable_data.shards import RunFolder
 from stable_data.synth.drafting import KINDS
 from stable_data.synth.edit_table import edit_rows
 from stable_data.tables import Row, object_from_row, scene_from_row
+from tests.models.semantic_reasoner.endpoint import Act, endpoint, said
+from tests.models.semantic_reasoner.known_categories import ask
 from tests.pipelines.runs import ROOT, content, used_assets
 from tests.stable_data.synth.edit_scenes import made_scenes, row_of
 
@@ -93,7 +97,7 @@ def edits(wanted: list[dict[str, Any]], tmp_path_factory: pytest.TempPathFactory
 @pytest.fixture(scope="module")
 def edited(dataset: Path, edits: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("edited") / "out"
-    manifest = edit(str(dataset), edits, str(out), SMALL, ALONE, "none")
+    manifest = edit(str(dataset), edits, str(out), SMALL, ALONE)
     assert manifest["counts"]["scenes"] == manifest["num_edits"] == 9
     assert manifest["counts"]["failures"] == 0
     return out
@@ -163,7 +167,7 @@ def test_the_edited_folder_is_clean_by_lint(edited: Path) -> None:
 def test_a_run_is_edited_as_its_folder_is_and_carries_its_assets(
     clean_run: Path, edits: Path, edited: Path, tmp_path: Path
 ) -> None:
-    edit(str(clean_run), edits, str(tmp_path / "out"), SMALL, ALONE, "none", report=False)
+    edit(str(clean_run), edits, str(tmp_path / "out"), SMALL, ALONE, report=False)
     one, other = rows_of(tmp_path / "out", "edits", "edit_id"), rows_of(edited, "edits", "edit_id")
     assert {k: (r["kind"], r["removed"]) for k, r in one.items()} == {k: (r["kind"], r["removed"]) for k, r in other.items()}
     assert RunFolder(str(tmp_path / "out")).table("meshes") == RunFolder(str(clean_run)).table("meshes")
@@ -192,39 +196,52 @@ class Told:
         return Completion(reply if len(request.messages) > 2 else "Sure! I have moved it.")
 
 
-def asking(engine: Told) -> EngineChoice:
-    return EngineChoice("told", "0", partial(_same, engine))
+@pytest.fixture
+def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Told], EditSettings]:
+    """Settings under which an engine of ours is asked."""
+
+    def settings(engine: Told) -> EditSettings:
+        monkeypatch.setattr(assembly, "load_engine", lambda _: engine)
+        return scripted([], tmp_path / "none.json")
+
+    return settings
 
 
-def _same(engine: Told) -> Told:
-    return engine
+def scripted(replies: Any, path: Path, **reasoner: Any) -> EditSettings:
+    """Settings under which replies come from a file."""
+    path.write_text(json.dumps(replies), "utf-8")
+    return replace(SMALL, engine=EngineSettings(f"scripted:{path}"), reasoner=ReasonerSettings(**{"tries": 3, **reasoner}))
 
 
 def test_the_reasoner_is_asked_again_until_its_reply_can_be_used(
-    dataset: Path, wanted: list[dict[str, Any]], edited: Path, tmp_path: Path
+    dataset: Path, wanted: list[dict[str, Any]], edited: Path, tmp_path: Path, asked: Callable[[Told], EditSettings]
 ) -> None:
-    asked = [{k: v for k, v in line.items() if k != "reply"} for line in wanted]
+    lines = [{k: v for k, v in line.items() if k != "reply"} for line in wanted]
     engine = Told({line["instruction"]: json.dumps(line["reply"]) for line in wanted[:-1]} | {"Leave it": EMPTY})
     out = tmp_path / "out"
-    path = file_of(asked, tmp_path / "edits.jsonl")
-    edit(str(dataset), path, str(out), SMALL, ALONE, asking(engine), report=False)
+    path = file_of(lines, tmp_path / "edits.jsonl")
+    edit(str(dataset), path, str(out), asked(engine), ALONE, report=False)
     assert {k: r["objects"] for k, r in rows_of(out, "scenes").items()} == {
         k: r["objects"] for k, r in rows_of(edited, "scenes").items()
     }
-    assert [len(request.messages) for request in engine.asked] == ([2] * 4 + [4] * 4) * 2 + [2, 4]
+    assert [len(request.messages) for request in engine.asked] == ([2] * 4 + [4] * 4) * 2 + [2, 4, 6]
     assert all(request.form.edits for request in engine.asked)
     assert "reply is no JSON" in engine.asked[4].messages[-1]["content"]
+    assert "nothing is changed" in engine.asked[-1].messages[-1]["content"]
+    assert [w["code"] for w in RunFolder(str(out)).table("warnings").to_pylist() if w["id"] == "same"] == ["nothing_changed"]
 
 
 def test_replies_that_cannot_be_used_are_failures_and_nothing_is_lost(
-    dataset: Path, wanted: list[dict[str, Any]], tmp_path: Path
+    dataset: Path, wanted: list[dict[str, Any]], tmp_path: Path, asked: Callable[[Told], EditSettings]
 ) -> None:
     scene_id = wanted[0]["scene_id"]
+    unknown = '{"remove":["zebra_0"],"objects":[]}'
     lines: list[Any] = [
         {"scene_id": scene_id, "instruction": "Never JSON.", "edit_id": "never"},
         {"scene_id": scene_id, "instruction": "Engine is down.", "edit_id": "down"},
+        {"scene_id": scene_id, "instruction": "Zoo.", "edit_id": "zoo"},
         {"scene_id": scene_id, "instruction": "Said.", "reply": "no json", "edit_id": "said"},
-        {"scene_id": scene_id, "instruction": "Unknown.", "reply": '{"remove":["zebra_0"],"objects":[]}', "edit_id": "zebra"},
+        {"scene_id": scene_id, "instruction": "Unknown.", "reply": unknown, "edit_id": "zebra"},
         {"scene_id": scene_id, "instruction": "x" * 3000, "edit_id": "long"},
         {"scene_id": scene_id, "instruction": "Good.", "reply": EMPTY, "edit_id": "good"},
         {"scene_id": "nowhere_0001", "instruction": "Move it."},
@@ -236,52 +253,163 @@ def test_replies_that_cannot_be_used_are_failures_and_nothing_is_lost(
         "[1]",
         "",
     ]
-    engine = Told({"Never JSON.": "still not", "Engine is down.": "down"})
+    engine = Told({"Never JSON.": "still not", "Engine is down.": "down", "Zoo.": unknown})
     out = tmp_path / "out"
-    manifest = edit(str(dataset), file_of(lines, tmp_path / "e.jsonl"), str(out), SMALL, ALONE, asking(engine))
+    manifest = edit(str(dataset), file_of(lines, tmp_path / "e.jsonl"), str(out), asked(engine), ALONE)
     failures = rows_of(out, "failures", "id")
     assert {k: (r["step"], r["code"]) for k, r in failures.items()} == {
-        "never": ("reply", "reply_not_json"),
+        "never": ("reply", "reply_unusable"),
         "down": ("reply", "endpoint_down"),
+        "zoo": ("reply", "reply_unusable"),
         "said": ("reply", "reply_not_json"),
         "zebra": ("reply", "edit_refused"),
         "long": ("reply", "instruction_invalid"),
         "nowhere_0001_edit1": ("edits", "scene_unknown"),
-        "line_000008": ("edits", "instruction_invalid"),
-        "line_000009": ("edits", "edit_invalid"),
+        "line_000009": ("edits", "instruction_invalid"),
         "line_000010": ("edits", "edit_invalid"),
         "line_000011": ("edits", "edit_invalid"),
         "line_000012": ("edits", "edit_invalid"),
         "line_000013": ("edits", "edit_invalid"),
+        "line_000014": ("edits", "edit_invalid"),
     }
     assert rows_of(out, "scenes").keys() == {"good"}
-    assert manifest["num_edits"] == 13
+    assert manifest["num_edits"] == 14
     assert all("\n" not in row["message"] for row in failures.values())
-    assert len([r for r in engine.asked if "Never JSON." in r.messages[1]["content"]]) == SMALL.attempts
+    assert "3 answers could not be used, the last because zebra_0 is to be removed" in failures["zoo"]["message"]
+    assert len([r for r in engine.asked if "Never JSON." in r.messages[1]["content"]]) == 3
     assert len([r for r in engine.asked if "Engine is down." in r.messages[1]["content"]]) == 1
     assert "zebra_0" in (out / "report" / "index.html").read_text("utf-8")
 
 
+def test_what_is_known_of_categories_keeps_bad_replies_out_and_odd_ones_are_named(
+    dataset: Path, clean_run: Path, wanted: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    scene_id = wanted[0]["scene_id"]
+    thing = editing(MesaTaskDataset(dataset).read(scene_id)[0]).layout[-1]
+    away = replace(thing, position_cm=(900.0, 10.0, thing.position_cm[2]))
+    odd = replace(thing, instance="zeppelin_0", description="a zeppelin", position_cm=(10.0, 10.0, thing.size_cm[2] / 2))
+    lines = [{"scene_id": scene_id, "instruction": f"{words} it.", "edit_id": words} for words in ("Away", "Odd")]
+    replies = {"Away it.": render_objects([away], ()), "Odd it.": render_objects([odd], ())}
+    settings = scripted(replies, tmp_path / "script.json", tries=1, statistics=str(clean_run))
+    edit(str(dataset), file_of(lines, tmp_path / "e.jsonl"), str(tmp_path / "out"), settings, ALONE, report=False)
+    failures = rows_of(tmp_path / "out", "failures", "id")
+    assert failures["Away"]["code"] == "reply_unusable"
+    assert "leaves the table" in failures["Away"]["message"]
+    warnings = RunFolder(str(tmp_path / "out")).table("warnings").to_pylist()
+    assert "category_unknown" in {w["code"] for w in warnings if w["id"] == "Odd"}
+
+
+def test_a_run_goes_on_with_the_same_reasoner_alone(dataset: Path, wanted: list[dict[str, Any]], tmp_path: Path) -> None:
+    lines = [{"scene_id": wanted[0]["scene_id"], "instruction": "Leave it.", "edit_id": "one"}]
+    path, out = file_of(lines, tmp_path / "e.jsonl"), str(tmp_path / "out")
+    settings = scripted({"Leave it": EMPTY}, tmp_path / "script.json", tries=1)
+    edit(str(dataset), path, out, settings, ALONE, report=False)
+    edit(str(dataset), path, out, replace(settings, engine=replace(settings.engine, num_slots=7)), ALONE, report=False)
+    with pytest.raises(ConfigError, match=r"inputs\.reasoner\.tries: 1 -> 2"):
+        edit(str(dataset), path, out, replace(settings, reasoner=ReasonerSettings(tries=2)), ALONE)
+    with pytest.raises(ConfigError, match=r"inputs\.reasoner\.model: \w+ -> \w+"):
+        edit(str(dataset), path, out, scripted({"Leave": EMPTY}, tmp_path / "script.json", tries=1), ALONE)
+
+
+def test_what_was_said_once_is_kept_and_said_again(dataset: Path, wanted: list[dict[str, Any]], tmp_path: Path) -> None:
+    lines = [{"scene_id": wanted[0]["scene_id"], "instruction": "Leave it.", "edit_id": "one"}]
+    path = file_of(lines, tmp_path / "e.jsonl")
+    replies = [json.dumps(wanted[0]["reply"])]  # one alone: a second request would fail
+    settings = scripted(replies, tmp_path / "script.json")
+    settings = replace(settings, engine=replace(settings.engine, cache=str(tmp_path / "kept")))
+    for name in ("one", "other"):
+        edit(str(dataset), path, str(tmp_path / name), settings, ALONE, report=False)
+        scripted([], tmp_path / "script.json")
+    assert len(rows_of(tmp_path / "one", "scenes")) == 1
+    assert rows_of(tmp_path / "one", "scenes") == rows_of(tmp_path / "other", "scenes")
+
+
+def test_an_endpoint_is_asked_with_a_key_that_is_nowhere_on_disk(
+    dataset: Path, wanted: list[dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("A_KEY", "very-secret")
+    lines = [{"scene_id": wanted[0]["scene_id"], "instruction": wanted[0]["instruction"], "edit_id": "one"}]
+    path, out = file_of(lines, tmp_path / "e.jsonl"), tmp_path / "out"
+
+    def plan(words: str, number: int, body: dict[str, Any]) -> Act:
+        was_refused = len(body["messages"]) > 2
+        return Act(body=said(json.dumps(wanted[0]["reply"]) if was_refused else '{"remove":["zebra_0"],"objects":[]}'))
+
+    with endpoint(plan) as server:
+        engine = EngineSettings("openai:large", http=server.settings(key_variable="A_KEY"), cache=str(tmp_path / "kept"))
+        edit(str(dataset), path, str(out), replace(SMALL, engine=engine), ALONE, report=False)
+    assert rows_of(out, "scenes").keys() == {"one"}
+    assert [len(body["messages"]) for body in server.bodies] == [2, 4]
+    assert "zebra_0 is to be removed, but is not in the layout" in server.bodies[1]["messages"][-1]["content"]
+    assert {body["model"] for body in server.bodies} == {"large"}
+    assert all("very-secret" in headers["Authorization"] for headers in server.headers)
+    assert not [f for f in tmp_path.rglob("*") if f.is_file() and b"very-secret" in f.read_bytes()]
+    edit(str(dataset), path, str(tmp_path / "again"), replace(SMALL, engine=engine), ALONE, report=False)  # nobody is there
+    assert rows_of(tmp_path / "again", "scenes") == rows_of(out, "scenes")
+
+
+def test_a_seed_is_of_the_edit_and_not_of_its_shard() -> None:
+    one = WantedEdit("a_edit1", "a", "Move it.")
+    assert seed_of(one, 0) == seed_of(replace(one, reply=EMPTY), 0)
+    others = [replace(one, edit_id="b"), replace(one, scene_id="b"), replace(one, instruction="Move them.")]
+    assert len({seed_of(one, 0), seed_of(one, 1), *(seed_of(other, 0) for other in others)}) == 5
+
+
+@pytest.mark.parametrize("per_shard", [1, 3])
+def test_requests_are_the_same_however_edits_are_cut(
+    dataset: Path, wanted: list[dict[str, Any]], tmp_path: Path, asked: Callable[[Told], EditSettings], per_shard: int
+) -> None:
+    lines = [{"scene_id": w["scene_id"], "instruction": f"Leave {k}."} for k, w in enumerate(wanted[:3])]
+    engine = Told({"Leave": EMPTY})
+    settings = replace(asked(engine), scenes_per_shard=per_shard)
+    path = file_of(lines, tmp_path / "e.jsonl")
+    edit(str(dataset), path, str(tmp_path / "out"), settings, ALONE, report=False)
+    seeds = {r.messages[1]["content"]: r.seed for r in engine.asked if len(r.messages) == 2}
+    found = read_edits(path, set(MesaTaskDataset(dataset).scene_ids)).edits
+    firsts = [r for r in engine.asked if len(r.messages) == 2]
+    assert len(seeds) == 3
+    assert sorted(r.seed for r in firsts) == sorted(first_seed(e) for e in found)
+
+
+def first_seed(wanted: WantedEdit) -> int:
+    """Of the first try, as the reasoner makes it of the seed of a question."""
+    engine = Told({"": EMPTY})
+    SemanticReasoner(engine, tries=1).propose(
+        [replace(ask(), instruction="Move it.", wanted="edit")], [seed_of(wanted, SMALL.seed)]
+    )
+    return engine.asked[0].seed
+
+
+EMBEDDED_IS_HERE = pytest.mark.skipif(not (EMBEDDED / "config.json").is_file(), reason="the embedded reasoner is not here")
+
+
+@EMBEDDED_IS_HERE
+def test_the_embedded_reasoner_is_asked(dataset: Path, wanted: list[dict[str, Any]], tmp_path: Path) -> None:
+    lines = [{"scene_id": wanted[0]["scene_id"], "instruction": wanted[0]["instruction"], "edit_id": "one"}]
+    settings = replace(SMALL, reasoner=ReasonerSettings(tries=2))
+    manifest = edit(str(dataset), file_of(lines, tmp_path / "e.jsonl"), str(tmp_path / "out"), settings, ALONE, report=False)
+    assert manifest["engine"] == "embedded"
+    assert manifest["counts"]["scenes"] + manifest["counts"]["failures"] == 1
+
+
 def test_a_file_without_a_usable_edit_is_all_failures(dataset: Path, tmp_path: Path) -> None:
-    manifest = edit(str(dataset), file_of(["{"], tmp_path / "e.jsonl"), str(tmp_path / "out"), SMALL, ALONE, "none")
+    manifest = edit(str(dataset), file_of(["{"], tmp_path / "e.jsonl"), str(tmp_path / "out"), SMALL, ALONE)
     assert (manifest["counts"]["scenes"], manifest["counts"]["failures"]) == (0, 1)
 
 
-def test_an_engine_is_named_or_refused(tmp_path: Path, dataset: Path, wanted: list[dict[str, Any]]) -> None:
-    assert engine_choice("none", Sampling()) is None
-    with pytest.raises(ConfigError, match=r"holds no config\.json"):
-        engine_choice(str(tmp_path), Sampling())
-    (tmp_path / "config.json").write_text("{}")
-    one = engine_choice(str(tmp_path), Sampling())
-    (tmp_path / "model.safetensors").write_bytes(b"0")
-    other = engine_choice(str(tmp_path), Sampling())
-    assert one is not None
-    assert other is not None
-    assert one.fingerprint != other.fingerprint
+def test_an_engine_that_is_not_there_is_refused_before_anything_is_written(
+    tmp_path: Path, dataset: Path, wanted: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = file_of([{"scene_id": wanted[0]["scene_id"], "instruction": "Move it."}], tmp_path / "e.jsonl")
-    with pytest.raises(ConfigError, match="have no reply and the engine is none"):
-        edit(str(dataset), path, str(tmp_path / "out"), SMALL, ALONE, "none")
-    assert not (tmp_path / "out" / "manifest.json").exists()
+    monkeypatch.delenv("A_KEY", raising=False)
+    http = replace(SMALL.engine.http, key_variable="A_KEY")
+    for engine, message in (
+        (EngineSettings(f"transformers:{tmp_path}"), "config.json: cannot be read"),
+        (EngineSettings("openai:large", http=http), "A_KEY is not set"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            edit(str(dataset), path, str(tmp_path / "out"), replace(SMALL, engine=engine), ALONE)
+        assert not (tmp_path / "out" / "manifest.json").exists()
 
 
 # --- correction ---------------------------------------------------------------------------------------------------------------
@@ -302,8 +430,8 @@ def test_what_is_put_into_another_thing_is_parted_from_it_and_the_other_stays(da
     source = MesaTaskDataset(dataset)
     told = [onto_another(dataset, scene_id) for scene_id in source.scene_ids[:2]]
     path = file_of([line for line, _ in told], tmp_path / "e.jsonl")
-    edit(str(dataset), path, str(tmp_path / "out"), SMALL, ALONE, "none", report=False)
-    edit(str(dataset), path, str(tmp_path / "raw"), replace(SMALL, correct=False), ALONE, "none", report=False)
+    edit(str(dataset), path, str(tmp_path / "out"), SMALL, ALONE, report=False)
+    edit(str(dataset), path, str(tmp_path / "raw"), replace(SMALL, correct=False), ALONE, report=False)
     moved = {
         row["id"] for row in RunFolder(str(tmp_path / "out")).table("warnings").to_pylist() if row["code"] == "others_moved"
     }
@@ -345,8 +473,7 @@ def test_a_thing_of_another_size_is_the_same_mesh_scaled(
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [({"others": "gone"}, "expected one of fixed, free, fixed_first"), ({"attempts": 0}, "edit.attempts is 0"),
-     ({"temperature": -1.0}, "expected 0 to 2"), ({"when_full": "x"}, "setting edit.when_full is x")],
+    [({"others": "gone"}, "expected one of fixed, free, fixed_first"), ({"when_full": "x"}, "setting edit.when_full is x")],
 )  # fmt: skip
 def test_settings_that_make_no_sense_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
@@ -361,7 +488,7 @@ def test_a_shard_that_is_missing_is_made_again(dataset: Path, edits: Path, edite
     out = tmp_path / "out"
     shutil.copytree(edited, out, symlinks=True)
     sorted((out / table).glob("part-*.parquet"))[0].unlink()
-    edit(str(dataset), edits, str(out), SMALL, ALONE, "none", report=False)
+    edit(str(dataset), edits, str(out), SMALL, ALONE, report=False)
     assert content(out) == content(edited)
 
 
@@ -380,16 +507,16 @@ def test_a_run_that_was_broken_off_goes_on(
     out = tmp_path / "out"
     monkeypatch.setattr(shards, "_write_local", fills_up)
     with pytest.raises(ConfigError, match="No space left on device"):
-        edit(str(dataset), edits, str(out), SMALL, ALONE, "none")
+        edit(str(dataset), edits, str(out), SMALL, ALONE)
     monkeypatch.undo()
     assert 0 < len(content(out)) < len(content(edited))
-    edit(str(dataset), edits, str(out), SMALL, ALONE, "none", report=False)
+    edit(str(dataset), edits, str(out), SMALL, ALONE, report=False)
     assert content(out) == content(edited)
 
 
 def command(dataset: Path, edits: Path, out: Path, workers: int) -> list[str]:
     settings = [f"--set={k}={json.dumps(v)}" for k, v in (SMALL.shaping() | {"num_pictures": 0}).items()]
-    where = ["--scenes", str(dataset), "--edits", str(edits), "--out", str(out), "--engine", "none"]
+    where = ["--scenes", str(dataset), "--edits", str(edits), "--out", str(out), "--engine", "scripted:not_opened"]
     return [sys.executable, "-m", "pipelines", "edit", *where, "--workers", str(workers), *settings]
 
 
@@ -406,16 +533,16 @@ def test_a_run_that_is_killed_goes_on(dataset: Path, edits: Path, edited: Path, 
                 os.kill(process.pid, signal.SIGKILL)
                 killed += 1
     assert killed > 0
-    edit(str(dataset), edits, str(out), SMALL, ALONE, "none", report=False)
+    edit(str(dataset), edits, str(out), SMALL, ALONE, report=False)
     assert content(out) == content(edited)
 
 
 def test_another_configuration_is_refused(dataset: Path, edits: Path, edited: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="others: fixed_first -> free"):
-        edit(str(dataset), edits, str(edited), replace(SMALL, others="free"), ALONE, "none")
+        edit(str(dataset), edits, str(edited), replace(SMALL, others="free"), ALONE)
     fewer = file_of(edits.read_text("utf-8").splitlines()[:2], tmp_path / "e.jsonl")
     with pytest.raises(ConfigError, match=r"inputs\.edits: "):
-        edit(str(dataset), fewer, str(edited), SMALL, ALONE, "none")
+        edit(str(dataset), fewer, str(edited), SMALL, ALONE)
 
 
 @pytest.mark.ray
@@ -442,7 +569,7 @@ def test_an_edit_in_a_process_of_its_own_gives_the_same_rows(dataset: Path, edit
 
 def test_the_command_says_what_it_would_do_and_what_failed(dataset: Path, wanted: list[dict[str, Any]], tmp_path: Path) -> None:
     path = file_of([wanted[-1], "{"], tmp_path / "e.jsonl")
-    given = ["edit", "--scenes", str(dataset), "--edits", str(path), "--out", str(tmp_path / "out"), "--engine", "none"]
+    given = ["edit", "--scenes", str(dataset), "--edits", str(path), "--out", str(tmp_path / "out")]
     given += ["--workers", "0", "--set=weights=none", "--set=num_pictures=0"]
     plan = json.loads(CliRunner().invoke(app, [*given, "--dry-run"]).stdout)
     assert (plan["num_edits"], plan["num_unusable"], plan["num_shards"]) == (1, 1, 1)
@@ -464,3 +591,21 @@ def test_edits_are_numbered_by_scene(tmp_path: Path) -> None:
     for nothing in (tmp_path / "no.jsonl", file_of([""], tmp_path / "empty.jsonl")):
         with pytest.raises(ConfigError):
             read_edits(nothing, {"a"})
+
+
+def test_the_command_asks_the_engine_that_is_named(dataset: Path, wanted: list[dict[str, Any]], tmp_path: Path) -> None:
+    path = file_of([{"scene_id": wanted[0]["scene_id"], "instruction": "Do it."}], tmp_path / "e.jsonl")
+    (tmp_path / "script.json").write_text(json.dumps({"Do it.": wanted[0]["reply"]}), "utf-8")
+    given = ["edit", "--scenes", str(dataset), "--edits", str(path), "--out", str(tmp_path / "out"), "--workers", "0"]
+    given += ["--set=weights=none", "--set=num_pictures=0", "--set=engine.sampling.temperature=0.2", "--set=reasoner.tries=2"]
+    done = CliRunner().invoke(app, [*given, "--engine", f"scripted:{tmp_path / 'script.json'}"])
+    assert done.exit_code == 0, done.stderr
+    inputs = json.loads((tmp_path / "out" / "manifest.json").read_text("utf-8"))["inputs"]
+    assert (inputs["reasoner.engine"], inputs["reasoner.sampling.temperature"], inputs["reasoner.tries"]) == (
+        "scripted",
+        0.2,
+        2,
+    )
+    refused = CliRunner().invoke(app, [*given, "--engine", "magic"])
+    assert refused.exit_code == 2
+    assert "engine is 'magic', expected embedded, transformers:FOLDER" in refused.stderr

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from transformers import AutoModelForCausalLM, AutoTokenizer
 from typer.testing import CliRunner
 
+from models.semantic_reasoner.batches import batches_of_pass
 from models.semantic_reasoner.network import new_network
 from models.semantic_reasoner.prompt import PROMPT_VERSION
 from models.semantic_reasoner.saved_model import write_model
@@ -30,6 +32,7 @@ from pipelines.settings import SECTIONS
 from pipelines.train_reasoner import STATE, TrainReasoner, Watch
 from stable_data.errors import ConfigError
 from stable_data.shards import RunFolder
+from stable_data.synth.edit_table import write_edits
 from tests.models.semantic_reasoner.reasoner_examples import TINY, tokenizer
 from tests.pipelines.runs import ROOT, SMALL
 
@@ -256,6 +259,61 @@ def test_tokens_are_kept_by_all_that_shapes_them(run: Path, tmp_path: Path) -> N
     assert {KINDS[k] for k in whole.kind} == {"whole"}
     assert 3 * len(whole) == len(found[0])
     assert found[2].start[-1] > found[0].start[-1]
+
+
+@pytest.fixture(scope="module")
+def drafted(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with edits of the run's scenes."""
+    out = tmp_path_factory.mktemp("drafted")
+    assert sum(count for count, _ in write_edits(RunFolder(str(run)), RunFolder(str(out)), count=3)) == 12
+    return out
+
+
+def test_edits_are_learned_from_where_they_are(run: Path, drafted: Path, tmp_path: Path) -> None:
+    plain = RunExamples(str(run), tmp_path / "cache", SETTINGS)
+    both = Path(shutil.copytree(run, tmp_path / "both"))
+    shutil.copytree(drafted / "edits", both / "edits")
+    ways = [
+        RunExamples(str(both), tmp_path / "cache", SETTINGS),
+        RunExamples(str(run), tmp_path / "cache", replace(SETTINGS, edits=str(drafted))),
+        RunExamples(str(run), tmp_path / "cache", replace(SETTINGS, edits=str(drafted / "edits"))),
+    ]
+    rows = RunFolder(str(drafted)).table("edits").to_pylist()
+    for split in ("train", "validation"):
+        told = [row for row in rows if row["split"] == split]
+        assert told
+        for way in ways:
+            found = list(way.examples(split))
+            assert way.num_examples(split) == plain.num_examples(split) + Counter(edit=len(told))
+            assert way.num_examples(split).total() == len(found)
+            assert [e.ask.instruction for e in found if e.ask.edits] == [row["instruction"] for row in told]
+            assert [list(e.removed or ()) != [] for e in found if e.ask.edits] == [row["removed"] != [] for row in told]
+    assert len({way.fingerprint() for way in ways}) == 1 != len({plain.fingerprint(), ways[0].fingerprint()})
+    unread = replace(ways[0], settings=replace(SETTINGS, shares=replace(SETTINGS.shares, edit=0.0)))
+    assert unread.fingerprint() == plain.fingerprint()
+    assert not [e for e in unread.examples("train") if e.ask.edits]
+
+
+def test_edits_have_a_share_of_their_own_and_are_watched(run: Path, drafted: Path, tmp_path: Path) -> None:
+    settings = replace(SETTINGS, steps=2, edits=str(drafted))
+    assert "nats a token edit" in job(run, tmp_path / "out", settings).run()
+    source = RunExamples(str(run), tmp_path / "out" / "cache", settings)
+    data = source.load("train", source.tokenizer())
+    edits = set((data.kind == KINDS.index("edit")).nonzero()[0].tolist())
+    assert len(edits) == source.num_examples("train")["edit"] - int(data.too_long[KINDS.index("edit")])
+    half = replace(settings, shares=replace(settings.shares, edit=0.5))
+    taken = {k for rows in batches_of_pass(data, half, 0) for row in rows for k in row}
+    assert len(taken & edits) == round(0.5 * len(edits)) < len(edits)
+    fewer = RunFolder(str(tmp_path / "fewer"))
+    assert any(count for count, _ in write_edits(RunFolder(str(run)), fewer, count=1))
+    with pytest.raises(ConfigError, match=r"data: \w+ -> \w+"):
+        job(run, tmp_path / "out", replace(settings, edits=fewer.uri)).run()
+
+
+def test_edits_that_are_named_but_not_there_are_one_line_and_status_2(run: Path, out: Path, tmp_path: Path) -> None:
+    result = invoke("--data", run, "--out", out, "--set", f"edits={tmp_path}")
+    assert result.exit_code == 2
+    assert "no table edits" in result.stderr
 
 
 def test_one_shot_is_a_training_of_its_own(run: Path, tmp_path: Path) -> None:

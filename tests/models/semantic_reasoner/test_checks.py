@@ -7,8 +7,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from models.semantic_reasoner.carrying import GAP, carriers_of
-from models.semantic_reasoner.checks import CheckSettings, Fault, check
-from models.semantic_reasoner.layout_text import LayoutObject
+from models.semantic_reasoner.checks import CheckSettings, Fault, check, form_check
+from models.semantic_reasoner.layout_text import LayoutObject, Reply
 from models.semantic_reasoner.prompt import Ask
 from models.semantic_reasoner.required import required
 from stable_data.relations import supports
@@ -188,14 +188,81 @@ def test_an_edit_may_change_and_take_away() -> None:
     assert hard(thing("apple_0", 30, 30, bottom=40.0), of=edit) == {"floats"}
 
 
-def test_an_edit_leaves_nothing_in_the_air() -> None:
+def test_what_an_edit_leaves_behind_is_named() -> None:
     stacked = [PLATE, thing("mug_0", 70, 30, bottom=2.0)]
     edit = ask("Take the plate away.", "edit", stacked)
-    assert hard(of=edit, removed=("plate_0",)) == {"loses_carrier"}
-    assert hard(thing("mug_0", 20, 30), of=edit, removed=("plate_0",)) == set()
-    assert hard(of=edit, removed=("plate_0", "mug_0")) == set()
+    assert soft(of=edit, removed=("plate_0",)) == {"loses_carrier"}
+    assert hard(of=edit, removed=("plate_0",)) == set()  # it comes down to where the plate was
+    assert faults(thing("mug_0", 20, 30), of=edit, removed=("plate_0",)) == []
+    assert faults(of=edit, removed=("plate_0", "mug_0")) == []
+    repeated = faults(stacked[1], of=edit, removed=("plate_0",))
+    assert {(f.code, f.is_hard) for f in repeated} == {("loses_carrier", False)}
     hanging = [PLATE, thing("mug_0", 20, 30, bottom=30.0)]
-    assert hard(of=ask("Take the plate away.", "edit", hanging), removed=("plate_0",)) == set()  # it hung there before
+    assert faults(of=ask("Take the plate away.", "edit", hanging), removed=("plate_0",)) == []  # it hung there before
+
+
+def test_of_an_edit_only_what_it_brings_is_judged() -> None:
+    giant, outside, hanging = (
+        thing("pen_0", 30, 30, size=(60.0, 10.0, 10.0)),
+        thing("can_0", 119, 30),
+        thing("cup_0", 60, 30, bottom=30.0),
+    )
+    edit = ask("Make them red.", "edit", [giant, outside, hanging, replace(outside, instance="can_1")])
+    red = [replace(o, description="a red thing") for o in (giant, outside, hanging)]
+    assert faults(*red, of=edit) == []
+    assert faults(replace(giant, position_cm=(60.0, 20.0, 5.0)), of=edit) == []
+    assert hard(replace(giant, size_cm=(60.0, 10.0, 20.0)), of=edit) == {"size_implausible"}
+    assert hard(replace(outside, position_cm=(119.0, 31.0, 5.5)), of=edit) == {"off_table"}
+    assert hard(replace(hanging, position_cm=(61.0, 30.0, 34.0)), of=edit) == {"floats"}
+
+
+def test_what_gets_higher_at_the_same_z_stands_where_it_stood() -> None:
+    edit = ask("A taller can.", "edit", [thing("can_0", 30, 30), PLATE])
+    assert faults(replace(thing("can_0", 30, 30), size_cm=(7.0, 7.0, 14.0)), of=edit) == []
+    assert hard(replace(thing("can_0", 30, 30), position_cm=(30.0, 30.0, 4.0)), of=edit) == {"below_table"}
+
+
+def test_a_thing_may_be_laid_down_but_not_grow() -> None:
+    leaning = thing("pen_0", 30, 30, size=(9.0, 5.0, 12.0))
+    edit = ask("Lay it down.", "edit", [leaning, PLATE])
+    assert faults(replace(leaning, size_cm=(14.9, 0.4, 0.4), position_cm=(60.0, 30.0, 0.2)), of=edit) == []
+    for size in ((30.0, 0.4, 0.4), (2.0, 0.4, 0.4), (14.0, 14.0, 14.0)):
+        larger = replace(leaning, size_cm=size, position_cm=(60.0, 30.0, size[2] / 2))
+        assert hard(larger, of=edit) == {"size_implausible"}
+
+
+def test_a_crowded_table_may_be_tidied_but_not_filled() -> None:
+    apple, orange = thing("apple_0", 4, 3), thing("orange_0", 5, 5)
+    edit = ask("Move it.", "edit", [orange, apple], size_xy=(0.1, 0.1))
+    assert hard(replace(apple, position_cm=(5.0, 6.0, 4.0)), of=edit) == set()
+    assert "crowded" in hard(thing("cup_0", 7, 6), of=edit)
+
+
+def test_a_reply_that_changes_nothing_is_asked_for_again_and_may_pass() -> None:
+    edit = ask("Take the cups away.", "edit", [MUG, PLATE])
+    assert (soft(of=edit), hard(of=edit)) == ({"nothing_changed"}, set())
+    assert soft(PLATE, MUG, of=edit) == {"nothing_changed"}
+    assert faults(PLATE, replace(MUG, z_rotation_deg=90), of=edit) == []
+    assert faults(of=ask(wanted=Stage.IMPORTANT, layout=[MUG, PLATE])) == []
+
+
+def test_what_changes_keeps_its_name() -> None:
+    edit = ask("Move the mug.", "edit", [MUG, PLATE])
+    away = replace(MUG, position_cm=(90.0, 20.0, 4.8))
+    assert faults(away, of=edit) == []
+    assert soft(replace(away, instance="mug_1"), of=edit, removed=("mug_0",)) == {"renamed"}
+    assert faults(replace(away, instance="mug_1", description="a red mug"), of=edit, removed=("mug_0",)) == []
+    assert faults(replace(away, instance="mug_1"), of=edit) == []
+
+
+@pytest.mark.parametrize(
+    ("objects", "removed"),
+    [([], ["cup_0"]), ([], ["mug_0", "mug_0"]), ([MUG, MUG], []), ([MUG], ["mug_0"]), ([], []), ([PLATE], [])],
+)
+def test_form_is_checked_without_knowing_any_category(objects: list[LayoutObject], removed: list[str]) -> None:
+    edit = ask("Take it.", "edit", [MUG, PLATE])
+    known, form = faults(*objects, of=edit, removed=tuple(removed)), form_check(Reply(tuple(objects), tuple(removed)), edit)
+    assert form == known != []
 
 
 def test_only_edits_take_away() -> None:

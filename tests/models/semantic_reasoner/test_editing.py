@@ -51,7 +51,6 @@ def edit(*objects: LayoutObject, remove: tuple[str, ...] = ()) -> EditedScene:
 
 def test_the_layout_is_in_the_order_of_generation() -> None:
     assert [o.instance for o in editing(SCENE).layout] == ["tray_0", "mug_0", "mug_1", "spoon_0"]
-    assert editing(SCENE).form.names == ("tray_0", "mug_0", "mug_1", "spoon_0")
 
 
 def test_an_empty_edit_changes_nothing() -> None:
@@ -144,11 +143,11 @@ def test_new_things_get_names_of_their_own_and_what_carries_them() -> None:
 @pytest.mark.parametrize(
     ("reply", "reason"),
     [
-        (Reply((), ("mug_7",)), '"remove" names mug_7, which is not in the layout: it has mug_0, mug_1'),
-        (Reply((), ("lamp_0",)), "it has tray_0, mug_0, mug_1, spoon_0"),
-        (Reply((), ("mug_0", "mug_0")), '"remove" names mug_0 twice'),
-        (Reply((shown("mug_0"), shown("mug_0"))), "mug_0 is listed twice"),
-        (Reply((shown("mug_0"),), ("mug_0",)), 'mug_0 is in "remove" and in "objects"'),
+        (Reply((), ("mug_7",)), "mug_7 is to be removed, but is not in the layout, which has mug_0, mug_1"),
+        (Reply((), ("lamp_0",)), "which has tray_0, mug_0, mug_1, spoon_0"),
+        (Reply((), ("mug_0", "mug_0")), "mug_0 is removed 2 times"),
+        (Reply((shown("mug_0"), shown("mug_0"))), "mug_0 is there 2 times"),
+        (Reply((shown("mug_0"),), ("mug_0",)), "mug_0 is removed and given anew"),
     ],
 )
 def test_a_reply_that_cannot_be_meant_is_refused_with_a_reason(reply: Reply, reason: str) -> None:

@@ -1,7 +1,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from models.semantic_reasoner.checks import Fault
+from models.semantic_reasoner.checks import Fault, form_check
 from models.semantic_reasoner.engine import Completion, Request
 from models.semantic_reasoner.layout_text import LayoutObject, Reply, render_objects
 from models.semantic_reasoner.prompt import Ask
@@ -95,3 +95,18 @@ def test_a_cut_off_answer_is_asked_for_again() -> None:
 
 def test_nothing_asked_is_nothing_found() -> None:
     assert SemanticReasoner(Told(), faults).propose([], []) == []
+
+
+def test_an_edit_that_does_something_oddly_is_better_than_one_that_does_nothing() -> None:
+    edit = replace(ASK, wanted="edit", layout=(MUG,))
+    nothing = render_objects([], ())
+    odd = render_objects([replace(MUG, description="an odd, red mug")], ())
+
+    def check(reply: Reply, ask: Ask) -> list[Fault]:
+        return form_check(reply, ask) or [Fault("mug_odd", "odd", is_hard=False), Fault("mug_red", "red", is_hard=False)]
+
+    (p,) = SemanticReasoner(Told([nothing], [odd], [nothing]), check, tries=3).propose([edit], [1])
+    assert render_objects(p.objects, ()) == odd
+    (p,) = SemanticReasoner(Told([nothing], [nothing]), check, tries=2).propose([edit], [1])
+    assert p.reply == Reply((), ())
+    assert [f.code for f in p.faults] == ["nothing_changed"]
