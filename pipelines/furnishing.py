@@ -69,7 +69,10 @@ class AssetShelf:
     @property
     def fingerprints(self) -> dict[str, str]:
         """What each catalogue says, by its name."""
-        return {x.name: content_id([(a.asset_id, a.words, a.category, a.licence, str(a.tilts)) for a in x.assets]) for x in self.libraries}
+        return {
+            x.name: content_id([(a.asset_id, a.words, a.category, a.licence, str(a.tilts)) for a in x.assets])
+            for x in self.libraries
+        }
 
     def retriever(self, settings: RetrievalSettings | None = None) -> Retriever:
         """Finds assets in the libraries, whose words are encoded where they were not before."""
@@ -134,9 +137,11 @@ def _furnished(scene: Scene, matches: Mapping[str, Match], unmatched: Mapping[st
         why = f"no asset: {unmatched[name].reason}" if name in unmatched else "what it rests on is left out"
         code = "asset_unmatched" if name in unmatched else "carrier_left_out"
         notices.append(Notice(scene.scene_id, STEP, code, f"{scene.scene_id}: {name} is left out; {why}"))
-    for o in kept:
-        if note := matches[o.instance].note:
-            notices.append(Notice(scene.scene_id, STEP, "not_stretched", f"{scene.scene_id}: {o.instance} {note}"))
+    notices += [
+        Notice(scene.scene_id, STEP, "not_stretched", f"{scene.scene_id}: {o.instance} {note}")
+        for o in kept
+        if (note := matches[o.instance].note)
+    ]
     objects = with_assets(kept, {o.instance: matches[o.instance] for o in kept})
     return Furnished(replace(scene, objects=objects), unmatched, tuple(notices))
 
@@ -152,7 +157,9 @@ def _name(place: str) -> str:
 def _opened(place: str, name: str) -> _Place:
     if "://" in place or RunFolder(place).files("assets"):
         run = RunFolder(place)
-        return _Place(library_of_run(run, name), TableAssets(run, mesh_cache()).asset_path, _annotations_of_run(run).__getitem__)
+        return _Place(
+            library_of_run(run, name), TableAssets(run, mesh_cache()).asset_path, _annotations_of_run(run).__getitem__
+        )
     root = Path(place).expanduser().resolve()
     shown = FolderSource(root).first_scenes() if (root / LAYOUT_FOLDER).is_dir() else ()
     return _of_folder(root, library_of_folder(root, name, scenes=shown))

@@ -90,7 +90,7 @@ def propose(
                 num_scenes += work.num_scenes(part)
                 bar.update(len(part))
                 bar.set_postfix_str(f"{num_tasks - num_scenes} failed", refresh=False)
-        check_shards(folder, dict.fromkeys(TABLES, set(shard_ids)))
+        check_shards(folder, {table: set(shard_ids) for table in TABLES})
         work.close(shard_ids)
         counts = count_rows(folder, TABLES)
         if num_tasks - num_scenes != counts["failures"]:

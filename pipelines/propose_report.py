@@ -73,4 +73,6 @@ def _scene(folder: Path, stages: Iterable[dict[str, Any]]) -> Iterator[str]:
 
 
 def _objects(reply: str | None) -> str:
-    return ", ".join(f"{o['instance']} ({o['description']})" for o in json.loads(reply or '{"objects":[]}')["objects"]) or "none"
+    return (
+        ", ".join(f"{o['instance']} ({o['description']})" for o in json.loads(reply or '{"objects":[]}')["objects"]) or "none"
+    )

@@ -82,7 +82,10 @@ class Proposer:
             wanted, proposal = layout.proposals[-1]
             code, why = proposal.code, f"stage {wanted}: {proposal.failure}"
             if not proposal.failure:
-                code, why = "layout_empty", "the engine proposes no object at all, expected at least one; say which things there are"
+                code, why = (
+                    "layout_empty",
+                    "the engine proposes no object at all, expected at least one; say which things there are",
+                )
             return Outcome(layout, None, Notice(name, STEP, code, f"{name}: {why}"), tuple(warnings))
         kept = {o.instance for o in furnished.scene.objects}
         lost = [o.instance for o in layout.objects if o.stage is Stage.TASK and o.instance not in kept]

@@ -50,7 +50,9 @@ def read_tasks(path: Path) -> Iterator[LayoutTask | Notice]:
             try:
                 task = task_of(row if isinstance(row, Mapping) else _parsed(row), f"task_{number:06d}")
                 if task.scene_id in taken:
-                    raise SceneError(f"scene_id {task.scene_id} is taken, expected one of its own; choose another", "task_invalid")
+                    raise SceneError(
+                        f"scene_id {task.scene_id} is taken, expected one of its own; choose another", "task_invalid"
+                    )
             except SceneError as error:
                 yield Notice(item_id, STEP, error.code, f"{path.name}, row {number}: {error}")
             else:
@@ -79,7 +81,9 @@ def task_of(row: Mapping[str, Any], scene_id: str) -> LayoutTask:
         raise SceneError(f"has {shown(unknown[0])}, expected only {', '.join(KEYS)}", "task_invalid")
     instruction, table_type = values.get("instruction"), values.get("table_type")
     if not isinstance(instruction, str) or not instruction.strip():
-        raise SceneError(f"instruction is {shown(instruction)}, expected what is to be done on the table", "instruction_invalid")
+        raise SceneError(
+            f"instruction is {shown(instruction)}, expected what is to be done on the table", "instruction_invalid"
+        )
     name = _name(values.get("scene_id", scene_id), "scene_id", "task_invalid")
     kind = _name("_".join(str(table_type or "").lower().split()), "table_type", "table_invalid")
     return LayoutTask(name, instruction.strip(), tabletop(kind, values.get("table_size_cm"), values.get("restricted_zone_cm")))
@@ -112,14 +116,16 @@ def tabletop(table_type: str, size_cm: object, restricted_cm: object = None) -> 
     size = _numbers(size_cm, 2)
     if size is None or not all(0 < side <= LONGEST_CM for side in size):
         raise SceneError(
-            f"table_size_cm is {shown(size_cm)}, expected width and depth, each over 0 and at most {LONGEST_CM:g}", "table_invalid"
+            f"table_size_cm is {shown(size_cm)}, expected width and depth, each over 0 and at most {LONGEST_CM:g}",
+            "table_invalid",
         )
     zone = None
     if restricted_cm is not None:
         zone = _numbers(restricted_cm, 4)
         if zone is None or not (0 <= zone[0] < zone[1] <= size[0] and 0 <= zone[2] < zone[3] <= size[1]):
             raise SceneError(
-                f"restricted_zone_cm is {shown(restricted_cm)}, expected x_min, x_max, y_min, y_max on the table", "table_invalid"
+                f"restricted_zone_cm is {shown(restricted_cm)}, expected x_min, x_max, y_min, y_max on the table",
+                "table_invalid",
             )
         zone = [side / 100 for side in zone]
     width, depth = (side / 100 for side in size)

@@ -39,7 +39,9 @@ def embedded_library(cache: Path) -> tuple[Path, AssetLibrary]:
     try:
         tilts = json.loads((root / TILTS_FILE).read_text("utf-8"))
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{root} is no library any more ({error}); delete it, and it is made again", "library_broken") from error
+        raise ConfigError(
+            f"{root} is no library any more ({error}); delete it, and it is made again", "library_broken"
+        ) from error
     return root, library_of_folder(root, NAME, scenes=_shown(tilts))
 
 
@@ -63,7 +65,15 @@ def _shown(tilts: dict[str, list[tuple[float, float, float, float]]]) -> Iterato
     """A scene for each asset, in which it rests in each of its ways, in the usual one twice."""
     for uid, ways in tilts.items():
         objects = tuple(
-            SceneObject(f"thing_{k}", "thing", (0.0, 0.0, 0.0), 0.0, (1.0, 1.0, 1.0), uid, tilt_quat_xyzw=(way[0], way[1], way[2], way[3]))
+            SceneObject(
+                f"thing_{k}",
+                "thing",
+                (0.0, 0.0, 0.0),
+                0.0,
+                (1.0, 1.0, 1.0),
+                uid,
+                tilt_quat_xyzw=(way[0], way[1], way[2], way[3]),
+            )
             for k, way in enumerate([*ways[:1], *ways])
         )
         yield Scene(uid, Tabletop("table", (1.0, 1.0)), objects)
