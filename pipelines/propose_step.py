@@ -19,8 +19,8 @@ from stable_data.scene import Relation, Scene, Stage, TaskInfo
 STEP = "propose"
 """The step that notices of layouts name."""
 
-OFF = ("endpoint_", "rate_limited", "key_refused", "model_unknown", "server_closing")
-"""Beginnings of the codes of failures that are the engine's and not the question's."""
+OFF = ("endpoint_down", "key_refused", "model_unknown", "server_closing")
+"""Codes of failures that are the engine's and not the question's: no other question would be answered either."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class Outcome:
     @property
     def is_off(self) -> bool:
         """Whether the engine could not be reached, so that asking again later may help."""
-        return bool(self.layout.proposals) and self.layout.proposals[-1][1].code.startswith(OFF)
+        return bool(self.layout.proposals) and self.layout.proposals[-1][1].code in OFF
 
 
 class Proposer:
