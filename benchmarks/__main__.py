@@ -51,6 +51,7 @@ def main() -> None:
             "http_engine": ["benchmarks.http_engine", *(["--requests", "400"] if few else [])],
             "reasoner": ["benchmarks.reasoner", run, "--split", "test", "--scenes", "4" if few else "200"],
             "reasoner_speed": ["benchmarks.reasoner_speed", run, *(["--scenes", "4", "--rounds", "1"] if few else [])],
+            "handwritten": ["benchmarks.handwritten", *(["--cases", "4"] if few else [])],
             "synth": ["benchmarks.synth", "--scenes", "20" if few else "200"],
         }
         for name, command in jobs.items():

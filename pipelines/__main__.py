@@ -187,6 +187,66 @@ def edit(
 
 @app.command()
 @with_clear_errors
+def propose(
+    out: Annotated[str, typer.Option(help="Run folder; OUT/dataset has the scenes in the MesaTask-10K format.")],
+    instruction: Annotated[str | None, typer.Option(help="What is to be done on the table; with --table and --size.")] = None,
+    table: Annotated[str | None, typer.Option(help="Kind of table, such as office_table.")] = None,
+    size: Annotated[tuple[float, float] | None, typer.Option(help="Width and depth of the table, centimetres.")] = None,
+    restricted: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(help="x_min x_max y_min y_max where nothing may stand, centimetres."),
+    ] = None,
+    tasks: Annotated[
+        Path | None,
+        typer.Option(
+            help="Many tasks: .jsonl, .csv or .parquet with instruction, table_type, table_size_cm and, if wanted, scene_id and "
+            "restricted_zone_cm."
+        ),
+    ] = None,
+    assets: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A folder in the MesaTask-10K format, or a run, to take assets from; may be repeated: the first that has a match "
+            "serves. By default the embedded world's library, which is made where it is missing."
+        ),
+    ] = None,
+    engine: Annotated[
+        str | None,
+        typer.Option(help="embedded, transformers:FOLDER, vllm:FOLDER, openai:MODEL or scripted:FILE; stronger than the file."),
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table [propose] is read.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
+    one_shot: Annotated[bool, typer.Option("--one-shot", help="Ask for whole layouts at once, the paper's ablation.")] = False,
+    seed: Annotated[int | None, typer.Option(help="Of draws and choices; stronger than the file.")] = None,
+) -> None:
+    """Lay out scenes from instructions, without correcting them. Run again to go on where it was stopped.
+
+    Status 0: done. 1: some tasks could not be laid out; the table failures says which and why. 2: could not start.
+    """
+    from pipelines.propose import propose as run
+    from pipelines.propose_settings import ProposeSettings
+    from pipelines.settings import resolve
+    from pipelines.task_file import one_task
+
+    one = (instruction, table, size)
+    if (tasks is None) == (instruction is None) or (tasks is None) != all(x is not None for x in one):
+        raise ConfigError("expected --tasks FILE, or --instruction TEXT with --table TYPE and --size W D", "usage")
+    asked = tasks if tasks is not None else one_task(instruction, table, size, restricted)
+    more = [f"engine.engine={json.dumps(engine)}"] * (engine is not None) + ["one_shot=true"] * one_shot
+    settings = resolve(ProposeSettings, "propose", config, [*(set_ or []), *more, *[f"seed={seed}"] * (seed is not None)])
+    manifest = run(asked, out, settings, assets or ())
+    counts = manifest["counts"]
+    failed = ", ".join(f"{code} {n}" for code, n in counts["failures_by_code"].items())
+    typer.echo(
+        f"{out}: {counts['scenes']} of {manifest['num_tasks']} tasks laid out, {counts['warnings']} warnings, "
+        f"{counts['failures']} failures{f' ({failed})' if failed else ''}; dataset/, proposals.jsonl, report/index.html"
+    )
+    if counts["failures"]:
+        raise typer.Exit(SOME_FAILED)
+
+
+@app.command()
+@with_clear_errors
 def synth(
     out: SynthOut,
     scenes: NumScenes = 24,

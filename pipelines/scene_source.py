@@ -146,9 +146,10 @@ class FolderSource:
 
     def library(self) -> AssetLibrary:
         """Its annotated assets; how they rest is what its first scenes show."""
-        return library_of_folder(self.dataset.root, self.name, scenes=self._first_scenes())
+        return library_of_folder(self.dataset.root, self.name, scenes=self.first_scenes())
 
-    def _first_scenes(self) -> Iterator[Scene]:
+    def first_scenes(self) -> Iterator[Scene]:
+        """Those that show how its assets rest; what cannot be read shows nothing."""
         for scene_id in self.dataset.scene_ids[:_LOOKED_AT]:
             with suppress(SceneError):
                 yield self.dataset.read(scene_id)[0]

@@ -6,13 +6,14 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import is_dataclass, replace
 from pathlib import Path
+from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from stable_data.errors import ConfigError
 
 C = TypeVar("C")
 
-SECTIONS = ("preprocess", "correct", "edit", "train_corrector", "train_reasoner")
+SECTIONS = ("preprocess", "correct", "edit", "propose", "train_corrector", "train_reasoner")
 """Tables that a file may have: one for each job."""
 
 
@@ -20,8 +21,8 @@ def resolve(kind: type[C], section: str, file: Path | None, overrides: Iterable[
     """The settings of one job.
 
     Args:
-        kind: A frozen dataclass whose fields are str, one of several words, int, float, bool, or such dataclasses again, all
-            with defaults.
+        kind: A frozen dataclass whose fields are str, one of several words, int, float, bool, a frozenset of str (given as a list),
+            one of these or None, or such dataclasses again, all with defaults.
         section: Its table in the file; nested settings are tables in it.
         file: A TOML file, or None.
         overrides: ``key=value`` or ``section.key=value``, stronger than the file; ``outer.inner=value`` for nested settings.
@@ -61,6 +62,12 @@ def _filled(base: C, name: str, values: Mapping[str, Any]) -> C:
 
 def _checked(value: Any, wanted: Any, name: str, example: Any) -> Any:
     """A value of the type that a setting wants."""
+    if isinstance(wanted, UnionType):  # None can be a default, but no file says it
+        wanted = next(option for option in get_args(wanted) if option is not NoneType)
+    if wanted == frozenset[str]:
+        if not isinstance(value, list) or not all(isinstance(word, str) for word in value):
+            raise ConfigError(f"setting {name} is {value!r}, expected a list of words", "config_invalid")
+        return frozenset(value)
     if wanted is float and type(value) is int:
         value = float(value)
     words = get_args(wanted) if get_origin(wanted) is Literal else ()

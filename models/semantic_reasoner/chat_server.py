@@ -2,23 +2,30 @@
 
 Requests that come together are answered in one batch. Replies have the form that the request carries in our own field; without it,
 as near as its schema tells (:func:`.chat_protocol.request_of`). It knows no keys: it is for this machine.
+
+``python -m models.semantic_reasoner.chat_server --engine embedded --port 8000`` serves one until it is interrupted (docs/propose.md).
 """
 
 import json
 import queue
+import signal
 import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from itertools import count
-from typing import Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol, runtime_checkable
+
+import typer
 
 from models.semantic_reasoner.chat_protocol import answer_body, error_body, one_line, request_of
 from models.semantic_reasoner.engine import Completion, Engine, Request, Sampling
+from models.semantic_reasoner.engines import EngineSettings, load_engine
 from models.semantic_reasoner.http_settings import HttpSettings
+from stable_data.cli import with_clear_errors
 from stable_data.errors import ConfigError
 
 MAX_BYTES = 4 * 2**20
@@ -256,3 +263,45 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, *_: Any) -> None:
         """Says nothing: prompts are nobody's business, and tests are quiet."""
+
+
+@with_clear_errors
+def main(
+    engine: Annotated[
+        str, typer.Option(help="embedded, transformers:FOLDER, vllm:FOLDER, openai:MODEL or scripted:FILE.")
+    ] = "embedded",
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; whoever reaches it may ask, so another only in a network that you trust.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="0 takes a free one.")] = 8000,
+    temperature: Annotated[float, typer.Option(help="Of the draws of a model in this process.")] = Sampling().temperature,
+    max_tokens: Annotated[int, typer.Option(help="Longest reply.")] = Sampling().max_tokens,
+    max_batch: Annotated[int, typer.Option(help="Most requests that are answered together.")] = 64,
+    max_wait_ms: Annotated[float, typer.Option(help="How long a request waits for others to share its batch.")] = 10.0,
+    base_url: Annotated[str, typer.Option(help="Of the endpoint behind openai:MODEL.")] = "",
+    cache: Annotated[str, typer.Option(help="Folder that keeps completions; empty keeps none.")] = "",
+) -> None:
+    """Serves one engine to many processes until it is interrupted.
+
+    Status 0: interrupted. 2: could not start.
+    """
+    if max_batch < 1 or max_wait_ms < 0 or not 0 <= port < 65536:
+        found = f"max-batch is {max_batch}, max-wait-ms {max_wait_ms}, port {port}"
+        raise ConfigError(f"{found}, expected at least 1, at least 0, and 0 to 65535", "config_invalid")
+    sampling = Sampling(temperature=temperature, max_tokens=max_tokens)
+    chosen = EngineSettings(engine, sampling, num_slots=max_batch, cache=cache)
+    loaded = load_engine(replace(chosen, http=HttpSettings(base_url, "default")) if base_url else chosen)
+    stopped = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stopped.set())
+    with serve(loaded, host, port, sampling=sampling, max_batch=max_batch, max_wait_s=max_wait_ms / 1000) as server:
+        typer.echo(
+            f"{server.url} serves {server.model}: --engine openai:{server.model} --set engine.http.base_url={server.url} "
+            "--set engine.http.sends_form=true"
+        )
+        sys.stdout.flush()
+        stopped.wait()
+
+
+if __name__ == "__main__":
+    typer.run(main)

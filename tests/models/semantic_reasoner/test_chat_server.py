@@ -1,17 +1,24 @@
 """The chat server: an engine behind it answers as the engine itself does, and whatever else is asked gets a clear error."""
 
 import json
+import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
+import typer
 import urllib3
+from typer.testing import CliRunner
 
-from models.semantic_reasoner.chat_server import serve
+from models.semantic_reasoner.chat_server import main, serve
 from models.semantic_reasoner.engine import Completion, Request, Sampling
 from models.semantic_reasoner.http_engine import HttpEngine
+from models.semantic_reasoner.http_settings import HttpSettings
 from models.semantic_reasoner.reply_form import ReplyForm
 from models.semantic_reasoner.scripted_engine import ScriptedEngine
 from stable_data.errors import ConfigError
@@ -202,3 +209,27 @@ def test_what_is_under_way_is_answered_before_it_closes() -> None:
     thread.join()
     assert [c.text for c in found] == ["at last"]
     assert engine.complete([ask("y")])[0].code in ("endpoint_down", "endpoint_error")
+
+
+def test_the_command_serves_until_it_is_interrupted(tmp_path: Path) -> None:
+    script = tmp_path / "script.json"
+    script.write_text(json.dumps({"hello": "an answer"}))
+    command = [sys.executable, "-m", "models.semantic_reasoner.chat_server", "--engine", f"scripted:{script}", "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).resolve().parents[3]) as process:
+        assert process.stdout is not None
+        url, _, rest = process.stdout.readline().partition(" ")
+        assert url.startswith("http://127.0.0.1:")
+        assert f"openai:scripted --set engine.http.base_url={url}" in rest
+        assert HttpEngine(HttpSettings(url, "scripted", sends_form=True)).complete([ask("hello")])[0].text == "an answer"
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=30) == 0
+
+
+@pytest.mark.parametrize("words", [["--engine", "gpt"], ["--port", "70000"], ["--engine", "scripted:/nowhere.json"]])
+def test_a_command_that_cannot_serve_is_one_line_and_status_2(words: list[str]) -> None:
+    app = typer.Typer()
+    app.command()(main)
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 2
+    assert done.output.startswith("error: ")
+    assert done.output.count("\n") == 1

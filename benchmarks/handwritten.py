@@ -1,0 +1,155 @@
+"""What the Semantic Reasoner makes of instructions as people would say them: forty, written by hand.
+
+``python -m benchmarks.handwritten [--engine embedded] [--cases N] [--one-shot] [--json FILE]``. The instructions and what they ask
+for are those of tests/models/semantic_reasoner/handwritten.jsonl; nothing is corrected, and objects are judged by their boxes.
+
+- right: every object that the instruction names is there, and all that it says of the start holds;
+- failed: no answer could be used, which is said;
+- fall back: a word was unknown and was read as another, which is said;
+- unknown things reported: of those that the embedded world has nothing like;
+- nonsense: a layout was accepted although an object is missing, or an unknown thing was asked for, and nothing was said of it.
+
+Run with ``OMP_NUM_THREADS=1``.
+"""
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from models.semantic_reasoner.assembly import ReasonerSettings, load_reasoner
+from models.semantic_reasoner.engines import EngineSettings
+from models.semantic_reasoner.http_settings import HttpSettings
+from models.semantic_reasoner.staged import ONE_SHOT, PROGRESSIVE, LayoutTask, StagedLayout, staged_layouts
+from stable_data.metrics.alignment import Alignment, align
+from tests.models.semantic_reasoner.handwritten import Handwritten, read_handwritten
+
+FALL_BACK, UNKNOWN = "word_read_as", ("word_unknown", "word_read_as", "language_unknown")
+MISSING = (*UNKNOWN, "required_missing")  # what is said of an object that is not there
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What became of an instruction.
+
+    Attributes:
+        case: The instruction.
+        alignment: What of it is there.
+        said: Codes and messages of what the reasoner said about it.
+        failure: Why there is no layout; empty where there is one.
+    """
+
+    case: Handwritten
+    alignment: Alignment
+    said: tuple[tuple[str, str], ...]
+    failure: str
+
+    @property
+    def is_right(self) -> bool:
+        """Is everything there as it was said?"""
+        return not self.failure and not self.alignment.missing and self.alignment.broken == ()
+
+    @property
+    def falls_back(self) -> bool:
+        """Was a word read as another?"""
+        return any(code == FALL_BACK for code, _ in self.said)
+
+    @property
+    def reported(self) -> tuple[str, ...]:
+        """The unknown things that the reasoner said were unknown."""
+        told = " ".join(message.lower() for code, message in self.said if code in UNKNOWN)
+        return tuple(thing for thing in self.case.unknown if thing.lower() in told)
+
+    @property
+    def is_nonsense(self) -> bool:
+        """Was a layout taken although something is missing, and nothing said?"""
+        if self.failure:
+            return False
+        is_silent = not any(code in MISSING for code, _ in self.said)
+        return bool(self.alignment.missing and is_silent) or len(self.reported) < len(self.case.unknown)
+
+    def __str__(self) -> str:
+        """One line: what is amiss."""
+        status = "right" if self.is_right else "failed" if self.failure else "wrong"
+        _, _, found = str(self.alignment).partition(": ")
+        parts = [f"{status:6} {self.case.reference.scene_id}: {self.case.instruction}"]
+        parts += [self.failure] if self.failure else [] if self.is_right else [found]
+        parts += [message for _, message in self.said]
+        parts += [f"not reported: {thing}" for thing in self.case.unknown if thing not in self.reported and not self.failure]
+        return " | ".join(parts + ["NONSENSE"] * self.is_nonsense)
+
+
+def verdict_of(case: Handwritten, layout: StagedLayout) -> Verdict:
+    """How a layout does what an instruction asks for."""
+    proposals = [proposal for _, proposal in layout.proposals]
+    notices = [(n.code, n.message.removeprefix(f"{n.item_id}: ")) for p in proposals for n in p.notices]
+    faults = [(f.code, f.message) for p in proposals for f in p.faults]
+    said = tuple(dict.fromkeys(pair for pair in [*notices, *faults] if pair[0] != "table_unknown"))
+    failure = "" if layout.is_whole else proposals[-1].failure
+    return Verdict(case, align(layout.scene, case.reference), said, failure)
+
+
+def summary_of(verdicts: Sequence[Verdict]) -> dict[str, Any]:
+    """The figures."""
+    required = sum(len(v.case.reference.required) for v in verdicts)
+    entailed = sum(len(v.case.reference.entailed) for v in verdicts)
+    return {
+        "cases": len(verdicts),
+        "right": sum(v.is_right for v in verdicts),
+        "failed": sum(bool(v.failure) for v in verdicts),
+        "fall_back": sum(v.falls_back for v in verdicts),
+        "nonsense": sum(v.is_nonsense for v in verdicts),
+        "unknown_things": sum(len(v.case.unknown) for v in verdicts),
+        "unknown_reported": sum(len(v.reported) for v in verdicts),
+        "objects_asked": required,
+        "objects_there": sum(len(v.alignment.matches) for v in verdicts),
+        "relations_asked": entailed,
+        "relations_held": sum(
+            len(v.case.reference.entailed) - len(v.alignment.broken) for v in verdicts if v.alignment.broken is not None
+        ),
+        "relations_unknown": sum(len(v.case.reference.entailed) for v in verdicts if v.alignment.broken is None),
+    }
+
+
+def main(
+    engine: Annotated[str, typer.Option(help="Which engine; see models/semantic_reasoner/engines.py.")] = "embedded",
+    base_url: Annotated[str, typer.Option(help="Of the endpoint of openai:MODEL.")] = "",
+    key_variable: Annotated[str, typer.Option(help="Environment variable with its key.")] = "",
+    statistics: Annotated[str, typer.Option(help="What is known of categories, for engines without their own.")] = "",
+    one_shot: Annotated[bool, typer.Option("--one-shot", help="Ask for whole layouts at once.")] = False,
+    tries: Annotated[int, typer.Option(help="How often a question is asked at most.")] = 4,
+    seed: Annotated[int, typer.Option(help="Of the draws.")] = 0,
+    cases: Annotated[int, typer.Option(help="How many of the instructions, the first ones.")] = 40,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Where the figures go.")] = None,
+) -> None:
+    """Prints one line a case and a summary."""
+    chosen = EngineSettings(engine)
+    if base_url:
+        chosen = replace(chosen, http=HttpSettings(base_url, "default", key_variable))
+    reasoner, known = load_reasoner(chosen, ReasonerSettings(tries=tries, statistics=statistics))
+    asked = read_handwritten()[:cases]
+    tasks = [LayoutTask(case.reference.scene_id, case.instruction, case.table) for case in asked]
+    began = time.perf_counter()
+    seeds = range(seed * 1_000_003, seed * 1_000_003 + len(tasks))
+    layouts = staged_layouts(reasoner, tasks, seeds, ONE_SHOT if one_shot else PROGRESSIVE, known)
+    seconds = time.perf_counter() - began
+    verdicts = [verdict_of(case, layout) for case, layout in zip(asked, layouts, strict=True)]
+    for verdict in verdicts:
+        print(verdict)
+    summary = summary_of(verdicts) | {"seconds": round(seconds, 1)}
+    print(", ".join(f"{key.replace('_', ' ')} {value}" for key, value in summary.items()))
+    if json_file is not None:
+        lines = [
+            {"instruction": v.case.instruction, "right": v.is_right, "nonsense": v.is_nonsense, "line": str(v)}
+            for v in verdicts
+        ]
+        document = {"engine": engine, "one_shot": one_shot, "tries": tries, "seed": seed, "summary": summary, "cases": lines}
+        json_file.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", "utf-8")
+
+
+if __name__ == "__main__":
+    typer.run(main)

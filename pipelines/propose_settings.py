@@ -1,0 +1,90 @@
+"""Settings of the propose job: who is asked, how, and how assets are chosen."""
+
+import hashlib
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+from models.semantic_reasoner.assembly import ReasonerSettings
+from models.semantic_reasoner.engines import EngineSettings
+from models.semantic_reasoner.prompt import Wanted
+from models.semantic_reasoner.staged import ONE_SHOT, PROGRESSIVE
+from stable_data.asset_scoring import RetrievalSettings
+from stable_data.errors import ConfigError
+from stable_data.shards import content_id
+
+_SHAPING_FILES = ("*.json", "*.safetensors", "*.jinja", "*.model")
+
+
+@dataclass(frozen=True, slots=True)
+class ProposeSettings:
+    """Settings of the job; ``--set key=value`` or the table ``[propose]`` of a TOML file.
+
+    Attributes:
+        engine: Who answers.
+        reasoner: How it is asked.
+        retrieval: How assets are chosen.
+        one_shot: Ask for the whole layout at once, the paper's ablation.
+        seed: Of draws and of choices among assets that are as good.
+        scenes_per_shard: Scenes that are laid out together, and kept together.
+        pictures: Whether front.png is drawn.
+        num_pictures: Scenes shown in the report.
+    """
+
+    section: ClassVar[str] = "propose"
+
+    engine: EngineSettings = field(default_factory=EngineSettings)
+    reasoner: ReasonerSettings = field(default_factory=ReasonerSettings)
+    retrieval: RetrievalSettings = field(default_factory=RetrievalSettings)
+    one_shot: bool = False
+    seed: int = 0
+    scenes_per_shard: int = 64
+    pictures: bool = True
+    num_pictures: int = 12
+
+    def __post_init__(self) -> None:
+        """Refuses settings that no run can follow."""
+        if self.scenes_per_shard < 1 or self.num_pictures < 0:
+            found = f"scenes_per_shard is {self.scenes_per_shard}, num_pictures {self.num_pictures}"
+            raise ConfigError(f"{found}, expected at least 1 and 0", "config_invalid")
+
+    @property
+    def stages(self) -> tuple[Wanted, ...]:
+        """What is asked for, in order."""
+        return ONE_SHOT if self.one_shot else PROGRESSIVE
+
+    def shaping(self) -> dict[str, Any]:
+        """The settings that shape scenes: a run is resumed only under the same."""
+        return {
+            "engine": self.engine.engine,
+            "sampling": asdict(self.engine.sampling),
+            "reasoner": asdict(self.reasoner),
+            "retrieval": plain_retrieval(self.retrieval),
+            "one_shot": self.one_shot,
+            "seed": self.seed,
+            "scenes_per_shard": self.scenes_per_shard,
+            "pictures": self.pictures,
+        }
+
+
+def plain_retrieval(settings: RetrievalSettings) -> dict[str, Any]:
+    """The settings of retrieval as JSON has them."""
+    return asdict(settings) | {"licences": None if settings.licences is None else sorted(settings.licences)}
+
+
+def engine_fingerprint(settings: EngineSettings) -> str:
+    """Content of what an engine's replies depend on: of a model's folder or a script its files, of an endpoint its name.
+
+    Args:
+        settings: The engine.
+    """
+    if settings.kind == "openai":
+        return content_id(settings.engine, settings.http.base_url)
+    where = settings.folder or Path(settings.engine.partition(":")[2])
+    files = [where] if where.is_file() else sorted(path for pattern in _SHAPING_FILES for path in where.glob(pattern))
+    return content_id(settings.kind, [(path.name, _sha256(path)) for path in files])
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

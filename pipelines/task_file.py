@@ -1,0 +1,195 @@
+"""What the propose job is asked: a file of tasks, read a row at a time, each of which becomes a task or says why not."""
+
+import csv
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from models.semantic_reasoner.staged import LayoutTask
+from stable_data.errors import ConfigError, Notice, SceneError
+from stable_data.mesatask.document import shown
+from stable_data.scene import Tabletop
+
+KEYS = ("scene_id", "instruction", "table_type", "table_size_cm", "restricted_zone_cm")
+"""Columns of the file; the first and the last may be left out."""
+
+STEP = "tasks"
+"""The step that a row's failure names."""
+
+LONGEST_CM = 1000.0
+"""No table is wider or deeper."""
+
+_PLAIN = re.compile(r"\w[\w.-]{0,119}")
+_BETWEEN = re.compile(r"[\s,;x×\[\]()]+")
+_ROWS = 1024  # of a Parquet file that are held at a time
+
+
+def read_tasks(path: Path) -> Iterator[LayoutTask | Notice]:
+    """Reads tasks, one a row, as they are asked for.
+
+    Args:
+        path: JSONL, CSV or Parquet by its ending, with the columns KEYS. Lengths are in centimetres: lists, or such as ``120 x 60``
+            in CSV. The restricted zone is x_min, x_max, y_min, y_max. Empty lines are passed over.
+
+    Yields:
+        A task, or what keeps a row from being one, in the file's order. A row without ``scene_id`` is called by its number.
+
+    Raises:
+        ConfigError: It cannot be read, is of another kind, or holds nothing (``tasks_invalid``).
+    """
+    taken: set[str] = set()
+    try:
+        for number, row in _rows(path):
+            item_id = f"row_{number:06d}"
+            try:
+                task = task_of(row if isinstance(row, Mapping) else _parsed(row), f"task_{number:06d}")
+                if task.scene_id in taken:
+                    raise SceneError(
+                        f"scene_id {task.scene_id} is taken, expected one of its own; choose another", "task_invalid"
+                    )
+            except SceneError as error:
+                yield Notice(item_id, STEP, error.code, f"{path.name}, row {number}: {error}")
+            else:
+                yield task
+                item_id = task.scene_id
+            taken.add(item_id)
+    except (OSError, UnicodeDecodeError, csv.Error, pa.ArrowException) as error:
+        reason = (isinstance(error, OSError) and error.strerror) or str(error).strip().partition("\n")[0]
+        raise _unreadable(path, f"cannot be read ({reason})") from error
+    if not taken:
+        raise _unreadable(path, "holds no tasks")
+
+
+def task_of(row: Mapping[str, Any], scene_id: str) -> LayoutTask:
+    """The task of a row.
+
+    Args:
+        row: By the names KEYS; values that are None or empty count as left out.
+        scene_id: What it is called where the row does not say.
+
+    Raises:
+        SceneError: ``instruction_invalid``, ``table_invalid`` or ``task_invalid``.
+    """
+    values = {key: value for key, value in row.items() if value is not None and value != ""}
+    if unknown := [key for key in values if key not in KEYS]:
+        raise SceneError(f"has {shown(unknown[0])}, expected only {', '.join(KEYS)}", "task_invalid")
+    instruction, table_type = values.get("instruction"), values.get("table_type")
+    if not isinstance(instruction, str) or not instruction.strip():
+        raise SceneError(
+            f"instruction is {shown(instruction)}, expected what is to be done on the table", "instruction_invalid"
+        )
+    name = _name(values.get("scene_id", scene_id), "scene_id", "task_invalid")
+    kind = _name("_".join(str(table_type or "").lower().split()), "table_type", "table_invalid")
+    return LayoutTask(name, instruction.strip(), tabletop(kind, values.get("table_size_cm"), values.get("restricted_zone_cm")))
+
+
+def one_task(instruction: str | None, table_type: str | None, size_cm: object, restricted_cm: object = None) -> LayoutTask:
+    """The task of a command line.
+
+    Raises:
+        ConfigError: It is none (``tasks_invalid``).
+    """
+    row = {"instruction": instruction, "table_type": table_type, "table_size_cm": size_cm, "restricted_zone_cm": restricted_cm}
+    try:
+        return task_of(row, "task")
+    except SceneError as error:
+        raise ConfigError(f"the task's {error}", "tasks_invalid") from error
+
+
+def tabletop(table_type: str, size_cm: object, restricted_cm: object = None) -> Tabletop:
+    """A table from its lengths in centimetres.
+
+    Args:
+        table_type: Its kind.
+        size_cm: Width and depth.
+        restricted_cm: x_min, x_max, y_min, y_max where nothing may stand, or None.
+
+    Raises:
+        SceneError: They are no such lengths (``table_invalid``).
+    """
+    size = _numbers(size_cm, 2)
+    if size is None or not all(0 < side <= LONGEST_CM for side in size):
+        raise SceneError(
+            f"table_size_cm is {shown(size_cm)}, expected width and depth, each over 0 and at most {LONGEST_CM:g}",
+            "table_invalid",
+        )
+    zone = None
+    if restricted_cm is not None:
+        zone = _numbers(restricted_cm, 4)
+        if zone is None or not (0 <= zone[0] < zone[1] <= size[0] and 0 <= zone[2] < zone[3] <= size[1]):
+            raise SceneError(
+                f"restricted_zone_cm is {shown(restricted_cm)}, expected x_min, x_max, y_min, y_max on the table",
+                "table_invalid",
+            )
+        zone = [side / 100 for side in zone]
+    width, depth = (side / 100 for side in size)
+    return Tabletop(table_type, (width, depth), None if zone is None else (zone[0], zone[1], zone[2], zone[3]))
+
+
+def _rows(path: Path) -> Iterator[tuple[int, Mapping[str, Any] | str]]:
+    """Rows with their numbers, from 1 on: of JSONL as text."""
+    if path.suffix == ".jsonl":
+        with path.open(encoding="utf-8-sig") as lines:
+            yield from ((number, line) for number, line in enumerate(lines, 1) if line.strip())
+    elif path.suffix == ".csv":
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.DictReader(stream, restkey="more")
+            _check_columns(path, reader.fieldnames or [])
+            yield from enumerate(reader, 1)
+    elif path.suffix == ".parquet":
+        with pq.ParquetFile(path) as file:
+            _check_columns(path, file.schema_arrow.names)
+            number = 0
+            for batch in file.iter_batches(_ROWS):
+                for row in batch.to_pylist():
+                    number += 1
+                    yield number, row
+    else:
+        raise _unreadable(path, f"ends in {path.suffix or 'nothing'}")
+
+
+def _check_columns(path: Path, names: object) -> None:
+    found = list(names) if isinstance(names, list | tuple) else []
+    if missing := [key for key in KEYS[1:4] if key not in found]:
+        raise _unreadable(path, f"has no column {missing[0]}")
+
+
+def _unreadable(path: Path, found: str) -> ConfigError:
+    return ConfigError(f"{path}: {found}, expected tasks as .jsonl, .csv or .parquet with {', '.join(KEYS)}", "tasks_invalid")
+
+
+def _parsed(line: str) -> Mapping[str, Any]:
+    try:
+        found = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise SceneError(f"no JSON ({error})", "task_invalid") from error
+    if not isinstance(found, dict):
+        raise SceneError(f"is {type(found).__name__}, expected an object", "task_invalid")
+    return found
+
+
+def _name(value: object, key: str, code: str) -> str:
+    """A name that a folder may have."""
+    text = str(value) if isinstance(value, int | str) and not isinstance(value, bool) else ""
+    if not _PLAIN.fullmatch(text):
+        raise SceneError(f"{key} is {shown(value)}, expected a plain name of letters, digits, _, - and .", code)
+    return text
+
+
+def _numbers(value: object, count: int) -> list[float] | None:
+    """So many finite numbers, given as a list or as text; None where they are not."""
+    if isinstance(value, str):
+        value = [part for part in _BETWEEN.split(value) if part]
+    if not isinstance(value, list | tuple) or len(value) != count or any(isinstance(part, bool) for part in value):
+        return None
+    try:
+        found = [float(part) for part in value]
+    except (TypeError, ValueError):
+        return None
+    return found if all(map(math.isfinite, found)) else None
