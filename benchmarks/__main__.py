@@ -54,9 +54,13 @@ def main() -> None:
             "handwritten": ["benchmarks.handwritten", *(["--cases", "4"] if few else [])],
             "synth": ["benchmarks.synth", "--scenes", "20" if few else "200"],
         }
+        failed = []
         for name, command in jobs.items():
             print(f"\n== {name}", flush=True)
-            subprocess.run([sys.executable, "-m", *command, "--json", str(arguments.out / f"{name}.json")], check=True)
+            if subprocess.run([sys.executable, "-m", *command, "--json", str(arguments.out / f"{name}.json")]).returncode:
+                failed.append(name)
+    if failed:
+        raise SystemExit(f"could not be measured: {', '.join(failed)}")
 
 
 def preprocess(data: str, run: str) -> None:

@@ -3,6 +3,7 @@
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -18,22 +19,26 @@ FOLDER = Path(benchmarks.__file__).parent
 
 
 class Commands:
-    """Keeps commands instead of running them; the job ends with a status."""
+    """Keeps commands instead of running them; the job ends with a status, and so do the benchmarks that are broken."""
 
-    def __init__(self, status: int) -> None:
-        self.status, self.commands = status, list[list[str]]()
+    def __init__(self, status: int, broken: Sequence[str] = ()) -> None:
+        self.status, self.broken, self.commands = status, broken, list[list[str]]()
 
-    def __call__(self, command: list[str], *, check: bool = False) -> subprocess.CompletedProcess[str]:
+    def __call__(self, command: list[str]) -> subprocess.CompletedProcess[str]:
         self.commands.append(command)
-        return subprocess.CompletedProcess(command, 0 if check else self.status)
+        return subprocess.CompletedProcess(command, self.status if command[2] == "pipelines" else command[2] in self.broken)
 
 
-def started(out: Path, status: int, monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
-    commands = Commands(status)
+def started(out: Path, status: int, monkeypatch: pytest.MonkeyPatch, broken: Sequence[str] = ()) -> list[list[str]]:
+    commands = Commands(status, broken)
     with monkeypatch.context() as patch:
         patch.setattr(subprocess, "run", commands)
         patch.setattr(sys, "argv", ["benchmarks", "--data", "data", "--out", str(out)])
-        benchmarks.main()
+        if broken:
+            with pytest.raises(SystemExit, match="could not be measured: " + ", ".join(b.partition(".")[2] for b in broken)):
+                benchmarks.main()
+        else:
+            benchmarks.main()
     return commands.commands
 
 
@@ -43,6 +48,12 @@ def test_every_benchmark_runs_although_some_items_failed(status: int, tmp_path: 
     assert job[2:4] == ["pipelines", "preprocess"]
     modules = {f"benchmarks.{path.stem}" for path in FOLDER.glob("*.py") if "__main__" in path.read_text("utf-8")}
     assert {command[2] for command in rest} == modules - {"benchmarks.__main__"}
+
+
+def test_one_that_cannot_be_measured_does_not_keep_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    broken = ("benchmarks.audit", "benchmarks.retrieval")
+    less, all_of_them = (started(tmp_path, DONE, monkeypatch, b) for b in (broken, ()))
+    assert [command[2] for command in less] == [command[2] for command in all_of_them]
 
 
 def test_each_time_has_a_run_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
