@@ -52,6 +52,8 @@ def _order_numbers(embeddings: Tensor, vocabulary: Mapping[str, int], scale: flo
     A layout is mostly numbers, and what stands in a bowl stands where the bowl stands, give or take. Drawn at random, that 45 is
     next to 46 would have to be learned for each of them.
     """
+    if embeddings.is_meta:
+        return  # a network that is only counted
     numbers = {int(word): index for word, index in vocabulary.items() if re.fullmatch(r"-?[0-9]{1,3}", word)}
     values = torch.tensor(sorted(numbers), dtype=torch.float32)
     width = embeddings.shape[1] // 8
