@@ -20,16 +20,17 @@ class NetworkSettings:
         layers: Transformer blocks.
         heads: Query heads.
         key_value_heads: Key and value heads, shared by the query heads.
-        head: Width of a head.
+        head: Width of a head. Queries and keys are normalised, so a narrow head looks less sharply: with 64 copying a number is
+            learned in fewer steps than with 32.
         intermediate: Width of the gated feed-forward layer.
         vocabulary: Tokens for words; those of layouts and of the prompt come beside them.
     """
 
     hidden: int = 256
     layers: int = 6
-    heads: int = 8
+    heads: int = 4
     key_value_heads: int = 2
-    head: int = 32
+    head: int = 64
     intermediate: int = 704
     vocabulary: int = 2560
 
