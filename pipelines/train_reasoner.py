@@ -1,6 +1,7 @@
 """Trains the Semantic Reasoner: in this process, or in the processes of Ray Train with its weights sharded, with the same loop.
 
-OUT/weights/                     a plain Hugging Face folder, and reasoner.json, which says how it was made
+OUT/weights/                     a plain Hugging Face folder; reasoner.json, which says how it was made; and categories.json, what
+                                 the checks of its replies know of the run's categories
 OUT/checkpoint/state.pt          where a run that was stopped goes on
 OUT/logs/events.out.tfevents.*   losses, for TensorBoard
 OUT/manifest.json                settings, data and models
@@ -23,6 +24,7 @@ from transformers import PreTrainedTokenizerBase
 import stable_data
 from models.place import Place
 from models.semantic_reasoner.batches import batches_of_pass
+from models.semantic_reasoner.categories import CategoryStatistics
 from models.semantic_reasoner.network import TrainedNetwork
 from models.semantic_reasoner.prompt import PROMPT_VERSION
 from models.semantic_reasoner.saved_model import NOTES, model_fingerprint, read_config, write_model
@@ -124,7 +126,7 @@ class TrainReasoner:
                 run_on_ray(job, workers, address)
             else:
                 job.work(Place(here()))
-            return _finish(folder, manifest)
+            return _finish(folder, manifest, self.source().uri)
 
     def work(self, place: Place) -> None:
         """The part of one process."""
@@ -263,9 +265,12 @@ def _counts(data: TokenSet) -> dict[str, int]:
     return counts | {"tokens": int(data.start[-1]), "reply_tokens": int(data.reply_length.sum())}
 
 
-def _finish(folder: RunFolder, manifest: dict[str, Any]) -> str:
-    """Closes the manifest; one line on what was done."""
-    notes = json.loads((Path(folder.root) / WEIGHTS / NOTES).read_text("utf-8"))
+def _finish(folder: RunFolder, manifest: dict[str, Any], run: str) -> str:
+    """Closes the manifest; one line on what was done. Finished weights get what the checks know of the run's categories."""
+    weights = Path(folder.root) / WEIGHTS
+    notes = json.loads((weights / NOTES).read_text("utf-8"))
+    if notes["is_done"]:
+        CategoryStatistics.of_run(run).save(weights)
     status = "complete" if notes["is_done"] else "stopped"
     folder.write_bytes("manifest.json", as_json(manifest | {"status": status, "steps_done": notes["steps"]}))
     of_train = manifest["examples"]["train"]

@@ -18,6 +18,7 @@ from transformers import AutoModelForCausalLM, AutoTokenizer
 from typer.testing import CliRunner
 
 from models.semantic_reasoner.batches import batches_of_pass
+from models.semantic_reasoner.categories import CategoryStatistics
 from models.semantic_reasoner.network import new_network
 from models.semantic_reasoner.prompt import PROMPT_VERSION
 from models.semantic_reasoner.saved_model import write_model
@@ -109,6 +110,14 @@ def test_a_training_leaves_weights_logs_and_manifest(run: Path, out: Path) -> No
     log.Reload()
     assert [event.step for event in log.Scalars("loss/train")] == [2, 4, 6]
     assert [event.step for event in log.Scalars("validation/task")] == [4, 6]
+
+
+def test_the_checks_know_the_run_s_categories(run: Path, out: Path) -> None:
+    job(run, out).run()
+    found = CategoryStatistics.load(out / "weights")
+    assert found == CategoryStatistics.of_run(str(run))
+    assert found.categories
+    assert found.tables
 
 
 def test_the_weights_are_a_plain_folder(run: Path, out: Path, tmp_path: Path) -> None:
