@@ -3,8 +3,8 @@
 ``python -m benchmarks.reasoner RUN [--engine embedded] [--split test,unseen] [--scenes N] [--one-shot] [--json FILE]``. RUN is the
 folder of a preprocess run with scenes of splits that training never saw; the reasoner is told their instructions and tables alone.
 
-- answered: layouts all of whose stages have an answer that passed the checks, of all; at once: of the questions, those whose first
-  answer did. An answer that cannot be read or used counts as none.
+- answered: layouts all of whose stages have an answer without a hard fault, of all; at once: of the questions, those whose first
+  answer had no fault at all. An answer that cannot be read or used counts as none; ``left`` counts the soft faults that stayed.
 - AwT, AwS: required objects present, and entailed relations that hold, by boxes; a layout without an answer has none of its own;
 - distractors: objects that are no task objects; objects: number of them, on and in: carried by another. Each beside the data's;
 - OC, floats, off table: of raw layouts after each stage, by their meshes: what the corrector has to do;
@@ -50,6 +50,8 @@ ORDER = {stage: n for n, stage in enumerate(Stage)}
 def held_out(run: str, split: str, most: int) -> list[Scene]:
     """Scenes of a split, spread over its kinds of table; the same ones each time."""
     rows = pl.scan_parquet(f"{run}/scenes/*.parquet").filter(pl.col("split") == split).collect()
+    if rows.is_empty():
+        raise typer.BadParameter(f"{run}: no scenes of the split {split!r}, expected some; is it a preprocess run?")
     rows = rows.sort(pl.col("scene_id").str.extract(r"(\d+)$").cast(pl.Int64), "scene_id").head(most)
     return [scene_from_row(row) for row in rows.iter_rows(named=True)]
 
@@ -119,7 +121,7 @@ def figures(layouts: Sequence[StagedLayout], truth: Sequence[Scene], seconds: fl
         "layouts": len(layouts),
         "answered": _percent(sum(layout.is_whole for layout in layouts), len(layouts)),
         "at_once": _percent(sum(not p.refused for p in proposals), len(proposals)),
-        "tries": round(mean(len(p.refused) + (p.reply is not None and not p.faults) for p in proposals), 3),
+        "tries": round(mean(p.tries for p in proposals), 3),
         **_aligned(summary),
         **{f"data_{key}": value for key, value in _aligned(itself).items() if key in ("distractors", "objects", "on", "in")},
         "refused": dict(Counter(f.code for p in proposals for r in p.refused for f in r.faults).most_common()),
@@ -137,9 +139,9 @@ def _aligned(s: AlignmentSummary) -> dict[str, Any]:
         "aws_relations": s.aws.num_relations,
         "aws_graph": _rounded(s.aws_graph.micro),
         "distractors": _rounded(s.distractor_rate),
-        "objects": round(s.num_objects or 0, 2),
-        "on": round(s.num_stacked or 0, 2),
-        "in": round(s.num_contained or 0, 2),
+        "objects": None if s.num_objects is None else round(s.num_objects, 2),
+        "on": None if s.num_stacked is None else round(s.num_stacked, 2),
+        "in": None if s.num_contained is None else round(s.num_contained, 2),
     }
 
 
