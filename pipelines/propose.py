@@ -16,13 +16,13 @@ from typing import Any
 from PIL import Image
 from tqdm import tqdm
 
-from models.semantic_reasoner.assembly import load_reasoner
+from models.semantic_reasoner.assembly import load_reasoner, shaping_of_proposals
 from models.semantic_reasoner.staged import LayoutTask
 from pipelines.correct_report import drawn
 from pipelines.furnishing import AssetShelf
 from pipelines.job import check_resume, check_shards, count_rows, new_manifest, write_manifest
 from pipelines.propose_report import write_propose_report
-from pipelines.propose_settings import ProposeSettings, engine_fingerprint, plain_retrieval
+from pipelines.propose_settings import ProposeSettings, plain_retrieval
 from pipelines.propose_step import Outcome, Proposer, proposal_rows
 from pipelines.task_file import read_tasks
 from stable_data.assets import AssetStore
@@ -68,7 +68,7 @@ def propose(
     shelf = AssetShelf(assets)
     reasoner, statistics = load_reasoner(settings.engine, settings.reasoner)
     proposer = Proposer(reasoner, statistics, shelf.retriever(settings.retrieval), settings.stages, settings.seed)
-    inputs = {"tasks": _fingerprint(tasks), "engine": engine_fingerprint(settings.engine)}
+    inputs = {"tasks": _fingerprint(tasks), "reasoner": shaping_of_proposals(settings.engine, settings.reasoner)}
     inputs |= {f"assets.{name}": found for name, found in shelf.fingerprints.items()}
     with folder.locked():
         name = tasks.stem if isinstance(tasks, Path) else tasks.scene_id

@@ -1,8 +1,6 @@
 """Settings of the propose job: who is asked, how, and how assets are chosen."""
 
-import hashlib
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Any, ClassVar
 
 from models.semantic_reasoner.assembly import ReasonerSettings
@@ -11,9 +9,6 @@ from models.semantic_reasoner.prompt import Wanted
 from models.semantic_reasoner.staged import ONE_SHOT, PROGRESSIVE
 from stable_data.asset_scoring import RetrievalSettings
 from stable_data.errors import ConfigError
-from stable_data.shards import content_id
-
-_SHAPING_FILES = ("*.json", "*.safetensors", "*.jinja", "*.model")
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,11 +49,8 @@ class ProposeSettings:
         return ONE_SHOT if self.one_shot else PROGRESSIVE
 
     def shaping(self) -> dict[str, Any]:
-        """The settings that shape scenes: a run is resumed only under the same."""
+        """The settings that shape scenes beside the reasoner's own: a run is resumed only under the same."""
         return {
-            "engine": self.engine.engine,
-            "sampling": asdict(self.engine.sampling),
-            "reasoner": asdict(self.reasoner),
             "retrieval": plain_retrieval(self.retrieval),
             "one_shot": self.one_shot,
             "seed": self.seed,
@@ -70,21 +62,3 @@ class ProposeSettings:
 def plain_retrieval(settings: RetrievalSettings) -> dict[str, Any]:
     """The settings of retrieval as JSON has them."""
     return asdict(settings) | {"licences": None if settings.licences is None else sorted(settings.licences)}
-
-
-def engine_fingerprint(settings: EngineSettings) -> str:
-    """Content of what an engine's replies depend on: of a model's folder or a script its files, of an endpoint its name.
-
-    Args:
-        settings: The engine.
-    """
-    if settings.kind == "openai":
-        return content_id(settings.engine, settings.http.base_url)
-    where = settings.folder or Path(settings.engine.partition(":")[2])
-    files = [where] if where.is_file() else sorted(path for pattern in _SHAPING_FILES for path in where.glob(pattern))
-    return content_id(settings.kind, [(path.name, _sha256(path)) for path in files])
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
