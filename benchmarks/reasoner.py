@@ -8,7 +8,7 @@ folder of a preprocess run with scenes of splits that training never saw; the re
 - AwT, AwS: required objects present, and entailed relations that hold, by boxes; a layout without an answer has none of its own;
 - distractors: objects that are no task objects; objects: number of them, on and in: carried by another. Each beside the data's;
 - OC, floats, off table: of raw layouts after each stage, by their meshes: what the corrector has to do;
-- unmatched: objects for which retrieval found no asset; they are left out of OC.
+- unmatched: objects for which retrieval found no asset; they are left out of OC, with what rests on them.
 
 Run with ``OMP_NUM_THREADS=1``.
 """
@@ -30,17 +30,14 @@ from tqdm import tqdm
 from models.semantic_reasoner.assembly import ReasonerSettings, load_reasoner
 from models.semantic_reasoner.engines import EngineSettings
 from models.semantic_reasoner.staged import ONE_SHOT, PROGRESSIVE, StagedLayout, of_scene, staged_layouts
-from models.text_encoder import load_default
-from stable_data.asset_library import library_of_run
+from pipelines.furnishing import AssetShelf, furnish
 from stable_data.assets import AssetStore
 from stable_data.metrics.alignment import align, reference_of
 from stable_data.metrics.alignment_summary import AlignmentSummary, summarise_alignment
 from stable_data.metrics.audit import PosedScene, audit_posed
 from stable_data.metrics.card import MetricCard
-from stable_data.retrieval import Match, Query, Retriever
 from stable_data.scene import Scene, SceneObject, Stage
 from stable_data.shards import RunFolder
-from stable_data.substitution import with_assets
 from stable_data.table_assets import TableAssets
 from stable_data.tables import scene_from_row
 
@@ -65,29 +62,17 @@ class Furnisher:
     """
 
     def __init__(self, run: str, folder: Path) -> None:
-        encoder = load_default()
-        self._retriever = Retriever([library_of_run(RunFolder(run)).embedded(encoder)], encoder)
+        self._retriever = AssetShelf([run]).retriever()
         self._store = AssetStore(TableAssets(RunFolder(run), folder))
 
     def furnished(self, scenes: Sequence[Scene]) -> list[tuple[Scene, int]]:
-        """The scenes with assets, objects without a match left out, and how many those are."""
-        asked = [(scene, o) for scene in scenes for o in scene.objects]
-        queries = [Query(o.description, o.size, o.category, f"{scene.scene_id}/{o.instance}") for scene, o in asked]
-        found: dict[str, dict[str, Match]] = {}
-        for (scene, o), answer in zip(asked, self._retriever.retrieve(queries), strict=True):
-            if isinstance(answer, Match):
-                found.setdefault(scene.scene_id, {})[o.instance] = answer
-        return [_with(scene, found.get(scene.scene_id, {})) for scene in scenes]
+        """The scenes with assets, and for how many objects there is none: they are left out, with what rests on them."""
+        return [(f.scene, len(f.unmatched)) for f in furnish(scenes, self._retriever)]
 
     def card(self, scene: Scene) -> MetricCard:
         """The exact verdicts."""
         _, shapes, _ = self._store.resolved(scene)
         return audit_posed(PosedScene(scene, shapes)).card(0, 0)
-
-
-def _with(scene: Scene, matches: dict[str, Match]) -> tuple[Scene, int]:
-    kept = [replace(o, support=o.support if o.support in matches else None) for o in scene.objects if o.instance in matches]
-    return replace(scene, objects=with_assets(kept, matches)), len(scene.objects) - len(kept)
 
 
 def up_to(objects: Sequence[SceneObject], stage: Stage) -> tuple[SceneObject, ...]:
