@@ -17,6 +17,7 @@ from transformers import AutoModelForCausalLM, PreTrainedTokenizerBase
 from models.place import CPU, Place
 from models.semantic_reasoner.batches import batches_of_pass, padding_of
 from models.semantic_reasoner.network import new_network
+from models.semantic_reasoner.optimizers import is_hidden
 from models.semantic_reasoner.reply_loss import ReplyLoss, put_in_place
 from models.semantic_reasoner.saved_model import read_config
 from models.semantic_reasoner.token_set import KINDS, TokenSet
@@ -125,7 +126,10 @@ def _memory(settings: ReasonerTraining, tokenizer: PreTrainedTokenizerBase, data
     with torch.device("meta"):
         network = AutoModelForCausalLM.from_config(config)
     num_weights = sum(p.numel() for p in network.parameters())
-    num_trained = _num_trained(network, settings) if settings.lora.rank else num_weights
+    num_trained = num_averaged_once = _num_trained(network, settings) if settings.lora.rank else num_weights
+    if not settings.lora.rank:
+        num_averaged_once = sum(p.numel() for name, p in network.named_parameters() if is_hidden(name, p))
+    num_averages = 2 * num_trained - (num_averaged_once if settings.optimizer == "muon" else 0)
     per_token, per_layer = _saved_by_a_layer(config, settings)
     rows = max(batches_of_pass(data, settings, 0), key=lambda rows: _places(data, rows))
     places = _places(data, rows)
@@ -146,12 +150,12 @@ def _memory(settings: ReasonerTraining, tokenizer: PreTrainedTokenizerBase, data
     parts = {
         "weights": _FLOAT * num_weights / world,
         "gradients": _FLOAT * num_trained / world,
-        "optimizer": 2 * _FLOAT * num_trained / world,
+        "optimizer": _FLOAT * num_averages / world,
         "gathered": gathered,
         "activations": kept + logits,
     }
     figures = {name: round(size) for name, size in parts.items()}
-    total = {"each_process": sum(figures.values()), "checkpoint": round(3 * _FLOAT * num_trained)}
+    total = {"each_process": sum(figures.values()), "checkpoint": round(_FLOAT * (num_trained + num_averages))}
     return {"num_weights": num_weights, "num_trained": num_trained, **figures, **total}
 
 

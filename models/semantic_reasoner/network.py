@@ -41,25 +41,56 @@ def new_network(settings: NetworkSettings, tokenizer: PreTrainedTokenizerBase, m
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         network = Qwen3ForCausalLM(config)
-    _order_numbers(network.get_input_embeddings().weight, tokenizer.get_vocab(), config.initializer_range)
+    width = 2 * (settings.hidden // 8)
+    _order_numbers(network.get_input_embeddings().weight[:, :width], tokenizer.get_vocab(), config.initializer_range)
+    _hand_numbers_on(network, width)
     return network
 
 
 @torch.no_grad()
 def _order_numbers(embeddings: Tensor, vocabulary: Mapping[str, int], scale: float) -> None:
-    """Puts near numbers near each other, in a quarter of the width, by waves of 3 to 1,200.
+    """Puts near numbers near each other, by waves of 3 to 1,200.
 
     A layout is mostly numbers, and what stands in a bowl stands where the bowl stands, give or take. Drawn at random, that 45 is
     next to 46 would have to be learned for each of them.
+
+    Args:
+        embeddings: (V, 2 N), written to: the part of the width that says which number a token is.
+        vocabulary: Tokens.
+        scale: Of the other embeddings; these are larger, so that the first steps do not blur them.
     """
     if embeddings.is_meta:
         return  # a network that is only counted
     numbers = {int(word): index for word, index in vocabulary.items() if re.fullmatch(r"-?[0-9]{1,3}", word)}
     values = torch.tensor(sorted(numbers), dtype=torch.float32)
-    width = embeddings.shape[1] // 8
-    waves = 2 * math.pi * values[:, None] / torch.logspace(math.log10(3), math.log10(1200), width)
+    waves = 2 * math.pi * values[:, None] / torch.logspace(math.log10(3), math.log10(1200), embeddings.shape[1] // 2)
     rows = torch.tensor([numbers[int(v)] for v in values])
-    embeddings[rows, : 2 * width] = math.sqrt(2) * scale * torch.cat([waves.sin(), waves.cos()], 1)
+    embeddings[rows] = 3 * math.sqrt(2) * scale * torch.cat([waves.sin(), waves.cos()], 1)
+
+
+@torch.no_grad()
+def _hand_numbers_on(network: Qwen3ForCausalLM, width: int) -> None:
+    """Lets the first query head of each pair of key and value hand on the number that it looks at, as that number.
+
+    Copying takes two things, looking at the right token and saying what it says, and neither pays without the other: from random
+    weights alone, what stands in a bowl stood anywhere after thousands of steps. With the second given, the first is learned in
+    a hundred.
+
+    Args:
+        network: Written to.
+        width: Of the part of an embedding that says which number it is.
+    """
+    head = int(network.config.head_dim)
+    heads_each = int(network.config.num_attention_heads) // int(network.config.num_key_value_heads)
+    number = torch.arange(min(width, head))
+    for layer in network.model.layers:
+        value, output = layer.self_attn.v_proj.weight, layer.self_attn.o_proj.weight
+        for start in range(0, len(value), head):
+            columns = slice(start * heads_each, start * heads_each + head)
+            value[start : start + head] *= 0.1
+            output[:, columns] *= 0.1
+            value[start + number, number] += 0.2
+            output[number, columns.start + number] += 0.2
 
 
 class TrainedNetwork:

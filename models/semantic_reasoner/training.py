@@ -26,6 +26,7 @@ from models.physics_corrector.training_settings import flattened
 from models.place import CPU, Place
 from models.semantic_reasoner.batches import Rows, batch_of, batches_in_order, batches_of_pass
 from models.semantic_reasoner.network import TrainedNetwork, trained
+from models.semantic_reasoner.optimizers import Optimizers
 from models.semantic_reasoner.reply_loss import ReplyLoss, gathered, put_in_place, sharded_as
 from models.semantic_reasoner.token_set import KINDS, TokenSet
 from models.semantic_reasoner.training_settings import ReasonerTraining
@@ -114,11 +115,7 @@ class Training:
         self.loss = ReplyLoss(TrainedNetwork(settings, tokenizer).network, settings)
         put_in_place(self.loss, place)
         self._parameters = trained(self.loss.network)
-        matrices = [p for p in self._parameters.values() if p.dim() >= 2]
-        others = [p for p in self._parameters.values() if p.dim() < 2]
-        groups = [{"params": matrices, "weight_decay": settings.weight_decay}, {"params": others, "weight_decay": 0.0}]
-        # Fused: a tenth of a step of the small network is AdamW otherwise.
-        self._optimizer = torch.optim.AdamW(groups, settings.learning_rate, betas=(0.9, 0.95), fused=True)
+        self._optimizers = Optimizers(self._parameters, settings)
         self.step = self.tokens = 0
         self._batches = self._from(0)
 
@@ -134,8 +131,6 @@ class Training:
             wants_stop: Whether this process wants to stop after it.
             wants_save: Whether it wants to keep a checkpoint after it.
         """
-        for group in self._optimizer.param_groups:
-            group["lr"] = self.settings.learning_rate_at(self.step)
         batches = list(itertools.islice(self._batches, self.settings.accumulate))
         count = sum(self._replies(rows) for rows in batches)
         figures = torch.tensor([0.0, wants_stop, wants_save], dtype=torch.float64, device=self.place.device)
@@ -145,8 +140,7 @@ class Training:
             (loss * world).backward()  # type: ignore[no-untyped-call]  # sharded gradients come as means over the processes
             figures[0] += loss.detach()
         norm = gathered(torch.nn.utils.clip_grad_norm_(self._parameters.values(), self.settings.clip))
-        self._optimizer.step()
-        self._optimizer.zero_grad()
+        self._optimizers.step(self.settings.learning_rate_at(self.step))
         self._add_up(figures)
         self.step += 1
         self.tokens += count
@@ -202,11 +196,9 @@ class Training:
     def save(self, path: Path) -> None:
         """Keeps the training where another process can go on with it, in one step; all processes call it."""
         values = self.values()
-        state = self._optimizer.state
-        averages = {
-            key: dict(self._on_first((n, state[p][key]) for n, p in self._parameters.items() if p in state))
-            for key in ("step", "exp_avg", "exp_avg_sq")
-        }
+        averages: dict[str, dict[str, Tensor]] = {}
+        for key, name, value in self._optimizers.state():
+            averages.setdefault(key, {}).update(self._on_first([(name, value)]))
         if self.place.rank == 0:
             about = {"about": json.dumps(self._about(), sort_keys=True), "step": self.step, "tokens": self.tokens}
             _write(path, about | {"values": values, "averages": averages})
@@ -243,16 +235,9 @@ class Training:
 
     @torch.no_grad()
     def _take(self, state: dict[str, Any]) -> None:
-        values, averages = state["values"], state["averages"]
         for name, parameter in self._parameters.items():
-            parameter.copy_(sharded_as(values[name], parameter))
-            if name not in averages["step"]:
-                continue  # kept before the first step
-            self._optimizer.state[parameter] = {
-                "step": averages["step"][name].to(self.place.device).clone(),
-                "exp_avg": sharded_as(averages["exp_avg"][name], parameter).clone(),
-                "exp_avg_sq": sharded_as(averages["exp_avg_sq"][name], parameter).clone(),
-            }
+            parameter.copy_(sharded_as(state["values"][name], parameter))
+        self._optimizers.take(state["averages"])
         self.step, self.tokens = state["step"], state["tokens"]
         self._batches = self._from(self.step)
 

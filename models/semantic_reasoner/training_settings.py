@@ -9,6 +9,7 @@ from models.semantic_reasoner.prompt import WANTED
 from stable_data.errors import ConfigError
 
 Precision: TypeAlias = Literal["bfloat16", "float32"]
+Optimizer: TypeAlias = Literal["adamw", "muon"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +103,9 @@ class ReasonerTraining:
         max_tokens: Longest example; longer ones are left out and counted. Also the width of a row that is packed.
         packs: Whether a row has several examples, each blind to the others; else each has a row of its own beside others of
             like length, which is faster on a CPU.
-        learning_rate: Of AdamW.
+        optimizer: Of the matrices between embeddings and head; all else is AdamW's. Muon takes fewer steps to the same loss where a
+            small network is trained from scratch.
+        learning_rate: Of either.
         warm_up: Steps over which it grows to that.
         cool_down: Share of the steps, the last ones, over which it falls to 0.
         weight_decay: Of matrices.
@@ -110,7 +113,7 @@ class ReasonerTraining:
         any_table_share: Share of the examples whose kind of table is not said, so that a model learns to go by its size.
         with_details: Whether the rest of the task info is said too.
         one_shot: The paper's ablation: the whole layout in one pass.
-        precision: Of multiplications; weights, norms, gradients and AdamW's averages are float32.
+        precision: Of multiplications; weights, norms, gradients and averages are float32.
         storage: Of the weights that are kept in the end.
         recomputes: Whether activations are computed again in the backward pass instead of kept (gradient checkpointing).
         shares: Of the stages.
@@ -129,6 +132,7 @@ class ReasonerTraining:
     accumulate: int = 1
     max_tokens: int = 2048
     packs: bool = False
+    optimizer: Optimizer = "adamw"
     learning_rate: float = 1.5e-3
     warm_up: int = 200
     cool_down: float = 0.3
@@ -171,7 +175,7 @@ class ReasonerTraining:
         return replace(self, steps=self.steps or max(1, math.ceil(self.passes * num_batches / self.accumulate)))
 
     def learning_rate_at(self, step: int) -> float:
-        """AdamW's learning rate at a step of a run whose ``steps`` is set: it grows, stays, and falls to 0."""
+        """The learning rate at a step of a run whose ``steps`` is set: it grows, stays, and falls to 0."""
         grown = min(1.0, (step + 1) / self.warm_up) if self.warm_up else 1.0
         last = self.cool_down * self.steps
         left = min(1.0, (self.steps - step) / last) if last else 1.0
@@ -182,7 +186,9 @@ class ReasonerTraining:
         return flattened(asdict(self))
 
 
-EMBEDDED = ReasonerTraining(shares=StageShares(important=0.3, secondary=0.25, whole=0.35, edit=0.15))
+EMBEDDED = ReasonerTraining(
+    optimizer="muon", learning_rate=3e-3, shares=StageShares(important=0.3, secondary=0.25, whole=0.35, edit=0.15)
+)
 """The small model of the embedded engine: from scratch, with a tokenizer of its own, on one core of a CPU.
 
 The first stage decides what a scene is about and is the hardest to get right, so it is shown most. An edit is a long question and a

@@ -186,12 +186,13 @@ def test_killed_and_terminated_and_run_again_it_gives_the_weights_of_one_run(run
 @pytest.mark.ray
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:ray.*")  # of Ray about itself
 @pytest.mark.filterwarnings("ignore:.is_gradient_checkpointing.:FutureWarning")  # of peft about transformers
-@pytest.mark.parametrize("way", ["new", "packed", "base", "lora", "recomputes"])
+@pytest.mark.parametrize("way", ["new", "muon", "packed", "base", "lora", "recomputes"])
 def test_two_processes_with_sharded_weights_give_what_one_gives(
     run: Path, out: Path, base: Path, tmp_path: Path, cache: Path, way: str
 ) -> None:
     settings = {
         "new": SETTINGS,
+        "muon": replace(SETTINGS, optimizer="muon"),
         "packed": replace(SETTINGS, packs=True),
         "base": replace(SETTINGS, base=str(base)),
         "lora": replace(SETTINGS, base=str(base), lora=LoraSettings(4, 8)),

@@ -14,7 +14,7 @@ from models.semantic_reasoner.reply_loss import ReplyLoss, put_in_place
 from models.semantic_reasoner.saved_model import read_model, read_tokenizer, write_model
 from models.semantic_reasoner.token_set import TokenSet
 from models.semantic_reasoner.training import Identity, Training, train
-from models.semantic_reasoner.training_settings import LoraSettings, ReasonerTraining, training_preset
+from models.semantic_reasoner.training_settings import LoraSettings, NetworkSettings, ReasonerTraining, training_preset
 from stable_data.errors import ConfigError
 from tests.models.semantic_reasoner.reasoner_examples import PACKED, TINY, examples, token_set, tokenizer
 
@@ -185,7 +185,9 @@ def test_a_loss_that_is_not_finite_ends_the_run() -> None:
 # --- going on -----------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("settings", [TINY, replace(PACKED, accumulate=2, precision="bfloat16")])
+@pytest.mark.parametrize(
+    "settings", [TINY, replace(PACKED, accumulate=2, precision="bfloat16"), replace(TINY, optimizer="muon")]
+)
 def test_a_run_that_was_killed_and_resumed_is_the_run_that_was_not(settings: ReasonerTraining, tmp_path: Path) -> None:
     clean = advanced(settings, 12)  # several passes
     first = advanced(settings, 5)
@@ -201,8 +203,10 @@ def test_a_run_that_was_killed_and_resumed_is_the_run_that_was_not(settings: Rea
     second.save(tmp_path / "second.pt")
     clean.save(tmp_path / "clean.pt")
     a, b = (torch.load(tmp_path / f"{name}.pt", weights_only=True) for name in ("second", "clean"))
-    for key in ("step", "exp_avg", "exp_avg_sq"):
-        assert all(torch.equal(value, b["averages"][key][name]) for name, value in a["averages"][key].items())
+    muons = {"momentum_buffer"} if settings.optimizer == "muon" else set()
+    assert set(a["averages"]) == {"step", "exp_avg", "exp_avg_sq"} | muons
+    for key, averages in a["averages"].items():
+        assert all(torch.equal(value, b["averages"][key][name]) for name, value in averages.items())
 
 
 def test_a_run_may_be_kept_before_its_first_step(tmp_path: Path) -> None:
@@ -228,6 +232,20 @@ def test_a_checkpoint_of_something_else_is_refused(tmp_path: Path) -> None:
 def test_processes_that_cannot_share_a_step_are_refused() -> None:
     with pytest.raises(ConfigError, match="accumulate is 1, expected a multiple of the 2 processes"):
         Training(DATA, TINY, tokenizer(), Place(world_size=2))
+
+
+@torch.no_grad()
+def test_a_new_network_can_hand_a_number_on() -> None:
+    settings = NetworkSettings(hidden=64, layers=2, heads=4, key_value_heads=2, head=16, vocabulary=300)
+    network, words = new_network(settings, tokenizer(), 512, seed=3), tokenizer()
+    embeddings = network.get_input_embeddings().weight
+    attention = network.model.layers[1].self_attn
+    numbers = torch.tensor([words.convert_tokens_to_ids(str(n)) for n in range(-60, 120)])
+    value = torch.zeros(len(numbers), 64)
+    value[:, :16] = attention.v_proj(embeddings[numbers])[:, :16]  # what the first query head takes of each, looked at alone
+    said = attention.o_proj(value) @ embeddings[numbers].T
+    off = (said.argmax(1) - torch.arange(len(numbers))).abs()
+    assert off.double().mean() < 1  # the number, or the one beside it; at random it would be 60
 
 
 # --- models -------------------------------------------------------------------------------------------------------------------
