@@ -67,6 +67,17 @@ class Completion:
     cost: float = 0.0
 
 
+def too_long(num_prompt: int, longest: int) -> Completion:
+    """What comes back for a question that the model cannot read.
+
+    Args:
+        num_prompt: Tokens of the question.
+        longest: Tokens that the model reads.
+    """
+    failure = f"the question has {num_prompt:,} tokens, the model reads {longest:,}; shorten it"
+    return Completion("", num_prompt, failure=failure, code="prompt_too_long")
+
+
 class Engine(Protocol):
     """Something that completes chats.
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from transformers import AutoModelForCausalLM, AutoTokenizer, PreTrainedModel, PreTrainedTokenizerFast
 
 from models.semantic_reasoner.decoding import ATTENTION, Decoder
-from models.semantic_reasoner.engine import Completion, Request, Sampling
+from models.semantic_reasoner.engine import Completion, Request, Sampling, too_long
 from models.semantic_reasoner.tokenizer import chat_text
 from stable_data.errors import ConfigError
 
@@ -138,12 +138,7 @@ class LocalEngine:
         prompt: list[int] = self._tokenizer(chat, add_special_tokens=False)["input_ids"]
         longest = self._model.config.get_text_config().max_position_embeddings
         if len(prompt) + 16 > longest:
-            return Completion(
-                "",
-                len(prompt),
-                failure=f"the question has {len(prompt):,} tokens, the model reads {longest:,}; shorten it",
-                code="prompt_too_long",
-            )
+            return too_long(len(prompt), longest)
         matcher = None
         if self._is_constrained and request.form.binds:
             matcher = LLMatcher(self._guide, LLMatcher.grammar_from_lark(request.form.grammar()))

@@ -56,6 +56,7 @@ class Proposal:
         failure: Why there are none, one line; empty where there are.
         code: Short machine-readable reason of the failure.
         notices: What was unknown in the question, and what it was read as.
+        tries: How often it was asked; 0 where the question itself could not be.
         prompt_tokens: Read, over all tries.
         reply_tokens: Written, over all tries.
         cost: Of all tries, in the currency of the engine's prices.
@@ -67,6 +68,7 @@ class Proposal:
     failure: str = ""
     code: str = ""
     notices: tuple[Notice, ...] = ()
+    tries: int = 0
     prompt_tokens: int = 0
     reply_tokens: int = 0
     cost: float = 0.0
@@ -75,16 +77,6 @@ class Proposal:
     def objects(self) -> tuple[LayoutObject, ...]:
         """New and changed objects; none where there is a failure."""
         return () if self.reply is None else self.reply.objects
-
-    @property
-    def tries(self) -> int:
-        """How often it was asked."""
-        return len(self.refused) + (1 if self.reply is not None and not self._is_second_best else 0)
-
-    @property
-    def _is_second_best(self) -> bool:
-        """Whether the reply is one of those refused before, taken for want of a better one."""
-        return bool(self.faults)
 
 
 @dataclass(slots=True, eq=False)
@@ -96,6 +88,7 @@ class _Asking:
     notices: tuple[Notice, ...] = ()
     refused: list[Refused] = field(default_factory=list)
     best: tuple[Reply, tuple[Fault, ...]] | None = None
+    tries: int = 0
     prompt_tokens: int = 0
     reply_tokens: int = 0
     cost: float = 0.0
@@ -119,7 +112,7 @@ class _Asking:
                     f"{len(self.refused)} answers could not be used, the last because {last.reason}",
                     "reply_unusable",
                 )
-        told = (self.prompt_tokens, self.reply_tokens, self.cost)
+        told = (self.tries, self.prompt_tokens, self.reply_tokens, self.cost)
         return Proposal(reply, faults, tuple(self.refused), failure, code, self.notices, *told)
 
 
@@ -195,6 +188,7 @@ class SemanticReasoner:
 
     def _judge(self, asking: _Asking, completion: Completion) -> Proposal | None:
         """What comes of an answer; None where it is to be asked again."""
+        asking.tries += 1
         asking.prompt_tokens += completion.prompt_tokens
         asking.reply_tokens += completion.reply_tokens
         asking.cost += completion.cost

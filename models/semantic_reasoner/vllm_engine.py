@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from models.semantic_reasoner.engine import Completion, Request, Sampling
+from models.semantic_reasoner.engine import Completion, Request, Sampling, too_long
+from models.semantic_reasoner.tokenizer import chat_text
 from stable_data.errors import ConfigError
 
 
@@ -56,13 +57,15 @@ class VllmEngine:
         """One completion for each request, in their order."""
         if not requests:
             return []
-        outputs = self._model.chat(
-            [list(r.messages) for r in requests],
-            [self._of(r) for r in requests],
-            use_tqdm=False,
-            chat_template_kwargs={"enable_thinking": not requests[0].form.binds},
+        tokenizer, longest = self._model.get_tokenizer(), self._model.llm_engine.model_config.max_model_len
+        texts = [chat_text(tokenizer, r.messages, thinks=not r.form.binds) for r in requests]
+        prompts = [tokenizer(text, add_special_tokens=False)["input_ids"] for text in texts]
+        fits = [k for k, prompt in enumerate(prompts) if len(prompt) < longest]  # one that does not would end the whole batch
+        outputs = self._model.generate(
+            [{"prompt_token_ids": prompts[k]} for k in fits], [self._of(requests[k]) for k in fits], use_tqdm=False
         )
-        return [_completion(output) for output in outputs]
+        found = dict(zip(fits, map(_completion, outputs), strict=True))
+        return [found.get(k) or too_long(len(prompt), longest) for k, prompt in enumerate(prompts)]
 
     def _of(self, request: Request) -> Any:
         s = self.sampling

@@ -84,6 +84,7 @@ def test_a_failure_of_one_does_not_touch_the_others() -> None:
     down, empty, fine = SemanticReasoner(engine, faults).propose(asks, [1, 2, 3])
     assert (down.code, empty.code) == ("endpoint_down", "instruction_invalid")
     assert fine.reply is not None
+    assert [p.tries for p in (down, empty, fine)] == [1, 0, 1]
 
 
 def test_a_cut_off_answer_is_asked_for_again() -> None:
