@@ -25,6 +25,21 @@ from stable_data.errors import ConfigError
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help="Jobs on tabletop scenes.")
 
+Scenes = Annotated[
+    str, typer.Option(help="A folder in the MesaTask-10K format, or a run with a table scenes; every node must see it.")
+]
+RunOut = Annotated[str, typer.Option(help="Run folder: a path that every node sees, or a URI such as s3://bucket/prefix.")]
+Settings = Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")]
+NumWorkers = Annotated[
+    int,
+    typer.Option(help="Worker processes on a local Ray, or shards at once with --address; -1 is one a core; 0 this process."),
+]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")]
+Minutes = Annotated[float, typer.Option(help="Stop after so long and keep the checkpoint; run again to go on. 0 is no limit.")]
+Trainers = Annotated[
+    int, typer.Option(help="Training processes of Ray Train, one GPU each where there are any. 0 trains in this process.")
+]
+
 
 @app.callback()
 def main() -> None:
@@ -37,9 +52,9 @@ def preprocess(
     data: Annotated[
         str, typer.Option(help="A folder in the MesaTask-10K format; every node of a cluster must see it under this path.")
     ],
-    out: Annotated[str, typer.Option(help="Run folder: a path that every node sees, or a URI such as s3://bucket/prefix.")],
+    out: RunOut,
     config: Annotated[Path | None, typer.Option(help="TOML file; its table preprocess is read.")] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
+    set_: Settings = None,
     workers: Annotated[
         int,
         typer.Option(
@@ -48,7 +63,7 @@ def preprocess(
         ),
     ] = -1,
     address: Address = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")] = False,
+    dry_run: DryRun = False,
 ) -> None:
     """Turn a dataset into staged, geometry-complete tables. Run again to go on where it was stopped.
 
@@ -79,21 +94,13 @@ def preprocess(
 @app.command()
 @with_clear_errors
 def correct(
-    scenes: Annotated[
-        str,
-        typer.Option(help="A folder in the MesaTask-10K format, or a run with a table scenes; every node must see it."),
-    ],
-    out: Annotated[str, typer.Option(help="Run folder: a path that every node sees, or a URI such as s3://bucket/prefix.")],
+    scenes: Scenes,
+    out: RunOut,
     config: Annotated[Path | None, typer.Option(help="TOML file; its table correct is read.")] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
-    workers: Annotated[
-        int,
-        typer.Option(
-            help="Worker processes on a local Ray, or shards at once with --address; -1 is one a core; 0 this process."
-        ),
-    ] = -1,
+    set_: Settings = None,
+    workers: NumWorkers = -1,
     address: Address = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")] = False,
+    dry_run: DryRun = False,
 ) -> None:
     """Turn scenes into scenes that are exactly clean: repair, or rearrangement. Run again to go on where it was stopped.
 
@@ -126,10 +133,7 @@ def correct(
 @app.command()
 @with_clear_errors
 def edit(
-    scenes: Annotated[
-        str,
-        typer.Option(help="A folder in the MesaTask-10K format, or a run with a table scenes; every node must see it."),
-    ],
+    scenes: Scenes,
     edits: Annotated[
         Path,
         typer.Option(
@@ -137,7 +141,7 @@ def edit(
             '"reply", which is carried out without asking the reasoner.'
         ),
     ],
-    out: Annotated[str, typer.Option(help="Run folder: a path that every node sees, or a URI such as s3://bucket/prefix.")],
+    out: RunOut,
     engine: Annotated[
         str | None,
         typer.Option(
@@ -146,15 +150,10 @@ def edit(
         ),
     ] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file; its table edit is read.")] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
-    workers: Annotated[
-        int,
-        typer.Option(
-            help="Worker processes on a local Ray, or shards at once with --address; -1 is one a core; 0 this process."
-        ),
-    ] = -1,
+    set_: Settings = None,
+    workers: NumWorkers = -1,
     address: Address = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")] = False,
+    dry_run: DryRun = False,
 ) -> None:
     """Change scenes as instructions say, and nothing else. Run again to go on where it was stopped.
 
@@ -215,7 +214,7 @@ def propose(
         typer.Option(help="embedded, transformers:FOLDER, vllm:FOLDER, openai:MODEL or scripted:FILE; stronger than the file."),
     ] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file; its table [propose] is read.")] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
+    set_: Settings = None,
     one_shot: Annotated[bool, typer.Option("--one-shot", help="Ask for whole layouts at once, the paper's ablation.")] = False,
     seed: Annotated[int | None, typer.Option(help="Of draws and choices; stronger than the file.")] = None,
 ) -> None:
@@ -289,13 +288,9 @@ def train_corrector(
         ),
     ] = "embedded_set",
     config: Annotated[Path | None, typer.Option(help="TOML file; its table train_corrector is read.")] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
-    minutes: Annotated[
-        float, typer.Option(help="Stop after so long and keep the checkpoint; run again to go on. 0 is no limit.")
-    ] = 0.0,
-    workers: Annotated[
-        int, typer.Option(help="Training processes of Ray Train, one GPU each where there are any. 0 trains in this process.")
-    ] = 0,
+    set_: Settings = None,
+    minutes: Minutes = 0.0,
+    workers: Trainers = 0,
     address: Address = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the settings and the set, and stop.")] = False,
 ) -> None:
@@ -327,13 +322,9 @@ def train_reasoner(
         ),
     ] = "embedded",
     config: Annotated[Path | None, typer.Option(help="TOML file; its table train_reasoner is read.")] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")] = None,
-    minutes: Annotated[
-        float, typer.Option(help="Stop after so long and keep the checkpoint; run again to go on. 0 is no limit.")
-    ] = 0.0,
-    workers: Annotated[
-        int, typer.Option(help="Training processes of Ray Train, one GPU each where there are any. 0 trains in this process.")
-    ] = 0,
+    set_: Settings = None,
+    minutes: Minutes = 0.0,
+    workers: Trainers = 0,
     address: Address = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print examples, steps, memory and time, and stop.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="The same as JSON.")] = False,

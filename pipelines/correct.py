@@ -12,10 +12,11 @@ from typing import Any, TypeVar
 from models.physics_corrector.learned import load_flow, weights_fingerprint
 from pipelines.correct_report import write_correct_report
 from pipelines.correct_settings import CorrectSettings
-from pipelines.correct_step import CORRECT_TABLES, CorrectShard, CorrectWork
+from pipelines.correct_step import CorrectWork
 from pipelines.job import check_resume, check_shards, count_items, count_rows, new_manifest, run_missing, write_manifest
 from pipelines.runner import Loss, Workers, alone
 from pipelines.scene_source import FolderSource, SceneSource, TableSource, scene_source
+from pipelines.scene_work import SceneShard
 from stable_data import tables
 from stable_data.errors import ConfigError, Notice
 from stable_data.mesatask import write_annotations, write_scene
@@ -55,8 +56,8 @@ def correct(scenes: str, out: str, settings: CorrectSettings, workers: Workers, 
     with folder.locked():
         parts, inputs = source.parts(settings.scene_settings(), settings.scenes_per_shard)
         inputs |= {"weights": weights}
-        shards = [CorrectShard(content_id("correct", settings.shaping(), weights, p.content), p.scene_ids) for p in parts]
-        scene_ids = [scene_id for shard in shards for scene_id in shard.scenes]
+        shards = [SceneShard(content_id("correct", settings.shaping(), weights, p.content), p.scene_ids) for p in parts]
+        scene_ids = [scene_id for shard in shards for scene_id in shard.items]
         fingerprint = content_id(inputs)
         manifest = new_manifest(
             "correct", source.name, fingerprint, inputs=inputs, settings=asdict(settings), num_scenes=len(scene_ids)
@@ -66,13 +67,13 @@ def correct(scenes: str, out: str, settings: CorrectSettings, workers: Workers, 
         lost = [n for n in source.notices if n.code == "layout_missing"]
         write_notices(folder, lost, [n for n in source.notices if n.code != "layout_missing"])
         work = CorrectWork(where, folder.root if folder.is_local else out, settings, fingerprint)
-        run_missing(folder, shards, lambda _: CORRECT_TABLES, work, workers, "correct", "scene")
+        run_missing(folder, shards, lambda _: CorrectWork.TABLES, work, workers, "correct", "scene")
         ids = {shard.shard_id for shard in shards}
-        check_shards(folder, {t: ids | {OF_DATASET} if t in ("warnings", "failures") else ids for t in CORRECT_TABLES})
+        check_shards(folder, {t: ids | {OF_DATASET} if t in ("warnings", "failures") else ids for t in CorrectWork.TABLES})
         carried = carry_assets(source, folder)
         failed = count_items(folder, "scenes", "scene_id", [*scene_ids, *(n.item_id for n in lost)])
         status = Counter(folder.table("corrections", ["status"])["status"].to_pylist())
-        counts = {**count_rows(folder, (*CORRECT_TABLES, *carried)), "failed_scenes": failed, "by_status": dict(status)}
+        counts = {**count_rows(folder, (*CorrectWork.TABLES, *carried)), "failed_scenes": failed, "by_status": dict(status)}
         manifest |= {"status": "complete", "counts": counts}
         write_manifest(folder, manifest)
         if settings.write_dataset and isinstance(source, FolderSource) and folder.is_local:

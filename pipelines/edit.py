@@ -11,11 +11,12 @@ from pipelines.correct import OF_DATASET, carry_assets, places, settled_here, wr
 from pipelines.edit_file import EditFile, WantedEdit, read_edits
 from pipelines.edit_report import write_edit_report
 from pipelines.edit_settings import EditSettings
-from pipelines.edit_step import EDIT_TABLES, EditShard, EditWork
+from pipelines.edit_step import EditWork
 from pipelines.job import check_resume, check_shards, count_items, count_rows, new_manifest, run_missing, write_manifest
 from pipelines.runner import Workers
 from pipelines.scene_source import FolderSource, SceneSource, scene_source
-from pipelines.settings import flat
+from pipelines.scene_work import SceneShard
+from stable_data.dotted import flat
 from stable_data.mesatask.library import ANNOTATION_FILE
 from stable_data.shards import content_id
 
@@ -70,14 +71,14 @@ def edit(
         write_notices(folder, found.failures, ())
         shards = _shards(found.edits, settings, fingerprint)
         work = EditWork(where, folder.root if folder.is_local else out, settings, fingerprint)
-        run_missing(folder, shards, lambda _: EDIT_TABLES, work, workers, "edit", "edit")
+        run_missing(folder, shards, lambda _: EditWork.TABLES, work, workers, "edit", "edit")
         ids = {shard.shard_id for shard in shards}
-        check_shards(folder, {t: ids | {OF_DATASET} if t in ("warnings", "failures") else ids for t in EDIT_TABLES})
+        check_shards(folder, {t: ids | {OF_DATASET} if t in ("warnings", "failures") else ids for t in EditWork.TABLES})
         carried = carry_assets(source, folder)
         failed = count_items(folder, "scenes", "scene_id", found.ids)
         kinds = Counter(folder.table("edits", ["kind"])["kind"].to_pylist())
         counts = {
-            **count_rows(folder, (*EDIT_TABLES, *carried)),
+            **count_rows(folder, (*EditWork.TABLES, *carried)),
             "failed_edits": failed,
             "by_kind": dict(sorted(kinds.items())),
         }
@@ -118,11 +119,11 @@ def _reasoner(found: EditFile, settings: EditSettings) -> dict[str, Any]:
     return flat(shaping_of_proposals(settings.engine, settings.reasoner), "reasoner.")
 
 
-def _shards(edits: tuple[WantedEdit, ...], settings: EditSettings, fingerprint: str) -> list[EditShard]:
+def _shards(edits: tuple[WantedEdit, ...], settings: EditSettings, fingerprint: str) -> list[SceneShard[WantedEdit]]:
     """The edits in order, cut by a fixed rule; at least one shard, so that every table is there."""
     size = settings.scenes_per_shard
     groups = [edits[start : start + size] for start in range(0, len(edits), size)] or [()]
-    return [EditShard(content_id("edit", settings.shaping(), fingerprint, [asdict(e) for e in g]), tuple(g)) for g in groups]
+    return [SceneShard(content_id("edit", settings.shaping(), fingerprint, [asdict(e) for e in g]), tuple(g)) for g in groups]
 
 
 def describe_edits(scenes: str, edits: Path, settings: EditSettings) -> dict[str, Any]:

@@ -3,15 +3,12 @@
 A shard's rows depend on nothing but the shard.
 """
 
-from collections import defaultdict
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Literal, TypeAlias, TypeVar
+from typing import ClassVar
 
-from models.physics_corrector.certify import CertifyOptions, Status
-from models.physics_corrector.corrector import Correction, PhysicsCorrector
-from models.physics_corrector.learned import load_flow
+from models.physics_corrector.corrector import Correction
 from models.semantic_reasoner.assembly import load_reasoner
 from models.semantic_reasoner.editing import EditedScene, Editing, apply_edit, editing
 from models.semantic_reasoner.layout_text import parse_reply
@@ -20,11 +17,12 @@ from pipelines.correct_step import correction_row
 from pipelines.edit_assets import AssetFinder, resting_on
 from pipelines.edit_file import WantedEdit
 from pipelines.edit_settings import EditSettings
-from pipelines.job import Rows, rows_alone, rows_or_failure
+from pipelines.job import Rows, rows_or_failure
 from pipelines.progress import Progress
-from pipelines.runner import Loss, alone, limited
-from pipelines.scene_source import SceneSource, Taken, scene_source
+from pipelines.runner import Loss
+from pipelines.scene_source import Taken, scene_source
 from pipelines.scene_step import num_carried, related
+from pipelines.scene_work import Opened, SceneWork, corrector_of, notices_of
 from stable_data import tables
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed
@@ -32,34 +30,8 @@ from stable_data.metrics.card import MetricCard
 from stable_data.metrics.collision import ROUNDING
 from stable_data.scene import Scene, SceneObject
 from stable_data.shape import Shape
-from stable_data.shards import RunFolder, content_id
+from stable_data.shards import content_id
 from stable_data.staging import stage_scene
-
-I = TypeVar("I")  # noqa: E741 - an item
-
-WhenFull: TypeAlias = Literal["drop", "infeasible"]
-
-EDIT_TABLES = ("warnings", "failures", "corrections", "edits", "scenes")
-"""Tables of a shard, in the order in which they are put in place."""
-
-
-@dataclass(frozen=True, slots=True)
-class EditShard:
-    """Edits that are done together.
-
-    Attributes:
-        shard_id: Content of its inputs, the engine, the weights and the settings that shape it.
-        edits: The edits.
-    """
-
-    shard_id: str
-    edits: tuple[WantedEdit, ...]
-
-    def __len__(self) -> int:
-        return len(self.edits)
-
-    def __str__(self) -> str:
-        return f"shard {self.shard_id} ({len(self.edits)} edits)"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,72 +48,54 @@ class Replied:
 
 
 @dataclass(frozen=True, slots=True)
-class EditWork:
-    """The work of one shard; sent to the workers.
+class EditWork(SceneWork[EditSettings, WantedEdit, Replied]):
+    """The work of one shard: an item is an edit, and its answer what its reply makes of the scene."""
 
-    Attributes:
-        scenes: Where the scenes are: an absolute path or a URI that every worker can read.
-        out: The run's folder, which every worker can write, likewise.
-        settings: The job's settings.
-        fingerprint: Content of the inputs: what a process keeps of one is not used for another in the same place.
-    """
+    TABLES: ClassVar = ("warnings", "failures", "corrections", "edits", "scenes")
 
-    scenes: str
-    out: str
-    settings: EditSettings
-    fingerprint: str = ""
+    def item_id(self, item: WantedEdit) -> str:
+        """The edit's id."""
+        return item.edit_id
 
-    def __call__(self, shard: EditShard, *, isolated: bool = False) -> tuple[int, int]:
-        """Does the shard and puts its tables in place; gives its edits and how many of them failed."""
-        rows: dict[str, list[tables.Row]] = defaultdict(list)
-        usable = []
-        for edit in shard.edits:
-            failed = self._limited(self.taken, edit, edit.edit_id, isolated)
-            _add(rows, failed)
-            if not failed:
-                usable.append(edit)
-        for item in zip(usable, self._replies(usable, isolated), strict=True):
-            _add(rows, self._limited(self.edited, item, item[0].edit_id, isolated))
-        if not isolated:  # else nothing was opened here
-            _opened(self).taken.clear()
-        out = RunFolder(self.out)
-        for table in EDIT_TABLES:
-            out.write_shard(table, shard.shard_id, rows[table])
-        return len(shard), len(rows["failures"])
+    def opened(self) -> "_Opened":
+        """What this process keeps."""
+        return _opened(self)
 
-    def taken(self, edit: WantedEdit) -> Rows:
-        """Takes an edit's scene from its source; gives the row of its failure, or nothing."""
-        progress = Progress("read")
+    def prepare_to_ask(self) -> None:
+        """Opens the reasoner."""
+        _ = self.opened().reasoner
 
-        def take() -> Rows:
-            editing(self._take(edit.scene_id, progress).scene)
-            return {}
+    def look(self, item: WantedEdit, progress: Progress) -> None:
+        """Takes an edit's scene."""
+        editing(self.take(item.scene_id, progress).scene)
 
-        return rows_or_failure(edit.edit_id, progress, take)
-
-    def replies(self, edits: Sequence[WantedEdit]) -> list[Replied]:
-        """What the replies make of the scenes of some edits; the reasoner is asked for all of them at once."""
-        shown = [editing(self._take(edit.scene_id, Progress("read")).scene) for edit in edits]
-        waiting = [k for k, edit in enumerate(edits) if edit.reply is None]
+    def answers(self, items: Sequence[WantedEdit]) -> list[Replied]:
+        """What the replies make of the scenes; the reasoner is asked for all that have none at once."""
+        shown = [editing(self.take(edit.scene_id, Progress("read")).scene) for edit in items]
+        waiting = [k for k, edit in enumerate(items) if edit.reply is None]
         proposals: dict[int, Proposal] = {}
         if waiting:
-            asks = [shown[k].ask(edits[k].instruction) for k in waiting]
-            seeds = [seed_of(edits[k], self.settings.seed) for k in waiting]
-            proposals = dict(zip(waiting, _opened(self).reasoner.propose(asks, seeds), strict=True))
-        return [_replied(edit, own, proposals.get(k)) for k, (edit, own) in enumerate(zip(edits, shown, strict=True))]
+            asks = [shown[k].ask(items[k].instruction) for k in waiting]
+            seeds = [seed_of(items[k], self.settings.seed) for k in waiting]
+            proposals = dict(zip(waiting, self.opened().reasoner.propose(asks, seeds), strict=True))
+        return [_replied(edit, own, proposals.get(k)) for k, (edit, own) in enumerate(zip(items, shown, strict=True))]
 
-    def edited(self, item: tuple[WantedEdit, Replied]) -> Rows:
+    def unanswered(self, loss: Loss, items: Sequence[WantedEdit]) -> ConfigError:
+        """What to do where the reasoner was lost."""
+        found = f"the reasoner {str(loss).replace('_', ' ')} over {len(items)} edits such as {items[0].edit_id}"
+        return ConfigError(f"{found}; free memory, or set scenes_per_shard lower", "engine_failed")
+
+    def finished(self, item: WantedEdit, answer: Replied) -> Rows:
         """Rows of one edit, from its reply."""
-        edit, replied = item
-        edited = replied.edited
+        edited = answer.edited
         if isinstance(edited, Notice):
-            return {"failures": [tables.notice_row(edited)], "warnings": _notice_rows(edit, replied.notices)}
+            return {"failures": [tables.notice_row(edited)], "warnings": _notice_rows(item, answer.notices)}
         progress = Progress("assets")
-        rows = rows_or_failure(edit.edit_id, progress, lambda: self._rows(edit, edited, replied.notices, progress))
-        return {"warnings": _notice_rows(edit, replied.notices)} | rows
+        rows = rows_or_failure(item.edit_id, progress, lambda: self._rows(item, edited, answer.notices, progress))
+        return {"warnings": _notice_rows(item, answer.notices)} | rows
 
     def _rows(self, edit: WantedEdit, replied: EditedScene, said: Sequence[Notice], progress: Progress) -> Rows:
-        taken, opened = self._take(edit.scene_id, progress), _opened(self)
+        taken, opened = self.take(edit.scene_id, progress), self.opened()
         notices = [*taken.notices, *said]
         progress.step = "assets"
         found = opened.finder.with_assets(replied, edit.edit_id, self.settings.seed)
@@ -193,58 +147,19 @@ class EditWork:
                 done = tried
             if not _is_poor(tried):
                 break
-        notices = [
-            Notice(scene.scene_id, "certify", "dropped", f"{scene.scene_id}: {d.instance} is left out: {d.reason}")
-            for d in done.dropped
-        ]
+        notices = notices_of(done, scene.scene_id)
         if done.certified is not None:
             was = {o.instance: (o.position, o.yaw) for o in scene.objects if o.instance in untouched}
             moved = [o.instance for o in done.certified.objects if was.get(o.instance, ()) not in ((), (o.position, o.yaw))]
             if moved:
                 message = f"{scene.scene_id}: {', '.join(moved)} moved too, for there was no clean layout otherwise"
                 notices.append(Notice(scene.scene_id, "certify", "others_moved", message))
-        if done.status is Status.UNKNOWN:
-            notices.append(Notice(scene.scene_id, "certify", "unknown", f"{scene.scene_id}: {done.reason}"))
         return done, notices
 
     def _certified(self, scene: Scene, shapes: Sequence[Shape], audit: Audit, fixed: frozenset[str]) -> Correction:
-        corrector = _opened(self).corrector
+        corrector = self.opened().corrector
         (raw,) = corrector.raw([scene], [shapes], [fixed])
         return corrector.certified(scene, shapes, audit, raw, fixed)
-
-    def _replies(self, edits: Sequence[WantedEdit], isolated: bool) -> list[Replied]:
-        if not isolated:
-            return self.replies(edits)
-        seconds = self.settings.seconds_per_item * max(1, len(edits))
-        found = alone(self.replies, edits, seconds=seconds, prepare=self._prepare_to_ask)
-        if isinstance(found, Loss):
-            raise ConfigError(
-                f"the reasoner {str(found).replace('_', ' ')} over {len(edits)} edits such as {edits[0].edit_id}; free memory, or "
-                "set scenes_per_shard lower",
-                "engine_failed",
-            )
-        return found
-
-    def _limited(self, make: Callable[[I], Rows], item: I, edit_id: str, isolated: bool) -> Rows:
-        seconds = self.settings.seconds_per_item
-        if isolated:
-            return rows_alone(make, item, edit_id, seconds=seconds, prepare=self._prepare)
-        self._prepare()
-        with limited(seconds):
-            return make(item)
-
-    def _prepare(self) -> None:
-        """Opens what edits need, outside of the time of the first one."""
-        _opened(self)
-
-    def _prepare_to_ask(self) -> None:
-        _ = _opened(self).reasoner
-
-    def _take(self, scene_id: str, progress: Progress) -> Taken:
-        opened = _opened(self)
-        if scene_id not in opened.taken:
-            opened.taken[scene_id] = opened.source.take(scene_id, self.settings.scene_settings(), progress)
-        return opened.taken[scene_id]
 
 
 def seed_of(edit: WantedEdit, seed: int) -> int:
@@ -270,23 +185,17 @@ def _replied(edit: WantedEdit, shown: Editing, proposal: Proposal | None) -> Rep
     return Replied(Notice(edit.edit_id, "reply", code or "no_reply", f"{edit.edit_id}: {reason}"), tuple(notices))
 
 
-@dataclass(frozen=True, eq=False)
-class _Opened:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Opened(Opened):
     """What a process keeps of its work.
 
     Attributes:
         settings: Of the job.
-        source: Where the scenes are.
         finder: Finds assets for what is new.
-        corrector: Corrects the edited scenes.
-        taken: The scenes of the shard, each of which is asked for three times.
     """
 
     settings: EditSettings
-    source: SceneSource
     finder: AssetFinder
-    corrector: PhysicsCorrector
-    taken: dict[str, Taken] = field(default_factory=dict)
 
     @cached_property
     def reasoner(self) -> SemanticReasoner:
@@ -298,11 +207,8 @@ class _Opened:
 @lru_cache(maxsize=1)
 def _opened(work: EditWork) -> _Opened:
     settings, source = work.settings, scene_source(work.scenes)
-    when_full: WhenFull = "drop" if settings.when_full == "drop" else "infeasible"
-    options = CertifyOptions(when_full=when_full, restore=settings.restore)
-    flow = load_flow(settings.weights, settings.steps) if settings.correct else None
-    corrector = PhysicsCorrector(flow, options, settings.judge_raw)
-    return _Opened(settings, source, AssetFinder(source), corrector)
+    corrector = corrector_of(settings, flows=settings.correct)
+    return _Opened(source, corrector, settings=settings, finder=AssetFinder(source))
 
 
 def _is_poor(done: Correction) -> bool:
@@ -364,8 +270,3 @@ def _is_other(o: SceneObject, was: SceneObject) -> bool:
 
 def _notice_rows(edit: WantedEdit, notices: Sequence[Notice]) -> list[tables.Row]:
     return [tables.notice_row(replace(n, item_id=edit.edit_id)) for n in notices]
-
-
-def _add(rows: dict[str, list[tables.Row]], new: Rows) -> None:
-    for table, found in new.items():
-        rows[table] += found

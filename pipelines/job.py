@@ -10,8 +10,8 @@ from tqdm import tqdm
 import stable_data
 from pipelines.progress import Progress
 from pipelines.runner import Loss, Work, Workers, alone
-from pipelines.settings import differences
 from stable_data import tables
+from stable_data.dotted import differences
 from stable_data.errors import ConfigError, Notice, StableDataError
 from stable_data.shards import RunFolder
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
+from stable_data.dotted import flat
 from stable_data.errors import ConfigError
 
 C = TypeVar("C")
@@ -77,21 +78,6 @@ def _checked(value: Any, wanted: Any, name: str, example: Any) -> Any:
     if wanted is float and not math.isfinite(value):
         raise ConfigError(f"setting {name} is {value}, expected a finite number", "config_invalid")
     return value
-
-
-def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested values by their dotted keys."""
-    found: dict[str, Any] = {}
-    for key, value in values.items():
-        found |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) and value else {prefix + key: value}
-    return found
-
-
-def differences(was: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """``key: was -> now`` for every setting that differs."""
-    return [
-        f"{key}: {was.get(key)} -> {now.get(key)}" for key in sorted(was.keys() | now.keys()) if was.get(key) != now.get(key)
-    ]
 
 
 def _section(file: Path, section: str) -> Mapping[str, Any]:

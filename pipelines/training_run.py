@@ -9,8 +9,7 @@ from typing import Any
 
 import torch
 
-from models.physics_corrector.training_settings import flattened
-from pipelines.settings import differences
+from stable_data.dotted import differences, flat
 from stable_data.errors import ConfigError
 from stable_data.shards import RunFolder
 
@@ -60,7 +59,7 @@ def refuse_changes(folder: RunFolder, manifest: dict[str, Any], compared: Sequen
             f"{folder.uri}/manifest.json: not a JSON object ({error}); is this the folder of a run?", "manifest_invalid"
         ) from error
     changed = differences({k: was.get(k) for k in compared}, {k: manifest[k] for k in compared})
-    changed += differences(flattened(was_settings), flattened(manifest["settings"]))
+    changed += differences(flat(was_settings), flat(manifest["settings"]))
     if changed:
         raise ConfigError(
             f"{folder.uri}: was made with another configuration ({'; '.join(changed)}); choose a new folder or restore it",

@@ -8,6 +8,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 from models.physics_corrector.coordinates import Coordinates
 from models.physics_corrector.flow import Flow, FlowSettings
 from models.physics_corrector.network import NetworkSettings, VelocityNetwork
+from stable_data.dotted import differences, flat
 from stable_data.errors import ConfigError
 
 
@@ -47,8 +48,7 @@ class CorrectorSettings:
 
     def differences(self, other: "CorrectorSettings") -> list[str]:
         """``key: was -> now`` for every setting in which another differs from these."""
-        was, now = _flat(asdict(self)), _flat(asdict(other))
-        return [f"{key}: {was[key]} -> {now[key]}" for key in was if was[key] != now[key]]
+        return differences(flat(asdict(self)), flat(asdict(other)))
 
 
 PRESETS: Mapping[str, CorrectorSettings] = {
@@ -112,10 +112,3 @@ def _filled(kind: type[Any], values: Any, name: str) -> Any:
             raise ConfigError(f"{where} of a corrector is {value!r}, expected {expected}", "config_invalid")
         filled[entry.name] = float(value) if wanted is float else value
     return kind(**filled)
-
-
-def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
-    return flat

@@ -6,11 +6,8 @@ same chunks are drawn however many processes share them. Processes share a step 
 one call, which the network's double pass under self-conditioning and the chunks would make awkward for DDP's hooks.
 """
 
-import json
-import os
-import pickle
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from models.kept_training import keep, kept
 from models.physics_corrector.batch import SceneBatch
 from models.physics_corrector.checkpoint import load_corrector
 from models.physics_corrector.condition import Condition
@@ -27,16 +25,13 @@ from models.physics_corrector.nearness import movement, order
 from models.physics_corrector.perturbation import perturb, reassign
 from models.physics_corrector.prefixes import compact, cut
 from models.physics_corrector.training_set import TrainingSet
-from models.physics_corrector.training_settings import TrainingSettings, flattened
+from models.physics_corrector.training_settings import TrainingSettings
 from models.place import CPU, Place
 from stable_data.errors import ConfigError
 
 LOGGED = ("flow", "physics", "object_object", "object_table", "support", "unrolled", "moved", "total")
 """The figures of a step: the terms of the loss as they count, those of physics also per scene and unweighted, and by how much
 sampled poses moved, metres a scene."""
-
-# What torch.load raises on bytes that are no checkpoint, and what a checkpoint of something else lacks.
-_UNREADABLE = (OSError, EOFError, RuntimeError, ValueError, KeyError, TypeError, pickle.UnpicklingError)
 
 
 class Training:
@@ -227,25 +222,13 @@ class Training:
 
     def save(self, path: Path) -> None:
         """Keeps the training where another process can go on with it, in one step."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        aside = path.with_name(f".{path.name}.{os.getpid()}")
         state = {
-            "settings": json.dumps(asdict(self.settings), sort_keys=True),
-            "data": self.data.fingerprint,
-            "encoder": self.data.encoder,
             "step": self.step,
             "network": self.network.state_dict(),
             "optimizer": self._optimizer.state_dict(),
             "average": self.average,
         }
-        try:
-            with aside.open("wb") as file:
-                torch.save(state, file)
-                file.flush()
-                os.fsync(file.fileno())  # a rename must not outlive its content
-            aside.replace(path)
-        finally:
-            aside.unlink(missing_ok=True)
+        keep(path, state, self._about())
 
     def resume(self, path: Path) -> bool:
         """Goes on where :meth:`save` was called; False where nothing was kept.
@@ -253,28 +236,17 @@ class Training:
         Raises:
             ConfigError: What is there cannot be read, or is of other settings or data.
         """
-        if not path.is_file():
+        state = kept(path, self._about())
+        if state is None:
             return False
-        try:
-            state = torch.load(path, map_location="cpu", weights_only=True)
-            was = flattened(json.loads(state["settings"])) | {"data": state["data"], "encoder": state["encoder"]}
-        except _UNREADABLE as error:
-            raise ConfigError(
-                f"{path}: cannot be read as a checkpoint ({type(error).__name__}); remove it to start anew",
-                "checkpoint_invalid",
-            ) from error
-        now = json.loads(json.dumps(self.settings.flat())) | {"data": self.data.fingerprint, "encoder": self.data.encoder}
-        changed = [f"{k}: {was.get(k)} -> {now.get(k)}" for k in sorted(was.keys() | now.keys()) if was.get(k) != now.get(k)]
-        if changed:
-            raise ConfigError(
-                f"{path}: is of another configuration ({'; '.join(changed)}); choose a new folder or restore it",
-                "config_changed",
-            )
         self.network.load_state_dict(state["network"])
         self._optimizer.load_state_dict(state["optimizer"])
         self.average = {name: value.to(self.place.device) for name, value in state["average"].items()}
         self.step = state["step"]
         return True
+
+    def _about(self) -> dict[str, Any]:
+        return self.settings.flat() | {"data": self.data.fingerprint, "encoder": self.data.encoder}
 
 
 def _initial_state(settings: TrainingSettings, encoder: str) -> dict[str, Any]:

@@ -1,7 +1,6 @@
 """Settings of the corrector's training, and the named ones."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, get_args
 
@@ -10,6 +9,7 @@ from models.physics_corrector.perturbation import PerturbationSettings
 from models.physics_corrector.prefixes import PrefixSettings
 from models.physics_corrector.presets import CorrectorSettings, preset
 from models.physics_corrector.training_set import FeatureSource
+from stable_data.dotted import flat
 from stable_data.errors import ConfigError
 
 
@@ -145,15 +145,7 @@ class TrainingSettings:
 
     def flat(self) -> dict[str, Any]:
         """Every setting by its dotted key."""
-        return flattened(asdict(self))
-
-
-def flattened(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested settings by their dotted keys."""
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        flat |= flattened(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
-    return flat
+        return flat(asdict(self))
 
 
 NEAR = "embedded_set_near"

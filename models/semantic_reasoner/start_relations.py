@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator, Sequence
 
+from models.semantic_reasoner.carrying import carriers_of
 from models.semantic_reasoner.categories import CategoryStatistics
 from models.semantic_reasoner.nouns import own_noun, words_of
 from models.semantic_reasoner.phrases import marked, phrases
 from models.semantic_reasoner.prompt import MAX_INSTRUCTION
-from stable_data.instructions.claims import read_claims
+from stable_data.instructions.claims import emptied, read_claims
 from stable_data.instructions.situation import SIDES
 from stable_data.instructions.words import plural
 from stable_data.relations import SceneGraph, scene_graph
@@ -45,7 +46,8 @@ def relations_not_held(
 ) -> tuple[Relation, ...]:
     """What an instruction says of the start that is true of no such objects of a layout.
 
-    Of several alike any will do, and in and on are not told apart: without meshes nobody knows what is hollow.
+    Of several alike any will do, and in and on are not told apart: without meshes nobody knows what is hollow. What shall be
+    emptied has something in or on it, whatever it is.
 
     Args:
         layout: The objects.
@@ -53,17 +55,26 @@ def relations_not_held(
         instruction: The instruction.
         statistics: What is known of categories.
     """
-    if not _says_where(instruction[:MAX_INSTRUCTION], statistics):
-        return ()
-    task, scene, graph = understood(layout, table, instruction, statistics)
-    return tuple(r for r in task.relations if not any(_holds(scene, graph, one) for one in _alike(scene, r)))
-
-
-def _says_where(instruction: str, statistics: CategoryStatistics) -> bool:
-    """Could an instruction say anything of the start? Most do not, and this is quickly told."""
+    instruction = instruction[:MAX_INSTRUCTION]
     words = words_of(instruction)
     spoken = list(phrases(words, statistics.nouns))
-    return "corner" in instruction or any(p.has_clause for p in spoken) or bool(read_claims(marked(instruction, words, spoken)))
+    text = marked(instruction, words, spoken)
+    nouns = [spoken[k].mention.noun for k in emptied(text)]
+    empty = tuple(_left_empty(layout, table, [statistics.nouns.categories_of(noun) for noun in nouns])) if nouns else ()
+    # Most instructions say nothing of the start, and this is quickly told.
+    if not ("corner" in instruction or any(p.has_clause for p in spoken) or read_claims(text)):
+        return empty
+    task, scene, graph = understood(layout, table, instruction, statistics)
+    return (*(r for r in task.relations if not any(_holds(scene, graph, one) for one in _alike(scene, r))), *empty)
+
+
+def _left_empty(layout: Sequence[SceneObject], table: Tabletop, meant: Sequence[Sequence[str]]) -> Iterator[Relation]:
+    """What shall be emptied and is, by the categories that each may have."""
+    carriers = set(carriers_of(layout, table).values())
+    for categories in meant:
+        ones = [o.instance for o in layout if o.category in categories]
+        if ones and not carriers & set(ones):
+            yield Relation("something", RelationKind.ON, ones[0])
 
 
 def _alike(scene: Scene, relation: Relation) -> Iterator[Relation]:

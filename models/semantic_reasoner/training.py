@@ -7,10 +7,7 @@ batches, so that their number changes what each does and not what is learned.
 
 import ctypes
 import itertools
-import json
 import math
-import os
-import pickle
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -22,7 +19,7 @@ import torch
 from torch import Tensor
 from transformers import PreTrainedTokenizerBase
 
-from models.physics_corrector.training_settings import flattened
+from models.kept_training import keep, kept
 from models.place import CPU, Place
 from models.semantic_reasoner.batches import Rows, batch_of, batches_in_order, batches_of_pass
 from models.semantic_reasoner.network import TrainedNetwork, trained
@@ -31,9 +28,6 @@ from models.semantic_reasoner.reply_loss import ReplyLoss, gathered, put_in_plac
 from models.semantic_reasoner.token_set import KINDS, TokenSet
 from models.semantic_reasoner.training_settings import ReasonerTraining
 from stable_data.errors import ConfigError
-
-# What torch.load raises on bytes that are no checkpoint, and what a checkpoint of something else lacks.
-_UNREADABLE = (OSError, EOFError, RuntimeError, ValueError, KeyError, TypeError, pickle.UnpicklingError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,8 +194,7 @@ class Training:
         for key, name, value in self._optimizers.state():
             averages.setdefault(key, {}).update(self._on_first([(name, value)]))
         if self.place.rank == 0:
-            about = {"about": json.dumps(self._about(), sort_keys=True), "step": self.step, "tokens": self.tokens}
-            _write(path, about | {"values": values, "averages": averages})
+            keep(path, {"step": self.step, "tokens": self.tokens, "values": values, "averages": averages}, self._about())
 
     def resume(self, path: Path) -> bool:
         """Goes on where :meth:`save` was called, with any number of processes; False where nothing was kept.
@@ -209,29 +202,10 @@ class Training:
         Raises:
             ConfigError: What is there cannot be read, or is of other settings, data or models.
         """
-        if not path.is_file():
-            return False
-        try:
-            state = torch.load(path, map_location="cpu", weights_only=True, mmap=True)
-            was, now = flattened(json.loads(state["about"])), flattened(self._about())
-            changed = [
-                f"{k}: {was.get(k)} -> {now.get(k)}" for k in sorted(was.keys() | now.keys()) if was.get(k) != now.get(k)
-            ]
-            if not changed:
-                self._take(state)
-        except _UNREADABLE as error:
-            if isinstance(error, ConfigError):
-                raise
-            raise ConfigError(
-                f"{path}: cannot be read as a checkpoint ({type(error).__name__}); remove it to start anew",
-                "checkpoint_invalid",
-            ) from error
-        if changed:
-            raise ConfigError(
-                f"{path}: is of another configuration ({'; '.join(changed)}); choose a new folder or restore it",
-                "config_changed",
-            )
-        return True
+        state = kept(path, self._about())
+        if state is not None:
+            self._take(state)
+        return state is not None
 
     @torch.no_grad()
     def _take(self, state: dict[str, Any]) -> None:
@@ -277,16 +251,3 @@ def train(
         stops = step.stops
         after(training, step)
     return training.step >= training.settings.steps
-
-
-def _write(path: Path, state: dict[str, Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with aside.open("wb") as file:
-            torch.save(state, file)
-            file.flush()
-            os.fsync(file.fileno())  # a rename must not outlive its content
-        aside.replace(path)
-    finally:
-        aside.unlink(missing_ok=True)

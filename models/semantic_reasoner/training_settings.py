@@ -4,8 +4,8 @@ import math
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
-from models.physics_corrector.training_settings import flattened
 from models.semantic_reasoner.prompt import WANTED
+from stable_data.dotted import flat
 from stable_data.errors import ConfigError
 
 Precision: TypeAlias = Literal["bfloat16", "float32"]
@@ -183,7 +183,7 @@ class ReasonerTraining:
 
     def flat(self) -> dict[str, Any]:
         """Every setting by its dotted key."""
-        return flattened(asdict(self))
+        return flat(asdict(self))
 
 
 EMBEDDED = ReasonerTraining(

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from stable_data.instructions.naming import Mention
+from stable_data.instructions.vocabulary import nouns_of
 from stable_data.instructions.words import type_words
 from stable_data.scene import RelationKind
 
@@ -82,6 +83,11 @@ def mark(text: str, types: Sequence[str], said: Sequence[Mention] = (), pins: Se
         if spelt := spelling(types[index]):
             marked = re.sub(rf"{lead}\b{spelt}(?:e?s)?\b(?!>)", f"<{index}>", marked)
     return marked
+
+
+def is_named(category: str, text: str) -> bool:
+    """Does an instruction speak of such a thing, by any of its names?"""
+    return any("<0>" in mark(text.replace("<", " "), (noun,)) for noun in nouns_of(category))
 
 
 def spelling(name: str) -> str:

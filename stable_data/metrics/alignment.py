@@ -20,6 +20,9 @@ When a relation holds:
   scene graph's rows along that axis has all of them.
 
 Unknown is never a pass: without relations AwS is None, not 1, and likewise where the search for the best matching was given up.
+What an instruction speaks of by its place alone (``take everything out of the tray``) may be anything there, and one will do: the
+instruction says neither what nor how many.
+
 A request that gave no scene is aligned as one without objects: its AwT is 0.
 """
 
@@ -28,6 +31,7 @@ from dataclasses import dataclass
 from itertools import product
 
 from stable_data.errors import SceneError
+from stable_data.instructions.claims import is_named
 from stable_data.metrics.matching import Matching, Option, Required, Wish, candidates, match
 from stable_data.relations import (
     Contacts,
@@ -39,7 +43,7 @@ from stable_data.relations import (
     scene_graph,
     vertical_relation,
 )
-from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, Scene
+from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, Scene, TaskInfo
 
 _ON_IN = frozenset({RelationKind.ON, RelationKind.IN})
 _VERTICAL = frozenset({RelationKind.ABOVE, RelationKind.BELOW})
@@ -110,10 +114,24 @@ def reference_of(scene: Scene) -> Reference:
             f"{scene.scene_id}: the task objects are {list(wanted)}, expected objects of the scene; resolve the task again",
             "task_objects_unknown",
         )
+    unsaid, spare = _unsaid(scene.task, category)
+    wanted = tuple(name for name in wanted if name not in spare)
+    entailed = tuple(r for r in scene.task.relations if not spare & set(members(r)))
     between = [r for r in scene.relations if r.kind not in _OF_ONE and r.kind is not RelationKind.EQUALLY_SPACED]
     graph = tuple(r for r in between if {r.subject, r.target} <= set(wanted)) if scene.relations else None
-    required = tuple(Required(name, (category[name],)) for name in wanted)
-    return Reference(scene.scene_id, required, scene.task.relations, graph, len(scene.objects))
+    required = tuple(Required(name, () if name in unsaid else (category[name],)) for name in wanted)
+    return Reference(scene.scene_id, required, entailed, graph, len(scene.objects))
+
+
+def _unsaid(task: TaskInfo, category: Mapping[str, str]) -> tuple[frozenset[str], frozenset[str]]:
+    """Task objects that an instruction speaks of by their place alone: one for each place, and the others."""
+    said = {name for name in task.task_objects if is_named(category[name], task.task)}
+    places: dict[str, list[str]] = {}
+    for r in task.relations:
+        if r.kind in _ON_IN and r.subject not in said and r.target in said:
+            places.setdefault(r.target, []).append(r.subject)
+    first = frozenset(names[0] for names in places.values())
+    return first, frozenset(name for names in places.values() for name in names) - first
 
 
 @dataclass(frozen=True, slots=True)

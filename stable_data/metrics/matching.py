@@ -6,6 +6,7 @@ The rule, in order:
    alike (``NestingCup``, ``nesting_cups``), or one is a name of the other. A generated ``wine_glass`` is a ``glass``, and a
    generated ``cup`` will do for a ``mug``, which is also called one; a ``notebook`` is no ``book``, since only whole words
    count, and a ``toothbrush_cup`` is no ``cup``, since the vocabulary knows both and finds nothing in common.
+   What is asked for as no kind of thing (``everything in the tray``) may be anything.
 2. Each is matched at most once, and as many as possible are matched.
 3. Of the matchings with the most objects those with the most equal categories are taken: a mug before a cup, if a mug is asked.
 4. Of these, one under which the most relations hold. Six identical blocks are thus given the roles that suit them best.
@@ -42,22 +43,22 @@ class Required:
 
     Attributes:
         instance: What it is called where it is asked for.
-        categories: Any of these will do; equally well.
+        categories: Any of these will do, equally well; none: anything will.
     """
 
     instance: str
     categories: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        """Refuses an object of no kind, which nothing could be matched to."""
-        if not any(type_words(category) for category in self.categories):
+        """Refuses an object of kinds without words, which nothing could be matched to."""
+        if self.categories and not any(type_words(category) for category in self.categories):
             raise SceneError(
                 f"required object {self.instance} has categories {self.categories}, expected words", "task_objects_unknown"
             )
 
     def __str__(self) -> str:
         """The categories as words."""
-        return " or ".join(" ".join(type_words(category)) for category in self.categories)
+        return " or ".join(" ".join(type_words(category)) for category in self.categories) or "anything"
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +123,7 @@ def candidates(required: Sequence[Required], objects: Sequence[SceneObject]) -> 
     """
     found: dict[str, dict[str, int]] = {}
     for r in required:
-        close = {o.instance: max(closeness(o.category, wanted) for wanted in r.categories) for o in objects}
+        close = {o.instance: max((closeness(o.category, c) for c in r.categories), default=1) for o in objects}
         found[r.instance] = {name: how for name, how in close.items() if how}
     return found
 

@@ -12,8 +12,9 @@ import pytest
 
 from pipelines.correct import correct
 from pipelines.correct_settings import CorrectSettings
-from pipelines.correct_step import CORRECT_TABLES, CorrectShard, CorrectWork
+from pipelines.correct_step import CorrectWork
 from pipelines.runner import Workers
+from pipelines.scene_work import SceneShard
 from stable_data.assets import AssetStore
 from stable_data.colliders import bodies_of
 from stable_data.errors import ConfigError
@@ -125,12 +126,12 @@ def test_an_item_in_a_process_of_its_own_gives_the_same_rows(broken: Path, corre
     manifest = json.loads((corrected / "manifest.json").read_text("utf-8"))
     ids = sorted(rows_of(corrected, "scenes"))[:2]
     work = CorrectWork(str(broken), str(tmp_path), SMALL, manifest["input_fingerprint"])
-    work(CorrectShard("0" * 16, tuple(ids)), isolated=True)
+    work(SceneShard("0" * 16, tuple(ids)), isolated=True)
     whole = rows_of(corrected, "scenes")
     assert rows_of(tmp_path, "scenes") == {scene_id: whole[scene_id] for scene_id in ids}
 
 
-@pytest.mark.parametrize("table", CORRECT_TABLES)
+@pytest.mark.parametrize("table", CorrectWork.TABLES)
 def test_a_shard_that_is_missing_is_made_again(broken: Path, corrected: Path, tmp_path: Path, table: str) -> None:
     out = tmp_path / "out"
     shutil.copytree(corrected, out, symlinks=True)

@@ -30,9 +30,10 @@ from pipelines.edit import edit
 from pipelines.edit_assets import AssetFinder
 from pipelines.edit_file import WantedEdit, read_edits
 from pipelines.edit_settings import EditSettings
-from pipelines.edit_step import EDIT_TABLES, EditShard, EditWork, seed_of
+from pipelines.edit_step import EditWork, seed_of
 from pipelines.runner import Workers
 from pipelines.scene_source import FolderSource
+from pipelines.scene_work import SceneShard
 from stable_data.errors import ConfigError
 from stable_data.lint import lint_folder
 from stable_data.mesatask import MesaTaskDataset
@@ -483,7 +484,7 @@ def test_settings_that_make_no_sense_are_refused(change: dict[str, Any], message
 # --- resume -------------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("table", [EDIT_TABLES[0], EDIT_TABLES[-1]])
+@pytest.mark.parametrize("table", [EditWork.TABLES[0], EditWork.TABLES[-1]])
 def test_a_shard_that_is_missing_is_made_again(dataset: Path, edits: Path, edited: Path, tmp_path: Path, table: str) -> None:
     out = tmp_path / "out"
     shutil.copytree(edited, out, symlinks=True)
@@ -558,7 +559,7 @@ def test_ray_gives_the_same_bytes_as_this_process(dataset: Path, edits: Path, ed
 def test_an_edit_in_a_process_of_its_own_gives_the_same_rows(dataset: Path, edits: Path, edited: Path, tmp_path: Path) -> None:
     found = read_edits(edits, set(MesaTaskDataset(dataset).scene_ids))
     work = EditWork(str(dataset), str(tmp_path), SMALL)
-    work(EditShard("0" * 16, found.edits[:1]), isolated=True)
+    work(SceneShard("0" * 16, found.edits[:1]), isolated=True)
     edit_id = found.edits[0].edit_id
     for table, key in (("scenes", "scene_id"), ("edits", "edit_id")):
         assert rows_of(tmp_path, table, key) == {edit_id: rows_of(edited, table, key)[edit_id]}

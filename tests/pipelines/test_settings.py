@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from pipelines.plan import PreprocessSettings
-from pipelines.settings import differences, resolve
+from pipelines.settings import resolve
+from stable_data.dotted import differences
 from stable_data.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -158,6 +158,14 @@ def test_other_names_are_understood_in_relations() -> None:
     assert soft(tray, thing("can_0", 70, 30, bottom=0.5), of=said) == set()
 
 
+def test_what_shall_be_emptied_is_not_empty() -> None:
+    said = ask("Take everything off the plate.")
+    (found,) = faults(PLATE, MUG, of=said)
+    assert (found.code, found.is_hard) == ("relation_not_held", False)
+    assert found.message == "the instruction says something on plate_0; place them so"
+    assert faults(PLATE, thing("mug_0", 70, 30, bottom=2.0), of=said) == []
+
+
 def test_a_contradiction_names_what_is_not_met() -> None:
     said = ask("The mug is on the plate and the plate is on the mug. Clear up.")
     found = faults(PLATE, thing("mug_0", 70, 30, bottom=2.0), of=said)

@@ -77,7 +77,7 @@ def test_a_scene_is_aligned_with_itself(one: Table) -> None:
         assert found.awt == 1
         assert found.aws == (1 if task.relations else None)
         assert found.aws_graph == (1 if reference.graph else None)
-        assert found.distractor_rate == pytest.approx(1 - len(task.task_objects) / len(one.scene.objects))
+        assert found.distractor_rate == pytest.approx(1 - len(reference.required) / len(one.scene.objects))
         num_entailed += len(task.relations)
     assert num_entailed
 
@@ -234,6 +234,24 @@ def test_swapped_roles_of_identical_objects_cost_nothing(count: int) -> None:
     pairs = [(k, n) for k in range(count) for n in range(k + 1, count) if (k + n) % 3 == 0]
     found = align(renamed(scene, rng.permutation(count).tolist()), blocks_asked(scene, pairs))
     assert found.aws == 1
+
+
+def test_what_is_spoken_of_by_its_place_alone_may_be_anything_there_and_one_will_do() -> None:
+    tray, mug, pen = thing("tray_0", (0.6, 0.3, 0.02), (0.4, 0.3, 0.04)), thing("mug_0", (0.5, 0.3, 0.09)), PEN
+    full = with_objects(tray, mug, replace(pen, position=(0.7, 0.3, 0.09)))
+    relations = (Relation("mug_0", ON, "tray_0"), Relation("pen_0", ON, "tray_0"))
+    task = replace(TASK, task_objects=("tray_0", "mug_0", "pen_0"), relations=relations)
+    said, unsaid = (
+        reference_of(replace(full, task=replace(task, task=words)))
+        for words in ("Take the mug and the pens off the tray.", "Take everything off the tray.")
+    )
+    assert [r.categories for r in said.required] == [("tray",), ("mug",), ("pen",)]
+    assert [r.categories for r in unsaid.required] == [("tray",), ()]
+    other = with_objects(tray, thing("stapler_0", (0.6, 0.3, 0.09)), STONE)
+    beside = with_objects(tray, STONE)
+    assert [(a.awt, a.aws) for a in (align(other, unsaid), align(beside, unsaid))] == [(1.0, 1.0), (1.0, 0.0)]
+    assert align(with_objects(tray), unsaid).awt == 0.5
+    assert align(other, said).awt == 1 / 3
 
 
 def test_nothing_entailed_is_not_full_marks() -> None:

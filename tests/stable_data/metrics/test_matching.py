@@ -65,7 +65,15 @@ def test_any_of_several_categories_will_do() -> None:
     assert str(asked[0]) == "tumbler or mug"
 
 
-def test_an_object_of_no_kind_is_refused() -> None:
+def test_anything_will_do_where_no_kind_is_said() -> None:
+    asked = [Required("a", ("mug",)), Required("b", ())]
+    there = [thing("x", "mug"), thing("y", "stapler")]
+    assert match(candidates(asked, there)).matches == {"a": "x", "b": "y"}
+    assert match(candidates(asked, there[:1])).matches == {"a": "x"}
+    assert str(asked[1]) == "anything"
+
+
+def test_an_object_of_kinds_without_words_is_refused() -> None:
     with pytest.raises(SceneError, match="expected words"):
         Required("a", ("", "__"))
 
