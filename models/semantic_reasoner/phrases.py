@@ -36,7 +36,7 @@ class Phrase:
         modifiers: Words between its determiner and its noun, and those of a clause after it that tell it apart.
         count: How many of the thing it speaks of.
         is_denied: Whether it speaks of none.
-        has_clause: Whether a clause after the noun says where the thing is.
+        clause: Words of a clause after the noun that says where the thing is, possibly none.
     """
 
     first: int
@@ -45,7 +45,7 @@ class Phrase:
     modifiers: tuple[str, ...]
     count: int
     is_denied: bool
-    has_clause: bool
+    clause: tuple[str, ...]
 
 
 def phrases(words: Sequence[Word], nouns: Nouns) -> Iterator[Phrase]:
@@ -67,7 +67,7 @@ def phrases(words: Sequence[Word], nouns: Nouns) -> Iterator[Phrase]:
         modifiers = tuple(w for w in lead if w not in DETERMINERS and w not in COUNTS and not w.isdecimal() and w != "of")
         is_denied = bool({*lead, before} & NONE_OF) or count > MOST or 0 in counts
         clause = _clause(words, mention)
-        yield Phrase(k, mention, before, (*modifiers, *clause), count, is_denied, bool(clause))
+        yield Phrase(k, mention, before, (*modifiers, *clause), count, is_denied, clause)
 
 
 def _opening(words: Sequence[Word], mention: Mention) -> tuple[int | None, list[int]]:
@@ -95,16 +95,14 @@ def _clause(words: Sequence[Word], mention: Mention) -> tuple[str, ...]:
         return ()
     said: list[str] = []
     for word in words[k : k + (_ON_SIDE if words[k].text == "on" else _CLAUSE)]:
-        if word.is_first:
+        if word.is_first or (said and said[-1] in _CLAUSE_ENDS and word.text not in _CLAUSE_ENDS):
             break
         said.append(word.text)
-        if word.text in _CLAUSE_ENDS:
-            return tuple(said)
-    return ()
+    return tuple(said) if said[-1] in _CLAUSE_ENDS else ()
 
 
 def marked(text: str, words: Sequence[Word], spoken: Sequence[Phrase]) -> str:
-    """A text with each phrase as its number, as the readers of :mod:`stable_data.instructions.claims` take it.
+    """A text with each phrase as its number, its clause included, as :mod:`stable_data.instructions.claims` reads it.
 
     Args:
         text: The text.
@@ -114,7 +112,14 @@ def marked(text: str, words: Sequence[Word], spoken: Sequence[Phrase]) -> str:
     names = [str(k) for k in range(len(spoken))]
     unnamed = naming.Name("", "", naming.Telling.NOUN)
     said = [
-        naming.Mention(words[p.first].start, words[p.mention.last].end, name, unnamed)
+        naming.Mention(words[p.first].start, words[_last(words, p)].end, name, unnamed)
         for name, p in zip(names, spoken, strict=True)
     ]
     return mark(text, (), said, names)
+
+
+def _last(words: Sequence[Word], phrase: Phrase) -> int:
+    """Index of a phrase's last word; ``that is to the left of the jar`` is no clause of its own."""
+    last = phrase.mention.last + len(phrase.clause)
+    goes_on = last + 1 < len(words) and words[last + 1].text == "of" and not words[last + 1].is_first
+    return phrase.mention.last if goes_on else last

@@ -1,6 +1,8 @@
 """What an instruction says of the start, held against a layout: the reader of task infos, its words made those of the layout."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
+
+import numpy as np
 
 from models.semantic_reasoner.carrying import carriers_of
 from models.semantic_reasoner.categories import CategoryStatistics
@@ -8,9 +10,8 @@ from models.semantic_reasoner.nouns import own_noun, words_of
 from models.semantic_reasoner.phrases import marked, phrases
 from models.semantic_reasoner.prompt import MAX_INSTRUCTION
 from stable_data.instructions.claims import emptied, read_claims
-from stable_data.instructions.situation import SIDES
 from stable_data.instructions.words import plural
-from stable_data.relations import SceneGraph, scene_graph
+from stable_data.relations import SceneGraph, cell_of, direction_of, scene_graph
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Tabletop, TaskInfo
 from stable_data.tasks import resolve_task_objects
 
@@ -47,7 +48,7 @@ def relations_not_held(
     """What an instruction says of the start that is true of no such objects of a layout.
 
     Of several alike any will do, and in and on are not told apart: without meshes nobody knows what is hollow. What shall be
-    emptied has something in or on it, whatever it is.
+    emptied has something in or on it, whatever it is. Of what is not there at all nothing is said.
 
     Args:
         layout: The objects.
@@ -59,44 +60,53 @@ def relations_not_held(
     words = words_of(instruction)
     spoken = list(phrases(words, statistics.nouns))
     text = marked(instruction, words, spoken)
-    nouns = [spoken[k].mention.noun for k in emptied(text)]
-    empty = tuple(_left_empty(layout, table, [statistics.nouns.categories_of(noun) for noun in nouns])) if nouns else ()
-    # Most instructions say nothing of the start, and this is quickly told.
-    if not ("corner" in instruction or any(p.has_clause for p in spoken) or read_claims(text)):
-        return empty
-    task, scene, graph = understood(layout, table, instruction, statistics)
-    return (*(r for r in task.relations if not any(_holds(scene, graph, one) for one in _alike(scene, r))), *empty)
+    claims, empties = read_claims(text), emptied(text)
+    corners = {k: cell for k, p in enumerate(spoken) if (cell := _corner(p.clause)) is not None}
+    if not (claims or empties or corners):
+        return ()  # most instructions say nothing of the start
+    kinds = [set(statistics.nouns.categories_of(p.mention.noun)) for p in spoken]
+    alike = [[o for o in layout if o.category in kind] for kind in kinds]
+    carriers = carriers_of(layout, table)
+
+    def are_so(kind: RelationKind, one: SceneObject, other: SceneObject) -> bool:
+        if kind in _CARRYING:
+            return one.instance in _above(other.instance, carriers)
+        dx, dy, _ = np.subtract(one.position, other.position)
+        return direction_of(dx, dy) is kind
+
+    broken = []
+    for claim in claims:
+        kind = claim.kind or RelationKind.ON
+        pairs = [(one, other) for one in alike[claim.a] for other in alike[claim.b] if one is not other]
+        if pairs and not any(are_so(kind, *pair) for pair in pairs):
+            broken.append(Relation(pairs[0][0].instance, kind, pairs[0][1].instance))
+    broken += [
+        Relation(alike[k][0].instance, RelationKind.IS_AT, cell)
+        for k, cell in corners.items()
+        if alike[k] and not any(cell_of(o.position, table.size_xy) == cell for o in alike[k])
+    ]
+    broken += [
+        Relation("something", RelationKind.ON, alike[k][0].instance)
+        for k in empties
+        if alike[k] and not any(o.instance in carriers.values() for o in alike[k])
+    ]
+    return tuple(broken)
 
 
-def _left_empty(layout: Sequence[SceneObject], table: Tabletop, meant: Sequence[Sequence[str]]) -> Iterator[Relation]:
-    """What shall be emptied and is, by the categories that each may have."""
-    carriers = set(carriers_of(layout, table).values())
-    for categories in meant:
-        ones = [o.instance for o in layout if o.category in categories]
-        if ones and not carriers & set(ones):
-            yield Relation("something", RelationKind.ON, ones[0])
+def _corner(clause: Sequence[str]) -> str | None:
+    """The ninth of the table that a clause such as ``that is in the back left corner`` means."""
+    row, column = (next((word for word in clause if word in names), None) for names in (("front", "back"), ("left", "right")))
+    return f"{row}_{column}" if "corner" in clause and row and column else None
 
 
-def _alike(scene: Scene, relation: Relation) -> Iterator[Relation]:
-    """The relation, of all objects of the same categories."""
-    ones, others = (
-        [o.instance for o in scene.objects if o.category == scene[name].category]
-        for name in (relation.subject, relation.subject if relation.kind is RelationKind.IS_AT else relation.target)
-    )
-    if relation.kind is RelationKind.IS_AT:
-        yield from (Relation(one, relation.kind, relation.target) for one in ones)
-    else:
-        yield from (Relation(a, relation.kind, b) for a in ones for b in others if a != b)
-
-
-def _holds(scene: Scene, graph: SceneGraph, relation: Relation) -> bool:
-    a, kind, b = relation.subject, relation.kind, relation.target
-    if kind is RelationKind.IS_AT:
-        return bool(graph.nodes[a]["cell"] == b)
-    if kind in SIDES:
-        axis, sign = SIDES[kind]
-        return sign * (scene[a].position[axis] - scene[b].position[axis]) > 0
-    return any(graph.has_edge(a, b, key=k) for k in _CARRYING)
+def _above(name: str, carriers: Mapping[str, str | None]) -> set[str]:
+    """What an object carries, directly or through what lies in between."""
+    found: set[str] = set()
+    new = {name}
+    while new:
+        new = {one for one, carrier in carriers.items() if carrier in new} - found
+        found |= new
+    return found
 
 
 def in_words_of(layout: Sequence[SceneObject], instruction: str, statistics: CategoryStatistics) -> str:

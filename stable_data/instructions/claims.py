@@ -47,14 +47,26 @@ _AWAY = re.compile(rf"{_LIST}(?: up| gently| carefully)?(?P<gone> away)? (?P<how
 _AWAY_IT = re.compile(rf"{_B}[^.;<]* (?:by|after) {_TAKE} {_LIST}(?: up)? (?P<how>out of|off|from) it\b")
 _IT_AWAY = re.compile(rf"{_LIST}\. (?:take|get|lift|remove) (?:it|them) (?P<how>out of|off|from) {_B}")
 _OUT = re.compile(rf"(?:reach into|empty) {_B} (?:and|by) (?:take|get|taking|getting) out {_LIST}")
+_TAKEN_OFF = re.compile(rf"{_B}\. (?:take|get|lift|remove) {_LIST} (?P<how>out|off)\b(?! of)")
+_INSTEAD = re.compile(rf"{_B} should (?P<how>hold|carry) [^.;]*? instead of {_LIST}")
+_NO_MORE = re.compile(rf"{_B} should (?:not|no longer) (?P<how>hold|carry) {_LIST}")
 _ILL_PLACED = re.compile(rf"{_LIST} do(?:es)? not belong (?P<spot>in|on) {_B}")
 _BEFORE = re.compile(rf"in front of {_B} by (?:moving|pushing|taking) {_LIST}")
-_STATED = re.compile(rf"{_LIST}{_BE} {_SPOT} {_B}")
+_STATED = re.compile(rf"{_LIST}(?P<be>{_BE}) {_SPOT} {_B}")
 _NOUN = re.compile(rf"{_LIST} {_SPOT} {_B}")
 _EMPTIED = re.compile(
-    r"\b(?:(?:everything|nothing)(?: that is| should be)? (?:in|on|out of|off|from)|empty|clear(?: out)?) <(\d+)>"
+    r"\b(?:(?:everything|nothing)(?: that is| should be)? (?:in|on|out of|off|from)|empty|clear(?: out)?) <(\d+)>(?! away)"
     r"|<(\d+)> empty\b|<(\d+)>\. take (?:what lies on top off|everything off)"
 )
+
+
+_LEFT = {
+    "out of": RelationKind.IN,
+    "out": RelationKind.IN,
+    "hold": RelationKind.IN,
+    "off": RelationKind.ON,
+    "carry": RelationKind.ON,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +120,7 @@ def _taken(marked: str) -> Iterator[Claim]:
         is_other = match["how"] == "from" and (match["gone"] or re.search(_FILLING, marked[: match.start()]))
         if not is_other:  # "move a away from b" and "fill a from b" do not say where a is
             yield from _pairs(match, _left(match))
-    for pattern in (_AWAY_IT, _IT_AWAY):
+    for pattern in (_AWAY_IT, _IT_AWAY, _TAKEN_OFF, _INSTEAD, _NO_MORE):
         for match in pattern.finditer(marked):
             yield from _pairs(match, _left(match))
     for match in _OUT.finditer(marked):
@@ -116,7 +128,7 @@ def _taken(marked: str) -> Iterator[Claim]:
 
 
 def _left(match: re.Match[str]) -> RelationKind | None:
-    return {"out of": RelationKind.IN, "off": RelationKind.ON}.get(match["how"])
+    return _LEFT.get(match["how"])
 
 
 def _stated(marked: str) -> Iterator[Claim]:
@@ -130,7 +142,10 @@ def _stated(marked: str) -> Iterator[Claim]:
             # "Put a on b" says where a shall be, "pick up a on b" where it is: the last verb tells.
             if re.search(_WISH, before) or (verbs and re.fullmatch(_PLACING, verbs[-1])):
                 continue
-            yield from _pairs(match, _SPOTS[re.sub(r"^(?:to|on) the | side", "", match["spot"])])
+            claims = list(_pairs(match, _SPOTS[re.sub(r"^(?:to|on) the | side", "", match["spot"])]))
+            # "A, b and c standing on d" says it of c alone, "a, b and c stand on d" of all.
+            is_clause = pattern is _STATED and re.match(r",? ?(?:which|that|\w+ing|placed|kept)\b", match["be"])
+            yield from claims[-1:] if is_clause else claims
 
 
 def _pairs(match: re.Match[str], kind: RelationKind | None) -> Iterator[Claim]:

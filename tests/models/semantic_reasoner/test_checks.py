@@ -158,6 +158,27 @@ def test_other_names_are_understood_in_relations() -> None:
     assert soft(tray, thing("can_0", 70, 30, bottom=0.5), of=said) == set()
 
 
+@pytest.mark.parametrize(
+    ("instruction", "is_held"),
+    [
+        ("Move the mug that is in the front right corner to the back.", False),
+        ("Move the mug that is in the front left corner to the back.", True),
+        ("Put the mug that is in the front left corner to the right of the plate that is on the left.", True),
+        ("The plate should carry the cup instead of the mug. Take the mug off first.", False),
+        ("I need the plate. Take the mug off and hand it to me.", False),
+        ("Take the mug that is on the right off the left-hand plate.", False),
+        ("Clear the mug away into the cup.", True),
+        ("Sort the cup, the apple and the mug standing to the left of the plate by height.", True),
+        ("Sort the cup, the apple and the mug standing to the right of the plate by height.", False),
+        ("Put the mug to the right of the plate.", True),
+    ],
+)
+def test_what_is_said_of_the_start_is_found_in_many_words(instruction: str, is_held: bool) -> None:
+    # The mug stands front left of the plate; a cup and an apple are behind them.
+    there = [replace(MUG, position_cm=(20.0, 10.0, 4.8)), PLATE, thing("cup_0", 30, 45), thing("apple_0", 70, 50)]
+    assert soft(*there, of=ask(instruction)) == (set() if is_held else {"relation_not_held"})
+
+
 def test_what_shall_be_emptied_is_not_empty() -> None:
     said = ask("Take everything off the plate.")
     (found,) = faults(PLATE, MUG, of=said)
