@@ -36,11 +36,13 @@ class Fault:
         code: Short machine-readable reason, such as ``floats``.
         message: One line.
         is_hard: Whether it keeps the reply out.
+        instance: The object without which it would not be there; empty where there is none such.
     """
 
     code: str
     message: str
     is_hard: bool = True
+    instance: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,6 +247,7 @@ def _place(item: SceneObject, table: Tabletop, s: CheckSettings) -> Iterator[Fau
             "off_table",
             f"{item.instance} leaves the table by {over:.1f} cm; move it into 0 to {100 * width:.0f} by 0 to {100 * depth:.0f} cm, "
             "or leave it out",
+            instance=item.instance,
         )
     if table.restricted_zone is not None:
         x_min, x_max, y_min, y_max = table.restricted_zone
@@ -255,11 +258,14 @@ def _place(item: SceneObject, table: Tabletop, s: CheckSettings) -> Iterator[Fau
             yield Fault(
                 "in_restricted_zone",
                 f"{item.instance} reaches {deep:.1f} cm into [{shown}], where nothing may stand; put it elsewhere",
+                instance=item.instance,
             )
     if 100 * bottom(item) < -s.sunk_cm:
         sunk = -100 * bottom(item)
         yield Fault(
-            "below_table", f"{item.instance} is {sunk:.1f} cm below the table top; its z must be half its height on the table"
+            "below_table",
+            f"{item.instance} is {sunk:.1f} cm below the table top; its z must be half its height on the table",
+            instance=item.instance,
         )
 
 
@@ -292,6 +298,7 @@ def _size(item: LayoutObject, statistics: CategoryStatistics, s: CheckSettings) 
             "size_implausible" if is_hard else "size_unusual",
             f"{item.instance} is {found} cm, such things are {low} to {high} cm, shortest side first; give it such a size",
             is_hard,
+            item.instance,
         )
 
 
@@ -317,6 +324,7 @@ def _carried(new: Sequence[SceneObject], layout: Sequence[SceneObject], ask: Ask
                 "floats",
                 f"{item.instance} is {100 * (bottom(item) - below):.1f} cm above everything; put it on the table or on another "
                 "object",
+                instance=item.instance,
             )
         elif before.get(item.instance) is not None:
             yield Fault(
@@ -349,9 +357,9 @@ def _twice(new: Sequence[SceneObject], layout: Sequence[SceneObject], still: Set
     kept = {o.instance for o in layout[:first]} | still
     for i, j in np.argwhere(share > s.same_place):
         if j < first + i and not {layout[first + i].instance, layout[j].instance} <= kept:
-            yield Fault(
-                "same_place", f"{layout[first + i].instance} is where {layout[j].instance} is; leave it out or put it elsewhere"
-            )
+            name = layout[first + i].instance
+            message = f"{name} is where {layout[j].instance} is; leave it out or put it elsewhere"
+            yield Fault("same_place", message, instance=name)
 
 
 # --- edits --------------------------------------------------------------------------------------------------------------------

@@ -13,6 +13,8 @@ from models.semantic_reasoner.layout_text import LayoutObject, Reply, renumbered
 from models.semantic_reasoner.prompt import MAX_INSTRUCTION, Ask
 from stable_data.errors import ConfigError, Notice, SceneError
 
+_LEFT_OUT = "left_out"
+
 
 class Check(Protocol):
     """Finds faults in a reply to a question."""
@@ -88,6 +90,7 @@ class _Asking:
     notices: tuple[Notice, ...] = ()
     refused: list[Refused] = field(default_factory=list)
     best: tuple[Reply, tuple[Fault, ...]] | None = None
+    rest: tuple[Reply, tuple[Fault, ...]] | None = None
     tries: int = 0
     prompt_tokens: int = 0
     reply_tokens: int = 0
@@ -100,12 +103,17 @@ class _Asking:
         if reply is not None and not refused.is_hard and (self.best is None or _amiss(faults) < _amiss(self.best[1])):
             self.best = reply, refused.faults
 
+    def may_use(self, reply: Reply, faults: tuple[Fault, ...]) -> None:
+        """Keeps what is left of a refused answer, if it is the most so far."""
+        if self.rest is None or _left_out(faults) < _left_out(self.rest[1]):
+            self.rest = reply, faults
+
     def proposal(self, reply: Reply | None = None, failure: str = "", code: str = "") -> Proposal:
         """What comes of it."""
         faults: tuple[Fault, ...] = ()
         if reply is None and not failure:
-            if self.best is not None:
-                reply, faults = self.best
+            if self.best is not None or self.rest is not None:
+                reply, faults = self.best or self.rest or (None, ())
             else:
                 last = self.refused[-1]
                 failure, code = (
@@ -122,7 +130,8 @@ class SemanticReasoner:
     Args:
         engine: Answers.
         check: Finds faults in a reply; None takes whatever can be read.
-        tries: How often a question is asked at most.
+        tries: How often a question is asked at most. Where no answer would do, the one is taken of which the least has to be
+            left out to pass the checks, if there is one, and its faults say what was.
         tells_reasons: Whether a refused answer and its reason are shown when it is asked again, as a large model can use; else
             the same question is asked with other draws.
         grounding: Puts an instruction into words that the engine knows; None for an engine that knows them all.
@@ -208,7 +217,27 @@ class SemanticReasoner:
         if not faults:
             return asking.proposal(reply)
         asking.refuse(completion.text, faults, reply)
+        if self._check and not asking.ask.edits and (rest := _without_the_faulty(reply, asking.ask, self._check)) is not None:
+            asking.may_use(*rest)
         return None
+
+
+def _without_the_faulty(reply: Reply, ask: Ask, check: Check) -> tuple[Reply, tuple[Fault, ...]] | None:
+    """What is left of a reply when the objects go that keep it out, and what then rests on nothing; None where that is no cure."""
+    left: list[Fault] = []
+    faults = tuple(check(reply, ask))
+    while hard := [f for f in faults if f.is_hard]:
+        gone = {f.instance: f.message for f in hard}
+        if not gone.keys() <= {o.instance for o in reply.objects}:
+            return None  # something is wrong with the whole
+        left += [Fault(_LEFT_OUT, f"{name} is left out: {message}", is_hard=False) for name, message in gone.items()]
+        reply = replace(reply, objects=tuple(o for o in reply.objects if o.instance not in gone))
+        faults = tuple(check(reply, ask))
+    return (reply, (*left, *faults)) if left else None
+
+
+def _left_out(faults: Sequence[Fault]) -> int:
+    return sum(f.code == _LEFT_OUT for f in faults)
 
 
 def _amiss(faults: Sequence[Fault]) -> tuple[bool, int]:

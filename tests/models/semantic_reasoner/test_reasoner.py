@@ -111,3 +111,28 @@ def test_an_edit_that_does_something_oddly_is_better_than_one_that_does_nothing(
     (p,) = SemanticReasoner(Told([nothing], [nothing]), check, tries=2).propose([edit], [1])
     assert p.reply == Reply((), ())
     assert [f.code for f in p.faults] == ["nothing_changed"]
+
+
+def test_what_is_faulty_in_every_answer_is_left_out_in_the_end_and_what_rests_on_it_too() -> None:
+    plate, bowl = replace(MUG, instance="plate_0"), replace(MUG, instance="bowl_0", description="a bowl")
+    answers = [render_objects(objects) for objects in ([MUG, plate, bowl], [MUG, plate], [plate, bowl])]
+
+    def check(reply: Reply, ask: Ask) -> list[Fault]:
+        names = {o.instance for o in reply.objects}
+        if "mug_0" not in names:
+            return [Fault("required_missing", "there is no mug")]
+        if "plate_0" in names:
+            return [Fault("off_table", "plate_0 leaves the table", instance="plate_0")]
+        return [Fault("floats", "bowl_0 is in the air", instance="bowl_0")] if "bowl_0" in names else []
+
+    (p,) = SemanticReasoner(Told(*([a] for a in answers)), check, tries=3).propose([ASK], [1])
+    assert [o.instance for o in p.objects] == ["mug_0"]
+    assert [(f.code, f.message) for f in p.faults] == [("left_out", "plate_0 is left out: plate_0 leaves the table")]
+    assert (p.tries, len(p.refused), p.failure) == (3, 3, "")
+    (p,) = SemanticReasoner(Told([answers[0]]), check, tries=1).propose([ASK], [1])
+    assert [f.message for f in p.faults] == [
+        "plate_0 is left out: plate_0 leaves the table",
+        "bowl_0 is left out: bowl_0 is in the air",
+    ]
+    (p,) = SemanticReasoner(Told([answers[2]]), check, tries=1).propose([ASK], [1])
+    assert (p.reply, p.code) == (None, "reply_unusable")
