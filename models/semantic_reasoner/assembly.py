@@ -21,6 +21,8 @@ class ReasonerSettings:
 
     Attributes:
         tries: How often a question is asked at most.
+        task_tries: The same of the first stage, which decides what a scene is about; 0 is ``tries``, and four times that with the
+            embedded model, whose first answers are short and cost little.
         statistics: What is known of categories, for the checks: a model's folder with ``categories.json``, or a preprocess run
             with the table ``samples``; empty takes that of the engine's own folder, and without any only form is checked.
         checks: How strict the checks are.
@@ -29,6 +31,7 @@ class ReasonerSettings:
     """
 
     tries: int = 4
+    task_tries: int = 0
     statistics: str = ""
     checks: CheckSettings = field(default_factory=CheckSettings)
     dialect: Literal["stages", "mesatask"] = "stages"
@@ -36,8 +39,13 @@ class ReasonerSettings:
 
     def __post_init__(self) -> None:
         """Refuses what never asks."""
-        if self.tries < 1:
-            raise ConfigError(f"tries is {self.tries}, expected at least 1", "config_invalid")
+        if self.tries < 1 or self.task_tries < 0:
+            found = f"tries is {self.tries} and task_tries {self.task_tries}"
+            raise ConfigError(f"{found}, expected at least 1 and at least 0", "config_invalid")
+
+    def tries_with(self, engine: EngineSettings) -> tuple[int, int]:
+        """How often a question is asked, and how often that of the first stage."""
+        return self.tries, self.task_tries or self.tries * (4 if engine.kind == "embedded" else 1)
 
     def settled(self) -> "ReasonerSettings":
         """The same for any working directory: its paths are absolute."""
@@ -65,8 +73,8 @@ def load_reasoner(
 
         grounding = Grounding(statistics, load_default())
     dialect = dialect_of(settings.dialect, _text(settings.wording))
-    reasoner = SemanticReasoner(load_engine(engine), check, settings.tries, engine.reads_reasons, grounding, dialect)
-    return reasoner, statistics
+    tries = settings.tries_with(engine)
+    return SemanticReasoner(load_engine(engine), check, tries, engine.reads_reasons, grounding, dialect), statistics
 
 
 def _absolute(path: str) -> str:
@@ -93,7 +101,11 @@ def shaping_of_proposals(engine: EngineSettings, settings: ReasonerSettings | No
         ConfigError: The engine or the statistics are not there.
     """
     settings = settings or ReasonerSettings()
-    found = engine.shaping() | {"tries": settings.tries, "checks": asdict(settings.checks), "prompt_version": PROMPT_VERSION}
+    found = engine.shaping() | {
+        "tries": list(settings.tries_with(engine)),
+        "checks": asdict(settings.checks),
+        "prompt_version": PROMPT_VERSION,
+    }
     if settings.dialect != "stages":
         found |= {"dialect": settings.dialect, "wording": content_id(_text(settings.wording))}
     if settings.statistics:  # those of the engine's own folder are a file of its model

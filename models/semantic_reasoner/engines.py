@@ -98,6 +98,10 @@ class EngineSettings:
         return Path(self.engine.partition(":")[2]) if self.kind in ("transformers", "vllm") else None
 
 
+_MOST_TOKENS = 1280
+"""Of the embedded model's replies: what is longer by a third than any that it was trained on goes round in circles."""
+
+
 def load_engine(settings: EngineSettings) -> Engine:
     """The engine that the settings name.
 
@@ -131,7 +135,10 @@ def _bare(settings: EngineSettings) -> Engine:
 
     assert settings.folder is not None
     name = "embedded" if settings.kind == "embedded" else ""
-    return LocalEngine.load(settings.folder, name, settings.sampling, settings.num_slots)
+    sampling = settings.sampling
+    if settings.kind == "embedded":
+        sampling = replace(sampling, max_tokens=min(sampling.max_tokens, _MOST_TOKENS))
+    return LocalEngine.load(settings.folder, name, sampling, settings.num_slots)
 
 
 def _absolute(path: str) -> str:

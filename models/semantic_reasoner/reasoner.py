@@ -1,6 +1,7 @@
 """The Semantic Reasoner: asks an engine, checks what comes back, asks again with the reason, and gives objects."""
 
 import hashlib
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -12,6 +13,7 @@ from models.semantic_reasoner.grounding import Grounding
 from models.semantic_reasoner.layout_text import LayoutObject, Reply, renumbered
 from models.semantic_reasoner.prompt import MAX_INSTRUCTION, Ask
 from stable_data.errors import ConfigError, Notice, SceneError
+from stable_data.scene import Stage
 
 _LEFT_OUT = "left_out"
 
@@ -130,8 +132,8 @@ class SemanticReasoner:
     Args:
         engine: Answers.
         check: Finds faults in a reply; None takes whatever can be read.
-        tries: How often a question is asked at most. Where no answer would do, the one is taken of which the least has to be
-            left out to pass the checks, if there is one, and its faults say what was.
+        tries: How often a question is asked at most, or that and how often the first stage's is. Where no answer would do, the
+            one is taken of which the least has to be left out to pass the checks, if there is one, and its faults say what was.
         tells_reasons: Whether a refused answer and its reason are shown when it is asked again, as a large model can use; else
             the same question is asked with other draws.
         grounding: Puts an instruction into words that the engine knows; None for an engine that knows them all.
@@ -142,15 +144,16 @@ class SemanticReasoner:
         self,
         engine: Engine,
         check: Check | None = None,
-        tries: int = 4,
+        tries: int | tuple[int, int] = 4,
         tells_reasons: bool = False,
         grounding: Grounding | None = None,
         dialect: Dialect | None = None,
     ) -> None:
-        if tries < 1:
+        self._tries, self._task_tries = (tries, tries) if isinstance(tries, int) else tries
+        if min(self._tries, self._task_tries) < 1:
             raise ConfigError(f"tries is {tries}, expected at least 1", "config_invalid")
         self.engine, self._check, self._grounding = engine, check, grounding
-        self._tries, self._tells_reasons = tries, tells_reasons
+        self._tells_reasons = tells_reasons
         self._dialect = dialect or StagedDialect()
 
     def propose(self, asks: Sequence[Ask], seeds: Sequence[int]) -> list[Proposal]:
@@ -162,9 +165,12 @@ class SemanticReasoner:
         """
         found: list[Proposal | None] = [None] * len(asks)
         waiting = {k: self._asking(ask, seed) for k, (ask, seed) in enumerate(zip(asks, seeds, strict=True))}
-        for attempt in range(self._tries):
+        for attempt in itertools.count():
             requests = {}
             for k, asking in list(waiting.items()):
+                if attempt == (self._task_tries if asking.ask.wanted is Stage.TASK else self._tries):
+                    found[k] = waiting.pop(k).proposal()
+                    continue
                 try:
                     requests[k] = self._request(asking, attempt)
                 except SceneError as error:
@@ -177,8 +183,6 @@ class SemanticReasoner:
                     del waiting[k]
             if not waiting:
                 break
-        for k, asking in waiting.items():
-            found[k] = asking.proposal()
         return [p for p in found if p is not None]
 
     def _asking(self, ask: Ask, seed: int) -> _Asking:

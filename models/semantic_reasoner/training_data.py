@@ -18,8 +18,9 @@ from tqdm import tqdm
 from transformers import PreTrainedTokenizerBase
 
 from models.semantic_reasoner.examples import Example, edit_example_of, example_of, one_shot
-from models.semantic_reasoner.prompt import FIXED, PROMPT_VERSION
+from models.semantic_reasoner.prompt import ANY_TABLE, FIXED, PROMPT_VERSION
 from models.semantic_reasoner.saved_model import read_tokenizer
+from models.semantic_reasoner.table_part import part_of_table
 from models.semantic_reasoner.token_set import TokenSet, read_tokens, write_tokens
 from models.semantic_reasoner.tokenizer import train_tokenizer
 from models.semantic_reasoner.training_settings import ReasonerTraining
@@ -101,7 +102,7 @@ class RunExamples:
         s = self.settings
         shaping = [s.max_tokens, s.with_details, s.one_shot, *_prompt_parts()]
         if split == "train":
-            shaping += [s.any_table_share, s.seed]
+            shaping += [s.any_table_share, s.part_share, s.seed]
         key = content_id(_VERSION, self.fingerprint(), self.every, fingerprint_of(tokenizer), split, shaping)
         folder = self.cache / f"{split}-{key}"
         found = read_tokens(folder)
@@ -117,9 +118,10 @@ class RunExamples:
 
     def examples(self, split: Split) -> Iterator[Example]:
         """The examples of a split in the order of the tables' files, edits last."""
-        examples: Iterable[Example] = (
-            example_of(row, self.settings.with_details) for row in self._rows(self.uri, "samples", split)
-        )
+        rows: Iterable[Row] = self._rows(self.uri, "samples", split)
+        if split == "train" and self.settings.part_share:
+            rows = map(self._perhaps_a_part, rows)
+        examples: Iterable[Example] = (example_of(row, self.settings.with_details) for row in rows)
         if self.settings.one_shot:
             examples = one_shot(examples)
         if self.edits is not None:
@@ -150,6 +152,13 @@ class RunExamples:
         # Named by the example, so that it does not matter where in the table it lies.
         lot = content_id(self.settings.seed, example.scene_id, str(example.ask.wanted), example.ask.instruction)
         return int(lot, 16) / 16.0 ** len(lot) < self.settings.any_table_share
+
+    def _perhaps_a_part(self, row: Row) -> Row:
+        """The row, or a part of its table, which is no table of its kind; the same part in all stages."""
+        lot = content_id(self.settings.seed, "part", row["scene_id"], (row["task"] or {}).get("task", ""))
+        rng = np.random.default_rng(int(lot, 16))
+        part = part_of_table(row, rng) if rng.random() < self.settings.part_share else None
+        return row if part is None else {**part, "table_type": ANY_TABLE}
 
     def _texts(self) -> Iterator[str]:
         """Questions and answers of about so many examples as a tokenizer needs."""

@@ -111,6 +111,8 @@ class ReasonerTraining:
         weight_decay: Of matrices.
         clip: Largest norm of a gradient.
         any_table_share: Share of the examples whose kind of table is not said, so that a model learns to go by its size.
+        part_share: Share of the examples that show a part of their table as a table of its own, likewise, so that a model that has
+            seen large tables alone can lay out a small one.
         with_details: Whether the rest of the task info is said too.
         one_shot: The paper's ablation: the whole layout in one pass.
         precision: Of multiplications; weights, norms, gradients and averages are float32.
@@ -139,6 +141,7 @@ class ReasonerTraining:
     weight_decay: float = 0.05
     clip: float = 1.0
     any_table_share: float = 0.2
+    part_share: float = 0.0
     with_details: bool = False
     one_shot: bool = False
     precision: Precision = "bfloat16"
@@ -161,8 +164,10 @@ class ReasonerTraining:
                 "config_invalid",
             )
         shares = self.shares.of_kinds()
-        if not all(0 <= share <= 1 for share in (self.cool_down, self.any_table_share, *shares)):
-            raise ConfigError("cool_down, any_table_share and shares: expected shares between 0 and 1", "config_invalid")
+        if not all(0 <= share <= 1 for share in (self.cool_down, self.any_table_share, self.part_share, *shares)):
+            raise ConfigError(
+                "cool_down, any_table_share, part_share and shares: expected shares between 0 and 1", "config_invalid"
+            )
         if self.lora.rank and not self.base:
             raise ConfigError("lora.rank is set but base is empty, expected the model that it adapts", "config_invalid")
 
@@ -187,7 +192,10 @@ class ReasonerTraining:
 
 
 EMBEDDED = ReasonerTraining(
-    optimizer="muon", learning_rate=3e-3, shares=StageShares(important=0.3, secondary=0.25, whole=0.35, edit=0.15)
+    optimizer="muon",
+    learning_rate=3e-3,
+    part_share=0.4,
+    shares=StageShares(important=0.2, secondary=0.12, whole=0.35, edit=0.1),
 )
 """The small model of the embedded engine: from scratch, with a tokenizer of its own, on one core of a CPU.
 
