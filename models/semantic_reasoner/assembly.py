@@ -101,8 +101,10 @@ def shaping_of_proposals(engine: EngineSettings, settings: ReasonerSettings | No
         ConfigError: The engine or the statistics are not there.
     """
     settings = settings or ReasonerSettings()
+    tries, task_tries = settings.tries_with(engine)
     found = engine.shaping() | {
-        "tries": list(settings.tries_with(engine)),
+        "tries": tries,
+        "task_tries": task_tries,
         "checks": asdict(settings.checks),
         "prompt_version": PROMPT_VERSION,
     }

@@ -380,7 +380,11 @@ def test_the_plan_says_what_would_be_done_and_keeps_nothing(run: Path, tmp_path:
     assert plan["tokens"]["secondary"]["prompt_mean"] > plan["tokens"]["task"]["prompt_mean"]
     assert 0 <= plan["padding"]["packed"] < 1
     memory = plan["memory_bytes"]
-    assert memory["weights"] == memory["gradients"] == memory["optimizer"] / 2 == 4 * memory["num_weights"]
+    assert memory["weights"] == memory["gradients"] == 4 * memory["num_weights"]
+    assert memory["weights"] < memory["optimizer"] < 2 * memory["weights"]  # Muon keeps one average, AdamW two
+    assert memory["checkpoint"] == memory["weights"] + memory["optimizer"]
+    adamw = json.loads(invoke(*where, "--set", "optimizer=adamw", "--dry-run", "--json").stdout)["memory_bytes"]
+    assert adamw["optimizer"] == 2 * adamw["weights"]
     assert memory["activations"] > 0
     assert plan["time"]["seconds"] > 0
     assert not (tmp_path / "out").exists()

@@ -70,7 +70,7 @@ def test_without_expectations_the_file_says_what_it_is(settings: CorrectorSettin
 
 def test_another_configuration_is_refused_with_what_differs(settings: CorrectorSettings, file: Path) -> None:
     wanted = replace(settings, network=replace(settings.network, channels=64), flow=FlowSettings(sigma=0.5))
-    with pytest.raises(ConfigError, match=r"network\.channels: 32 -> 64; flow\.sigma: 0\.2 -> 0\.5") as error:
+    with pytest.raises(ConfigError, match=r"flow\.sigma: 0\.2 -> 0\.5; network\.channels: 32 -> 64") as error:
         load_corrector(file, wanted)
     assert error.value.code == "checkpoint_mismatch"
 
