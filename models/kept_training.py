@@ -38,12 +38,13 @@ def keep(path: Path, state: Mapping[str, Any], about: Mapping[str, Any]) -> None
         aside.unlink(missing_ok=True)
 
 
-def kept(path: Path, about: Mapping[str, Any]) -> dict[str, Any] | None:
+def kept(path: Path, about: Mapping[str, Any], *needed: str) -> dict[str, Any] | None:
     """What :func:`keep` wrote; None where nothing was.
 
     Args:
         path: Where.
         about: What shapes the training that wants to go on.
+        needed: Keys of the state that it cannot go on without.
 
     Raises:
         ConfigError: It cannot be read (``checkpoint_invalid``), or is of another training (``config_changed``).
@@ -53,6 +54,8 @@ def kept(path: Path, about: Mapping[str, Any]) -> dict[str, Any] | None:
     try:
         state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True, mmap=True)
         was = flat(json.loads(state[_ABOUT]))
+        for key in needed:
+            _ = state[key]
     except _UNREADABLE as error:
         raise ConfigError(
             f"{path}: cannot be read as a checkpoint ({type(error).__name__}); remove it to start anew", "checkpoint_invalid"

@@ -236,7 +236,7 @@ class Training:
         Raises:
             ConfigError: What is there cannot be read, or is of other settings or data.
         """
-        state = kept(path, self._about())
+        state = kept(path, self._about(), "step", "network", "optimizer", "average")
         if state is None:
             return False
         self.network.load_state_dict(state["network"])

@@ -99,7 +99,7 @@ class EngineSettings:
 
 
 _MOST_TOKENS = 1280
-"""Of the embedded model's replies: what is longer by a third than any that it was trained on goes round in circles."""
+"""Of the embedded model's replies: the longest that it was trained on has 711, and what is much longer goes round in circles."""
 
 
 def load_engine(settings: EngineSettings) -> Engine:

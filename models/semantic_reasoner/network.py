@@ -74,7 +74,7 @@ def _hand_numbers_on(network: Qwen3ForCausalLM, width: int) -> None:
 
     Copying takes two things, looking at the right token and saying what it says, and neither pays without the other: from random
     weights alone, what stands in a bowl stood anywhere after thousands of steps. With the second given, the first is learned in
-    a hundred.
+    a few hundred.
 
     Args:
         network: Written to.

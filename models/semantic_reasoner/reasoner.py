@@ -106,7 +106,7 @@ class _Asking:
             self.best = reply, refused.faults
 
     def may_use(self, reply: Reply, faults: tuple[Fault, ...]) -> None:
-        """Keeps what is left of a refused answer, if it is the most so far."""
+        """Keeps what is left of a refused answer, if the least so far had to be left out of it."""
         if self.rest is None or _left_out(faults) < _left_out(self.rest[1]):
             self.rest = reply, faults
 
@@ -114,8 +114,8 @@ class _Asking:
         """What comes of it."""
         faults: tuple[Fault, ...] = ()
         if reply is None and not failure:
-            if self.best is not None or self.rest is not None:
-                reply, faults = self.best or self.rest or (None, ())
+            if (taken := self.best or self.rest) is not None:
+                reply, faults = taken
             else:
                 last = self.refused[-1]
                 failure, code = (
@@ -221,22 +221,25 @@ class SemanticReasoner:
         if not faults:
             return asking.proposal(reply)
         asking.refuse(completion.text, faults, reply)
-        if self._check and not asking.ask.edits and (rest := _without_the_faulty(reply, asking.ask, self._check)) is not None:
-            asking.may_use(*rest)
+        if self._check and not asking.ask.edits:
+            rest = _without_the_faulty(reply, faults, asking.ask, self._check)
+            if rest is not None:
+                asking.may_use(*rest)
         return None
 
 
-def _without_the_faulty(reply: Reply, ask: Ask, check: Check) -> tuple[Reply, tuple[Fault, ...]] | None:
+def _without_the_faulty(
+    reply: Reply, faults: Sequence[Fault], ask: Ask, check: Check
+) -> tuple[Reply, tuple[Fault, ...]] | None:
     """What is left of a reply when the objects go that keep it out, and what then rests on nothing; None where that is no cure."""
     left: list[Fault] = []
-    faults = tuple(check(reply, ask))
     while hard := [f for f in faults if f.is_hard]:
         gone = {f.instance: f.message for f in hard}
         if not gone.keys() <= {o.instance for o in reply.objects}:
             return None  # something is wrong with the whole
         left += [Fault(_LEFT_OUT, f"{name} is left out: {message}", is_hard=False) for name, message in gone.items()]
         reply = replace(reply, objects=tuple(o for o in reply.objects if o.instance not in gone))
-        faults = tuple(check(reply, ask))
+        faults = check(reply, ask)
     return (reply, (*left, *faults)) if left else None
 
 

@@ -202,7 +202,7 @@ class Training:
         Raises:
             ConfigError: What is there cannot be read, or is of other settings, data or models.
         """
-        state = kept(path, self._about())
+        state = kept(path, self._about(), "step", "tokens", "values", "averages")
         if state is not None:
             self._take(state)
         return state is not None

@@ -58,7 +58,8 @@ _EMPTIED = re.compile(
     r"\b(?:(?:everything|nothing)(?: that is| should be)? (?:in|on|out of|off|from)|empty|clear(?: out)?) <(\d+)>(?! away)"
     r"|<(\d+)> empty\b|<(\d+)>\. take (?:what lies on top off|everything off)"
 )
-
+_ALL = re.compile(r"\b(?:everything|nothing|whatever|what|empty|clear)\b", re.IGNORECASE)
+"""Words with which an instruction can speak of what it does not name; what :data:`_EMPTIED` reads has one of them."""
 
 _LEFT = {
     "out of": RelationKind.IN,
@@ -100,6 +101,11 @@ def mark(text: str, types: Sequence[str], said: Sequence[Mention] = (), pins: Se
 def is_named(category: str, text: str) -> bool:
     """Does an instruction speak of such a thing, by any of its names?"""
     return any("<0>" in mark(text.replace("<", " "), (noun,)) for noun in nouns_of(category))
+
+
+def speaks_of_all(text: str) -> bool:
+    """Could an instruction speak of things by their place alone: ``everything``, ``whatever is in there``, ``clear the tray``?"""
+    return bool(_ALL.search(text))
 
 
 def spelling(name: str) -> str:

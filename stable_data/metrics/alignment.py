@@ -20,6 +20,7 @@ When a relation holds:
   scene graph's rows along that axis has all of them.
 
 Unknown is never a pass: without relations AwS is None, not 1, and likewise where the search for the best matching was given up.
+
 What an instruction speaks of by its place alone (``take everything out of the tray``) may be anything there, and one will do: the
 instruction says neither what nor how many.
 
@@ -31,7 +32,7 @@ from dataclasses import dataclass
 from itertools import product
 
 from stable_data.errors import SceneError
-from stable_data.instructions.claims import is_named
+from stable_data.instructions.claims import is_named, speaks_of_all
 from stable_data.metrics.matching import Matching, Option, Required, Wish, candidates, match
 from stable_data.relations import (
     Contacts,
@@ -125,6 +126,8 @@ def reference_of(scene: Scene) -> Reference:
 
 def _unsaid(task: TaskInfo, category: Mapping[str, str]) -> tuple[frozenset[str], frozenset[str]]:
     """Task objects that an instruction speaks of by their place alone: one for each place, and the others."""
+    if not speaks_of_all(task.task):
+        return frozenset(), frozenset()
     said = {name for name in task.task_objects if is_named(category[name], task.task)}
     places: dict[str, list[str]] = {}
     for r in task.relations:

@@ -224,6 +224,11 @@ def test_a_checkpoint_of_something_else_is_refused(tmp_path: Path) -> None:
         training(replace(TINY, learning_rate=0.5)).resume(path)
     with pytest.raises(ConfigError, match=r"identity.data:  -> other"):
         Training(DATA, TINY, tokenizer(), CPU, Identity("other")).resume(path)
+    state = torch.load(path, weights_only=True)
+    del state["values"]
+    torch.save(state, path)
+    with pytest.raises(ConfigError, match="cannot be read as a checkpoint"):
+        training().resume(path)
     path.write_bytes(b"PK nothing")
     with pytest.raises(ConfigError, match="cannot be read as a checkpoint"):
         training().resume(path)

@@ -245,6 +245,8 @@ def test_what_is_spoken_of_by_its_place_alone_may_be_anything_there_and_one_will
         reference_of(replace(full, task=replace(task, task=words)))
         for words in ("Take the mug and the pens off the tray.", "Take everything off the tray.")
     )
+    by_kind = reference_of(replace(full, task=replace(task, task="Take the crockery off the tray.")))
+    assert [r.categories for r in by_kind.required] == [("tray",), ("mug",), ("pen",)]
     assert [r.categories for r in said.required] == [("tray",), ("mug",), ("pen",)]
     assert [r.categories for r in unsaid.required] == [("tray",), ()]
     other = with_objects(tray, thing("stapler_0", (0.6, 0.3, 0.09)), STONE)
