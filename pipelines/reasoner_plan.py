@@ -179,7 +179,7 @@ def _saved(config: Any, layers: int, length: int, settings: ReasonerTraining) ->
     small = type(config)(**values)
     network: Any = AutoModelForCausalLM.from_config(small, dtype=torch.float32)
     if here().type == "cpu":
-        put_in_place(ReplyLoss(network, replace(settings, recomputes=False)), CPU)  # attention as it is there
+        put_in_place(ReplyLoss(network, replace(settings, recomputes=False, compiles=False)), CPU)  # attention as it is there
     own = {p.untyped_storage().data_ptr() for p in network.parameters()}
     kept: dict[int, int] = {}
 

@@ -43,6 +43,11 @@ class ReplyLoss(nn.Module):
         self._settings = settings
         if settings.recomputes:
             network.activation_checkpointing_enable({"use_reentrant": False})
+        self._head_loss = _head_loss
+        if settings.compiles:
+            decoder: Any = network.model
+            decoder.compile(dynamic=True)  # batches are of ever new shapes
+            self._head_loss = torch.compile(_head_loss, dynamic=True)
 
     def forward(self, tokens: Tensor, target: Tensor, position: Tensor | None = None) -> Tensor:
         """Sum over the replies' tokens, nats.
@@ -67,14 +72,17 @@ class ReplyLoss(nn.Module):
         return torch.stack(losses).sum()
 
     def _head(self, hidden: Tensor, target: Tensor) -> Tensor:
-        logits = self.network.lm_head(hidden)
-        return functional.cross_entropy(logits.float(), target, reduction="sum")
+        return self._head_loss(self.network.lm_head, hidden, target)
 
     def of_batch(self, batch: TokenBatch, place: Place) -> Tensor:
         """The same of a batch."""
         position = torch.from_numpy(batch.position).to(place.device) if self._settings.packs else None
         loss: Tensor = self(*(torch.from_numpy(v).to(place.device) for v in (batch.tokens, batch.target)), position)
         return loss
+
+
+def _head_loss(head: nn.Module, hidden: Tensor, target: Tensor) -> Tensor:
+    return functional.cross_entropy(head(hidden).float(), target, reduction="sum")
 
 
 def _attention_in_float32(

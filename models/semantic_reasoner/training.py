@@ -104,6 +104,8 @@ class Training:
                 f"accumulate is {settings.accumulate}, expected a multiple of the {place.world_size} processes that share a step",
                 "config_invalid",
             )
+        if settings.compiles and place.world_size > 1:
+            raise ConfigError(f"compiles is set, and {place.world_size} processes share a step, expected one", "config_invalid")
         self.data, self.settings, self.place, self.tokenizer = data, settings, place, tokenizer
         self._identity = identity
         self.loss = ReplyLoss(TrainedNetwork(settings, tokenizer).network, settings)

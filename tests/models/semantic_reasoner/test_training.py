@@ -138,6 +138,18 @@ def test_what_is_computed_again_is_the_same(settings: ReasonerTraining) -> None:
         torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.slow  # a minute of compiling
+@pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")  # PyTorch's compiler calls what PyTorch gives up
+@pytest.mark.filterwarnings("ignore:The .grad attribute:UserWarning")  # and looks at what it was given
+@pytest.mark.parametrize("settings", [TINY, PACKED])
+def test_a_compiled_network_learns_the_same(settings: ReasonerTraining) -> None:
+    plain, compiled = training(settings), training(replace(settings, compiles=True))
+    for _ in range(3):
+        assert plain.advance().loss == pytest.approx(compiled.advance().loss, rel=1e-4)
+    assert plain.validate(DATA, 4) == pytest.approx(compiled.validate(DATA, 4), rel=1e-4)
+    assert plain.values().keys() == compiled.values().keys()
+
+
 def test_a_step_of_several_batches_is_that_of_one_large_one() -> None:
     rows = [[[k] for k in range(6)], [[k] for k in range(6, 12)]]
     one, two = training(replace(TINY, clip=1e9)), training(replace(TINY, clip=1e9, accumulate=2))
