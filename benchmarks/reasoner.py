@@ -30,8 +30,9 @@ from tqdm import tqdm
 from models.semantic_reasoner.assembly import ReasonerSettings, load_reasoner
 from models.semantic_reasoner.engines import EngineSettings
 from models.semantic_reasoner.staged import ONE_SHOT, PROGRESSIVE, StagedLayout, of_scene, staged_layouts
-from pipelines.furnishing import AssetShelf, furnish
+from pipelines.asset_shelf import AssetShelf
 from stable_data.assets import AssetStore
+from stable_data.furnishing import furnish
 from stable_data.metrics.alignment import align, reference_of
 from stable_data.metrics.alignment_summary import AlignmentSummary, summarise_alignment
 from stable_data.metrics.audit import PosedScene, audit_posed

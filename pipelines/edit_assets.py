@@ -1,7 +1,6 @@
 """Assets for what an edit adds or changes, from the library that the scene's own assets are of."""
 
 import os
-from collections.abc import Set
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -81,7 +80,7 @@ class AssetFinder:
             matches[o.instance] = answer
         matches |= {o.instance: match for o in resized if (match := self._fitted(o)) is not None}
         wanting = set(matches)
-        members = resting_on(scene, wanting)
+        members = scene.resting_on(wanting)
         done = {o.instance: o for o in with_assets([o for o in scene.objects if o.instance in members], matches)}
         objects = tuple(_named_so(done.get(o.instance, o), o) for o in scene.objects)
         kept = frozenset(
@@ -133,11 +132,3 @@ def _triple(values: FloatArray) -> Vec3:
 def _named_so(now: SceneObject, wanted: SceneObject) -> SceneObject:
     """The object under the category that its instance names."""
     return now if now.category == wanted.category else replace(now, category=wanted.category)
-
-
-def resting_on(scene: Scene, carriers: Set[str]) -> set[str]:
-    """Some things and all that rests on them, directly and through others."""
-    members = set(carriers)
-    while more := {o.instance for o in scene.objects if o.support in members} - members:
-        members |= more
-    return members

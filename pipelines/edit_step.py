@@ -14,7 +14,7 @@ from models.semantic_reasoner.editing import EditedScene, Editing, apply_edit, e
 from models.semantic_reasoner.layout_text import parse_reply
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
 from pipelines.correct_step import correction_row
-from pipelines.edit_assets import AssetFinder, resting_on
+from pipelines.edit_assets import AssetFinder
 from pipelines.edit_file import WantedEdit
 from pipelines.edit_settings import EditSettings
 from pipelines.job import Rows, rows_or_failure
@@ -225,7 +225,7 @@ def _at_fault(scene: Scene, audit: Audit) -> frozenset[str]:
     for pair in audit.pairs:
         if pair.penetration is None or pair.penetration > audit.tolerance:
             found |= {pair.first, pair.second}
-    return frozenset(resting_on(scene, found))
+    return frozenset(scene.resting_on(found))
 
 
 def _staged(scene: Scene, threshold: float) -> tuple[Scene, list[Notice]]:

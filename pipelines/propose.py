@@ -18,8 +18,8 @@ from tqdm import tqdm
 
 from models.semantic_reasoner.assembly import load_reasoner, shaping_of_proposals
 from models.semantic_reasoner.staged import LayoutTask
+from pipelines.asset_shelf import AssetShelf
 from pipelines.correct_report import drawn
-from pipelines.furnishing import AssetShelf
 from pipelines.job import check_resume, check_shards, count_rows, new_manifest, write_manifest
 from pipelines.propose_report import write_propose_report
 from pipelines.propose_settings import ProposeSettings, plain_retrieval
@@ -51,7 +51,7 @@ def propose(
         tasks: A file of tasks, see :func:`pipelines.task_file.read_tasks`, or one task.
         out: Local folder.
         settings: What shapes the scenes.
-        assets: Where assets are taken from, see :class:`pipelines.furnishing.AssetShelf`.
+        assets: Where assets are taken from, see :class:`pipelines.asset_shelf.AssetShelf`.
         report: Whether to write the report page.
 
     Returns:

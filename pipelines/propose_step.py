@@ -2,19 +2,19 @@
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
+from models.semantic_reasoner.acceptance import with_task
 from models.semantic_reasoner.categories import CategoryStatistics
 from models.semantic_reasoner.prompt import Wanted, answer
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
 from models.semantic_reasoner.staged import LayoutTask, StagedLayout, staged_layouts
-from models.semantic_reasoner.start_relations import understood
-from pipelines.furnishing import STEP as ASSETS
-from pipelines.furnishing import Furnished, furnish
 from stable_data.errors import Notice
+from stable_data.furnishing import STEP as ASSETS
+from stable_data.furnishing import Furnished, furnish
 from stable_data.retrieval import Retriever
-from stable_data.scene import Relation, Scene, Stage, TaskInfo
+from stable_data.scene import Scene, Stage
 
 STEP = "propose"
 """The step that notices of layouts name."""
@@ -94,16 +94,8 @@ class Proposer:
             hint = "add a library that has such things, or lower retrieval.floor"
             failure = Notice(name, ASSETS, "asset_unmatched", f"{name}: {'; '.join(reasons)}; {hint}")
             return Outcome(layout, None, failure, tuple(warnings))
-        return Outcome(layout, self._with_task(furnished.scene, layout), None, (*warnings, *furnished.notices))
-
-    def _with_task(self, scene: Scene, layout: StagedLayout) -> Scene:
-        """The scene with its task info: the instruction, the objects of O^t, and what the instruction says of them at the start."""
-        named = tuple(o.instance for o in scene.objects if o.stage is Stage.TASK)
-        relations: tuple[Relation, ...] = ()
-        if self.statistics is not None:
-            task, _, _ = understood(layout.objects, scene.table, layout.task.instruction, self.statistics)
-            relations = tuple(r for r in task.relations if {r.subject, r.target} <= set(named))
-        return replace(scene, task=TaskInfo("", layout.task.instruction, task_objects=named, relations=relations))
+        scene = with_task(furnished.scene, layout.task.instruction, layout.objects, self.statistics)
+        return Outcome(layout, scene, None, (*warnings, *furnished.notices))
 
 
 def seed_of(seed: int, scene_id: str) -> int:

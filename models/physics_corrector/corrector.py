@@ -217,7 +217,8 @@ def starting_point(scene: Scene, raw: Scene | None) -> Scene:
         lengths = np.linalg.norm(poses[ends, :2] - start[ends, :2], axis=1)
         if not lengths.any():
             break
-        back = _carried_by(scene, int(ends[lengths.argmax()]))
+        gone_back = scene.resting_on({scene.objects[int(ends[lengths.argmax()])].instance})
+        back = [k for k, o in enumerate(scene.objects) if o.instance in gone_back]
         poses[back] = start[back]
     return scene.with_poses(poses)
 
@@ -230,15 +231,6 @@ def _side_by_side(scene: Scene, poses: FloatArray) -> tuple[IntArray, IntArray, 
     one, other = np.array(sorted(pairs), np.int64).reshape(-1, 2).T
     apart = np.abs(poses[one, :2] - poses[other, :2])
     return one, other, (apart[:, 1] >= apart[:, 0]).astype(np.int64)
-
-
-def _carried_by(scene: Scene, k: int) -> list[int]:
-    """An object and all that lies on it, directly and through others."""
-    members = [k]
-    for m in members:
-        name = scene.objects[m].instance
-        members += [c for c, o in enumerate(scene.objects) if o.support == name and c not in members]
-    return members
 
 
 def movement(before: Scene, after: Scene) -> tuple[float, float, float]:

@@ -1,6 +1,6 @@
 """A reply that passed the checks becomes objects of the scene, ready for retrieval."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from models.semantic_reasoner.carrying import carriers_of
@@ -8,7 +8,7 @@ from models.semantic_reasoner.categories import CategoryStatistics
 from models.semantic_reasoner.layout_text import Reply
 from models.semantic_reasoner.prompt import Ask
 from models.semantic_reasoner.start_relations import understood
-from stable_data.scene import Scene, SceneObject, Stage
+from stable_data.scene import Relation, Scene, SceneObject, Stage, TaskInfo
 from stable_data.staging import stage_scene
 
 
@@ -35,6 +35,25 @@ def accepted(reply: Reply, ask: Ask, statistics: CategoryStatistics | None = Non
         return objects
     stages = _stages(objects, ask, statistics)
     return tuple(replace(o, stage=stages[o.instance]) for o in objects)
+
+
+def with_task(
+    scene: Scene, instruction: str, proposed: Sequence[SceneObject], statistics: CategoryStatistics | None = None
+) -> Scene:
+    """A scene with its task info: the instruction, the objects of O^t, and what the instruction says of them at the start.
+
+    Args:
+        scene: The scene, staged.
+        instruction: What is to be done there.
+        proposed: The objects as they were proposed, whose boxes the relations are read from.
+        statistics: What is known of categories, to read the instruction by; None: nothing, and there are no relations.
+    """
+    named = tuple(o.instance for o in scene.objects if o.stage is Stage.TASK)
+    relations: tuple[Relation, ...] = ()
+    if statistics is not None:
+        task, _, _ = understood(proposed, scene.table, instruction, statistics)
+        relations = tuple(r for r in task.relations if {r.subject, r.target} <= set(named))
+    return replace(scene, task=TaskInfo("", instruction, task_objects=named, relations=relations))
 
 
 def _stages(objects: tuple[SceneObject, ...], ask: Ask, statistics: CategoryStatistics | None) -> Mapping[str, Stage | None]:

@@ -21,7 +21,7 @@ from models.semantic_reasoner.reasoner import SemanticReasoner
 from models.semantic_reasoner.scripted_engine import ScriptedEngine
 from models.semantic_reasoner.staged import LayoutTask
 from pipelines.__main__ import app
-from pipelines.furnishing import AssetShelf, furnish
+from pipelines.asset_shelf import AssetShelf
 from pipelines.propose import propose
 from pipelines.propose_settings import ProposeSettings
 from pipelines.propose_step import Proposer, seed_of
@@ -30,6 +30,7 @@ from pipelines.task_file import read_tasks
 from stable_data.asset_library import Asset
 from stable_data.asset_scoring import RetrievalSettings
 from stable_data.errors import ConfigError, Notice
+from stable_data.furnishing import furnish
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import Scene, SceneObject, Stage, Tabletop
 from stable_data.shards import RunFolder
