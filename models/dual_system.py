@@ -1,0 +1,296 @@
+"""The dual system: Algorithm 1 for one scene, as a coroutine.
+
+For each stage of a schedule the Semantic Reasoner proposes objects, assets are found for them, and the Physics Corrector puts all
+that is there where physics leaves it; the corrected layout is what the next stage is told. The coroutine asks for these three
+things and knows neither who answers nor what else is answered with it: whoever drives it may keep many scenes alive and answer
+their questions in batches.
+"""
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias
+
+from models.physics_corrector.corrector import Correction, movement
+from models.semantic_reasoner.acceptance import accepted, with_task
+from models.semantic_reasoner.categories import CategoryStatistics
+from models.semantic_reasoner.layout_text import layout_objects
+from models.semantic_reasoner.prompt import Ask, Wanted
+from models.semantic_reasoner.reasoner import Proposal
+from models.semantic_reasoner.staged import PROGRESSIVE, LayoutTask
+from stable_data.errors import ConfigError, Notice
+from stable_data.furnishing import Furnished
+from stable_data.scene import TABLE, Scene, Stage
+
+STEP = "generate"
+"""The step that notices of the loop name."""
+
+Corrects: TypeAlias = Literal["each", "end", "never"]
+"""When the corrector is asked: after each stage (the paper), once when all is there, or not at all (its ablations)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Propose:
+    """Asks the reasoner for a stage's objects; the answer is a :class:`Proposal`."""
+
+    ask: Ask
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Retrieve:
+    """Asks for assets; the answer is :class:`Furnished`.
+
+    Attributes:
+        scene: The new objects alone; what carries them may be of an earlier stage.
+    """
+
+    scene: Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Correct:
+    """Asks the corrector for clean poses; the answer is a :class:`Correction`.
+
+    Attributes:
+        scene: All that is there.
+        fixed: Instances that must stay.
+        is_last: Whether nothing comes after it, so that the physics engine is to be asked what stays at rest.
+    """
+
+    scene: Scene
+    fixed: frozenset[str]
+    is_last: bool
+
+
+Request: TypeAlias = Propose | Retrieve | Correct
+Answer: TypeAlias = Proposal | Furnished | Correction
+
+
+@dataclass(frozen=True, slots=True)
+class LoopSettings:
+    """How the two systems take turns.
+
+    Attributes:
+        schedule: What is asked for, in order; ``whole`` alone is the one-shot ablation.
+        corrects: When the corrector is asked.
+        earlier_move: How far a correction may move what stood there before its stage, metres: 0 holds it, infinity leaves it free.
+        tries: How often a stage is proposed at most where what it proposed found no assets or no place.
+        full: Share of the table that may be covered before no further stage is asked for; 1 asks for all.
+    """
+
+    schedule: tuple[Wanted, ...] = PROGRESSIVE
+    corrects: Corrects = "each"
+    earlier_move: float = float("inf")
+    tries: int = 3
+    full: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuses settings that no loop can follow."""
+        if not self.schedule or "edit" in self.schedule or self.schedule[0] not in (Stage.TASK, "whole"):
+            raise ConfigError(
+                f"schedule is {[str(w) for w in self.schedule]}, expected task or whole first, and no edit", "config_invalid"
+            )
+        if self.tries < 1 or not self.earlier_move >= 0 or not 0 < self.full <= 1:
+            found = f"tries is {self.tries}, earlier_move {self.earlier_move}, full {self.full}"
+            raise ConfigError(f"{found}, expected at least 1, at least 0, and a share over 0", "config_invalid")
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """What came of asking for a stage once.
+
+    Attributes:
+        wanted: The stage.
+        proposal: What the reasoner proposed.
+        furnished: The same with assets; None where nothing was proposed.
+        corrections: The scene with it, corrected; a second one where the first moved what it should not.
+        rejected: Why it is not in the scene; empty where it is.
+        code: Short machine-readable reason of that.
+    """
+
+    wanted: Wanted
+    proposal: Proposal
+    furnished: Furnished | None = None
+    corrections: tuple[Correction, ...] = ()
+    rejected: str = ""
+    code: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Generated:
+    """What became of a task.
+
+    Attributes:
+        task: The task.
+        scene: The scene as the last correction left it, with its task info; None where there is a failure.
+        start: Its objects where they were first proposed; what is in ``scene`` is in it.
+        turns: All that was tried, in order.
+        failure: Why there is no scene.
+        warnings: What deserves a look.
+    """
+
+    task: LayoutTask
+    scene: Scene | None
+    start: Scene
+    turns: tuple[Turn, ...]
+    failure: Notice | None = None
+    warnings: tuple[Notice, ...] = ()
+
+
+Loop: TypeAlias = Generator[Request, Answer, Generated]
+
+
+def dual_system(
+    task: LayoutTask, seed: int, settings: LoopSettings = LoopSettings(), statistics: CategoryStatistics | None = None
+) -> Loop:
+    """Algorithm 1 (the paper's appendix) for one scene.
+
+    Args:
+        task: What is to be laid out.
+        seed: Of the scene's draws.
+        settings: How the two systems take turns.
+        statistics: What is known of categories, to read the instruction by; None: the task info has no relations.
+
+    Yields:
+        What is to be answered next.
+
+    Returns:
+        The scene, and all that was tried.
+    """
+    return _Scene(task, seed, settings, statistics).run()
+
+
+def alone(loop: Loop, answer: Callable[[Request], Answer]) -> Generated:
+    """Runs one loop by itself, each question answered before the next: Algorithm 1 with M = 1.
+
+    Args:
+        loop: The loop.
+        answer: Answers one question.
+    """
+    try:
+        request = next(loop)
+        while True:
+            request = loop.send(answer(request))
+    except StopIteration as end:
+        made: Generated = end.value
+        return made
+
+
+@dataclass(slots=True, eq=False)
+class _Scene:
+    """A scene being made."""
+
+    task: LayoutTask
+    seed: int
+    settings: LoopSettings
+    statistics: CategoryStatistics | None
+    scene: Scene = field(init=False)
+    start: Scene = field(init=False)
+    turns: list[Turn] = field(default_factory=list)
+    warnings: list[Notice] = field(default_factory=list)
+    is_at_rest: bool = False  # whether the engine was asked of the scene as it is
+
+    def __post_init__(self) -> None:
+        self.scene = self.start = Scene(self.task.scene_id, self.task.table, ())
+
+    def run(self) -> Loop:
+        schedule = self.settings.schedule
+        for number, wanted in enumerate(schedule):
+            if self._is_full(self.scene):
+                self._warn("table_full", f"stage {wanted} is not asked for: the table is as full as it may be")
+                break
+            for attempt in range(self.settings.tries):
+                turn = yield from self._turn(wanted, attempt, number == len(schedule) - 1)
+                self.turns.append(turn)
+                if not turn.rejected:
+                    break
+                if not turn.proposal.refused and turn.proposal.failure:
+                    break  # the question itself, or whoever answers, is at fault
+            if turn.rejected:
+                message = f"stage {wanted}: {turn.rejected}"
+                if not self.scene.objects:
+                    return self._failed(turn.code, message)
+                self._warn("stage_left_out", message)
+        if self.settings.corrects != "never" and not self.is_at_rest:
+            done = (yield from self._corrected(self.scene, frozenset(), True))[-1]
+            if done.certified is None:
+                return self._failed(str(done.status), done.reason)
+            self.scene, self.is_at_rest = done.certified, True
+        return Generated(self.task, self.scene, self._start(), tuple(self.turns), None, tuple(dict.fromkeys(self.warnings)))
+
+    def _turn(self, wanted: Wanted, attempt: int, is_last: bool) -> Generator[Request, Answer, Turn]:
+        """Asks for a stage once; what it brings is in the scene after it, unless it is rejected."""
+        told = layout_objects(self.scene.objects, {o.instance: o.instance for o in self.scene.objects})
+        ask = Ask(self.task.instruction, self.task.table, wanted, told, self.task.details)
+        proposal = yield Propose(ask, self.seed + attempt)
+        assert isinstance(proposal, Proposal)
+        self._hear(wanted, proposal)
+        if proposal.reply is None:
+            return Turn(wanted, proposal, rejected=proposal.failure, code=proposal.code)
+        proposed = accepted(proposal.reply, ask, self.statistics)
+        furnished = yield Retrieve(replace(self.scene, objects=proposed))
+        assert isinstance(furnished, Furnished)
+        found = furnished.scene.objects
+        there = {o.instance for o in found}
+        if lost := [o.instance for o in proposed if o.stage is Stage.TASK and o.instance not in there]:
+            why = next((f"; {furnished.unmatched[name].reason}" for name in lost if name in furnished.unmatched), "")
+            return Turn(wanted, proposal, furnished, (), f"no asset for {', '.join(lost)}{why}", "asset_unmatched")
+        if not (found or self.scene.objects):
+            return Turn(wanted, proposal, furnished, (), "nothing is proposed, expected an object at least", "layout_empty")
+        scene = replace(self.scene, objects=(*self.scene.objects, *found))
+        if not self.scene.objects:
+            scene = with_task(scene, self.task.instruction, proposed, self.statistics)
+        corrections: tuple[Correction, ...] = ()
+        if self.settings.corrects == "each" and (found or is_last):
+            is_last = is_last or self._is_full(scene)
+            corrections = yield from self._corrected(scene, frozenset(o.instance for o in self.scene.objects), is_last)
+            done = corrections[-1]
+            if done.certified is None:
+                return Turn(wanted, proposal, furnished, corrections, done.reason, str(done.status))
+            scene, self.is_at_rest = done.certified, is_last
+        self.warnings += furnished.notices
+        self.start = replace(self.start, objects=(*self.start.objects, *found))
+        self.scene = scene
+        return Turn(wanted, proposal, furnished, corrections)
+
+    def _corrected(
+        self, scene: Scene, earlier: frozenset[str], is_last: bool
+    ) -> Generator[Request, Answer, tuple[Correction, ...]]:
+        """Corrections of a scene, the last of which counts: what was there before is moved no farther than it may."""
+        holds = self.settings.earlier_move == 0
+        first = yield Correct(scene, earlier if holds else frozenset(), is_last)
+        assert isinstance(first, Correction)
+        if holds or first.certified is None or not earlier:
+            return (first,)
+        now = replace(first.certified, objects=tuple(o for o in first.certified.objects if o.instance in earlier))
+        if len(now.objects) == len(earlier) and movement(scene, now)[1] <= 1e3 * self.settings.earlier_move:
+            return (first,)
+        second = yield Correct(scene, earlier, is_last)
+        assert isinstance(second, Correction)
+        return first, second
+
+    def _is_full(self, scene: Scene) -> bool:
+        """Whether what stands on the table covers as much of it as it may."""
+        width, depth = scene.table.size_xy
+        covered = sum(o.size[0] * o.size[1] for o in scene.objects if o.support in (None, TABLE))
+        return self.settings.full < 1 and covered > self.settings.full * width * depth
+
+    def _start(self) -> Scene:
+        names = {o.instance for o in self.scene.objects}
+        return replace(self.start, objects=tuple(o for o in self.start.objects if o.instance in names), task=self.scene.task)
+
+    def _hear(self, wanted: Wanted, proposal: Proposal) -> None:
+        """Notes what was unknown in the question, and what is still wrong with the answer."""
+        name = self.task.scene_id
+        for notice in proposal.notices:  # the same at every stage
+            message = notice.message.removeprefix(f"{notice.item_id}: ")
+            self.warnings.append(Notice(name, notice.step, notice.code, f"{name}: {message}"))
+        for fault in proposal.faults:
+            self._warn(fault.code, f"stage {wanted}: {fault.message}")
+
+    def _warn(self, code: str, message: str) -> None:
+        self.warnings.append(Notice(self.task.scene_id, STEP, code, f"{self.task.scene_id}: {message}"))
+
+    def _failed(self, code: str, message: str) -> Generated:
+        failure = Notice(self.task.scene_id, STEP, code, f"{self.task.scene_id}: {message}")
+        return Generated(self.task, None, self._start(), tuple(self.turns), failure, tuple(dict.fromkeys(self.warnings)))

@@ -1,0 +1,188 @@
+"""Algorithm 1: stages build on what was corrected, and what cannot be used is asked for again, left out or said."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import pytest
+
+from models.dual_system import Answer, Correct, Generated, LoopSettings, Propose, Request, Retrieve, alone, dual_system
+from models.physics_corrector.certify import CertifyOptions
+from models.physics_corrector.corrector import PhysicsCorrector
+from models.semantic_reasoner.layout_text import LayoutObject, Reply
+from models.semantic_reasoner.prompt import Wanted
+from models.semantic_reasoner.reasoner import Proposal
+from models.semantic_reasoner.staged import LayoutTask
+from stable_data.errors import ConfigError
+from stable_data.furnishing import Furnished
+from stable_data.retrieval import Unmatched
+from stable_data.scene import Scene, Stage, Tabletop
+from tests.models.physics_corrector.shapes import SHAPES, store, thing
+
+TABLE = Tabletop("office_table", (1.0, 0.8))
+TASK = LayoutTask("scene", "Lift the cube.", TABLE)
+
+Said = dict[Wanted, Sequence[LayoutObject]]
+
+
+def said(name: str, x: float, y: float, z: float = 5.0) -> LayoutObject:
+    """A thing of 10 cm as a reply names it."""
+    return LayoutObject(name, f"a {name.split('_')[0]}", (10.0, 10.0, 10.0), (x, y, z), 0)
+
+
+@dataclass
+class Answers:
+    """Answers with what is written down for each stage, the shapes of the same name, and a corrector that certifies."""
+
+    stages: Said | Callable[[Propose], Proposal]
+    corrector: PhysicsCorrector = field(default_factory=PhysicsCorrector)
+    asked: list[Request] = field(default_factory=list)
+
+    def __call__(self, request: Request) -> Answer:
+        self.asked.append(request)
+        if isinstance(request, Propose):
+            if callable(self.stages):
+                return self.stages(request)
+            return Proposal(Reply(tuple(self.stages[request.ask.wanted])), tries=1)
+        if isinstance(request, Retrieve):
+            return self.furnished(request.scene)
+        _, shapes, _ = store().resolved(request.scene)
+        (done,) = self.corrector.correct([request.scene], [shapes], [request.fixed])
+        return done
+
+    def furnished(self, scene: Scene) -> Furnished:
+        lost = {o.instance: Unmatched(f"nothing is like {o.category}") for o in scene.objects if o.category not in SHAPES}
+        objects = tuple(
+            replace(thing(o.instance, (*o.position, o.yaw), support=o.support), stage=o.stage)
+            for o in scene.objects
+            if o.instance not in lost
+        )
+        return Furnished(replace(scene, objects=objects), lost)
+
+    def of(self, kind: type[Request]) -> list[Request]:
+        return [r for r in self.asked if isinstance(r, kind)]
+
+
+def driven(answers: Answers, settings: LoopSettings | None = None, task: LayoutTask = TASK) -> Generated:
+    return alone(dual_system(task, 7, settings or LoopSettings()), answers)
+
+
+def staged(first: Sequence[LayoutObject], second: Sequence[LayoutObject], third: Sequence[LayoutObject]) -> Said:
+    return dict(zip(Stage, (first, second, third), strict=True))
+
+
+CROWDED = staged([said("cube_0", 50, 40)], [said("cube_1", 55, 40)], [said("ball_0", 45, 40)])
+"""Each stage puts its thing into one that stands there."""
+
+
+def test_each_stage_is_told_what_the_corrector_made_of_those_before() -> None:
+    answers = Answers(CROWDED)
+    made = driven(answers)
+    assert made.scene is not None
+    assert [o.instance for o in made.scene.objects] == ["cube_0", "cube_1", "ball_0"]
+    assert [o.stage for o in made.scene.objects] == list(Stage)
+    assert made.scene.task is not None
+    assert made.scene.task.task_objects == ("cube_0",)
+    assert all(turn.corrections[-1].card_after.clean for turn in made.turns)  # type: ignore[union-attr]
+    second, third = (r.ask.layout for r in answers.of(Propose)[1:])  # type: ignore[union-attr]
+    corrected = made.turns[1].corrections[-1].certified
+    assert corrected is not None
+    assert len(second) == 1
+    told = [o.position_cm for o in third]
+    assert told == [tuple(pytest.approx(100 * v, abs=0.051) for v in o.position) for o in corrected.objects]
+    assert told != [o.position_cm for o in (*CROWDED[Stage.TASK], *CROWDED[Stage.IMPORTANT])]
+    assert [r.is_last for r in answers.of(Correct)] == [False, False, True]  # type: ignore[union-attr]
+    assert made.start.poses()[:, :2].tolist() == [[0.5, 0.4], [0.55, 0.4], [0.45, 0.4]]
+
+
+@pytest.mark.parametrize("limit", [0.0, 0.001])
+def test_earlier_stages_move_only_as_far_as_they_may(limit: float) -> None:
+    made = driven(Answers(CROWDED), LoopSettings(earlier_move=limit))
+    assert made.scene is not None
+    before: dict[str, tuple[float, ...]] = {}
+    for turn in made.turns:
+        now = turn.corrections[-1].certified
+        assert now is not None
+        for o in now.objects:
+            if o.instance in before:
+                assert o.position == pytest.approx(before[o.instance], abs=limit)
+            before[o.instance] = o.position
+    assert [len(turn.corrections) for turn in made.turns] == ([1, 1, 1] if limit == 0 else [1, 2, 2])
+
+
+def test_what_finds_no_place_is_asked_for_again_and_then_left_out() -> None:
+    small = LayoutTask("scene", "Lift the cube.", Tabletop("nightstand", (0.11, 0.11)))
+    stages = staged([said("cube_0", 5.5, 5.5)], [said("cube_1", 5.5, 5.5)], [])
+    answers = Answers(stages, PhysicsCorrector(options=CertifyOptions(when_full="infeasible")))
+    made = driven(answers, LoopSettings(tries=2), small)
+    assert made.scene is not None
+    assert [o.instance for o in made.scene.objects] == ["cube_0"]
+    assert [(str(t.wanted), t.code) for t in made.turns] == [
+        ("task", ""),
+        ("important", "infeasible"),
+        ("important", "infeasible"),
+        ("secondary", ""),
+    ]
+    assert [n.code for n in made.warnings] == ["stage_left_out"]
+
+
+def test_a_task_object_without_an_asset_is_a_failure_that_says_so() -> None:
+    answers = Answers(staged([said("cube_0", 50, 40), said("elephant_0", 20, 20)], [], []))
+    made = driven(answers, LoopSettings(tries=2))
+    assert made.scene is None
+    assert made.failure is not None
+    assert made.failure.code == "asset_unmatched"
+    assert "elephant_0; nothing is like elephant" in made.failure.message
+    seeds = [r.seed for r in answers.of(Propose)]  # type: ignore[union-attr]
+    assert len(set(seeds)) == len(seeds) == 2
+
+
+def test_a_stage_that_has_no_answer_costs_no_more_than_itself() -> None:
+    def stages(request: Propose) -> Proposal:
+        if request.ask.wanted is Stage.IMPORTANT:
+            return Proposal(None, failure="the endpoint is down", code="endpoint_down")
+        name = "cube_0" if request.ask.wanted is Stage.TASK else "ball_0"
+        return Proposal(Reply((said(name, 20 if name == "cube_0" else 70, 40),)))
+
+    made = driven(Answers(stages))
+    assert made.scene is not None
+    assert [o.instance for o in made.scene.objects] == ["cube_0", "ball_0"]
+    assert [n.code for n in made.warnings] == ["stage_left_out"]
+    nothing = driven(Answers(lambda request: Proposal(None, failure="the endpoint is down", code="endpoint_down")))
+    assert nothing.failure is not None
+    assert nothing.failure.code == "endpoint_down"
+    assert len(nothing.turns) == 1
+
+
+@pytest.mark.parametrize(("corrects", "count"), [("each", 3), ("end", 1), ("never", 0)])
+def test_the_corrector_is_asked_when_the_settings_say(corrects: str, count: int) -> None:
+    answers = Answers(CROWDED)
+    made = driven(answers, LoopSettings(corrects=corrects))  # type: ignore[arg-type]
+    assert len(answers.of(Correct)) == count
+    assert made.scene is not None
+    assert len(made.scene.objects) == 3
+    assert (made.scene.poses() == made.start.poses()).all() == (corrects == "never")
+
+
+def test_a_full_table_ends_the_schedule() -> None:
+    answers = Answers(CROWDED)
+    made = driven(answers, LoopSettings(full=0.02))
+    assert made.scene is not None
+    assert len(made.scene.objects) == 2
+    assert [n.code for n in made.warnings] == ["table_full"]
+    assert [r.is_last for r in answers.of(Correct)] == [False, True]  # type: ignore[union-attr]
+
+
+def test_one_shot_is_one_stage() -> None:
+    answers = Answers({"whole": [said("cube_0", 50, 40), said("ball_0", 52, 40)]})
+    made = driven(answers, LoopSettings(schedule=("whole",)))
+    assert made.scene is not None
+    assert [o.stage for o in made.scene.objects] == [Stage.TASK, Stage.IMPORTANT]
+    assert [r.is_last for r in answers.of(Correct)] == [True]  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"schedule": ()}, {"schedule": (Stage.IMPORTANT,)}, {"schedule": ("edit",)}, {"tries": 0}, {"full": 0.0}]
+)
+def test_settings_that_no_loop_can_follow_are_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(ConfigError):
+        LoopSettings(**wrong)  # type: ignore[arg-type]
