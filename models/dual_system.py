@@ -2,11 +2,11 @@
 
 For each stage of a schedule the Semantic Reasoner proposes objects, assets are found for them, and the Physics Corrector puts all
 that is there where physics leaves it; the corrected layout is what the next stage is told. The coroutine asks for these three
-things and knows neither who answers nor what else is answered with it: whoever drives it may keep many scenes alive and answer
-their questions in batches.
+things and knows neither who answers nor what else is answered with it: :func:`models.scheduler.together` keeps many scenes alive
+and has their questions answered in batches.
 """
 
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
@@ -158,22 +158,6 @@ def dual_system(
         The scene, and all that was tried.
     """
     return _Scene(task, seed, settings, statistics).run()
-
-
-def alone(loop: Loop, answer: Callable[[Request], Answer]) -> Generated:
-    """Runs one loop by itself, each question answered before the next: Algorithm 1 with M = 1.
-
-    Args:
-        loop: The loop.
-        answer: Answers one question.
-    """
-    try:
-        request = next(loop)
-        while True:
-            request = loop.send(answer(request))
-    except StopIteration as end:
-        made: Generated = end.value
-        return made
 
 
 @dataclass(slots=True, eq=False)

@@ -5,9 +5,10 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 
-from models.dual_system import Answer, Correct, Generated, LoopSettings, Propose, Request, Retrieve, alone, dual_system
+from models.dual_system import Correct, Generated, LoopSettings, Propose, Request, Retrieve, dual_system
 from models.physics_corrector.certify import CertifyOptions
-from models.physics_corrector.corrector import PhysicsCorrector
+from models.physics_corrector.corrector import Correction, PhysicsCorrector
+from models.scheduler import together
 from models.semantic_reasoner.layout_text import LayoutObject, Reply
 from models.semantic_reasoner.prompt import Wanted
 from models.semantic_reasoner.reasoner import Proposal
@@ -36,18 +37,23 @@ class Answers:
     stages: Said | Callable[[Propose], Proposal]
     corrector: PhysicsCorrector = field(default_factory=PhysicsCorrector)
     asked: list[Request] = field(default_factory=list)
+    batches: list[int] = field(default_factory=list)  # of corrections
 
-    def __call__(self, request: Request) -> Answer:
-        self.asked.append(request)
-        if isinstance(request, Propose):
-            if callable(self.stages):
-                return self.stages(request)
-            return Proposal(Reply(tuple(self.stages[request.ask.wanted])), tries=1)
-        if isinstance(request, Retrieve):
-            return self.furnished(request.scene)
-        _, shapes, _ = store().resolved(request.scene)
-        (done,) = self.corrector.correct([request.scene], [shapes], [request.fixed])
-        return done
+    def propose(self, questions: Sequence[Propose]) -> list[Proposal]:
+        self.asked += questions
+        if callable(self.stages):
+            return [self.stages(q) for q in questions]
+        return [Proposal(Reply(tuple(self.stages[q.ask.wanted])), tries=1) for q in questions]
+
+    def retrieve(self, questions: Sequence[Retrieve]) -> list[Furnished]:
+        self.asked += questions
+        return [self.furnished(q.scene) for q in questions]
+
+    def correct(self, questions: Sequence[Correct]) -> list[Correction]:
+        self.asked += questions
+        self.batches.append(len(questions))
+        shapes = [store().resolved(q.scene)[1] for q in questions]
+        return self.corrector.correct([q.scene for q in questions], shapes, [q.fixed for q in questions])
 
     def furnished(self, scene: Scene) -> Furnished:
         lost = {o.instance: Unmatched(f"nothing is like {o.category}") for o in scene.objects if o.category not in SHAPES}
@@ -63,7 +69,8 @@ class Answers:
 
 
 def driven(answers: Answers, settings: LoopSettings | None = None, task: LayoutTask = TASK) -> Generated:
-    return alone(dual_system(task, 7, settings or LoopSettings()), answers)
+    (made,) = together([dual_system(task, 7, settings or LoopSettings())], answers)
+    return made
 
 
 def staged(first: Sequence[LayoutObject], second: Sequence[LayoutObject], third: Sequence[LayoutObject]) -> Said:
@@ -186,3 +193,14 @@ def test_one_shot_is_one_stage() -> None:
 def test_settings_that_no_loop_can_follow_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ConfigError):
         LoopSettings(**wrong)  # type: ignore[arg-type]
+
+
+def test_scenes_side_by_side_are_what_they_are_alone() -> None:
+    tasks = [replace(TASK, scene_id=f"scene_{k}") for k in range(3)]
+    settings = [LoopSettings(), LoopSettings(earlier_move=0.001), LoopSettings(corrects="end")]
+    loops = [dual_system(task, k, own) for k, (task, own) in enumerate(zip(tasks, settings, strict=True))]
+    answers = Answers(CROWDED)
+    side_by_side = together(loops, answers)
+    assert answers.batches == [2, 2, 3, 1, 1]  # the one that asks twice meets the one that asks at the end
+    for k, (task, own) in enumerate(zip(tasks, settings, strict=True)):
+        assert side_by_side[k].scene == driven(Answers(CROWDED), own, task).scene
