@@ -196,18 +196,32 @@ class Training:
         for key, name, value in self._optimizers.state():
             averages.setdefault(key, {}).update(self._on_first([(name, value)]))
         if self.place.rank == 0:
-            keep(path, {"step": self.step, "tokens": self.tokens, "values": values, "averages": averages}, self._about())
+            state = {"step": self.step, "tokens": self.tokens, "values": values, "averages": averages}
+            keep(path, state | {"learning_rates": self._rates(self.step)}, self._about())
 
     def resume(self, path: Path) -> bool:
         """Goes on where :meth:`save` was called, with any number of processes; False where nothing was kept.
 
+        The run may be longer or shorter than it was to be, as long as the steps that are done would have been the same.
+
         Raises:
             ConfigError: What is there cannot be read, or is of other settings, data or models.
         """
-        state = kept(path, self._about(), "step", "tokens", "values", "averages")
-        if state is not None:
-            self._take(state)
-        return state is not None
+        state = kept(path, self._about(), "step", "tokens", "values", "averages", "learning_rates")
+        if state is None:
+            return False
+        if not torch.equal(state["learning_rates"], self._rates(state["step"])):
+            raise ConfigError(
+                f"{path}: with steps {self.settings.steps} and cool_down {self.settings.cool_down:g} the {state['step']} steps that "
+                "are done would have had other learning rates; take what the run began with, or change it before its cool-down",
+                "config_changed",
+            )
+        self._take(state)
+        return True
+
+    def _rates(self, step: int) -> Tensor:
+        """Learning rates of the steps before one."""
+        return torch.tensor([self.settings.learning_rate_at(k) for k in range(step)], dtype=torch.float64)
 
     @torch.no_grad()
     def _take(self, state: dict[str, Any]) -> None:
@@ -218,7 +232,8 @@ class Training:
         self._batches = self._from(self.step)
 
     def _about(self) -> dict[str, Any]:
-        return {"settings": asdict(self.settings), "identity": asdict(self._identity)}
+        settings = {key: value for key, value in asdict(self.settings).items() if key not in ("steps", "cool_down")}
+        return {"settings": settings, "identity": asdict(self._identity)}
 
 
 def train(

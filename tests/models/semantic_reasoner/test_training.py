@@ -228,6 +228,20 @@ def test_a_run_may_be_kept_before_its_first_step(tmp_path: Path) -> None:
     assert again.advance() == training().advance()
 
 
+def test_a_run_may_become_longer_until_it_cools_down(tmp_path: Path) -> None:
+    short, long = (replace(TINY, steps=steps, warm_up=2, cool_down=0.5) for steps in (8, 16))
+    path = tmp_path / "state.pt"
+    advanced(short, 4).save(path)
+    longer = training(long)
+    assert longer.resume(path)
+    for _ in range(12):
+        longer.advance()
+    assert same(longer, advanced(long, 16))
+    advanced(short, 6).save(path)
+    with pytest.raises(ConfigError, match="other learning rates"):
+        training(long).resume(path)
+
+
 def test_a_checkpoint_of_something_else_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "state.pt"
     assert not training().resume(path)
