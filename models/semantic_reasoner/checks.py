@@ -23,7 +23,7 @@ from models.semantic_reasoner.reply_form import MOST_OBJECTS
 from models.semantic_reasoner.required import Required, required
 from models.semantic_reasoner.start_relations import relations_not_held
 from stable_data.relations import yawed_rectangle
-from stable_data.scene import FloatArray, SceneObject, Stage, Tabletop
+from stable_data.scene import FloatArray, Relation, SceneObject, Stage, Tabletop
 
 _SHOWN = 8  # names in a message
 
@@ -37,12 +37,14 @@ class Fault:
         message: One line.
         is_hard: Whether it keeps the reply out.
         instance: The object without which it would not be there; empty where there is none such.
+        relation: What the instruction says and is not so; None for other faults.
     """
 
     code: str
     message: str
     is_hard: bool = True
     instance: str = ""
+    relation: Relation | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,9 +139,7 @@ def check(
         faults += _missing(layout, asked_for)
         if not any(f.is_hard for f in faults):
             faults += [
-                Fault(
-                    "relation_not_held", f"the instruction says {r.subject} {r.kind} {r.target}; place them so", is_hard=False
-                )
+                Fault("relation_not_held", f"the instruction says {r.subject} {r.kind} {r.target}; place them so", False, "", r)
                 for r in relations_not_held(layout, ask.table, ask.instruction, statistics)
             ]
     return sorted(faults, key=lambda f: not f.is_hard) or list(_unchanged(objects, removed, ask))

@@ -12,6 +12,7 @@ from models.semantic_reasoner.engine import Completion, Engine, Request
 from models.semantic_reasoner.grounding import Grounding
 from models.semantic_reasoner.layout_text import LayoutObject, Reply, renumbered
 from models.semantic_reasoner.prompt import MAX_INSTRUCTION, Ask
+from models.semantic_reasoner.putting_right import put_right
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.scene import Stage
 
@@ -93,6 +94,7 @@ class _Asking:
     refused: list[Refused] = field(default_factory=list)
     best: tuple[Reply, tuple[Fault, ...]] | None = None
     rest: tuple[Reply, tuple[Fault, ...]] | None = None
+    misplaced: list[tuple[Reply, tuple[Fault, ...]]] = field(default_factory=list)
     tries: int = 0
     prompt_tokens: int = 0
     reply_tokens: int = 0
@@ -104,15 +106,18 @@ class _Asking:
         self.refused.append(refused)
         if reply is not None and not refused.is_hard and (self.best is None or _amiss(faults) < _amiss(self.best[1])):
             self.best = reply, refused.faults
+        if reply is not None and all(f.relation is not None for f in faults):
+            self.misplaced.append((reply, refused.faults))
 
     def may_use(self, reply: Reply, faults: tuple[Fault, ...]) -> None:
         """Keeps what is left of a refused answer, if the least so far had to be left out of it."""
         if self.rest is None or _left_out(faults) < _left_out(self.rest[1]):
             self.rest = reply, faults
 
-    def proposal(self, reply: Reply | None = None, failure: str = "", code: str = "") -> Proposal:
+    def proposal(
+        self, reply: Reply | None = None, failure: str = "", code: str = "", faults: tuple[Fault, ...] = ()
+    ) -> Proposal:
         """What comes of it."""
-        faults: tuple[Fault, ...] = ()
         if reply is None and not failure:
             if (taken := self.best or self.rest) is not None:
                 reply, faults = taken
@@ -132,8 +137,9 @@ class SemanticReasoner:
     Args:
         engine: Answers.
         check: Finds faults in a reply; None takes whatever can be read.
-        tries: How often a question is asked at most, or that and how often the first stage's is. Where no answer would do, the
-            one is taken of which the least has to be left out to pass the checks, if there is one, and its faults say what was.
+        tries: How often a question is asked at most, or that and how often the first stage's is. Where no answer would do, things
+            that are not where the instruction says are put there in one that has no other fault; else the one is taken of which
+            the least has to be left out to pass the checks, if there is one. Its faults say what was moved or left out.
         tells_reasons: Whether a refused answer and its reason are shown when it is asked again, as a large model can use; else
             the same question is asked with other draws.
         grounding: Puts an instruction into words that the engine knows; None for an engine that knows them all.
@@ -169,7 +175,7 @@ class SemanticReasoner:
             requests = {}
             for k, asking in list(waiting.items()):
                 if attempt == (self._task_tries if asking.ask.wanted is Stage.TASK else self._tries):
-                    found[k] = waiting.pop(k).proposal()
+                    found[k] = self._last_word(waiting.pop(k))
                     continue
                 try:
                     requests[k] = self._request(asking, attempt)
@@ -198,6 +204,14 @@ class SemanticReasoner:
         told = [(r.answer, r.reason) for r in asking.refused] if self._tells_reasons else []
         chat = tuple(self._dialect.messages(ask, told))
         return Request(chat, self._dialect.form(ask), _seed(asking.seed, str(ask.wanted), attempt))
+
+    def _last_word(self, asking: _Asking) -> Proposal:
+        """What comes of a question that was asked as often as it may be."""
+        if self._check is not None:
+            for reply, faults in sorted(asking.misplaced, key=lambda one: len(one[1])):
+                if (mended := put_right(reply, faults, asking.ask, self._check)) is not None:
+                    return asking.proposal(mended[0], faults=mended[1])
+        return asking.proposal()
 
     def _judge(self, asking: _Asking, completion: Completion) -> Proposal | None:
         """What comes of an answer; None where it is to be asked again."""
