@@ -157,7 +157,7 @@ def _shifted(
         gone |= more
 
     def moved(position_cm: Vec3) -> Vec3:
-        x, y, z = (round(p + 100 * s, 1) + 0.0 for p, s in zip(position_cm, step, strict=True))
+        x, y, z = (round(p + 100 * float(s), 1) + 0.0 for p, s in zip(position_cm, step, strict=True))
         return x, y, z
 
     return tuple(replace(o, position_cm=moved(o.position_cm)) if o.instance in gone else o for o in objects)

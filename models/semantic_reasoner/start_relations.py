@@ -1,6 +1,6 @@
 """What an instruction says of the start, held against a layout: the reader of task infos, its words made those of the layout."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from models.semantic_reasoner.phrases import marked, phrases
 from models.semantic_reasoner.prompt import MAX_INSTRUCTION
 from stable_data.instructions.claims import emptied, read_claims
 from stable_data.instructions.words import plural
-from stable_data.relations import SceneGraph, cell_of, direction_of, scene_graph
+from stable_data.relations import SceneGraph, cell_of, direction_of, is_held, scene_graph
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Tabletop, TaskInfo
 from stable_data.tasks import resolve_task_objects
 
@@ -47,8 +47,8 @@ def relations_not_held(
 ) -> tuple[Relation, ...]:
     """What an instruction says of the start that is true of no such objects of a layout.
 
-    Of several alike any will do, and in and on are not told apart: without meshes nobody knows what is hollow. What shall be
-    emptied has something in or on it, whatever it is. Of what is not there at all nothing is said.
+    Of several alike any will do. In and on are told apart by boxes, as AwS judges a raw layout; what shall be on a thing may be in
+    it. What shall be emptied has something in or on it, whatever it is. Of what is not there at all nothing is said.
 
     Args:
         layout: The objects.
@@ -67,10 +67,12 @@ def relations_not_held(
     kinds = [set(statistics.nouns.categories_of(p.mention.noun)) for p in spoken]
     alike = [[o for o in layout if o.category in kind] for kind in kinds]
     carriers = carriers_of(layout, table)
+    graph = scene_graph(Scene("layout", table, tuple(layout)), {})
+    on_in = {Relation(one, kind, other) for one, other, kind in graph.edges(keys=True) if kind in _CARRYING}
 
     def are_so(kind: RelationKind, one: SceneObject, other: SceneObject) -> bool:
         if kind in _CARRYING:
-            return one.instance in _above(other.instance, carriers)
+            return is_held(on_in, Relation(one.instance, kind, other.instance))
         dx, dy, _ = np.subtract(one.position, other.position)
         return direction_of(dx, dy) is kind
 
@@ -97,16 +99,6 @@ def _corner(clause: Sequence[str]) -> str | None:
     """The ninth of the table that a clause such as ``that is in the back left corner`` means."""
     row, column = (next((word for word in clause if word in names), None) for names in (("front", "back"), ("left", "right")))
     return f"{row}_{column}" if "corner" in clause and row and column else None
-
-
-def _above(name: str, carriers: Mapping[str, str | None]) -> set[str]:
-    """What an object carries, directly or through what lies in between."""
-    found: set[str] = set()
-    new = {name}
-    while new:
-        new = {one for one, carrier in carriers.items() if carrier in new} - found
-        found |= new
-    return found
 
 
 def in_words_of(layout: Sequence[SceneObject], instruction: str, statistics: CategoryStatistics) -> str:
