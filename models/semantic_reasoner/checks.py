@@ -137,12 +137,23 @@ def check(
     faults += _renamed(objects, removed, was)
     if ask.wanted in (Stage.TASK, "whole"):
         faults += _missing(layout, asked_for)
-        if not any(f.is_hard for f in faults):
-            faults += [
-                Fault("relation_not_held", f"the instruction says {r.subject} {r.kind} {r.target}; place them so", False, "", r)
-                for r in relations_not_held(layout, ask.table, ask.instruction, statistics)
-            ]
+    if not (ask.edits or any(f.is_hard for f in faults)):
+        faults += _not_as_said(layout, kept, ask, statistics)
     return sorted(faults, key=lambda f: not f.is_hard) or list(_unchanged(objects, removed, ask))
+
+
+def _not_as_said(
+    layout: Sequence[SceneObject], kept: Sequence[LayoutObject], ask: Ask, statistics: CategoryStatistics
+) -> Iterator[Fault]:
+    """What the instruction says of the start and a layout breaks; of a later stage, what was so before it."""
+    broken = relations_not_held(layout, ask.table, ask.instruction, statistics)
+    if broken and ask.wanted in (Stage.IMPORTANT, Stage.SECONDARY):
+        before = [o.to_scene_object() for o in kept]
+        was = set(relations_not_held(before, ask.table, ask.instruction, statistics))
+        broken = tuple(r for r in broken if r not in was)
+    for r in broken:
+        message = f"the instruction says {r.subject} {r.kind} {r.target}; place them so"
+        yield Fault("relation_not_held", message, is_hard=False, relation=r)
 
 
 def _kept(objects: Sequence[LayoutObject], removed: Sequence[str], ask: Ask) -> list[LayoutObject]:

@@ -179,6 +179,15 @@ def test_what_is_said_of_the_start_is_found_in_many_words(instruction: str, is_h
     assert soft(*there, of=ask(instruction)) == (set() if is_held else {"relation_not_held"})
 
 
+def test_a_later_stage_does_not_undo_what_the_instruction_says() -> None:
+    said = "Take the mug out of the plate."
+    later = ask(said, Stage.SECONDARY, layout=[PLATE, thing("mug_0", 71, 30, bottom=1.0)])
+    assert faults(thing("apple_0", 10, 10), of=later) == []
+    assert soft(thing("napkin_0", 70, 30), of=later) == {"relation_not_held"}  # by boxes the mug rests on that now
+    never = ask(said, Stage.SECONDARY, layout=[PLATE, MUG])
+    assert faults(thing("apple_0", 10, 10), of=never) == []  # it was not so before
+
+
 def test_what_shall_be_emptied_is_not_empty() -> None:
     said = ask("Take everything off the plate.")
     (found,) = faults(PLATE, MUG, of=said)
