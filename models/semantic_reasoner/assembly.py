@@ -72,7 +72,8 @@ def load_reasoner(
         from models.text_encoder import load_default
 
         grounding = Grounding(statistics, load_default())
-    dialect = dialect_of(settings.dialect, _text(settings.wording))
+    asks = check.asks if isinstance(check, ReplyCheck) else None
+    dialect = dialect_of(settings.dialect, _text(settings.wording), asks)
     tries = settings.tries_with(engine)
     return SemanticReasoner(load_engine(engine), check, tries, engine.reads_reasons, grounding, dialect), statistics
 

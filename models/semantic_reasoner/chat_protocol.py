@@ -12,7 +12,8 @@ from typing import Any, TypeAlias
 
 from models.semantic_reasoner.engine import Completion, Request, Sampling
 from models.semantic_reasoner.prompt import Message
-from models.semantic_reasoner.reply_form import ReplyForm
+from models.semantic_reasoner.reply_form import CATEGORY, ReplyForm
+from models.semantic_reasoner.required import Required
 
 Fields: TypeAlias = dict[str, Any]
 """A JSON object."""
@@ -219,7 +220,10 @@ def _number(fields: Mapping[str, Any], key: str, default: float) -> float:
 
 def _form(fields: Any) -> ReplyForm:
     try:
-        form = ReplyForm(**{**fields, "names": tuple(fields["names"])})
+        asks = tuple(Required(**{**asked, "categories": tuple(asked["categories"])}) for asked in fields["asks"])
+        if not all(CATEGORY.fullmatch(c) for asked in asks for c in asked.categories):
+            raise ValueError(f"a category is not {CATEGORY.pattern}")
+        form = ReplyForm(**{**fields, "names": tuple(fields["names"]), "asks": asks})
         form.grammar()
     except (ArithmeticError, LookupError, TypeError, ValueError) as error:
         raise ValueError(f"{EXTENSION}.form is no form of replies ({error})") from error

@@ -88,8 +88,11 @@ class ReplyCheck:
 
     def __call__(self, reply: Reply, ask: Ask, /) -> list[Fault]:
         """The faults of a reply to a question."""
-        asked_for = () if ask.edits else self._required(ask.instruction)
-        return check(reply.objects, reply.removed, ask, self._statistics, asked_for, self._settings)
+        return check(reply.objects, reply.removed, ask, self._statistics, self.asks(ask), self._settings)
+
+    def asks(self, ask: Ask) -> tuple[Required, ...]:
+        """What must be among the objects when the task objects are there."""
+        return self._required(ask.instruction) if ask.wanted in (Stage.TASK, "whole") else ()
 
 
 def form_check(reply: Reply, ask: Ask, /) -> list[Fault]:
@@ -112,7 +115,7 @@ def check(
         removed: What it takes away; only edits do.
         ask: What it answers, the layout so far included.
         statistics: What is known of categories.
-        asked_for: What the instruction asks for; looked at where the task objects are wanted, alone or with all else.
+        asked_for: What must be there with the reply.
         settings: How strict to be.
 
     Returns:
@@ -135,8 +138,7 @@ def check(
     faults += _carried(new, layout, ask, still)
     faults += _twice(new, layout, still, settings)
     faults += _renamed(objects, removed, was)
-    if ask.wanted in (Stage.TASK, "whole"):
-        faults += _missing(layout, asked_for)
+    faults += _missing(layout, asked_for)
     if not (ask.edits or any(f.is_hard for f in faults)):
         faults += _not_as_said(layout, kept, ask, statistics)
     return sorted(faults, key=lambda f: not f.is_hard) or list(_unchanged(objects, removed, ask))

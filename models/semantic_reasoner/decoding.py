@@ -197,6 +197,10 @@ class Decoder:
         logits: Tensor = self._model.lm_head(hidden)
         return logits.float()
 
+    def rewind(self, slot: int, length: int) -> None:
+        """Forgets what a sequence has beyond so many tokens."""
+        self.lengths[slot] = length
+
     @torch.inference_mode()
     def release(self, slot: int) -> int | None:
         """Ends a sequence; the last one takes its slot.

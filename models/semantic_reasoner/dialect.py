@@ -1,12 +1,13 @@
 """How a model is spoken to: in our own words, stage by stage, or as MesaTask's released model was trained."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from models.semantic_reasoner.layout_text import Reply, parse_reply, plain
 from models.semantic_reasoner.prompt import RETRY, Ask, Message, checked_instruction, messages
 from models.semantic_reasoner.reply_form import ReplyForm
+from models.semantic_reasoner.required import Required
 from stable_data.errors import ConfigError, SceneError
 from stable_data.mesatask.task_info import write_task_info
 from stable_data.scene import TaskInfo
@@ -29,16 +30,23 @@ class Dialect(Protocol):
 
 
 class StagedDialect:
-    """Our own words; see :mod:`models.semantic_reasoner.prompt`."""
+    """Our own words; see :mod:`models.semantic_reasoner.prompt`.
+
+    Args:
+        asks: What must be among the objects of an answer; None demands nothing.
+    """
+
+    def __init__(self, asks: Callable[[Ask], tuple[Required, ...]] | None = None) -> None:
+        self._asks = asks
 
     def messages(self, ask: Ask, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
         """The chat that asks for a stage, a whole layout or an edit."""
         return messages(ask, refused)
 
     def form(self, ask: Ask) -> ReplyForm:
-        """Bound to the table and, in an edit, to the names that there are."""
+        """Bound to the table, to what must be there and, in an edit, to the names that there are."""
         names = tuple(o.instance for o in ask.layout) if ask.edits else ()
-        return ReplyForm.of_table(ask.table, edits=ask.edits, names=names)
+        return ReplyForm.of_table(ask.table, edits=ask.edits, names=names, asks=self._asks(ask) if self._asks else ())
 
     def parse(self, text: str) -> Reply:
         """The objects of JSON."""
@@ -113,18 +121,19 @@ def _said(task: TaskInfo) -> tuple[str, str, tuple[str, ...], tuple[str, ...], t
     return plain(task.environment), plain(task.task), *lists  # type: ignore[return-value]
 
 
-def dialect_of(name: str, wording: str = "") -> Dialect:
+def dialect_of(name: str, wording: str = "", asks: Callable[[Ask], tuple[Required, ...]] | None = None) -> Dialect:
     """A dialect by name.
 
     Args:
         name: ``stages`` or ``mesatask``.
         wording: Of MesaTask's question; empty takes ours.
+        asks: What must be among the objects of an answer; of ``stages`` alone.
 
     Raises:
         ConfigError: There is none of that name.
     """
     if name == "stages":
-        return StagedDialect()
+        return StagedDialect(asks)
     if name == "mesatask":
         return MesaTaskDialect(wording)
     raise ConfigError(f"dialect is {name!r}, expected stages or mesatask", "config_invalid")

@@ -76,12 +76,13 @@ def edit_example_of(row: Row) -> Example:
     return Example(row["scene_id"], ask, changes, tuple(names[instance] for instance in row["removed"]))
 
 
-def one_shot(examples: Iterable[Example]) -> Iterator[Example]:
-    """The paper's one-shot variant: of each scene's three examples one, its answer the whole layout in one pass.
+def with_whole(examples: Iterable[Example]) -> Iterator[Example]:
+    """Examples and, after each last stage of a scene, its one-shot variant: the answer is the whole layout in one pass.
 
     Only the last stage of a scene says all: its layout so far and its own objects.
     """
     for example in examples:
+        yield example
         if example.ask.wanted is Stage.SECONDARY:
             whole: Wanted = "whole"
             ask = replace(example.ask, wanted=whole, layout=())

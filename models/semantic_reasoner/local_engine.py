@@ -15,10 +15,14 @@ from transformers import AutoModelForCausalLM, AutoTokenizer, PreTrainedModel, P
 
 from models.semantic_reasoner.decoding import ATTENTION, Decoder
 from models.semantic_reasoner.engine import Completion, Request, Sampling, too_long
+from models.semantic_reasoner.layout_text import parse_reply
+from models.semantic_reasoner.reply_form import ReplyForm
 from models.semantic_reasoner.tokenizer import chat_text
 from stable_data.errors import ConfigError
 
 _DEFAULT = Sampling()
+_CLOSING = "]}"
+"""What a reply ends with."""
 
 
 @dataclass(slots=True, eq=False)
@@ -27,6 +31,7 @@ class _Sequence:
 
     index: int
     prompt: list[int]
+    form: ReplyForm
     matcher: LLMatcher | None
     draws: np.random.Generator
     reply: list[int]
@@ -37,6 +42,10 @@ class LocalEngine:
 
     Sequences are decoded ``num_slots`` at a time, and a finished one makes room for the next. Each draws from its own stream, named
     by its seed, so its reply does not depend on what it is decoded beside, but for the rounding of batched products.
+
+    Whether a list of objects ends is drawn at the model's own odds, whatever the temperature is: it decides once an object, so a
+    temperature under 1 and the cut at ``top_p`` make lists longer than the model has learned. A reply that would end without what its
+    form asks for goes on with that instead.
 
     Args:
         model: A causal language model.
@@ -64,6 +73,8 @@ class LocalEngine:
         self._num_slots, self._is_constrained = num_slots, is_constrained
         self._vocabulary = model.get_output_embeddings().weight.shape[0]
         self._end = {model.config.eos_token_id, tokenizer.eos_token_id} - {None}
+        words = tokenizer.convert_ids_to_tokens(range(len(tokenizer)))
+        self._closing = torch.tensor([k for k, word in enumerate(words) if word.endswith(_CLOSING)], dtype=torch.long)
         self._guide = llguidance.hf.from_tokenizer(tokenizer, n_vocab=self._vocabulary)
         self._executor = LLExecutor()
 
@@ -141,10 +152,13 @@ class LocalEngine:
             return too_long(len(prompt), longest)
         matcher = None
         if self._is_constrained and request.form.binds:
-            matcher = LLMatcher(self._guide, LLMatcher.grammar_from_lark(request.form.grammar()))
+            matcher = self._matcher(request.form.grammar())
             if matcher.is_error():
                 return Completion("", len(prompt), failure=f"grammar: {matcher.get_error()}", code="grammar_invalid")
-        return _Sequence(index, prompt, matcher, np.random.default_rng(request.seed), [])
+        return _Sequence(index, prompt, request.form, matcher, np.random.default_rng(request.seed), [])
+
+    def _matcher(self, grammar: str) -> LLMatcher:
+        return LLMatcher(self._guide, LLMatcher.grammar_from_lark(grammar))
 
     def _decode(self, waiting: list[_Sequence], done: list[Completion | None]) -> None:
         decoder = Decoder(self._model, min(self._num_slots, max(1, len(waiting))), self._tokenizer.pad_token_id or 0)
@@ -166,6 +180,11 @@ class LocalEngine:
                     if sequence.matcher is not None:
                         sequence.matcher.consume_token(token)
                         ended = sequence.matcher.is_stopped()
+                if ended and self._goes_on(sequence):
+                    ended = False
+                    so_far = sequence.prompt + sequence.reply
+                    decoder.rewind(slot, len(so_far) - 1)
+                    tokens[slot] = so_far[-1]
                 room = min(self.sampling.max_tokens, longest - len(sequence.prompt))
                 if ended or len(sequence.reply) >= room:
                     done[sequence.index] = self._completion(sequence, ended)
@@ -175,6 +194,22 @@ class LocalEngine:
                     active.pop()
                     tokens.pop()
             logits = decoder.step(tokens).cpu() if active else logits[:0]
+
+    def _goes_on(self, sequence: _Sequence) -> bool:
+        """Where a whole reply lacks what it must have, its end is taken back, and what is lacking has to come next."""
+        if sequence.matcher is None or not sequence.form.asks:
+            return False
+        whole = self._text(sequence.reply)
+        lacking = sequence.form.lacking(whole)
+        if lacking is None:
+            return False
+        objects = whole.removesuffix(_CLOSING)
+        count = len(parse_reply(whole).objects)
+        while len(kept := self._text(sequence.reply)) > len(objects):
+            sequence.reply.pop()
+        start = objects[len(kept) :] + ("," if count else "")
+        sequence.matcher = self._matcher(sequence.form.grammar_after(start, lacking, sequence.form.at_most - count))
+        return True
 
     def _drawn(self, logits: Tensor, active: list[_Sequence]) -> list[int]:
         """A token for each sequence."""
@@ -187,6 +222,8 @@ class LocalEngine:
         sampling = self.sampling
         if sampling.temperature == 0:
             return logits.argmax(1).tolist()
+        if matchers:
+            self._settle_ends(logits, active)
         best, tokens = torch.topk(logits, min(sampling.top_k or self._vocabulary, self._vocabulary))
         share = torch.softmax(best / sampling.temperature, 1)
         before = torch.cumsum(share, 1) - share
@@ -195,9 +232,24 @@ class LocalEngine:
         place = (torch.cumsum(share, 1) <= draws * share.sum(1, keepdim=True)).sum(1, keepdim=True)
         return tokens.gather(1, place.clamp_max(share.shape[1] - 1))[:, 0].tolist()
 
+    def _settle_ends(self, logits: Tensor, active: list[_Sequence]) -> None:
+        """Draws which of the lists that may end here do, and leaves the others, or the end, no chance."""
+        odds = torch.softmax(logits, 1)[:, self._closing].sum(1)
+        for row in odds.nonzero()[:, 0].tolist():
+            if active[row].matcher is None:
+                continue
+            ends = active[row].draws.random() < float(odds[row])
+            closing = logits[row, self._closing] if ends else -torch.inf
+            if ends:
+                logits[row] = -torch.inf
+            logits[row, self._closing] = closing
+
+    def _text(self, tokens: list[int]) -> str:
+        return str(self._tokenizer.decode(tokens, skip_special_tokens=True, clean_up_tokenization_spaces=False))
+
     def _completion(self, sequence: _Sequence, ended: bool) -> Completion:
-        text = self._tokenizer.decode(sequence.reply, skip_special_tokens=True, clean_up_tokenization_spaces=False)
+        text = self._text(sequence.reply)
         read, written = len(sequence.prompt), len(sequence.reply)
         if not ended:
             return Completion("", read, written, f"the reply was cut off after {written:,} tokens", "reply_cut")
-        return Completion(str(text), read, written)
+        return Completion(text, read, written)

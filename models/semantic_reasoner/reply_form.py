@@ -3,14 +3,22 @@
 Both say the same: the keys and their order, lengths with one decimal, no white space, and limits that follow from the table: a
 position is on it, nothing is larger than its diagonal or higher than :data:`HIGHEST_CM`. What needs geometry (overlaps, supports)
 is for the checks.
+
+That a reply has what its instruction asks for, in any order and among other things, is no grammar of a size that could be used: it
+would have to tell every subset apart. An engine asks :meth:`ReplyForm.lacking` when a reply would end, and goes on under
+:meth:`ReplyForm.grammar_after`, which has one of what is lacking come next.
 """
 
+import json
 import math
+import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
+from models.semantic_reasoner.layout_text import parse_reply
+from models.semantic_reasoner.required import Required
 from stable_data.scene import Tabletop
 
 HIGHEST_CM = 200.0
@@ -21,6 +29,9 @@ MOST_OBJECTS = 60
 
 MOST_LETTERS = 160
 """Longest description, characters."""
+
+CATEGORY = re.compile("[a-z][a-z0-9_]*")
+"""What a category looks like in the name of an instance."""
 
 _LETTER = r'[^\s"\\<\x00-\x1f\x7f]'
 
@@ -36,6 +47,7 @@ class ReplyForm:
         names: Instances of the layout, which an edit may change or take away.
         at_least: Fewest objects.
         at_most: Most objects.
+        asks: What must be among the objects.
         binds: Whether an answer is this JSON alone; else the model says what it likes around it, and thinks if it does.
     """
 
@@ -45,6 +57,7 @@ class ReplyForm:
     names: tuple[str, ...] = ()
     at_least: int = 0
     at_most: int = MOST_OBJECTS
+    asks: tuple[Required, ...] = ()
     binds: bool = True
 
     @classmethod
@@ -64,7 +77,7 @@ class ReplyForm:
         position = _triple([(0.0, self.width_cm), (0.0, self.depth_cm), (0.0, HIGHEST_CM)])
         entry = _closed(
             {
-                "instance": {"type": "string", "pattern": "^[a-z][a-z0-9_]*_[0-9]{1,2}$"},
+                "instance": {"type": "string", "pattern": f"^{CATEGORY.pattern}_[0-9]{{1,2}}$"},
                 "description": {"type": "string", "minLength": 1, "maxLength": MOST_LETTERS},
                 "size": size,
                 "position": position,
@@ -77,7 +90,36 @@ class ReplyForm:
 
     def grammar(self) -> str:
         """Lark grammar as llguidance reads it: the text of :func:`models.semantic_reasoner.layout_text.render_objects`."""
-        return _grammar(self)
+        return _grammar(replace(self, asks=()))
+
+    def lacking(self, text: str) -> tuple[str, ...] | None:
+        """What a whole reply still has to have.
+
+        Args:
+            text: A reply in this form.
+
+        Returns:
+            The categories of which one must come, any at all where there are none; None where nothing is lacking, or nothing more
+            may come.
+        """
+        if not self.asks:
+            return None
+        categories = [o.category for o in parse_reply(text).objects]
+        if len(categories) >= self.at_most:
+            return None
+        unmet = [asked for asked in self.asks if not asked.is_met_by(categories)]
+        named = tuple(dict.fromkeys(c for asked in unmet for c in asked.categories))
+        return named if unmet else None
+
+    def grammar_after(self, start: str, categories: tuple[str, ...], at_most: int) -> str:
+        """Lark grammar of what follows where a reply must not end yet.
+
+        Args:
+            start: What is to be written first.
+            categories: The next object is of one of these; of any where there are none.
+            at_most: Most objects that may come.
+        """
+        return _grammar_after(replace(self, asks=(), at_most=at_most), start, categories)
 
 
 def _triple(bounds: Iterable[tuple[float, float]]) -> dict[str, Any]:
@@ -105,14 +147,32 @@ def _grammar(form: ReplyForm) -> str:
         one_of = "|".join(f'"\\"{name}\\""' for name in form.names)
         gone = f'(({one_of}) ("," ({one_of}))*)?' if form.names else ""
         removed = f'"\\"remove\\":[" {gone} "]," '
+    return _with_entries(form, [f'start: "{{" {removed}"\\"objects\\":[" {listed} "]}}"'])
+
+
+def _grammar_after(form: ReplyForm, start: str, categories: tuple[str, ...]) -> str:
+    more = f'("," entry){{0,{form.at_most - 1}}}' if form.at_most > 1 else ""
+    first, names = "entry", []
+    if categories:
+        first, names = "asked", [f"ASKED: /({'|'.join(categories)})_[0-9]{{1,2}}/", _entry("asked", "ASKED")]
+    return _with_entries(form, [f'start: {json.dumps(start)} {first} {more} "]}}"', *names])
+
+
+def _entry(rule: str, name: str) -> str:
+    return (
+        rf'{rule}: "{{\"instance\":\"" {name} "\",\"description\":\"" WORDS "\",\"size\":[" SIDE "," SIDE "," TALL'
+        r' "],\"position\":[" X "," Y "," Z "],\"z_rotation\":" ANGLE "}"'
+    )
+
+
+def _with_entries(form: ReplyForm, rules: list[str]) -> str:
     longest, highest = _up_to(form.longest_cm, 1), _up_to(HIGHEST_CM, 1)
     return "\n".join(
         [
             # Else what must come next is spelt with the tokenizer's words for that much alone, and longer tokens are lost.
             '%llguidance {"no_forcing": true}',
-            f'start: "{{" {removed}"\\"objects\\":[" {listed} "]}}"',
-            r'entry: "{\"instance\":\"" NAME "\",\"description\":\"" WORDS "\",\"size\":[" SIDE "," SIDE "," TALL'
-            r' "],\"position\":[" X "," Y "," Z "],\"z_rotation\":" ANGLE "}"',
+            *rules,
+            _entry("entry", "NAME"),
             r"NAME: /[a-z][a-z_]{0,40}_[0-9]{1,2}/",
             rf"WORDS: /{_LETTER}+( {_LETTER}+)*/ & /(?s:.){{1,{MOST_LETTERS}}}/",
             f"SIDE: /{longest}/",

@@ -17,7 +17,7 @@ import numpy as np
 from tqdm import tqdm
 from transformers import PreTrainedTokenizerBase
 
-from models.semantic_reasoner.examples import Example, edit_example_of, example_of, one_shot
+from models.semantic_reasoner.examples import Example, edit_example_of, example_of, with_whole
 from models.semantic_reasoner.prompt import ANY_TABLE, FIXED, PROMPT_VERSION
 from models.semantic_reasoner.saved_model import read_tokenizer
 from models.semantic_reasoner.table_part import part_of_table
@@ -74,6 +74,10 @@ class RunExamples:
         is_the_table = "://" not in named and Path(named).name == "edits" and not RunFolder(named).files("edits")
         return str(Path(named).parent) if is_the_table else named
 
+    @property
+    def _asks_whole(self) -> bool:
+        return self.settings.shares.whole > 0
+
     def tokenizer(self) -> PreTrainedTokenizerBase:
         """The tokenizer: that of ``tokenizer`` or ``base``; else one made for the words of the split ``train``, and kept.
 
@@ -84,7 +88,7 @@ class RunExamples:
         if named:
             return read_tokenizer(Path(named).expanduser())
         size = self.settings.network.vocabulary
-        shaping = (self.settings.one_shot, self.settings.with_details, self.settings.seed, *_prompt_parts())
+        shaping = (self._asks_whole, self.settings.with_details, self.settings.seed, *_prompt_parts())
         folder = self.cache / f"tokenizer-{content_id(_VERSION, self.fingerprint(), self.every, size, *shaping)}"
         if not (folder / "tokenizer.json").is_file():
             made = train_tokenizer(self._texts(), size)
@@ -100,7 +104,7 @@ class RunExamples:
             ConfigError: The table cannot be read, or there is nothing to learn from.
         """
         s = self.settings
-        shaping = [s.max_tokens, s.with_details, s.one_shot, *_prompt_parts()]
+        shaping = [s.max_tokens, s.with_details, self._asks_whole, *_prompt_parts()]
         if split == "train":
             shaping += [s.any_table_share, s.part_share, s.seed]
         key = content_id(_VERSION, self.fingerprint(), self.every, fingerprint_of(tokenizer), split, shaping)
@@ -122,8 +126,8 @@ class RunExamples:
         if split == "train" and self.settings.part_share:
             rows = map(self._perhaps_a_part, rows)
         examples: Iterable[Example] = (example_of(row, self.settings.with_details) for row in rows)
-        if self.settings.one_shot:
-            examples = one_shot(examples)
+        if self._asks_whole:
+            examples = with_whole(examples)
         if self.edits is not None:
             examples = chain(examples, (edit_example_of(row) for row in self._rows(self.edits, "edits", split)))
         if split != "train":  # every question is asked as it stands
@@ -142,8 +146,8 @@ class RunExamples:
         found: Counter[str] = Counter()
         for group in range(len(table.groups)):
             found.update(table.read([group])["stage"].to_pylist())
-        if self.settings.one_shot:
-            found = Counter({"whole": found[Stage.SECONDARY]})
+        if self._asks_whole:
+            found["whole"] = found[Stage.SECONDARY]
         if self.edits is not None:
             found["edit"] = len(TableFiles(self.edits, "edits", ["edit_id"], split))
         return found

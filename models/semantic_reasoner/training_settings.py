@@ -71,12 +71,20 @@ class LoraSettings:
 
 @dataclass(frozen=True, slots=True)
 class StageShares:
-    """Which share of the examples of each kind a pass takes, drawn anew each time."""
+    """Which share of the examples of each kind a pass takes, drawn anew each time.
+
+    Attributes:
+        task: O^t.
+        important: O^B.
+        secondary: O^b.
+        whole: Whole layouts in one pass, made of the last stages. The paper's one-shot ablation is a training of these alone.
+        edit: Edits.
+    """
 
     task: float = 1.0
     important: float = 1.0
     secondary: float = 1.0
-    whole: float = 1.0
+    whole: float = 0.0
     edit: float = 1.0
 
     def of_kinds(self) -> tuple[float, ...]:
@@ -114,7 +122,6 @@ class ReasonerTraining:
         part_share: Share of the examples that show a part of their table as a table of its own, likewise, so that a model that has
             seen large tables alone can lay out a small one.
         with_details: Whether the rest of the task info is said too.
-        one_shot: The paper's ablation: the whole layout in one pass.
         precision: Of multiplications; weights, norms, gradients and averages are float32.
         storage: Of the weights that are kept in the end.
         recomputes: Whether activations are computed again in the backward pass instead of kept (gradient checkpointing).
@@ -146,7 +153,6 @@ class ReasonerTraining:
     any_table_share: float = 0.2
     part_share: float = 0.0
     with_details: bool = False
-    one_shot: bool = False
     precision: Precision = "bfloat16"
     storage: Precision = "float32"
     recomputes: bool = False
@@ -199,7 +205,7 @@ EMBEDDED = ReasonerTraining(
     optimizer="muon",
     learning_rate=3e-3,
     part_share=0.4,
-    shares=StageShares(important=0.2, secondary=0.12, whole=0.35, edit=0.1),
+    shares=StageShares(important=0.2, secondary=0.12, whole=0.1, edit=0.1),
 )
 """The small model of the embedded engine: from scratch, with a tokenizer of its own, on one core of a CPU.
 

@@ -24,7 +24,7 @@ from models.semantic_reasoner.prompt import PROMPT_VERSION
 from models.semantic_reasoner.saved_model import write_model
 from models.semantic_reasoner.token_set import KINDS
 from models.semantic_reasoner.training_data import RunExamples
-from models.semantic_reasoner.training_settings import LoraSettings, ReasonerTraining
+from models.semantic_reasoner.training_settings import LoraSettings, ReasonerTraining, StageShares
 from pipelines.__main__ import app
 from pipelines.preprocess import preprocess
 from pipelines.reasoner_plan import plan_of
@@ -38,6 +38,7 @@ from tests.models.semantic_reasoner.reasoner_examples import TINY, tokenizer
 from tests.pipelines.runs import ROOT, SMALL
 
 SETTINGS = replace(TINY, steps=6, tokens_per_batch=1500, max_tokens=2000, accumulate=2, any_table_share=0.5)
+ONE_SHOT = StageShares(task=0.0, important=0.0, secondary=0.0, whole=1.0)
 WATCH = Watch(log_every=2, validate_every=4, validate_examples=2)
 
 
@@ -260,14 +261,13 @@ def test_tokens_are_kept_by_all_that_shapes_them(run: Path, tmp_path: Path) -> N
         SETTINGS,
         replace(SETTINGS, any_table_share=0.0),
         replace(SETTINGS, with_details=True),
-        replace(SETTINGS, one_shot=True),
+        replace(SETTINGS, shares=ONE_SHOT),
     )
     words = RunExamples(str(run), tmp_path, SETTINGS).tokenizer()
     found = [RunExamples(str(run), tmp_path, way).load("train", words) for way in (*ways, replace(SETTINGS, learning_rate=1.0))]
     assert len(list(tmp_path.glob("train-*"))) == len(ways)
-    whole = found[3]
-    assert {KINDS[k] for k in whole.kind} == {"whole"}
-    assert 3 * len(whole) == len(found[0])
+    wholes = int((found[3].kind == KINDS.index("whole")).sum())
+    assert 3 * wholes == len(found[3]) - wholes == len(found[0])
     assert found[2].start[-1] > found[0].start[-1]
 
 
@@ -327,7 +327,7 @@ def test_edits_that_are_named_but_not_there_are_one_line_and_status_2(run: Path,
 
 
 def test_one_shot_is_a_training_of_its_own(run: Path, tmp_path: Path) -> None:
-    assert "nats a token whole" in job(run, tmp_path / "out", replace(SETTINGS, steps=1, one_shot=True)).run()
+    assert "nats a token whole" in job(run, tmp_path / "out", replace(SETTINGS, steps=1, shares=ONE_SHOT)).run()
 
 
 def test_a_judge_adds_its_figures(run: Path, out: Path) -> None:

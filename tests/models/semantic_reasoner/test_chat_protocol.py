@@ -21,6 +21,7 @@ from models.semantic_reasoner.chat_protocol import (
 from models.semantic_reasoner.engine import Completion, Request, Sampling
 from models.semantic_reasoner.layout_text import LayoutObject, render_objects
 from models.semantic_reasoner.reply_form import ReplyForm
+from models.semantic_reasoner.required import Required
 
 BEST = {name: ways[0] for name, ways in SPELLINGS.items()}
 KEYS = ["choices", "message", "content", "refusal", "finish_reason", "usage", "prompt_tokens", "error", "code", "param", "type"]
@@ -38,6 +39,7 @@ FORMS = st.builds(
     st.lists(st.sampled_from(["mug_0", "plate_1"]), unique=True).map(tuple),
     st.integers(0, 2),
     st.integers(2, 9),
+    st.sampled_from([(), (Required("both mugs", ("mug", "teacup"), 2), Required("in it", ()))]),
 )
 
 
@@ -99,6 +101,16 @@ def test_without_the_form_the_schema_gives_one_that_is_no_narrower(form: ReplyFo
     assert arrived.depth_cm >= form.depth_cm
     if form.edits and form.names:
         assert (arrived.edits, arrived.names) == (True, form.names)
+
+
+@pytest.mark.parametrize("asks", [None, [{}], [{"words": "x", "categories": ["a|b"], "at_least": 1}]])
+def test_a_form_that_asks_for_what_is_no_category_is_refused(asks: Any) -> None:
+    body = request_body(
+        "m", Request(({"role": "user", "content": "x"},), ReplyForm(90.0, 60.0)), Sampling(), BEST, with_form=True
+    )
+    body["stable_data"]["form"]["asks"] = asks
+    with pytest.raises(ValueError, match="form"):
+        request_of(body, Sampling())
 
 
 def test_a_request_without_a_form_may_have_any_layout() -> None:

@@ -1,18 +1,23 @@
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from numpy.random import default_rng
+from tokenizers import Tokenizer, decoders, models, pre_tokenizers, trainers
 from transformers import PreTrainedTokenizerFast, Qwen3ForCausalLM
 
 from models.semantic_reasoner.decoding import ATTENTION, Decoder
 from models.semantic_reasoner.engine import Completion, Request, Sampling
 from models.semantic_reasoner.layout_text import LayoutObject, parse_reply, render_objects
-from models.semantic_reasoner.local_engine import LocalEngine
+from models.semantic_reasoner.local_engine import LocalEngine, _Sequence
 from models.semantic_reasoner.network import new_network
 from models.semantic_reasoner.prompt import Ask, messages, question
 from models.semantic_reasoner.reply_form import ReplyForm
+from models.semantic_reasoner.required import Required
 from models.semantic_reasoner.tokenizer import train_tokenizer
 from models.semantic_reasoner.training_settings import NetworkSettings
 from models.semantic_reasoner.vllm_engine import VllmEngine
@@ -91,6 +96,79 @@ def test_a_reply_depends_on_its_seed_and_not_on_its_neighbours(
     assert LocalEngine(network, tokenizer, "tiny", SHORT, num_slots=9).complete(asked[::-1])[::-1] == together
     assert [LocalEngine(network, tokenizer, "tiny", SHORT).complete([r])[0] for r in asked[:3]] == together[:3]
     assert len({c.text for c in LocalEngine(network, tokenizer, "tiny", SHORT).complete([request(s) for s in range(6)])}) > 1
+
+
+ASKS = (Required("two mugs", ("mug", "teacup"), 2), Required("the pen", ("pen",)))
+
+
+def test_a_reply_does_not_end_without_what_its_form_asks_for(
+    network: Qwen3ForCausalLM, tokenizer: PreTrainedTokenizerFast
+) -> None:
+    with torch.no_grad():  # a model that would rather end at once
+        network.lm_head.weight.mul_(0.5)
+    form = ReplyForm.of_table(TABLE, at_most=5, asks=ASKS)
+    engine = LocalEngine(network, tokenizer, "tiny", replace(SHORT, max_tokens=900), num_slots=4)
+    said = [c for c in engine.complete([request(seed, form=form) for seed in range(12)]) if not c.code]
+    assert len(said) > 3
+    for completion in said:
+        objects = parse_reply(completion.text).objects
+        assert len(objects) <= 5
+        assert len(objects) == 5 or all(asked.is_met_by([o.category for o in objects]) for asked in ASKS)
+        assert render_objects(objects) == completion.text
+    free = [c for c in engine.complete([request(seed, form=replace(form, asks=())) for seed in range(12)]) if not c.code]
+    assert not any(ASKS[1].is_met_by([o.category for o in parse_reply(c.text).objects]) for c in free)
+
+
+@pytest.mark.parametrize("is_general", [False, True])
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_an_end_is_taken_back_by_whole_tokens(
+    network: Qwen3ForCausalLM, tokenizer: PreTrainedTokenizerFast, is_general: bool, count: int
+) -> None:
+    """With a tokenizer whose last token is the end of an object and of the list, and with one of single letters."""
+    words = letters_tokenizer() if is_general else tokenizer
+    engine = LocalEngine(network, words, "tiny")
+    whole = render_objects([MUG] * count)
+    reply = words(whole, add_special_tokens=False)["input_ids"]
+    sequence = _Sequence(
+        0, [1], ReplyForm.of_table(TABLE, asks=ASKS), engine._matcher(FORM.grammar()), default_rng(0), [*reply]
+    )
+    assert engine._goes_on(sequence)
+    kept = engine._text(sequence.reply)
+    assert whole.removesuffix("]}").startswith(kept)
+    assert len(sequence.reply) == len(reply) - (2 if is_general else 1)
+    assert sequence.matcher is not None
+    ok = render_objects([*[MUG] * count, replace(MUG, instance="pen_0"), MUG]).removeprefix(kept)
+    assert sequence.matcher.validate_tokens(words(ok, add_special_tokens=False)["input_ids"]) == len(
+        words(ok, add_special_tokens=False)["input_ids"]
+    )
+
+
+def letters_tokenizer() -> PreTrainedTokenizerFast:
+    plain = Tokenizer(models.BPE())
+    plain.pre_tokenizer = pre_tokenizers.ByteLevel(add_prefix_space=False)
+    plain.decoder = decoders.ByteLevel()
+    plain.train_from_iterator(
+        ["a"], trainers.BpeTrainer(special_tokens=["<end>"], initial_alphabet=pre_tokenizers.ByteLevel.alphabet())
+    )
+    return PreTrainedTokenizerFast(tokenizer_object=plain, eos_token="<end>", chat_template="x")  # noqa: S106
+
+
+def test_lists_end_at_the_model_s_own_odds(network: Qwen3ForCausalLM, tokenizer: PreTrainedTokenizerFast) -> None:
+    """A temperature under 1 and ``top_p`` would cut an end of 6 % away."""
+    engine = LocalEngine(network, tokenizer, "tiny", Sampling(temperature=0.5, top_p=0.9))
+    form = ReplyForm.of_table(TABLE)
+    end, more = (tokenizer.convert_tokens_to_ids(word) for word in ("}]}", '},{"instance":"'))
+    logits = torch.full((1, engine._vocabulary), -9.0)
+    logits[0, end], logits[0, more] = math.log(0.06), math.log(0.94)
+    tokens = tokenizer(render_objects([MUG]), add_special_tokens=False)["input_ids"][:-1]
+    matcher = engine._matcher(form.grammar())
+    assert matcher.consume_tokens(tokens)
+    sequence = _Sequence(0, [1], form, matcher, default_rng(0), tokens)
+    drawn = [engine._drawn(logits, [sequence])[0] for _ in range(3000)]
+    assert set(drawn) == {end, more}
+    assert drawn.count(end) / len(drawn) == pytest.approx(0.06, abs=0.015)
+    sure = LocalEngine(network, tokenizer, "tiny", Sampling(temperature=0))
+    assert sure._drawn(logits, [sequence]) == [more]
 
 
 def test_the_likeliest_reply_is_that_of_generate(network: Qwen3ForCausalLM, tokenizer: PreTrainedTokenizerFast) -> None:

@@ -1,4 +1,5 @@
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import jsonschema
@@ -10,6 +11,7 @@ from llguidance import LLMatcher, LLTokenizer
 
 from models.semantic_reasoner.layout_text import LayoutObject, render_objects
 from models.semantic_reasoner.reply_form import MOST_OBJECTS, ReplyForm, _up_to
+from models.semantic_reasoner.required import Required
 from models.semantic_reasoner.tokenizer import train_tokenizer
 
 FORM = ReplyForm(112.0, 59.3)
@@ -21,9 +23,10 @@ def guide() -> LLTokenizer:
     return llguidance.hf.from_tokenizer(train_tokenizer(["put the red mug on the table"], 300))
 
 
-def accepts(guide: LLTokenizer, form: ReplyForm, text: str) -> bool:
+def accepts(guide: LLTokenizer, form: ReplyForm | str, text: str) -> bool:
     """Whether the grammar allows a text, from its first byte to its last."""
-    matcher = LLMatcher(guide, LLMatcher.grammar_from_lark(form.grammar()))
+    grammar = form if isinstance(form, str) else form.grammar()
+    matcher = LLMatcher(guide, LLMatcher.grammar_from_lark(grammar))
     assert not matcher.is_error(), matcher.get_error()
     tokens = guide.tokenize_str(text)
     return bool(matcher.try_consume_tokens(tokens) == len(tokens) and matcher.is_accepting())
@@ -81,6 +84,37 @@ def test_an_edit_takes_away_only_what_is_there(guide: LLTokenizer) -> None:
 def test_the_number_of_objects_can_be_bounded(guide: LLTokenizer) -> None:
     form = ReplyForm(112.0, 59.3, at_least=1, at_most=2)
     assert [accepts(guide, form, render_objects([MUG] * n)) for n in range(4)] == [False, True, True, False]
+
+
+def test_what_is_asked_for_is_lacking_until_it_is_there() -> None:
+    pen = replace(MUG, instance="pen_0")
+    form = ReplyForm(112.0, 59.3, at_most=4, asks=(Required("two mugs", ("mug", "teacup"), 2), Required("the pen", ("pen",))))
+    assert form.lacking(render_objects([])) == ("mug", "teacup", "pen")
+    assert form.lacking(render_objects([MUG, replace(MUG, instance="teacup_0")])) == ("pen",)
+    assert form.lacking(render_objects([MUG, pen])) == ("mug", "teacup")
+    assert form.lacking(render_objects([MUG, MUG, pen])) is None
+    assert form.lacking(render_objects([pen] * 4)) is None  # there is no room for more
+    assert replace(form, asks=()).lacking(render_objects([])) is None
+    anything = ReplyForm(112.0, 59.3, asks=(Required("what is on it", ()),))
+    assert anything.lacking(render_objects([MUG])) == ()
+    assert anything.lacking(render_objects([MUG, pen])) is None
+
+
+def test_what_follows_begins_with_what_is_lacking(guide: LLTokenizer) -> None:
+    pen, kept = replace(MUG, instance="pen_0"), render_objects([MUG])[:-3]
+
+    def goes_on(objects: list[LayoutObject], categories: tuple[str, ...], at_most: int = 9) -> bool:
+        grammar = FORM.grammar_after("},", categories, at_most)
+        return accepts(guide, grammar, render_objects([MUG, *objects]).removeprefix(kept))
+
+    assert goes_on([pen], ("cup", "pen"))
+    assert goes_on([pen, MUG], ("cup", "pen"), 2)
+    assert not goes_on([pen, MUG], ("cup", "pen"), 1)
+    assert not goes_on([MUG, pen], ("cup", "pen"))
+    assert not goes_on([replace(MUG, instance="red_pen_0")], ("cup", "pen"))
+    assert not goes_on([], ("pen",))
+    assert goes_on([MUG], ())
+    assert not goes_on([], ())
 
 
 def test_schema_and_grammar_agree(guide: LLTokenizer) -> None:
