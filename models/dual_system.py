@@ -20,6 +20,7 @@ from models.semantic_reasoner.staged import PROGRESSIVE, LayoutTask
 from stable_data.errors import ConfigError, Notice
 from stable_data.furnishing import Furnished
 from stable_data.scene import TABLE, Scene, Stage
+from stable_data.seeds import named_seed
 
 STEP = "generate"
 """The step that notices of the loop name."""
@@ -206,7 +207,7 @@ class _Scene:
         """Asks for a stage once; what it brings is in the scene after it, unless it is rejected."""
         told = layout_objects(self.scene.objects, {o.instance: o.instance for o in self.scene.objects})
         ask = Ask(self.task.instruction, self.task.table, wanted, told, self.task.details)
-        proposal = yield Propose(ask, self.seed + attempt)
+        proposal = yield Propose(ask, named_seed(self.seed, attempt))
         assert isinstance(proposal, Proposal)
         self._hear(wanted, proposal)
         if proposal.reply is None:

@@ -1,6 +1,5 @@
 """Tasks become raw layouts with assets: the reasoner's half, for a batch of tasks at a time."""
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +14,7 @@ from stable_data.furnishing import STEP as ASSETS
 from stable_data.furnishing import Furnished, furnish
 from stable_data.retrieval import Retriever
 from stable_data.scene import Scene, Stage
+from stable_data.seeds import named_seed
 
 STEP = "propose"
 """The step that notices of layouts name."""
@@ -69,7 +69,7 @@ class Proposer:
 
     def outcomes(self, tasks: Sequence[LayoutTask]) -> list[Outcome]:
         """What becomes of each task, in their order; what fails does not touch the others."""
-        seeds = [seed_of(self._seed, task.scene_id) for task in tasks]
+        seeds = [named_seed(self._seed, task.scene_id) for task in tasks]
         layouts = staged_layouts(self.reasoner, tasks, seeds, self._stages, self.statistics)
         there = {k: layout.scene for k, layout in enumerate(layouts) if layout.is_whole and layout.objects}
         furnished = dict(zip(there, furnish(list(there.values()), self.retriever, self._seed), strict=True))
@@ -96,11 +96,6 @@ class Proposer:
             return Outcome(layout, None, failure, tuple(warnings))
         scene = with_task(furnished.scene, layout.task.instruction, layout.objects, self.statistics)
         return Outcome(layout, scene, None, (*warnings, *furnished.notices))
-
-
-def seed_of(seed: int, scene_id: str) -> int:
-    """The seed of a scene: of its own, wherever in the file it stands."""
-    return int.from_bytes(hashlib.sha256(f"{seed}:{scene_id}".encode()).digest()[:6], "big")
 
 
 def _said(layout: StagedLayout) -> Iterator[Notice]:

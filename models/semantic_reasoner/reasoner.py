@@ -1,6 +1,5 @@
 """The Semantic Reasoner: asks an engine, checks what comes back, asks again with the reason, and gives objects."""
 
-import hashlib
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -15,6 +14,7 @@ from models.semantic_reasoner.prompt import MAX_INSTRUCTION, Ask
 from models.semantic_reasoner.putting_right import put_right
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.scene import Stage
+from stable_data.seeds import named_seed
 
 _LEFT_OUT = "left_out"
 
@@ -203,7 +203,7 @@ class SemanticReasoner:
         ask = asking.ask
         told = [(r.answer, r.reason) for r in asking.refused] if self._tells_reasons else []
         chat = tuple(self._dialect.messages(ask, told))
-        return Request(chat, self._dialect.form(ask), _seed(asking.seed, str(ask.wanted), attempt))
+        return Request(chat, self._dialect.form(ask), named_seed(asking.seed, ask.wanted, attempt))
 
     def _last_word(self, asking: _Asking) -> Proposal:
         """What comes of a question that was asked as often as it may be."""
@@ -264,9 +264,3 @@ def _left_out(faults: Sequence[Fault]) -> int:
 def _amiss(faults: Sequence[Fault]) -> tuple[bool, int]:
     """How much is wrong with a reply; an edit that does something, if oddly, is better than one that does nothing."""
     return any(f.code == "nothing_changed" for f in faults), len(faults)
-
-
-def _seed(seed: int, wanted: str, attempt: int) -> int:
-    """The seed of a try: of its own for each stage and attempt."""
-    digest = hashlib.sha256(f"{seed}:{wanted}:{attempt}".encode()).digest()
-    return int.from_bytes(digest[:6], "big")

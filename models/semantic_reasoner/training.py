@@ -8,6 +8,8 @@ batches, so that their number changes what each does and not what is learned.
 import ctypes
 import itertools
 import math
+import os
+import shutil
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -106,6 +108,12 @@ class Training:
             )
         if settings.compiles and place.world_size > 1:
             raise ConfigError(f"compiles is set, and {place.world_size} processes share a step, expected one", "config_invalid")
+        compilers = [os.environ.get("CXX", ""), "g++", "clang++"]
+        if settings.compiles and place.device.type == "cpu" and not any(map(shutil.which, filter(None, compilers))):
+            raise ConfigError(
+                "compiles is set, and there is no C++ compiler, expected g++ or clang++; install one, or leave compiles out",
+                "config_invalid",
+            )
         self.data, self.settings, self.place, self.tokenizer = data, settings, place, tokenizer
         self._identity = identity
         self.loss = ReplyLoss(TrainedNetwork(settings, tokenizer).network, settings)

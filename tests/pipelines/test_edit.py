@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -47,16 +47,11 @@ from tests.models.semantic_reasoner.known_categories import ask
 from tests.pipelines.runs import ROOT, content, used_assets
 from tests.stable_data.synth.edit_scenes import made_scenes, row_of
 
+pytestmark = pytest.mark.usefixtures("own_cache")
+
 SMALL = EditSettings(weights="none", scenes_per_shard=4, num_pictures=0, position_convention="box_centre")
 ALONE = Workers()
 EMPTY = '{"remove":[],"objects":[]}'
-
-
-@pytest.fixture(scope="module", autouse=True)
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
 
 
 @pytest.fixture(scope="module")

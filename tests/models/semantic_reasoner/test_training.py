@@ -138,6 +138,13 @@ def test_what_is_computed_again_is_the_same(settings: ReasonerTraining) -> None:
         torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-5)
 
 
+def test_compiling_without_a_compiler_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CXX", raising=False)
+    with pytest.raises(ConfigError, match="no C"):
+        training(replace(TINY, compiles=True))
+
+
 @pytest.mark.slow  # a minute of compiling
 @pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")  # PyTorch's compiler calls what PyTorch gives up
 @pytest.mark.filterwarnings("ignore:The .grad attribute:UserWarning")  # and looks at what it was given
