@@ -218,6 +218,32 @@ def inspect(run: Annotated[str, typer.Argument(help="A run folder or its URI.")]
 
 @app.command()
 @with_clear_errors
+def query(
+    run: Annotated[str, typer.Argument(help="A run folder or its URI.")],
+    where: Annotated[str, typer.Argument(help='Which scenes, such as "clean and num_stacked >= 2".')],
+    to: Annotated[str | None, typer.Option(help="Folder or URI to write them to, with all that belongs to them.")] = None,
+) -> None:
+    """Count the scenes of a run that a condition takes, or write them to a run of their own.
+
+    Conditions compare columns of the table scenes with constants and are joined by and, or and not; what is unknown passes none.
+    """
+    from stable_data.selection import count_selected, select
+    from stable_data.shards import RunFolder
+
+    folder = RunFolder(run)
+    if to is None:
+        found, total = count_selected(folder, where)
+        typer.echo(f"{run}: {found} of {total} scenes")
+        return
+    target = RunFolder(to)
+    count_selected(folder, where)  # refuses what is no condition before anything is written
+    with target.locked():
+        counts = select(folder, where, target)
+    typer.echo(f"{to}: {counts['scenes']} of {folder.num_rows('scenes')} scenes, {counts.get('assets', 0)} assets")
+
+
+@app.command()
+@with_clear_errors
 def schemas(folder: Annotated[Path, typer.Argument(help="Where to write them.")] = Path("schemas")) -> None:
     """Write the contracts: JSON Schemas and the columns of every table."""
     from stable_data.contracts import write_contracts

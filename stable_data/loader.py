@@ -75,10 +75,12 @@ class TableDataset(Dataset[Any]):
             entries (``decode=scene_from_row`` keeps them), anything else the row itself. Lists of float16, float32 and int32
             come as numpy arrays. With workers that are spawned it must be a function of a module.
         split: ``train``, ``validation`` or ``test`` of ``scenes`` or ``samples``; None: the rows of all.
+        where: Which rows, such as ``clean and num_stacked >= 2`` (:mod:`stable_data.query`); None: all.
         cache_bytes: How much decoded Parquet is kept at most; the last row group is kept whatever its size.
 
     Raises:
-        ConfigError: The table, a column or a split is not there, was written by another version, or cannot be read.
+        ConfigError: The table, a column or a split is not there, the condition is none, or the table was written by another version or
+            cannot be read.
     """
 
     def __init__(
@@ -89,10 +91,11 @@ class TableDataset(Dataset[Any]):
         columns: Sequence[str] | None = None,
         decode: Decode | None = None,
         split: str | None = None,
+        where: str | None = None,
         cache_bytes: int = _CACHE_BYTES,
     ) -> None:
         leaves, self._items = _reading(table, columns, decode)
-        self._files = TableFiles(uri, table, leaves, split)
+        self._files = TableFiles(uri, table, leaves, split, where)
         self._cache_bytes = cache_bytes
         self._cache: OrderedDict[int, pa.Table] = OrderedDict()
 
@@ -149,6 +152,7 @@ class TableStream(IterableDataset[Any]):
         columns: As in :class:`TableDataset`.
         decode: As in :class:`TableDataset`.
         split: As in :class:`TableDataset`.
+        where: As in :class:`TableDataset`.
         batch_size: Rows in a batch, or None: the stream gives single items.
         collate: List of items to batch; None leaves the list. ``collate_scenes`` on ``scenes`` goes from columns to tensors.
         shuffle_seed: None keeps the order of the files; else row groups are shuffled, then rows within windows of them.
@@ -171,6 +175,7 @@ class TableStream(IterableDataset[Any]):
         columns: Sequence[str] | None = None,
         decode: Decode | None = None,
         split: str | None = None,
+        where: str | None = None,
         batch_size: int | None = None,
         collate: Collate | None = None,
         shuffle_seed: int | None = None,
@@ -183,7 +188,7 @@ class TableStream(IterableDataset[Any]):
         leaves, self._items = _reading(table, columns, decode)
         self._collate = collate
         self._is_columnar = collate is collate_scenes and leaves is SCENE_LEAVES and batch_size is not None
-        self._files = TableFiles(uri, table, ARRAY_LEAVES if self._is_columnar else leaves, split)
+        self._files = TableFiles(uri, table, ARRAY_LEAVES if self._is_columnar else leaves, split, where)
         self._batch_size, self._step = batch_size, batch_size or 1
         self._order = EpochOrder(self._files.groups, shuffle_seed, window_rows)
         self._rank, self._world_size, self._drop_remainder = rank, world_size, drop_remainder
@@ -272,6 +277,7 @@ class TableStream(IterableDataset[Any]):
         least = self._world_size * (self._step if self._drop_remainder else 1)
         if len(self._files) < least:
             of_split = f" of split {self._files.split}" if self._files.split else ""
+            of_split += f" where {self._files.where}" if self._files.where else ""
             whole = f" times batch_size {self._step}, as drop_remainder wants" if self._drop_remainder else ""
             raise ConfigError(
                 f"{self._files.uri}: table {table} has {len(self._files)} rows{of_split}, expected at least {least}, world_size "
@@ -287,6 +293,7 @@ class TableStream(IterableDataset[Any]):
         """What shapes the order of the rows and must not change within an epoch."""
         return {
             "split": self._files.split,
+            "where": self._files.where,
             "table_fingerprint": self._files.fingerprint,
             "shuffle_seed": self._order.seed,
             "window_rows": self._order.window_rows,

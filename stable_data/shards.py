@@ -162,7 +162,11 @@ class RunFolder:
             shard_id: ``content_id`` of what the rows were made from.
             rows: Column -> value.
         """
-        pieces = list(_pieces(arrow_table(table, rows)))
+        self.write_table(table, shard_id, arrow_table(table, rows))
+
+    def write_table(self, table: str, shard_id: str, rows: pa.Table) -> None:
+        """Writes one shard of a table that is an Arrow table already; see :meth:`write_shard`."""
+        pieces = list(_pieces(rows))
         for number, piece in reversed(list(enumerate(pieces))):
             sink = pa.BufferOutputStream()
             with pq.ParquetWriter(sink, piece.schema, compression="zstd") as writer:

@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from stable_data.errors import ConfigError
+from stable_data.query import Query, parse_query
 from stable_data.scene import IntArray
 from stable_data.shards import RunFolder, content_id, unreadable
 from stable_data.tables import SCHEMAS, Row, check_version
@@ -23,6 +25,7 @@ SPLITS = ("train", "validation", "test", "unseen")
 _REQUESTS = 16
 _ARRAYS = (pa.float16(), pa.float32(), pa.int32())
 _SLICE_BYTES = 4 * 2**20
+_NUMBER = ".row"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +35,7 @@ class RowGroup:
     Attributes:
         path: The file, as its file system names it.
         index: Which of the file's row groups.
-        num_rows: Rows, those of other splits left out.
+        num_rows: Rows, without those that are not asked for.
         num_bytes: All columns and rows, decompressed.
         chosen: Which rows, (num_rows,) int64, or None: all of them.
     """
@@ -52,20 +55,26 @@ class TableFiles:
         table: Name in SCHEMAS.
         leaves: Columns or leaves of columns, as Parquet names them, or None: all.
         split: Rows of which split, or None: all. Others are left out before anything is made of them.
+        where: Which rows, a condition as :mod:`stable_data.query` has it, or None: all. Likewise; row groups that the files'
+            statistics rule out are not opened.
 
     Attributes:
         uri: The run folder.
         split: As given.
+        where: As given.
         groups: The row groups that hold rows.
         starts: Number of the first row of each, and of the row after the last, (groups + 1,) int64.
 
     Raises:
-        ConfigError: The table is not there, was written by another version, cannot be read, or has no such split.
+        ConfigError: The table is not there, was written by another version, cannot be read, or has no such split or columns.
     """
 
-    def __init__(self, uri: str, table: str, leaves: Sequence[str] | None, split: str | None = None) -> None:
+    def __init__(
+        self, uri: str, table: str, leaves: Sequence[str] | None, split: str | None = None, where: str | None = None
+    ) -> None:
         _check_split(table, split)
-        self.uri, self.split = uri, split
+        self.uri, self.split, self.where = uri, split, where
+        self._table = table
         self._leaves = None if leaves is None else list(leaves)
         self._folder, self._process = RunFolder(uri), os.getpid()
         paths = self._folder.files(table)
@@ -109,21 +118,38 @@ class TableFiles:
         )
 
     def _list_groups(self, path: str) -> list[RowGroup]:
+        query = self._query()
         try:
             with pq.ParquetFile(path, filesystem=self._folder.filesystem) as file:
                 check_version(pa.schema([], metadata=file.metadata.metadata), f"{self.uri}: {path}")
-                groups = [self._row_group(path, file, index) for index in range(file.num_row_groups)]
+                possible = range(file.num_row_groups) if query is None else _possible(query, path, file, self._folder)
+                groups = [_row_group(path, file, index, query) for index in possible]
         except (pa.ArrowException, OSError) as error:
             raise unreadable(self.uri, path, error) from error
         return [group for group in groups if group.num_rows]
 
-    def _row_group(self, path: str, file: pq.ParquetFile, index: int) -> RowGroup:
-        footer = file.metadata.row_group(index)
-        if self.split is None:
-            return RowGroup(path, index, footer.num_rows, footer.total_byte_size)
-        splits = file.read_row_group(index, columns=["split"])["split"]
-        chosen = np.flatnonzero(pc.fill_null(pc.equal(splits, self.split), False).to_numpy())
-        return RowGroup(path, index, len(chosen), footer.total_byte_size, chosen)
+    def _query(self) -> Query | None:
+        """The condition that split and where make."""
+        parts = ([f"split == {self.split!r}"] if self.split else []) + ([f"({self.where})"] if self.where else [])
+        if self.where:
+            parse_query(self.where, SCHEMAS[self._table])  # so that what is wrong with it is said of it alone
+        return parse_query(" and ".join(parts), SCHEMAS[self._table]) if parts else None
+
+
+def _possible(query: Query, path: str, file: pq.ParquetFile, folder: RunFolder) -> list[int]:
+    """The row groups of a file that its statistics do not rule out."""
+    fragment = ds.ParquetFileFormat().make_fragment(path, folder.filesystem)
+    return [group.id for group in fragment.subset(query.expression, schema=file.schema_arrow).row_groups]
+
+
+def _row_group(path: str, file: pq.ParquetFile, index: int, query: Query | None) -> RowGroup:
+    footer = file.metadata.row_group(index)
+    if query is None:
+        return RowGroup(path, index, footer.num_rows, footer.total_byte_size)
+    columns = file.read_row_group(index, columns=list(query.columns))
+    numbers = pa.array(np.arange(footer.num_rows))
+    chosen = query.rows(columns.append_column(_NUMBER, numbers))[_NUMBER].to_numpy()
+    return RowGroup(path, index, len(chosen), footer.total_byte_size, chosen)
 
 
 def check_columns(table: str, columns: Sequence[str] | None) -> None:

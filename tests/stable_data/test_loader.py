@@ -369,6 +369,47 @@ def test_rows_of_other_splits_are_not_made_into_anything(run: str) -> None:
     assert len(decoded) == sum(split_of(s) == "validation" for s in SCENES)
 
 
+def test_a_condition_gives_its_rows_alone(run: str) -> None:
+    where = "scene_id >= 'scene-010' and scene_id != 'scene-012'"
+    expected = [s for s in SCENES if s.scene_id >= "scene-010" and s.scene_id != "scene-012"]
+    assert list(TableStream(run, where=where)) == expected
+    data = TableDataset(run, where=where)
+    assert [data[i] for i in range(len(data))] == expected
+    both = TableStream(run, split="train", where=where)
+    assert list(both) == [s for s in expected if split_of(s) == "train"]
+    parts = [stream(run, where=where, batch_size=3, collate=collate_scenes, rank=rank, world_size=2) for rank in range(2)]
+    assert sorted(one for part in parts for one in ids(part)) == [s.scene_id for s in expected]
+    either = TableStream(run, split="unseen", where="scene_id < 'scene-004' or scene_id > 'scene-007'")
+    assert [s.scene_id for s in either] == ["scene-000", "scene-008"]
+
+
+def test_what_statistics_rule_out_is_not_opened(run: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[int] = []
+    look = table_files._row_group
+
+    def count(path: str, file: Any, index: int, query: Any) -> RowGroup:
+        opened.append(index)
+        return look(path, file, index, query)
+
+    monkeypatch.setattr(table_files, "_row_group", count)
+    last = IDS[-1]
+    assert [s.scene_id for s in TableStream(run, where=f"scene_id == '{last}'")] == [last]
+    assert len(opened) == 1
+
+
+def test_a_condition_resumes_and_is_not_another(run: str) -> None:
+    one = stream(run, where="scene_id > 'scene-005'", batch_size=4)
+    whole = ids(one)
+    one.resume_from(8)
+    assert ids(one) == whole[8:]
+    with pytest.raises(ConfigError, match="where: scene_id > 'scene-005' -> None"):
+        stream(run, batch_size=4).load_state_dict(one.state_dict())
+    with pytest.raises(ConfigError, match="names stable, expected"):
+        TableStream(run, where="stable > 1")
+    with pytest.raises(ConfigError, match="0 rows where"):
+        TableStream(run, where="scene_id == 'x'")
+
+
 def test_a_split_resumes_as_the_whole_does(run: str) -> None:
     one = stream(run, split="train", batch_size=4)
     whole = ids(one)

@@ -1,0 +1,160 @@
+"""Conditions on the rows of a table, in words: ``stable and num_stacked >= 2``.
+
+A condition names columns, compares them with constants and joins the comparisons with ``and``, ``or`` and ``not``. It is read by
+Python's own parser and nothing of it is ever run; Arrow evaluates it, and skips the parts of a file whose statistics rule it out. A
+value that is unknown (null) makes no row pass: neither ``stable`` nor ``not stable`` holds where stability was never judged.
+"""
+
+import ast
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import reduce
+from operator import and_, or_
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.dataset as ds
+
+from stable_data.errors import ConfigError
+
+_COMPARISONS: dict[type[ast.cmpop], str] = {
+    ast.Eq: "==",
+    ast.NotEq: "!=",
+    ast.Lt: "<",
+    ast.LtE: "<=",
+    ast.Gt: ">",
+    ast.GtE: ">=",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Query:
+    """A condition on rows.
+
+    Attributes:
+        text: As it was written.
+        columns: What it looks at, in the order of their first mention.
+        expression: The same for Arrow; true, false, or null where it depends on what is unknown.
+    """
+
+    text: str
+    columns: tuple[str, ...]
+    expression: pc.Expression
+
+    def rows(self, table: pa.Table) -> pa.Table:
+        """Those rows of a table that pass."""
+        return table.filter(self.expression)
+
+    def passes(self, row: Mapping[str, Any], schema: pa.Schema) -> bool:
+        """Whether one row does.
+
+        Args:
+            row: Column -> value; other columns than :attr:`columns` may be missing.
+            schema: Of its table.
+        """
+        columns = pa.schema([schema.field(name) for name in self.columns])
+        return len(self.rows(pa.Table.from_pylist([{name: row[name] for name in self.columns}], columns))) == 1
+
+
+def parse_query(text: str, schema: pa.Schema) -> Query:
+    """A condition from its words.
+
+    Args:
+        text: Such as ``stable and num_stacked >= 2``, ``table_type in ["office_table", "desk"]`` or ``0 < float_rate <= 0.1``.
+        schema: The table's, whose columns of numbers, texts and truths may be named.
+
+    Raises:
+        ConfigError: It cannot be read, or names no such column (``query_invalid``).
+    """
+    try:
+        tree = ast.parse(" ".join(text.split()), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise _invalid(text, f"cannot be read ({getattr(error, 'msg', error)})") from error
+    reader = _Reader(text, schema)
+    try:
+        expression = reader.truth(tree)
+        ds.InMemoryDataset(schema.empty_table()).to_table(filter=expression)  # finds comparisons of unlike things
+    except (pa.ArrowException, RecursionError) as error:
+        raise _invalid(text, f"compares unlike things ({str(error).partition(chr(10))[0]})") from error
+    if not reader.columns:
+        raise _invalid(text, "names no column; leave it out to take every row")
+    return Query(text, tuple(reader.columns), expression)
+
+
+class _Reader:
+    """Turns a syntax tree into an expression."""
+
+    def __init__(self, text: str, schema: pa.Schema) -> None:
+        self._text, self._schema = text, schema
+        self.columns: dict[str, None] = {}
+
+    def truth(self, node: ast.expr) -> pc.Expression:
+        """An expression that is true or false."""
+        if isinstance(node, ast.BoolOp):
+            return reduce(and_ if isinstance(node.op, ast.And) else or_, map(self.truth, node.values))
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            return ~self.truth(node.operand)
+        if isinstance(node, ast.Compare):
+            return self._compared(node)
+        if isinstance(node, ast.Name):
+            if not pa.types.is_boolean(self._schema.field(self._column(node)).type):
+                raise _invalid(self._text, f"takes {node.id} as true or false, expected a comparison")
+            return pc.field(node.id)
+        if isinstance(node, ast.Constant) and isinstance(node.value, bool):
+            return pc.scalar(node.value)
+        raise _invalid(self._text, f"has {ast.unparse(node)!r} where something true or false is expected")
+
+    def _compared(self, node: ast.Compare) -> pc.Expression:
+        sides = [node.left, *node.comparators]
+        return reduce(and_, (self._comparison(*each) for each in zip(sides, node.ops, sides[1:], strict=False)))
+
+    def _comparison(self, left: ast.expr, operator: ast.cmpop, right: ast.expr) -> pc.Expression:
+        if isinstance(operator, ast.In | ast.NotIn):
+            value = self._value(left)
+            alike = [value == pc.scalar(constant) for constant in self._constants(right)]
+            found = reduce(or_, alike)  # and not is_in, which calls what is unknown false
+            return found if isinstance(operator, ast.In) else ~found
+        symbol = _COMPARISONS.get(type(operator))
+        if symbol is None:
+            raise _invalid(self._text, "compares by identity, expected ==, !=, <, <=, >, >= or in")
+        one, other = self._value(left), self._value(right)
+        compared: dict[str, pc.Expression] = {
+            "==": one == other,
+            "!=": one != other,
+            "<": one < other,
+            "<=": one <= other,
+            ">": one > other,
+            ">=": one >= other,
+        }
+        return compared[symbol]
+
+    def _value(self, node: ast.expr) -> pc.Expression:
+        if isinstance(node, ast.Name):
+            return pc.field(self._column(node))
+        return pc.scalar(self._constant(node))
+
+    def _constants(self, node: ast.expr) -> list[Any]:
+        if not isinstance(node, ast.List | ast.Tuple | ast.Set) or not node.elts:
+            raise _invalid(self._text, f"has {ast.unparse(node)!r} after in, expected a list of constants")
+        return [self._constant(item) for item in node.elts]
+
+    def _constant(self, node: ast.expr) -> Any:
+        try:
+            value = ast.literal_eval(node)
+        except (ValueError, TypeError) as error:
+            raise _invalid(self._text, f"has {ast.unparse(node)!r}, expected a column or a constant") from error
+        if not isinstance(value, str | int | float) or value != value:
+            raise _invalid(self._text, f"has {ast.unparse(node)!r}, expected a number, a text or a truth")
+        return value
+
+    def _column(self, node: ast.Name) -> str:
+        names = [f.name for f in self._schema if not pa.types.is_nested(f.type)]
+        if node.id not in names:
+            raise _invalid(self._text, f"names {node.id}, expected one of {', '.join(names)}")
+        self.columns[node.id] = None
+        return node.id
+
+
+def _invalid(text: str, why: str) -> ConfigError:
+    return ConfigError(f"query {text!r} {why}", "query_invalid")

@@ -1,0 +1,121 @@
+"""Conditions against Python's own reading of the same words."""
+
+from typing import Any
+
+import pyarrow as pa
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stable_data.errors import ConfigError
+from stable_data.query import parse_query
+from stable_data.tables import SCHEMAS
+
+SCHEMA = pa.schema(
+    [("n", pa.int64()), ("x", pa.float64()), ("ok", pa.bool_()), ("kind", pa.string()), ("many", pa.list_(pa.int64()))]
+)
+ROWS = st.fixed_dictionaries(
+    {
+        "n": st.none() | st.integers(-2, 4),
+        "x": st.none() | st.sampled_from([-0.5, 0.0, 0.1, 1.0]),
+        "ok": st.none() | st.booleans(),
+        "kind": st.none() | st.sampled_from(["desk", 'it\'s "odd"', ""]),
+    }
+)
+ATOMS = st.sampled_from(
+    [
+        "ok",
+        "n > 1",
+        "n == 0",
+        "n != 2",
+        "0 <= n < 3",
+        "x <= 0.1",
+        "x > n",
+        "kind == 'desk'",
+        "kind in ['desk', 'shelf']",
+        "n not in (1, 2)",
+    ]
+)
+CONDITIONS = st.recursive(
+    ATOMS,
+    lambda inner: (
+        st.builds("({} and {})".format, inner, inner)
+        | st.builds("({} or {})".format, inner, inner)
+        | st.builds("not ({})".format, inner)
+    ),
+    max_leaves=6,
+)
+
+
+def truth(text: str, row: dict[str, Any]) -> bool | None:
+    """Kleene's logic over Python's own comparisons: None is unknown."""
+    import ast
+
+    def of(node: ast.expr) -> bool | None:
+        if isinstance(node, ast.BoolOp):
+            parts = [of(value) for value in node.values]
+            decides = isinstance(node.op, ast.Or)
+            return decides if decides in parts else None if None in parts else not decides
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            inner = of(node.operand)
+            return None if inner is None else not inner
+        if isinstance(node, ast.Compare) and len(node.ops) > 1:
+            sides = [node.left, *node.comparators]
+            parts = [ast.Compare(a, [o], [b]) for a, o, b in zip(sides, node.ops, sides[1:], strict=False)]
+            return of(ast.BoolOp(ast.And(), list(parts)))
+        names = [n.id for n in ast.walk(node) if isinstance(n, ast.Name)]
+        if any(row[name] is None for name in names):
+            return None
+        return bool(eval(ast.unparse(node), {}, row))  # noqa: S307 - our own words
+
+    return of(ast.parse(text, mode="eval").body)
+
+
+@given(CONDITIONS, ROWS)
+def test_a_row_passes_where_the_condition_is_surely_true(text: str, row: dict[str, Any]) -> None:
+    assert parse_query(text, SCHEMA).passes(row, SCHEMA) == (truth(text, row) is True)
+
+
+@given(CONDITIONS, st.lists(ROWS, max_size=6))
+def test_a_table_is_filtered_row_by_row(text: str, rows: list[dict[str, Any]]) -> None:
+    query = parse_query(text, SCHEMA)
+    table = pa.Table.from_pylist(rows, SCHEMA)
+    assert query.rows(table).to_pylist() == [row | {"many": None} for row in rows if query.passes(row, SCHEMA)]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "cannot be read"),
+        ("ok and", "cannot be read"),
+        ("ok; ok", "cannot be read"),
+        ("(" * 5000, "cannot be read"),
+        ("stable > 0.5", "names stable, expected one of n, x, ok, kind"),
+        ("many == 1", "names many"),
+        ("n", "expected a comparison"),
+        ("n + 1 > 2", "expected a column or a constant"),
+        ("__import__('os').system('true')", "where something true or false is expected"),
+        ("n is None", "identity"),
+        ("n == None", "expected a number, a text or a truth"),
+        ("n in kind", "expected a list of constants"),
+        ("n in []", "expected a list of constants"),
+        ("n > 'many'", "unlike things"),
+        ("n in [1, 'a']", "unlike things"),
+        ("True", "names no column"),
+    ],
+)
+def test_what_is_no_condition_is_refused_in_one_line(text: str, words: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_query(text, SCHEMA)
+    assert caught.value.code == "query_invalid"
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_columns_of_the_card_can_be_asked_for() -> None:
+    query = parse_query("clean and num_stacked >= 2", SCHEMAS["scenes"])
+    assert query.columns == ("clean", "num_stacked")
+    row = {"clean": True, "num_stacked": 2}
+    assert query.passes(row, SCHEMAS["scenes"])
+    assert not query.passes(row | {"num_stacked": 1}, SCHEMAS["scenes"])
+    assert not query.passes(row | {"clean": None}, SCHEMAS["scenes"])
