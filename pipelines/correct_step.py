@@ -4,7 +4,7 @@ A shard's rows depend on nothing but the shard.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import ClassVar
 
@@ -14,7 +14,7 @@ from pipelines.job import Rows, rows_or_failure
 from pipelines.progress import Progress
 from pipelines.runner import Loss
 from pipelines.scene_source import scene_source
-from pipelines.scene_step import num_carried, related
+from pipelines.scene_step import related, with_counts
 from pipelines.scene_work import Opened, SceneWork, corrector_of, notices_of
 from stable_data import tables
 from stable_data.colliders import bodies_of
@@ -81,8 +81,7 @@ class CorrectWork(SceneWork[CorrectSettings, str, FloatArray | None]):
             shape_of = {o.instance: shape for o, shape in zip(taken.scene.objects, taken.shapes, strict=True)}
             posed = PosedScene(done.certified, [shape_of[o.instance] for o in done.certified.objects])
             scene, _ = related(posed, done.audit, taken.containers)
-            stacked, contained = num_carried(scene)
-            card = replace(done.card_after, num_stacked=stacked, num_contained=contained)
+            card = with_counts(done.card_after, scene)
             found["scenes"] = [{**tables.scene_row(scene), **tables.card_row(card), **done.audit.rows(), **taken.origin}]
             notices += notices_of(done, scene_id)
         return found | {"warnings": [tables.notice_row(n) for n in notices]}
@@ -104,7 +103,7 @@ def correction_row(done: Correction) -> tables.Row:
         "dropped": [{"instance": d.instance, "reason": d.reason} for d in done.dropped],
         "start": _pose_rows(done.start),
         "raw": None if done.raw is None else _pose_rows(done.raw),
-        "card_before": asdict(done.card_before),
+        "card_before": None if done.card_before is None else asdict(done.card_before),
         "card_raw": None if done.card_raw is None else asdict(done.card_raw),
         "card_after": None if done.card_after is None else asdict(done.card_after),
         **{name: None if kept is None else getattr(kept, name) for name in counted},

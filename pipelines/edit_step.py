@@ -21,7 +21,7 @@ from pipelines.job import Rows, rows_or_failure
 from pipelines.progress import Progress
 from pipelines.runner import Loss
 from pipelines.scene_source import Taken, scene_source
-from pipelines.scene_step import num_carried, related
+from pipelines.scene_step import related, with_counts
 from pipelines.scene_work import Opened, SceneWork, corrector_of, notices_of
 from stable_data import tables
 from stable_data.errors import ConfigError, Notice, SceneError
@@ -125,9 +125,8 @@ class EditWork(SceneWork[EditSettings, WantedEdit, Replied]):
             audit, card = done.audit, done.card_after
         progress.step = "relations"
         scene, _ = related(posed, audit, opened.source.containers(posed.scene))
-        stacked, contained = num_carried(scene)
         assert card is not None  # a certified scene has one
-        card = replace(card, num_stacked=stacked, num_contained=contained)
+        card = with_counts(card, scene)
         if replied.kind == "none":
             notices.append(Notice(edit.edit_id, "reply", "nothing_changed", f"{edit.edit_id}: the reply changes nothing"))
         rows["scenes"] = [{**tables.scene_row(scene), **tables.card_row(card), **audit.rows(), **taken.origin}]

@@ -11,8 +11,9 @@ from stable_data.errors import Notice
 from stable_data.instructions import derive_task, task_rng
 from stable_data.mesatask import TABLE_TYPES, MesaTaskDataset, PositionConvention
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed
+from stable_data.metrics.card import MetricCard
 from stable_data.relations import SceneGraph, relations_of, scene_graph, supports
-from stable_data.scene import TABLE, RelationKind, Scene
+from stable_data.scene import TABLE, RelationKind, Scene, Stage
 from stable_data.staging import samples_of, stage_scene
 from stable_data.tasks import TaskWriter, model_task, resolve_task_objects
 
@@ -80,7 +81,7 @@ def preprocess_scene(
     understood = understand(dataset, scene_id, store, settings, progress, writer)
     scene, audit = understood.scene, understood.audit
     origin = origin_of(dataset, scene, settings)
-    row = {**tables.scene_row(scene), **tables.card_row(audit.card(*num_carried(scene))), **audit.rows(), **origin}
+    row = {**tables.scene_row(scene), **tables.card_row(with_counts(audit.card(), scene)), **audit.rows(), **origin}
     samples = (sample for told in (scene, *understood.others) for sample in sample_rows(told, origin["split"]))
     return SceneRows(row, tuple(samples), understood.notices)
 
@@ -210,6 +211,14 @@ def _contacts(posed: PosedScene, audit: Audit) -> Mapping[str, tuple[str, ...]]:
             near = tuple(name for name in near if name != TABLE)
         found[verdict.instance] = near
     return found
+
+
+def with_counts(card: MetricCard, scene: Scene) -> MetricCard:
+    """A card with what the scene graph and the stages say: what stands on other things and in them, and what is no task object."""
+    stacked, contained = num_carried(scene)
+    stages = [o.stage for o in scene.objects]
+    away = None if not stages or None in stages else sum(stage is not Stage.TASK for stage in stages) / len(stages)
+    return replace(card, num_stacked=stacked, num_contained=contained, distractor_rate=away)
 
 
 def num_carried(scene: Scene) -> tuple[int, int]:

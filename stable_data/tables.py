@@ -16,7 +16,7 @@ from stable_data.mesatask.document import json_text
 from stable_data.metrics.card import MetricCard
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Stage, Tabletop, TaskInfo
 
-TABLE_VERSION = 2
+TABLE_VERSION = 3
 """Raised whenever a column changes its name, type or meaning."""
 
 Row: TypeAlias = dict[str, Any]
@@ -171,6 +171,38 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column("directional_kept", _count, "of them, those that still hold"),
         ]
     ),
+    "turns": pa.schema(
+        [
+            _column("scene_id", _text, "the scene, also where nothing came of it"),
+            _column("turn", _count, "number of the turn in its scene, from 0"),
+            _column("stage", _text, "what was asked for: task (O^t), important (O^B), secondary (O^b) or whole"),
+            _column("tries", _count, "how often the reasoner was asked"),
+            _column("refused", pa.list_(_texts), "codes of the faults of each answer that was not taken"),
+            _column("reply", _text, "the answer that was taken, as it is said to the reasoner; null where none was"),
+            _column("prompt_tokens", _count, "read by the reasoner"),
+            _column("reply_tokens", _count, "written by it"),
+            _column("cost", _number, "of the tries, in the currency of the engine's prices"),
+            _column("unmatched", _texts, "instances for which no asset was found"),
+            _column("coarse", pa.list_(POSE), "all objects before the correction; null without one", "m, rad"),
+            _column("corrected", pa.list_(POSE), "and after it; null where there was none or no place was found", "m, rad"),
+            _column("card_before", CARD, "metric card before the correction; null without one"),
+            _column("card_after", CARD, "and after it; null likewise"),
+            _column("dropped", pa.list_(DROPPED), "objects that found no place, with the reason"),
+            _column("code", _text, "why what was proposed is not in the scene, in short; empty where it is"),
+            _column("reason", _text, "the same in one line"),
+        ]
+    ),
+    "settled": pa.schema(
+        [
+            _column("scene_id", _text, "the scene"),
+            _column(
+                "poses",
+                pa.list_(pa.struct([("instance", _text), ("position", _numbers), ("quat_xyzw", _numbers)])),
+                "where the physics engine left each object: the centre of its box, and the rotation from its frame at yaw 0",
+                "m",
+            ),
+        ]
+    ),
     "samples": pa.schema(
         [
             *_scene_head,
@@ -280,6 +312,11 @@ SCHEMAS: dict[str, pa.Schema] = {
     ),
 }
 SCHEMAS["failures"] = SCHEMAS["warnings"].set(0, _column("id", _text, "scene or asset that could not be used"))
+SCHEMAS["rejected"] = (
+    SCHEMAS["scenes"]
+    .append(_column("code", _text, "the rule that it broke: accept, or the code of what went wrong"))
+    .append(_column("reason", _text, "one line for a person"))
+)
 SCHEMAS = {
     name: schema.with_metadata({"stable_data.table": name, "stable_data.version": str(TABLE_VERSION)})
     for name, schema in SCHEMAS.items()

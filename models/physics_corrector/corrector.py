@@ -43,7 +43,7 @@ class Correction:
         raw: After the flow, before it was certified; None without a flow.
         certified: The clean scene; None where infeasible.
         dropped: Objects that found no place.
-        card_before: Figures of the start.
+        card_before: Figures of the start; None where it could not be judged at all.
         card_raw: Figures of the raw flow; None without one, or where they were not asked for.
         card_after: Figures of the clean scene, with its movement and the relations that it kept; None where infeasible.
         audit: Every verdict on the clean scene; None where infeasible.
@@ -57,7 +57,7 @@ class Correction:
     raw: Scene | None
     certified: Scene | None
     dropped: tuple[Dropped, ...]
-    card_before: MetricCard
+    card_before: MetricCard | None
     card_raw: MetricCard | None
     card_after: MetricCard | None
     audit: Audit | None

@@ -30,6 +30,15 @@ class MetricCard:
         move_mean_mm: Mean displacement of the objects by the correction; null where nothing was corrected.
         move_max_mm: The largest of them.
         turn_max_deg: Largest turn of an object by the correction, degrees.
+        awt: Share of the objects that the instruction asks for that are there; null where it asks for nothing known.
+        aws: Share of the relations that the instruction says of the start that hold; null where it says none.
+        distractor_rate: Share of the objects that are not task objects; null without a task.
+        engine_penetration_mm: Deepest contact at the start in the physics engine; null where it was not asked, like all that follows.
+        settle_move_max_mm: Farthest that an object ever was from its start.
+        settle_turn_max_deg: Farthest that an object ever was turned from its start, degrees.
+        drift_mm: Farthest that an object went after the settling.
+        jitter_mm: Farthest that an object was from its own mean position in the last second.
+        stable: Nothing moved more than 10 mm, turned more than 5 degrees or drifted 50 mm in it.
     """
 
     num_objects: int
@@ -54,3 +63,12 @@ class MetricCard:
     move_mean_mm: float | None = None
     move_max_mm: float | None = None
     turn_max_deg: float | None = None
+    awt: float | None = None
+    aws: float | None = None
+    distractor_rate: float | None = None
+    engine_penetration_mm: float | None = None
+    settle_move_max_mm: float | None = None
+    settle_turn_max_deg: float | None = None
+    drift_mm: float | None = None
+    jitter_mm: float | None = None
+    stable: bool | None = None

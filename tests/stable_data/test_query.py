@@ -61,8 +61,10 @@ def truth(text: str, row: dict[str, Any]) -> bool | None:
             return None if inner is None else not inner
         if isinstance(node, ast.Compare) and len(node.ops) > 1:
             sides = [node.left, *node.comparators]
-            parts = [ast.Compare(a, [o], [b]) for a, o, b in zip(sides, node.ops, sides[1:], strict=False)]
-            return of(ast.BoolOp(ast.And(), list(parts)))
+            links: list[ast.expr] = [
+                ast.Compare(one, [operator], [other]) for one, operator, other in zip(sides, node.ops, sides[1:], strict=False)
+            ]
+            return of(ast.BoolOp(ast.And(), links))
         names = [n.id for n in ast.walk(node) if isinstance(n, ast.Name)]
         if any(row[name] is None for name in names):
             return None

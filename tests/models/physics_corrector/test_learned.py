@@ -146,7 +146,9 @@ def test_raw_and_certified_stand_side_by_side(weights: Path) -> None:
         assert done.card_after is not None
         assert done.card_after.clean
         assert done.card_after.move_mean_mm == movement(scene, done.certified)[0]
-    assert corrections[0].card_before.num_collisions == 1
+    before = corrections[0].card_before
+    assert before is not None
+    assert before.num_collisions == 1
     (alone,) = PhysicsCorrector().correct(scenes[:1], shapes[:1])
     assert (alone.raw, alone.card_raw) == (None, None)
 

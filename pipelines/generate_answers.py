@@ -1,0 +1,128 @@
+"""Who answers the questions of Algorithm 1 in one process: its own reasoner, libraries and corrector."""
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from time import perf_counter
+
+from models.dual_system import Correct, Propose, Retrieve
+from models.physics_corrector.certify import Status
+from models.physics_corrector.corrector import Correction, PhysicsCorrector
+from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
+from stable_data.assets import AssetStore
+from stable_data.colliders import bodies_of
+from stable_data.errors import MeshError
+from stable_data.furnishing import Furnished, furnish
+from stable_data.metrics.audit import audit_scene
+from stable_data.retrieval import Retriever
+from stable_data.scene import Scene
+
+Certify = Callable[["Certifying"], Correction]
+"""Certifies one scene; in a process of its own where a mesh may end this one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Certifying:
+    """One scene after the flow, to be proven or mended.
+
+    Attributes:
+        scene: As it was proposed.
+        raw: What the flow made of it; None without one.
+        fixed: Instances that must stay.
+        settles: Whether the physics engine is asked what stays at rest.
+    """
+
+    scene: Scene
+    raw: Scene | None
+    fixed: frozenset[str]
+    settles: bool
+
+
+@dataclass(slots=True, eq=False)
+class OwnAnswers:
+    """Answers from this process, in batches.
+
+    Attributes:
+        reasoner: Proposes objects.
+        retriever: Finds assets.
+        corrector: Corrects scenes.
+        store: Geometry of the assets.
+        seed: Decides among assets that are as good.
+        settles: Whether the physics engine is asked of the last correction of a scene.
+        certify: Certifies one scene; None: here.
+        seconds: Spent on each kind of question so far.
+    """
+
+    reasoner: SemanticReasoner
+    retriever: Retriever
+    corrector: PhysicsCorrector
+    store: AssetStore
+    seed: int = 0
+    settles: bool = True
+    certify: Certify | None = None
+    seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("propose", "retrieve", "flow", "certify"), 0.0))
+
+    def propose(self, questions: Sequence[Propose], /) -> list[Proposal]:
+        """Objects of stages, all questions as one batch of the engine."""
+        began = perf_counter()
+        found = self.reasoner.propose([q.ask for q in questions], [q.seed for q in questions])
+        self.seconds["propose"] += perf_counter() - began
+        return found
+
+    def retrieve(self, questions: Sequence[Retrieve], /) -> list[Furnished]:
+        """Assets of objects, all of them looked for at once."""
+        began = perf_counter()
+        found = furnish([q.scene for q in questions], self.retriever, self.seed)
+        self.seconds["retrieve"] += perf_counter() - began
+        return found
+
+    def correct(self, questions: Sequence[Correct], /) -> list[Correction]:
+        """Clean poses of scenes: the flow moves all of them as one batch, each is certified alone."""
+        began = perf_counter()
+        resolved = [self.store.resolved(q.scene)[:2] for q in questions]
+        fixed = [q.fixed for q in questions]
+        scenes, shapes = [scene for scene, _ in resolved], [shapes for _, shapes in resolved]
+        raws = self.corrector.raw(scenes, shapes, fixed)
+        self.seconds["flow"] += perf_counter() - began
+        began = perf_counter()
+        certify = self.certify or self.certified
+        asked = [
+            Certifying(scene, raw, q.fixed, q.is_last and self.settles)
+            for q, scene, raw in zip(questions, scenes, raws, strict=True)
+        ]
+        found = [certify(each) for each in asked]
+        self.seconds["certify"] += perf_counter() - began
+        return found
+
+    def certified(self, asked: Certifying) -> Correction:
+        """One scene, certified here."""
+        scene, shapes, _ = self.store.resolved(asked.scene)
+        bodies = None
+        if asked.settles:
+            with suppress(MeshError):  # the scene is judged in the end, and its engine's verdict is then unknown
+                bodies = bodies_of(scene, shapes, self.store)
+        audit = audit_scene(scene, shapes)
+        return self.corrector.certified(scene, shapes, audit, asked.raw, asked.fixed, bodies)
+
+
+def unanswered(asked: Certifying, reason: str) -> Correction:
+    """What comes of a scene that could not be certified at all: it is kept out, and the others go on.
+
+    Args:
+        asked: The scene.
+        reason: Why, one line.
+    """
+    return Correction(
+        status=Status.UNKNOWN,
+        reason=reason,
+        start=asked.scene,
+        raw=asked.raw,
+        certified=None,
+        dropped=(),
+        card_before=None,
+        card_raw=None,
+        card_after=None,
+        audit=None,
+        kept=None,
+        unsteady=None,
+    )
