@@ -97,7 +97,7 @@ class Ours:
         if corrector.flow is not None:
             if not self.is_told:  # it is shown what carries what as it is
                 posed = PosedScene(scene, shapes)
-                known, _ = related(posed, audit_posed(posed), {})
+                known = related(posed, audit_posed(posed), {}).scene
             raw = corrector.raw([known], [shapes], [frozenset()])[0]
         if not self.certifies:
             return Outcome(raw or scene, raw is not None, time.process_time() - begin)

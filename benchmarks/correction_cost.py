@@ -145,7 +145,7 @@ class Bench:
     def _related(self, scene: Scene) -> Scene:
         scene, shapes, _ = self._store.resolved(scene)
         posed = PosedScene(scene, shapes)
-        return related(posed, audit_posed(posed), {})[0]
+        return related(posed, audit_posed(posed), {}).scene
 
 
 def crowd(scenes: Sequence[Scene], count: int, rng: np.random.Generator) -> Scene:

@@ -100,7 +100,7 @@ class Gain:
 def shown(group: str, scene: Scene, shapes: Sequence[Shape]) -> Coarse:
     """A layout that knows of its scene graph what it shows, and nothing of what was meant."""
     posed = PosedScene(replace(scene, relations=()), shapes)
-    seen, _ = related(posed, audit_posed(posed), {})
+    seen = related(posed, audit_posed(posed), {}).scene
     return Coarse(group, replace(seen, relations=()), shapes)
 
 

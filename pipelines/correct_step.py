@@ -80,7 +80,7 @@ class CorrectWork(SceneWork[CorrectSettings, str, FloatArray | None]):
             progress.step = "relations"
             shape_of = {o.instance: shape for o, shape in zip(taken.scene.objects, taken.shapes, strict=True)}
             posed = PosedScene(done.certified, [shape_of[o.instance] for o in done.certified.objects])
-            scene, _ = related(posed, done.audit, taken.containers)
+            scene = related(posed, done.audit, taken.containers).scene
             card = with_counts(done.card_after, scene)
             found["scenes"] = [{**tables.scene_row(scene), **tables.card_row(card), **done.audit.rows(), **taken.origin}]
             notices += notices_of(done, scene_id)

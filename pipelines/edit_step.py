@@ -124,7 +124,7 @@ class EditWork(SceneWork[EditSettings, WantedEdit, Replied]):
             posed = PosedScene(done.certified, [shape_of[o.instance] for o in done.certified.objects])
             audit, card = done.audit, done.card_after
         progress.step = "relations"
-        scene, _ = related(posed, audit, opened.source.containers(posed.scene))
+        scene = related(posed, audit, opened.source.containers(posed.scene)).scene
         assert card is not None  # a certified scene has one
         card = with_counts(card, scene)
         if replied.kind == "none":

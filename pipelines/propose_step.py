@@ -6,6 +6,7 @@ from typing import Any
 
 from models.semantic_reasoner.acceptance import with_task
 from models.semantic_reasoner.categories import CategoryStatistics
+from models.semantic_reasoner.engine import OFF
 from models.semantic_reasoner.prompt import Wanted, answer
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
 from models.semantic_reasoner.staged import LayoutTask, StagedLayout, staged_layouts
@@ -18,9 +19,6 @@ from stable_data.seeds import named_seed
 
 STEP = "propose"
 """The step that notices of layouts name."""
-
-OFF = ("endpoint_down", "key_refused", "model_unknown", "server_closing")
-"""Codes of failures that are the engine's and not the question's: no other question would be answered either."""
 
 
 @dataclass(frozen=True, slots=True)

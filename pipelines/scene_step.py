@@ -13,7 +13,7 @@ from stable_data.mesatask import TABLE_TYPES, MesaTaskDataset, PositionConventio
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed
 from stable_data.metrics.card import MetricCard
 from stable_data.relations import SceneGraph, relations_of, scene_graph, supports
-from stable_data.scene import TABLE, RelationKind, Scene, Stage
+from stable_data.scene import TABLE, FloatArray, RelationKind, Scene, Stage
 from stable_data.staging import samples_of, stage_scene
 from stable_data.tasks import TaskWriter, model_task, resolve_task_objects
 
@@ -141,7 +141,8 @@ def understand(
     audit = audit_posed(posed)
     progress.step = "task"
     containers = {o.instance: dataset.annotation(o.asset_id).is_container if o.asset_id else None for o in scene.objects}
-    scene, graph = related(posed, audit, containers)
+    seen = related(posed, audit, containers)
+    scene, graph = seen.scene, seen.graph
     notices: tuple[Notice, ...] = ()
     if scene.task is not None:
         task, notices = resolve_task_objects(scene.task, scene, graph)
@@ -167,8 +168,25 @@ def origin_of(dataset: MesaTaskDataset, scene: Scene, settings: SceneSettings) -
     }
 
 
-def related(posed: PosedScene, audit: Audit, containers: Mapping[str, bool | None]) -> tuple[Scene, SceneGraph]:
-    """The scene with supports and relations, and its graph.
+@dataclass(frozen=True, slots=True, eq=False)
+class Related:
+    """A scene whose objects' relations were read from its meshes.
+
+    Attributes:
+        scene: With supports and relations.
+        graph: Its scene graph.
+        contacts: What each object rests on.
+        footprints: Of each object, as the graph takes them.
+    """
+
+    scene: Scene
+    graph: SceneGraph
+    contacts: Mapping[str, tuple[str, ...]]
+    footprints: Mapping[str, FloatArray]
+
+
+def related(posed: PosedScene, audit: Audit, containers: Mapping[str, bool | None]) -> Related:
+    """The scene with supports and relations.
 
     Args:
         posed: The scene's meshes where they stand.
@@ -181,7 +199,7 @@ def related(posed: PosedScene, audit: Audit, containers: Mapping[str, bool | Non
     carriers = supports(scene, contacts, footprints, containers)
     scene = replace(scene, objects=tuple(replace(o, support=carriers[o.instance]) for o in scene.objects))
     graph = scene_graph(scene, contacts, footprints, containers)
-    return replace(scene, relations=relations_of(graph)), graph
+    return Related(replace(scene, relations=relations_of(graph)), graph, contacts, footprints)
 
 
 @dataclass(frozen=True, slots=True)

@@ -92,7 +92,7 @@ class ReplyCheck:
 
     def asks(self, ask: Ask) -> tuple[Required, ...]:
         """What must be among the objects when the task objects are there."""
-        return self._required(ask.instruction) if ask.wanted in (Stage.TASK, "whole") else ()
+        return self._required(ask.instruction) if _asks_for_task(ask) else ()
 
 
 def form_check(reply: Reply, ask: Ask, /) -> list[Fault]:
@@ -115,7 +115,7 @@ def check(
         removed: What it takes away; only edits do.
         ask: What it answers, the layout so far included.
         statistics: What is known of categories.
-        asked_for: What must be there with the reply.
+        asked_for: What the instruction asks for; looked at where the task objects are wanted, alone or with all else.
         settings: How strict to be.
 
     Returns:
@@ -138,10 +138,15 @@ def check(
     faults += _carried(new, layout, ask, still)
     faults += _twice(new, layout, still, settings)
     faults += _renamed(objects, removed, was)
-    faults += _missing(layout, asked_for)
+    if _asks_for_task(ask):
+        faults += _missing(layout, asked_for)
     if not (ask.edits or any(f.is_hard for f in faults)):
         faults += _not_as_said(layout, kept, ask, statistics)
     return sorted(faults, key=lambda f: not f.is_hard) or list(_unchanged(objects, removed, ask))
+
+
+def _asks_for_task(ask: Ask) -> bool:
+    return ask.wanted in (Stage.TASK, "whole")
 
 
 def _not_as_said(

@@ -11,6 +11,9 @@ from typing import Protocol
 from models.semantic_reasoner.prompt import Message
 from models.semantic_reasoner.reply_form import ReplyForm
 
+OFF = ("endpoint_down", "key_refused", "model_unknown", "server_closing")
+"""Codes of failures that are the engine's and not the question's: no other question would be answered either."""
+
 
 @dataclass(frozen=True, slots=True)
 class Sampling:

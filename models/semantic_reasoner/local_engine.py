@@ -234,11 +234,11 @@ class LocalEngine:
 
     def _settle_ends(self, logits: Tensor, active: list[_Sequence]) -> None:
         """Draws which of the lists that may end here do, and leaves the others, or the end, no chance."""
-        odds = torch.softmax(logits, 1)[:, self._closing].sum(1)
-        for row in odds.nonzero()[:, 0].tolist():
+        for row in torch.isfinite(logits[:, self._closing]).any(1).nonzero()[:, 0].tolist():
             if active[row].matcher is None:
                 continue
-            ends = active[row].draws.random() < float(odds[row])
+            odds = torch.softmax(logits[row], 0)[self._closing].sum()
+            ends = active[row].draws.random() < float(odds)
             closing = logits[row, self._closing] if ends else -torch.inf
             if ends:
                 logits[row] = -torch.inf

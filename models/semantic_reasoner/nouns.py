@@ -111,13 +111,17 @@ class Nouns:
         return frozenset(word for spelt in self._by_words for word in spelt)
 
     def categories_of(self, noun: str) -> tuple[str, ...]:
-        """The categories that a noun may mean, possibly none."""
+        """The categories that a noun may mean, possibly none: those that it names, or else those whose name it ends or is the class of.
+
+        A bottle is a ``bottle`` where there are such, and no ``sauce_bottle``.
+        """
         if noun not in self._meant:
-            asked = " ".join(singular(tuple(noun.split(" "))))
+            asked = _one_of(noun)
             head, _, rest = noun.partition(" ")
             nouns = (noun, rest) if head in _LOOKS and rest else (noun,)
+            named = tuple(c for c in self.categories if {*nouns, asked} & {*nouns_of(c), _one_of(own_noun(c))})
             meant = (c for c in self.categories if asked in classes_of(c) or any(answers_to(c, n) for n in nouns))
-            self._meant[noun] = tuple(meant)
+            self._meant[noun] = named or tuple(meant)
         return self._meant[noun]
 
     def read(self, words: Sequence[Word]) -> list[Mention]:
@@ -146,6 +150,11 @@ class Nouns:
                 noun, is_many = self._by_words[spelt]
                 return Mention(k, k + size - 1, noun, is_many)
         return None
+
+
+def _one_of(noun: str) -> str:
+    """One thing of a noun that may be a plural."""
+    return " ".join(singular(tuple(noun.split(" "))))
 
 
 def own_noun(category: str) -> str:

@@ -1,8 +1,8 @@
 """What a reply may look like, as a JSON Schema and as a grammar for constrained decoding.
 
-Both say the same: the keys and their order, lengths with one decimal, no white space, and limits that follow from the table: a
-position is on it, nothing is larger than its diagonal or higher than :data:`HIGHEST_CM`. What needs geometry (overlaps, supports)
-is for the checks.
+Both say the same but for the length of descriptions: the keys and their order, lengths with one decimal, no white space, and limits
+that follow from the table: a position is on it, nothing is larger than its diagonal or higher than :data:`HIGHEST_CM`. What needs
+geometry (overlaps, supports) is for the checks.
 
 That a reply has what its instruction asks for, in any order and among other things, is no grammar of a size that could be used: it
 would have to tell every subset apart. An engine asks :meth:`ReplyForm.lacking` when a reply would end, and goes on under
@@ -28,7 +28,7 @@ MOST_OBJECTS = 60
 """Most objects of one reply."""
 
 MOST_LETTERS = 160
-"""Longest description, characters."""
+"""Longest description that endpoints are asked for, characters."""
 
 CATEGORY = re.compile("[a-z][a-z0-9_]*")
 """What a category looks like in the name of an instance."""
@@ -174,7 +174,8 @@ def _with_entries(form: ReplyForm, rules: list[str]) -> str:
             *rules,
             _entry("entry", "NAME"),
             r"NAME: /[a-z][a-z_]{0,40}_[0-9]{1,2}/",
-            rf"WORDS: /{_LETTER}+( {_LETTER}+)*/ & /(?s:.){{1,{MOST_LETTERS}}}/",
+            # A bound on their length, as the schema has, would triple what the grammar costs; the longest reply bounds them too.
+            rf"WORDS: /{_LETTER}+( {_LETTER}+)*/",
             f"SIDE: /{longest}/",
             f"TALL: /{highest}/",
             f"X: /{_up_to(form.width_cm)}/",

@@ -47,8 +47,9 @@ def relations_not_held(
 ) -> tuple[Relation, ...]:
     """What an instruction says of the start that is true of no such objects of a layout.
 
-    Of several alike any will do. In and on are told apart by boxes, as AwS judges a raw layout; what shall be on a thing may be in
-    it. What shall be emptied has something in or on it, whatever it is. Of what is not there at all nothing is said.
+    Of several alike any will do, as many as are spoken of. In and on are told apart by boxes, as AwS judges a raw layout; what
+    shall be on a thing may be in it. What shall be emptied has something in or on it, whatever it is. Of what is not there at all
+    nothing is said.
 
     Args:
         layout: The objects.
@@ -80,8 +81,10 @@ def relations_not_held(
     for claim in claims:
         kind = claim.kind or RelationKind.ON
         pairs = [(one, other) for one in alike[claim.a] for other in alike[claim.b] if one is not other]
-        if pairs and not any(are_so(kind, *pair) for pair in pairs):
-            broken.append(Relation(pairs[0][0].instance, kind, pairs[0][1].instance))
+        so = {one.instance for one, other in pairs if are_so(kind, one, other)}
+        wrong = [pair for pair in pairs if pair[0].instance not in so]
+        if wrong and len(so) < min(spoken[claim.a].count, len({one.instance for one, _ in pairs})):
+            broken.append(Relation(wrong[0][0].instance, kind, wrong[0][1].instance))
     broken += [
         Relation(alike[k][0].instance, RelationKind.IS_AT, cell)
         for k, cell in corners.items()

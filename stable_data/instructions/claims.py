@@ -25,6 +25,7 @@ _PLACING = (
 _TAKING = r"(?<!-)\b(?:pick|take|grab|grasp|lift|get|fetch|hand|give|pass|remove|use|press|open|close|leave|keep)\b"
 _WISH = r"\b(?:so that|so|until|make sure|ensure)(?: that)? $"
 _FILLING = r"\b(?:fill|pour)\b[^.;]*$"
+_PARTING = r"\b(?:separate|part|tell) $"
 _SPOTS = {
     "in": RelationKind.IN,
     "inside": RelationKind.IN,
@@ -123,8 +124,9 @@ def read_claims(marked: str) -> tuple[Claim, ...]:
 def _taken(marked: str) -> Iterator[Claim]:
     """Claims in words of taking away."""
     for match in _AWAY.finditer(marked):
-        is_other = match["how"] == "from" and (match["gone"] or re.search(_FILLING, marked[: match.start()]))
-        if not is_other:  # "move a away from b" and "fill a from b" do not say where a is
+        before = marked[: match.start()]
+        is_other = match["how"] == "from" and (match["gone"] or re.search(_FILLING, before) or re.search(_PARTING, before))
+        if not is_other:  # "move a away from b", "fill a from b" and "separate a from b" do not say where a is
             yield from _pairs(match, _left(match))
     for pattern in (_AWAY_IT, _IT_AWAY, _TAKEN_OFF, _INSTEAD, _NO_MORE):
         for match in pattern.finditer(marked):

@@ -27,7 +27,6 @@ from pipelines.propose_settings import ProposeSettings
 from pipelines.propose_step import Proposer
 from pipelines.settings import resolve
 from pipelines.task_file import read_tasks
-from stable_data.asset_library import Asset
 from stable_data.asset_scoring import RetrievalSettings
 from stable_data.errors import ConfigError, Notice
 from stable_data.furnishing import furnish
@@ -35,6 +34,7 @@ from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import Scene, SceneObject, Stage, Tabletop
 from stable_data.shards import RunFolder
 from stable_data.tables import Row
+from tests.pipelines.scripts import entry
 
 GOOD = {"instruction": "Lift it.", "table_type": "office_table", "table_size_cm": [120, 60]}
 
@@ -44,20 +44,6 @@ pytestmark = pytest.mark.usefixtures("own_cache")
 @pytest.fixture(scope="module")
 def shelf(dataset: Path, own_cache: None) -> AssetShelf:
     return AssetShelf([str(dataset)])
-
-
-def entry(asset: Asset, x: float, name: str = "", words: str = "") -> dict[str, Any]:
-    """An object of a reply that asks for an asset in its own words, on the table."""
-    size = [round(12 * side / max(asset.tilts[0].extents), 1) + 0.1 for side in asset.tilts[0].extents]
-    place = [x, 30.0, round(size[2] / 2, 1)]
-    described = words or asset.words
-    return {
-        "instance": name or f"{asset.category}_0",
-        "description": described,
-        "size": size,
-        "position": place,
-        "z_rotation": 90,
-    }
 
 
 def scripted(folder: Path, shelf: AssetShelf, **more: Any) -> ProposeSettings:

@@ -145,6 +145,19 @@ def test_what_the_instruction_says_of_the_start_is_compared() -> None:
     assert faults(MUG, PLATE, of=ask("Put the mug on the plate.")) == []
 
 
+@pytest.mark.parametrize(
+    ("instruction", "needed"), [("Take all three mugs off the tray.", 3), ("Take the mug off the tray.", 1)]
+)
+def test_as_many_as_are_spoken_of_are_where_it_says(instruction: str, needed: int) -> None:
+    tray = thing("serving_tray_0", 60, 30)
+    for on_it in range(4):
+        mugs = [
+            thing(f"mug_{k}", 48 + 12 * k if k < on_it else 10 + 12 * k, 30 if k < on_it else 8, bottom=4.0 * (k < on_it))
+            for k in range(3)
+        ]
+        assert soft(tray, *mugs, of=ask(instruction)) == ({"relation_not_held"} if on_it < needed else set())
+
+
 def test_a_side_is_compared() -> None:
     said = ask("The mug is to the right of the plate but should be to the left of it. Move it.")
     assert soft(MUG, PLATE, of=said) == {"relation_not_held"}

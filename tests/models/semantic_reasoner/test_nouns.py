@@ -45,6 +45,14 @@ def test_every_category_is_called_by_its_own_words() -> None:
         assert category in NOUNS.categories_of(category.replace("_", " "))
 
 
+def test_a_noun_means_what_it_names_and_else_what_ends_in_it() -> None:
+    assert NOUNS.categories_of("can") == ("can",)
+    assert NOUNS.categories_of("soda can") == ("soda_can",)
+    assert NOUNS.categories_of("knife") == ("table_knife",)  # which the vocabulary calls a knife
+    assert NOUNS.categories_of("holder") == ("pen_holder",)
+    assert set(NOUNS.categories_of("cup")) >= {"cup", "teacup"}  # which the vocabulary calls a cup too
+
+
 def test_nothing_is_read_where_nothing_is_known() -> None:
     assert Nouns(()).read(words_of("the mug")) == []
 

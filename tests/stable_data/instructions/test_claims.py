@@ -26,6 +26,7 @@ def test_the_longest_types_are_marked_first() -> None:
         ("<0> is in the way in front of <1>.", [Claim(0, FRONT, 1)]),
         ("move <0> away from <1>.", []),
         ("fill <0> from <1>.", []),
+        ("separate <0> from <1>: the former go left.", []),
         ("<0> belongs in <1> and <2> in <1>.", []),
         ("put <0> on <1>.", []),
         ("lift <2>, then hand me <1> after taking <0> off it.", [Claim(0, ON, 1)]),

@@ -1,0 +1,296 @@
+"""One shard of the generate job: scenes made side by side by Algorithm 1, then judged one by one; their rows.
+
+A shard's rows depend on nothing but the shard: batches form from the order of its tasks, and a correction that is given up is given
+up in whatever process it runs.
+"""
+
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache, partial
+from typing import ClassVar
+
+from models.dual_system import Generated, Turn, dual_system
+from models.physics_corrector.certify import CertifyOptions
+from models.physics_corrector.corrector import Correction, PhysicsCorrector, movement
+from models.physics_corrector.learned import load_flow
+from models.scheduler import together
+from models.semantic_reasoner.assembly import load_reasoner
+from models.semantic_reasoner.categories import CategoryStatistics
+from models.semantic_reasoner.engine import OFF
+from models.semantic_reasoner.prompt import answer
+from models.semantic_reasoner.required import required
+from models.semantic_reasoner.staged import LayoutTask
+from pipelines.asset_shelf import AssetShelf
+from pipelines.generate_answers import Certifying, OwnAnswers, unanswered
+from pipelines.generate_settings import GenerateSettings
+from pipelines.job import Rows, rows_or_failure
+from pipelines.progress import Progress
+from pipelines.runner import Loss, alone, limited
+from pipelines.scene_step import Related, SceneSettings, duplicate_group, related, split_of, with_counts
+from pipelines.scene_work import SceneShard, notices_of
+from stable_data import tables
+from stable_data.assets import AssetStore
+from stable_data.colliders import bodies_of
+from stable_data.errors import ConfigError, MeshError, Notice
+from stable_data.metrics.alignment import align, reference_of
+from stable_data.metrics.audit import PosedScene, audit_posed
+from stable_data.metrics.card import MetricCard
+from stable_data.metrics.kept import relations_kept
+from stable_data.physics import SettleResult, settle
+from stable_data.scene import Scene
+from stable_data.seeds import named_seed
+from stable_data.shards import RunFolder
+
+SOURCE = "generated"
+"""The ``source`` of rows of ``scenes``."""
+
+REJECTED = "rejected"
+"""Code of a scene that breaks the rule of acceptance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """What a process keeps of its work.
+
+    Attributes:
+        answers: Proposes, retrieves and corrects.
+        shelf: Where assets come from.
+        statistics: What is known of categories.
+    """
+
+    answers: OwnAnswers
+    shelf: AssetShelf
+    statistics: CategoryStatistics | None
+
+
+@dataclass(frozen=True, slots=True)
+class GenerateWork:
+    """The work of one shard; sent to the workers.
+
+    Attributes:
+        TABLES: Of a shard, in the order in which they are put in place.
+        out: The run's folder, which every worker can write.
+        assets: Where assets are taken from, see :class:`~pipelines.asset_shelf.AssetShelf`.
+        settings: The job's settings.
+        fingerprint: Content of the inputs: what a process keeps of one is not used for another in the same place.
+    """
+
+    TABLES: ClassVar = ("warnings", "failures", "turns", "settled", "rejected", "scenes")
+
+    out: str
+    assets: tuple[str, ...]
+    settings: GenerateSettings
+    fingerprint: str = ""
+
+    def __call__(self, shard: SceneShard[LayoutTask], *, isolated: bool = False) -> tuple[int, int]:
+        """Makes the scenes of a shard and puts its tables in place; gives how many there are and how many of them failed.
+
+        Raises:
+            ConfigError: The engine answers nothing any more (``engine_off``).
+        """
+        opened = _opened(self)
+        opened.answers.certify = partial(self._certified, isolated=isolated)
+        settings, seed = self.settings.loop, self.settings.seed
+        loops = [dual_system(t, named_seed(seed, t.scene_id), settings, opened.statistics) for t in shard.items]
+        rows: dict[str, list[tables.Row]] = defaultdict(list)
+        for made in together(loops, opened.answers):
+            if made.turns and made.turns[-1].proposal.code in OFF:
+                why = made.turns[-1].proposal.failure
+                raise ConfigError(f"{made.task.scene_id}: {why}; what is done is kept, run again to go on", "engine_off")
+            for table, found in self._rows(made, isolated).items():
+                rows[table] += found
+        folder = RunFolder(self.out)
+        for table in self.TABLES:
+            folder.write_shard(table, shard.shard_id, rows[table])
+        return len(shard), len(rows["failures"])
+
+    def _certified(self, asked: Certifying, *, isolated: bool) -> Correction:
+        """One scene certified; in a process of its own where a worker died over its shard."""
+        seconds = self.settings.seconds_per_item
+        if not isolated:
+            with limited(seconds):
+                return _opened(self).answers.certified(asked)
+        found = alone(partial(_certify, self), asked, seconds=seconds, prepare=partial(_prepare, self))
+        if isinstance(found, Loss):
+            return unanswered(asked, f"the correction {str(found).replace('_', ' ')} ({seconds:g} s are allowed)")
+        return found
+
+    def _rows(self, made: Generated, isolated: bool) -> Rows:
+        """All rows of one scene."""
+        name = made.task.scene_id
+        rows: Rows = {
+            "turns": [_turn_row(name, number, turn) for number, turn in enumerate(made.turns)],
+            "warnings": [tables.notice_row(n) for n in made.warnings],
+        }
+        if made.scene is None:
+            assert made.failure is not None
+            return rows | {"failures": [tables.notice_row(made.failure)]}
+        progress = Progress("judge")
+        with limited(self.settings.seconds_per_item):
+            judged = rows_or_failure(name, progress, partial(self._judged, made, made.scene, progress))
+        return rows | judged | {"warnings": [*rows["warnings"], *judged.get("warnings", [])]}
+
+    def _judged(self, made: Generated, scene: Scene, progress: Progress) -> Rows:
+        """The rows of a scene that was made: accepted, or rejected and said why."""
+        opened, name = _opened(self), scene.scene_id
+        progress.step = "mesh"
+        scene, shapes, notices = opened.answers.store.resolved(scene)
+        progress.step = "audit"
+        posed = PosedScene(scene, shapes)
+        audit = audit_posed(posed)
+        progress.step = "relations"
+        containers = {
+            o.instance: opened.shelf.annotation(o.asset_id).is_container if o.asset_id else None for o in scene.objects
+        }
+        seen = related(posed, audit, containers)
+        scene = seen.scene
+        progress.step = "settle"
+        rest, why_not = self._settled(scene, PosedScene(scene, shapes))
+        progress.step = "card"
+        card = _with_movement(with_counts(audit.card(), scene), made.start, scene, posed)
+        card = _with_alignment(card, seen, containers, opened.statistics)
+        if rest is not None:
+            card = _with_rest(card, rest)
+        group = duplicate_group(scene)
+        origin = {
+            "source": SOURCE,
+            "split": split_of(group, scene.table.table_type, SceneSettings()),
+            "layout_path": None,
+            "layout_sha256": None,
+            "duplicate_group": group,
+        }
+        row = {**tables.scene_row(scene), **tables.card_row(card), **audit.rows(), **origin}
+        told = [Notice(name, n.step, n.code, n.message) for n in notices]
+        if made.turns and made.turns[-1].corrections:
+            told += notices_of(made.turns[-1].corrections[-1], name)
+        if why_not:
+            told.append(Notice(name, "settle", "not_settled", f"{name}: the engine was not asked: {why_not}"))
+        found: Rows = {"warnings": [tables.notice_row(n) for n in dict.fromkeys(told)]}
+        if rest is not None and self.settings.keep_settled:
+            found["settled"] = [_settled_row(name, rest)]
+        query = self.settings.accepting
+        if query is None or query.passes(row, tables.SCHEMAS["scenes"]):
+            return found | {"scenes": [row]}
+        reason = _why_rejected(query.text, {column: row[column] for column in query.columns}, rest)
+        failure = Notice(name, "accept", REJECTED, f"{name}: {reason}")
+        return found | {"rejected": [row | {"code": REJECTED, "reason": reason}], "failures": [tables.notice_row(failure)]}
+
+    def _settled(self, scene: Scene, posed: PosedScene) -> tuple[SettleResult | None, str]:
+        """What the physics engine makes of a scene, and why it was not asked."""
+        try:
+            return settle(bodies_of(scene, posed.shapes, _opened(self).answers.store), scene.table), ""
+        except MeshError as error:
+            return None, str(error)
+
+
+def _prepare(work: GenerateWork) -> None:
+    """Opens what a correction needs, outside of its time."""
+    _opened(work)
+
+
+def _certify(work: GenerateWork, asked: Certifying) -> Correction:
+    return _opened(work).answers.certified(asked)
+
+
+@lru_cache(maxsize=1)
+def _opened(work: GenerateWork) -> Opened:
+    settings = work.settings
+    shelf = AssetShelf(work.assets)
+    reasoner, statistics = load_reasoner(settings.engine, settings.reasoner)
+    corrector = PhysicsCorrector(load_flow(settings.weights, settings.steps), CertifyOptions(), judges_raw=False)
+    answers = OwnAnswers(
+        reasoner, shelf.retriever(settings.retrieval), corrector, AssetStore(shelf), settings.seed, settings.settle
+    )
+    return Opened(answers, shelf, statistics)
+
+
+# --- the card -----------------------------------------------------------------------------------------------------------------
+
+
+def _with_movement(card: MetricCard, start: Scene, scene: Scene, posed: PosedScene) -> MetricCard:
+    """How far the corrections have moved what was proposed, and what of its relations they have kept."""
+    there = {o.instance for o in start.objects}
+    if there != {o.instance for o in scene.objects}:
+        return card
+    order = {o.instance: k for k, o in enumerate(scene.objects)}
+    start = replace(start, objects=tuple(sorted(start.objects, key=lambda o: order[o.instance])))
+    kept = relations_kept(start, scene, posed.shapes)
+    mean, farthest, turn = movement(start, scene)
+    return replace(
+        card,
+        relations_kept_on_in=kept.on_in_share,
+        relations_kept_directional=kept.directional_share,
+        move_mean_mm=mean,
+        move_max_mm=farthest,
+        turn_max_deg=turn,
+    )
+
+
+def _with_alignment(
+    card: MetricCard, seen: Related, containers: Mapping[str, bool | None], statistics: CategoryStatistics | None
+) -> MetricCard:
+    """What of the instruction the scene has: the things that it asks for, and what it says of the start."""
+    scene = seen.scene
+    if scene.task is None or statistics is None:
+        return card
+    categories = [o.category for o in scene.objects]
+    asked = required(scene.task.task, statistics)
+    awt = sum(one.is_met_by(categories) for one in asked) / len(asked) if asked else None
+    if not (scene.task.relations and scene.task.task_objects):
+        return replace(card, awt=awt)
+    known = align(scene, reference_of(scene), contacts=seen.contacts, footprints=seen.footprints, containers=containers)
+    return replace(card, awt=awt, aws=known.aws)
+
+
+def _with_rest(card: MetricCard, rest: SettleResult) -> MetricCard:
+    return replace(
+        card,
+        engine_penetration_mm=rest.engine_penetration_mm,
+        settle_move_max_mm=rest.settle_move_max_mm,
+        settle_turn_max_deg=rest.settle_turn_max_deg,
+        drift_mm=rest.drift_mm,
+        jitter_mm=rest.jitter_mm,
+        stable=rest.stable,
+    )
+
+
+def _why_rejected(rule: str, values: dict[str, object], rest: SettleResult | None) -> str:
+    said = ", ".join(f"{column} is {'unknown' if value is None else value}" for column, value in values.items())
+    reason = f"; {rest.reason}" if rest is not None and rest.reason else ""
+    return f"not accepted by {rule!r}: {said}{reason}"
+
+
+# --- rows ---------------------------------------------------------------------------------------------------------------------
+
+
+def _turn_row(name: str, number: int, turn: Turn) -> tables.Row:
+    p, done = turn.proposal, turn.corrections[-1] if turn.corrections else None
+    return {
+        "scene_id": name,
+        "turn": number,
+        "stage": str(turn.wanted),
+        "tries": p.tries,
+        "refused": [[f.code for f in r.faults] for r in p.refused],
+        "reply": None if p.reply is None else answer(p.reply.objects),
+        "prompt_tokens": p.prompt_tokens,
+        "reply_tokens": p.reply_tokens,
+        "cost": p.cost,
+        "unmatched": [] if turn.furnished is None else sorted(turn.furnished.unmatched),
+        "coarse": None if done is None else _poses(done.start),
+        "corrected": None if done is None or done.certified is None else _poses(done.certified),
+        "card_before": None if done is None or done.card_before is None else asdict(done.card_before),
+        "card_after": None if done is None or done.card_after is None else asdict(done.card_after),
+        "dropped": [] if done is None else [asdict(d) for d in done.dropped],
+        "code": turn.code,
+        "reason": turn.rejected,
+    }
+
+
+def _poses(scene: Scene) -> list[tables.Row]:
+    return [{"instance": o.instance, "position": o.position, "yaw": o.yaw} for o in scene.objects]
+
+
+def _settled_row(name: str, rest: SettleResult) -> tables.Row:
+    poses = zip(rest.names, rest.positions.tolist(), rest.quats_xyzw.tolist(), strict=True)
+    return {"scene_id": name, "poses": [{"instance": n, "position": p, "quat_xyzw": q} for n, p, q in poses]}

@@ -1,0 +1,241 @@
+"""The generate job: each task is one accepted scene or one failure, the same wherever it is made."""
+
+import json
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from models.semantic_reasoner.engines import EngineSettings
+from models.semantic_reasoner.prompt import WANTED
+from models.semantic_reasoner.staged import LayoutTask
+from pipelines.asset_shelf import AssetShelf
+from pipelines.generate import generate
+from pipelines.generate_settings import GenerateSettings
+from pipelines.generate_step import GenerateWork
+from pipelines.runner import Workers
+from stable_data.assets import AssetStore
+from stable_data.errors import ConfigError, Notice
+from stable_data.loader import TableStream
+from stable_data.metrics.audit import audit_scene
+from stable_data.scene import Scene, Stage, Tabletop
+from stable_data.shards import RunFolder
+from stable_data.tables import Row, scene_from_row
+from tests.pipelines.runs import content
+from tests.pipelines.scripts import entry
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+ALONE = Workers()
+DESK = Tabletop("office_table", (1.2, 0.6))
+
+
+@pytest.fixture(scope="module")
+def shelf(dataset: Path, own_cache: None) -> AssetShelf:
+    return AssetShelf([str(dataset)])
+
+
+@pytest.fixture(scope="module")
+def settings(shelf: AssetShelf, tmp_path_factory: pytest.TempPathFactory) -> GenerateSettings:
+    """An engine that puts each stage's thing into that of the stage before, but for some words."""
+    first, second, third = shelf.libraries[0].assets[1:4]
+    odd = entry(first, 60.0, "elephant_0", "an elephant with a trunk as long as a river")
+    script = {
+        "Say nonsense": "what?",
+        "That answer cannot be used": "what?",
+        "Lift the elephant": {"objects": [odd]},
+        WANTED[Stage.TASK]: {"objects": [entry(first, 20.0)]},
+        WANTED[Stage.IMPORTANT]: {"objects": [entry(second, 21.0)]},
+        WANTED[Stage.SECONDARY]: {"objects": [entry(third, 22.0)]},
+    }
+    path = tmp_path_factory.mktemp("script") / "script.json"
+    path.write_text(json.dumps(script))
+    return GenerateSettings(EngineSettings(f"scripted:{path}"), weights="none", scenes_per_shard=2, keep_settled=True)
+
+
+def tasks(*words: str) -> list[LayoutTask | Notice]:
+    return [LayoutTask(f"task_{n}", said, DESK) for n, said in enumerate(words)]
+
+
+MIXED: Sequence[LayoutTask | Notice] = (
+    *tasks("Lift it.", "Say nonsense", "Turn it.", "Lift the elephant", "Take it."),
+    Notice("row_000006", "tasks", "task_invalid", "tasks.jsonl, row 6: no JSON"),
+)
+
+
+@pytest.fixture(scope="module")
+def made(dataset: Path, settings: GenerateSettings, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("made") / "out"
+    manifest = generate(MIXED, str(out), settings, ALONE, [str(dataset)])
+    assert manifest["status"] == "complete"
+    return out
+
+
+def rows_of(out: Path, table: str) -> list[Row]:
+    found: list[Row] = RunFolder(str(out)).table(table).to_pylist()
+    return found
+
+
+def test_each_task_is_a_scene_or_a_failure(made: Path) -> None:
+    assert {row["scene_id"] for row in rows_of(made, "scenes")} == {"task_0", "task_2", "task_4"}
+    failures = {row["id"]: row["code"] for row in rows_of(made, "failures")}
+    assert failures == {"task_1": "reply_unusable", "task_3": "asset_unmatched", "row_000006": "task_invalid"}
+    counts = json.loads((made / "manifest.json").read_text())["counts"]
+    assert (counts["scenes"], counts["failed_scenes"], counts["failures"]) == (3, 3, 3)
+
+
+def test_what_is_accepted_is_clean_by_an_audit_of_its_own_and_at_rest(made: Path, shelf: AssetShelf) -> None:
+    store = AssetStore(shelf)
+    for row in rows_of(made, "scenes"):
+        scene = scene_from_row(row)
+        resolved, shapes, _ = store.resolved(scene)
+        assert resolved.poses().tolist() == scene.poses().tolist()
+        assert audit_scene(resolved, shapes).card().clean
+        assert row["stable"] is True
+        assert row["settle_move_max_mm"] <= 10
+        assert row["engine_penetration_mm"] is not None
+        assert [o.stage for o in scene.objects] == list(Stage)
+        assert row["distractor_rate"] == pytest.approx(2 / 3)
+        assert row["move_max_mm"] > 10  # all three were proposed in one place
+        assert row["source"] == "generated"
+
+
+def test_every_turn_is_told(made: Path) -> None:
+    turns = rows_of(made, "turns")
+    assert [(t["stage"], t["turn"], t["code"]) for t in turns if t["scene_id"] == "task_0"] == [
+        (str(stage), number, "") for number, stage in enumerate(Stage)
+    ]
+    for turn in (t for t in turns if t["scene_id"] == "task_2"):
+        assert turn["card_after"]["clean"] is True
+        assert turn["card_before"]["clean"] is (turn["turn"] == 0)
+        assert len(turn["coarse"]) == len(turn["corrected"]) == turn["turn"] + 1
+        assert json.loads(turn["reply"])["objects"]
+    refused = [t for t in turns if t["scene_id"] == "task_1"]
+    assert len(refused) == 3  # asked for as often as the settings say
+    assert {t["code"] for t in refused} == {"reply_unusable"}
+    assert all(t["refused"] == [["reply_not_json"]] * t["tries"] for t in refused)
+    assert {t["code"] for t in turns if t["scene_id"] == "task_3"} == {"asset_unmatched"}
+
+
+def test_settled_poses_are_kept_beside(made: Path) -> None:
+    scenes = {row["scene_id"]: row for row in rows_of(made, "scenes")}
+    settled = rows_of(made, "settled")
+    assert {row["scene_id"] for row in settled} == set(scenes)
+    for row in settled:
+        corrected = {o["instance"]: o["position"] for o in scenes[row["scene_id"]]["objects"]}
+        for pose in row["poses"]:
+            assert pose["position"] == pytest.approx(corrected[pose["instance"]], abs=0.01)
+
+
+def test_what_breaks_the_rule_is_rejected_said_why_and_kept(dataset: Path, settings: GenerateSettings, tmp_path: Path) -> None:
+    strict = replace(settings, accept="clean and stable and num_objects >= 4", keep_settled=False)
+    manifest = generate(tasks("Lift it."), str(tmp_path), strict, ALONE, [str(dataset)])
+    assert (manifest["counts"]["scenes"], manifest["counts"]["rejected"]) == (0, 1)
+    (row,) = rows_of(tmp_path, "rejected")
+    assert row["code"] == "rejected"
+    assert "num_objects is 3" in row["reason"]
+    assert row["clean"] is True
+    (failure,) = rows_of(tmp_path, "failures")
+    assert failure["message"] == f"task_0: {row['reason']}"
+    assert not rows_of(tmp_path, "settled")
+
+
+def test_a_scene_whose_rest_is_unknown_is_not_accepted(
+    dataset: Path, settings: GenerateSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from stable_data.errors import MeshError
+
+    def refuse(*_: Any) -> Any:
+        raise MeshError("nothing solid", "no_collider")
+
+    monkeypatch.setattr("pipelines.generate_step.bodies_of", refuse)
+    generate(tasks("Lift it."), str(tmp_path), settings, ALONE, [str(dataset)])
+    (row,) = rows_of(tmp_path, "rejected")
+    assert "stable is unknown" in row["reason"]
+    assert row["stable"] is None
+    assert "not_settled" in {w["code"] for w in rows_of(tmp_path, "warnings")}
+
+
+@pytest.mark.parametrize("corrects", ["never", "end"])
+def test_the_ablations_correct_never_or_once(dataset: Path, settings: GenerateSettings, tmp_path: Path, corrects: Any) -> None:
+    bare = replace(settings, corrects=corrects, accept="")
+    generate(tasks("Lift it."), str(tmp_path), bare, ALONE, [str(dataset)])
+    (row,) = rows_of(tmp_path, "scenes")
+    assert row["clean"] is (corrects == "end")
+    assert [t["card_after"] for t in rows_of(tmp_path, "turns")] == [None] * 3
+    assert (row["move_max_mm"] > 10) is (corrects == "end")
+
+
+@pytest.mark.parametrize("table", GenerateWork.TABLES)
+def test_a_shard_that_is_missing_is_made_again(
+    dataset: Path, settings: GenerateSettings, made: Path, tmp_path: Path, table: str
+) -> None:
+    out = Path(shutil.copytree(made, tmp_path / "out"))
+    max((out / table).glob("part-*.parquet")).unlink()
+    generate(MIXED, str(out), settings, ALONE, [str(dataset)])
+    assert content(out) == content(made)
+
+
+def test_ray_gives_the_same_bytes_as_this_process(
+    dataset: Path, settings: GenerateSettings, made: Path, tmp_path: Path
+) -> None:
+    generate(MIXED, str(tmp_path), settings, Workers(2), [str(dataset)])
+    assert content(tmp_path) == content(made)
+
+
+def test_a_shard_over_which_workers_died_gives_the_same_rows(
+    dataset: Path, settings: GenerateSettings, made: Path, tmp_path: Path
+) -> None:
+    from pipelines.scene_work import SceneShard
+
+    asked = [task for task in MIXED if isinstance(task, LayoutTask)]
+    for isolated in (False, True):
+        work = GenerateWork(str(tmp_path / str(isolated)), (str(dataset),), settings)
+        assert work(SceneShard("0" * 16, tuple(asked[:2])), isolated=isolated) == (2, 1)
+    assert content(tmp_path / "True") == content(tmp_path / "False")
+
+
+def test_another_configuration_is_refused(dataset: Path, settings: GenerateSettings, made: Path, tmp_path: Path) -> None:
+    out = Path(shutil.copytree(made, tmp_path / "out"))
+    for other, message in (
+        (replace(settings, seed=1), "seed: 0 -> 1"),
+        (replace(settings, accept=""), "accept: clean and stable -> "),
+        (replace(settings, corrects="end"), "corrects: each -> end"),
+    ):
+        with pytest.raises(ConfigError, match=message) as caught:
+            generate(MIXED, str(out), other, ALONE, [str(dataset)])
+        assert caught.value.code == "config_changed"
+    with pytest.raises(ConfigError, match=r"inputs.tasks: \w+ -> \w+"):
+        generate(MIXED[1:], str(out), settings, ALONE, [str(dataset)])
+    assert content(out) == content(made)
+
+
+def test_a_training_job_reads_the_run(made: Path) -> None:
+    scenes = list(TableStream(str(made), where="stable and num_objects >= 3"))
+    assert [type(s) for s in scenes] == [Scene] * 3
+    assert all(s.task is not None and s.task.task_objects for s in scenes)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"schedule": "task,edit"}, "schedule has 'edit'"),
+        ({"schedule": "secondary"}, "expected task or whole first"),
+        ({"accept": "steady"}, "names steady"),
+        ({"scenes_per_shard": 0}, "scenes_per_shard is 0"),
+        ({"seconds_per_item": float("nan")}, "seconds_per_item nan"),
+        ({"earlier_move": -1.0}, "earlier_move -1"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        GenerateSettings(**change)
+
+
+def test_no_task_at_all_is_refused_before_anything_is_written(settings: GenerateSettings, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="holds no task"):
+        generate([MIXED[-1]], str(tmp_path / "out"), settings, ALONE)
+    assert not (tmp_path / "out").exists()
