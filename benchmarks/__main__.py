@@ -50,6 +50,7 @@ def main() -> None:
             "retrieval": ["benchmarks.retrieval", data, *(["--assets", "1000", "--queries", "100"] if few else [])],
             "http_engine": ["benchmarks.http_engine", *(["--requests", "400"] if few else [])],
             "reasoner": ["benchmarks.reasoner", run, "--split", "test", "--scenes", "4" if few else "200"],
+            "edits": ["benchmarks.edits", run, *(["--edits", "4"] if few else [])],
             "reasoner_speed": ["benchmarks.reasoner_speed", run, *(["--scenes", "4", "--rounds", "1"] if few else [])],
             "handwritten": ["benchmarks.handwritten", *(["--cases", "4"] if few else [])],
             "synth": ["benchmarks.synth", "--scenes", "20" if few else "200"],

@@ -1,4 +1,6 @@
-"""The openai engine against a server whose answers take 50 ms: ``python -m benchmarks.http_engine [--requests N] [--json FILE]``.
+"""The openai engine against a server that takes its time: ``python -m benchmarks.http_engine [--requests N] [--json FILE]``.
+
+Answers of 50 ms show what the engine itself can do, those of 500 ms what is left of a server that is as fast as a language model.
 
 The server is a process of its own on this machine; it knows of every request how often it came and was answered. Its own limit is
 what a client reaches that does nothing but write the same bytes to as many sockets and read what comes, in the same run.
@@ -25,7 +27,7 @@ from models.semantic_reasoner.prompt import Ask, messages
 from models.semantic_reasoner.reply_form import ReplyForm
 from stable_data.scene import Stage, Tabletop, TaskInfo
 
-ANSWER_S = 0.05
+ANSWERS_S = (0.05, 0.5)
 """What an answer takes, seconds."""
 
 FAULTS = (b"too many", b"error", b"dropped", b"no JSON", b"cut")
@@ -40,6 +42,7 @@ class Figure:
     """One load.
 
     Attributes:
+        answer_s: What an answer takes, seconds.
         concurrency: Requests under way at once.
         faults: Share of the requests whose first try fails.
         requests: Asked.
@@ -53,6 +56,7 @@ class Figure:
         milliseconds_of_processor: Of the client, for a request.
     """
 
+    answer_s: float
     concurrency: int
     faults: float
     requests: int
@@ -72,7 +76,8 @@ class Figure:
 class Server:
     """Answers chat completions after a while; faults come by the number of the request."""
 
-    def __init__(self, faults: float) -> None:
+    def __init__(self, faults: float, answer_s: float) -> None:
+        self.answer_s = answer_s
         self.every = round(len(FAULTS) / faults) if faults else 0
         self.tries: Counter[bytes] = Counter()
         self.answered: Counter[bytes] = Counter()
@@ -91,7 +96,7 @@ class Server:
                 body = await reader.readexactly(int(_length(head)))
                 found = _NUMBER.search(body)
                 assert found
-                await asyncio.sleep(ANSWER_S)
+                await asyncio.sleep(self.answer_s)
                 if not self._answer(writer, found[1]):
                     break
         except (asyncio.IncompleteReadError, ConnectionError):
@@ -127,17 +132,17 @@ def _http(status: int, body: bytes) -> bytes:
     return b"HTTP/1.1 %d -\r\nContent-Type: application/json\r\nContent-Length: %d\r\n\r\n%s" % (status, len(body), body)
 
 
-async def run_server(faults: float) -> None:
+async def run_server(faults: float, answer_s: float) -> None:
     """Serves until it is killed; says its port first."""
-    server = await asyncio.start_server(Server(faults).talk, "127.0.0.1", 0, backlog=2048)
+    server = await asyncio.start_server(Server(faults, answer_s).talk, "127.0.0.1", 0, backlog=2048)
     print(server.sockets[0].getsockname()[1], flush=True)
     await server.serve_forever()
 
 
 @contextmanager
-def served(faults: float) -> Iterator[int]:
+def served(faults: float, answer_s: float) -> Iterator[int]:
     """The port of a server in a process of its own."""
-    command = [sys.executable, "-m", "benchmarks.http_engine", "--serve", str(faults)]
+    command = [sys.executable, "-m", "benchmarks.http_engine", "--serve", str(faults), str(answer_s)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         try:
@@ -206,18 +211,19 @@ def ask(port: int, requests: list[Request], concurrency: int) -> tuple[float, fl
     return seconds, processor, tries, lost, doubled
 
 
-def measure(concurrency: int, faults: float, requests: list[Request], rounds: int) -> Figure:
+def measure(answer_s: float, concurrency: int, faults: float, requests: list[Request], rounds: int) -> Figure:
     """One load; the bare client's and the engine's best rounds, taken in turns."""
     spelt = {name: ways[0] for name, ways in SPELLINGS.items()}
     bodies = [json.dumps(request_body("m", r, Sampling(), spelt, with_form=False)).encode() for r in requests]
     contents = [b"POST /v1 HTTP/1.1\r\nContent-Length: %d\r\n\r\n%s" % (len(b), b) for b in bodies]
     limit, asked = 0.0, []
-    with served(0.0) as whole, served(faults) as faulty:
+    with served(0.0, answer_s) as whole, served(faults, answer_s) as faulty:
         for _ in range(rounds):
             limit = max(limit, asyncio.run(bare(whole, contents, concurrency)))
             asked.append(ask(faulty, requests, concurrency))
     seconds, processor, tries, _, _ = min(asked)
     return Figure(
+        answer_s=answer_s,
         concurrency=concurrency,
         faults=faults,
         requests=len(requests),
@@ -239,19 +245,22 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3, help="of which the best is shown; lost and doubled are of all")
     parser.add_argument("--concurrency", type=int, nargs="+", default=[32, 200])
     parser.add_argument("--json", type=Path, help="where to keep the figures")
-    parser.add_argument("--serve", type=float, help="be the server, with faults of this share")
+    parser.add_argument(
+        "--serve", type=float, nargs=2, help="be the server, with faults of this share and answers of so many seconds"
+    )
     arguments = parser.parse_args()
     if arguments.serve is not None:
-        asyncio.run(run_server(arguments.serve))
+        asyncio.run(run_server(*arguments.serve))
     requests = requests_to_send(arguments.requests)
-    figures = [measure(c, faults, requests, arguments.rounds) for c in arguments.concurrency for faults in (0.0, 0.1)]
-    print(
-        f"{'at once':>8} {'faults':>7} {'requests/s':>11} {'tries/s':>9} {'limit/s':>9} {'share':>7} {'lost':>5} {'doubled':>8} {'ms':>7}"
-    )
+    loads = [(s, c, faults) for s in ANSWERS_S for c in arguments.concurrency for faults in (0.0, 0.1)]
+    figures = [measure(*load, requests, arguments.rounds) for load in loads]
+    heads = ("answer s", "at once", "faults", "requests/s", "tries/s", "limit/s", "share", "lost", "doubled", "ms")
+    print("".join(f"{head:>11}" for head in heads))
     for f in figures:
+        rates = "".join(f"{rate:11.1f}" for rate in (f.requests_per_second, f.tries_per_second, f.limit_per_second))
         print(
-            f"{f.concurrency:8} {f.faults:7.0%} {f.requests_per_second:11.1f} {f.tries_per_second:9.1f} {f.limit_per_second:9.1f} "
-            f"{f.share:7.1%} {f.lost:5} {f.doubled:8} {f.milliseconds_of_processor:7.3f}"
+            f"{f.answer_s:11}{f.concurrency:11}{f.faults:11.0%}{rates}{f.share:11.1%}{f.lost:11}{f.doubled:11}"
+            f"{f.milliseconds_of_processor:11.3f}"
         )
     if arguments.json:
         arguments.json.write_text(json.dumps([asdict(f) for f in figures], indent=1) + "\n", "utf-8")

@@ -5,6 +5,7 @@ folder of a preprocess run with scenes of splits that training never saw; the re
 
 - answered: layouts all of whose stages have an answer without a hard fault, of all; at once: of the questions, those whose first
   answer had no fault at all. An answer that cannot be read or used counts as none; ``left`` counts the soft faults that stayed.
+- parsed, valid: of all answers, those that were asked for again included: they are layouts in form; they pass the checks as well;
 - AwT, AwS: required objects present, and entailed relations that hold, by boxes; a layout without an answer has none of its own;
 - distractors: objects that are no task objects; objects: number of them, on and in: carried by another. Each beside the data's;
 - OC, floats, off table: of raw layouts after each stage, by their meshes: what the corrector has to do;
@@ -29,6 +30,7 @@ from tqdm import tqdm
 
 from models.semantic_reasoner.assembly import ReasonerSettings, load_reasoner
 from models.semantic_reasoner.engines import EngineSettings
+from models.semantic_reasoner.reasoner import Proposal
 from models.semantic_reasoner.staged import ONE_SHOT, PROGRESSIVE, StagedLayout, of_scene, staged_layouts
 from pipelines.asset_shelf import AssetShelf
 from stable_data.assets import AssetStore
@@ -37,6 +39,7 @@ from stable_data.metrics.alignment import align, reference_of
 from stable_data.metrics.alignment_summary import AlignmentSummary, summarise_alignment
 from stable_data.metrics.audit import PosedScene, audit_posed
 from stable_data.metrics.card import MetricCard
+from stable_data.metrics.reply_validity import ReplyTally
 from stable_data.scene import Scene, SceneObject, Stage
 from stable_data.shards import RunFolder
 from stable_data.table_assets import TableAssets
@@ -108,6 +111,7 @@ def figures(layouts: Sequence[StagedLayout], truth: Sequence[Scene], seconds: fl
         "answered": _percent(sum(layout.is_whole for layout in layouts), len(layouts)),
         "at_once": _percent(sum(not p.refused for p in proposals), len(proposals)),
         "tries": round(mean(p.tries for p in proposals), 3),
+        **_validity(proposals),
         **_aligned(summary),
         **{f"data_{key}": value for key, value in _aligned(itself).items() if key in ("distractors", "objects", "on", "in")},
         "refused": dict(Counter(f.code for p in proposals for r in p.refused for f in r.faults).most_common()),
@@ -116,6 +120,22 @@ def figures(layouts: Sequence[StagedLayout], truth: Sequence[Scene], seconds: fl
         "layouts_a_minute": round(60 * len(layouts) / seconds, 1),
         "tokens_a_second": round(sum(p.reply_tokens for p in proposals) / seconds),
     }
+
+
+def _validity(proposals: Sequence[Proposal]) -> dict[str, Any]:
+    """Of all answers, those that were refused included: the share that parses, and that passes the checks."""
+    tally = ReplyTally()
+    for p in proposals:
+        for refused in p.refused:
+            tally.invalid(refused.faults[0].code)
+        if p.reply is not None and p.tries > len(p.refused):
+            tally.valid()
+        elif p.reply is None and not p.refused:
+            tally.unknown()
+    found = tally.figures()
+    malformed = sum(count for code, count in found.invalid if code.startswith("reply_"))
+    parsed = found.num_replies - found.num_unknown - malformed
+    return {"parsed": _percent(parsed, found.num_replies), "valid": _percent(found.num_valid, found.num_replies)}
 
 
 def _aligned(s: AlignmentSummary) -> dict[str, Any]:

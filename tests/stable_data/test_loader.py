@@ -404,8 +404,8 @@ def test_a_condition_resumes_and_is_not_another(run: str) -> None:
     assert ids(one) == whole[8:]
     with pytest.raises(ConfigError, match="where: scene_id > 'scene-005' -> None"):
         stream(run, batch_size=4).load_state_dict(one.state_dict())
-    with pytest.raises(ConfigError, match="names stable, expected"):
-        TableStream(run, where="stable > 1")
+    with pytest.raises(ConfigError, match="names steady, expected"):
+        TableStream(run, where="steady > 1")
     with pytest.raises(ConfigError, match="0 rows where"):
         TableStream(run, where="scene_id == 'x'")
 

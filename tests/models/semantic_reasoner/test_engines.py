@@ -2,10 +2,13 @@
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from transformers import PreTrainedTokenizerFast, Qwen3ForCausalLM
 
 from models.semantic_reasoner.acceptance import accepted
 from models.semantic_reasoner.chat_server import serve
@@ -33,12 +36,27 @@ KINDS = ["embedded", "transformers", "openai", "scripted", "vllm"]
 
 @pytest.fixture(scope="module")
 def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A Hugging Face folder of an untrained Qwen3."""
+    """A Hugging Face folder of a Qwen3 that has seen a few replies, so that its descriptions come to an end."""
     folder = tmp_path_factory.mktemp("models") / "tiny"
     tokenizer = train_tokenizer([question(ASK), render_objects([MUG])] * 4, 300)
-    new_network(TINY, tokenizer, 1024, seed=3).save_pretrained(folder)
+    taught(new_network(TINY, tokenizer, 1024, seed=3), tokenizer).save_pretrained(folder)
     tokenizer.save_pretrained(folder)
     return folder
+
+
+def taught(network: Qwen3ForCausalLM, tokenizer: PreTrainedTokenizerFast) -> Qwen3ForCausalLM:
+    """A network after a moment of training on replies with a mug."""
+    told = [render_objects([replace(MUG, position_cm=(10.0 * k + 5, 30.5, 5.0), z_rotation_deg=20 * k)]) for k in range(1, 9)]
+    tokens = tokenizer([question(ASK) + text + str(tokenizer.eos_token) for text in told], add_special_tokens=False)[
+        "input_ids"
+    ]
+    batch = torch.tensor([row[-40:] for row in tokens])
+    optimizer = torch.optim.AdamW(network.parameters(), lr=1e-2)
+    for _ in range(120):
+        optimizer.zero_grad()
+        network(input_ids=batch, labels=batch).loss.backward()
+        optimizer.step()
+    return network.eval()
 
 
 def drawn(request: Request) -> str:
