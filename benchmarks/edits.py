@@ -6,12 +6,13 @@ comes back is held against the edit as it was drafted:
 
 - answered: an answer passed the checks;
 - right: the same instances go, the same ones change, and what is new is of the same categories;
-- kept: nothing is named that the drafted edit leaves alone.
+- kept: nothing goes or changes that the drafted edit leaves alone.
 """
 
 import json
 import time
 from collections import Counter, defaultdict
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
@@ -21,7 +22,7 @@ import typer
 from models.semantic_reasoner.assembly import ReasonerSettings, load_reasoner
 from models.semantic_reasoner.engines import EngineSettings
 from models.semantic_reasoner.examples import Example, edit_example_of
-from models.semantic_reasoner.layout_text import Reply
+from models.semantic_reasoner.layout_text import LayoutObject, Reply
 from stable_data.shards import RunFolder
 from stable_data.synth.edit_table import write_edits
 from stable_data.table_files import TableFiles, rows_from_table
@@ -41,19 +42,20 @@ def held_out_edits(run: str, split: str, most: int) -> list[Row]:
     return sorted(rows, key=lambda row: str(row["edit_id"]))[:most]
 
 
-def what_it_does(there: set[str], reply: Reply) -> tuple[set[str], set[str], Counter[str]]:
-    """Instances that go, instances that change, and the categories of what is new."""
-    changed = {o.instance for o in reply.objects} & there
+def what_it_does(layout: Sequence[LayoutObject], reply: Reply) -> tuple[set[str], set[str], Counter[str]]:
+    """Instances that go, instances that change, and the categories of what is new; what is repeated as it is does not change."""
+    there = {o.instance: o for o in layout}
+    changed = {o.instance for o in reply.objects if o.instance in there and o != there[o.instance]}
     return set(reply.removed), changed, Counter(o.category for o in reply.objects if o.instance not in there)
 
 
 def verdict(example: Example, reply: Reply | None) -> dict[str, bool]:
     """How an answer compares with the edit."""
-    there = {o.instance for o in example.ask.layout}
-    gone, changed, new = what_it_does(there, Reply(example.objects, example.removed or ()))
+    layout = example.ask.layout
+    gone, changed, new = what_it_does(layout, Reply(example.objects, example.removed or ()))
     if reply is None:
         return {"answered": False, "right": False, "kept": True}
-    found = what_it_does(there, reply)
+    found = what_it_does(layout, reply)
     return {"answered": True, "right": found == (gone, changed, new), "kept": found[0] | found[1] <= gone | changed}
 
 

@@ -252,7 +252,12 @@ def main() -> None:
     if arguments.serve is not None:
         asyncio.run(run_server(*arguments.serve))
     requests = requests_to_send(arguments.requests)
-    loads = [(s, c, faults) for s in ANSWERS_S for c in arguments.concurrency for faults in (0.0, 0.1)]
+    short, long = ANSWERS_S
+    widths = [
+        *((short, c) for c in arguments.concurrency),
+        (long, max(arguments.concurrency)),
+    ]  # few at once would take minutes
+    loads = [(answer_s, at_once, faults) for answer_s, at_once in widths for faults in (0.0, 0.1)]
     figures = [measure(*load, requests, arguments.rounds) for load in loads]
     heads = ("answer s", "at once", "faults", "requests/s", "tries/s", "limit/s", "share", "lost", "doubled", "ms")
     print("".join(f"{head:>11}" for head in heads))
