@@ -1,12 +1,13 @@
-"""Many scenes at once: questions of a kind that are open at the same time are answered as one batch.
+"""Many scenes at once: while some are proposed, others are corrected, and each goes on as soon as it has its answer.
 
-Batches form from the order of the loops and from what they ask, never by who is ready first: the same loops and answers make the
-same batches wherever they run, and so the same scenes.
+What is answered together follows from the order of the loops and from what they ask, never from who is ready first: the same loops and
+answers make the same batches wherever they run, and so the same scenes.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Protocol
 
+from models.conversation import Conversation, converse
 from models.dual_system import Answer, Correct, Generated, Loop, Propose, Retrieve
 from models.physics_corrector.corrector import Correction
 from models.semantic_reasoner.reasoner import Proposal
@@ -14,18 +15,18 @@ from stable_data.furnishing import Furnished
 
 
 class Answerer(Protocol):
-    """Who answers the questions of loops: one answer each, in their order; what fails does not touch the others."""
+    """Who answers the questions of loops; what fails does not touch the others."""
 
-    def propose(self, questions: Sequence[Propose], /) -> Sequence[Proposal]:
-        """Objects of stages."""
+    def propose(self, questions: Sequence[Propose], /) -> Conversation[Proposal, Propose]:
+        """Objects of stages, and of those that are asked for when these are known."""
         ...
 
     def retrieve(self, questions: Sequence[Retrieve], /) -> Sequence[Furnished]:
-        """Assets of objects."""
+        """Assets of objects: one answer each, in their order."""
         ...
 
     def correct(self, questions: Sequence[Correct], /) -> Sequence[Correction]:
-        """Clean poses of scenes."""
+        """Clean poses of scenes: one answer each, in their order."""
         ...
 
 
@@ -39,18 +40,24 @@ def together(loops: Sequence[Loop], answerer: Answerer) -> list[Generated]:
     Returns:
         What became of each, in their order.
     """
-    run = _Run(loops)
-    kinds: tuple[tuple[type, Callable[[Any], Sequence[Answer]]], ...] = (
-        (Propose, answerer.propose),
-        (Retrieve, answerer.retrieve),
-        (Correct, answerer.correct),
-    )
-    while run.asked:
-        for kind, answers in kinds:
-            of_kind = {k: question for k, question in sorted(run.asked.items()) if isinstance(question, kind)}
-            if of_kind:
-                for k, answer in zip(of_kind, answers(list(of_kind.values())), strict=True):
-                    run.go_on(k, answer)
+    run = _Run(loops, answerer)
+    asking: list[int] = []  # the loop of each question for a proposal, in the order in which they were asked
+
+    def proposals_wanted() -> list[Propose]:
+        """The questions for proposals that have not been asked, once all others are answered."""
+        run.answer_others()
+        new = {k: q for k, q in sorted(run.open.items()) if isinstance(q, Propose)}
+        for k in new:
+            run.open.pop(k)
+        asking.extend(new)
+        return list(new.values())
+
+    def heard(found: list[tuple[int, Proposal]]) -> list[Propose]:
+        for number, proposal in found:
+            run.go_on(asking[number], proposal)
+        return proposals_wanted()
+
+    converse(answerer.propose(proposals_wanted()), heard)
     return [run.made[k] for k in range(len(loops))]
 
 
@@ -58,13 +65,13 @@ class _Run:
     """Loops that are under way.
 
     Attributes:
-        asked: The open question of each that is not at its end.
-        made: What became of the others.
+        open: Questions that nobody has been asked yet, by loop.
+        made: What became of the loops that are at their end.
     """
 
-    def __init__(self, loops: Sequence[Loop]) -> None:
-        self._loops = loops
-        self.asked: dict[int, Any] = {}
+    def __init__(self, loops: Sequence[Loop], answerer: Answerer) -> None:
+        self._loops, self._answerer = loops, answerer
+        self.open: dict[int, Any] = {}
         self.made: dict[int, Generated] = {}
         for k in range(len(loops)):
             self.go_on(k, None)
@@ -72,7 +79,23 @@ class _Run:
     def go_on(self, k: int, answer: Answer | None) -> None:
         """Gives a loop its answer, and takes its next question or its end."""
         try:
-            self.asked[k] = self._loops[k].send(answer)  # type: ignore[arg-type]  # a loop that begins is sent None
+            self.open[k] = self._loops[k].send(answer)  # type: ignore[arg-type]  # a loop that begins is sent None
         except StopIteration as end:
-            self.asked.pop(k, None)
             self.made[k] = end.value
+
+    def answer_others(self) -> None:
+        """Answers all that asks for no proposal, until nothing else is open."""
+        while True:
+            retrieve = {k: q for k, q in sorted(self.open.items()) if isinstance(q, Retrieve)}
+            correct = {k: q for k, q in sorted(self.open.items()) if isinstance(q, Correct)}
+            if retrieve:
+                self._give(list(retrieve), self._answerer.retrieve(list(retrieve.values())))
+            elif correct:
+                self._give(list(correct), self._answerer.correct(list(correct.values())))
+            else:
+                return
+
+    def _give(self, loops: Sequence[int], answers: Sequence[Answer]) -> None:
+        for k, answer in zip(loops, answers, strict=True):
+            del self.open[k]
+            self.go_on(k, answer)

@@ -5,6 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from time import perf_counter
 
+from models.conversation import Conversation
 from models.dual_system import Correct, Propose, Retrieve
 from models.physics_corrector.certify import Status
 from models.physics_corrector.corrector import Correction, PhysicsCorrector
@@ -62,12 +63,20 @@ class OwnAnswers:
     certify: Certify | None = None
     seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("propose", "retrieve", "flow", "certify"), 0.0))
 
-    def propose(self, questions: Sequence[Propose], /) -> list[Proposal]:
-        """Objects of stages, all questions as one batch of the engine."""
+    def propose(self, questions: Sequence[Propose], /) -> Conversation[Proposal, Propose]:
+        """Objects of stages: what is asked for later joins what the engine is still busy with."""
         began = perf_counter()
-        found = self.reasoner.propose([q.ask for q in questions], [q.seed for q in questions])
+        talk = self.reasoner.converse([(q.ask, q.seed) for q in questions])
+        found = next(talk, None)
+        while found is not None:
+            self.seconds["propose"] += perf_counter() - began
+            more = yield found
+            began = perf_counter()
+            try:
+                found = talk.send([(q.ask, q.seed) for q in more])
+            except StopIteration:
+                found = None
         self.seconds["propose"] += perf_counter() - began
-        return found
 
     def retrieve(self, questions: Sequence[Retrieve], /) -> list[Furnished]:
         """Assets of objects, all of them looked for at once."""

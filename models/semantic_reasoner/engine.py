@@ -6,8 +6,9 @@ on. It raises a ConfigError when it is made, where it cannot work at all (a fold
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
+from models.conversation import Conversation, in_batches
 from models.semantic_reasoner.prompt import Message
 from models.semantic_reasoner.reply_form import ReplyForm
 
@@ -95,3 +96,22 @@ class Engine(Protocol):
     def complete(self, requests: Sequence[Request]) -> list[Completion]:
         """One completion for each request, in their order."""
         ...
+
+
+@runtime_checkable
+class Converses(Protocol):
+    """An engine that takes further requests while it completes others."""
+
+    def converse(self, requests: Sequence[Request]) -> Conversation[Completion, Request]:
+        """Completions as they come, and requests that come of them; in an order that depends on nothing but the requests."""
+        ...
+
+
+def conversation(engine: Engine, requests: Sequence[Request]) -> Conversation[Completion, Request]:
+    """Requests, and those that come of their completions: as they come where the engine can, else batch by batch.
+
+    Args:
+        engine: Any engine.
+        requests: Those to begin with.
+    """
+    return engine.converse(requests) if isinstance(engine, Converses) else in_batches(engine.complete, requests)

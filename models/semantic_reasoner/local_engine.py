@@ -13,6 +13,7 @@ from llguidance import LLExecutor, LLMatcher
 from torch import Tensor
 from transformers import AutoModelForCausalLM, AutoTokenizer, PreTrainedModel, PreTrainedTokenizerFast
 
+from models.conversation import Conversation, converse
 from models.semantic_reasoner.decoding import ATTENTION, Decoder
 from models.semantic_reasoner.engine import Completion, Request, Sampling, too_long
 from models.semantic_reasoner.layout_text import parse_reply
@@ -132,17 +133,50 @@ class LocalEngine:
 
     def complete(self, requests: Sequence[Request]) -> list[Completion]:
         """One completion for each request, in their order."""
-        done: list[Completion | None] = [None] * len(requests)
+        done: dict[int, Completion] = {}
+
+        def keep(found: list[tuple[int, Completion]]) -> Sequence[Request]:
+            done.update(found)
+            return ()
+
+        converse(self.converse(requests), keep)
+        return [done[k] for k in range(len(requests))]
+
+    def converse(self, requests: Sequence[Request]) -> Conversation[Completion, Request]:
+        """Completions as they come; what comes of them takes their places, so that no batch ends with its slowest."""
+        asked = 0
+        done: list[tuple[int, Completion]] = []
         waiting: list[_Sequence] = []
-        for index, request in enumerate(requests):
-            sequence = self._begun(index, request)
-            if isinstance(sequence, Completion):
-                done[index] = sequence
-            else:
-                waiting.append(sequence)
-        waiting.sort(key=lambda s: len(s.prompt))  # like lengths are read together; ties keep the order
-        self._decode(waiting, done)
-        return [c if c is not None else Completion("", failure="no reply", code="internal") for c in done]
+
+        def take(more: Sequence[Request]) -> None:
+            nonlocal asked
+            for index, request in enumerate(more, asked):
+                sequence = self._begun(index, request)
+                if isinstance(sequence, Completion):
+                    done.append((index, sequence))
+                else:
+                    waiting.append(sequence)
+            asked += len(more)
+            waiting.sort(key=lambda s: len(s.prompt))  # like lengths are read together; ties keep the order
+
+        take(requests)
+        decoder = Decoder(self._model, min(self._num_slots, max(1, len(waiting))), self._tokenizer.pad_token_id or 0)
+        active: list[_Sequence] = []
+        logits = torch.zeros(0, self._vocabulary)
+        while True:
+            while done:
+                found, done = done, []
+                take((yield found))
+            if not (waiting or active):
+                return
+            free = decoder.num_slots - len(active)
+            if waiting and (not active or free >= max(1, decoder.num_slots // 8)):
+                admitted, waiting = waiting[:free], waiting[free:]
+                logits = torch.cat([logits, decoder.admit([s.prompt for s in admitted]).cpu()])
+                active += admitted
+            tokens = self._drawn(logits, active)
+            done = self._gone_on(tokens, active, decoder)
+            logits = decoder.step(tokens).cpu() if active else logits[:0]
 
     def _begun(self, index: int, request: Request) -> _Sequence | Completion:
         chat = chat_text(self._tokenizer, request.messages, thinks=not request.form.binds)
@@ -160,40 +194,32 @@ class LocalEngine:
     def _matcher(self, grammar: str) -> LLMatcher:
         return LLMatcher(self._guide, LLMatcher.grammar_from_lark(grammar))
 
-    def _decode(self, waiting: list[_Sequence], done: list[Completion | None]) -> None:
-        decoder = Decoder(self._model, min(self._num_slots, max(1, len(waiting))), self._tokenizer.pad_token_id or 0)
-        active: list[_Sequence] = []
-        logits = torch.zeros(0, self._vocabulary)
+    def _gone_on(self, tokens: list[int], active: list[_Sequence], decoder: Decoder) -> list[tuple[int, Completion]]:
+        """Adds a token to each sequence, and gives what is complete with it; that leaves ``tokens`` and ``active``."""
+        done = []
         longest = self._model.config.get_text_config().max_position_embeddings
-        while waiting or active:
-            free = decoder.num_slots - len(active)
-            if waiting and (not active or free >= max(1, decoder.num_slots // 8)):
-                admitted, waiting = waiting[:free], waiting[free:]
-                logits = torch.cat([logits, decoder.admit([s.prompt for s in admitted]).cpu()])
-                active += admitted
-            tokens = self._drawn(logits, active)
-            for slot in reversed(range(len(active))):
-                sequence, token = active[slot], tokens[slot]
-                ended = token in self._end
-                if not ended:
-                    sequence.reply.append(token)
-                    if sequence.matcher is not None:
-                        sequence.matcher.consume_token(token)
-                        ended = sequence.matcher.is_stopped()
-                if ended and self._goes_on(sequence):
-                    ended = False
-                    so_far = sequence.prompt + sequence.reply
-                    decoder.rewind(slot, len(so_far) - 1)
-                    tokens[slot] = so_far[-1]
-                room = min(self.sampling.max_tokens, longest - len(sequence.prompt))
-                if ended or len(sequence.reply) >= room:
-                    done[sequence.index] = self._completion(sequence, ended)
-                    last = decoder.release(slot)
-                    if last is not None:
-                        active[slot], tokens[slot] = active[last], tokens[last]
-                    active.pop()
-                    tokens.pop()
-            logits = decoder.step(tokens).cpu() if active else logits[:0]
+        for slot in reversed(range(len(active))):
+            sequence, token = active[slot], tokens[slot]
+            ended = token in self._end
+            if not ended:
+                sequence.reply.append(token)
+                if sequence.matcher is not None:
+                    sequence.matcher.consume_token(token)
+                    ended = sequence.matcher.is_stopped()
+            if ended and self._goes_on(sequence):
+                ended = False
+                so_far = sequence.prompt + sequence.reply
+                decoder.rewind(slot, len(so_far) - 1)
+                tokens[slot] = so_far[-1]
+            room = min(self.sampling.max_tokens, longest - len(sequence.prompt))
+            if ended or len(sequence.reply) >= room:
+                done.append((sequence.index, self._completion(sequence, ended)))
+                last = decoder.release(slot)
+                if last is not None:
+                    active[slot], tokens[slot] = active[last], tokens[last]
+                active.pop()
+                tokens.pop()
+        return done
 
     def _goes_on(self, sequence: _Sequence) -> bool:
         """Where a whole reply lacks what it must have, its end is taken back, and what is lacking has to come next."""

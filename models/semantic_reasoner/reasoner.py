@@ -1,13 +1,13 @@
 """The Semantic Reasoner: asks an engine, checks what comes back, asks again with the reason, and gives objects."""
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
+from models.conversation import Conversation, converse
 from models.semantic_reasoner.checks import Fault
 from models.semantic_reasoner.dialect import Dialect, StagedDialect
-from models.semantic_reasoner.engine import Completion, Engine, Request
+from models.semantic_reasoner.engine import Completion, Engine, Request, conversation
 from models.semantic_reasoner.grounding import Grounding
 from models.semantic_reasoner.layout_text import LayoutObject, Reply, renumbered
 from models.semantic_reasoner.prompt import MAX_INSTRUCTION, Ask
@@ -169,27 +169,71 @@ class SemanticReasoner:
             asks: The questions.
             seeds: One each: with an engine that repeats itself, the same question and seed have the same proposal.
         """
-        found: list[Proposal | None] = [None] * len(asks)
-        waiting = {k: self._asking(ask, seed) for k, (ask, seed) in enumerate(zip(asks, seeds, strict=True))}
-        for attempt in itertools.count():
-            requests = {}
-            for k, asking in list(waiting.items()):
-                if attempt == (self._task_tries if asking.ask.wanted is Stage.TASK else self._tries):
-                    found[k] = self._last_word(waiting.pop(k))
-                    continue
-                try:
-                    requests[k] = self._request(asking, attempt)
-                except SceneError as error:
-                    found[k] = waiting.pop(k).proposal(failure=str(error), code=error.code)
-            completions = self.engine.complete(list(requests.values())) if requests else []
-            for k, completion in zip(requests, completions, strict=True):
-                proposal = self._judge(waiting[k], completion)
-                if proposal is not None:
-                    found[k] = proposal
-                    del waiting[k]
-            if not waiting:
-                break
-        return [p for p in found if p is not None]
+        done: dict[int, Proposal] = {}
+
+        def keep(found: list[tuple[int, Proposal]]) -> Sequence[tuple[Ask, int]]:
+            done.update(found)
+            return ()
+
+        converse(self.converse(list(zip(asks, seeds, strict=True))), keep)
+        return [done[k] for k in range(len(asks))]
+
+    def converse(self, questions: Sequence[tuple[Ask, int]]) -> Conversation[Proposal, tuple[Ask, int]]:
+        """Proposals, and the questions that come of them, such as for a scene's next stage.
+
+        Proposals are given when they are a third of what is open, or more: what comes of them is then worth a batch, and those that
+        are still being answered are enough to go on with.
+
+        Args:
+            questions: What is asked, each with its seed.
+        """
+        askings: list[_Asking] = []
+        of_request: list[int] = []  # the question of each
+        done: list[tuple[int, Proposal]] = []
+        talk: Conversation[Completion, Request] | None = None
+        num_open = 0
+
+        def ask(k: int) -> list[Request]:
+            """The request that is next for a question; none where there is an end to it."""
+            asking = askings[k]
+            if asking.tries == (self._task_tries if asking.ask.wanted is Stage.TASK else self._tries):
+                done.append((k, self._last_word(asking)))
+                return []
+            try:
+                request = self._request(asking, asking.tries)
+            except SceneError as error:
+                done.append((k, asking.proposal(failure=str(error), code=error.code)))
+                return []
+            of_request.append(k)
+            return [request]
+
+        def begin(more: Sequence[tuple[Ask, int]]) -> list[Request]:
+            first = len(askings)
+            askings.extend(self._asking(*question) for question in more)
+            return [request for k in range(first, len(askings)) for request in ask(k)]
+
+        requests = begin(questions)
+        while True:
+            while done and 3 * len(done) >= num_open + len(requests):
+                found, done = done, []
+                requests += begin((yield found))
+            num_open += len(requests)
+            if not num_open:
+                return
+            if talk is None:
+                talk = conversation(self.engine, requests)
+                completions = next(talk)
+            else:
+                completions = talk.send(requests)
+            requests = []
+            num_open -= len(completions)
+            for number, completion in completions:
+                k = of_request[number]
+                proposal = self._judge(askings[k], completion)
+                if proposal is None:
+                    requests += ask(k)
+                else:
+                    done.append((k, proposal))
 
     def _asking(self, ask: Ask, seed: int) -> _Asking:
         if self._grounding is None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 
+from models.conversation import Conversation, in_batches
 from models.dual_system import Correct, Generated, LoopSettings, Propose, Request, Retrieve, dual_system
 from models.physics_corrector.certify import CertifyOptions
 from models.physics_corrector.corrector import Correction, PhysicsCorrector
@@ -39,7 +40,10 @@ class Answers:
     asked: list[Request] = field(default_factory=list)
     batches: list[int] = field(default_factory=list)  # of corrections
 
-    def propose(self, questions: Sequence[Propose]) -> list[Proposal]:
+    def propose(self, questions: Sequence[Propose]) -> Conversation[Proposal, Propose]:
+        return in_batches(self.proposed, questions)
+
+    def proposed(self, questions: Sequence[Propose]) -> list[Proposal]:
         self.asked += questions
         if callable(self.stages):
             return [self.stages(q) for q in questions]
@@ -201,6 +205,6 @@ def test_scenes_side_by_side_are_what_they_are_alone() -> None:
     loops = [dual_system(task, k, own) for k, (task, own) in enumerate(zip(tasks, settings, strict=True))]
     answers = Answers(CROWDED)
     side_by_side = together(loops, answers)
-    assert answers.batches == [2, 2, 3, 1, 1]  # the one that asks twice meets the one that asks at the end
+    assert answers.batches == [2, 2, 1, 3, 1]  # the one that corrects at the end meets the last stage of the others
     for k, (task, own) in enumerate(zip(tasks, settings, strict=True)):
         assert side_by_side[k].scene == driven(Answers(CROWDED), own, task).scene
