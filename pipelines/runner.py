@@ -4,6 +4,8 @@ import faulthandler
 import logging
 import os
 import socket
+import sys
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -17,6 +19,7 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 import ray
+from tqdm import tqdm
 
 from stable_data.errors import ConfigError, StableDataError
 
@@ -26,18 +29,16 @@ R_co = TypeVar("R_co", covariant=True)
 T_contra = TypeVar("T_contra", contravariant=True)
 
 _AHEAD = 2  # shards in flight for each worker: the next one is there when one ends, and memory stays flat
+_ALONE_FROM = 2  # deaths of workers over a shard from which its items run one by one: the first may have come from outside
 _MAX_DEATHS = 4  # of workers over one shard, before it is left to a later run
+_MAX_NODES = 8  # lost under one shard before it is left to a later run: it is hardly ever at fault, but nothing loops forever
+_LOOK_SECONDS = 10.0  # between looks at a cluster on which no shard ends
+_PATIENCE_SECONDS = 1800.0  # with a cluster that has no core at all, as between two spot machines
 _START_SECONDS = 600.0  # in which a process of its own is there and ready
 _CHECKOUT = Path(__file__).resolve().parents[1]
 _NOT_SHIPPED = ["/.git", "/.venv", "/data", "/out", "/runs", "/shared"]
-_LOST = (
-    ray.exceptions.WorkerCrashedError,
-    ray.exceptions.NodeDiedError,
-    ray.exceptions.LocalRayletDiedError,
-    ray.exceptions.ObjectLostError,
-    ray.exceptions.TaskCancelledError,
-    ray.exceptions.OutOfMemoryError,
-)
+_WORKER_LOST = (ray.exceptions.WorkerCrashedError, ray.exceptions.TaskCancelledError, ray.exceptions.OutOfMemoryError)
+_NODE_LOST = (ray.exceptions.NodeDiedError, ray.exceptions.LocalRayletDiedError, ray.exceptions.ObjectLostError)
 
 
 class Work(Protocol[T_contra, R_co]):
@@ -48,7 +49,7 @@ class Work(Protocol[T_contra, R_co]):
 
         Args:
             shard: The shard.
-            isolated: A worker died over this shard: run its items one by one, each in a process of its own.
+            isolated: Workers died over this shard: run its items one by one, each in a process of its own.
         """
         ...
 
@@ -75,8 +76,8 @@ class Workers:
         """Does the work for every shard, in whatever order they end.
 
         Raises:
-            ConfigError: The work cannot go on at all, such as when the disk is full, or Ray cannot be reached; or, once all
-                others are done, some shards were lost with their workers again and again.
+            ConfigError: The work cannot go on at all, such as when the disk is full, Ray cannot be reached or a cluster stays
+                without nodes; or, once all others are done, some shards were lost with their workers or nodes again and again.
         """
         if self.are_this_process:
             return (work(shard) for shard in shards)
@@ -85,10 +86,19 @@ class Workers:
 
 @dataclass
 class _Attempt(Generic[T]):
-    """A shard, and how many workers were lost over it."""
+    """A shard, and what was lost over it."""
 
     shard: T
     deaths: int = 0
+    nodes: int = 0
+
+    def is_given_up(self, error: ray.exceptions.RayError) -> bool:
+        """Counts a loss; gives whether it was the last one that is borne."""
+        if isinstance(error, _NODE_LOST):
+            self.nodes += 1
+        else:
+            self.deaths += 1
+        return self.deaths >= _MAX_DEATHS or self.nodes >= _MAX_NODES
 
 
 class _RayRun(Generic[T, R]):
@@ -96,6 +106,7 @@ class _RayRun(Generic[T, R]):
 
     def __init__(self, workers: Workers, work: Work[T, R], shards: Sequence[T]) -> None:
         self._workers, self._shards = workers, shards
+        self._empty_since: float | None = None
         self._started_ray = connect(workers)
         self._work = ray.put(work)
         self._task = ray.remote(num_cpus=1, max_retries=0)(_call)  # a lost worker is counted here
@@ -109,17 +120,19 @@ class _RayRun(Generic[T, R]):
                 width = self._width()
                 while waiting and len(in_flight) < width:
                     attempt = waiting.popleft()
-                    in_flight[self._task.remote(self._work, attempt.shard, attempt.deaths > 0)] = attempt
-                [reference], _ = ray.wait(list(in_flight))
-                attempt = in_flight.pop(reference)
+                    in_flight[self._task.remote(self._work, attempt.shard, attempt.deaths >= _ALONE_FROM)] = attempt
+                ended, _ = ray.wait(list(in_flight), timeout=_LOOK_SECONDS)
+                if not ended:
+                    self._look_for_nodes()
+                    continue
+                self._empty_since, attempt = None, in_flight.pop(ended[0])
                 try:
-                    result = ray.get(reference)
-                except _LOST as error:
-                    attempt.deaths += 1
-                    if attempt.deaths < _MAX_DEATHS:
-                        waiting.append(attempt)  # behind the rest, so that it holds up nothing
-                    else:
+                    result = ray.get(ended[0])
+                except (*_WORKER_LOST, *_NODE_LOST) as error:
+                    if attempt.is_given_up(error):
                         lost.append(f"{attempt.shard} ({type(error).__name__})")
+                    else:
+                        waiting.append(attempt)  # behind the rest, so that it holds up nothing
                     continue
                 yield result
         except ray.exceptions.RayTaskError as error:
@@ -134,9 +147,29 @@ class _RayRun(Generic[T, R]):
         if lost:
             raise ConfigError(
                 f"{len(lost)} of {len(self._shards)} shards were lost, each with {_MAX_DEATHS} workers although their items ran "
-                f"one by one: {', '.join(lost[:3])}{', …' if len(lost) > 3 else ''}; free memory or take fewer workers and run "
-                "again: finished shards are kept",
+                f"one by one in the end, or with {_MAX_NODES} nodes: {', '.join(lost[:3])}{', …' if len(lost) > 3 else ''}; free "
+                "memory or take fewer workers and run again: finished shards are kept",
                 "worker_lost",
+            )
+
+    def _look_for_nodes(self) -> None:
+        """Says once that the cluster has no core, as when all its spot machines were taken at once; waits for new ones.
+
+        Raises:
+            ConfigError: None has come for too long.
+        """
+        if ray.cluster_resources().get("CPU", 0) >= 1:
+            self._empty_since = None
+            return
+        minutes = f"{_PATIENCE_SECONDS / 60:g} min"
+        if self._empty_since is None:
+            self._empty_since = time.monotonic()
+            tqdm.write(f"the cluster has no core at the moment; waiting for a node, up to {minutes}", file=sys.stderr)
+        elif time.monotonic() - self._empty_since > _PATIENCE_SECONDS:
+            raise ConfigError(
+                f"the cluster at {self._workers.address} had no core for {minutes}, expected one at least; see that it gets "
+                "nodes and run again: finished shards are kept",
+                "cluster_empty",
             )
 
     def _width(self) -> int:

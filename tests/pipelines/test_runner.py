@@ -1,7 +1,9 @@
 """Shards on Ray and in this process: all done, and one that kills its worker is run item by item."""
 
 import os
+import signal
 import time
+from collections.abc import Iterator
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -9,6 +11,7 @@ from typing import Any
 
 import pytest
 import ray
+from tqdm import tqdm
 
 from pipelines import runner
 from pipelines.runner import Loss, Workers, alone, limited
@@ -27,6 +30,33 @@ class Hostile:
 
     def __call__(self, shard: int, *, isolated: bool = False) -> str:
         if shard == 1 and not isolated:
+            os.abort()
+        return f"{shard} {'alone' if isolated else 'together'}"
+
+
+class Unlucky:
+    """Loses its worker as often as it is told, the first one to a shard, whatever it does."""
+
+    def __init__(self, folder: Path, times: int) -> None:
+        self.folder, self.times = folder, times
+
+    def __call__(self, shard: int, *, isolated: bool = False) -> str:
+        if len(list(self.folder.iterdir())) < self.times:
+            (self.folder / str(os.getpid())).touch()
+            os.abort()
+        return "alone" if isolated else "together"
+
+
+class Sinking:
+    """Takes its node with it the first time."""
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __call__(self, shard: int, *, isolated: bool = False) -> str:
+        if not self.mark.exists():
+            self.mark.touch()
+            os.kill(os.getppid(), signal.SIGKILL)  # the raylet
             os.abort()
         return f"{shard} {'alone' if isolated else 'together'}"
 
@@ -84,6 +114,62 @@ def test_a_shard_that_kills_its_worker_is_run_again_alone() -> None:
 
 
 @pytest.mark.ray
+@pytest.mark.parametrize(("times", "how"), [(1, "together"), (2, "alone")])
+def test_a_shard_is_run_alone_from_the_second_death_on(times: int, how: str, tmp_path: Path) -> None:
+    assert list(Workers(1).run(Unlucky(tmp_path, times), [0])) == [how]
+
+
+@pytest.fixture
+def cluster() -> Iterator[Any]:
+    """A cluster whose head runs no shard; a node that is lost is known to be so within two seconds."""
+    from ray.cluster_utils import Cluster
+
+    quick = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 300, "health_check_failure_threshold": 4}
+    nodes = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "_system_config": quick})
+    yield nodes
+    ray.shutdown()
+    nodes.shutdown()
+
+
+@pytest.mark.ray
+@pytest.mark.slow
+def test_a_node_that_is_lost_does_not_count_against_its_shard(cluster: Any, tmp_path: Path) -> None:
+    for _ in range(2):
+        cluster.add_node(num_cpus=1)
+    found = Workers(2, cluster.address).run(Sinking(tmp_path / "mark"), [0, 1, 2])
+    assert sorted(found) == ["0 together", "1 together", "2 together"]
+
+
+@pytest.mark.ray
+def test_a_cluster_without_any_node_is_waited_for_and_given_up_in_the_end(
+    cluster: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+
+    def write(message: str, **_: Any) -> None:
+        said.append(message)
+        if len(said) == 2:
+            cluster.add_node()
+
+    monkeypatch.setattr(tqdm, "write", write)
+    monkeypatch.setattr(runner, "_LOOK_SECONDS", 0.2)
+    monkeypatch.setattr(runner, "_PATIENCE_SECONDS", 1.2)
+    with pytest.raises(ConfigError, match=r"had no core for 0\.02 min, expected one at least; .*run again") as caught:
+        list(Workers(1, cluster.address).run(Double(), [1]))
+    assert caught.value.code == "cluster_empty"
+    monkeypatch.setattr(runner, "_PATIENCE_SECONDS", 120.0)
+    assert sorted(Workers(0, cluster.address).run(Double(), [1, 2, 3])) == [2, 4, 6]
+    assert said[1] == "the cluster has no core at the moment; waiting for a node, up to 2 min"
+
+
+def test_nodes_that_are_lost_again_and_again_are_borne_for_longer_but_not_for_ever() -> None:
+    lost, attempt = ray.exceptions.NodeDiedError("taken"), runner._Attempt(7)
+    assert [attempt.is_given_up(lost) for _ in range(runner._MAX_NODES)] == [False] * (runner._MAX_NODES - 1) + [True]
+    assert attempt.deaths == 0
+    assert runner._MAX_NODES > runner._MAX_DEATHS
+
+
+@pytest.mark.ray
 def test_a_shard_that_loses_every_worker_is_named_once_the_rest_is_done() -> None:
     results = Workers(1).run(Doomed(), [7, 8, 9])
     assert sorted(islice(results, 2)) == [8, 9]
@@ -113,7 +199,14 @@ def test_ray_that_stops_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
         raise ray.exceptions.RaySystemError("the object store is gone\nat some place")
 
     run = object.__new__(runner._RayRun)
-    run.__dict__ |= {"_workers": Workers(1), "_shards": [1], "_started_ray": False, "_work": None, "_task": _Remote()}
+    run.__dict__ |= {
+        "_workers": Workers(1),
+        "_shards": [1],
+        "_started_ray": False,
+        "_empty_since": None,
+        "_work": None,
+        "_task": _Remote(),
+    }
     monkeypatch.setattr(ray, "wait", stopped)
     with pytest.raises(ConfigError, match=r"Ray stopped \(RaySystemError: .*run again") as caught:
         list(run.results())
