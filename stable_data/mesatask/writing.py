@@ -6,12 +6,12 @@ full precision, so that it reads back the same to the last bit or the one before
 
 import copy
 import math
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from stable_data.errors import ConfigError, SceneError
+from stable_data.files import put_file
 from stable_data.mesatask.document import Log, inverse, json_text
 from stable_data.mesatask.entry import BOX_YAW, POSE_KEYS, Border, LayoutLimits, is_upright, read_object, scaled_extents
 from stable_data.mesatask.frame import is_yaw_of, normalised, quat_product, yaw_quat
@@ -105,26 +105,35 @@ def write_scene(
     Raises:
         SceneError: The id or the table type cannot be the name of a folder.
     """
+    folder = scene_folder(root, scene)
+    folder.mkdir(parents=True, exist_ok=True)
+    if front_png is not None:
+        put_file(folder / "front.png", front_png)
+    if scene.task is not None:
+        put_file(folder / TASK_INFO_FILE, _json(write_task_info(scene.task, scene.table)))
+    layout = write_layout(scene, extents=extents, decimals=decimals, annotations=annotations)
+    put_file(folder / LAYOUT_FILE, _json(layout))
+    return folder
+
+
+def scene_folder(root: Path, scene: Scene) -> Path:
+    """Where a scene lies in a dataset's folder.
+
+    Raises:
+        SceneError: The id or the table type cannot be the name of a folder.
+    """
     name = scene.scene_id.removeprefix(f"{scene.table.table_type}/")
     for part in (name, scene.table.table_type):
         if not part or not is_inside(part):
             raise SceneError(f"{scene.scene_id}: {part!r} cannot name a folder, expected a plain name", "scene_id_invalid")
-    folder = root / LAYOUT_FOLDER / scene.table.table_type / name
-    folder.mkdir(parents=True, exist_ok=True)
-    if front_png is not None:
-        _write(folder / "front.png", front_png)
-    if scene.task is not None:
-        _write(folder / TASK_INFO_FILE, _json(write_task_info(scene.task, scene.table)))
-    layout = write_layout(scene, extents=extents, decimals=decimals, annotations=annotations)
-    _write(folder / LAYOUT_FILE, _json(layout))
-    return folder
+    return root / LAYOUT_FOLDER / scene.table.table_type / name
 
 
 def write_annotations(root: Path, annotations: Mapping[str, AssetAnnotation]) -> Path:
     """Writes Asset_annotation.json, uids sorted, and returns its path."""
     root.mkdir(parents=True, exist_ok=True)
     path = root / ANNOTATION_FILE
-    _write(path, _json({asset_id: write_annotation(annotations[asset_id]) for asset_id in sorted(annotations)}))
+    put_file(path, _json({asset_id: write_annotation(annotations[asset_id]) for asset_id in sorted(annotations)}))
     return path
 
 
@@ -139,7 +148,7 @@ def write_asset(root: Path, asset_id: str, glb: bytes) -> Path:
     folder = root / LIBRARY_FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{asset_id}.glb"
-    _write(path, glb)
+    put_file(path, glb)
     return path
 
 
@@ -251,10 +260,3 @@ def _rounded(value: float, decimals: int | None) -> float:
 def _json(document: object) -> bytes:
     """JSON as the format's files have it."""
     return (json_text(document, indent=2) + "\n").encode()
-
-
-def _write(path: Path, data: bytes) -> None:
-    """Writes a file aside and puts it in place in one step."""
-    aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    aside.write_bytes(data)
-    aside.replace(path)
