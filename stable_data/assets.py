@@ -5,7 +5,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from scipy.optimize import nnls
@@ -41,6 +41,15 @@ class AssetSource(Protocol):
 
     def asset_path(self, asset_id: str) -> Path | None:
         """The asset's GLB file, or None where there is none."""
+        ...
+
+
+@runtime_checkable
+class PartSource(Protocol):
+    """A source that also keeps the convex parts of its assets, such as the tables of a run."""
+
+    def parts(self, asset_id: str) -> tuple[Mesh, ...]:
+        """Convex parts, in the frame and unit of the asset's mesh; none where it has none."""
         ...
 
 
@@ -111,6 +120,10 @@ class AssetStore:
             return () if path is None else load_colliders(path, asset_id)
         except MeshError:
             return ()  # the mesh itself is there: it is cut up instead
+
+    def kept_parts(self, asset_id: str) -> tuple[Mesh, ...]:
+        """The convex parts that its source keeps of an asset, see :class:`PartSource`; none where it keeps none."""
+        return self._source.parts(asset_id) if isinstance(self._source, PartSource) else ()
 
     def shape(self, o: SceneObject) -> tuple[Shape, tuple[Notice, ...]]:
         """The geometry of an object at its scale and tilt.

@@ -34,12 +34,30 @@ def parts_of(o: SceneObject, shape: Shape, store: AssetStore) -> tuple[Mesh, ...
     mesh = store.mesh_of(o) if shape.is_exact else None
     if mesh is None or o.asset_id is None or o.scale is None:
         return (Mesh(shape.vertices, shape.faces),)
-    known = _CUT_UP.setdefault(store, {})
-    if o.asset_id not in known:
-        known[o.asset_id] = convex_parts(mesh, given=store.colliders(o.asset_id)).parts
+    parts = asset_parts(o.asset_id, mesh, store)
     turn = (Rotation.from_quat(o.tilt_quat_xyzw).as_matrix() * o.scale).T
     centre = mesh.vertices[0] @ turn - shape.vertices[0]
-    return tuple(Mesh(part.vertices @ turn - centre, part.faces) for part in known[o.asset_id])
+    return tuple(Mesh(part.vertices @ turn - centre, part.faces) for part in parts)
+
+
+def asset_parts(asset_id: str, mesh: Mesh, store: AssetStore) -> tuple[Mesh, ...]:
+    """Convex parts of an asset, in the frame and unit of its mesh.
+
+    Those that a run keeps of it, in its table ``meshes``; else those that came with its file, where they are true to the mesh; else
+    the mesh is cut up.
+
+    Args:
+        asset_id: The asset.
+        mesh: Its repaired mesh.
+        store: Where it is; keeps its parts as long as it lives.
+
+    Raises:
+        MeshError: Nothing that has a volume could be made of the mesh.
+    """
+    known = _CUT_UP.setdefault(store, {})
+    if asset_id not in known:
+        known[asset_id] = store.kept_parts(asset_id) or convex_parts(mesh, given=store.colliders(asset_id)).parts
+    return known[asset_id]
 
 
 def bodies_of(scene: Scene, shapes: Sequence[Shape], store: AssetStore, density: float = DENSITY) -> list[Body]:

@@ -1,11 +1,14 @@
-"""Meshes of a run's own tables, for jobs that see the run folder and not the dataset that it was made of."""
+"""Assets of a run's own tables, for jobs that see the run folder and not the dataset that it was made of."""
 
-import os
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 
 from stable_data.errors import ConfigError
+from stable_data.files import put_file
+from stable_data.mesatask.library import AssetAnnotation
+from stable_data.mesh import Mesh
 from stable_data.shards import RunFolder, unwritable
 from stable_data.table_files import TableFiles
 
@@ -13,7 +16,9 @@ from stable_data.table_files import TableFiles
 class TableAssets:
     """An :class:`~stable_data.assets.AssetSource` over the table ``meshes``: its GLBs as files, named by their content.
 
-    Files that are there already, such as another process's, are used. Of the table no more than a row group is held at a time.
+    The files of a row group are written when the first of them is asked for; those that are there already, such as another
+    process's, are used. Of the table no more than a row group is held at a time. It is a
+    :class:`~stable_data.assets.PartSource` too: the convex parts are those of the table.
 
     Args:
         run: The run folder.
@@ -24,31 +29,92 @@ class TableAssets:
     """
 
     def __init__(self, run: RunFolder, files: Path) -> None:
-        self._paths: dict[str, Path] = {}
-        table = TableFiles(run.uri, "meshes", ["asset_id", "glb", "sha256"])
+        self._files = files
+        self._names = TableFiles(run.uri, "meshes", ["asset_id", "sha256"])
+        self._meshes = TableFiles(run.uri, "meshes", ["asset_id", "glb", "sha256"])
+        self._parts = TableFiles(run.uri, "meshes", ["asset_id", "parts"])
+        self._group_of: dict[str, int] = {}
+        self._content_of: dict[str, str] = {}
+        self._read: tuple[int, pa.Table] | None = None
+        for group in range(len(self._names.groups)):
+            rows = self._names.read([group])
+            for asset_id, sha256 in zip(rows["asset_id"].to_pylist(), rows["sha256"].to_pylist(), strict=True):
+                if not (len(sha256) == 64 and sha256.isalnum()):
+                    raise ConfigError(
+                        f"meshes: sha256 is {sha256!r}, expected 64 hex digits; preprocess the dataset again", "table_invalid"
+                    )
+                self._group_of[asset_id], self._content_of[asset_id] = group, sha256
         try:
             files.mkdir(parents=True, exist_ok=True)
-            for group in range(len(table.groups)):
-                rows = table.read([group])
-                for asset_id, glb, sha256 in zip(*(rows[name] for name in ("asset_id", "glb", "sha256")), strict=True):
-                    self._paths[asset_id.as_py()] = _placed(files, sha256.as_py(), glb)
         except OSError as error:
             raise unwritable(str(files), error) from error
 
     def asset_path(self, asset_id: str) -> Path | None:
-        """The asset's repaired mesh as a GLB file, or None where the run has none."""
-        return self._paths.get(asset_id)
+        """The asset's repaired mesh as a GLB file, or None where the run has none.
 
+        Raises:
+            ConfigError: The table cannot be read any more, or the file cannot be written.
+        """
+        if asset_id not in self._content_of:
+            return None
+        path = self._path(self._content_of[asset_id])
+        if not path.exists():
+            self._place(self._group_of[asset_id])
+        return path
 
-def _placed(files: Path, sha256: str, glb: pa.Scalar) -> Path:
-    """The file of a mesh, written in one step where it is not there yet."""
-    if not (len(sha256) == 64 and sha256.isalnum()):
-        raise ConfigError(
-            f"meshes: sha256 is {sha256!r}, expected 64 hex digits; preprocess the dataset again", "table_invalid"
+    def parts(self, asset_id: str) -> tuple[Mesh, ...]:
+        """The asset's convex parts as the run has them, in the frame and unit of its mesh; none where it has none.
+
+        Raises:
+            ConfigError: The table cannot be read any more.
+        """
+        if asset_id not in self._group_of:
+            return ()
+        group = self._group_of[asset_id]
+        if self._read is None or self._read[0] != group:
+            self._read = group, self._parts.read([group])
+        table = self._read[1]
+        row = table["asset_id"].to_pylist().index(asset_id)
+        return tuple(
+            Mesh(np.reshape(part["vertices"], (-1, 3)), np.reshape(part["faces"], (-1, 3)))
+            for part in table["parts"][row].as_py() or ()
         )
-    path = files / f"{sha256}.glb"
-    if not path.exists():
-        aside = files / f".{sha256}.{os.getpid()}"
-        aside.write_bytes(glb.as_buffer())
-        aside.replace(path)
-    return path
+
+    def _path(self, sha256: str) -> Path:
+        return self._files / f"{sha256}.glb"
+
+    def _place(self, group: int) -> None:
+        """Writes the files of a row group that are not there yet, each in one step."""
+        rows = self._meshes.read([group])
+        try:
+            for glb, sha256 in zip(rows["glb"], rows["sha256"].to_pylist(), strict=True):
+                if not self._path(sha256).exists():
+                    put_file(self._path(sha256), glb.as_buffer())
+        except OSError as error:
+            raise unwritable(str(self._files), error) from error
+
+
+def run_annotations(run: RunFolder) -> dict[str, AssetAnnotation]:
+    """What a run's table ``assets`` says of its assets, as annotations, by id.
+
+    Raises:
+        ConfigError: The run has no such table, or it cannot be read.
+    """
+    columns = ["asset_id", "category", "description", "caption", "licence", "source", "extents", "mass", "is_container"]
+    return {row["asset_id"]: _annotation(row) for row in run.table("assets", columns).to_pylist()}
+
+
+def _annotation(row: dict[str, object]) -> AssetAnnotation:
+    extents, mass = row["extents"], row["mass"]
+    x, y, z = extents if isinstance(extents, list) else (None, None, None)
+    return AssetAnnotation(
+        str(row["asset_id"]),
+        category=str(row["category"] or ""),
+        description=str(row["description"] or ""),
+        caption=str(row["caption"] or ""),
+        source=str(row["source"] or ""),
+        mass=mass if isinstance(mass, float) else None,
+        is_container=row["is_container"] if isinstance(row["is_container"], bool) else None,
+        extents_z_up=None if x is None or y is None or z is None else (x, y, z),
+        raw={"licence": row["licence"]} if row["licence"] else {},
+    )

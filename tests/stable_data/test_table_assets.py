@@ -5,12 +5,14 @@ import numpy as np
 import pytest
 
 from stable_data.assets import AssetStore
+from stable_data.colliders import asset_parts
 from stable_data.errors import ConfigError
 from stable_data.export.glb import write_glb
+from stable_data.mesatask.library import AssetAnnotation
 from stable_data.mesh import Mesh
 from stable_data.shards import RunFolder
-from stable_data.table_assets import TableAssets
-from stable_data.tables import SCHEMAS
+from stable_data.table_assets import TableAssets, run_annotations
+from stable_data.tables import SCHEMAS, Row
 from tests.scenes import box
 
 
@@ -18,7 +20,9 @@ def run_of(root: Path, sha256: str | None = None) -> RunFolder:
     run = RunFolder(str(root))
     shape = box(0.1, 0.2, 0.3)
     glb = write_glb(Mesh(shape.vertices, shape.faces))
-    row = dict.fromkeys(SCHEMAS["meshes"].names) | {"asset_id": "cube", "glb": glb}
+    halves = [box(0.05, 0.2, 0.3).vertices + np.array([x, 0.0, 0.0]) for x in (-0.025, 0.025)]
+    parts = [{"vertices": half.ravel(), "faces": shape.faces.ravel()} for half in halves]
+    row = dict.fromkeys(SCHEMAS["meshes"].names) | {"asset_id": "cube", "glb": glb, "parts": parts}
     run.write_shard("meshes", "0" * 16, [row | {"sha256": sha256 or hashlib.sha256(glb).hexdigest()}])
     return run
 
@@ -30,6 +34,33 @@ def test_meshes_come_from_the_table(tmp_path: Path) -> None:
         assert np.allclose(AssetStore(assets).asset("cube").mesh.extents, (0.1, 0.2, 0.3))
         assert assets.asset_path("other") is None
     assert len(list((tmp_path / "files").iterdir())) == 1
+
+
+def test_files_are_written_when_they_are_asked_for(tmp_path: Path) -> None:
+    assets = TableAssets(run_of(tmp_path / "run"), tmp_path / "files")
+    assert not list((tmp_path / "files").iterdir())
+    path = assets.asset_path("cube")
+    assert path is not None
+    assert path.is_file()
+
+
+def test_convex_parts_are_those_of_the_table(tmp_path: Path) -> None:
+    """And not cut anew: one box would do."""
+    store = AssetStore(TableAssets(run_of(tmp_path / "run"), tmp_path / "files"))
+    parts = asset_parts("cube", store.asset("cube").mesh, store)
+    assert [part.vertices[:, 0].mean().round(3) for part in parts] == [-0.025, 0.025]
+    assert store.kept_parts("other") == ()
+
+
+def test_annotations_come_from_the_table(tmp_path: Path) -> None:
+    run = RunFolder(str(tmp_path))
+    known: Row = {"category": "mug", "licence": "CC0", "extents": [1.0, 2.0, 3.0], "mass": 0.2, "is_container": True}
+    rows: list[Row] = [{"asset_id": "known", **known}, {"asset_id": "bare", "extents": [1.0, 1.0, 1.0]}]
+    run.write_shard("assets", "0" * 16, [dict.fromkeys(SCHEMAS["assets"].names) | row for row in rows])
+    annotations = run_annotations(run)
+    assert annotations["known"] == AssetAnnotation("known", "mug", mass=0.2, is_container=True, extents_z_up=(1.0, 2.0, 3.0))
+    assert annotations["known"].licence == "CC0"
+    assert annotations["bare"].licence is None
 
 
 def test_a_content_that_is_no_name_is_refused(tmp_path: Path) -> None:
