@@ -23,6 +23,9 @@ TURN_LIMIT = 5.0
 DRIFT_LIMIT = 0.050
 """... and nothing went farther than this after the settling, metres."""
 
+COLLIDER = "collider"
+"""Default class of the geoms that collide, in a model of the engine."""
+
 _TABLE_THICKNESS = 0.1
 _JITTER_SECONDS = 1.0
 _REST_SECONDS = 0.1
@@ -157,16 +160,45 @@ def compile_bodies(bodies: Sequence[Body], table: Tabletop, options: EngineOptio
     Raises:
         MeshError: A body has no solid part (code ``no_collider``) or no mass, or the engine refuses the model (``engine``).
     """
+    return compile_spec(spec_of(bodies, table, options))
+
+
+def spec_of(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = EngineOptions()) -> mujoco.MjSpec:
+    """What :func:`compile_bodies` compiles: the one description of a scene for the engine, which exports add names and looks to.
+
+    Args:
+        bodies: The objects; body k + 1 of the model is ``bodies[k]``. Their geoms are their solid parts, in order.
+        table: The table, the geom ``table`` of the world.
+        options: How the engine is set.
+
+    Returns:
+        The description, a ``mujoco.MjSpec``; what collides is of the class ``collider``.
+
+    Raises:
+        MeshError: A body has no solid part (code ``no_collider``) or no mass.
+    """
     spec = mujoco.MjSpec()
     _configure(spec, options)
+    collider = spec.add_default(COLLIDER, spec.default)
+    collider.geom.friction, collider.geom.solref = list(options.friction), list(options.solref)
+    collider.geom.solimp, collider.geom.condim = [*options.solimp, 0.5, 2.0], 4
     x, y = table.size_xy
     half = _TABLE_THICKNESS / 2
     spec.worldbody.add_geom(
-        name=TABLE, type=mujoco.mjtGeom.mjGEOM_BOX, size=[x / 2, y / 2, half], pos=[x / 2, y / 2, -half], **_contact(options)
+        collider, name=TABLE, type=mujoco.mjtGeom.mjGEOM_BOX, size=[x / 2, y / 2, half], pos=[x / 2, y / 2, -half]
     )
     meshes: dict[int, str] = {}
     for body in bodies:
-        _add_body(spec, body, meshes, options)
+        _add_body(spec, body, meshes, collider)
+    return spec
+
+
+def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """The engine's model of a description.
+
+    Raises:
+        MeshError: The engine refuses it (``engine``).
+    """
     try:
         return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
@@ -188,16 +220,7 @@ def _configure(spec: mujoco.MjSpec, options: EngineOptions) -> None:
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
 
-def _contact(options: EngineOptions) -> dict[str, object]:
-    return {
-        "friction": list(options.friction),
-        "solref": list(options.solref),
-        "solimp": [*options.solimp, 0.5, 2.0],
-        "condim": 4,
-    }
-
-
-def _add_body(spec: mujoco.MjSpec, body: Body, meshes: dict[int, str], options: EngineOptions) -> None:
+def _add_body(spec: mujoco.MjSpec, body: Body, meshes: dict[int, str], collider: mujoco.MjsDefault) -> None:
     if not np.isfinite((*body.position, body.yaw)).all():
         raise MeshError(f"body {body.name}: its pose is {body.position}, yaw {body.yaw}, expected finite numbers", "not_finite")
     if not 0 < body.mass < np.inf:
@@ -217,7 +240,7 @@ def _add_body(spec: mujoco.MjSpec, body: Body, meshes: dict[int, str], options: 
                 inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
                 spec.add_mesh(name=meshes[id(part)], uservert=part.vertices.ravel(), inertia=inertia)
             mass = body.mass * volume / sum(volumes)
-            added.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=meshes[id(part)], mass=mass, **_contact(options))
+            added.add_geom(collider, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=meshes[id(part)], mass=mass)
 
 
 def hull_volume(part: Mesh) -> float:

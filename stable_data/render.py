@@ -35,8 +35,8 @@ _DIRECTIONS: Mapping[str, Vec3] = {
 }
 _FIELD_OF_VIEW = float(np.degrees(2 * np.arctan(18 / 50)))  # 36 mm sensor, 50 mm lens
 _DISTANCE = 1.5
-_TABLE_THICKNESS = 0.03
-_SINK_RISE = 4e-4  # above the table top, so that it is seen
+TABLE_THICKNESS = 0.03
+SINK_RISE = 4e-4  # above the table top, so that it is seen
 _MAX_FACES = 6000
 _CREASE = np.cos(np.radians(35))  # edges sharper than this are drawn sharp
 
@@ -54,7 +54,7 @@ OWN_COLOURS: Mapping[str, str] = {
 }  # fmt: skip
 """Colours of kinds that everyone knows the colour of."""
 
-_TABLE_COLOUR, _SINK_COLOUR = "#a8794f", "#eef0f2"
+TABLE_COLOUR, SINK_COLOUR = "#a8794f", "#eef0f2"
 
 
 def render_scene(
@@ -84,13 +84,13 @@ def render_scene(
         raise ConfigError(f"view is {view!r}, expected one of {sorted(_DIRECTIONS)}", "unknown_view")
     chosen: list[Paint] = [object_colour(o) for o in scene.objects] if colors is None else list(colors)
     spec = mujoco.MjSpec()
-    _set_mood(spec, size)
+    set_mood(spec, size)
     _add_table(spec, scene.table)
     for k, (o, mesh, colour) in enumerate(zip(scene.objects, meshes, chosen, strict=True)):
         _add_object(spec, o, mesh, colour, k)
     low, high = scene_bounds(scene, meshes)
-    _add_lights(spec, low, high)
-    _add_camera(spec, low, high, view)
+    add_lights(spec, low, high)
+    add_camera(spec, low, high, view)
     return _draw(spec.compile(), size)
 
 
@@ -104,14 +104,14 @@ def category_colour(category: str) -> str:
 def object_colour(o: SceneObject) -> str:
     """Its category's colour, ``#rrggbb``, shaded so that the assets of a category can be told apart."""
     share = hashlib.sha256((o.asset_id or "").encode()).digest()[0] / 255
-    red, green, blue, _ = _rgba(category_colour(o.category))
+    red, green, blue, _ = rgba(category_colour(o.category))
     shaded = (min(255, round(255 * (0.84 + 0.26 * share) * channel)) for channel in (red, green, blue))
     return "#" + "".join(f"{channel:02x}" for channel in shaded)
 
 
 def scene_bounds(scene: Scene, meshes: Sequence[Mesh | None]) -> tuple[FloatArray, FloatArray]:
     """Lowest and highest corner of objects and table, (3,) float64 each, metres, world frame."""
-    corners = [np.array([[0.0, 0.0, -_TABLE_THICKNESS], [*scene.table.size_xy, 0.0]])]
+    corners = [np.array([[0.0, 0.0, -TABLE_THICKNESS], [*scene.table.size_xy, 0.0]])]
     for o, mesh in zip(scene.objects, meshes, strict=True):
         half = np.asarray(o.size) / 2 if mesh is None else np.abs(mesh.vertices).max(axis=0)
         reach = np.array([np.hypot(half[0], half[1])] * 2 + [half[2]])
@@ -150,8 +150,8 @@ def contact_sheet(images: Sequence[Picture], labels: Sequence[str], columns: int
     return np.asarray(sheet)
 
 
-def _set_mood(spec: mujoco.MjSpec, size: tuple[int, int]) -> None:
-    """Background, buffers, quality."""
+def set_mood(spec: mujoco.MjSpec, size: tuple[int, int]) -> None:
+    """Sets background, buffers and quality for pictures of so many pixels, width and height."""
     spec.add_texture(
         name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
         rgb1=[0.93, 0.95, 0.97], rgb2=[0.80, 0.83, 0.87], width=64, height=384,
@@ -166,11 +166,11 @@ def _set_mood(spec: mujoco.MjSpec, size: tuple[int, int]) -> None:
 
 def _add_table(spec: mujoco.MjSpec, table: Tabletop) -> None:
     x, y = table.size_xy
-    _add_box(spec, (x / 2, y / 2, -_TABLE_THICKNESS / 2), (x / 2, y / 2, _TABLE_THICKNESS / 2), _rgba(_TABLE_COLOUR))
+    _add_box(spec, (x / 2, y / 2, -TABLE_THICKNESS / 2), (x / 2, y / 2, TABLE_THICKNESS / 2), rgba(TABLE_COLOUR))
     if table.restricted_zone is not None:
         x_min, x_max, y_min, y_max = table.restricted_zone
         centre = ((x_min + x_max) / 2, (y_min + y_max) / 2, 0.0)
-        _add_box(spec, centre, ((x_max - x_min) / 2, (y_max - y_min) / 2, _SINK_RISE), _rgba(_SINK_COLOUR))
+        _add_box(spec, centre, ((x_max - x_min) / 2, (y_max - y_min) / 2, SINK_RISE), rgba(SINK_COLOUR))
 
 
 def _add_box(spec: mujoco.MjSpec, centre: Vec3, half: Vec3, rgba: list[float], yaw: float = 0.0) -> None:
@@ -189,7 +189,7 @@ def _add_object(spec: mujoco.MjSpec, o: SceneObject, mesh: Mesh | None, paint: P
     coats = _coats(mesh, paint) if mesh is not None else []
     if not coats:
         colour = paint if isinstance(paint, str) else object_colour(o)
-        _add_box(spec, o.position, _half(o.size), _rgba(colour, 0.45), o.yaw)
+        _add_box(spec, o.position, _half(o.size), rgba(colour, 0.45), o.yaw)
     for k, (colour, vertices, normals) in enumerate(coats):
         name, corners = f"object_{index}_{k}", np.arange(len(vertices), dtype=np.int32)
         spec.add_mesh(
@@ -197,7 +197,7 @@ def _add_object(spec: mujoco.MjSpec, o: SceneObject, mesh: Mesh | None, paint: P
             inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
         )  # fmt: skip
         spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=list(o.position), quat=_yaw_wxyz(o.yaw), rgba=_rgba(colour),
+            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=list(o.position), quat=_yaw_wxyz(o.yaw), rgba=rgba(colour),
             contype=0, conaffinity=0,
         )  # fmt: skip
 
@@ -214,7 +214,8 @@ def _half(size: Vec3) -> Vec3:
     return (x, y, z)
 
 
-def _add_lights(spec: mujoco.MjSpec, low: FloatArray, high: FloatArray) -> None:
+def add_lights(spec: mujoco.MjSpec, low: FloatArray, high: FloatArray) -> None:
+    """Adds the lights for what is between two corners, (3,) each, metres."""
     centre, reach = (low + high) / 2, float((high - low).max())
     spec.stat.center, spec.stat.extent = centre.tolist(), reach
     sun = np.array([-0.45, -0.55, 1.3])
@@ -228,7 +229,16 @@ def _add_lights(spec: mujoco.MjSpec, low: FloatArray, high: FloatArray) -> None:
     )  # fmt: skip
 
 
-def _add_camera(spec: mujoco.MjSpec, low: FloatArray, high: FloatArray, view: str) -> None:
+def add_camera(spec: mujoco.MjSpec, low: FloatArray, high: FloatArray, view: View, name: str = "view") -> None:
+    """Adds the camera that looks at so much from one side.
+
+    Args:
+        spec: The description to add it to.
+        low: Lowest corner of what is there, (3,), metres.
+        high: Highest corner.
+        view: Where from.
+        name: Its name.
+    """
     direction = np.array(_DIRECTIONS[view]) / np.linalg.norm(_DIRECTIONS[view])
     right = np.cross([0.0, 0.0, 1.0], direction) if abs(direction[2]) < 0.999 else np.array([1.0, 0.0, 0.0])
     right /= np.linalg.norm(right)
@@ -236,7 +246,7 @@ def _add_camera(spec: mujoco.MjSpec, low: FloatArray, high: FloatArray, view: st
     quat = np.empty(4)
     mujoco.mju_mat2Quat(quat, np.stack([right, up, direction], axis=1).ravel())
     position = (low + high) / 2 + _DISTANCE * (high - low).max() * direction
-    spec.worldbody.add_camera(name="view", pos=position.tolist(), quat=quat.tolist(), fovy=_FIELD_OF_VIEW)
+    spec.worldbody.add_camera(name=name, pos=position.tolist(), quat=quat.tolist(), fovy=_FIELD_OF_VIEW)
 
 
 def _draw(model: mujoco.MjModel, size: tuple[int, int]) -> Picture:
@@ -267,7 +277,8 @@ def _with_soft_shadows(lit: Picture, shaded: Picture) -> Picture:
     return np.asarray((lit * (np.asarray(soft, np.float32)[:, :, None] / 255)).round().astype(np.uint8))
 
 
-def _rgba(colour: str, alpha: float = 1.0) -> list[float]:
+def rgba(colour: str, alpha: float = 1.0) -> list[float]:
+    """``#rrggbb`` as shares of red, green, blue and opacity, 0 to 1."""
     return [*(int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)), alpha]
 
 
