@@ -244,6 +244,44 @@ def query(
 
 @app.command()
 @with_clear_errors
+def export(
+    run: Annotated[str, typer.Argument(help="A run folder or its URI, with the tables scenes, assets and meshes.")],
+    out: Annotated[Path, typer.Argument(help="Folder to write; run again to go on.")],
+    format_name: Annotated[str, typer.Option("--format", help="mjcf, glb or mesatask.")],
+    where: Annotated[str | None, typer.Option(help='Which scenes, such as "clean and num_stacked >= 2".')] = None,
+    scene: Annotated[list[str] | None, typer.Option("--scene", help="This scene; may be repeated.")] = None,
+    limit: Annotated[int | None, typer.Option(min=0, help="The first so many of them.")] = None,
+    settled: Annotated[bool, typer.Option(help="Objects where the physics engine left them (table settled).")] = False,
+) -> None:
+    """Write scenes of a run in another format, each at once with all that it needs.
+
+    Status 0: done. 1: some scenes could not be exported; they are listed. 2: could not start.
+    """
+    from tqdm import tqdm
+
+    from stable_data.export.exporting import Choice, export_run
+    from stable_data.shards import RunFolder
+
+    with tqdm(desc="export", unit="scene", disable=None) as bar:
+
+        def show(done: int, total: int, num_failed: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+            bar.set_postfix_str(f"{num_failed} failed" if num_failed else "", refresh=False)
+
+        result = export_run(RunFolder(run), out, format_name, Choice(where, tuple(scene or ()), limit, settled), show)
+    for line in result.failures:
+        typer.echo(f"not exported: {line}", err=True)
+    typer.echo(
+        f"{out}: {result.made + result.there} of {result.total} scenes as {format_name}, {result.there} of them were there; "
+        "README.md says how to open them" + (f"; {result.boxes} objects have no mesh and are boxes" if result.boxes else "")
+    )
+    if result.failures:
+        raise typer.Exit(SOME_FAILED)
+
+
+@app.command()
+@with_clear_errors
 def schemas(folder: Annotated[Path, typer.Argument(help="Where to write them.")] = Path("schemas")) -> None:
     """Write the contracts: JSON Schemas and the columns of every table."""
     from stable_data.contracts import write_contracts

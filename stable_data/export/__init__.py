@@ -1,1 +1,1 @@
-"""Foreign formats: one module each, one ``write`` each."""
+"""Foreign formats: one module each, one ``write`` each; :mod:`stable_data.export.formats` lists them."""

@@ -52,7 +52,7 @@ def write_glb(
     document: dict[str, Any] = {"scene": 0, "scenes": [{"nodes": [0]}], "nodes": [node], "meshes": meshes}
     arrays: list[FloatArray | IntArray] = [stored(mesh.vertices), *coats]
     if paint:
-        document["materials"] = [_material(color) for color, _ in paint]
+        document["materials"] = [material(color) for color, _ in paint]
         meshes[0]["primitives"] = [{**primitive, "material": k} for k, primitive in enumerate(primitives)]
     if parts:
         starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
@@ -60,10 +60,11 @@ def write_glb(
         meshes.append({"name": COLLIDERS, "primitives": [primitive], "extras": {PART_FACES: [len(p.faces) for p in parts]}})
         arrays.append(stored(np.concatenate([part.vertices for part in parts])))
         arrays.append(np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]))
-    return _pack(document, arrays)
+    return pack(document, arrays)
 
 
-def _material(color: str) -> dict[str, Any]:
+def material(color: str) -> dict[str, Any]:
+    """GlTF's material of a colour, ``#rrggbb`` as seen on a screen."""
     return {"pbrMetallicRoughness": {"baseColorFactor": _linear(color), "metallicFactor": 0.0}}
 
 
@@ -73,8 +74,8 @@ def _linear(color: str) -> list[float]:
     return [*(round(c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4, 5) for c in seen), 1.0]
 
 
-def _pack(document: dict[str, Any], arrays: Sequence[FloatArray | IntArray]) -> bytes:
-    """The file of a document whose accessor k is ``arrays[k]``: corners where they are floats, else faces."""
+def pack(document: dict[str, Any], arrays: Sequence[FloatArray | IntArray]) -> bytes:
+    """The file of a glTF document whose accessor k is ``arrays[k]``: corners where they are floats, else faces."""
     accessors: list[dict[str, Any]] = []
     views: list[dict[str, Any]] = []
     chunks: list[bytes] = []

@@ -1,0 +1,45 @@
+"""The formats that scenes are exported to: a new one is a module with these names, and a line in FORMATS."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Protocol
+
+from stable_data.errors import ConfigError
+from stable_data.export import mesatask, mjcf, scene_glb
+from stable_data.scene import Scene
+from stable_data.solid_scene import SolidScene
+
+
+class Format(Protocol):
+    """What the module of a format has.
+
+    Attributes:
+        ABOUT: What an export is and how it is opened, for its README.
+    """
+
+    @property
+    def ABOUT(self) -> str:  # noqa: N802 - a constant of a module
+        """What an export is and how it is opened."""
+        ...
+
+    def place(self, scene: Scene, out: Path) -> Path:
+        """The file of a scene that is put in place last: where it is, the scene is exported."""
+        ...
+
+    def write(self, solid: SolidScene, out: Path) -> None:
+        """Writes a scene, each file in one step."""
+        ...
+
+
+FORMATS: Mapping[str, Format] = {"glb": scene_glb, "mesatask": mesatask, "mjcf": mjcf}
+
+
+def format_named(name: str) -> Format:
+    """The format of a name.
+
+    Raises:
+        ConfigError: There is none (``format_unknown``).
+    """
+    if name not in FORMATS:
+        raise ConfigError(f"format is {name!r}, expected one of {', '.join(FORMATS)}", "format_unknown")
+    return FORMATS[name]

@@ -1,0 +1,165 @@
+"""MJCF, the format of MuJoCo: a folder a scene, and the meshes of all scenes beside them.
+
+An export::
+
+    assets/<2 digits>/<content>.obj    a convex part, metres; or what an asset looks like, mesh units
+    <scene>/scene.xml
+
+The file says what the stability verdict was given (:mod:`stable_data.engine_scene`): MuJoCo reads the same model from it, number
+for number. Its own writer is not used, for it rounds to six digits.
+"""
+
+import hashlib
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from stable_data.engine import mujoco
+from stable_data.engine_scene import VISUAL, engine_spec
+from stable_data.files import plain_name, put_file
+from stable_data.physics import COLLIDER
+from stable_data.scene import Scene
+from stable_data.solid_scene import SolidScene
+
+ABOUT = """MuJoCo models (MJCF): `<scene>/scene.xml`, which `mujoco.MjModel.from_xml_path` and `python -m mujoco.viewer --mjcf=` open.
+Bodies have the names of the instances; the keyframe `home` holds the poses. Geoms of group 3 collide and are the convex parts of
+the objects, geoms of group 2 are seen. Masses, inertias, friction and contact settings are those that the stability verdict was
+given. Scenes share the folder `assets`: copy it with them, or export a scene alone with `--scene`."""
+
+MESH_FOLDER = "assets"
+
+_GEOM_TYPES = {int(mujoco.mjtGeom.mjGEOM_BOX): "box", int(mujoco.mjtGeom.mjGEOM_MESH): "mesh"}
+_INERTIAS = {
+    int(mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX): "convex",
+    int(mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL): "shell",
+}
+
+
+def place(scene: Scene, out: Path) -> Path:
+    """Where a scene's file is: once it is there, the scene is exported."""
+    return out / plain_name(scene.scene_id, {MESH_FOLDER}) / "scene.xml"
+
+
+def write(solid: SolidScene, out: Path) -> None:
+    """Writes a scene, and the meshes that are not there yet.
+
+    Args:
+        solid: The scene with its geometry.
+        out: The folder of the export.
+
+    Raises:
+        MeshError: An object has no solid part, or the engine refuses it.
+        OSError: The folder cannot be written.
+    """
+    spec = engine_spec(solid)
+    files = {mesh.name: _put_mesh(mesh, out / MESH_FOLDER) for mesh in spec.meshes}
+    path = place(solid.scene, out)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    tree = _model(spec, files)
+    ET.indent(tree)
+    put_file(path, ET.tostring(tree, encoding="utf-8") + b"\n")
+
+
+def _put_mesh(mesh: mujoco.MjsMesh, folder: Path) -> str:
+    """Writes a mesh and gives its name in the folder."""
+    content = _obj(np.reshape(mesh.uservert, (-1, 3)), np.reshape(mesh.userface, (-1, 3)))
+    digest = hashlib.sha256(content).hexdigest()[:24]
+    path = folder / digest[:2] / f"{digest}.obj"
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        put_file(path, content)
+    return f"{digest[:2]}/{digest}.obj"
+
+
+def _obj(vertices: Any, faces: Any) -> bytes:
+    """A mesh in the format of Wavefront; the engine keeps single precision, which nine digits hold exactly."""
+    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _model(spec: mujoco.MjSpec, files: dict[str, str]) -> ET.Element:
+    root = ET.Element("mujoco", model=spec.modelname)
+    _add(root, "compiler", angle="radian", meshdir=f"../{MESH_FOLDER}")
+    option = _add(root, "option", timestep=spec.option.timestep, cone="elliptic", impratio=spec.option.impratio)
+    _add(option, "flag", autoreset="disable")
+    _add(root, "statistic", center=spec.stat.center, extent=spec.stat.extent)
+    _add_visual(root, spec.visual)
+    defaults = _add(root, "default")
+    for name in (COLLIDER, VISUAL):
+        geom = spec.find_default(name).geom
+        of_class = _add(defaults, "default")
+        of_class.set("class", name)
+        if name == VISUAL:
+            _add(of_class, "geom", contype=0, conaffinity=0, group=geom.group, mass=0)
+        else:
+            contact = {key: getattr(geom, key) for key in ("condim", "friction", "solref", "solimp")}
+            _add(of_class, "geom", group=geom.group, **contact)
+    assets = _add(root, "asset")
+    for texture in spec.textures:
+        size = {"width": texture.width, "height": texture.height}
+        _add(assets, "texture", type="skybox", builtin="gradient", rgb1=texture.rgb1, rgb2=texture.rgb2, **size)
+    for mesh in spec.meshes:
+        inertia = _INERTIAS[int(mesh.inertia)]
+        _add(assets, "mesh", name=mesh.name, file=files[mesh.name], scale=mesh.scale, inertia=inertia)
+    _add_world(_add(root, "worldbody"), spec)
+    for key in spec.keys:
+        _add(_add(root, "keyframe"), "key", name=key.name, qpos=key.qpos)
+    return root
+
+
+def _add_visual(root: ET.Element, visual: Any) -> None:
+    element = _add(root, "visual")
+    light, depth, whole = visual.headlight, visual.map, visual.global_
+    _add(element, "headlight", ambient=light.ambient, diffuse=light.diffuse, specular=light.specular)
+    _add(element, "map", znear=depth.znear, zfar=depth.zfar, shadowclip=depth.shadowclip)
+    _add(element, "quality", shadowsize=visual.quality.shadowsize, offsamples=visual.quality.offsamples)
+    _add(element, "global", offwidth=whole.offwidth, offheight=whole.offheight)
+
+
+def _add_world(world: ET.Element, spec: mujoco.MjSpec) -> None:
+    for light in spec.worldbody.lights:
+        shade = "true" if light.castshadow else "false"
+        colours = {"diffuse": light.diffuse, "specular": light.specular, "ambient": light.ambient}
+        _add(world, "light", type="directional", pos=light.pos, dir=light.dir, castshadow=shade, **colours)
+    for camera in spec.worldbody.cameras:
+        _add(world, "camera", name=camera.name, pos=camera.pos, quat=camera.quat, fovy=camera.fovy)
+    for geom in spec.worldbody.geoms:
+        _add_geom(world, geom)
+    for body in spec.bodies[1:]:
+        element = _add(world, "body", name=body.name, pos=body.pos, quat=body.quat)
+        for joint in body.joints:
+            _add(element, "freejoint", name=joint.name)
+        _add(element, "inertial", pos=body.ipos, quat=body.iquat, mass=body.mass, diaginertia=body.inertia)
+        for geom in body.geoms:
+            _add_geom(element, geom)
+
+
+def _add_geom(parent: ET.Element, geom: mujoco.MjsGeom) -> None:
+    kind = _GEOM_TYPES[int(geom.type)]
+    element = _add(parent, "geom", name=geom.name, type=kind)
+    element.set("class", geom.classname.name)
+    for key, value in {"pos": geom.pos, "quat": geom.quat, "rgba": geom.rgba, "group": geom.group}.items():
+        if not np.array_equal(value, getattr(geom.classname.geom, key)):
+            element.set(key, _text(value))
+    if kind == "mesh":
+        element.set("mesh", geom.meshname)
+        if geom.classname.name == COLLIDER:
+            element.set("mass", _text(geom.mass))
+    else:
+        element.set("size", _text(geom.size))
+
+
+def _add(parent: ET.Element, tag: str, **attributes: Any) -> ET.Element:
+    return ET.SubElement(parent, tag, {name: _text(value) for name, value in attributes.items()})
+
+
+def _text(value: Any) -> str:
+    """Numbers so that they read back as they are; single precision by as many digits as it has."""
+    if isinstance(value, str):
+        return value
+    if hasattr(value, "__len__"):
+        return " ".join(_text(v) for v in value)
+    return str(value.item() if isinstance(value, np.float64) else value)

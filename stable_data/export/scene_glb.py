@@ -1,0 +1,116 @@
+"""A whole scene as binary glTF: one node an object, named by its instance, with its pose; objects of one asset share its mesh."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from stable_data.export.glb import material, pack
+from stable_data.files import plain_name, put_file
+from stable_data.mesh import Mesh
+from stable_data.render import SINK_COLOUR, SINK_RISE, TABLE_COLOUR, TABLE_THICKNESS, object_colour
+from stable_data.scene import TABLE, FloatArray, IntArray, QuatXyzw, Scene, Tabletop, Vec3
+from stable_data.shape import Shape
+from stable_data.solid_scene import SolidScene
+
+ABOUT = """Binary glTF, one file a scene: `<scene>.glb`, metres. As the format demands, y is up and -z is away from the viewer; below
+the node `scene`, which turns them, all coordinates are those of stable-data. Nodes have the names of the instances, and
+`extras` say category, asset and description."""
+
+_Y_UP = (-float(np.sqrt(0.5)), 0.0, 0.0, float(np.sqrt(0.5)))  # turns z up into y up
+
+
+def place(scene: Scene, out: Path) -> Path:
+    """Where a scene's file is: once it is there, the scene is exported."""
+    return out / f"{plain_name(scene.scene_id)}.glb"
+
+
+def write(solid: SolidScene, out: Path) -> None:
+    """Writes a scene.
+
+    Args:
+        solid: The scene with its geometry.
+        out: The folder of the export.
+
+    Raises:
+        OSError: The folder cannot be written.
+    """
+    put_file(place(solid.scene, out), scene_glb(solid))
+
+
+def scene_glb(solid: SolidScene) -> bytes:
+    """The content of a scene's file."""
+    document = _Document()
+    unit = Shape.box((1.0, 1.0, 1.0))
+    box = Mesh(unit.vertices, unit.faces)
+    for name, colour, position, size in _table_boxes(solid.scene.table):
+        document.add(name, document.mesh(name, box, colour), position, (0.0, 0.0, 0.0, 1.0), size)
+    for k, (o, mesh) in enumerate(zip(solid.scene.objects, solid.meshes, strict=True)):
+        colour, turn = object_colour(o), Rotation.from_euler("z", o.yaw)
+        extras = {"category": o.category, "description": o.description, "asset_id": o.asset_id}
+        if mesh is None or o.scale is None:  # its box stands in
+            number = document.mesh("box", box, colour)
+            document.add(o.instance, number, o.position, _quat(turn), o.size, extras)
+            continue
+        x, y, z = (o.position + turn.apply(solid.offset(k))).tolist()
+        number = document.mesh(str(o.asset_id), mesh, colour)
+        document.add(o.instance, number, (x, y, z), _quat(turn * Rotation.from_quat(o.tilt_quat_xyzw)), o.scale, extras)
+    return document.content(solid.scene.scene_id)
+
+
+class _Document:
+    """A glTF document that grows."""
+
+    def __init__(self) -> None:
+        self._nodes: list[dict[str, Any]] = []
+        self._meshes: list[dict[str, Any]] = []
+        self._materials: list[dict[str, Any]] = []
+        self._arrays: list[FloatArray | IntArray] = []
+        self._numbers: dict[tuple[str, str], int] = {}
+
+    def mesh(self, name: str, mesh: Mesh, colour: str) -> int:
+        """Number of a mesh in a colour; one that is there already is used again."""
+        if (name, colour) not in self._numbers:
+            self._numbers[name, colour] = len(self._meshes)
+            corners, material_number = len(self._arrays), len(self._materials)
+            primitive = {"attributes": {"POSITION": corners}, "indices": corners + 1, "material": material_number}
+            self._meshes.append({"name": name, "primitives": [primitive]})
+            self._materials.append(material(colour))
+            self._arrays += [mesh.vertices, mesh.faces]
+        return self._numbers[name, colour]
+
+    def add(
+        self, name: str, mesh: int, position: Vec3, quat_xyzw: QuatXyzw, scale: Vec3, extras: dict[str, Any] | None = None
+    ) -> None:
+        """Adds a node that shows a mesh."""
+        node = {"name": name, "mesh": mesh, "translation": position, "rotation": quat_xyzw, "scale": scale}
+        self._nodes.append(node | ({"extras": extras} if extras else {}))
+
+    def content(self, name: str) -> bytes:
+        """The file."""
+        root = {"name": "scene", "rotation": _Y_UP, "children": list(range(1, len(self._nodes) + 1))}
+        document = {
+            "scene": 0,
+            "scenes": [{"name": name, "nodes": [0]}],
+            "nodes": [root, *self._nodes],
+            "meshes": self._meshes,
+            "materials": self._materials,
+        }
+        return pack(document, self._arrays)
+
+
+def _table_boxes(table: Tabletop) -> list[tuple[str, str, Vec3, Vec3]]:
+    """Name, colour, centre and size of the table and of what may not be stood on."""
+    x, y = table.size_xy
+    boxes = [(TABLE, TABLE_COLOUR, (x / 2, y / 2, -TABLE_THICKNESS / 2), (x, y, TABLE_THICKNESS))]
+    if table.restricted_zone is not None:
+        x_min, x_max, y_min, y_max = table.restricted_zone
+        size = (x_max - x_min, y_max - y_min, 2 * SINK_RISE)
+        boxes.append(("restricted_zone", SINK_COLOUR, ((x_min + x_max) / 2, (y_min + y_max) / 2, 0.0), size))
+    return boxes
+
+
+def _quat(rotation: Rotation) -> QuatXyzw:
+    x, y, z, w = rotation.as_quat().tolist()
+    return x, y, z, w
