@@ -259,7 +259,8 @@ def export(
     """
     from tqdm import tqdm
 
-    from stable_data.export.exporting import Choice, export_run
+    from stable_data.export.exporting import export_run
+    from stable_data.run_scenes import Choice
     from stable_data.shards import RunFolder
 
     with tqdm(desc="export", unit="scene", disable=None) as bar:

@@ -1,10 +1,13 @@
 """Assets of a run's own tables, for jobs that see the run folder and not the dataset that it was made of."""
 
+import weakref
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pyarrow as pa
 
+from stable_data.assets import AssetStore
 from stable_data.errors import ConfigError
 from stable_data.files import put_file
 from stable_data.mesatask.library import AssetAnnotation
@@ -92,6 +95,21 @@ class TableAssets:
                     put_file(self._path(sha256), glb.as_buffer())
         except OSError as error:
             raise unwritable(str(self._files), error) from error
+
+
+def run_store(run: str) -> AssetStore:
+    """The assets of a run, their files in a folder of their own that goes when the store does.
+
+    Args:
+        run: The run's folder or URI.
+
+    Raises:
+        ConfigError: As :class:`TableAssets`.
+    """
+    files = TemporaryDirectory(prefix="stable-data-")
+    store = AssetStore(TableAssets(RunFolder(run), Path(files.name)))
+    weakref.finalize(store, files.cleanup)
+    return store
 
 
 def run_annotations(run: RunFolder) -> dict[str, AssetAnnotation]:

@@ -64,7 +64,9 @@ def write(solid: SolidScene, out: Path) -> None:
 
 def _put_mesh(mesh: mujoco.MjsMesh, folder: Path) -> str:
     """Writes a mesh and gives its name in the folder."""
-    content = _obj(np.reshape(mesh.uservert, (-1, 3)), np.reshape(mesh.userface, (-1, 3)))
+    vertices = np.fromiter(mesh.uservert, np.float32, len(mesh.uservert)).reshape(-1, 3)
+    faces = np.fromiter(mesh.userface, np.int64, len(mesh.userface)).reshape(-1, 3)
+    content = _obj(vertices, faces)
     digest = hashlib.sha256(content).hexdigest()[:24]
     path = folder / digest[:2] / f"{digest}.obj"
     if not path.exists():
@@ -102,8 +104,9 @@ def _model(spec: mujoco.MjSpec, files: dict[str, str]) -> ET.Element:
         size = {"width": texture.width, "height": texture.height}
         _add(assets, "texture", type="skybox", builtin="gradient", rgb1=texture.rgb1, rgb2=texture.rgb2, **size)
     for mesh in spec.meshes:
-        inertia = _INERTIAS[int(mesh.inertia)]
-        _add(assets, "mesh", name=mesh.name, file=files[mesh.name], scale=mesh.scale, inertia=inertia)
+        element = _add(assets, "mesh", name=mesh.name, file=files[mesh.name], inertia=_INERTIAS[int(mesh.inertia)])
+        if not np.array_equal(mesh.scale, (1.0, 1.0, 1.0)):
+            element.set("scale", _text(mesh.scale))
     _add_world(_add(root, "worldbody"), spec)
     for key in spec.keys:
         _add(_add(root, "keyframe"), "key", name=key.name, qpos=key.qpos)

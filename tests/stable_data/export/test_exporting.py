@@ -12,9 +12,10 @@ from typer.testing import CliRunner, Result
 
 from stable_data.cli import DONE, NOT_STARTED, SOME_FAILED, app
 from stable_data.export import exporting
-from stable_data.export.exporting import Choice, RunScenes, SettledPoses, export_run
+from stable_data.export.exporting import export_run
 from stable_data.export.formats import FORMATS
 from stable_data.physics import settle
+from stable_data.run_scenes import NEEDED, Choice, RunScenes, SettledPoses
 from stable_data.scene import Scene, SceneObject
 from stable_data.shards import RunFolder
 from stable_data.solid_scene import SolidScene
@@ -66,7 +67,7 @@ def test_an_export_that_was_stopped_goes_on(name: str, run: RunFolder, tmp_path:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(exporting.RunScenes, "__iter__", one_and_no_more)
+        patch.setattr(RunScenes, "__iter__", one_and_no_more)
         with pytest.raises(KeyboardInterrupt):
             export_run(run, tmp_path / "out", name, choice)
     there = {path: path.stat().st_mtime_ns for path in last_files(name, tmp_path / "out")}
@@ -87,14 +88,14 @@ def test_an_export_that_was_stopped_goes_on(name: str, run: RunFolder, tmp_path:
         (Choice(limit=0), []),
     ],
 )
-def test_scenes_are_chosen(choice: Choice, expected: list[str], run: RunFolder, tmp_path: Path) -> None:
-    scenes = RunScenes(run, choice, tmp_path)
+def test_scenes_are_chosen(choice: Choice, expected: list[str], run: RunFolder) -> None:
+    scenes = RunScenes(run, choice)
     assert [scene.scene_id for scene in scenes] == expected
     assert len(scenes) == len(expected)
 
 
-def test_settled_poses_come_from_the_table(run: RunFolder, tmp_path: Path) -> None:
-    scenes = RunScenes(run, Choice(settled=True), tmp_path)
+def test_settled_poses_come_from_the_table(run: RunFolder) -> None:
+    scenes = RunScenes(run, Choice(settled=True))
     for scene in scenes:
         solid = scenes.solid(scene)
         rest = settle(solid.bodies, scene.table)
@@ -126,7 +127,7 @@ def test_a_body_that_the_engine_refuses_loses_one_scene(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("table", exporting.NEEDED)
+@pytest.mark.parametrize("table", NEEDED)
 def test_a_run_without_a_table_is_refused(table: str, tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", (EMPTY,))
     for path in run.files(table):
@@ -183,8 +184,8 @@ def test_the_library_exports_without_torch(run: RunFolder, tmp_path: Path) -> No
     assert json.loads((tmp_path / "out" / exporting.MANIFEST_FILE).read_text("utf-8"))["limit"] == 1
 
 
-def test_objects_keep_their_place_in_the_order(run: RunFolder, tmp_path: Path) -> None:
-    scenes = RunScenes(run, Choice(settled=True), tmp_path)
+def test_objects_keep_their_place_in_the_order(run: RunFolder) -> None:
+    scenes = RunScenes(run, Choice(settled=True))
     solid = SolidScene.of(at_rest(), scenes.store, SettledPoses(run).of(ODD))
     assert [o.instance for o in solid.scene.objects] == [o.instance for o in at_rest().objects]
     assert replace(solid.scene, objects=()) == replace(at_rest(), objects=())

@@ -11,8 +11,9 @@ import pytest
 
 from stable_data.assets import AssetStore
 from stable_data.colliders import asset_parts
-from stable_data.export.exporting import Choice, export_run
+from stable_data.export.exporting import export_run
 from stable_data.mesatask import MesaTaskDataset
+from stable_data.run_scenes import Choice
 from stable_data.scene import Scene
 from stable_data.shards import RunFolder
 from stable_data.solid_scene import SolidScene
