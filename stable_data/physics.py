@@ -271,7 +271,7 @@ def _run(
         # mj_step leaves the bodies where they were before the step; the joints are where they are now.
         mujoco.mj_kinematics(model, data)
         pose = np.concatenate([data.xpos[1:], data.xquat[1:][:, [1, 2, 3, 0]]], axis=1)
-        if _has_exploded(data) or not np.isfinite(pose).all():
+        if has_exploded(data) or not np.isfinite(pose).all():
             samples.append(np.full_like(pose, np.nan))
             break
         samples.append(pose)
@@ -297,7 +297,8 @@ def without_log_file() -> Iterator[None]:
         mujoco.set_mju_user_warning(None)
 
 
-def _has_exploded(data: mujoco.MjData) -> bool:
+def has_exploded(data: mujoco.MjData) -> bool:
+    """Whether the engine has met numbers that no scene has."""
     bad = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
     return any(data.warning[int(kind)].number > 0 for kind in bad)
 

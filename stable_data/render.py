@@ -249,15 +249,28 @@ def add_camera(spec: mujoco.MjSpec, low: FloatArray, high: FloatArray, view: Vie
     spec.worldbody.add_camera(name=name, pos=position.tolist(), quat=quat.tolist(), fovy=_FIELD_OF_VIEW)
 
 
-def _draw(model: mujoco.MjModel, size: tuple[int, int]) -> Picture:
+def open_renderer(model: mujoco.MjModel, size: tuple[int, int]) -> mujoco.Renderer:
+    """What draws a model off screen; the driver keeps a context until it is closed.
+
+    Args:
+        model: The model.
+        size: Width and height, pixels.
+
+    Raises:
+        ConfigError: The machine cannot draw (``no_gl``).
+    """
     try:
-        renderer = mujoco.Renderer(model, height=size[1], width=size[0])
+        return mujoco.Renderer(model, height=size[1], width=size[0])
     except (ImportError, AttributeError, RuntimeError, mujoco.FatalError) as error:
         raise ConfigError(
             f"no picture: OpenGL does not start ({type(error).__name__}: {error}); "
             "install libegl1 and libgl1-mesa-dri, or set MUJOCO_GL to egl, osmesa or glfw, or go on without pictures",
             "no_gl",
         ) from error
+
+
+def _draw(model: mujoco.MjModel, size: tuple[int, int]) -> Picture:
+    renderer = open_renderer(model, size)
     data = mujoco.MjData(model)
     try:
         mujoco.mj_forward(model, data)
@@ -266,7 +279,7 @@ def _draw(model: mujoco.MjModel, size: tuple[int, int]) -> Picture:
         renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
         return _with_soft_shadows(renderer.render(), shaded)
     finally:
-        renderer.close()  # the driver keeps a context until told
+        renderer.close()
 
 
 def _with_soft_shadows(lit: Picture, shaded: Picture) -> Picture:
