@@ -38,7 +38,13 @@ _START_SECONDS = 600.0  # in which a process of its own is there and ready
 _CHECKOUT = Path(__file__).resolve().parents[1]
 _NOT_SHIPPED = ["/.git", "/.venv", "/data", "/out", "/runs", "/shared"]
 _WORKER_LOST = (ray.exceptions.WorkerCrashedError, ray.exceptions.TaskCancelledError, ray.exceptions.OutOfMemoryError)
-_NODE_LOST = (ray.exceptions.NodeDiedError, ray.exceptions.LocalRayletDiedError, ray.exceptions.ObjectLostError)
+_NODE_LOST = (
+    ray.exceptions.NodeDiedError,
+    ray.exceptions.LocalRayletDiedError,
+    ray.exceptions.ObjectLostError,
+    ray.exceptions.RaySystemError,  # in a worker: what it stands on is gone
+    ray.exceptions.RuntimeEnvSetupError,  # also where a node goes while it is prepared
+)
 
 
 class Work(Protocol[T_contra, R_co]):
