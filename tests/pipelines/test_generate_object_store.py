@@ -1,0 +1,140 @@
+"""The generate job with an object store that refuses requests now and then, and for a while all of them."""
+
+import json
+import random
+import threading
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import boto3
+import pytest
+
+from models.semantic_reasoner.engines import EngineSettings
+from models.semantic_reasoner.prompt import WANTED
+from models.semantic_reasoner.staged import LayoutTask
+from pipelines.asset_shelf import AssetShelf
+from pipelines.generate import generate
+from pipelines.generate_settings import GenerateSettings
+from pipelines.generate_step import GenerateWork
+from pipelines.runner import Workers
+from stable_data.errors import ConfigError
+from stable_data.scene import Stage, Tabletop
+from stable_data.shards import RunFolder
+from tests.pipelines.scripts import entry
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+TASKS = [LayoutTask(f"task_{n}", "Lift it.", Tabletop("office_table", (1.2, 0.6))) for n in range(4)]
+REFUSALS = (("500 Internal Server Error", "InternalError"), ("503 Slow Down", "SlowDown"))
+
+
+class Refusing:
+    """An S3 that refuses a share of the requests, at random.
+
+    Attributes:
+        share: From 0 to 1.
+        asked: Requests so far.
+        refused: Those of them that were refused.
+    """
+
+    def __init__(self, application: Any) -> None:
+        self.share, self.asked, self.refused = 0.0, 0, 0
+        self._application, self._rng, self._lock = application, random.Random(0), threading.Lock()  # noqa: S311
+
+    def __call__(self, environment: dict[str, Any], start: Any) -> Iterable[bytes]:
+        with self._lock:
+            is_refused = self._rng.random() < self.share
+            status, code = self._rng.choice(REFUSALS)
+            self.asked += 1
+            self.refused += is_refused
+        if not is_refused:
+            found: Iterable[bytes] = self._application(environment, start)
+            return found
+        environment["wsgi.input"].read(int(environment.get("CONTENT_LENGTH") or 0))
+        body = f"<?xml version='1.0'?><Error><Code>{code}</Code><Message>try again later</Message></Error>".encode()
+        start(status, [("Content-Type", "application/xml"), ("Content-Length", str(len(body)))])
+        return [body]
+
+
+@pytest.fixture
+def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Refusing, str]]:
+    """An S3 that speaks HTTP, and the URI of a run folder in it."""
+    from moto.moto_server.werkzeug_app import DomainDispatcherApplication, MotoRequestHandler, create_backend_app
+    from werkzeug.serving import make_server
+
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+        monkeypatch.setenv(name, "test")
+    refusing = Refusing(DomainDispatcherApplication(create_backend_app))
+    server = make_server("127.0.0.1", 0, refusing, threaded=True, request_handler=MotoRequestHandler)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    place = f"127.0.0.1:{server.server_port}"
+    boto3.client("s3", endpoint_url=f"http://{place}", region_name="us-east-1").create_bucket(Bucket="scenes")
+    run = f"run-{server.server_port}"  # all such servers of a process share their buckets
+    yield refusing, f"s3://scenes/{run}?region=us-east-1&scheme=http&endpoint_override={quote(place)}"
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+@pytest.fixture(scope="module")
+def settings(dataset: Path, own_cache: None, tmp_path_factory: pytest.TempPathFactory) -> GenerateSettings:
+    """An engine that puts one thing on the table in each stage; nothing is learned, and the physics engine is not asked."""
+    assets = AssetShelf([str(dataset)]).libraries[0].assets[1:4]
+    script = {WANTED[s]: {"objects": [entry(a, 20.0)]} for s, a in zip(Stage, assets, strict=True)}
+    path = tmp_path_factory.mktemp("script") / "script.json"
+    path.write_text(json.dumps(script))
+    return GenerateSettings(
+        EngineSettings(f"scripted:{path}"), weights="none", settle=False, accept="clean", scenes_per_shard=2
+    )
+
+
+@pytest.fixture(scope="module")
+def local(dataset: Path, settings: GenerateSettings, tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    out = str(tmp_path_factory.mktemp("local") / "run")
+    generate(TASKS, out, settings, Workers(), [str(dataset)])
+    return RunFolder(out)
+
+
+def assert_same(first: RunFolder, second: RunFolder) -> None:
+    for table in GenerateWork.TABLES:
+        assert first.table(table).equals(second.table(table)), table
+
+
+def test_a_store_that_refuses_a_tenth_of_all_requests_gets_the_same_rows(
+    dataset: Path, settings: GenerateSettings, local: RunFolder, store: tuple[Refusing, str]
+) -> None:
+    refusing, uri = store
+    refusing.share = 0.1
+    manifest = generate(TASKS, uri, settings, Workers(), [str(dataset)])
+    assert manifest["counts"]["scenes"] == len(TASKS)
+    assert refusing.refused >= 5
+    assert_same(RunFolder(uri), local)
+
+
+def test_a_store_that_is_gone_ends_the_run_with_one_line_and_what_is_there_stays(
+    dataset: Path, settings: GenerateSettings, local: RunFolder, store: tuple[Refusing, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refusing, uri = store
+    write, calls = RunFolder.write_shard, 0
+
+    def goes_away(self: RunFolder, table: str, shard_id: str, rows: Any) -> None:
+        nonlocal calls
+        calls += 1
+        refusing.share = float(calls > len(GenerateWork.TABLES) + 4)  # in the middle of the second shard's tables
+        write(self, table, shard_id, rows)
+
+    monkeypatch.setattr(RunFolder, "write_shard", goes_away)
+    with pytest.raises(ConfigError, match=r"cannot be written .*then run again") as caught:
+        generate(TASKS, uri, settings, Workers(), [str(dataset)])
+    assert caught.value.code == "output_unwritable"
+    assert "\n" not in str(caught.value)
+    monkeypatch.undo()
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "test")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "test")
+    refusing.share = 0.0
+    assert len(RunFolder(uri).shard_ids("scenes")) == 1
+    generate(TASKS, uri, settings, Workers(), [str(dataset)])
+    assert_same(RunFolder(uri), local)
