@@ -1,0 +1,43 @@
+"""docs/export.md as written: its commands and its code, on a small run."""
+
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from stable_data.cli import DONE, app
+from stable_data.shards import RunFolder
+
+pytestmark = pytest.mark.sim
+
+DOC = (Path(__file__).parents[3] / "docs" / "export.md").read_text("utf-8")
+COMMANDS = [
+    line for block in re.findall(r"^```\n(.*?)^```", DOC, re.DOTALL | re.MULTILINE) for line in block.splitlines() if line
+]
+
+
+def exported(command: str, run: RunFolder, out: Path) -> Path:
+    """Runs a command of the page and gives the folder that it wrote."""
+    program, verb, source, target, *options = shlex.split(command)
+    assert (program, verb, source) == ("stable-data", "export", "RUN")
+    result = CliRunner().invoke(app, [verb, run.uri, str(out / target), *options])
+    assert result.exit_code == DONE, result.stderr
+    return out / target
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_runs_as_written(command: str, run: RunFolder, tmp_path: Path) -> None:
+    assert (exported(command, run, tmp_path) / "README.md").is_file()
+
+
+def test_the_documented_code_opens_a_model(run: RunFolder, tmp_path: Path) -> None:
+    [mjcf] = [command for command in COMMANDS if "mjcf" in command]
+    [code] = re.findall(r"```python\n(.*?)```", DOC, re.DOTALL)
+    names: dict[str, Any] = {"OUT": exported(mjcf, run, tmp_path), "SCENE": "falling"}
+    exec(code, names)  # noqa: S102
+    assert names["data"].time == pytest.approx(1.0)
+    assert np.isfinite(names["data"].qpos).all()
