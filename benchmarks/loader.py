@@ -2,27 +2,41 @@
 
 ``python -m benchmarks.loader RUN DATASET [--json FILE]``, where RUN was preprocessed from DATASET. Every way of loading is
 measured in the same run on the same scenes, and compared by its ratio to the first: what a job without the tables does for
-every scene, parse its layout and load the meshes that it names.
+every scene, parse its layout and load the meshes that it names. A training loop takes padded tensors and makes a step of a small
+network with every batch.
+
+Warm: what is read was read before, and the start of workers is not timed. Cold: the system has forgotten the files (as far as
+``posix_fadvise`` is obeyed), and all is timed from opening the folder to the end of the first epoch, workers included.
 """
 
 import argparse
 import json
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from itertools import count, cycle
+from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
-from torch.utils.data import DataLoader
+import torch
+from torch.utils.data import DataLoader, Dataset
 
 from stable_data.errors import MeshError
 from stable_data.glb import load_glb
-from stable_data.loader import TableDataset, TableStream, collate_scenes
+from stable_data.loader import SceneBatch, TableDataset, TableStream, collate_scenes
 from stable_data.mesatask import MesaTaskDataset
+from stable_data.scene import Scene
 
 BATCH_SIZE = 64
+_PARSED_AT_ONCE = 8  # parsing is slow: a figure of a few seconds must hold several batches
+
+Epoch: TypeAlias = Callable[[int], Iterator[int]]
+"""Number of an epoch -> its batches, each as its number of scenes."""
+
+Way: TypeAlias = Callable[[int], Epoch]
+"""Number of workers -> what opens the folder and gives its epochs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,74 +46,165 @@ class Figure:
     Attributes:
         name: What is loaded, into what.
         num_workers: Processes of the DataLoader; 0: this one.
+        is_cold: Whether the files were forgotten, and opening and starting count.
         num_scenes: Scenes that were loaded.
-        seconds: For them, the start of workers left out.
+        seconds: For them.
         scenes_per_second: Their quotient.
-        ratio: Over layout.json and GLB files in one process.
+        ratio: Over layout.json and GLB files in one process, warm.
     """
 
     name: str
     num_workers: int
+    is_cold: bool
     num_scenes: int
     seconds: float
     scenes_per_second: float
     ratio: float
 
 
-def parse_scene(dataset: MesaTaskDataset, scene_id: str) -> int:
-    """Reads one scene as a job without tables does: its layout, and every mesh that it names."""
-    scene, _ = dataset.read(scene_id)
-    paths = {o.asset_id: dataset.asset_path(o.asset_id) for o in scene.objects if o.asset_id is not None}
-    for asset_id, path in paths.items():
-        if path is not None:
-            with suppress(MeshError):  # the job does without it, too
-                load_glb(path, asset_id)
-    return 1
+class LayoutFiles(Dataset[Scene]):
+    """Scenes as a job without tables reads them: the layout and, unless it does without, every mesh that it names."""
+
+    def __init__(self, root: Path, scene_ids: list[str], *, meshes: bool = True) -> None:
+        self._dataset, self._scene_ids, self._meshes = MesaTaskDataset(root), scene_ids, meshes
+
+    def __len__(self) -> int:
+        return len(self._scene_ids)
+
+    def __getitem__(self, index: int) -> Scene:
+        scene, _ = self._dataset.read(self._scene_ids[index])
+        if self._meshes:
+            paths = {o.asset_id: self._dataset.asset_path(o.asset_id) for o in scene.objects if o.asset_id is not None}
+            for asset_id, path in paths.items():
+                if path is not None:
+                    with suppress(MeshError):  # the job does without it, too
+                        load_glb(path, asset_id)
+        return scene
 
 
-def timed(items: Iterator[int], seconds: float) -> tuple[int, float]:
-    """Takes items, each a number of scenes, for about some seconds; the first is not timed.
+class Training:
+    """A step of a small network with every batch."""
+
+    def __init__(self) -> None:
+        self._network = torch.nn.Sequential(torch.nn.Linear(4, 64), torch.nn.ReLU(), torch.nn.Linear(64, 4))
+        self._optimizer = torch.optim.Adam(self._network.parameters())
+
+    def __call__(self, batch: SceneBatch) -> int:
+        """Takes a batch and gives how many scenes it holds."""
+        poses = batch["poses"][batch["mask"]]
+        self._optimizer.zero_grad()
+        (self._network(poses) - poses).square().mean().backward()
+        self._optimizer.step()
+        return len(batch["scene_ids"])
+
+
+def of_files(root: Path, scene_ids: list[str], *, meshes: bool, train: bool) -> Way:
+    """Layouts, with or without their meshes, as scenes or into a training loop."""
+
+    def open_with(workers: int) -> Epoch:
+        files = LayoutFiles(root, scene_ids, meshes=meshes)
+        collate: Any = collate_scenes if train else list
+        loader = DataLoader(
+            files, batch_size=_PARSED_AT_ONCE, num_workers=workers, collate_fn=collate, persistent_workers=workers > 0
+        )
+        size: Callable[[Any], int] = Training() if train else len
+        return lambda epoch: map(size, loader)
+
+    return open_with
+
+
+def of_tables(run: str, *, tensors: bool, train: bool = False) -> Way:
+    """Tables, as scenes or padded tensors or into a training loop."""
+
+    def open_with(workers: int) -> Epoch:
+        stream = TableStream(run, batch_size=BATCH_SIZE, shuffle_seed=0, collate=collate_scenes if tensors else None)
+        loader = DataLoader(stream, batch_size=None, num_workers=workers, persistent_workers=workers > 0)
+        size: Callable[[Any], int] = Training() if train else (lambda b: len(b["scene_ids"])) if tensors else len
+
+        def batches(epoch: int) -> Iterator[int]:
+            stream.set_epoch(epoch)
+            return map(size, loader)
+
+        return batches
+
+    return open_with
+
+
+def warm(way: Way, workers: int, seconds: float) -> tuple[int, float]:
+    """Epoch after epoch for about some seconds; the first batch is not timed.
 
     Returns:
         Scenes, and the seconds that they took.
     """
-    next(items)
+    batches = (size for epochs in [way(workers)] for epoch in count() for size in epochs(epoch))
+    next(batches)
     start, total = time.perf_counter(), 0
-    for num_scenes in items:
+    for num_scenes in batches:
         total += num_scenes
         if time.perf_counter() - start > seconds:
             break
     return total, time.perf_counter() - start
 
 
-def epochs(stream: TableStream, num_workers: int, size: Callable[[Any], int]) -> Iterator[int]:
-    """Numbers of scenes of the batches of a stream, epoch after epoch."""
-    loader = DataLoader(stream, batch_size=None, num_workers=num_workers, persistent_workers=num_workers > 0)
-    for epoch in count():
-        stream.set_epoch(epoch)
-        yield from map(size, loader)
+def cold(way: Way, workers: int, seconds: float, folders: list[Path]) -> tuple[int, float]:
+    """The first epoch, or about some seconds of it, from opening the folder on.
+
+    Returns:
+        Scenes, and the seconds that they took.
+    """
+    for folder in folders:
+        forget(folder)
+    start, total = time.perf_counter(), 0
+    for num_scenes in way(workers)(0):
+        total += num_scenes
+        if time.perf_counter() - start > seconds:
+            break
+    return total, time.perf_counter() - start
 
 
-def measure(run: str, dataset: MesaTaskDataset, seconds: float, num_workers: tuple[int, ...]) -> list[Figure]:
+def forget(folder: Path) -> None:
+    """Asks the system to forget the content of every file of a folder."""
+    for path in folder.rglob("*"):
+        if path.is_file():
+            handle = os.open(path, os.O_RDONLY)
+            try:
+                os.fsync(handle)
+                os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_DONTNEED)
+            finally:
+                os.close(handle)
+
+
+def measure(run: str, root: Path, seconds: float, num_workers: tuple[int, ...]) -> list[Figure]:
     """Every way of loading, the one without tables first."""
     table = TableDataset(run, columns=["scene_id"])
     scene_ids = [table[row]["scene_id"] for row in range(len(table))]
-    unknown = sorted(set(scene_ids) - set(dataset.scene_ids))
+    unknown = sorted(set(scene_ids) - set(MesaTaskDataset(root).scene_ids))
     assert not unknown, f"{run} was made from another dataset: {unknown[:3]}"
-    parsed = (parse_scene(dataset, scene_id) for scene_id in cycle(scene_ids))
-    read = (len(dataset.read(scene_id)[:1]) for scene_id in cycle(scene_ids))
+    parsed = of_files(root, scene_ids, meshes=True, train=False)
+    loops = {
+        "layout.json and GLB files into a training loop": of_files(root, scene_ids, meshes=True, train=True),
+        "tables into a training loop": of_tables(run, tensors=True, train=True),
+    }
+    ways = {
+        "tables to scenes": of_tables(run, tensors=False),
+        "tables to padded tensors": of_tables(run, tensors=True),
+        **loops,
+    }
     timings = [
-        ("layout.json and GLB files to scenes and meshes", 0, *timed(parsed, seconds)),
-        ("layout.json alone to scenes", 0, *timed(read, seconds)),
+        ("layout.json and GLB files to scenes and meshes", 0, False, *warm(parsed, 0, seconds)),
+        (
+            "layout.json alone to scenes",
+            0,
+            False,
+            *warm(of_files(root, scene_ids, meshes=False, train=False), 0, seconds),
+        ),
     ]
-    for workers in num_workers:
-        scenes = TableStream(run, batch_size=BATCH_SIZE, shuffle_seed=0)
-        timings.append(("tables to scenes", workers, *timed(epochs(scenes, workers, len), seconds)))
-        tensors = TableStream(run, batch_size=BATCH_SIZE, shuffle_seed=0, collate=collate_scenes)
-        batches = epochs(tensors, workers, lambda batch: len(batch["scene_ids"]))
-        timings.append(("tables to padded tensors", workers, *timed(batches, seconds)))
-    base = timings[0][2] / timings[0][3]
-    return [Figure(name, w, n, round(s, 3), round(n / s, 1), round(n / s / base, 1)) for name, w, n, s in timings]
+    for name, way in ways.items():
+        timings += [(name, workers, False, *warm(way, workers, seconds)) for workers in num_workers]
+    for name, way in loops.items():
+        timings += [(name, workers, True, *cold(way, workers, seconds, [Path(run), root])) for workers in num_workers]
+    base = timings[0][3] / timings[0][4]
+    return [Figure(name, w, c, n, round(s, 3), round(n / s, 1), round(n / s / base, 1)) for name, w, c, n, s in timings]
 
 
 def main() -> None:
@@ -111,10 +216,11 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=5.0, help="for each way of loading")
     parser.add_argument("--workers", type=int, nargs="+", default=[0, 1, 2])
     arguments = parser.parse_args()
-    figures = measure(arguments.run, MesaTaskDataset(arguments.dataset), arguments.seconds, tuple(arguments.workers))
-    print(f"{'loading':48} {'workers':>7} {'scenes/s':>10} {'ratio':>8}")
-    for figure in figures:
-        print(f"{figure.name:48} {figure.num_workers:7} {figure.scenes_per_second:10.1f} {figure.ratio:7.1f}x")
+    figures = measure(arguments.run, arguments.dataset, arguments.seconds, tuple(arguments.workers))
+    print(f"{'loading':48} {'workers':>7} {'':5} {'scenes/s':>10} {'ratio':>8}")
+    for f in figures:
+        kind = "cold" if f.is_cold else "warm"
+        print(f"{f.name:48} {f.num_workers:7} {kind:5} {f.scenes_per_second:10.1f} {f.ratio:7.1f}x")
     if arguments.json:
         arguments.json.write_text(json.dumps([asdict(figure) for figure in figures], indent=1) + "\n")
 
