@@ -247,7 +247,7 @@ def query(
 def export(
     run: Annotated[str, typer.Argument(help="A run folder or its URI, with the tables scenes, assets and meshes.")],
     out: Annotated[Path, typer.Argument(help="Folder to write; run again to go on.")],
-    format_name: Annotated[str, typer.Option("--format", help="mjcf, glb or mesatask.")],
+    format_name: Annotated[str, typer.Option("--format", help="Such as mjcf, glb or mesatask.")],
     where: Annotated[str | None, typer.Option(help='Which scenes, such as "clean and num_stacked >= 2".')] = None,
     scene: Annotated[list[str] | None, typer.Option("--scene", help="This scene; may be repeated.")] = None,
     limit: Annotated[int | None, typer.Option(min=0, help="The first so many of them.")] = None,

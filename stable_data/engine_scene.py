@@ -64,7 +64,7 @@ def engine_spec(solid: SolidScene, picture: tuple[int, int] = _PICTURE) -> mujoc
         MeshError: An object has no solid part, or the engine refuses it.
     """
     spec = spec_of(solid.bodies, solid.scene.table)
-    spec.modelname = solid.scene.scene_id
+    spec.modelname = plain_name(solid.scene.scene_id)
     model = compile_spec(spec)
     for number, mesh in enumerate(spec.meshes):
         # The hull as the engine made it, so that files of it have faces and still give the same model to the last bit.

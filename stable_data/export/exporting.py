@@ -94,16 +94,25 @@ def _export(
                 made += 1
                 boxes += solid.meshes.count(None)
             used |= {o.asset_id or "" for o in scene.objects} & annotations.keys()
+        except OSError:
+            raise
         except StableDataError as error:
-            if error.code in ("output_unwritable", "shard_unreadable"):
-                raise
-            message = str(error)
-            failures.append(message if message.startswith(scene.scene_id) else f"{scene.scene_id}: {message}")
+            if isinstance(error, ConfigError) and error.code != "uid_path_traversal":
+                raise  # the run or the folder cannot be used any more
+            failures.append(_line(scene.scene_id, str(error)))
+        except Exception as error:  # noqa: BLE001 - what nobody foresaw is one scene lost
+            failures.append(_line(scene.scene_id, f"unexpected {type(error).__name__}: {error}; please report it"))
         if progress is not None:
             progress(made + there + len(failures), len(scenes), len(failures))
     write_annotations(out, {asset_id: annotations[asset_id] for asset_id in used})
     put_file(out / "README.md", _readme(chosen, made + there, [annotations[asset_id] for asset_id in used]).encode())
     return Exported(made, there, boxes, tuple(failures))
+
+
+def _line(scene_id: str, message: str) -> str:
+    """What is said of a scene that could not be exported, on one line."""
+    message = " ".join(message.split())
+    return message if message.startswith(scene_id) else f"{scene_id}: {message}"
 
 
 def _readme(chosen: Format, num_scenes: int, assets: Sequence[AssetAnnotation]) -> str:
@@ -116,7 +125,7 @@ def _readme(chosen: Format, num_scenes: int, assets: Sequence[AssetAnnotation]) 
             chosen.ABOUT,
             "",
             "Frame: the table top is z = 0 with its near-left corner at the origin, +x right, +y away from the viewer, z up; metres, "
-            "kilograms, radians. An object's position is the centre of its box. An object without a mesh is a see-through box.",
+            "kilograms, radians. An object's position is the centre of its box. An object without a mesh is a box.",
             "",
             f"{MANIFEST_FILE} says what was exported from which run. The assets, each with category, source and licence in "
             f"{ANNOTATION_FILE}:",
@@ -133,7 +142,7 @@ def _check_same(target: RunFolder, run: RunFolder, name: str, choice: Choice) ->
     """Writes the manifest, or refuses a folder that holds another export."""
     settings: dict[str, Any] = {
         "format": name,
-        "run": run.uri,
+        "run": run.root if run.is_local else run.uri,
         "input_fingerprint": content_id({table: sorted(run.shard_ids(table)) for table in (*NEEDED, "settled")}),
         "where": choice.where,
         "scenes": sorted(choice.scene_ids),

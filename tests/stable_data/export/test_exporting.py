@@ -94,6 +94,21 @@ def test_scenes_are_chosen(choice: Choice, expected: list[str], run: RunFolder) 
     assert len(scenes) == len(expected)
 
 
+def test_what_nobody_foresaw_loses_one_scene(run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written = SolidScene.of
+
+    def fail(scene: Scene, *rest: object) -> SolidScene:
+        if scene.scene_id == "falling":
+            raise IndexError("list index\nout of range")
+        return written(scene, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(SolidScene, "of", fail)
+    result = command(run.uri, tmp_path / "out", "--format", "glb")
+    assert result.exit_code == SOME_FAILED
+    assert "not exported: falling: unexpected IndexError: list index out of range; please report it\n" in result.stderr
+    assert "2 of 3 scenes" in result.stdout
+
+
 def test_settled_poses_come_from_the_table(run: RunFolder) -> None:
     scenes = RunScenes(run, Choice(settled=True))
     for scene in scenes:
