@@ -86,7 +86,8 @@ def _model(spec: mujoco.MjSpec, files: dict[str, str]) -> ET.Element:
     root = ET.Element("mujoco", model=spec.modelname)
     _add(root, "compiler", angle="radian", meshdir=f"../{MESH_FOLDER}")
     option = _add(root, "option", timestep=spec.option.timestep, cone="elliptic", impratio=spec.option.impratio)
-    _add(option, "flag", autoreset="disable")
+    # By default versions before 4 give two meshes one contact point, on which things creep.
+    _add(option, "flag", autoreset="disable", multiccd="enable")
     _add(root, "statistic", center=spec.stat.center, extent=spec.stat.extent)
     _add_visual(root, spec.visual)
     defaults = _add(root, "default")
@@ -126,7 +127,7 @@ def _add_world(world: ET.Element, spec: mujoco.MjSpec) -> None:
     for light in spec.worldbody.lights:
         shade = "true" if light.castshadow else "false"
         colours = {"diffuse": light.diffuse, "specular": light.specular, "ambient": light.ambient}
-        _add(world, "light", type="directional", pos=light.pos, dir=light.dir, castshadow=shade, **colours)
+        _add(world, "light", directional="true", pos=light.pos, dir=light.dir, castshadow=shade, **colours)
     for camera in spec.worldbody.cameras:
         _add(world, "camera", name=camera.name, pos=camera.pos, quat=camera.quat, fovy=camera.fovy)
     for geom in spec.worldbody.geoms:

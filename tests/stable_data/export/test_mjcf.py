@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -162,6 +163,14 @@ def test_a_part_that_two_scenes_share_is_one_file(store: AssetStore, tmp_path: P
     again = Scene("again", at_rest().table, at_rest().objects)
     mjcf.write(SolidScene.of(again, store), tmp_path)
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "assets").rglob("*.obj")} == files
+
+
+def test_versions_with_other_defaults_are_told_what_the_verdict_had(store: AssetStore, tmp_path: Path) -> None:
+    """Before version 4 MuJoCo found one contact point for two meshes, and no version leaves a blown-up scene as it is."""
+    mjcf.write(SolidScene.of(at_rest(), store), tmp_path)
+    flag = ElementTree.parse(mjcf.place(at_rest(), tmp_path)).find("option/flag")  # noqa: S314 - our own file
+    assert flag is not None
+    assert flag.attrib == {"autoreset": "disable", "multiccd": "enable"}
 
 
 def test_an_empty_scene_is_a_table(store: AssetStore, tmp_path: Path) -> None:
