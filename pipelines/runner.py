@@ -202,9 +202,11 @@ def connect(workers: Workers) -> bool:
             return False
         ray.init(num_cpus=workers.count, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
     except (OSError, ValueError, RuntimeError) as error:
+        hint = "start it, or leave out --address"
+        if "AuthToken" in str(error.__cause__):
+            hint = "it wants a token: set RAY_AUTH_MODE=token, and RAY_AUTH_TOKEN where ~/.ray/auth_token is not its token"
         raise ConfigError(
-            f"Ray at {address or 'this machine'} cannot be reached ({error}); start it, or leave out --address",
-            "ray_unreachable",
+            f"Ray at {address or 'this machine'} cannot be reached ({error}); {hint}", "ray_unreachable"
         ) from error
     return True
 
