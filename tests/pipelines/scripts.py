@@ -1,8 +1,11 @@
 """Replies that are written down, in the words of a library's own assets."""
 
+from collections.abc import Sequence
 from typing import Any
 
+from models.semantic_reasoner.prompt import WANTED
 from stable_data.asset_library import Asset
+from stable_data.scene import Stage
 
 
 def entry(asset: Asset, x: float, name: str = "", words: str = "") -> dict[str, Any]:
@@ -17,3 +20,8 @@ def entry(asset: Asset, x: float, name: str = "", words: str = "") -> dict[str, 
         "position": place,
         "z_rotation": 90,
     }
+
+
+def one_thing_a_stage(assets: Sequence[Asset]) -> dict[str, Any]:
+    """A script that puts an asset on the table in each stage, one in the other: the corrector has to part them."""
+    return {WANTED[stage]: {"objects": [entry(a, 20.0)]} for stage, a in zip(Stage, assets, strict=True)}

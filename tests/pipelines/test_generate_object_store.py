@@ -12,7 +12,6 @@ import boto3
 import pytest
 
 from models.semantic_reasoner.engines import EngineSettings
-from models.semantic_reasoner.prompt import WANTED
 from models.semantic_reasoner.staged import LayoutTask
 from pipelines.asset_shelf import AssetShelf
 from pipelines.generate import generate
@@ -20,9 +19,9 @@ from pipelines.generate_settings import GenerateSettings
 from pipelines.generate_step import GenerateWork
 from pipelines.runner import Workers
 from stable_data.errors import ConfigError
-from stable_data.scene import Stage, Tabletop
+from stable_data.scene import Tabletop
 from stable_data.shards import RunFolder
-from tests.pipelines.scripts import entry
+from tests.pipelines.scripts import one_thing_a_stage
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -83,9 +82,8 @@ def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Refusing, str]]:
 def settings(dataset: Path, own_cache: None, tmp_path_factory: pytest.TempPathFactory) -> GenerateSettings:
     """An engine that puts one thing on the table in each stage; nothing is learned, and the physics engine is not asked."""
     assets = AssetShelf([str(dataset)]).libraries[0].assets[1:4]
-    script = {WANTED[s]: {"objects": [entry(a, 20.0)]} for s, a in zip(Stage, assets, strict=True)}
     path = tmp_path_factory.mktemp("script") / "script.json"
-    path.write_text(json.dumps(script))
+    path.write_text(json.dumps(one_thing_a_stage(assets)))
     return GenerateSettings(
         EngineSettings(f"scripted:{path}"), weights="none", settle=False, accept="clean", scenes_per_shard=2
     )
@@ -103,11 +101,11 @@ def assert_same(first: RunFolder, second: RunFolder) -> None:
         assert first.table(table).equals(second.table(table)), table
 
 
-def test_a_store_that_refuses_a_tenth_of_all_requests_gets_the_same_rows(
+def test_a_store_that_refuses_some_requests_gets_the_same_rows(
     dataset: Path, settings: GenerateSettings, local: RunFolder, store: tuple[Refusing, str]
 ) -> None:
     refusing, uri = store
-    refusing.share = 0.1
+    refusing.share = 0.05
     manifest = generate(TASKS, uri, settings, Workers(), [str(dataset)])
     assert manifest["counts"]["scenes"] == len(TASKS)
     assert refusing.refused >= 5

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from benchmarks.chaos import busy_workers
 from pipelines import preprocess as job
 from pipelines.plan import PreprocessSettings
 from pipelines.preprocess import preprocess
@@ -192,7 +193,7 @@ def test_ten_kills_at_random_moments_lose_nothing(dataset: Path, clean_run: Path
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
         else:
-            while process.poll() is None and not (busy := workers_of(process.pid)):
+            while process.poll() is None and not (busy := busy_workers([process.pid])):
                 time.sleep(0.1)
             os.kill(busy[0], signal.SIGKILL)
             killed += 1
@@ -203,14 +204,3 @@ def test_ten_kills_at_random_moments_lose_nothing(dataset: Path, clean_run: Path
     done = run_cli(dataset, out, "--workers", "2")
     assert done.returncode == 0, done.stderr
     assert content(out) == content(clean_run)
-
-
-def workers_of(pid: int) -> list[int]:
-    """Ray worker processes below a process that are busy with a shard."""
-    listing = subprocess.run(["ps", "-eo", "pid,ppid,args"], capture_output=True, text=True, check=True).stdout
-    processes = [line.split(maxsplit=2) for line in listing.splitlines()[1:]]
-    below, found = {pid}, 0
-    while len(below) > found:
-        found = len(below)
-        below |= {int(number) for number, parent, _ in processes if int(parent) in below}
-    return [int(number) for number, _, command in processes if int(number) in below and command.startswith("ray::_call")]
