@@ -126,6 +126,7 @@ class Generated:
         scene: The scene as the last correction left it, with its task info; None where there is a failure.
         start: Its objects where they were first proposed; what is in ``scene`` is in it.
         turns: All that was tried, in order.
+        correction: The one that made ``scene``; None where none did.
         failure: Why there is no scene.
         warnings: What deserves a look.
     """
@@ -134,6 +135,7 @@ class Generated:
     scene: Scene | None
     start: Scene
     turns: tuple[Turn, ...]
+    correction: Correction | None = None
     failure: Notice | None = None
     warnings: tuple[Notice, ...] = ()
 
@@ -173,7 +175,8 @@ class _Scene:
     start: Scene = field(init=False)
     turns: list[Turn] = field(default_factory=list)
     warnings: list[Notice] = field(default_factory=list)
-    is_at_rest: bool = False  # whether the engine was asked of the scene as it is
+    correction: Correction | None = None  # that made the scene as it is
+    is_at_rest: bool = False  # whether the engine was asked of it
 
     def __post_init__(self) -> None:
         self.scene = self.start = Scene(self.task.scene_id, self.task.table, ())
@@ -200,8 +203,8 @@ class _Scene:
             done = (yield from self._corrected(self.scene, frozenset(), True))[-1]
             if done.certified is None:
                 return self._failed(str(done.status), done.reason)
-            self.scene, self.is_at_rest = done.certified, True
-        return Generated(self.task, self.scene, self._start(), tuple(self.turns), None, tuple(dict.fromkeys(self.warnings)))
+            self.scene, self.correction = done.certified, done
+        return self._ended(None)
 
     def _turn(self, wanted: Wanted, attempt: int, is_last: bool) -> Generator[Request, Answer, Turn]:
         """Asks for a stage once; what it brings is in the scene after it, unless it is rejected."""
@@ -232,7 +235,7 @@ class _Scene:
             done = corrections[-1]
             if done.certified is None:
                 return Turn(wanted, proposal, furnished, corrections, done.reason, str(done.status))
-            scene, self.is_at_rest = done.certified, is_last
+            scene, self.correction, self.is_at_rest = done.certified, done, is_last
         self.warnings += furnished.notices
         self.start = replace(self.start, objects=(*self.start.objects, *found))
         self.scene = scene
@@ -277,5 +280,9 @@ class _Scene:
         self.warnings.append(Notice(self.task.scene_id, STEP, code, f"{self.task.scene_id}: {message}"))
 
     def _failed(self, code: str, message: str) -> Generated:
-        failure = Notice(self.task.scene_id, STEP, code, f"{self.task.scene_id}: {message}")
-        return Generated(self.task, None, self._start(), tuple(self.turns), failure, tuple(dict.fromkeys(self.warnings)))
+        return self._ended(Notice(self.task.scene_id, STEP, code, f"{self.task.scene_id}: {message}"))
+
+    def _ended(self, failure: Notice | None) -> Generated:
+        scene, correction = (self.scene, self.correction) if failure is None else (None, None)
+        warnings = tuple(dict.fromkeys(self.warnings))
+        return Generated(self.task, scene, self._start(), tuple(self.turns), correction, failure, warnings)

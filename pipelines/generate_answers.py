@@ -133,5 +133,5 @@ def unanswered(asked: Certifying, reason: str) -> Correction:
         card_after=None,
         audit=None,
         kept=None,
-        unsteady=None,
+        rest=None,
     )

@@ -5,7 +5,7 @@ up in whatever process it runs.
 """
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
 from typing import ClassVar
@@ -40,6 +40,7 @@ from stable_data.metrics.kept import relations_kept
 from stable_data.physics import SettleResult, settle
 from stable_data.scene import Scene
 from stable_data.seeds import named_seed
+from stable_data.shape import Shape
 from stable_data.shards import RunFolder
 
 SOURCE = "generated"
@@ -146,7 +147,7 @@ class GenerateWork:
         seen = related(posed, audit, containers)
         scene = seen.scene
         progress.step = "settle"
-        rest, why_not = self._settled(scene, PosedScene(scene, shapes))
+        rest, why_not = self._settled(made.correction, scene, shapes)
         progress.step = "card"
         card = _with_movement(with_counts(audit.card(), scene), made.start, scene, posed)
         card = _with_alignment(card, seen, containers, opened.statistics)
@@ -162,8 +163,8 @@ class GenerateWork:
         }
         row = {**tables.scene_row(scene), **tables.card_row(card), **audit.rows(), **origin}
         told = [Notice(name, n.step, n.code, n.message) for n in notices]
-        if made.turns and made.turns[-1].corrections:
-            told += notices_of(made.turns[-1].corrections[-1], name)
+        if made.correction is not None:
+            told += notices_of(made.correction, name)
         if why_not:
             told.append(Notice(name, "settle", "not_settled", f"{name}: the engine was not asked: {why_not}"))
         found: Rows = {"warnings": [tables.notice_row(n) for n in dict.fromkeys(told)]}
@@ -176,10 +177,12 @@ class GenerateWork:
         failure = Notice(name, "accept", REJECTED, f"{name}: {reason}")
         return found | {"rejected": [row | {"code": REJECTED, "reason": reason}], "failures": [tables.notice_row(failure)]}
 
-    def _settled(self, scene: Scene, posed: PosedScene) -> tuple[SettleResult | None, str]:
+    def _settled(self, correction: Correction | None, scene: Scene, shapes: Sequence[Shape]) -> tuple[SettleResult | None, str]:
         """What the physics engine makes of a scene, and why it was not asked."""
+        if correction is not None and correction.rest is not None:
+            return correction.rest, ""  # it was asked of this very scene
         try:
-            return settle(bodies_of(scene, posed.shapes, _opened(self).answers.store), scene.table), ""
+            return settle(bodies_of(scene, shapes, _opened(self).answers.store), scene.table), ""
         except MeshError as error:
             return None, str(error)
 

@@ -186,8 +186,8 @@ def notices_of(done: Correction, scene_id: str) -> list[Notice]:
     notices = [
         Notice(scene_id, "certify", "dropped", f"{scene_id}: {d.instance} is left out: {d.reason}") for d in done.dropped
     ]
-    if done.unsteady:
-        message = f"{scene_id}: {', '.join(done.unsteady)} would not stay in the physics engine"
+    if done.rest is not None and done.rest.unsteady:
+        message = f"{scene_id}: {', '.join(done.rest.unsteady)} would not stay in the physics engine"
         notices.append(Notice(scene_id, "certify", "unsteady", message))
     if done.status is Status.UNKNOWN:
         notices.append(Notice(scene_id, "certify", "unknown", f"{scene_id}: {done.reason}"))

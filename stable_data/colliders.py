@@ -6,7 +6,7 @@ from weakref import WeakKeyDictionary
 from scipy.spatial.transform import Rotation
 
 from stable_data.assets import AssetStore
-from stable_data.convex import convex_parts
+from stable_data.convex import collider_parts
 from stable_data.mesh import Mesh
 from stable_data.physics import Body, hull_volume
 from stable_data.scene import Scene, SceneObject
@@ -56,7 +56,7 @@ def asset_parts(asset_id: str, mesh: Mesh, store: AssetStore) -> tuple[Mesh, ...
     """
     known = _CUT_UP.setdefault(store, {})
     if asset_id not in known:
-        known[asset_id] = store.kept_parts(asset_id) or convex_parts(mesh, given=store.colliders(asset_id)).parts
+        known[asset_id] = store.kept_parts(asset_id) or collider_parts(mesh, given=store.colliders(asset_id))
     return known[asset_id]
 
 

@@ -114,6 +114,12 @@ class SettleResult:
     stable: bool | None
     reason: str = ""
 
+    @property
+    def unsteady(self) -> tuple[str, ...]:
+        """The bodies that went too far or turned too much."""
+        gone = (self.moves > MOVE_LIMIT) | (self.turns > TURN_LIMIT)
+        return tuple(name for name, is_gone in zip(self.names, gone.tolist(), strict=True) if is_gone)
+
 
 def settle(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = EngineOptions()) -> SettleResult:
     """Lets a scene settle under gravity and watches it.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from models.physics_corrector.certify import Certified, CertifyOptions, Dropped, Status, certify
+from models.physics_corrector.certify import Certified, Certifier, CertifyOptions, Dropped, Status
 from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.kept import RelationsKept, relations_kept
@@ -19,7 +19,7 @@ from stable_data.scene import FloatArray, IntArray, RelationKind, Scene
 from stable_data.shape import Shape
 
 if TYPE_CHECKING:  # the engine takes long to import
-    from stable_data.physics import Body
+    from stable_data.physics import Body, SettleResult
 
 Fixed: TypeAlias = frozenset[str]
 """Instances of a scene that must stay where they are."""
@@ -48,7 +48,7 @@ class Correction:
         card_after: Figures of the clean scene, with its movement and the relations that it kept; None where infeasible.
         audit: Every verdict on the clean scene; None where infeasible.
         kept: Relations of the start that still hold, counted; None where infeasible.
-        unsteady: Instances that the physics engine moves; None where it was not asked.
+        rest: The physics engine's verdict on ``certified``; None where it was not asked or could not be.
     """
 
     status: Status
@@ -62,7 +62,7 @@ class Correction:
     card_after: MetricCard | None
     audit: Audit | None
     kept: RelationsKept | None
-    unsteady: tuple[str, ...] | None
+    rest: "SettleResult | None"
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +149,7 @@ class PhysicsCorrector:
             card_after=card_after,
             audit=done.audit,
             kept=kept,
-            unsteady=done.unsteady,
+            rest=done.rest,
         )
 
 
@@ -173,19 +173,19 @@ def certified_from(
         The better of both: the one that leaves out less, of those the one that breaks less, of those the one that moves less.
     """
     start = starting_point(scene, raw)
-    if start is scene:
-        return certify(scene, shapes, options, bodies=bodies)
-    done = certify(start, shapes, options, original=scene)
-    is_whole = done.scene is not None and not done.dropped and not done.num_broken
-    both = [(done, start)] if is_whole else [(done, start), (certify(scene, shapes, options), scene)]
+    certifier = Certifier(start, shapes, options, scene)
+    done = certifier.certified()
+    if start is not scene and (done.scene is None or done.dropped or done.num_broken):
+        other = Certifier(scene, shapes, options)
 
-    def badness(each: Certified) -> tuple[bool, int, int, float]:
-        move = np.inf if each.scene is None else movement(scene, each.scene)[0]
-        return each.scene is None, len(each.dropped), each.num_broken, move
+        def badness(each: tuple[Certified, Certifier]) -> tuple[bool, int, int, float]:
+            done = each[0]
+            move = np.inf if done.scene is None else movement(scene, done.scene)[0]
+            return done.scene is None, len(done.dropped), done.num_broken, move
 
-    done, start = min(both, key=lambda each: badness(each[0]))
+        done, certifier = min(((done, certifier), (other.certified(), other)), key=badness)
     # The engine takes far longer than certifying: it is asked of the better one alone.
-    return done if bodies is None else certify(start, shapes, options, original=scene, bodies=bodies)
+    return done if bodies is None else certifier.rested(done, bodies)
 
 
 def starting_point(scene: Scene, raw: Scene | None) -> Scene:

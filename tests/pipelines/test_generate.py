@@ -18,9 +18,11 @@ from pipelines.generate_settings import GenerateSettings
 from pipelines.generate_step import GenerateWork
 from pipelines.runner import Workers
 from stable_data.assets import AssetStore
+from stable_data.colliders import bodies_of
 from stable_data.errors import ConfigError, Notice
 from stable_data.loader import TableStream
 from stable_data.metrics.audit import audit_scene
+from stable_data.physics import settle
 from stable_data.scene import Scene, Stage, Tabletop
 from stable_data.shards import RunFolder
 from stable_data.tables import Row, scene_from_row
@@ -94,7 +96,9 @@ def test_what_is_accepted_is_clean_by_an_audit_of_its_own_and_at_rest(made: Path
         resolved, shapes, _ = store.resolved(scene)
         assert resolved.poses().tolist() == scene.poses().tolist()
         assert audit_scene(resolved, shapes).card().clean
-        assert row["stable"] is True
+        rest = settle(bodies_of(resolved, shapes, store), resolved.table)
+        assert row["stable"] is rest.stable is True
+        assert row["settle_move_max_mm"] == rest.settle_move_max_mm
         assert row["settle_move_max_mm"] <= 10
         assert row["engine_penetration_mm"] is not None
         assert [o.stage for o in scene.objects] == list(Stage)
@@ -151,7 +155,8 @@ def test_a_scene_whose_rest_is_unknown_is_not_accepted(
     def refuse(*_: Any) -> Any:
         raise MeshError("nothing solid", "no_collider")
 
-    monkeypatch.setattr("pipelines.generate_step.bodies_of", refuse)
+    for module in ("generate_step", "generate_answers"):
+        monkeypatch.setattr(f"pipelines.{module}.bodies_of", refuse)
     generate(tasks("Lift it."), str(tmp_path), settings, ALONE, [str(dataset)])
     (row,) = rows_of(tmp_path, "rejected")
     assert "stable is unknown" in row["reason"]

@@ -1,6 +1,7 @@
 """The whole of it: lower, nest, part, check exactly, and send back what the check refuses."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
@@ -16,14 +17,14 @@ from models.physics_corrector.certify.nesting import Rest, resting_pose
 from models.physics_corrector.certify.options import Certified, CertifyOptions, Dropped, Status
 from models.physics_corrector.certify.parting import part
 from models.physics_corrector.certify.standing import Standing, directional
-from stable_data.errors import MeshError, SceneError
+from stable_data.errors import SceneError
 from stable_data.metrics.audit import BOUNDS_SLACK, Audit, audit_scene
 from stable_data.metrics.collision import TOLERANCE
 from stable_data.scene import FloatArray, Relation, Scene
 from stable_data.shape import Shape
 
 if TYPE_CHECKING:
-    from stable_data.physics import Body
+    from stable_data.physics import Body, SettleResult
 
 _DEFAULT = CertifyOptions()
 _OVERFULL, _PACKED = 1.2, 0.8  # where things cover more of a table than the one, some go unsearched until they cover the other
@@ -54,21 +55,9 @@ def certify(
     Raises:
         SceneError: Shapes, ``bodies``, ``original`` or ``options.fixed`` do not belong to the scene.
     """
-    if len(shapes) != len(scene.objects):
-        found = f"{len(shapes)} shapes for {len(scene.objects)} objects"
-        raise SceneError(f"{scene.scene_id}: {found}, expected one each; pass AssetStore.resolved", "shapes_differ")
-    names = [o.instance for o in scene.objects]
-    if original is not None and [o.instance for o in original.objects] != names:
-        raise SceneError(f"{scene.scene_id}: the original has other objects, expected the same in order", "original_differs")
-    if unknown := sorted(options.fixed - set(names)):
-        raise SceneError(f"{scene.scene_id}: fixed {unknown} are not in the scene, expected its instances", "fixed_unknown")
-    if bodies is not None and [body.name for body in bodies] != names:
-        raise SceneError(f"{scene.scene_id}: the bodies are of other objects, expected the same in order", "bodies_differ")
-    certifier = _Certifier(scene, shapes, options, original or scene)
-    # Its many small matrices gain nothing from more threads, and lose much where those wait for each other.
-    with _thread_pools().limit(limits=1, user_api="blas"):
-        certified = certifier.certified()
-        return certified if bodies is None else certifier.rested(certified, bodies)
+    certifier = Certifier(scene, shapes, options, original)
+    certified = certifier.certified()
+    return certified if bodies is None else certifier.rested(certified, bodies)
 
 
 @cache
@@ -76,8 +65,30 @@ def _thread_pools() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-class _Certifier:
-    def __init__(self, scene: Scene, shapes: Sequence[Shape], options: CertifyOptions, original: Scene) -> None:
+@contextmanager
+def _on_one_thread() -> Iterator[None]:
+    """Its many small matrices gain nothing from more threads, and lose much where those wait for each other."""
+    with _thread_pools().limit(limits=1, user_api="blas"):
+        yield
+
+
+class Certifier:
+    """One scene being made exactly clean, and then steady; see :func:`certify`, whose errors it raises."""
+
+    def __init__(
+        self, scene: Scene, shapes: Sequence[Shape], options: CertifyOptions = _DEFAULT, original: Scene | None = None
+    ) -> None:
+        if len(shapes) != len(scene.objects):
+            found = f"{len(shapes)} shapes for {len(scene.objects)} objects"
+            raise SceneError(f"{scene.scene_id}: {found}, expected one each; pass AssetStore.resolved", "shapes_differ")
+        names = [o.instance for o in scene.objects]
+        if original is not None and [o.instance for o in original.objects] != names:
+            raise SceneError(
+                f"{scene.scene_id}: the original has other objects, expected the same in order", "original_differs"
+            )
+        if unknown := sorted(options.fixed - set(names)):
+            raise SceneError(f"{scene.scene_id}: fixed {unknown} are not in the scene, expected its instances", "fixed_unknown")
+        original = original or scene
         self.scene, self.given, self.options, self.original = scene, shapes, options, original
         # A box that stands in is checked like a mesh; that it proves nothing is said at the end.
         self.shapes = [s if s.is_exact else Shape(s.vertices, s.faces) for s in shapes]
@@ -93,6 +104,24 @@ class _Certifier:
 
     def certified(self) -> Certified:
         """The correction."""
+        with _on_one_thread():
+            return self._certified()
+
+    def rested(self, done: Certified, bodies: Sequence["Body"]) -> Certified:
+        """A correction that the engine has judged; what did not stay is elsewhere now, if it was found where it does.
+
+        Args:
+            done: What :meth:`certified` gave.
+            bodies: As for :func:`certify`.
+        """
+        if [body.name for body in bodies] != [o.instance for o in self.scene.objects]:
+            raise SceneError(
+                f"{self.scene.scene_id}: the bodies are of other objects, expected the same in order", "bodies_differ"
+            )
+        with _on_one_thread():
+            return done if done.scene is None else self._rested(done, done.scene, bodies)
+
+    def _certified(self) -> Certified:
         wanted = wanted_carriers(self.scene) if self.options.restore else {}
         if not wanted and (audit := self._clean_as_it_is()) is not None:
             return self._concluded(self.scene, audit)
@@ -163,31 +192,33 @@ class _Certifier:
         audit = audit_scene(self.scene, self.shapes)
         return audit if audit.card().clean else None
 
-    def rested(self, done: Certified, bodies: Sequence["Body"]) -> Certified:
-        """A correction of which the engine was asked what stays; what does not is elsewhere now, or named."""
+    def _rested(self, done: Certified, scene: Scene, bodies: Sequence["Body"]) -> Certified:
         from models.physics_corrector.certify.resting import Resting  # the engine takes long to import
+        from stable_data.physics import settle
 
-        if done.scene is None:
-            return done
-        poses = self.original.poses()
-        if not self.is_laid_out:
-            carried = [choice[0] for choice in carriers_of(self.meshes, self.scene.poses(), {})]
-            self.layout = Layout(self.scene, self.shapes, carried, self.options.fixed)
-        layout, was = self.layout, (self.layout.poses.copy(), list(self.layout.carried))
-        try:
-            resting = Resting(layout, self.meshes, bodies, directional(layout, poses))
-            unsteady = resting.settled()
-        except MeshError as error:
-            return replace(done, reason="; ".join(filter(None, (done.reason, f"the engine cannot be asked: {error}"))))
-        if not np.array_equal(layout.poses, was[0]):
-            scene = self._scene()
-            audit = audit_scene(scene, [self.shapes[k] for k in layout.present()])
-            if audit.card().clean:
-                done = self._concluded(scene, audit)
-            else:
-                layout.poses[:], layout.carried[:] = was
-                unsteady = resting.moving()
-        return replace(done, unsteady=tuple(self.scene.objects[k].instance for k in unsteady))
+        body_of = {body.name: body for body in bodies}
+
+        def verdict(of: Scene) -> "SettleResult":
+            return settle([replace(body_of[o.instance], position=o.position, yaw=o.yaw) for o in of.objects], of.table)
+
+        rest = verdict(scene)
+        if rest.stable is None:
+            reason = "; ".join(filter(None, (done.reason, f"the engine cannot be asked: {rest.reason}")))
+            return replace(done, reason=reason)
+        if not rest.stable:
+            if not self.is_laid_out:
+                carried = [choice[0] for choice in carriers_of(self.meshes, self.scene.poses(), {})]
+                self.layout, self.is_laid_out = Layout(self.scene, self.shapes, carried, self.options.fixed), True
+            layout, was, unsteady = self.layout, self.layout.poses.copy(), set(rest.unsteady)
+            moved = [k for k in layout.present() if self.scene.objects[k].instance in unsteady]
+            Resting(layout, self.meshes, bodies, directional(layout, self.original.poses())).settle(moved)
+            if not np.array_equal(layout.poses, was):
+                mended = self._scene()
+                audit = audit_scene(mended, [self.shapes[k] for k in layout.present()])
+                after = verdict(mended)
+                if audit.card().clean and len(after.unsteady) <= len(rest.unsteady):
+                    done, rest = self._concluded(mended, audit), after
+        return replace(done, rest=rest)
 
     # --- trees
 

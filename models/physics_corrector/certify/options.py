@@ -2,11 +2,14 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from stable_data.errors import ConfigError
 from stable_data.metrics.audit import Audit
 from stable_data.scene import Scene
+
+if TYPE_CHECKING:
+    from stable_data.physics import SettleResult  # the engine takes long to import
 
 
 class Status(StrEnum):
@@ -78,7 +81,7 @@ class Certified:
         reason: Why it is not certified, or why the engine could not be asked; else empty.
         dropped: What was given up.
         audit: The exact audit of ``scene``; None where there is none.
-        unsteady: What does not stay in the physics engine, wherever it was tried; None where that was not asked or could not be.
+        rest: The physics engine's verdict on ``scene``; None where it was not asked or could not be.
         num_broken: Relations of the original layout that no longer hold, as `certify` reads them: left of, right of, in front of,
             behind; and what is no longer carried by what carried it. A figure to choose by; the audit's own are `relations_kept`.
     """
@@ -88,5 +91,10 @@ class Certified:
     reason: str = ""
     dropped: tuple[Dropped, ...] = ()
     audit: Audit | None = None
-    unsteady: tuple[str, ...] | None = None
+    rest: "SettleResult | None" = None
     num_broken: int = 0
+
+    @property
+    def unsteady(self) -> tuple[str, ...] | None:
+        """What does not stay in the engine, wherever it was tried; None where that is not known."""
+        return None if self.rest is None else self.rest.unsteady

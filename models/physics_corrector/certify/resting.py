@@ -57,36 +57,31 @@ class Resting:
         self._layout, self._meshes, self._bodies = layout, meshes, bodies
         self._meant = set(wanted_carriers(layout.scene))
         self._seen: dict[tuple[tuple[int, ...], bytes], list[int]] = {}
-        self._everything: Trial | None = None
         self._moved: list[int] = []
         self._patience = [_PATIENCE] * len(bodies)
         self._refused: list[list[FloatArray]] = [[] for _ in bodies]
         number = {o.instance: k for k, o in enumerate(layout.scene.objects)}
         self._orders = [(number[r.subject], number[r.target], np.array(AXES[r.kind])) for r in orders]
 
-    def settled(self) -> list[int]:
-        """Puts what the engine moves elsewhere. Returns what does not stay in the end."""
+    def settle(self, moved: Sequence[int]) -> None:
+        """Puts what the engine moves elsewhere, as far as that is found to help.
+
+        Args:
+            moved: What it moves.
+        """
         layout = self._layout
-        best: tuple[list[int], FloatArray, list[Carried]] | None = None
+        best = moved, layout.poses.copy(), list(layout.carried)
         for _ in range(_ROUNDS):
             self._moved = self._seen_moving()
             while self._moved and self._improved():
                 self._moved = self._seen_moving()
-            moved = self.moving()
-            if best is None or len(moved) < len(best[0]):
+            moved = self._moving(self._trial(layout.present(), []))
+            if len(moved) < len(best[0]):
                 best = moved, layout.poses.copy(), list(layout.carried)
             self._moved = moved
             if not moved or not self._improved():
                 break
-        assert best is not None
         layout.poses[:], layout.carried[:] = best[1], best[2]
-        return best[0]
-
-    def moving(self) -> list[int]:
-        """What moves when everything is let go."""
-        present = self._layout.present()
-        self._everything = self._everything or Trial(self._bodies, self._layout.poses, present, [], self._layout.scene.table)
-        return self._moving(self._everything)
 
     def _seen_moving(self) -> list[int]:
         """What moves when one tree at a time is let go: quicker than everything at once, and nearly as true."""
