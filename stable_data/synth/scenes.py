@@ -94,10 +94,8 @@ def make_scene(number: int, seed: int = 0, tables: Sequence[str] = ()) -> MadeSc
     rejected: Counter[str] = Counter()
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([seed, number, attempt])
-        table = _table(table_type, plan, rng)
-        mean = plan.density * _free_area(table)
-        target = int(np.clip(round(mean * rng.lognormal(0.0, _SPREAD)), FEWEST + 1, MOST - 2))
-        placed = compose(plan, table, Kit(rng), target, MOST)
+        table = drawn_table(table_type, plan, rng)
+        placed = compose(plan, table, Kit(rng), drawn_number(plan, table, rng), MOST)
         made = _mended(scene_id, table, placed, rejected)
         if made is None:
             rejected["too little left"] += 1
@@ -137,7 +135,14 @@ def _mended(
     return None
 
 
-def _table(table_type: str, plan: TablePlan, rng: np.random.Generator) -> Tabletop:
+def drawn_number(plan: TablePlan, table: Tabletop, rng: np.random.Generator) -> int:
+    """How many things are to be put on a table."""
+    mean = plan.density * _free_area(table)
+    return int(np.clip(round(mean * rng.lognormal(0.0, _SPREAD)), FEWEST + 1, MOST - 2))
+
+
+def drawn_table(table_type: str, plan: TablePlan, rng: np.random.Generator) -> Tabletop:
+    """A table of a kind."""
     width, depth = (round(float(rng.uniform(*bounds)), 3) for bounds in (plan.width, plan.depth))
     if not plan.has_sink:
         return Tabletop(table_type, (width, depth))
