@@ -200,7 +200,8 @@ def connect(workers: Workers) -> bool:
         if address is not None:
             ray.init(address=address, runtime_env=_checkout(), log_to_driver=False, logging_level=logging.ERROR)
             return False
-        ray.init(num_cpus=workers.count, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
+        own = {"address": "local", "num_cpus": workers.count}  # without the word Ray joins any cluster of this machine
+        ray.init(**own, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
     except (OSError, ValueError, RuntimeError) as error:
         hint = "start it, or leave out --address"
         if "AuthToken" in str(error.__cause__):

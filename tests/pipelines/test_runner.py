@@ -131,6 +131,11 @@ def cluster() -> Iterator[Any]:
 
 
 @pytest.mark.ray
+def test_a_local_run_leaves_a_cluster_of_the_same_machine_alone(cluster: Any) -> None:
+    assert list(Workers(1).run(Double(), [1])) == [2]  # the head there has no core
+
+
+@pytest.mark.ray
 @pytest.mark.slow
 def test_a_node_that_is_lost_does_not_count_against_its_shard(cluster: Any, tmp_path: Path) -> None:
     for _ in range(2):
