@@ -30,6 +30,8 @@ given. Scenes share the folder `assets`: copy it with them, or export a scene al
 
 MESH_FOLDER = "assets"
 
+_RESERVED = frozenset({MESH_FOLDER, "README.md", "export.json", "Asset_annotation.json"})  # what else lies beside the scenes
+
 _GEOM_TYPES = {int(mujoco.mjtGeom.mjGEOM_BOX): "box", int(mujoco.mjtGeom.mjGEOM_MESH): "mesh"}
 _INERTIAS = {
     int(mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX): "convex",
@@ -39,7 +41,7 @@ _INERTIAS = {
 
 def place(scene: Scene, out: Path) -> Path:
     """Where a scene's file is: once it is there, the scene is exported."""
-    return out / plain_name(scene.scene_id, {MESH_FOLDER}) / "scene.xml"
+    return out / plain_name(scene.scene_id, _RESERVED) / "scene.xml"
 
 
 def write(solid: SolidScene, out: Path) -> None:

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -171,6 +172,13 @@ def test_versions_with_other_defaults_are_told_what_the_verdict_had(store: Asset
     flag = ElementTree.parse(mjcf.place(at_rest(), tmp_path)).find("option/flag")  # noqa: S314 - our own file
     assert flag is not None
     assert flag.attrib == {"autoreset": "disable", "multiccd": "enable"}
+
+
+@pytest.mark.parametrize("name", ["assets", "README.md", "..", "a/b"])
+def test_a_scene_takes_the_place_of_nothing_else(name: str, tmp_path: Path) -> None:
+    folder = mjcf.place(replace(EMPTY, scene_id=name), tmp_path).parent
+    assert folder.parent == tmp_path
+    assert folder.name != name
 
 
 def test_an_empty_scene_is_a_table(store: AssetStore, tmp_path: Path) -> None:
