@@ -7,9 +7,10 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DATA ?= data/embedded
 OUT ?= runs/preprocess
+COUNT ?= 100
 EIGEN := $(VENV)/lib/python3.11/site-packages/cmeel.prefix/include/eigen3
 
-.PHONY: help env demo test test-all lint format schemas preprocess correct edit train evaluate bench clean
+.PHONY: help env demo test test-all lint format schemas preprocess correct edit generate train evaluate bench clean
 
 help: ## Show this page
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -24,10 +25,11 @@ $(READY): pyproject.toml constraints.txt
 	CPLUS_INCLUDE_PATH=$(abspath $(EIGEN)) $(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[geometry,sim,torch,models,pipelines,bench,dev]'
 	touch $@
 
-demo: $(READY) ## Fresh machine to a report with pictures: embedded set, preprocess
+demo: $(READY) ## Fresh machine to 50 generated, certified, settled scenes and a contact sheet: embedded set, preprocess, generate
 	$(BIN)/stable-data synth data/embedded
 	$(BIN)/python -m pipelines preprocess --data data/embedded --out runs/demo
-	@echo "open runs/demo/report/index.html"
+	$(BIN)/python -m pipelines generate --count 50 --out runs/demo-scenes --set num_pictures=50 --set scenes_per_shard=25 || [ $$? -eq 1 ]
+	@echo "open runs/demo/report/index.html, runs/demo-scenes/report/index.html and its contact_sheet.png"
 
 test: $(READY) ## Run the tests, the slow ones left out (what CI runs)
 	$(BIN)/python -m pytest
@@ -58,6 +60,9 @@ correct: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA=<f
 
 edit: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA=<folder of scenes, or a run> EDITS=<file of edits> OUT=<folder> ENGINE=<embedded, transformers:FOLDER, openai:MODEL, …> to changed scenes
 	$(BIN)/python -m pipelines edit --scenes $(DATA) --edits $(EDITS) --out $(if $(filter runs/preprocess,$(OUT)),runs/edit,$(OUT)) $(if $(ENGINE),--engine $(ENGINE))
+
+generate: $(READY) ## COUNT=<how many, drawn> or TASKS=<file of instructions and tables>, ASSETS=<library> ENGINE=<as for edit> OUT=<folder> to simulation-ready scenes
+	$(BIN)/python -m pipelines generate $(if $(TASKS),--tasks $(TASKS),--count $(COUNT)) --out $(if $(filter runs/preprocess,$(OUT)),runs/generate,$(OUT)) $(if $(ASSETS),--assets $(ASSETS)) $(if $(ENGINE),--engine $(ENGINE))
 
 train: preprocess ## Point encoder, corrector and reasoner on the tables in OUT (hours on a CPU): runs/encoder, runs/corrector, runs/near, runs/reasoner
 	$(BIN)/python -m models.point_encoder.pretrain --out runs/encoder

@@ -34,6 +34,13 @@ NumWorkers = Annotated[
     int,
     typer.Option(help="Worker processes on a local Ray, or shards at once with --address; -1 is one a core; 0 this process."),
 ]
+Assets = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="A folder in the MesaTask-10K format, or a run, to take assets from; may be repeated: the first that has a match "
+        "serves. By default the embedded world's library, which is made where it is missing."
+    ),
+]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")]
 Minutes = Annotated[float, typer.Option(help="Stop after so long and keep the checkpoint; run again to go on. 0 is no limit.")]
 Trainers = Annotated[
@@ -202,13 +209,7 @@ def propose(
             "restricted_zone_cm."
         ),
     ] = None,
-    assets: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="A folder in the MesaTask-10K format, or a run, to take assets from; may be repeated: the first that has a match "
-            "serves. By default the embedded world's library, which is made where it is missing."
-        ),
-    ] = None,
+    assets: Assets = None,
     engine: Annotated[
         str | None,
         typer.Option(help="embedded, transformers:FOLDER, vllm:FOLDER, openai:MODEL or scripted:FILE; stronger than the file."),
@@ -239,6 +240,77 @@ def propose(
     typer.echo(
         f"{out}: {counts['scenes']} of {manifest['num_tasks']} tasks laid out, {counts['warnings']} warnings, "
         f"{counts['failures']} failures{f' ({failed})' if failed else ''}; dataset/, proposals.jsonl, report/index.html"
+    )
+    if counts["failures"]:
+        raise typer.Exit(SOME_FAILED)
+
+
+@app.command()
+@with_clear_errors
+def generate(
+    out: RunOut,
+    tasks: Annotated[
+        Path | None,
+        typer.Option(
+            help="Tasks: .jsonl, .csv or .parquet with instruction, table_type, table_size_cm and, if wanted, scene_id and "
+            "restricted_zone_cm."
+        ),
+    ] = None,
+    scenes: Annotated[
+        str | None, typer.Option(help="Take the tasks of these scenes: a run, or a folder in the MesaTask-10K format.")
+    ] = None,
+    where: Annotated[str, typer.Option(help="Which scenes of a run, such as \"split == 'test'\".")] = "",
+    count: Annotated[int | None, typer.Option(help="Draw so many tasks of the embedded world.")] = None,
+    table: Annotated[
+        list[str] | None, typer.Option(help="Kind of table to draw; may be repeated. All kinds by default.")
+    ] = None,
+    assets: Assets = None,
+    engine: Annotated[
+        str | None,
+        typer.Option(help="embedded, transformers:FOLDER, vllm:FOLDER, openai:MODEL or scripted:FILE; stronger than the file."),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Of tasks, draws and choices; stronger than the file.")] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table generate is read.")] = None,
+    set_: Settings = None,
+    workers: NumWorkers = -1,
+    address: Address = None,
+    dry_run: DryRun = False,
+) -> None:
+    """Make simulation-ready scenes: the two systems in turns, every scene proven clean and settled. Run again to go on.
+
+    Accepted scenes are in the table scenes, what was made and not accepted in rejected, every turn of the two systems in turns, the
+    assets in assets and meshes. Status 0: done. 1: some tasks have no accepted scene; the table failures says which and why. 2: could
+    not start.
+    """
+    from pipelines.generate import describe_generation
+    from pipelines.generate import generate as run
+    from pipelines.generate_settings import GenerateSettings
+    from pipelines.generate_tasks import of_file, of_scenes, sampled
+    from pipelines.runner import Workers
+    from pipelines.settings import resolve
+
+    if sum(source is not None for source in (tasks, scenes, count)) != 1:
+        raise ConfigError("expected one of --tasks FILE, --scenes DATA and --count N", "usage")
+    if (where and scenes is None) or (table and count is None):
+        raise ConfigError("--where belongs to --scenes, --table to --count; leave it out, or name those", "usage")
+    workers = _count(workers, address)
+    asked = [f"engine.engine={json.dumps(engine)}"] * (engine is not None) + [f"seed={seed}"] * (seed is not None)
+    settings = resolve(GenerateSettings, "generate", config, [*(set_ or []), *asked])
+    if tasks is not None:
+        found = of_file(tasks)
+    elif scenes is not None:
+        found = of_scenes(scenes, where)
+    else:
+        found = sampled(count or 0, settings.seed, table or ())
+    if dry_run:
+        typer.echo(json.dumps(describe_generation(found, settings, assets or ()), indent=2))
+        return
+    manifest = run(found, out, settings, Workers(workers, address), assets or ())
+    counts = manifest["counts"]
+    failed = ", ".join(f"{code} {n}" for code, n in counts["failures_by_code"].items())
+    typer.echo(
+        f"{out}: {counts['scenes']} of {manifest['num_tasks']} scenes accepted, {counts['assets']} assets, {counts['warnings']} "
+        f"warnings, {counts['failures']} failures{f' ({failed})' if failed else ''}; report/index.html, report/contact_sheet.png"
     )
     if counts["failures"]:
         raise typer.Exit(SOME_FAILED)

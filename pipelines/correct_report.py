@@ -2,17 +2,16 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 from html import escape
 from typing import Any
 
 import polars as pl
 import pyarrow.compute as pc
 
-from pipelines.page import bars, head, histogram, image_uri, notices, page, table, tiles
+from pipelines.page import bars, head, histogram, notices, page, table, tiles
+from pipelines.pictures import Shown, drawn, figures
 from stable_data.assets import AssetStore
-from stable_data.errors import ConfigError
-from stable_data.mesh import Mesh
-from stable_data.render import render_scene
 from stable_data.scene import Scene
 from stable_data.shards import RunFolder
 from stable_data.tables import scene_from_row
@@ -96,22 +95,14 @@ def _pictures(folder: RunFolder, corrections: pl.DataFrame, store: AssetStore, c
     chosen = worst_first.sort(["n", "scene_id"], descending=[True, False])["scene_id"].to_list()[:count]
     starts = {row["scene_id"]: row["start"] for row in done.filter(pl.col("scene_id").is_in(chosen)).iter_rows(named=True)}
     rows = {row["scene_id"]: row for row in folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()}
-    yield "<h2>Pictures</h2><p class=note>Left before, right corrected.</p><div class=grid>"
-    for scene_id in chosen:
-        name = escape(scene_id)
-        try:
-            after = scene_from_row(rows[scene_id])
-            pictures = [(_before(after, starts[scene_id]), "before"), (after, "corrected")]
-            images = [(drawn(scene, store), title) for scene, title in pictures]
-        except ConfigError as error:  # this machine draws nothing at all
-            yield f'</div><p class="note">{escape(str(error))}</p>'
-            return
-        except Exception as error:  # noqa: BLE001 - a scene that cannot be drawn is no reason to be without the page
-            yield f'<p class="note">{name} cannot be drawn: {escape(f"{type(error).__name__}: {error}")}</p>'
-            continue
-        for picture, title in images:
-            yield f'<figure><img alt="{name} {title}" src="{image_uri(picture)}"><figcaption><b>{name}</b> {title}</figcaption></figure>'
-    yield "</div>"
+    yield "<h2>Pictures</h2><p class=note>Left before, right corrected.</p>"
+    yield from figures((name, partial(_shown, rows[name], starts[name], store)) for name in chosen)
+
+
+def _shown(row: dict[str, Any], start: list[dict[str, Any]], store: AssetStore) -> Shown:
+    after = scene_from_row(row)
+    both = ((_before(after, start), "before"), (after, "corrected"))
+    return [(drawn(scene, store), f"<b>{escape(after.scene_id)}</b> {title}") for scene, title in both]
 
 
 def _before(after: Scene, start: list[dict[str, Any]]) -> Scene:
@@ -119,12 +110,6 @@ def _before(after: Scene, start: list[dict[str, Any]]) -> Scene:
     poses = {row["instance"]: row for row in start}
     objects = (o.moved(tuple(poses[o.instance]["position"]), poses[o.instance]["yaw"]) for o in after.objects)
     return replace(after, objects=tuple(objects))
-
-
-def drawn(scene: Scene, store: AssetStore) -> Any:
-    """A picture of a scene, (H, W, 3) uint8."""
-    shapes, _ = store.shapes(scene)
-    return render_scene(scene, [Mesh(s.vertices, s.faces) if s.is_exact else None for s in shapes])
 
 
 def _share(values: pl.Series) -> str:

@@ -1,16 +1,16 @@
 """The report page of an edit run: what was asked, what was done, and pictures before and after."""
 
 from collections.abc import Iterable
+from functools import partial
 from html import escape
 from typing import Any
 
 import polars as pl
 import pyarrow.compute as pc
 
-from pipelines.correct_report import drawn
-from pipelines.page import bars, head, histogram, image_uri, notices, page, table, tiles
+from pipelines.page import bars, head, histogram, notices, page, tiles
+from pipelines.pictures import Shown, drawn, figures
 from stable_data.assets import AssetStore
-from stable_data.errors import ConfigError
 from stable_data.scene import Scene
 from stable_data.shards import RunFolder
 from stable_data.tables import Row, object_from_row, scene_from_row
@@ -62,22 +62,16 @@ def _pictures(folder: RunFolder, edits: list[Row], store: AssetStore, count: int
     befores = {row["edit_id"]: row for row in folder.table("edits", where=pc.field("edit_id").isin(chosen)).to_pylist()}
     afters = {row["scene_id"]: row for row in folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()}
     yield "<h2>Pictures</h2><p class=note>Left before, right after.</p>"
-    for edit_id in chosen:
-        was, now = befores[edit_id], scene_from_row(afters[edit_id])
-        name = escape(edit_id)
-        try:
-            pictures = [(drawn(scene, store), title) for scene, title in ((_before(was, now), "before"), (now, "after"))]
-        except ConfigError as error:  # this machine draws nothing at all
-            yield f'<p class="note">{escape(str(error))}</p>'
-            return
-        except Exception as error:  # noqa: BLE001 - a scene that cannot be drawn is no reason to be without the page
-            yield f'<p class="note">{name} cannot be drawn: {escape(f"{type(error).__name__}: {error}")}</p>'
-            continue
-        yield f"<h3>{escape(was['instruction'])}</h3><div class=grid>"
-        for picture, title in pictures:
-            yield f'<figure><img alt="{name} {title}" src="{image_uri(picture)}">'
-            yield f"<figcaption><b>{name}</b> {title}</figcaption></figure>"
-        yield "</div>" + table(("", ""), [("goes", ", ".join(was["removed"])), ("new or changed", _names(was))])
+    yield from figures((name, partial(_shown, befores[name], afters[name], store)) for name in chosen)
+
+
+def _shown(was: Row, row: Row, store: AssetStore) -> Shown:
+    now, name = scene_from_row(row), escape(was["edit_id"])
+    goes = f"<br>goes: {escape(', '.join(was['removed']))}" if was["removed"] else ""
+    return [
+        (drawn(_before(was, now), store), f"<b>{name}</b> before<br>{escape(was['instruction'])}"),
+        (drawn(now, store), f"<b>{name}</b> after{goes}<br>new or changed: {escape(_names(was))}"),
+    ]
 
 
 def _in_turn(edits: list[Row]) -> list[Row]:

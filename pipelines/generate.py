@@ -1,42 +1,40 @@
 """Generate: tasks become simulation-ready scenes, by Algorithm 1, in this process or on a Ray cluster."""
 
-import itertools
-from collections.abc import Iterator, Sequence
+import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 from models.physics_corrector.learned import load_flow, weights_fingerprint
 from models.semantic_reasoner.assembly import shaping_of_proposals
-from models.semantic_reasoner.staged import LayoutTask
 from pipelines.asset_shelf import AssetShelf
 from pipelines.correct import OF_DATASET, write_notices
+from pipelines.generate_assets import CarryWork, asset_shards
+from pipelines.generate_report import write_generate_report
 from pipelines.generate_settings import GenerateSettings
 from pipelines.generate_step import GenerateWork
+from pipelines.generate_tasks import Task, Tasks
 from pipelines.job import check_resume, check_shards, count_items, count_rows, new_manifest, run_missing, write_manifest
+from pipelines.plan import groups
 from pipelines.runner import Workers
 from pipelines.scene_work import SceneShard
-from stable_data.errors import ConfigError, Notice
 from stable_data.shards import RunFolder, content_id
 
 
 def generate(
-    tasks: Sequence[LayoutTask | Notice],
-    out: str,
-    settings: GenerateSettings,
-    workers: Workers,
-    assets: Sequence[str] = (),
-    name: str = "tasks",
+    tasks: Tasks, out: str, settings: GenerateSettings, workers: Workers, assets: Sequence[str] = (), *, report: bool = True
 ) -> dict[str, Any]:
     """Runs the job, or what is missing of it.
 
     Args:
-        tasks: What is to be laid out, and what could not be read as that.
+        tasks: What is asked for.
         out: Local folder that every worker can write, or object-store URI.
         settings: What shapes the rows.
         workers: Who runs the shards.
         assets: Where assets are taken from, see :class:`pipelines.asset_shelf.AssetShelf`; every node of a cluster must see them.
-        name: Of where the tasks come from.
+        report: Whether to write the report page and the sheet of pictures.
 
     Returns:
         The manifest: settings, fingerprint, versions and counts.
@@ -44,44 +42,92 @@ def generate(
     Raises:
         ConfigError: The run cannot start or go on; what is in place stays.
     """
-    folder = RunFolder(out)
-    asked = [task for task in tasks if isinstance(task, LayoutTask)]
-    lost = [task for task in tasks if isinstance(task, Notice)]
-    if not asked:
-        raise ConfigError(f"{name}: holds no task that can be used, expected one at least", "tasks_invalid")
-    places = tuple(place if "://" in place else str(Path(place).expanduser().resolve()) for place in assets)
+    folder, places = RunFolder(out), _absolute(assets)
     shelf = AssetShelf(places)
-    weights = weights_fingerprint(settings.weights)
-    load_flow(settings.weights, settings.steps)  # what cannot be used is refused before anything is written
-    inputs = {"tasks": content_id([asdict(task) for task in tasks]), "weights": weights}
-    inputs |= {"reasoner": content_id(shaping_of_proposals(settings.engine, settings.reasoner))}
-    inputs |= {f"assets.{library}": found for library, found in shelf.fingerprints.items()}
-    shaping = settings.shaping()
-    made_of = {key: value for key, value in inputs.items() if key != "tasks"}
+    inputs = _inputs(tasks, settings, shelf)
+    fingerprint, shards = content_id(inputs), _shards(tasks.tasks, settings, inputs)
     with folder.locked():
-        shards = [
-            SceneShard(content_id("generate", shaping, made_of, [asdict(task) for task in part]), part)
-            for part in _parts(asked, settings.scenes_per_shard)
-        ]
-        fingerprint = content_id(inputs)
         manifest = new_manifest(
-            "generate", name, fingerprint, inputs=inputs, settings=asdict(settings) | shaping, num_tasks=len(tasks)
+            "generate",
+            tasks.name,
+            fingerprint,
+            inputs=inputs,
+            settings=asdict(settings) | settings.shaping(),
+            engine=settings.engine.engine,
+            num_tasks=len(tasks.tasks) + len(tasks.lost),
         )
-        check_resume(folder, manifest, shaping)
+        check_resume(folder, manifest, settings.shaping())
+        manifest |= {"work": _former_work(folder)}
         write_manifest(folder, manifest)
-        write_notices(folder, lost, [])
-        work = GenerateWork(folder.root if folder.is_local else out, places, settings, fingerprint)
-        run_missing(folder, shards, lambda _: GenerateWork.TABLES, work, workers, "generate", "scene")
-        ids = {shard.shard_id for shard in shards}
-        both = ("warnings", "failures")
-        check_shards(folder, {table: ids | {OF_DATASET} if table in both else ids for table in GenerateWork.TABLES})
-        failed = count_items(folder, "scenes", "scene_id", [*(t.scene_id for t in asked), *(n.item_id for n in lost)])
-        manifest |= {"status": "complete", "counts": {**count_rows(folder, GenerateWork.TABLES), "failed_scenes": failed}}
+        write_notices(folder, tasks.lost, [])
+        there, began = folder.shard_ids("scenes"), perf_counter()
+        place = folder.root if folder.is_local else out
+        work = GenerateWork(place, places, settings, fingerprint)
+        run_missing(folder, shards, lambda _: work.TABLES, work, workers, "generate", "scene")
+        if made := sum(len(shard) for shard in shards if shard.shard_id not in there):
+            manifest["work"].append({"seconds": round(perf_counter() - began, 1), "scenes": made})
+        libraries = content_id(shelf.fingerprints)
+        carried = asset_shards(folder, ("scenes", "rejected"), libraries)
+        carry = CarryWork(place, places, libraries, settings.seconds_per_item)
+        run_missing(folder, carried, lambda _: carry.TABLES, carry, workers, "assets", "asset")
+        _check(folder, shards, carried, carry)
+        ids = [*(task.scene_id for task in tasks.tasks), *(notice.item_id for notice in tasks.lost)]
+        failed = count_items(folder, "scenes", "scene_id", ids)
+        names = dict.fromkeys((*work.TABLES, *carry.TABLES))
+        manifest |= {"status": "complete", "counts": {**count_rows(folder, names), "failed_scenes": failed}}
         write_manifest(folder, manifest)
+        if report:
+            write_generate_report(folder, manifest, settings)
     return manifest
 
 
-def _parts(tasks: Sequence[LayoutTask], size: int) -> Iterator[tuple[LayoutTask, ...]]:
-    rest = iter(tasks)
-    while part := tuple(itertools.islice(rest, size)):
-        yield part
+def describe_generation(tasks: Tasks, settings: GenerateSettings, assets: Sequence[str] = ()) -> dict[str, Any]:
+    """What a run would do: settings, inputs and counts, for ``--dry-run``."""
+    inputs = _inputs(tasks, settings, AssetShelf(_absolute(assets)))
+    return {
+        "tasks": tasks.name,
+        "num_tasks": len(tasks.tasks),
+        "num_tasks_lost": len(tasks.lost),
+        "num_shards": len(_shards(tasks.tasks, settings, inputs)),
+        "inputs": inputs,
+        "settings": asdict(settings),
+    }
+
+
+def _absolute(assets: Sequence[str]) -> tuple[str, ...]:
+    return tuple(place if "://" in place else str(Path(place).expanduser().resolve()) for place in assets)
+
+
+def _inputs(tasks: Tasks, settings: GenerateSettings, shelf: AssetShelf) -> dict[str, Any]:
+    """Content of all inputs by their kind; what cannot be used is refused here, before anything is written."""
+    load_flow(settings.weights, settings.steps)
+    return {
+        "tasks": content_id([asdict(task) for task in tasks.tasks], [asdict(notice) for notice in tasks.lost]),
+        "weights": weights_fingerprint(settings.weights),
+        "reasoner": content_id(shaping_of_proposals(settings.engine, settings.reasoner)),
+        **{f"assets.{library}": found for library, found in shelf.fingerprints.items()},
+    }
+
+
+def _shards(tasks: Sequence[Task], settings: GenerateSettings, inputs: dict[str, Any]) -> list[SceneShard[Task]]:
+    """Tasks in shards, named by what shapes their rows; of the other tasks nothing does."""
+    shaping, made_of = settings.shaping(), {key: value for key, value in inputs.items() if key != "tasks"}
+    return [
+        SceneShard(content_id("generate", shaping, made_of, [asdict(task) for task in part]), tuple(part))
+        for part in groups(tasks, settings.scenes_per_shard)
+    ]
+
+
+def _former_work(folder: RunFolder) -> list[dict[str, Any]]:
+    """How long the run was at work before it was stopped, as its manifest has it."""
+    content = folder.read_bytes("manifest.json")
+    return [] if content is None else list(json.loads(content).get("work", []))
+
+
+def _check(folder: RunFolder, shards: Sequence[Any], carried: Sequence[Any], carry: CarryWork) -> None:
+    """Refuses a folder that holds other shards than this run's."""
+    made, assets = {shard.shard_id for shard in shards}, {shard.shard_id for shard in carried}
+    both = ("warnings", "failures")
+    planned = {table: made for table in GenerateWork.TABLES if table not in both}
+    planned |= {table: assets for table in carry.TABLES if table not in both}
+    check_shards(folder, planned | {table: made | assets | {OF_DATASET} for table in both})

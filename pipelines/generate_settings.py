@@ -36,6 +36,7 @@ class GenerateSettings:
         seed: Of draws and choices; a scene's own seed follows from it and from the scene's name.
         scenes_per_shard: Scenes that are made side by side, and kept together.
         num_pictures: Scenes drawn in the report.
+        core_hour_price: What a core costs an hour, for the report's cost of a thousand scenes.
         seconds_per_item: A correction that takes longer is given up; not watched without worker processes.
     """
 
@@ -55,8 +56,9 @@ class GenerateSettings:
     accept: str = "clean and stable"
     keep_settled: bool = False
     seed: int = 0
-    scenes_per_shard: int = 32
+    scenes_per_shard: int = 64
     num_pictures: int = 12
+    core_hour_price: float = 0.0
     seconds_per_item: float = 600.0
 
     def __post_init__(self) -> None:
@@ -94,5 +96,5 @@ class GenerateSettings:
 
     def shaping(self) -> dict[str, Any]:
         """The settings that shape rows beside the reasoner's own: a run is resumed only under the same."""
-        aside = ("engine", "reasoner", "retrieval", "num_pictures", "seconds_per_item")
+        aside = ("engine", "reasoner", "retrieval", "num_pictures", "core_hour_price", "seconds_per_item")
         return {k: v for k, v in asdict(self).items() if k not in aside} | {"retrieval": plain_retrieval(self.retrieval)}

@@ -4,10 +4,12 @@ A shard's rows depend on nothing but the shard: batches form from the order of i
 up in whatever process it runs.
 """
 
+import json
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
+from time import perf_counter
 from typing import ClassVar
 
 from models.dual_system import Generated, Turn, dual_system
@@ -24,6 +26,7 @@ from models.semantic_reasoner.staged import LayoutTask
 from pipelines.asset_shelf import AssetShelf
 from pipelines.generate_answers import Certifying, OwnAnswers, unanswered
 from pipelines.generate_settings import GenerateSettings
+from pipelines.generate_tasks import Task
 from pipelines.job import Rows, rows_or_failure
 from pipelines.progress import Progress
 from pipelines.runner import Loss, alone, limited
@@ -32,7 +35,7 @@ from pipelines.scene_work import SceneShard, notices_of
 from stable_data import tables
 from stable_data.assets import AssetStore
 from stable_data.colliders import bodies_of
-from stable_data.errors import ConfigError, MeshError, Notice
+from stable_data.errors import ConfigError, MeshError, Notice, SceneError
 from stable_data.metrics.alignment import align, reference_of
 from stable_data.metrics.audit import PosedScene, audit_posed
 from stable_data.metrics.card import MetricCard
@@ -45,6 +48,9 @@ from stable_data.shards import RunFolder
 
 SOURCE = "generated"
 """The ``source`` of rows of ``scenes``."""
+
+TIMING_FOLDER = "timing"
+"""In the run's folder: what each shard spent on what, seconds of one process. No table, for it is another each time."""
 
 REJECTED = "rejected"
 """Code of a scene that breaks the rule of acceptance."""
@@ -84,17 +90,20 @@ class GenerateWork:
     settings: GenerateSettings
     fingerprint: str = ""
 
-    def __call__(self, shard: SceneShard[LayoutTask], *, isolated: bool = False) -> tuple[int, int]:
+    def __call__(self, shard: SceneShard[Task], *, isolated: bool = False) -> tuple[int, int]:
         """Makes the scenes of a shard and puts its tables in place; gives how many there are and how many of them failed.
 
         Raises:
             ConfigError: The engine answers nothing any more (``engine_off``).
         """
-        opened = _opened(self)
+        began, opened = perf_counter(), _opened(self)
+        seconds = opened.answers.seconds
+        seconds.update(dict.fromkeys(seconds, 0.0))
         opened.answers.certify = partial(self._certified, isolated=isolated)
         settings, seed = self.settings.loop, self.settings.seed
-        loops = [dual_system(t, named_seed(seed, t.scene_id), settings, opened.statistics) for t in shard.items]
         rows: dict[str, list[tables.Row]] = defaultdict(list)
+        tasks = list(self._tasks(shard, rows))
+        loops = [dual_system(t, named_seed(seed, t.scene_id), settings, opened.statistics) for t in tasks]
         for made in together(loops, opened.answers):
             if made.turns and made.turns[-1].proposal.code in OFF:
                 why = made.turns[-1].proposal.failure
@@ -102,9 +111,19 @@ class GenerateWork:
             for table, found in self._rows(made, isolated).items():
                 rows[table] += found
         folder = RunFolder(self.out)
+        spent = {**seconds, "judge": perf_counter() - began - sum(seconds.values()), "scenes": len(shard)}
+        folder.write_bytes(f"{TIMING_FOLDER}/{shard.shard_id}.json", json.dumps(spent).encode())
         for table in self.TABLES:
             folder.write_shard(table, shard.shard_id, rows[table])
         return len(shard), len(rows["failures"])
+
+    def _tasks(self, shard: SceneShard[Task], rows: dict[str, list[tables.Row]]) -> Iterator[LayoutTask]:
+        """The tasks of a shard; one that cannot be drawn is a failure."""
+        for task in shard.items:
+            try:
+                yield task if isinstance(task, LayoutTask) else task.drawn()
+            except SceneError as error:
+                rows["failures"].append(tables.notice_row(Notice(task.scene_id, "tasks", error.code, str(error))))
 
     def _certified(self, asked: Certifying, *, isolated: bool) -> Correction:
         """One scene certified; in a process of its own where a worker died over its shard."""

@@ -3,6 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from time import perf_counter
 from typing import Any, Protocol, TypeAlias, TypeVar
 
 from tqdm import tqdm
@@ -141,12 +142,17 @@ def run_missing(
     """
     present = {table: folder.shard_ids(table) for table in {t for s in shards for t in tables_of(s)}}
     missing = [s for s in shards if not all(s.shard_id in present[table] for table in tables_of(s))]
-    total, failed = sum(map(len, shards)), 0
+    total, failed, done, began = sum(map(len, shards)), 0, 0, perf_counter()
     with tqdm(total=total, initial=total - sum(map(len, missing)), desc=name, unit=unit) as bar:
-        for size, failures in workers.run(work, missing) if missing else ():
+        for left, (size, failures) in zip(
+            reversed(range(len(missing))), workers.run(work, missing) if missing else (), strict=True
+        ):
             failed += failures
+            done += size
             bar.update(size)
-            bar.set_postfix_str(f"{failed} failed", refresh=False)
+            rate = 60 * done / max(perf_counter() - began, 1e-9)
+            valid = 100 * (done - failed) / max(done, 1)
+            bar.set_postfix_str(f"{rate:.0f} a minute, {valid:.1f} % valid, {left} shards to come", refresh=False)
 
 
 def check_shards(folder: RunFolder, planned: Mapping[str, set[str]]) -> None:

@@ -180,7 +180,7 @@ class Plan:
 
 
 @dataclass
-class _Use:
+class UseCount:
     """How scenes use an asset, being counted."""
 
     scales: list[Vec3] = field(default_factory=list)
@@ -188,6 +188,7 @@ class _Use:
     shapes: dict[tuple[tuple[int, int, int], QuatXyzw], list[float]] = field(default_factory=dict)
 
     def add(self, scale: Vec3 | None, tilt: QuatXyzw) -> None:
+        """Counts an object."""
         key = tilt_key(tilt)  # of tilts that count as one: the first that was seen
         first, count = self.tilts.get(key, (with_one_sign(tilt), 0))
         self.tilts[key] = (first, count + 1)
@@ -197,15 +198,18 @@ class _Use:
                 self.scales.append(scale)
 
     def typical_scale(self) -> Vec3 | None:
+        """The median scale, metres per mesh unit; None where no scale is known."""
         if not self.scales:
             return None
         x, y, z = np.median(np.array(self.scales), axis=0).tolist()
         return x, y, z
 
     def aspects(self) -> set[tuple[int, int, int]]:
+        """Aspects in which it is used, in steps."""
         return {steps for steps, _ in self.shapes}
 
     def most_tilts(self) -> list[tuple[QuatXyzw, int]]:
+        """Tilts with how often, most frequent first."""
         return sorted(self.tilts.values(), key=lambda item: (-item[1], item[0]))[:_MAX_TILTS]
 
     def shape_uses(self) -> tuple[ShapeUse, ...]:
@@ -247,28 +251,28 @@ def plan_run(dataset: MesaTaskDataset, settings: PreprocessSettings, encoder: st
     """
     versions = {"table_version": tables.TABLE_VERSION, "code": stable_data.__version__}
     shaping = settings.shaping() | versions
-    uses: dict[str, _Use] = defaultdict(_Use)
+    uses: dict[str, UseCount] = defaultdict(UseCount)
     used_by_scene: dict[str, list[str]] = {}
     for scene_id in tqdm(dataset.scene_ids, desc="plan", unit="scene", leave=False):
         used_by_scene[scene_id] = _count_uses(dataset, scene_id, uses)
     wanted = sorted(set(uses) | (set(dataset.annotations) if settings.all_assets else set()))
     content = _content(dataset, wanted)
-    asset_uses = [_asset_use(a, content.meshes[a], uses.get(a, _Use())) for a in wanted if a in content.meshes]
+    asset_uses = [_asset_use(a, content.meshes[a], uses.get(a, UseCount())) for a in wanted if a in content.meshes]
     asset_shards = []
-    for uses_of_shard in _groups(asset_uses, settings.assets_per_shard):
+    for uses_of_shard in groups(asset_uses, settings.assets_per_shard):
         of_assets = [(asdict(u), content.annotations[u.asset_id], content.text_features.get(u.asset_id)) for u in uses_of_shard]
         asset_shards.append(Shard(content_id("assets", shaping, of_assets), assets=tuple(uses_of_shard)))
     feature_uses = [
         FeatureUse(a.asset_id, a.mesh_sha256, shapes)
         for a in asset_uses
-        if (shapes := uses.get(a.asset_id, _Use()).shape_uses())
+        if (shapes := uses.get(a.asset_id, UseCount()).shape_uses())
     ]
     feature_shards = [
         Shard(content_id("features", versions, encoder, [asdict(u) for u in of_shard]), features=tuple(of_shard))
-        for of_shard in (_groups(feature_uses, settings.assets_per_shard) if encoder is not None else ())
+        for of_shard in (groups(feature_uses, settings.assets_per_shard) if encoder is not None else ())
     ]
     scene_shards = []
-    for scenes in _groups(list(dataset.scene_ids), settings.scenes_per_shard):
+    for scenes in groups(list(dataset.scene_ids), settings.scenes_per_shard):
         used = sorted({a for scene_id in scenes for a in used_by_scene[scene_id]})
         of_scenes = [content.of_scene(s) for s in scenes], [content.of_asset(a) for a in used]
         scene_shards.append(Shard(content_id("scenes", shaping, dataset.root.name, *of_scenes), scenes=tuple(scenes)))
@@ -302,15 +306,15 @@ def _content(dataset: MesaTaskDataset, wanted: Sequence[str]) -> _Content:
     task_infos = {s: path.with_name("task_info.json") for s, path in layouts.items()}
     features = text_features(dataset.root)
     return _Content(
-        layouts={s: _file_digest(path) for s, path in layouts.items()},
-        task_infos={s: _file_digest(path) if path.is_file() else None for s, path in task_infos.items()},
-        meshes={a: _file_digest(path) for a in wanted if (path := dataset.asset_path(a)) is not None},
+        layouts={s: file_digest(path) for s, path in layouts.items()},
+        task_infos={s: file_digest(path) if path.is_file() else None for s, path in task_infos.items()},
+        meshes={a: file_digest(path) for a in wanted if (path := dataset.asset_path(a)) is not None},
         annotations={a: content_id(dict(dataset.annotation(a).raw)) for a in wanted},
         text_features={a: hashlib.sha256(features[a].tobytes()).hexdigest() for a in wanted if a in features},
     )
 
 
-def _count_uses(dataset: MesaTaskDataset, scene_id: str, uses: dict[str, _Use]) -> list[str]:
+def _count_uses(dataset: MesaTaskDataset, scene_id: str, uses: dict[str, UseCount]) -> list[str]:
     try:
         scene, _ = dataset.read(scene_id)
     except Exception:  # noqa: BLE001 - its own step will say why, whatever it is
@@ -321,7 +325,7 @@ def _count_uses(dataset: MesaTaskDataset, scene_id: str, uses: dict[str, _Use]) 
     return [o.asset_id for o in scene.objects if o.asset_id is not None]
 
 
-def _asset_use(asset_id: str, digest: str, use: _Use) -> AssetUse:
+def _asset_use(asset_id: str, digest: str, use: UseCount) -> AssetUse:
     aspects = tuple(sorted(use.aspects() | {(0, 0, 0)}))
     return AssetUse(asset_id, digest, use.typical_scale(), aspects, tuple(use.most_tilts()))
 
@@ -332,11 +336,12 @@ def _without_mesh(asset_id: str, is_used: bool) -> Notice:
     return Notice(asset_id, "plan", "glb_missing", message)
 
 
-def _groups(items: Sequence[T], size: int) -> Iterator[Sequence[T]]:
+def groups(items: Sequence[T], size: int) -> Iterator[Sequence[T]]:
+    """Items in their order, so many at a time."""
     return (items[start : start + size] for start in range(0, len(items), size))
 
 
-def _file_digest(path: Path) -> str:
+def file_digest(path: Path) -> str:
     """Hash of a file's content; of one that cannot be read, the reason: whoever needs it will report that."""
     try:
         with path.open("rb") as stream:

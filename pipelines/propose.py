@@ -19,8 +19,8 @@ from tqdm import tqdm
 from models.semantic_reasoner.assembly import load_reasoner, shaping_of_proposals
 from models.semantic_reasoner.staged import LayoutTask
 from pipelines.asset_shelf import AssetShelf
-from pipelines.correct_report import drawn
 from pipelines.job import check_resume, check_shards, count_rows, new_manifest, write_manifest
+from pipelines.pictures import drawn
 from pipelines.propose_report import write_propose_report
 from pipelines.propose_settings import ProposeSettings, plain_retrieval
 from pipelines.propose_step import Outcome, Proposer, proposal_rows

@@ -1,6 +1,7 @@
 """The report page of a preprocess run: one HTML file that needs no other, with counts, histograms and pictures."""
 
 from collections.abc import Iterable
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -8,12 +9,10 @@ import numpy as np
 import polars as pl
 import pyarrow.compute as pc
 
-from pipelines.page import bars, head, histogram, image_uri, notices, page, table, tiles
+from pipelines.page import bars, head, histogram, notices, page, table, tiles
+from pipelines.pictures import Shown, drawn, figures
 from stable_data.assets import AssetStore
-from stable_data.errors import ConfigError
-from stable_data.mesh import Mesh
 from stable_data.metrics.summary import summarise
-from stable_data.render import render_scene
 from stable_data.shards import RunFolder
 from stable_data.tables import scene_from_row
 
@@ -117,23 +116,14 @@ def _pictures(folder: RunFolder, scenes: pl.DataFrame, store: AssetStore, count:
     rest = sorted(set(scenes["scene_id"]) - set(worst))
     chosen = [*worst, *rest[:: max(1, len(rest) // (count - len(worst)))]][:count]
     rows = folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()
-    yield "<h2>Pictures</h2><div class=grid>"
-    for row in sorted(rows, key=lambda r: chosen.index(r["scene_id"])):
-        name = escape(row["scene_id"])
-        try:
-            scene = scene_from_row(row)
-            shapes, _ = store.shapes(scene)
-            picture = render_scene(scene, [Mesh(s.vertices, s.faces) if s.is_exact else None for s in shapes])
-        except ConfigError as error:  # this machine draws nothing at all
-            yield f'</div><p class="note">{escape(str(error))}</p>'
-            return
-        except Exception as error:  # noqa: BLE001 - a scene that cannot be drawn is no reason to be without the page
-            yield f'<p class="note">{name} cannot be drawn: {escape(f"{type(error).__name__}: {error}")}</p>'
-            continue
-        verdict = {True: '<span class="good">clean</span>', False: '<span class="bad">not clean</span>', None: "unknown"}[
-            row["clean"]
-        ]
-        task = escape(row["task"]["task"]) if row["task"] else ""
-        caption = f"<figcaption><b>{name}</b> {verdict}<br>{task}</figcaption>"
-        yield f'<figure><img alt="{name}" src="{image_uri(picture)}">{caption}</figure>'
-    yield "</div>"
+    ordered = sorted(rows, key=lambda r: chosen.index(r["scene_id"]))
+    yield "<h2>Pictures</h2>"
+    yield from figures((row["scene_id"], partial(_shown, row, store)) for row in ordered)
+
+
+def _shown(row: dict[str, Any], store: AssetStore) -> Shown:
+    verdict = {True: '<span class="good">clean</span>', False: '<span class="bad">not clean</span>', None: "unknown"}[
+        row["clean"]
+    ]
+    task = escape(row["task"]["task"]) if row["task"] else ""
+    return [(drawn(scene_from_row(row), store), f"<b>{escape(row['scene_id'])}</b> {verdict}<br>{task}")]

@@ -14,7 +14,7 @@ from stable_data.errors import ConfigError
 
 C = TypeVar("C")
 
-SECTIONS = ("preprocess", "correct", "edit", "propose", "train_corrector", "train_reasoner")
+SECTIONS = ("preprocess", "correct", "edit", "propose", "generate", "train_corrector", "train_reasoner")
 """Tables that a file may have: one for each job."""
 
 

@@ -2,12 +2,12 @@
 
 import json
 import shutil
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 from models.semantic_reasoner.engines import EngineSettings
 from models.semantic_reasoner.prompt import WANTED
@@ -16,6 +16,7 @@ from pipelines.asset_shelf import AssetShelf
 from pipelines.generate import generate
 from pipelines.generate_settings import GenerateSettings
 from pipelines.generate_step import GenerateWork
+from pipelines.generate_tasks import Tasks, sampled
 from pipelines.runner import Workers
 from stable_data.assets import AssetStore
 from stable_data.colliders import bodies_of
@@ -25,6 +26,8 @@ from stable_data.metrics.audit import audit_scene
 from stable_data.physics import settle
 from stable_data.scene import Scene, Stage, Tabletop
 from stable_data.shards import RunFolder
+from stable_data.synth.sampling import sampled_task
+from stable_data.table_assets import run_store
 from stable_data.tables import Row, scene_from_row
 from tests.pipelines.runs import content
 from tests.pipelines.scripts import entry
@@ -55,16 +58,18 @@ def settings(shelf: AssetShelf, tmp_path_factory: pytest.TempPathFactory) -> Gen
     }
     path = tmp_path_factory.mktemp("script") / "script.json"
     path.write_text(json.dumps(script))
-    return GenerateSettings(EngineSettings(f"scripted:{path}"), weights="none", scenes_per_shard=2, keep_settled=True)
+    return GenerateSettings(
+        EngineSettings(f"scripted:{path}"), weights="none", scenes_per_shard=2, keep_settled=True, num_pictures=0
+    )
 
 
-def tasks(*words: str) -> list[LayoutTask | Notice]:
-    return [LayoutTask(f"task_{n}", said, DESK) for n, said in enumerate(words)]
+def tasks(*words: str) -> Tasks:
+    return Tasks("tasks", [LayoutTask(f"task_{n}", said, DESK) for n, said in enumerate(words)])
 
 
-MIXED: Sequence[LayoutTask | Notice] = (
-    *tasks("Lift it.", "Say nonsense", "Turn it.", "Lift the elephant", "Take it."),
-    Notice("row_000006", "tasks", "task_invalid", "tasks.jsonl, row 6: no JSON"),
+MIXED = replace(
+    tasks("Lift it.", "Say nonsense", "Turn it.", "Lift the elephant", "Take it."),
+    lost=[Notice("row_000006", "tasks", "task_invalid", "tasks.jsonl, row 6: no JSON")],
 )
 
 
@@ -196,10 +201,9 @@ def test_a_shard_over_which_workers_died_gives_the_same_rows(
 ) -> None:
     from pipelines.scene_work import SceneShard
 
-    asked = [task for task in MIXED if isinstance(task, LayoutTask)]
     for isolated in (False, True):
         work = GenerateWork(str(tmp_path / str(isolated)), (str(dataset),), settings)
-        assert work(SceneShard("0" * 16, tuple(asked[:2])), isolated=isolated) == (2, 1)
+        assert work(SceneShard("0" * 16, tuple(MIXED.tasks[:2])), isolated=isolated) == (2, 1)
     assert content(tmp_path / "True") == content(tmp_path / "False")
 
 
@@ -214,7 +218,7 @@ def test_another_configuration_is_refused(dataset: Path, settings: GenerateSetti
             generate(MIXED, str(out), other, ALONE, [str(dataset)])
         assert caught.value.code == "config_changed"
     with pytest.raises(ConfigError, match=r"inputs.tasks: \w+ -> \w+"):
-        generate(MIXED[1:], str(out), settings, ALONE, [str(dataset)])
+        generate(replace(MIXED, tasks=MIXED.tasks[1:]), str(out), settings, ALONE, [str(dataset)])
     assert content(out) == content(made)
 
 
@@ -242,5 +246,43 @@ def test_settings_that_make_no_sense_are_refused(change: dict[str, Any], message
 
 def test_no_task_at_all_is_refused_before_anything_is_written(settings: GenerateSettings, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="holds no task"):
-        generate([MIXED[-1]], str(tmp_path / "out"), settings, ALONE)
+        generate(Tasks.of("tasks", MIXED.lost), str(tmp_path / "out"), settings, ALONE)
     assert not (tmp_path / "out").exists()
+
+
+def test_the_run_holds_the_assets_that_it_uses(made: Path, shelf: AssetShelf) -> None:
+    """It is looked at and exported without the libraries."""
+    used = {o["asset_id"] for table in ("scenes", "rejected") for row in rows_of(made, table) for o in row["objects"]}
+    assert {row["asset_id"] for row in rows_of(made, "assets")} == {row["asset_id"] for row in rows_of(made, "meshes")} == used
+    store = run_store(str(made))
+    for row in rows_of(made, "scenes"):
+        scene = scene_from_row(row)
+        resolved, shapes, _ = store.resolved(scene)
+        assert audit_scene(resolved, shapes).card().clean
+        assert settle(bodies_of(resolved, shapes, store), resolved.table).stable
+
+
+def test_the_report_tells_of_scenes_time_and_cost(
+    dataset: Path, settings: GenerateSettings, made: Path, tmp_path: Path
+) -> None:
+    out = Path(shutil.copytree(made, tmp_path / "out"))
+    shown = replace(settings, num_pictures=3, core_hour_price=0.05)
+    generate(MIXED, str(out), shown, ALONE, [str(dataset)])
+    page = (out / "report" / "index.html").read_text("utf-8")
+    for said in ("3 / 6", "scenes accepted", "core seconds a scene", "cost a thousand accepted", "reply_unusable", "certify"):
+        assert said in page
+    assert page.count("<img") == 3
+    with Image.open(out / "report" / "contact_sheet.png") as sheet:
+        assert sheet.width > 3 * 384
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert [work["scenes"] for work in manifest["work"]] == [5]  # what was there is not counted again
+
+
+def test_drawn_tasks_are_drawn_where_they_are_needed(dataset: Path, settings: GenerateSettings, tmp_path: Path) -> None:
+    manifest = generate(sampled(3, 1), str(tmp_path), settings, ALONE, [str(dataset)])
+    rows = rows_of(tmp_path, "scenes")
+    assert manifest["counts"]["failed_scenes"] == 3 - len(rows)
+    assert rows
+    for row in rows:
+        number = int(row["scene_id"].rpartition("_")[2])
+        assert row["task"]["task"] == sampled_task(number, 1)[1]

@@ -17,6 +17,7 @@ from pipelines.asset_shelf import AssetShelf
 from pipelines.generate import generate
 from pipelines.generate_settings import GenerateSettings
 from pipelines.generate_step import GenerateWork
+from pipelines.generate_tasks import Tasks
 from pipelines.runner import Workers
 from stable_data.errors import ConfigError
 from stable_data.scene import Tabletop
@@ -92,7 +93,7 @@ def settings(dataset: Path, own_cache: None, tmp_path_factory: pytest.TempPathFa
 @pytest.fixture(scope="module")
 def local(dataset: Path, settings: GenerateSettings, tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     out = str(tmp_path_factory.mktemp("local") / "run")
-    generate(TASKS, out, settings, Workers(), [str(dataset)])
+    generate(Tasks("tasks", TASKS), out, settings, Workers(), [str(dataset)])
     return RunFolder(out)
 
 
@@ -106,7 +107,7 @@ def test_a_store_that_refuses_some_requests_gets_the_same_rows(
 ) -> None:
     refusing, uri = store
     refusing.share = 0.05
-    manifest = generate(TASKS, uri, settings, Workers(), [str(dataset)])
+    manifest = generate(Tasks("tasks", TASKS), uri, settings, Workers(), [str(dataset)])
     assert manifest["counts"]["scenes"] == len(TASKS)
     assert refusing.refused >= 5
     assert_same(RunFolder(uri), local)
@@ -126,7 +127,7 @@ def test_a_store_that_is_gone_ends_the_run_with_one_line_and_what_is_there_stays
 
     monkeypatch.setattr(RunFolder, "write_shard", goes_away)
     with pytest.raises(ConfigError, match=r"cannot be written .*then run again") as caught:
-        generate(TASKS, uri, settings, Workers(), [str(dataset)])
+        generate(Tasks("tasks", TASKS), uri, settings, Workers(), [str(dataset)])
     assert caught.value.code == "output_unwritable"
     assert "\n" not in str(caught.value)
     monkeypatch.undo()
@@ -134,5 +135,5 @@ def test_a_store_that_is_gone_ends_the_run_with_one_line_and_what_is_there_stays
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "test")
     refusing.share = 0.0
     assert len(RunFolder(uri).shard_ids("scenes")) == 1
-    generate(TASKS, uri, settings, Workers(), [str(dataset)])
+    generate(Tasks("tasks", TASKS), uri, settings, Workers(), [str(dataset)])
     assert_same(RunFolder(uri), local)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipelines import report
+from pipelines import pictures
 from pipelines.report import write_report
 from stable_data.assets import AssetStore
 from stable_data.errors import ConfigError
@@ -30,7 +30,7 @@ def drawn(*_: Any) -> Any:
 
 
 def test_the_report_shows_the_scenes_and_the_counts(clean_run: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(report, "render_scene", drawn)
+    monkeypatch.setattr(pictures, "render_scene", drawn)
     text = page(clean_run, dataset, 4)
     assert "<h2>Audit</h2>" in text
     assert "<b>4 / 4</b><span>scenes usable</span>" in text
@@ -52,7 +52,7 @@ def test_a_scene_that_cannot_be_drawn_is_a_note(clean_run: Path, dataset: Path, 
             raise ValueError("too <small>")
         return drawn()
 
-    monkeypatch.setattr(report, "render_scene", draw)
+    monkeypatch.setattr(pictures, "render_scene", draw)
     text = page(clean_run, dataset, 4)
     assert f"{first} cannot be drawn: ValueError: too &lt;small&gt;" in text
     assert all(f"<figcaption><b>{name}</b>" in text for name in others)
@@ -62,5 +62,5 @@ def test_a_machine_that_cannot_draw_is_said_once(clean_run: Path, dataset: Path,
     def draw(*_: Any) -> Any:
         raise ConfigError("no picture: OpenGL does not start", "no_gl")
 
-    monkeypatch.setattr(report, "render_scene", draw)
+    monkeypatch.setattr(pictures, "render_scene", draw)
     assert page(clean_run, dataset, 4).count("OpenGL does not start") == 1

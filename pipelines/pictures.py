@@ -1,0 +1,42 @@
+"""Pictures of scenes on a report page; one that cannot be drawn is no reason to be without the page."""
+
+from collections.abc import Callable, Iterable, Sequence
+from html import escape
+from typing import Any, TypeAlias
+
+from pipelines.page import image_uri
+from stable_data.assets import AssetStore
+from stable_data.errors import ConfigError
+from stable_data.mesh import Mesh
+from stable_data.render import render_scene
+from stable_data.scene import Scene
+
+Shown: TypeAlias = Sequence[tuple[Any, str]]
+"""Pictures, (H, W, 3) uint8, each with its caption in HTML."""
+
+
+def drawn(scene: Scene, store: AssetStore) -> Any:
+    """A picture of a scene, (H, W, 3) uint8."""
+    shapes, _ = store.shapes(scene)
+    return render_scene(scene, [Mesh(s.vertices, s.faces) if s.is_exact else None for s in shapes])
+
+
+def figures(scenes: Iterable[tuple[str, Callable[[], Shown]]]) -> Iterable[str]:
+    """A grid of pictures.
+
+    Args:
+        scenes: A scene's name, and what draws its pictures.
+    """
+    yield "<div class=grid>"
+    for name, draw in scenes:
+        try:
+            shown = draw()
+        except ConfigError as error:  # this machine draws nothing at all
+            yield f'</div><p class="note">{escape(str(error))}</p>'
+            return
+        except Exception as error:  # noqa: BLE001 - see the module
+            yield f'<p class="note">{escape(name)} cannot be drawn: {escape(f"{type(error).__name__}: {error}")}</p>'
+            continue
+        for picture, caption in shown:
+            yield f'<figure><img alt="{escape(name)}" src="{image_uri(picture)}"><figcaption>{caption}</figcaption></figure>'
+    yield "</div>"
