@@ -245,21 +245,22 @@ class Disturbed:
             raise RuntimeError(f"{' '.join(self.command)}: ended {course.stops} times by itself: {lines[-1]}")
 
 
-def compared(clean: RunFolder, other: RunFolder, tables: Sequence[str] = GenerateWork.TABLES) -> dict[str, int]:
+def compared(clean: RunFolder, other: RunFolder, tables: Sequence[str] = GenerateWork.TABLES) -> dict[str, Any]:
     """What of a run is not as in another one.
 
     Returns:
         ``rows`` of the clean run; ``lost``, those of them that the other lacks; ``added``, those that it alone has; ``duplicates``,
-        scenes that are more than one row of its scenes and failures; ``tables_that_differ``, in any byte of a column or in order.
+        scenes that are more than one row of its scenes and failures; ``columns_that_differ``, in any value or in their order, as
+        ``table.column``.
     """
-    figures = Counter(rows=0, lost=0, added=0, tables_that_differ=0)
+    figures, differ = Counter(rows=0, lost=0, added=0), []
     for table in tables:
         first, second = clean.table(table), other.table(table)
         was, now = (Counter(map(repr, x.to_pylist())) for x in (first, second))
         figures.update(rows=was.total(), lost=(was - now).total(), added=(now - was).total())
-        figures.update(tables_that_differ=int(not first.equals(second)))
+        differ += [f"{table}.{name}" for name in first.column_names if first[name] != second[name]]
     ends = [*other.table("scenes", ["scene_id"])["scene_id"].to_pylist(), *other.table("failures", ["id"])["id"].to_pylist()]
-    return dict(figures) | {"duplicates": len(ends) - len(set(ends))}
+    return dict(figures) | {"duplicates": len(ends) - len(set(ends)), "columns_that_differ": differ}
 
 
 def tasks_of_world(path: Path, count: int) -> None:
@@ -320,7 +321,7 @@ def show(figures: dict[str, Any]) -> None:
         "rows compared": figures["rows"],
         "rows lost, rows added": f"{figures['lost']}, {figures['added']}",
         "duplicates": figures["duplicates"],
-        "tables that differ": figures["tables_that_differ"],
+        "columns that differ": ", ".join(figures["columns_that_differ"]) or "none",
     }
     for name, value in rows.items():
         print(f"{name:40} {value}")
@@ -343,7 +344,7 @@ def main() -> None:
     show(figures)
     if arguments.json:
         arguments.json.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
-    if any(figures[key] for key in ("lost", "added", "duplicates", "tables_that_differ")):
+    if any(figures[key] for key in ("lost", "added", "duplicates", "columns_that_differ")):
         raise SystemExit(1)
 
 
