@@ -33,6 +33,7 @@ from stable_data.cli import DONE, SOME_FAILED
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.shards import RunFolder
 from stable_data.synth import World, write_world
+from stable_data.tables import SCHEMAS
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -245,8 +246,8 @@ class Disturbed:
             raise RuntimeError(f"{' '.join(self.command)}: ended {course.stops} times by itself: {lines[-1]}")
 
 
-def compared(clean: RunFolder, other: RunFolder, tables: Sequence[str] = GenerateWork.TABLES) -> dict[str, Any]:
-    """What of a run is not as in another one.
+def compared(clean: RunFolder, other: RunFolder) -> dict[str, Any]:
+    """What of a run is not as in one that was left alone, in all tables of that one.
 
     Returns:
         ``rows`` of the clean run; ``lost``, those of them that the other lacks; ``added``, those that it alone has; ``duplicates``,
@@ -254,7 +255,7 @@ def compared(clean: RunFolder, other: RunFolder, tables: Sequence[str] = Generat
         ``table.column``.
     """
     figures, differ = Counter(rows=0, lost=0, added=0), []
-    for table in tables:
+    for table in (table for table in SCHEMAS if clean.files(table)):
         first, second = clean.table(table), other.table(table)
         was, now = (Counter(map(repr, x.to_pylist())) for x in (first, second))
         figures.update(rows=was.total(), lost=(was - now).total(), added=(now - was).total())

@@ -33,10 +33,9 @@ def test_what_is_lost_added_or_twice_is_counted(tmp_path: Path) -> None:
         for number, part in enumerate(shards):
             folder.write_shard("failures", f"0{number}", part)
     clean, same, other = (RunFolder(str(tmp_path / name)) for name in ("clean", "same", "other"))
-    tables = ("scenes", "failures")
-    assert compared(clean, same, tables) == {"rows": 4, "lost": 0, "added": 0, "duplicates": 0, "columns_that_differ": []}
+    assert compared(clean, same) == {"rows": 4, "lost": 0, "added": 0, "duplicates": 0, "columns_that_differ": []}
     found = {"rows": 4, "lost": 1, "added": 1, "duplicates": 1, "columns_that_differ": ["failures.id", "failures.message"]}
-    assert compared(clean, other, tables) == found
+    assert compared(clean, other) == found
 
 
 def test_processes_below_one_are_found() -> None:
