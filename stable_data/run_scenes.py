@@ -126,14 +126,18 @@ def check_tables(run: RunFolder, *, settled: bool = False) -> None:
     Raises:
         ConfigError: ``table_missing``.
     """
-    for table in (*NEEDED, *(("settled",) if settled else ())):
+    for table in NEEDED:
         if not run.files(table):
-            hint = "export it without --settled" if table == "settled" else "preprocess the dataset, or take the run of a job"
             raise ConfigError(
-                f"{run.uri}: the run has no table {table}, expected {', '.join(NEEDED)}"
-                f"{' and settled' if settled else ''}; {hint}",
+                f"{run.uri}: the run has no table {table}, expected {', '.join(NEEDED)}; preprocess the dataset, or take the run of a job",
                 "table_missing",
             )
+    if settled and not (run.files("settled") and run.num_rows("settled")):
+        raise ConfigError(
+            f"{run.uri}: the run keeps no settled poses, expected rows of the table settled; "
+            "generate with --set keep_settled=true, or take the scenes as they are",
+            "table_missing",
+        )
 
 
 def _check_known(run: RunFolder, choice: Choice) -> None:

@@ -121,10 +121,10 @@ def test_settled_poses_come_from_the_table(run: RunFolder) -> None:
 
 
 def test_a_scene_that_was_never_settled_is_a_line(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "run", (falling(),))
-    for path in run.files("settled"):
-        Path(path).unlink()
-    run.write_shard("settled", "0" * 16, [])
+    run = write_run(tmp_path / "run", (EMPTY, falling()))
+    [path] = run.files("settled")
+    Path(path).unlink()
+    run.write_shard("settled", "0" * 16, [{"scene_id": "empty", "poses": []}])
     result = command(run.uri, tmp_path / "out", "--format", "glb", "--settled")
     assert result.exit_code == SOME_FAILED
     assert "not exported: falling: no settled pose of ['0_can_0', '1_mug_0']" in result.stderr
@@ -154,14 +154,16 @@ def test_a_run_without_a_table_is_refused(table: str, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_a_run_that_never_settled_says_so(run: RunFolder, tmp_path: Path) -> None:
+def test_a_run_that_keeps_no_settled_poses_says_so(tmp_path: Path) -> None:
     bare = write_run(tmp_path / "run", (EMPTY,))
-    for path in bare.files("settled"):
-        Path(path).unlink()
-    result = command(bare.uri, tmp_path / "out", "--format", "mjcf", "--settled")
-    assert result.exit_code == NOT_STARTED
-    assert "no table settled" in result.stderr
-    assert "without --settled" in result.stderr
+    [path] = bare.files("settled")
+    Path(path).unlink()
+    for _ in ("no table", "a table without rows"):
+        result = command(bare.uri, tmp_path / "out", "--format", "mjcf", "--settled")
+        assert result.exit_code == NOT_STARTED
+        assert "the run keeps no settled poses" in result.stderr
+        assert "--set keep_settled=true" in result.stderr
+        bare.write_shard("settled", "0" * 16, [])
 
 
 @pytest.mark.parametrize(
