@@ -28,7 +28,7 @@ $(READY): pyproject.toml constraints.txt
 demo: $(READY) ## Fresh machine to 50 generated, certified, settled scenes and a contact sheet: embedded set, preprocess, generate
 	$(BIN)/stable-data synth data/embedded
 	$(BIN)/python -m pipelines preprocess --data data/embedded --out runs/demo
-	$(BIN)/python -m pipelines generate --count 50 --out runs/demo-scenes --set num_pictures=50 --set scenes_per_shard=25 || [ $$? -eq 1 ]
+	$(BIN)/python -m pipelines generate --count 54 --out runs/demo-scenes --set num_pictures=50 --set scenes_per_shard=27 || [ $$? -eq 1 ]
 	@echo "open runs/demo/report/index.html, runs/demo-scenes/report/index.html and its contact_sheet.png"
 
 test: $(READY) ## Run the tests, the slow ones left out (what CI runs)

@@ -1,7 +1,6 @@
 """Who answers the questions of Algorithm 1 in one process: its own reasoner, libraries and corrector."""
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from time import perf_counter
 
@@ -9,10 +8,9 @@ from models.conversation import Conversation
 from models.dual_system import Correct, Propose, Retrieve
 from models.physics_corrector.certify import Status
 from models.physics_corrector.corrector import Correction, PhysicsCorrector
+from models.physics_corrector.leaning import steadied
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
 from stable_data.assets import AssetStore
-from stable_data.colliders import bodies_of
-from stable_data.errors import MeshError
 from stable_data.furnishing import Furnished, furnish
 from stable_data.metrics.audit import audit_scene
 from stable_data.retrieval import Retriever
@@ -106,12 +104,9 @@ class OwnAnswers:
     def certified(self, asked: Certifying) -> Correction:
         """One scene, certified here."""
         scene, shapes, _ = self.store.resolved(asked.scene)
-        bodies = None
         if asked.settles:
-            with suppress(MeshError):  # the scene is judged in the end, and its engine's verdict is then unknown
-                bodies = bodies_of(scene, shapes, self.store)
-        audit = audit_scene(scene, shapes)
-        return self.corrector.certified(scene, shapes, audit, asked.raw, asked.fixed, bodies)
+            return steadied(self.corrector, scene, shapes, asked.raw, asked.fixed, self.store)
+        return self.corrector.certified(scene, shapes, audit_scene(scene, shapes), asked.raw, asked.fixed)
 
 
 def unanswered(asked: Certifying, reason: str) -> Correction:

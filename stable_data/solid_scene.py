@@ -56,7 +56,7 @@ class SolidScene:
             missing = [o.instance for o in scene.objects if o.instance not in rest]
             if missing:
                 raise SceneError(f"{scene.scene_id}: no settled pose of {missing}, expected one an object", "not_settled")
-            scene = replace(scene, objects=tuple(_at_rest(o, store.mesh_of(o), rest[o.instance]) for o in scene.objects))
+            scene = replace(scene, objects=tuple(at_rest(o, store.mesh_of(o), rest[o.instance]) for o in scene.objects))
             shapes = [_shape(o, shape, store) for o, shape in zip(scene.objects, shapes, strict=True)]
         meshes = (store.mesh_of(o) if s.is_exact and o.scale else None for o, s in zip(scene.objects, shapes, strict=True))
         return cls(scene, tuple(shapes), tuple(meshes), store, notices)
@@ -85,7 +85,7 @@ class SolidScene:
         return asset_parts(asset_id, mesh, self.store)
 
 
-def _at_rest(o: SceneObject, mesh: Mesh | None, rest: RestPose) -> SceneObject:
+def at_rest(o: SceneObject, mesh: Mesh | None, rest: RestPose) -> SceneObject:
     """The object where it came to lie: what its rotation is beyond a yaw becomes its tilt, its position the new box's centre."""
     position, quat_xyzw = rest
     yaw, _ = heading(quat_xyzw)

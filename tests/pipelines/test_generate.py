@@ -160,8 +160,8 @@ def test_a_scene_whose_rest_is_unknown_is_not_accepted(
     def refuse(*_: Any) -> Any:
         raise MeshError("nothing solid", "no_collider")
 
-    for module in ("generate_step", "generate_answers"):
-        monkeypatch.setattr(f"pipelines.{module}.bodies_of", refuse)
+    for module in ("pipelines.generate_step", "models.physics_corrector.leaning"):
+        monkeypatch.setattr(f"{module}.bodies_of", refuse)
     generate(tasks("Lift it."), str(tmp_path), settings, ALONE, [str(dataset)])
     (row,) = rows_of(tmp_path, "rejected")
     assert "stable is unknown" in row["reason"]

@@ -205,7 +205,7 @@ class Certifier:
         if rest.stable is None:
             reason = "; ".join(filter(None, (done.reason, f"the engine cannot be asked: {rest.reason}")))
             return replace(done, reason=reason)
-        if not rest.stable:
+        if not rest.stable and self.options.mends:
             if not self.is_laid_out:
                 carried = [choice[0] for choice in carriers_of(self.meshes, self.scene.poses(), {})]
                 self.layout, self.is_laid_out = Layout(self.scene, self.shapes, carried, self.options.fixed), True

@@ -52,6 +52,7 @@ class CertifyOptions:
         clearance: Air between things that stand side by side, metres.
         tries: How many times a body may be put elsewhere to win back a directional relation.
         rounds: How many times the exact check may send the layout back.
+        mends: Whether what the physics engine moves, where it is asked, is put where it stays.
     """
 
     when_full: Literal["drop", "infeasible"] = "drop"
@@ -60,6 +61,7 @@ class CertifyOptions:
     clearance: float = 5e-4
     tries: int = 24
     rounds: int = 8
+    mends: bool = True
 
     def __post_init__(self) -> None:
         """Refuses settings that make no sense."""
