@@ -1,0 +1,79 @@
+"""What does not stay as it was tilted leans as it came to lie; the scene is clean and stays all the same."""
+
+import math
+
+import pytest
+
+from models.physics_corrector.certify import CertifyOptions
+from models.physics_corrector.corrector import Correction, PhysicsCorrector
+from models.physics_corrector.leaning import steadied
+from stable_data.colliders import bodies_of
+from stable_data.metrics.audit import audit_scene
+from stable_data.physics import settle
+from stable_data.scene import QuatXyzw, Scene
+from tests.models.physics_corrector.shapes import scene, store, thing
+
+
+def tilted(degrees: float) -> QuatXyzw:
+    """About the x axis."""
+    return (math.sin(math.radians(degrees) / 2), 0.0, 0.0, math.cos(math.radians(degrees) / 2))
+
+
+def steady(given: Scene, fixed: frozenset[str] = frozenset()) -> Correction:
+    resolved, shapes, _ = store().resolved(given)
+    return steadied(PhysicsCorrector(), resolved, shapes, None, fixed, store())
+
+
+STICK = (0.1, 0.1, 1.4)  # of a cube of 10 cm
+
+IN_A_BOWL = scene(
+    thing("bowl", (0.5, 0.4, 0.04, 0.0)),
+    thing("cube", (0.5, 0.4, 0.09, 0.0), scale=STICK, tilt=tilted(35), support="bowl"),
+)
+
+
+def test_a_stick_in_a_bowl_leans_as_it_comes_to_lie() -> None:
+    done = steady(IN_A_BOWL)
+    assert done.certified is not None
+    assert done.rest is not None
+    assert done.rest.stable
+    stick = done.certified["cube"]
+    assert stick.tilt_quat_xyzw != IN_A_BOWL["cube"].tilt_quat_xyzw
+    resolved, shapes, _ = store().resolved(done.certified)
+    assert resolved["cube"].size == pytest.approx(stick.size)
+    assert audit_scene(resolved, shapes).card().clean
+    verdict = settle(bodies_of(resolved, shapes, store()), resolved.table)
+    assert verdict.stable
+    assert verdict.settle_move_max_mm == done.rest.settle_move_max_mm
+    assert done.card_after is not None
+    start = store().resolved(IN_A_BOWL)[0]
+    moves = [1e3 * math.dist(o.position, start[o.instance].position) for o in done.certified.objects]
+    assert done.card_after.move_max_mm == pytest.approx(max(moves))
+
+
+def test_without_it_the_stick_does_not_stay() -> None:
+    resolved, shapes, _ = store().resolved(IN_A_BOWL)
+    quick = PhysicsCorrector(options=CertifyOptions(mends=False))
+    audit = audit_scene(resolved, shapes)
+    done = quick.certified(resolved, shapes, audit, None, frozenset(), bodies_of(resolved, shapes, store()))
+    assert done.rest is not None
+    assert "cube" in done.rest.unsteady
+
+
+def test_what_stays_is_left_as_it_was() -> None:
+    given = scene(thing("cube", (0.5, 0.4, 0.05, 0.3)), thing("bowl", (0.2, 0.2, 0.04, 0.0)))
+    done = steady(given)
+    assert done.certified == store().resolved(given)[0]
+
+
+def test_what_must_stay_keeps_its_tilt() -> None:
+    done = steady(IN_A_BOWL, frozenset({"bowl", "cube"}))
+    if done.certified is not None:
+        assert done.certified["cube"].tilt_quat_xyzw == IN_A_BOWL["cube"].tilt_quat_xyzw
+
+
+def test_what_topples_is_put_elsewhere_and_not_laid_down() -> None:
+    """A pole on its edge falls flat, which is no way to lean."""
+    given = scene(thing("cube", (0.5, 0.4, 0.2, 0.0), scale=(0.3, 0.3, 4.0), tilt=tilted(8)))
+    done = steady(given)
+    assert done.certified is None or done.certified["cube"].tilt_quat_xyzw == given["cube"].tilt_quat_xyzw
