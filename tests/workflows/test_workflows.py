@@ -180,7 +180,8 @@ def test_the_batch_script_runs_puts_itself_in_the_queue_again_and_goes_on(
     tasks = tmp_path / "tasks.jsonl"
     row = {"instruction": "Put the apple in the bowl.", "table_type": "dining_table", "table_size_cm": [120, 80]}
     tasks.write_text("".join(json.dumps(row) + "\n" for _ in range(6)))
-    job = ["--tasks", str(tasks), "--set", "settle=false", "--set", "accept=clean", "--set", "scenes_per_shard=1", "--out"]
+    settings = ("weights=none", "settle=false", "accept=clean", "scenes_per_shard=1", "num_pictures=0")
+    job = ["--tasks", str(tasks), *(f"--set={setting}" for setting in settings), "--out"]
     out = tmp_path / "out"
     first = slurm(*job, str(out))
     while len(RunFolder(str(out)).shard_ids("scenes")) < 2:
