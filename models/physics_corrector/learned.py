@@ -3,7 +3,6 @@
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +25,8 @@ AUTO, NONE = "auto", "none"
 """Weights: those in the repository; no flow at all."""
 
 _BATCH = 64  # scenes that go through the network together
+_MOST_CODES = 20_000  # of shapes that are kept: 5 MB
+_DIGITS = 6  # of a shape whose largest side is 1, so that one at another scale is the same
 
 
 class LearnedFlow:
@@ -44,7 +45,7 @@ class LearnedFlow:
     def __init__(self, checkpoint: Checkpoint, encoder: PointEncoder | None = None, steps: int = 0) -> None:
         self._checkpoint, self._steps = checkpoint, steps
         self._encoder = encoder if checkpoint.settings.network.num_features else None
-        self._codes: WeakKeyDictionary[Shape, npt.NDArray[np.float32]] = WeakKeyDictionary()
+        self._codes: dict[bytes, npt.NDArray[np.float32]] = {}
         if wanted := checkpoint.settings.network.num_features:
             if wanted != FEATURE_CHANNELS:
                 raise ConfigError(
@@ -95,17 +96,29 @@ class LearnedFlow:
         return found
 
     def _features(self, shapes: Sequence[Sequence[Shape]], num_slots: int) -> Tensor:
-        """Point features of the objects, (B, N, 64) float32; each shape is encoded once."""
-        assert self._encoder is not None
-        new = list(dict.fromkeys(shape for own in shapes for shape in own if shape not in self._codes))
-        if new:
-            clouds = [Cloud.of_shape(shape, self._encoder.preprocessing.num_points) for shape in new]
-            self._codes.update(zip(new, self._encoder.encode(clouds).codes, strict=True))
+        """Point features of the objects, (B, N, 64) float32."""
         features = np.zeros((len(shapes), num_slots, self._checkpoint.settings.network.num_features), np.float32)
         for b, own in enumerate(shapes):
             for n, shape in enumerate(own):
-                features[b, n] = self._codes[shape]
+                features[b, n] = self._code(shape)
         return torch.from_numpy(features)
+
+    def _code(self, shape: Shape) -> npt.NDArray[np.float32]:
+        """The point feature of a shape, encoded once whatever its size.
+
+        Shapes are encoded one by one, for in a batch the last bits depend on what else is in it, and so on what a process has met.
+        """
+        assert self._encoder is not None
+        alike = shape
+        if self._encoder.preprocessing.normalise != "centre":  # what is encoded does not know how large it is
+            alike = Shape(np.round(shape.vertices / shape.size.max(), _DIGITS), shape.faces)
+        key = hashlib.sha256(alike.vertices.tobytes() + alike.faces.tobytes()).digest()
+        if key not in self._codes:
+            if len(self._codes) >= _MOST_CODES:
+                self._codes.pop(next(iter(self._codes)))
+            cloud = Cloud.of_shape(alike, self._encoder.preprocessing.num_points)
+            self._codes[key] = self._encoder.encode([cloud]).codes[0]
+        return self._codes[key]
 
 
 def load_flow(weights: str = AUTO, steps: int = 0) -> LearnedFlow | None:

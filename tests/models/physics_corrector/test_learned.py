@@ -204,3 +204,21 @@ def test_where_the_flow_leaves_no_room_the_layout_itself_decides() -> None:
     done = certified_from(scene, raw, shapes)
     assert done.status is Status.CERTIFIED
     assert not done.dropped
+
+
+def test_a_scene_does_not_depend_on_what_was_met_before(weights: Path) -> None:
+    scenes, shapes = two_scenes()
+    fresh, used = load_flow(str(weights)), load_flow(str(weights))
+    assert fresh is not None
+    assert used is not None
+    used(scenes[1:], shapes[1:], [FREE])
+    assert used(scenes[:1], shapes[:1], [FREE])[0] == fresh(scenes[:1], shapes[:1], [FREE])[0]
+
+
+def test_a_shape_at_another_scale_has_the_same_code(weights: Path) -> None:
+    flow = load_flow(str(weights))
+    assert flow is not None
+    large = Shape(1.37 * CUP.vertices, CUP.faces)
+    assert np.array_equal(flow._code(CUP), flow._code(large))
+    assert len(flow._codes) == 1
+    assert not np.array_equal(flow._code(CUP), flow._code(BOOK))
