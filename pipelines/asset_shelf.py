@@ -11,10 +11,11 @@ from stable_data.asset_library import AssetLibrary, library_of_folder, library_o
 from stable_data.asset_scoring import RetrievalSettings
 from stable_data.mesatask.library import AssetAnnotation, AssetFolder
 from stable_data.mesatask.writing import LAYOUT_FOLDER
+from stable_data.mesh import Mesh
 from stable_data.retrieval import Retriever
 from stable_data.shards import RunFolder, content_id
 from stable_data.synth.library import embedded_library
-from stable_data.table_assets import TableAssets
+from stable_data.table_assets import TableAssets, run_annotations
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,11 +26,13 @@ class _Place:
         library: Its catalogue.
         meshes: Its meshes.
         annotation: What is known of an asset of it.
+        parts: Convex parts that it keeps of an asset; none where it keeps none.
     """
 
     library: AssetLibrary
     meshes: Callable[[str], Path | None]
     annotation: Callable[[str], AssetAnnotation]
+    parts: Callable[[str], tuple[Mesh, ...]] = lambda _: ()
 
 
 class AssetShelf:
@@ -78,6 +81,11 @@ class AssetShelf:
         place = self._of.get(asset_id)
         return None if place is None else place.meshes(asset_id)
 
+    def parts(self, asset_id: str) -> tuple[Mesh, ...]:
+        """The convex parts that a run keeps of its asset; none of other libraries' assets."""
+        place = self._of.get(asset_id)
+        return () if place is None else place.parts(asset_id)
+
     def annotation(self, asset_id: str) -> AssetAnnotation:
         """What is known of an asset of the libraries, its box included."""
         found = self._of[asset_id].annotation(asset_id)
@@ -95,9 +103,8 @@ def _name(place: str) -> str:
 def _opened(place: str, name: str) -> _Place:
     if "://" in place or RunFolder(place).files("assets"):
         run = RunFolder(place)
-        return _Place(
-            library_of_run(run, name), TableAssets(run, mesh_cache()).asset_path, _annotations_of_run(run).__getitem__
-        )
+        kept = TableAssets(run, mesh_cache())
+        return _Place(library_of_run(run, name), kept.asset_path, run_annotations(run).__getitem__, kept.parts)
     root = Path(place).expanduser().resolve()
     shown = FolderSource(root).first_scenes() if (root / LAYOUT_FOLDER).is_dir() else ()
     return _of_folder(root, library_of_folder(root, name, scenes=shown))
@@ -110,21 +117,3 @@ def _embedded() -> _Place:
 def _of_folder(root: Path, library: AssetLibrary) -> _Place:
     folder = AssetFolder(root)
     return _Place(library, folder.path, folder.annotation)
-
-
-def _annotations_of_run(run: RunFolder) -> dict[str, AssetAnnotation]:
-    """What a run's table ``assets`` says, as annotations."""
-    columns = ["asset_id", "category", "description", "caption", "source", "mass", "is_container", "licence"]
-    return {
-        row["asset_id"]: AssetAnnotation(
-            row["asset_id"],
-            row["category"] or "",
-            row["description"] or "",
-            row["caption"] or "",
-            row["source"] or "",
-            row["mass"],
-            row["is_container"],
-            raw={"licence": row["licence"]} if row["licence"] else {},
-        )
-        for row in run.table("assets", columns).to_pylist()
-    }

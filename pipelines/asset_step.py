@@ -128,7 +128,8 @@ def _asset_row(
 
 
 def _mesh_row(asset_id: str, asset: AssetMesh, store: AssetStore) -> tables.Row:
-    parts = convex_parts(asset.mesh, given=store.colliders(asset_id))
+    kept = store.kept_parts(asset_id)
+    parts = convex_parts(asset.mesh, given=kept or store.colliders(asset_id), kept=bool(kept))
     glb = write_glb(asset.mesh)
     return {
         "asset_id": asset_id,

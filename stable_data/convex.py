@@ -73,13 +73,16 @@ class ConvexParts:
         return max(self.overfill_max, self.uncovered_max)
 
 
-def convex_parts(mesh: Mesh, *, given: Sequence[ConvexPart] = (), max_parts: int = 32, tolerance: float = 0.01) -> ConvexParts:
+def convex_parts(
+    mesh: Mesh, *, given: Sequence[ConvexPart] = (), kept: bool = False, max_parts: int = 32, tolerance: float = 0.01
+) -> ConvexParts:
     """Splits a mesh into few convex parts that follow its surface; the same mesh always gives the same parts.
 
     Args:
         mesh: Repaired (``stable_data.repair``), any unit. An open one is a shell of 1 % of its largest extent.
         given: Parts that came with it, in its frame. They are taken where they are convex and true to the tolerance, whatever
             their number.
+        kept: Whether they are taken as they are, bit for bit, for an engine has already been given them.
         max_parts: Budget.
         tolerance: Overfill to stop at, share of the largest extent; a hull that keeps it is taken as it is.
 
@@ -90,9 +93,13 @@ def convex_parts(mesh: Mesh, *, given: Sequence[ConvexPart] = (), max_parts: int
         MeshError: ``convex_failed``: nothing that has a volume could be made of it.
     """
     cutting = _Cutting(mesh, max_parts, tolerance)
-    parts, method = cutting.chosen(given)
+    if kept and given:
+        parts, method = tuple(cutting.in_units(part) for part in given), "given"
+    else:
+        parts, method = cutting.chosen(given)
     distances = [*cutting.overfill(parts), *cutting.uncovered(parts), cutting.overfill((cutting.hull,))[0]]
-    return ConvexParts(cutting.in_frame(parts), method, *(cutting.extent * d for d in distances))
+    own = tuple(given) if kept and given else cutting.in_frame(parts)
+    return ConvexParts(own, method, *(cutting.extent * d for d in distances))
 
 
 def collider_parts(mesh: Mesh, *, given: Sequence[ConvexPart] = ()) -> tuple[ConvexPart, ...]:
@@ -106,7 +113,7 @@ class _Cutting:
 
     def __init__(self, mesh: Mesh, max_parts: int = 32, tolerance: float = 0.01) -> None:
         self.center, self.extent = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2, float(mesh.extents.max())
-        self._unit, self._max_parts, self._tolerance = self._in_units(mesh), max_parts, tolerance
+        self._unit, self._max_parts, self._tolerance = self.in_units(mesh), max_parts, tolerance
         hull = _hull(self._unit.vertices) or _thick_hull(self._unit.vertices, _SHELL)
         if hull is None:
             raise MeshError(f"no hull of a mesh with extents {mesh.extents} has a volume, expected a surface", "convex_failed")
@@ -116,7 +123,7 @@ class _Cutting:
 
     def chosen(self, given: Sequence[ConvexPart]) -> tuple[tuple[Mesh, ...], str]:
         """The parts, in units, and where they come from."""
-        parts = tuple(filter(None, (_hull(self._in_units(part).vertices) for part in given)))
+        parts = tuple(filter(None, (_hull(self.in_units(part).vertices) for part in given)))
         if parts and max(self.overfill(parts)[0], self.uncovered(parts)[0]) <= self._tolerance:
             return parts, "given"
         parts, method = (), ""
@@ -128,7 +135,8 @@ class _Cutting:
         """Parts as the mesh has them."""
         return tuple(Mesh(part.vertices * self.extent + self.center, part.faces) for part in parts)
 
-    def _in_units(self, mesh: Mesh) -> Mesh:
+    def in_units(self, mesh: Mesh) -> Mesh:
+        """A mesh in units of the largest extent."""
         return Mesh((mesh.vertices - self.center) / self.extent, mesh.faces)
 
 

@@ -286,3 +286,12 @@ def test_drawn_tasks_are_drawn_where_they_are_needed(dataset: Path, settings: Ge
     for row in rows:
         number = int(row["scene_id"].rpartition("_")[2])
         assert row["task"]["task"] == sampled_task(number, 1)[1]
+
+
+def test_a_run_serves_as_a_library_and_its_convex_parts_are_kept(
+    settings: GenerateSettings, made: Path, tmp_path: Path
+) -> None:
+    generate(tasks("Lift it."), str(tmp_path), settings, ALONE, [str(made)])
+    assert [row["scene_id"] for row in rows_of(tmp_path, "scenes")] == ["task_0"]
+    before, after = ({row["asset_id"]: row["parts"] for row in rows_of(run, "meshes")} for run in (made, tmp_path))
+    assert after == {asset_id: before[asset_id] for asset_id in after}
