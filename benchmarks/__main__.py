@@ -54,6 +54,10 @@ def main() -> None:
             "edits": ["benchmarks.edits", run, *(["--edits", "4"] if few else [])],
             "reasoner_speed": ["benchmarks.reasoner_speed", run, *(["--scenes", "4", "--rounds", "1"] if few else [])],
             "handwritten": ["benchmarks.handwritten", *(["--cases", "4"] if few else [])],
+            "generation": [
+                "benchmarks.generation",
+                *(["--scenes", "4", "--serial-scenes", "2", "--scripted", "4"] if few else []),
+            ],
             "chaos": ["benchmarks.chaos", *(["--scenes", "16", "--kills", "3", "--per-shard", "2"] if few else [])],
             "synth": ["benchmarks.synth", "--scenes", "20" if few else "200"],
         }

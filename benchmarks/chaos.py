@@ -2,7 +2,7 @@
 
 ``python -m benchmarks.chaos [--scenes 64] [--kills 6] [--seed 0] [--engine embedded] [--per-shard 8] [--json FILE]``: the generate job
 on a Ray cluster of a head and three nodes of one core each, all on this machine, first left alone, then disturbed. Compared are the
-two runs' tables, row for row. The issue's case is ``--scenes 1000 --kills 20 --per-shard 16``.
+two runs' tables, row for row. A long run is ``--scenes 1000 --kills 20 --per-shard 16``.
 
 - A killed driver is started again at once with the same command, as a batch system does with a job that is requeued.
 - A killed worker is one that is busy with a shard.

@@ -37,7 +37,7 @@ from stable_data.assets import AssetStore
 from stable_data.colliders import bodies_of
 from stable_data.errors import ConfigError, MeshError, Notice, SceneError
 from stable_data.metrics.alignment import align, reference_of
-from stable_data.metrics.audit import PosedScene, audit_posed
+from stable_data.metrics.audit import Audit, PosedScene, audit_posed
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.kept import relations_kept
 from stable_data.physics import SettleResult, settle
@@ -158,7 +158,7 @@ class GenerateWork:
         scene, shapes, notices = opened.answers.store.resolved(scene)
         progress.step = "audit"
         posed = PosedScene(scene, shapes)
-        audit = audit_posed(posed)
+        audit = audit_posed(posed) if made.correction is None else made.correction.audit or audit_posed(posed)
         progress.step = "relations"
         containers = {
             o.instance: opened.shelf.annotation(o.asset_id).is_container if o.asset_id else None for o in scene.objects
@@ -168,7 +168,7 @@ class GenerateWork:
         progress.step = "settle"
         rest, why_not = self._settled(made.correction, scene, shapes)
         progress.step = "card"
-        card = _with_movement(with_counts(audit.card(), scene), made.start, scene, posed)
+        card = _with_movement(with_counts(audit.card(), scene), made.start, scene, posed, audit)
         card = _with_alignment(card, seen, containers, opened.statistics)
         if rest is not None:
             card = _with_rest(card, rest)
@@ -230,14 +230,14 @@ def _opened(work: GenerateWork) -> Opened:
 # --- the card -----------------------------------------------------------------------------------------------------------------
 
 
-def _with_movement(card: MetricCard, start: Scene, scene: Scene, posed: PosedScene) -> MetricCard:
+def _with_movement(card: MetricCard, start: Scene, scene: Scene, posed: PosedScene, audit: Audit) -> MetricCard:
     """How far the corrections have moved what was proposed, and what of its relations they have kept."""
     there = {o.instance for o in start.objects}
     if there != {o.instance for o in scene.objects}:
         return card
     order = {o.instance: k for k, o in enumerate(scene.objects)}
     start = replace(start, objects=tuple(sorted(start.objects, key=lambda o: order[o.instance])))
-    kept = relations_kept(start, scene, posed.shapes)
+    kept = relations_kept(start, scene, posed.shapes, audits=(None, audit))
     mean, farthest, turn = movement(start, scene)
     return replace(
         card,

@@ -127,7 +127,7 @@ class PhysicsCorrector:
         done = certified_from(scene, raw, shapes, options, bodies)
         card_after, kept = None, None
         if done.scene is not None and done.audit is not None:
-            kept = relations_kept(scene, done.scene, shapes)
+            kept = relations_kept(scene, done.scene, shapes, audits=(audit, done.audit))
             mean, farthest, turn = movement(scene, done.scene)
             card_after = replace(
                 done.audit.card(),

@@ -13,7 +13,7 @@ from models.physics_corrector.corrector import Correction, Fixed, PhysicsCorrect
 from stable_data.assets import AssetStore
 from stable_data.colliders import bodies_of
 from stable_data.errors import MeshError
-from stable_data.metrics.audit import audit_scene
+from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.metrics.kept import relations_kept
 from stable_data.physics import SettleResult
 from stable_data.scene import Scene
@@ -45,15 +45,16 @@ def steadied(
     except MeshError:
         return corrector.certified(scene, shapes, audit_scene(scene, shapes), raw, fixed)
     quick = replace(corrector, options=replace(corrector.options, mends=False))
-    done = quick.certified(scene, shapes, audit_scene(scene, shapes), raw, fixed, bodies)
+    audit = audit_scene(scene, shapes)
+    done = quick.certified(scene, shapes, audit, raw, fixed, bodies)
     for _ in range(_LEANS):
         leaning = _leaning(done, store, fixed)
-        better = None if leaning is None else _again(quick, done, leaning, fixed, store)
+        better = None if leaning is None else _again(quick, done, audit, leaning, fixed, store)
         if better is None:
             break
         done = better
     if done.certified is not None and done.rest is not None and done.rest.unsteady:
-        done = _again(corrector, done, done.certified, fixed, store) or done
+        done = _again(corrector, done, audit, done.certified, fixed, store) or done
     return done
 
 
@@ -74,7 +75,9 @@ def _leaning(done: Correction, store: AssetStore, fixed: Fixed) -> Scene | None:
     )
 
 
-def _again(corrector: PhysicsCorrector, done: Correction, scene: Scene, fixed: Fixed, store: AssetStore) -> Correction | None:
+def _again(
+    corrector: PhysicsCorrector, done: Correction, before: Audit, scene: Scene, fixed: Fixed, store: AssetStore
+) -> Correction | None:
     """The correction gone on with from a scene, told as one with it; None where no more of it stays then."""
     scene, shapes, _ = store.resolved(scene)
     try:
@@ -87,7 +90,7 @@ def _again(corrector: PhysicsCorrector, done: Correction, scene: Scene, fixed: F
     if _num_unsteady(again.rest) >= _num_unsteady(done.rest):
         return None
     _, shapes_before, _ = store.resolved(done.start)
-    kept = relations_kept(done.start, again.certified, shapes_before, shapes)
+    kept = relations_kept(done.start, again.certified, shapes_before, shapes, audits=(before, again.audit))
     mean, farthest, turn = movement(done.start, again.certified)
     card = replace(
         again.card_after,

@@ -1,17 +1,21 @@
 """Which relations of a scene a correction has kept: columns of the metric card beside movement."""
 
-from collections.abc import Sequence, Set
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
-from stable_data.metrics.audit import PosedScene
+from stable_data.metrics.audit import Audit, PosedScene
 from stable_data.metrics.collision import ROUNDING, TOLERANCE
 from stable_data.relations import direction_of, is_held, relations_of, scene_graph
 from stable_data.scene import TABLE, Relation, RelationKind, Scene
 from stable_data.shape import Shape
 
 _ON_IN = frozenset({RelationKind.ON, RelationKind.IN})
+Stuck: TypeAlias = Callable[[str, str], bool]
+"""Is one of two objects deeper in the other than the audit lets pass? Of boxes that stand in nobody can say."""
+
 _DIRECTIONAL = frozenset({RelationKind.LEFT_OF, RelationKind.RIGHT_OF, RelationKind.IN_FRONT_OF, RelationKind.BEHIND})
 
 
@@ -49,7 +53,12 @@ class RelationsKept:
 
 
 def relations_kept(
-    before: Scene, after: Scene, shapes: Sequence[Shape], shapes_after: Sequence[Shape] | None = None
+    before: Scene,
+    after: Scene,
+    shapes: Sequence[Shape],
+    shapes_after: Sequence[Shape] | None = None,
+    *,
+    audits: tuple[Audit | None, Audit | None] = (None, None),
 ) -> RelationsKept:
     """Compares the scene graphs of a scene before and after.
 
@@ -61,6 +70,7 @@ def relations_kept(
         after: The same without the objects that were dropped, moved.
         shapes: The geometry of the objects of ``before``, in its order.
         shapes_after: That of the objects of ``after``, in its order, where it is another one: what tips over has another tilt.
+        audits: The audits of both, where they are known: what touches what is then not looked at again.
 
     Returns:
         The counts.
@@ -70,7 +80,7 @@ def relations_kept(
     kept = replace(before, objects=tuple(o for o in before.objects if o.instance in there))
     own = [shape[o.instance] for o in kept.objects]
     later = shapes_after or [shape[o.instance] for o in after.objects]
-    graphs = [_relations(kept, own), _relations(after, later)]
+    graphs = [_relations(kept, own, audits[0]), _relations(after, later, audits[1])]
     on_in_before, on_in_after = ({r for r in found if r.kind in _ON_IN and r.target != TABLE} for found in graphs)
     directional = [r for r in graphs[0] if r.kind in _DIRECTIONAL]
     asked = {r for r in before.relations if r.kind in _ON_IN and {r.subject, r.target} <= there}
@@ -85,24 +95,32 @@ def relations_kept(
     )
 
 
-def _relations(scene: Scene, shapes: Sequence[Shape]) -> Set[Relation]:
-    posed = PosedScene(scene, shapes)
-    contacts = {name: posed.supports(k, TOLERANCE) or () for k, name in enumerate(posed.instances)}
+def _relations(scene: Scene, shapes: Sequence[Shape], audit: Audit | None) -> Set[Relation]:
+    contacts, stuck = _touching(scene, shapes) if audit is None else _touching_by(audit, {o.instance for o in scene.objects})
     footprints = {o.instance: s.posed_footprint(p) for o, s, p in zip(scene.objects, shapes, scene.poses(), strict=True)}
-    number = {name: k for k, name in enumerate(posed.instances)}
     found = relations_of(scene_graph(scene, contacts, footprints))
-    return {
-        r
-        for r in found
-        if r.kind not in _ON_IN or r.target == TABLE or not _is_stuck(posed, number[r.subject], number[r.target])
+    return {r for r in found if r.kind not in _ON_IN or r.target == TABLE or not stuck(r.subject, r.target)}
+
+
+def _touching(scene: Scene, shapes: Sequence[Shape]) -> tuple[dict[str, tuple[str, ...]], Stuck]:
+    """What carries each object, and what is stuck."""
+    posed = PosedScene(scene, shapes)
+    number = {name: k for k, name in enumerate(posed.instances)}
+
+    def stuck(one: str, other: str) -> bool:
+        i, j = sorted((number[one], number[other]))
+        return posed.shapes[i].is_exact and posed.shapes[j].is_exact and posed.penetration(i, j) > TOLERANCE + ROUNDING
+
+    return {name: posed.supports(k, TOLERANCE) or () for k, name in enumerate(posed.instances)}, stuck
+
+
+def _touching_by(audit: Audit, there: Set[str]) -> tuple[dict[str, tuple[str, ...]], Stuck]:
+    """The same as an audit has it, of the objects that are there."""
+    deep = {frozenset((p.first, p.second)) for p in audit.pairs if (p.penetration or 0.0) > TOLERANCE + ROUNDING}
+    carried = {
+        o.instance: tuple(s for s in o.supports if s in there or s == TABLE) for o in audit.objects if o.instance in there
     }
-
-
-def _is_stuck(posed: PosedScene, one: int, other: int) -> bool:
-    """Is one of two objects deeper in the other than the audit lets pass? Of boxes that stand in nobody can say."""
-    if not (posed.shapes[one].is_exact and posed.shapes[other].is_exact):
-        return False
-    return posed.penetration(min(one, other), max(one, other)) > TOLERANCE + ROUNDING
+    return carried, lambda one, other: frozenset((one, other)) in deep
 
 
 def _holds(scene: Scene, relation: Relation) -> bool:

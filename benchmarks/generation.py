@@ -1,0 +1,218 @@
+"""What a generated scene takes: end to end, by step, against serial alternation, and what the driver of a cluster has to do.
+
+``python -m benchmarks.generation [--scenes 128] [--serial-scenes 24] [--scripted 100 1000] [--weights auto] [--json FILE]``
+
+Every run is the command ``python -m pipelines generate`` in processes of its own. Its time is that of its shards, with the start of
+Ray and of its workers, which opens models and libraries; assets are cut up and words encoded once a process, so more scenes are faster.
+
+- pipelined: two workers, 64 scenes side by side in each, those that are corrected while others are proposed.
+- serial: Algorithm 1 with M = 1, one scene after the other in one process that has the whole machine.
+- in process, and on Ray with one worker: the same shards on one core; what Ray costs.
+- two plain processes: half of the tasks each, without Ray; what two workers lose.
+- scripted: a reasoner that answers at once, tables of three things: what memory grows with, and what the driver spends.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from models.semantic_reasoner.prompt import WANTED
+from pipelines.asset_shelf import AssetShelf
+from pipelines.generate_step import TIMING_FOLDER
+from stable_data.cli import DONE, SOME_FAILED
+from stable_data.scene import Stage
+from stable_data.shards import RunFolder
+
+_ONE_CORE = {"OMP_NUM_THREADS": "1", "IGL_NUM_THREADS": "1"}
+_SHARDS_OF_A_MILLION = 15_625
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """How a run went.
+
+    Attributes:
+        scenes: How many were asked for.
+        accepted: How many of them are accepted.
+        seconds: Wall time of all shards.
+        steps: Seconds of single processes by what they were spent on, all scenes.
+    """
+
+    scenes: int
+    accepted: int
+    seconds: float
+    steps: dict[str, float]
+
+    @property
+    def a_minute(self) -> float:
+        """Accepted scenes a minute."""
+        return 60 * self.accepted / self.seconds
+
+
+def command(out: Path, *words: str) -> list[str]:
+    """The job's command line."""
+    return [sys.executable, "-m", "pipelines", "generate", "--out", str(out), *words, "--set", "num_pictures=0"]
+
+
+def run(out: Path, *words: str, threads: bool = False, seed: int = 0) -> Course:
+    """One run of the job; its status has to be 0 or 1."""
+    environment = os.environ | ({} if threads else _ONE_CORE)
+    if threads:
+        environment = {key: value for key, value in environment.items() if key not in _ONE_CORE}
+    done = subprocess.run(
+        command(out, *words, "--seed", str(seed)), env=environment, capture_output=True, text=True, check=False
+    )
+    if done.returncode not in (DONE, SOME_FAILED):
+        raise SystemExit(done.stderr.strip()[-2000:])
+    return course_of(out)
+
+
+def course_of(out: Path) -> Course:
+    """How a run went, by its files."""
+    folder = RunFolder(str(out))
+    manifest = json.loads((out / "manifest.json").read_text("utf-8"))
+    steps: Counter[str] = Counter()
+    for path in (out / TIMING_FOLDER).glob("*.json"):
+        steps.update(json.loads(path.read_text("utf-8")))
+    scenes = int(steps.pop("scenes"))
+    return Course(scenes, folder.num_rows("scenes"), sum(w["seconds"] for w in manifest["work"]), dict(steps))
+
+
+def side_by_side(place: Path, halves: Sequence[Sequence[str]]) -> float:
+    """Seconds that the slower of plain processes takes, each with its part."""
+    with ThreadPoolExecutor(len(halves)) as pool:
+        done = pool.map(lambda k: run(place / f"half{k}", *halves[k], seed=k), range(len(halves)))
+        return max(course.seconds for course in done)
+
+
+def scripted(folder: Path) -> Path:
+    """A script for a reasoner that puts the library's first things on every table."""
+    script = {}
+    for stage, asset in zip(Stage, AssetShelf().libraries[0].assets[1:4], strict=True):
+        size = [round(12 * side / max(asset.tilts[0].extents), 1) + 0.1 for side in asset.tilts[0].extents]
+        there = {"description": asset.words, "size": size, "position": [20.0, 20.0, round(size[2] / 2, 1)], "z_rotation": 90}
+        script[WANTED[stage]] = {"objects": [{"instance": f"{asset.category}_0", **there}]}
+    path = folder / "script.json"
+    path.write_text(json.dumps(script), "utf-8")
+    return path
+
+
+def memory_of(place: Path, script: Path, count: int) -> dict[str, float]:
+    """Largest resident memory of a run's process, megabytes, with a reasoner that answers at once; and its seconds."""
+    words = ["--count", str(count), "--workers", "0", "--engine", f"scripted:{script}", "--set", "weights=none"]
+    words += ["--set", "settle=false", "--set", "accept=clean"]
+    began = time.perf_counter()
+    child = subprocess.Popen(command(place / f"scripted{count}", *words), env=os.environ | _ONE_CORE, stderr=subprocess.DEVNULL)
+    _, status, used = os.wait4(child.pid, 0)
+    if os.waitstatus_to_exitcode(status) not in (DONE, SOME_FAILED):
+        raise SystemExit(f"the scripted run of {count} ended with {os.waitstatus_to_exitcode(status)}")
+    return {"scenes": count, "megabytes": used.ru_maxrss / 1024, "seconds": time.perf_counter() - began}
+
+
+def driver_of(place: Path, script: Path, count: int) -> dict[str, float]:
+    """Processor seconds of a run's driver, with a reasoner that answers at once; its workers' are not among them."""
+    words = ["--count", str(count), "--engine", f"scripted:{script}", "--set", "weights=none", "--set", "settle=false"]
+    words += ["--set", "accept=clean", "--workers", "2"]
+    timed = (
+        "import runpy, sys, time; sys.argv = ['pipelines', *sys.argv[1:]]\n"
+        "try: runpy.run_module('pipelines', run_name='__main__')\n"
+        "except SystemExit: pass\n"
+        "print(time.process_time())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", timed, *command(place / f"driver{count}", *words)[3:]],
+        env=os.environ | _ONE_CORE,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return {"scenes": count, "seconds": float(done.stdout.split()[-1])}
+
+
+def listing(place: Path) -> dict[str, float]:
+    """Seconds to list the shards of a million scenes."""
+    folder = place / "million" / "scenes"
+    folder.mkdir(parents=True)
+    for number in range(_SHARDS_OF_A_MILLION):
+        (folder / f"part-{number:016x}.parquet").touch()
+    began = time.perf_counter()
+    found = RunFolder(str(folder.parent)).shard_ids("scenes")
+    assert len(found) == _SHARDS_OF_A_MILLION
+    return {"shards": len(found), "seconds": time.perf_counter() - began}
+
+
+def measure(scenes: int, serial: int, counts: Sequence[int], weights: str) -> dict[str, Any]:
+    """All figures."""
+    with tempfile.TemporaryDirectory(prefix="stable-data-") as name:
+        place, script = Path(name), scripted(Path(name))
+        own = ["--set", f"weights={weights}"]
+
+        def of(label: str, count: int, *words: str, threads: bool = False) -> Course:
+            return run(place / label, "--count", str(count), *own, *words, threads=threads)
+
+        half = str(-(-scenes // 2))
+        pipelined = of("pipelined", scenes, "--workers", "2", "--set", f"scenes_per_shard={half}")
+        alone = of("serial", serial, "--workers", "0", "--set", "scenes_per_shard=1", threads=True)
+        here = of("here", int(half), "--workers", "0", "--set", f"scenes_per_shard={half}")
+        on_ray = of("ray", int(half), "--workers", "1", "--set", f"scenes_per_shard={half}")
+        plain = side_by_side(place, [["--count", half, *own, "--workers", "0", "--set", f"scenes_per_shard={half}"]] * 2)
+        memory = [memory_of(place, script, count) for count in counts]
+        driver = [driver_of(place, script, count) for count in counts]
+        found = {"pipelined": pipelined, "serial": alone, "in process": here, "on Ray": on_ray}
+        return {
+            "courses": {label: asdict(course) for label, course in found.items()},
+            "accepted_a_minute": {label: course.a_minute for label, course in found.items()},
+            "pipelined_to_serial": (pipelined.scenes / pipelined.seconds) / (alone.scenes / alone.seconds),
+            "ray_overhead": on_ray.seconds / here.seconds - 1,
+            "two_workers_to_two_processes": plain / pipelined.seconds,
+            "memory": memory,
+            "driver": driver,
+            "listing": listing(place),
+        }
+
+
+def show(figures: dict[str, Any]) -> Iterable[str]:
+    """The figures as lines."""
+    for label, course in figures["courses"].items():
+        steps = ", ".join(f"{step} {seconds / course['scenes']:.2f}" for step, seconds in course["steps"].items())
+        pace = figures["accepted_a_minute"][label]
+        yield f"{label:12} {course['accepted']} of {course['scenes']} accepted, {pace:.1f} a minute; seconds a scene: {steps}"
+    yield f"pipelined to serial: {figures['pipelined_to_serial']:.2f} times"
+    yield f"Ray's overhead: {100 * figures['ray_overhead']:.1f} %"
+    yield f"two workers, of two plain processes: {100 * figures['two_workers_to_two_processes']:.1f} %"
+    for one in figures["memory"]:
+        yield f"scripted, {one['scenes']} scenes: {one['megabytes']:.0f} MB at most, {one['seconds']:.0f} s"
+    for one in figures["driver"]:
+        yield f"driver, {one['scenes']} scenes: {one['seconds']:.1f} s of its processor"
+    yield f"listing {figures['listing']['shards']} shards: {figures['listing']['seconds']:.2f} s"
+
+
+def main() -> None:
+    """Prints the figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenes", type=int, default=128)
+    parser.add_argument("--serial-scenes", type=int, default=24)
+    parser.add_argument(
+        "--scripted", type=int, nargs="+", default=[100, 1000], help="scenes of the runs whose memory is measured"
+    )
+    parser.add_argument("--weights", default="auto", help="the corrector's")
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    figures = measure(arguments.scenes, arguments.serial_scenes, arguments.scripted, arguments.weights)
+    print("\n".join(show(figures)))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
+
+
+if __name__ == "__main__":
+    main()
