@@ -1,16 +1,20 @@
 """Generate: tasks become simulation-ready scenes, by Algorithm 1, in this process or on a Ray cluster."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence, Set
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+import ray
+
 from models.physics_corrector.learned import load_flow, weights_fingerprint
 from models.semantic_reasoner.assembly import shaping_of_proposals
 from pipelines.asset_shelf import AssetShelf
 from pipelines.correct import OF_DATASET, write_notices
+from pipelines.engine_pool import PooledEngine, engine_pool
 from pipelines.generate_assets import CarryWork, asset_shards
 from pipelines.generate_report import write_generate_report
 from pipelines.generate_settings import GenerateSettings
@@ -18,7 +22,7 @@ from pipelines.generate_step import GenerateWork
 from pipelines.generate_tasks import Task, Tasks
 from pipelines.job import check_resume, check_shards, count_items, count_rows, new_manifest, run_missing, write_manifest
 from pipelines.plan import groups
-from pipelines.runner import Workers
+from pipelines.runner import Workers, connect
 from pipelines.scene_work import SceneShard
 from stable_data.shards import RunFolder, content_id
 
@@ -62,8 +66,9 @@ def generate(
         write_notices(folder, tasks.lost, [])
         there, began = folder.shard_ids("scenes"), perf_counter()
         place = folder.root if folder.is_local else out
-        work = GenerateWork(place, places, settings, fingerprint)
-        run_missing(folder, shards, lambda _: work.TABLES, work, workers, "generate", "scene")
+        with _engines(settings, workers, there, shards) as pool:
+            work = GenerateWork(place, places, settings, fingerprint, pool)
+            run_missing(folder, shards, lambda _: work.TABLES, work, workers, "generate", "scene")
         if made := sum(len(shard) for shard in shards if shard.shard_id not in there):
             manifest["work"].append({"seconds": round(perf_counter() - began, 1), "scenes": made})
         libraries = content_id(shelf.fingerprints)
@@ -79,6 +84,22 @@ def generate(
         if report:
             write_generate_report(folder, manifest, settings)
     return manifest
+
+
+@contextmanager
+def _engines(
+    settings: GenerateSettings, workers: Workers, there: Set[str], shards: Sequence[SceneShard[Task]]
+) -> Iterator[PooledEngine | None]:
+    """The engines that the workers share, as long as there is something to do; None where each has its own."""
+    if not settings.engines or workers.are_this_process or {shard.shard_id for shard in shards} <= there:
+        yield None
+        return
+    started = connect(workers)
+    try:
+        yield engine_pool(settings.engine, settings.engines, settings.engine_gpus)
+    finally:
+        if started:
+            ray.shutdown()
 
 
 def describe_generation(tasks: Tasks, settings: GenerateSettings, assets: Sequence[str] = ()) -> dict[str, Any]:

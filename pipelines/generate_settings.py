@@ -34,6 +34,8 @@ class GenerateSettings:
         accept: Which scenes are accepted, a condition on the columns of ``scenes``; the others are in ``rejected``. Empty: all.
         keep_settled: Whether the poses in which the physics engine left the objects are kept, in the table ``settled``.
         seed: Of draws and choices; a scene's own seed follows from it and from the scene's name.
+        engines: Engines that the workers share, each an actor of Ray; 0: every worker has its own.
+        engine_gpus: GPUs of each of these; may be a part of one.
         scenes_per_shard: Scenes that are made side by side, and kept together.
         num_pictures: Scenes drawn in the report.
         core_hour_price: What a core costs an hour, for the report's cost of a thousand scenes.
@@ -56,6 +58,8 @@ class GenerateSettings:
     accept: str = "clean and stable"
     keep_settled: bool = False
     seed: int = 0
+    engines: int = 0
+    engine_gpus: float = 0.0
     scenes_per_shard: int = 64
     num_pictures: int = 12
     core_hour_price: float = 0.0
@@ -67,6 +71,9 @@ class GenerateSettings:
             found = f"scenes_per_shard is {self.scenes_per_shard}, num_pictures {self.num_pictures}, steps {self.steps}, "
             found += f"seconds_per_item {self.seconds_per_item}"
             raise ConfigError(f"{found}, expected at least 1, 0 and 0, and a positive number", "config_invalid")
+        if self.engines < 0 or not self.engine_gpus >= 0:
+            found = f"engines is {self.engines} and engine_gpus {self.engine_gpus}"
+            raise ConfigError(f"{found}, expected none negative", "config_invalid")
         _ = self.loop, self.accepting
 
     @property
@@ -96,5 +103,7 @@ class GenerateSettings:
 
     def shaping(self) -> dict[str, Any]:
         """The settings that shape rows beside the reasoner's own: a run is resumed only under the same."""
-        aside = ("engine", "reasoner", "retrieval", "num_pictures", "core_hour_price", "seconds_per_item")
-        return {k: v for k, v in asdict(self).items() if k not in aside} | {"retrieval": plain_retrieval(self.retrieval)}
+        aside = ("engine", "reasoner", "num_pictures", "core_hour_price", "engines", "engine_gpus", "seconds_per_item")
+        own = {k: v for k, v in asdict(self).items() if k not in aside}
+        # A shared engine answers batch by batch, which may round otherwise than a worker's own.
+        return own | {"retrieval": plain_retrieval(self.retrieval), "shares_engines": self.engines > 0}

@@ -7,7 +7,7 @@ up in whatever process it runs.
 import json
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from time import perf_counter
 from typing import ClassVar
@@ -24,6 +24,7 @@ from models.semantic_reasoner.prompt import answer
 from models.semantic_reasoner.required import required
 from models.semantic_reasoner.staged import LayoutTask
 from pipelines.asset_shelf import AssetShelf
+from pipelines.engine_pool import PooledEngine
 from pipelines.generate_answers import Certifying, OwnAnswers, unanswered
 from pipelines.generate_settings import GenerateSettings
 from pipelines.generate_tasks import Task
@@ -81,6 +82,7 @@ class GenerateWork:
         assets: Where assets are taken from, see :class:`~pipelines.asset_shelf.AssetShelf`.
         settings: The job's settings.
         fingerprint: Content of the inputs: what a process keeps of one is not used for another in the same place.
+        pool: Engines that are shared; None: a process has its own.
     """
 
     TABLES: ClassVar = ("warnings", "failures", "turns", "settled", "rejected", "scenes")
@@ -89,6 +91,7 @@ class GenerateWork:
     assets: tuple[str, ...]
     settings: GenerateSettings
     fingerprint: str = ""
+    pool: PooledEngine | None = field(default=None, compare=False)
 
     def __call__(self, shard: SceneShard[Task], *, isolated: bool = False) -> tuple[int, int]:
         """Makes the scenes of a shard and puts its tables in place; gives how many there are and how many of them failed.
@@ -219,7 +222,7 @@ def _certify(work: GenerateWork, asked: Certifying) -> Correction:
 def _opened(work: GenerateWork) -> Opened:
     settings = work.settings
     shelf = AssetShelf(work.assets)
-    reasoner, statistics = load_reasoner(settings.engine, settings.reasoner)
+    reasoner, statistics = load_reasoner(settings.engine, settings.reasoner, work.pool)
     corrector = PhysicsCorrector(load_flow(settings.weights, settings.steps), CertifyOptions(), judges_raw=False)
     answers = OwnAnswers(
         reasoner, shelf.retriever(settings.retrieval), corrector, AssetStore(shelf), settings.seed, settings.settle

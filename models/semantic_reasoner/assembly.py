@@ -7,6 +7,7 @@ from typing import Any, Literal
 from models.semantic_reasoner.categories import CategoryStatistics
 from models.semantic_reasoner.checks import CheckSettings, ReplyCheck, form_check
 from models.semantic_reasoner.dialect import dialect_of
+from models.semantic_reasoner.engine import Engine
 from models.semantic_reasoner.engines import EngineSettings, load_engine
 from models.semantic_reasoner.grounding import Grounding
 from models.semantic_reasoner.prompt import PROMPT_VERSION
@@ -53,13 +54,14 @@ class ReasonerSettings:
 
 
 def load_reasoner(
-    engine: EngineSettings, settings: ReasonerSettings | None = None
+    engine: EngineSettings, settings: ReasonerSettings | None = None, loaded: Engine | None = None
 ) -> tuple[SemanticReasoner, CategoryStatistics | None]:
     """A reasoner, and what it knows of categories.
 
     Args:
         engine: Who answers.
         settings: How it is asked.
+        loaded: The engine where it is loaded already, such as in another process.
 
     Raises:
         ConfigError: The engine or the statistics cannot be loaded.
@@ -75,7 +77,7 @@ def load_reasoner(
     asks = check.asks if isinstance(check, ReplyCheck) else None
     dialect = dialect_of(settings.dialect, _text(settings.wording), asks)
     tries = settings.tries_with(engine)
-    return SemanticReasoner(load_engine(engine), check, tries, engine.reads_reasons, grounding, dialect), statistics
+    return SemanticReasoner(loaded or load_engine(engine), check, tries, engine.reads_reasons, grounding, dialect), statistics
 
 
 def _absolute(path: str) -> str:

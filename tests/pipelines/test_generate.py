@@ -196,6 +196,20 @@ def test_ray_gives_the_same_bytes_as_this_process(
     assert content(tmp_path) == content(made)
 
 
+def test_engines_that_workers_share_give_the_same_scenes(
+    dataset: Path, settings: GenerateSettings, made: Path, tmp_path: Path
+) -> None:
+    generate(MIXED, str(tmp_path), replace(settings, engines=1), Workers(2), [str(dataset)])
+    for table in ("scenes", "failures", "turns"):  # in other shards, as other settings
+        assert sorted(map(str, rows_of(tmp_path, table))) == sorted(map(str, rows_of(made, table)))
+
+
+def test_shared_engines_that_cannot_be_loaded_are_said_in_one_line(dataset: Path, tmp_path: Path) -> None:
+    broken = GenerateSettings(EngineSettings("openai:gpt"), weights="none", engines=1)
+    with pytest.raises(ConfigError, match="base_url"):
+        generate(tasks("Lift it."), str(tmp_path), broken, Workers(1), [str(dataset)])
+
+
 def test_a_shard_over_which_workers_died_gives_the_same_rows(
     dataset: Path, settings: GenerateSettings, made: Path, tmp_path: Path
 ) -> None:
