@@ -19,7 +19,7 @@ from models.semantic_reasoner.reasoner import Proposal
 from models.semantic_reasoner.staged import PROGRESSIVE, LayoutTask
 from stable_data.errors import ConfigError, Notice
 from stable_data.furnishing import Furnished
-from stable_data.scene import TABLE, Scene, Stage
+from stable_data.scene import TABLE, RelationKind, Scene, Stage
 from stable_data.seeds import named_seed
 
 STEP = "generate"
@@ -75,7 +75,8 @@ class LoopSettings:
         schedule: What is asked for, in order; ``whole`` alone is the one-shot ablation.
         corrects: When the corrector is asked.
         earlier_move: How far a correction may move what stood there before its stage, metres: 0 holds it, infinity leaves it free.
-        tries: How often a stage is proposed at most where what it proposed found no assets or no place.
+        tries: How often a stage is proposed at most where what it proposed found no assets or no place, or could not stay on or in
+            what the instruction says; at last it is taken without that.
         full: Share of the table that may be covered before no further stage is asked for; 1 asks for all.
     """
 
@@ -177,6 +178,7 @@ class _Scene:
     warnings: list[Notice] = field(default_factory=list)
     correction: Correction | None = None  # that made the scene as it is
     is_at_rest: bool = False  # whether the engine was asked of it
+    missing: int = 0  # how many of the relations that the instruction says it has lost
 
     def __post_init__(self) -> None:
         self.scene = self.start = Scene(self.task.scene_id, self.task.table, ())
@@ -235,6 +237,10 @@ class _Scene:
             done = corrections[-1]
             if done.certified is None:
                 return Turn(wanted, proposal, furnished, corrections, done.reason, str(done.status))
+            if (missing := _missing(done)) > self.missing and attempt + 1 < self.settings.tries:
+                reason = f"{missing} things are not on or in what the instruction says any more"
+                return Turn(wanted, proposal, furnished, corrections, reason, "relation_lost")
+            self.missing = missing
             scene, self.correction, self.is_at_rest = done.certified, done, is_last
         self.warnings += furnished.notices
         self.start = replace(self.start, objects=(*self.start.objects, *found))
@@ -245,6 +251,7 @@ class _Scene:
         self, scene: Scene, earlier: frozenset[str], is_last: bool
     ) -> Generator[Request, Answer, tuple[Correction, ...]]:
         """Corrections of a scene, the last of which counts: what was there before is moved no farther than it may."""
+        scene = _wanting(scene)
         holds = self.settings.earlier_move == 0
         first = yield Correct(scene, earlier if holds else frozenset(), is_last)
         assert isinstance(first, Correction)
@@ -286,3 +293,13 @@ class _Scene:
         scene, correction = (self.scene, self.correction) if failure is None else (None, None)
         warnings = tuple(dict.fromkeys(self.warnings))
         return Generated(self.task, scene, self._start(), tuple(self.turns), correction, failure, warnings)
+
+
+def _missing(done: Correction) -> int:
+    return 0 if done.kept is None else done.kept.asked_missing
+
+
+def _wanting(scene: Scene) -> Scene:
+    """The scene as one whose things are to be on and in what its instruction says they are, wherever they were proposed."""
+    said = () if scene.task is None else scene.task.relations
+    return replace(scene, relations=tuple(r for r in said if r.kind in (RelationKind.ON, RelationKind.IN)))

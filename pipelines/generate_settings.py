@@ -26,7 +26,8 @@ class GenerateSettings:
         schedule: What is asked for, in order, joined by commas: task, important, secondary, or whole (the one-shot ablation).
         corrects: When the corrector is asked: after each stage (``each``, Algorithm 1), once at the ``end``, or ``never``.
         earlier_move: How far a correction may move what stood there before its stage, metres; 0 holds it.
-        tries: How often a stage is proposed at most where what it proposed found no assets or no place.
+        tries: How often a stage is proposed at most where what it proposed found no assets or no place, or could not stay where the
+            instruction says.
         full: Share of the table that may be covered before no further stage is asked for; 1 asks for all.
         weights: The corrector: ``auto`` is the one in the repository, ``none`` certifies alone, else a file.
         steps: Steps of the flow; 0 as its weights say.

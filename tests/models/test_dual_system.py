@@ -10,6 +10,7 @@ from models.dual_system import Correct, Generated, LoopSettings, Propose, Reques
 from models.physics_corrector.certify import CertifyOptions
 from models.physics_corrector.corrector import Correction, PhysicsCorrector
 from models.scheduler import together
+from models.semantic_reasoner.categories import CategoryStatistics
 from models.semantic_reasoner.layout_text import LayoutObject, Reply
 from models.semantic_reasoner.prompt import Wanted
 from models.semantic_reasoner.reasoner import Proposal
@@ -208,3 +209,32 @@ def test_scenes_side_by_side_are_what_they_are_alone() -> None:
     assert answers.batches == [2, 2, 1, 3, 1]  # the one that corrects at the end meets the last stage of the others
     for k, (task, own) in enumerate(zip(tasks, settings, strict=True)):
         assert side_by_side[k].scene == driven(Answers(CROWDED), own, task).scene
+
+
+def holding(name: str, instruction: str) -> Generated:
+    """A scene whose instruction takes a thing out of a bowl."""
+    inside = replace(said(name, 50, 40, 9.0), size_cm=(10.0, 10.0, 10.0))
+    bowl = LayoutObject("bowl_0", "a bowl", (16.0, 16.0, 8.0), (50.0, 40.0, 4.0), 0)
+    answers = Answers(staged([bowl, inside], [], []))
+    task = LayoutTask("scene", instruction, TABLE)
+    statistics = CategoryStatistics.of_names(["ball", "bowl", "plate"])
+    (made,) = together([dual_system(task, 7, LoopSettings(tries=3), statistics)], answers)
+    assert made.scene is not None
+    assert [str(r.kind) for r in made.scene.task.relations] == ["in"]  # type: ignore[union-attr]
+    return made
+
+
+def test_what_the_instruction_says_is_held_on_to() -> None:
+    made = holding("ball_0", "Take the ball out of the bowl.")
+    assert [turn.code for turn in made.turns if turn.wanted is Stage.TASK] == [""]
+    assert made.correction is not None
+    assert made.correction.kept is not None
+    assert made.correction.kept.asked_missing == 0
+
+
+def test_what_cannot_be_where_the_instruction_says_is_asked_for_again_and_at_last_taken() -> None:
+    made = holding("plate_0", "Take the plate out of the bowl.")
+    assert [turn.code for turn in made.turns if turn.wanted is Stage.TASK] == ["relation_lost", "relation_lost", ""]
+    assert made.correction is not None
+    assert made.correction.kept is not None
+    assert made.correction.kept.asked_missing == 1
