@@ -30,7 +30,7 @@ from pipelines.generate_settings import GenerateSettings
 from pipelines.generate_tasks import Task
 from pipelines.job import Rows, rows_or_failure
 from pipelines.progress import Progress
-from pipelines.runner import Loss, alone, limited
+from pipelines.runner import Apart, Loss, limited
 from pipelines.scene_step import Related, SceneSettings, duplicate_group, related, split_of, with_counts
 from pipelines.scene_work import SceneShard, notices_of
 from stable_data import tables
@@ -99,10 +99,14 @@ class GenerateWork:
         Raises:
             ConfigError: The engine answers nothing any more (``engine_off``).
         """
+        with Apart(partial(_prepare, self)) as apart:
+            return self._made(shard, apart if isolated else None)
+
+    def _made(self, shard: SceneShard[Task], apart: Apart | None) -> tuple[int, int]:
         began, opened = perf_counter(), _opened(self)
         seconds = opened.answers.seconds
         seconds.update(dict.fromkeys(seconds, 0.0))
-        opened.answers.certify = partial(self._certified, isolated=isolated)
+        opened.answers.certify = partial(self._certified, apart=apart)
         settings, seed = self.settings.loop, self.settings.seed
         rows: dict[str, list[tables.Row]] = defaultdict(list)
         tasks = list(self._tasks(shard, rows))
@@ -111,7 +115,7 @@ class GenerateWork:
             if made.turns and made.turns[-1].proposal.code in OFF:
                 why = made.turns[-1].proposal.failure
                 raise ConfigError(f"{made.task.scene_id}: {why}; what is done is kept, run again to go on", "engine_off")
-            for table, found in self._rows(made, isolated).items():
+            for table, found in self._rows(made).items():
                 rows[table] += found
         folder = RunFolder(self.out)
         spent = {**seconds, "judge": perf_counter() - began - sum(seconds.values()), "scenes": len(shard)}
@@ -128,18 +132,18 @@ class GenerateWork:
             except SceneError as error:
                 rows["failures"].append(tables.notice_row(Notice(task.scene_id, "tasks", error.code, str(error))))
 
-    def _certified(self, asked: Certifying, *, isolated: bool) -> Correction:
-        """One scene certified; in a process of its own where a worker died over its shard."""
+    def _certified(self, asked: Certifying, *, apart: Apart | None) -> Correction:
+        """One scene certified; in a process of its own where workers died over its shard."""
         seconds = self.settings.seconds_per_item
-        if not isolated:
+        if apart is None:
             with limited(seconds):
                 return _opened(self).answers.certified(asked)
-        found = alone(partial(_certify, self), asked, seconds=seconds, prepare=partial(_prepare, self))
+        found = apart.call(partial(_certify, self), asked, seconds=seconds)
         if isinstance(found, Loss):
             return unanswered(asked, f"the correction {str(found).replace('_', ' ')} ({seconds:g} s are allowed)")
         return found
 
-    def _rows(self, made: Generated, isolated: bool) -> Rows:
+    def _rows(self, made: Generated) -> Rows:
         """All rows of one scene."""
         name = made.task.scene_id
         rows: Rows = {

@@ -267,32 +267,63 @@ class Loss(StrEnum):
     TIMED_OUT = "timed_out"
 
 
+class Apart:
+    """A process of its own for calls that may end it; where one does, the next call has another. Used in a ``with`` statement.
+
+    Args:
+        prepare: Called first in each process, such as to open what the functions need.
+    """
+
+    def __init__(self, prepare: Callable[[], object] | None = None) -> None:
+        self._prepare = prepare or _nothing
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> "Apart":
+        """Starts nothing yet."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Ends the process."""
+        self._end()
+
+    def call(self, function: Callable[..., R], *arguments: object, seconds: float) -> R | Loss:
+        """Calls a function there.
+
+        Args:
+            function: A function that can be pickled.
+            arguments: What it is called with.
+            seconds: How long it may take, once the process is there and prepared.
+
+        Returns:
+            What it returned, or how the process ended: it died twice, or took too long.
+        """
+        for _ in range(2):  # the first death may have come from outside
+            try:
+                if self._pool is None:
+                    self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+                    self._pool.submit(self._prepare).result(timeout=_START_SECONDS)
+                return self._pool.submit(function, *arguments).result(timeout=seconds)
+            except BrokenProcessPool:
+                self._end()
+            except FutureTimeoutError:
+                self._end(kill=True)
+                return Loss.TIMED_OUT
+        return Loss.CRASHED
+
+    def _end(self, *, kill: bool = False) -> None:
+        if self._pool is not None:
+            for process in list(self._pool._processes.values()) if kill else ():
+                process.kill()
+            self._pool.shutdown()
+            self._pool = None
+
+
 def alone(
     function: Callable[..., R], *arguments: object, seconds: float, prepare: Callable[[], object] | None = None
 ) -> R | Loss:
-    """Calls a function in a process of its own.
-
-    Args:
-        function: A function that can be pickled.
-        arguments: What it is called with.
-        seconds: How long it may take, once the process is there and prepared.
-        prepare: Called first, such as to open what the function needs.
-
-    Returns:
-        What it returned, or how the process ended: it died twice, or took too long.
-    """
-    for _ in range(2):  # the first death may have come from outside
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            try:
-                pool.submit(prepare or _nothing).result(timeout=_START_SECONDS)
-                return pool.submit(function, *arguments).result(timeout=seconds)
-            except BrokenProcessPool:
-                continue
-            except FutureTimeoutError:
-                for process in list(pool._processes.values()):
-                    process.kill()
-                return Loss.TIMED_OUT
-    return Loss.CRASHED
+    """Calls a function in a process of its own, see :meth:`Apart.call`."""
+    with Apart(prepare) as apart:
+        return apart.call(function, *arguments, seconds=seconds)
 
 
 def _nothing() -> None:

@@ -14,7 +14,7 @@ import ray
 from tqdm import tqdm
 
 from pipelines import runner
-from pipelines.runner import Loss, Workers, alone, limited
+from pipelines.runner import Apart, Loss, Workers, alone, limited
 from stable_data.errors import ConfigError
 
 
@@ -274,6 +274,16 @@ def test_the_clock_of_an_item_alone_starts_once_it_is_prepared() -> None:
 def test_an_error_of_an_item_alone_comes_back() -> None:
     with pytest.raises(ValueError, match="invalid literal"):
         alone(int, "x", seconds=60)
+
+
+def test_one_process_serves_until_a_call_ends_it() -> None:
+    with Apart() as apart:
+        first, second = (apart.call(os.getpid, seconds=60) for _ in range(2))
+        assert first == second != os.getpid()
+        assert apart.call(os.abort, seconds=60) is Loss.CRASHED
+        assert apart.call(os.getpid, seconds=60) not in (first, os.getpid())
+        assert apart.call(time.sleep, 300, seconds=1) is Loss.TIMED_OUT
+        assert apart.call(abs, -3, seconds=60) == 3
 
 
 def test_time_is_limited_in_workers_alone() -> None:
