@@ -58,6 +58,11 @@ def main() -> None:
                 "benchmarks.generation",
                 *(["--scenes", "4", "--serial-scenes", "2", "--scripted", "4"] if few else []),
             ],
+            "alternation": [
+                "benchmarks.alternation",
+                run,
+                *(["--where", "", "--scenes", "3", "--workers", "0"] if few else []),
+            ],
             "chaos": ["benchmarks.chaos", *(["--scenes", "16", "--kills", "3", "--per-shard", "2"] if few else [])],
             "synth": ["benchmarks.synth", "--scenes", "20" if few else "200"],
         }

@@ -1,0 +1,97 @@
+"""What it gains that the two systems take turns: the same tasks by Algorithm 1, corrected once at the end, never, and asked for at once.
+
+``python -m benchmarks.alternation RUN [--where "split == 'test'"] [--scenes 200] [--workers 2] [--weights auto] [--json FILE]``: RUN
+is a run with tasks. Every scene that was made counts, whether it would be accepted or not.
+
+- OC, float, out: of the finished scenes, exact. AwT, AwS: things and relations that the instruction asks for.
+- rest: share of scenes that MuJoCo leaves where they are. moved: by the corrections, mean of a scene's objects.
+"""
+
+import argparse
+import json
+import tempfile
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from pipelines.generate import generate
+from pipelines.generate_settings import GenerateSettings
+from pipelines.generate_tasks import Tasks, of_scenes
+from pipelines.runner import Workers
+from stable_data.shards import RunFolder
+
+_MEASURES = ("clean", "oc", "float_rate", "out_of_bounds_rate", "stable", "awt", "aws", "num_objects", "move_mean_mm")
+_HEAD = ("clean %", "OC %", "float %", "out %", "rest %", "AwT %", "AwS %", "objects", "moved mm")
+_SHARES = frozenset(_MEASURES) - {"num_objects", "move_mean_mm"}
+
+
+def variants(weights: str) -> dict[str, GenerateSettings]:
+    """Settings of each way."""
+    turns = GenerateSettings(weights=weights, accept="", num_pictures=0)
+    return {
+        "in turns": turns,
+        "at the end": replace(turns, corrects="end"),
+        "never": replace(turns, corrects="never", weights="none"),
+        "at once, then corrected": replace(turns, schedule="whole"),
+        "at once, never corrected": replace(turns, schedule="whole", corrects="never", weights="none"),
+    }
+
+
+def figures_of(folder: RunFolder, num_tasks: int) -> dict[str, Any]:
+    """Means of a run's scenes; None where nothing is known."""
+    frame = pl.from_arrow(folder.table("scenes", _MEASURES))
+    assert isinstance(frame, pl.DataFrame)
+    turns = pl.from_arrow(folder.table("turns", ["dropped"]))
+    assert isinstance(turns, pl.DataFrame)
+    means = frame.select(pl.col(_MEASURES).cast(pl.Float64).mean()).row(0, named=True)
+    return {
+        "tasks": num_tasks,
+        "made": frame.height,
+        "with_relations": int(frame["aws"].is_not_null().sum()),
+        "dropped": int(turns["dropped"].list.len().sum()),
+        **{name: None if mean is None else mean * (100 if name in _SHARES else 1) for name, mean in means.items()},
+    }
+
+
+def measure(tasks: Tasks, workers: Workers, weights: str) -> dict[str, Any]:
+    """The figures of every way."""
+    found = {}
+    for name, settings in variants(weights).items():
+        with tempfile.TemporaryDirectory(prefix="stable-data-") as out:
+            generate(tasks, out, settings, workers, report=False)
+            found[name] = figures_of(RunFolder(out), len(tasks.tasks))
+    return found
+
+
+def show(found: dict[str, Any]) -> Iterable[str]:
+    """The figures as a table."""
+    yield f"{'':26}{'made':>10}" + "".join(f"{head:>10}" for head in _HEAD) + f"{'left out':>10}"
+    for name, one in found.items():
+        values = ("unknown" if one[key] is None else f"{one[key]:.1f}" for key in _MEASURES)
+        yield f"{name:26}{one['made']:>5}/{one['tasks']:<4}" + "".join(f"{v:>10}" for v in values) + f"{one['dropped']:>10}"
+    yield f"AwS of the {max(one['with_relations'] for one in found.values())} scenes whose instructions say where things are"
+
+
+def main() -> None:
+    """Prints the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("run", help="a run with scenes that have tasks")
+    parser.add_argument("--where", default="split == 'test'", help="which of them")
+    parser.add_argument("--scenes", type=int, default=200)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--weights", default="auto", help="the corrector's")
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    tasks = of_scenes(arguments.run, arguments.where)
+    few = replace(tasks, tasks=tasks.tasks[: arguments.scenes])
+    found = measure(few, Workers(arguments.workers), arguments.weights)
+    print("\n".join(show(found)))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(found, indent=2) + "\n", "utf-8")
+
+
+if __name__ == "__main__":
+    main()
