@@ -6,7 +6,7 @@ things and knows neither who answers nor what else is answered with it: :func:`m
 and has their questions answered in batches.
 """
 
-from collections.abc import Generator
+from collections.abc import Generator, Mapping, Set
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
@@ -19,7 +19,8 @@ from models.semantic_reasoner.reasoner import Proposal
 from models.semantic_reasoner.staged import PROGRESSIVE, LayoutTask
 from stable_data.errors import ConfigError, Notice
 from stable_data.furnishing import Furnished
-from stable_data.scene import TABLE, RelationKind, Scene, Stage
+from stable_data.relations import relations_of, scene_graph
+from stable_data.scene import TABLE, Relation, RelationKind, Scene, Stage
 from stable_data.seeds import named_seed
 
 STEP = "generate"
@@ -178,6 +179,7 @@ class _Scene:
     warnings: list[Notice] = field(default_factory=list)
     correction: Correction | None = None  # that made the scene as it is
     is_at_rest: bool = False  # whether the engine was asked of it
+    meant: dict[str, Relation] = field(default_factory=dict)  # what was proposed in another thing, and is to be there
     missing: int = 0  # how many of the relations that the instruction says it has lost
 
     def __post_init__(self) -> None:
@@ -202,7 +204,7 @@ class _Scene:
                     return self._failed(turn.code, message)
                 self._warn("stage_left_out", message)
         if self.settings.corrects != "never" and not self.is_at_rest:
-            done = (yield from self._corrected(self.scene, frozenset(), True))[-1]
+            done = (yield from self._corrected(self.scene, self.meant, frozenset(), True))[-1]
             if done.certified is None:
                 return self._failed(str(done.status), done.reason)
             self.scene, self.correction = done.certified, done
@@ -230,28 +232,30 @@ class _Scene:
         scene = replace(self.scene, objects=(*self.scene.objects, *found))
         if not self.scene.objects:
             scene = with_task(scene, self.task.instruction, proposed, self.statistics)
+        meant = self.meant | _contained(replace(self.scene, objects=(*self.scene.objects, *proposed)), there)
         corrections: tuple[Correction, ...] = ()
         if self.settings.corrects == "each" and (found or is_last):
             is_last = is_last or self._is_full(scene)
-            corrections = yield from self._corrected(scene, frozenset(o.instance for o in self.scene.objects), is_last)
+            corrections = yield from self._corrected(scene, meant, frozenset(o.instance for o in self.scene.objects), is_last)
             done = corrections[-1]
             if done.certified is None:
                 return Turn(wanted, proposal, furnished, corrections, done.reason, str(done.status))
             if (missing := _missing(done)) > self.missing and attempt + 1 < self.settings.tries:
-                reason = f"{missing} things are not on or in what the instruction says any more"
+                reason = f"{missing} things are not on or in what the instruction says"
                 return Turn(wanted, proposal, furnished, corrections, reason, "relation_lost")
             self.missing = missing
             scene, self.correction, self.is_at_rest = done.certified, done, is_last
         self.warnings += furnished.notices
+        self.meant = meant
         self.start = replace(self.start, objects=(*self.start.objects, *found))
         self.scene = scene
         return Turn(wanted, proposal, furnished, corrections)
 
     def _corrected(
-        self, scene: Scene, earlier: frozenset[str], is_last: bool
+        self, scene: Scene, meant: Mapping[str, Relation], earlier: frozenset[str], is_last: bool
     ) -> Generator[Request, Answer, tuple[Correction, ...]]:
         """Corrections of a scene, the last of which counts: what was there before is moved no farther than it may."""
-        scene = _wanting(scene)
+        scene = _wanting(scene, meant)
         holds = self.settings.earlier_move == 0
         first = yield Correct(scene, earlier if holds else frozenset(), is_last)
         assert isinstance(first, Correction)
@@ -296,10 +300,19 @@ class _Scene:
 
 
 def _missing(done: Correction) -> int:
-    return 0 if done.kept is None else done.kept.asked_missing
+    """How many things are not on or in what the instruction says."""
+    said = () if done.start.task is None else done.start.task.relations
+    return 0 if done.kept is None else sum(r in said for r in done.kept.asked_missing)
 
 
-def _wanting(scene: Scene) -> Scene:
-    """The scene as one whose things are to be on and in what its instruction says they are, wherever they were proposed."""
+def _wanting(scene: Scene, meant: Mapping[str, Relation]) -> Scene:
+    """The scene as one whose things are to be where the instruction says, else in what they were meant to be in."""
     said = () if scene.task is None else scene.task.relations
-    return replace(scene, relations=tuple(r for r in said if r.kind in (RelationKind.ON, RelationKind.IN)))
+    wanted = {**meant} | {r.subject: r for r in said if r.kind in (RelationKind.ON, RelationKind.IN)}
+    return replace(scene, relations=tuple(r for r in wanted.values() if r.target in {o.instance for o in scene.objects}))
+
+
+def _contained(scene: Scene, new: Set[str]) -> dict[str, Relation]:
+    """What of the new things a proposal has in others, by their boxes."""
+    graph = scene_graph(scene, {o.instance: (o.support,) for o in scene.objects if o.support is not None})
+    return {r.subject: r for r in relations_of(graph) if r.kind is RelationKind.IN and r.subject in new}

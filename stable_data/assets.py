@@ -30,6 +30,7 @@ from stable_data.shape import Shape
 ASPECT_STEP = math.log(1.05)
 """Aspects are snapped to powers of 1.05, so that assets scaled nearly alike share a grid."""
 
+_GOES_WITH = 8  # what is made of a shape and lives as long, such as its trees, takes so many times its own memory
 _STAND_IN = "a box of its size stands in, and what rests on its mesh is unknown"
 
 K = TypeVar("K", bound=Hashable)
@@ -223,7 +224,7 @@ class AssetStore:
 
     def _scaled(self, asset_id: str, asset: AssetMesh, scale: Vec3, tilt: QuatXyzw) -> Shape:
         key = (asset_id, scale, tilt)
-        return self._shapes.get(key, lambda: Shape.from_mesh(asset.mesh, scale, tilt), lambda s: s.vertices.nbytes)
+        return self._shapes.get(key, lambda: Shape.from_mesh(asset.mesh, scale, tilt), lambda s: _GOES_WITH * s.vertices.nbytes)
 
     def _load(self, asset_id: str) -> AssetMesh | MeshError:
         path = self._source.asset_path(asset_id)

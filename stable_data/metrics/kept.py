@@ -32,7 +32,7 @@ class RelationsKept:
         directional_kept: How many of these still hold.
         asked_broken: ``on`` and ``in`` of the scene's own relations that did not hold before.
         asked_restored: How many of these hold now, likewise.
-        asked_missing: How many of the scene's own relations do not hold now, whether they did before or not.
+        asked_missing: The scene's own relations that do not hold now, whether they did before or not.
     """
 
     on_in_held: int
@@ -41,7 +41,7 @@ class RelationsKept:
     directional_kept: int
     asked_broken: int
     asked_restored: int
-    asked_missing: int
+    asked_missing: tuple[Relation, ...]
 
     @property
     def on_in_share(self) -> float | None:
@@ -94,7 +94,7 @@ def relations_kept(
         directional_kept=sum(_holds(after, r) for r in directional),
         asked_broken=len(broken),
         asked_restored=sum(is_held(on_in_after, r) for r in broken),
-        asked_missing=sum(not is_held(on_in_after, r) for r in asked),
+        asked_missing=tuple(r for r in before.relations if r in asked and not is_held(on_in_after, r)),
     )
 
 

@@ -229,7 +229,7 @@ def test_what_the_instruction_says_is_held_on_to() -> None:
     assert [turn.code for turn in made.turns if turn.wanted is Stage.TASK] == [""]
     assert made.correction is not None
     assert made.correction.kept is not None
-    assert made.correction.kept.asked_missing == 0
+    assert made.correction.kept.asked_missing == ()
 
 
 def test_what_cannot_be_where_the_instruction_says_is_asked_for_again_and_at_last_taken() -> None:
@@ -237,4 +237,4 @@ def test_what_cannot_be_where_the_instruction_says_is_asked_for_again_and_at_las
     assert [turn.code for turn in made.turns if turn.wanted is Stage.TASK] == ["relation_lost", "relation_lost", ""]
     assert made.correction is not None
     assert made.correction.kept is not None
-    assert made.correction.kept.asked_missing == 1
+    assert [r.subject for r in made.correction.kept.asked_missing] == ["plate_0"]
