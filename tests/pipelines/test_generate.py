@@ -204,6 +204,7 @@ def test_engines_that_workers_share_give_the_same_scenes(
         assert sorted(map(str, rows_of(tmp_path, table))) == sorted(map(str, rows_of(made, table)))
 
 
+@pytest.mark.slow
 def test_shared_engines_that_cannot_be_loaded_are_said_in_one_line(dataset: Path, tmp_path: Path) -> None:
     broken = GenerateSettings(EngineSettings("openai:gpt"), weights="none", engines=1)
     with pytest.raises(ConfigError, match="base_url"):
