@@ -179,7 +179,7 @@ class _Scene:
     warnings: list[Notice] = field(default_factory=list)
     correction: Correction | None = None  # that made the scene as it is
     is_at_rest: bool = False  # whether the engine was asked of it
-    meant: dict[str, Relation] = field(default_factory=dict)  # what was proposed in another thing, and is to be there
+    meant: dict[str, Relation] = field(default_factory=dict)  # what was proposed on or in another thing, and is to be there
     missing: int = 0  # how many of the relations that the instruction says it has lost
 
     def __post_init__(self) -> None:
@@ -232,7 +232,7 @@ class _Scene:
         scene = replace(self.scene, objects=(*self.scene.objects, *found))
         if not self.scene.objects:
             scene = with_task(scene, self.task.instruction, proposed, self.statistics)
-        meant = self.meant | _contained(replace(self.scene, objects=(*self.scene.objects, *proposed)), there)
+        meant = self.meant | _carried(replace(self.scene, objects=(*self.scene.objects, *proposed)), there)
         corrections: tuple[Correction, ...] = ()
         if self.settings.corrects == "each" and (found or is_last):
             is_last = is_last or self._is_full(scene)
@@ -312,7 +312,8 @@ def _wanting(scene: Scene, meant: Mapping[str, Relation]) -> Scene:
     return replace(scene, relations=tuple(r for r in wanted.values() if r.target in {o.instance for o in scene.objects}))
 
 
-def _contained(scene: Scene, new: Set[str]) -> dict[str, Relation]:
-    """What of the new things a proposal has in others, by their boxes."""
+def _carried(scene: Scene, new: Set[str]) -> dict[str, Relation]:
+    """What of the new things a proposal has on or in others, by their boxes."""
     graph = scene_graph(scene, {o.instance: (o.support,) for o in scene.objects if o.support is not None})
-    return {r.subject: r for r in relations_of(graph) if r.kind is RelationKind.IN and r.subject in new}
+    kinds = (RelationKind.ON, RelationKind.IN)
+    return {r.subject: r for r in relations_of(graph) if r.kind in kinds and r.target != TABLE and r.subject in new}

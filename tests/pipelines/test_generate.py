@@ -196,6 +196,7 @@ def test_ray_gives_the_same_bytes_as_this_process(
     assert content(tmp_path) == content(made)
 
 
+@pytest.mark.slow
 def test_engines_that_workers_share_give_the_same_scenes(
     dataset: Path, settings: GenerateSettings, made: Path, tmp_path: Path
 ) -> None:
