@@ -6,6 +6,7 @@ Colliders are the convex parts of the objects; the table is a box whose top is z
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -249,6 +250,7 @@ def _add_body(spec: mujoco.MjSpec, body: Body, meshes: dict[int, str], collider:
             added.add_geom(collider, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=meshes[id(part)], mass=mass)
 
 
+@lru_cache(maxsize=8192)
 def hull_volume(part: Mesh) -> float:
     """Volume of a closed convex part, cubic metres; 0 where it is too flat for an engine to collide with."""
     vertices = part.vertices - part.vertices.mean(axis=0)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.physics_corrector.corrector import Correction, Fixed, PhysicsCorrector, movement
+from models.physics_corrector.corrector import Correction, Fixed, PhysicsCorrector, certified_from, movement
 from stable_data.assets import AssetStore
 from stable_data.colliders import bodies_of
 from stable_data.errors import MeshError
@@ -84,23 +84,23 @@ def _again(
         bodies = bodies_of(scene, shapes, store)
     except MeshError:
         return None
-    again = corrector.certified(scene, shapes, audit_scene(scene, shapes), None, fixed, bodies)
-    if again.certified is None or again.card_after is None or again.dropped:
+    again = certified_from(scene, None, shapes, replace(corrector.options, fixed=corrector.options.fixed | fixed), bodies)
+    if again.scene is None or again.audit is None or again.dropped:
         return None
     if _num_unsteady(again.rest) >= _num_unsteady(done.rest):
         return None
     _, shapes_before, _ = store.resolved(done.start)
-    kept = relations_kept(done.start, again.certified, shapes_before, shapes, audits=(before, again.audit))
-    mean, farthest, turn = movement(done.start, again.certified)
+    kept = relations_kept(done.start, again.scene, shapes_before, shapes, audits=(before, again.audit))
+    mean, farthest, turn = movement(done.start, again.scene)
     card = replace(
-        again.card_after,
+        again.audit.card(),
         relations_kept_on_in=kept.on_in_share,
         relations_kept_directional=kept.directional_share,
         move_mean_mm=mean,
         move_max_mm=farthest,
         turn_max_deg=turn,
     )
-    return replace(done, certified=again.certified, card_after=card, audit=again.audit, kept=kept, rest=again.rest)
+    return replace(done, certified=again.scene, card_after=card, audit=again.audit, kept=kept, rest=again.rest)
 
 
 def _num_unsteady(rest: SettleResult | None) -> float:

@@ -10,6 +10,8 @@ from torch import Tensor
 from transformers import AttentionInterface, PreTrainedModel
 from transformers.cache_utils import Cache, CacheLayerMixin
 
+from models.semantic_reasoner.qwen3_step import Qwen3Step
+
 ATTENTION = "stable_data_slots"
 """Name under which the attention below is registered with transformers."""
 
@@ -136,6 +138,7 @@ class Decoder:
 
     def __init__(self, model: PreTrainedModel, num_slots: int, pad: int) -> None:
         self._model, self._pad = model, pad
+        self._step = Qwen3Step(model) if Qwen3Step.knows(model) else None
         self._cache = SlotCache(model.config.get_text_config().num_hidden_layers, num_slots)
         self.num_slots = num_slots
         self.lengths: list[int] = []
@@ -177,9 +180,11 @@ class Decoder:
         cache.reserve(cache.width)
         cache.first, cache.positions = 0, positions
         hides = torch.arange(cache.width, device=device)[None] > positions[:, None]
-        mask = torch.zeros(hides.shape, dtype=self._model.dtype, device=device).masked_fill_(hides, -torch.inf)
-        hidden = self._forward(torch.tensor(tokens, device=device)[:, None], positions[:, None], mask[:, None, None])
-        return self._logits(hidden[:, 0])
+        mask = torch.zeros(hides.shape, dtype=self._model.dtype, device=device).masked_fill_(hides, -torch.inf)[:, None, None]
+        read = torch.tensor(tokens, device=device)
+        if self._step is not None:
+            return self._logits(self._step(read, positions, mask if min(self.lengths) < cache.width else None, cache))
+        return self._logits(self._forward(read[:, None], positions[:, None], mask)[:, 0])
 
     def _forward(self, tokens: Tensor, positions: Tensor, mask: Tensor | None) -> Tensor:
         # A mask by attention type is taken as it is; the decoder would else make one for a cache that grows.

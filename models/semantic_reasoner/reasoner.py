@@ -17,6 +17,7 @@ from stable_data.scene import Stage
 from stable_data.seeds import named_seed
 
 _LEFT_OUT = "left_out"
+_FEW = 1 / 8  # of a long list: it is not asked for again for their sake
 
 
 class Check(Protocol):
@@ -139,7 +140,8 @@ class SemanticReasoner:
         check: Finds faults in a reply; None takes whatever can be read.
         tries: How often a question is asked at most, or that and how often the first stage's is. Where no answer would do, things
             that are not where the instruction says are put there in one that has no other fault; else the one is taken of which
-            the least has to be left out to pass the checks, if there is one. Its faults say what was moved or left out.
+            the least has to be left out to pass the checks, if there is one. Its faults say what was moved or left out. After the
+            first stage an answer of which an eighth at most has to be left out is taken without that at once.
         tells_reasons: Whether a refused answer and its reason are shown when it is asked again, as a large model can use; else
             the same question is asked with other draws.
         grounding: Puts an instruction into words that the engine knows; None for an engine that knows them all.
@@ -283,6 +285,8 @@ class SemanticReasoner:
             rest = _without_the_faulty(reply, faults, asking.ask, self._check)
             if rest is not None:
                 asking.may_use(*rest)
+                if asking.ask.wanted is not Stage.TASK and _left_out(rest[1]) <= _FEW * len(reply.objects):
+                    return asking.proposal()
         return None
 
 

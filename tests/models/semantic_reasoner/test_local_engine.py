@@ -8,7 +8,7 @@ import pytest
 import torch
 from numpy.random import default_rng
 from tokenizers import Tokenizer, decoders, models, pre_tokenizers, trainers
-from transformers import PreTrainedTokenizerFast, Qwen3ForCausalLM
+from transformers import LlamaConfig, LlamaForCausalLM, PreTrainedTokenizerFast, Qwen3ForCausalLM
 
 from models.semantic_reasoner.decoding import ATTENTION, Decoder
 from models.semantic_reasoner.engine import Completion, Request, Sampling
@@ -16,6 +16,7 @@ from models.semantic_reasoner.layout_text import LayoutObject, parse_reply, rend
 from models.semantic_reasoner.local_engine import LocalEngine, _Sequence
 from models.semantic_reasoner.network import new_network
 from models.semantic_reasoner.prompt import Ask, messages, question
+from models.semantic_reasoner.qwen3_step import Qwen3Step
 from models.semantic_reasoner.reply_form import ReplyForm
 from models.semantic_reasoner.required import Required
 from models.semantic_reasoner.tokenizer import train_tokenizer
@@ -68,6 +69,36 @@ def test_slots_give_the_logits_of_whole_sequences(network: Qwen3ForCausalLM) -> 
         for k in slots:
             at[k] += 1
         logits = decoder.step(tokens)
+
+
+def test_only_a_plain_qwen3_is_stepped_without_its_modules(network: Qwen3ForCausalLM) -> None:
+    """What has a bias, another layer or another class is left to its own modules, and so is right whatever it does."""
+    assert Qwen3Step.knows(network)
+    network.model.layers[1].mlp.up_proj = torch.nn.Sequential(network.model.layers[1].mlp.up_proj)
+    assert not Qwen3Step.knows(network)
+    network.model.layers[1].mlp.up_proj = network.model.layers[1].mlp.up_proj[0]
+    network.config.attention_bias = True
+    assert not Qwen3Step.knows(network)
+    llama = LlamaConfig(64, 32, 64, num_hidden_layers=1, num_attention_heads=2)
+    assert not Qwen3Step.knows(LlamaForCausalLM(llama))
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+def test_steps_without_modules_are_those_of_the_modules(network: Qwen3ForCausalLM, dtype: torch.dtype) -> None:
+    for parameter in network.parameters():  # norms of ones would hide that they are left out
+        parameter.mul_(1 + 0.3 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(parameter.numel())))
+    network.to(dtype).set_attn_implementation(ATTENTION)
+    ours, theirs = Decoder(network, 3, pad=0), Decoder(network, 3, pad=0)
+    theirs._step = None
+    told = [[7, 8, 9, 200], [30], [11, 12]]
+    for decoder in (ours, theirs):
+        decoder.admit(told)
+    for step in range(5):
+        tokens = [20 + step, 30 + step, 40 + step]
+        found, wanted = ours.step(tokens), theirs.step(tokens)
+        torch.testing.assert_close(found, wanted, atol=1e-5 if dtype == torch.float32 else 0.05, rtol=1e-4)
+        assert wanted.std() > 0.1
 
 
 def test_an_untrained_model_says_only_what_the_form_allows(
