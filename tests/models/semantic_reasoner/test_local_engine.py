@@ -79,7 +79,7 @@ def test_only_a_plain_qwen3_is_stepped_without_its_modules(network: Qwen3ForCaus
     network.model.layers[1].mlp.up_proj = network.model.layers[1].mlp.up_proj[0]
     network.config.attention_bias = True
     assert not Qwen3Step.knows(network)
-    llama = LlamaConfig(64, 32, 64, num_hidden_layers=1, num_attention_heads=2)
+    llama = LlamaConfig(vocab_size=64, hidden_size=32, intermediate_size=64, num_hidden_layers=1, num_attention_heads=2)
     assert not Qwen3Step.knows(LlamaForCausalLM(llama))
 
 
