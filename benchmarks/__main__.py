@@ -63,6 +63,11 @@ def main() -> None:
                 run,
                 *(["--where", "", "--scenes", "3", "--workers", "0"] if few else []),
             ],
+            "generalisation": [
+                "benchmarks.generalisation",
+                data,
+                *(["--scenes", "3", "--cases", "3", "--workers", "0"] if few else []),
+            ],
             "chaos": ["benchmarks.chaos", *(["--scenes", "16", "--kills", "3", "--per-shard", "2"] if few else [])],
             "synth": ["benchmarks.synth", "--scenes", "20" if few else "200"],
         }

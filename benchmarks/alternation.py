@@ -10,7 +10,7 @@ is a run with tasks. Every scene that was made counts, whether it would be accep
 import argparse
 import json
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from stable_data.shards import RunFolder
 
 _MEASURES = ("clean", "oc", "float_rate", "out_of_bounds_rate", "stable", "awt", "aws", "num_objects", "move_mean_mm")
 _HEAD = ("clean %", "OC %", "float %", "out %", "rest %", "AwT %", "AwS %", "objects", "moved mm")
-_SHARES = frozenset(_MEASURES) - {"num_objects", "move_mean_mm"}
+_COUNTS = frozenset({"num_objects", "num_stacked", "num_contained", "move_mean_mm"})
 
 
 def variants(weights: str) -> dict[str, GenerateSettings]:
@@ -40,19 +40,19 @@ def variants(weights: str) -> dict[str, GenerateSettings]:
     }
 
 
-def figures_of(folder: RunFolder, num_tasks: int) -> dict[str, Any]:
+def figures_of(folder: RunFolder, num_tasks: int, measures: Sequence[str] = _MEASURES) -> dict[str, Any]:
     """Means of a run's scenes; None where nothing is known."""
-    frame = pl.from_arrow(folder.table("scenes", _MEASURES))
+    frame = pl.from_arrow(folder.table("scenes", measures))
     assert isinstance(frame, pl.DataFrame)
     turns = pl.from_arrow(folder.table("turns", ["dropped"]))
     assert isinstance(turns, pl.DataFrame)
-    means = frame.select(pl.col(_MEASURES).cast(pl.Float64).mean()).row(0, named=True)
+    means = frame.select(pl.col(measures).cast(pl.Float64).mean()).row(0, named=True)
     return {
         "tasks": num_tasks,
         "made": frame.height,
         "with_relations": int(frame["aws"].is_not_null().sum()),
         "dropped": int(turns["dropped"].list.len().sum()),
-        **{name: None if mean is None else mean * (100 if name in _SHARES else 1) for name, mean in means.items()},
+        **{name: None if mean is None else mean * (1 if name in _COUNTS else 100) for name, mean in means.items()},
     }
 
 

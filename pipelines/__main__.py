@@ -37,8 +37,8 @@ NumWorkers = Annotated[
 Assets = Annotated[
     list[str] | None,
     typer.Option(
-        help="A folder in the MesaTask-10K format, or a run, to take assets from; may be repeated: the first that has a match "
-        "serves. By default the embedded world's library, which is made where it is missing."
+        help="A folder in the MesaTask-10K format, or a run, to take assets from, or embedded: the embedded world's library, which "
+        "is made where it is missing. May be repeated: the first that has a match serves. By default embedded alone."
     ),
 ]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")]

@@ -14,6 +14,7 @@ from stable_data.mesatask.writing import LAYOUT_FOLDER
 from stable_data.mesh import Mesh
 from stable_data.retrieval import Retriever
 from stable_data.shards import RunFolder, content_id
+from stable_data.synth.library import NAME as EMBEDDED
 from stable_data.synth.library import embedded_library
 from stable_data.table_assets import TableAssets, run_annotations
 
@@ -39,8 +40,8 @@ class AssetShelf:
     """Libraries in order, with their meshes; an asset that two have is the earlier one's.
 
     Args:
-        places: Folders in the MesaTask-10K format (layouts may be missing), or runs with the tables ``assets`` and ``meshes``; the
-            embedded world's library where there are none, made where it is missing.
+        places: Folders in the MesaTask-10K format (layouts may be missing), or runs with the tables ``assets`` and ``meshes``;
+            ``embedded`` is the embedded world's library, made where it is missing, and all that there is where nothing is named.
 
     Attributes:
         libraries: The catalogues, not encoded.
@@ -50,8 +51,9 @@ class AssetShelf:
     """
 
     def __init__(self, places: Sequence[str] = ()) -> None:
+        places = places or (EMBEDDED,)
         twice = {name for name, count in Counter(map(_name, places)).items() if count > 1}
-        opened = [_opened(place, place if _name(place) in twice else _name(place)) for place in places] or [_embedded()]
+        opened = [_opened(place, place if _name(place) in twice else _name(place)) for place in places]
         self._of: dict[str, _Place] = {}
         libraries = []
         for place in opened:
@@ -101,6 +103,8 @@ def _name(place: str) -> str:
 
 
 def _opened(place: str, name: str) -> _Place:
+    if place == EMBEDDED:
+        return _of_folder(*embedded_library(_cache()))
     if "://" in place or RunFolder(place).files("assets"):
         run = RunFolder(place)
         kept = TableAssets(run, mesh_cache())
@@ -108,10 +112,6 @@ def _opened(place: str, name: str) -> _Place:
     root = Path(place).expanduser().resolve()
     shown = FolderSource(root).first_scenes() if (root / LAYOUT_FOLDER).is_dir() else ()
     return _of_folder(root, library_of_folder(root, name, scenes=shown))
-
-
-def _embedded() -> _Place:
-    return _of_folder(*embedded_library(_cache()))
 
 
 def _of_folder(root: Path, library: AssetLibrary) -> _Place:

@@ -25,6 +25,7 @@ from pipelines.plan import groups
 from pipelines.runner import Workers, connect
 from pipelines.scene_work import SceneShard
 from stable_data.shards import RunFolder, content_id
+from stable_data.synth.library import NAME as EMBEDDED
 
 
 def generate(
@@ -116,7 +117,7 @@ def describe_generation(tasks: Tasks, settings: GenerateSettings, assets: Sequen
 
 
 def _absolute(assets: Sequence[str]) -> tuple[str, ...]:
-    return tuple(place if "://" in place else str(Path(place).expanduser().resolve()) for place in assets)
+    return tuple(p if "://" in p or p == EMBEDDED else str(Path(p).expanduser().resolve()) for p in assets)
 
 
 def _inputs(tasks: Tasks, settings: GenerateSettings, shelf: AssetShelf) -> dict[str, Any]:

@@ -42,7 +42,7 @@ from stable_data.metrics.audit import Audit, PosedScene, audit_posed
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.kept import relations_kept
 from stable_data.physics import SettleResult, settle
-from stable_data.scene import Scene
+from stable_data.scene import Relation, Scene
 from stable_data.seeds import named_seed
 from stable_data.shape import Shape
 from stable_data.shards import RunFolder
@@ -176,7 +176,7 @@ class GenerateWork:
         rest, why_not = self._settled(made.correction, scene, shapes)
         progress.step = "card"
         card = _with_movement(with_counts(audit.card(), scene), made.start, scene, posed, audit)
-        card = _with_alignment(card, seen, containers, opened.statistics)
+        card, not_as_said = _with_alignment(card, seen, containers, opened.statistics)
         if rest is not None:
             card = _with_rest(card, rest)
         group = duplicate_group(scene)
@@ -189,6 +189,9 @@ class GenerateWork:
         }
         row = {**tables.scene_row(scene), **tables.card_row(card), **audit.rows(), **origin}
         told = [Notice(name, n.step, n.code, n.message) for n in notices]
+        if not_as_said:
+            lost = ", ".join(map(str, not_as_said))
+            told.append(Notice(name, "card", "not_as_said", f"{name}: the instruction says what does not hold: {lost}"))
         if made.correction is not None:
             told += notices_of(made.correction, name)
         if why_not:
@@ -258,18 +261,18 @@ def _with_movement(card: MetricCard, start: Scene, scene: Scene, posed: PosedSce
 
 def _with_alignment(
     card: MetricCard, seen: Related, containers: Mapping[str, bool | None], statistics: CategoryStatistics | None
-) -> MetricCard:
-    """What of the instruction the scene has: the things that it asks for, and what it says of the start."""
+) -> tuple[MetricCard, tuple[Relation, ...]]:
+    """What of the instruction the scene has: the things that it asks for, and what it says of the start; what of that is not so."""
     scene = seen.scene
     if scene.task is None or statistics is None:
-        return card
+        return card, ()
     categories = [o.category for o in scene.objects]
     asked = required(scene.task.task, statistics)
     awt = sum(one.is_met_by(categories) for one in asked) / len(asked) if asked else None
     if not (scene.task.relations and scene.task.task_objects):
-        return replace(card, awt=awt)
+        return replace(card, awt=awt), ()
     known = align(scene, reference_of(scene), contacts=seen.contacts, footprints=seen.footprints, containers=containers)
-    return replace(card, awt=awt, aws=known.aws)
+    return replace(card, awt=awt, aws=known.aws), known.broken or ()
 
 
 def _with_rest(card: MetricCard, rest: SettleResult) -> MetricCard:

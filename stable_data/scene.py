@@ -70,6 +70,10 @@ class Relation:
     kind: RelationKind
     target: str
 
+    def __str__(self) -> str:
+        """As a sentence of three words."""
+        return f"{self.subject} {self.kind} {self.target}"
+
 
 @dataclass(frozen=True, slots=True)
 class Tabletop:

@@ -155,7 +155,7 @@ def resolve_task_objects(task: TaskInfo, scene: Scene, graph: SceneGraph) -> tup
     relations = tuple(sorted(relations_said))
     for r in relations:
         if r.kind is not RelationKind.IS_AT and not _holds(scene, graph, r.subject, r.kind, r.target):
-            notices.append(_notice(scene, "task_relation_not_held", f"the instruction says {r.subject} {r.kind} {r.target}"))
+            notices.append(_notice(scene, "task_relation_not_held", f"the instruction says {r}"))
     return replace(task, task_objects=tuple(chosen), relations=relations), tuple(notices)
 
 

@@ -159,7 +159,7 @@ def _not_as_said(
         was = set(relations_not_held(before, ask.table, ask.instruction, statistics))
         broken = tuple(r for r in broken if r not in was)
     for r in broken:
-        message = f"the instruction says {r.subject} {r.kind} {r.target}; place them so"
+        message = f"the instruction says {r}; place them so"
         yield Fault("relation_not_held", message, is_hard=False, relation=r)
 
 

@@ -81,7 +81,7 @@ class Reference:
             absent = sorted(set(members(relation)) - {*names, TABLE})
             if absent:
                 raise SceneError(
-                    f"{self.scene_id}: {_said(relation)} is asked for, but {', '.join(absent)} is no required object; add it",
+                    f"{self.scene_id}: {relation} is asked for, but {', '.join(absent)} is no required object; add it",
                     "task_relation_unknown",
                 )
 
@@ -190,7 +190,7 @@ class Alignment:
         elif self.reference.entailed:
             held = len(self.reference.entailed) - len(self.broken)
             said.append(f"{held} of {len(self.reference.entailed)} entailed relations")
-            said += [f"broken: {', '.join(map(_said, self.broken))}"] if self.broken else []
+            said += [f"broken: {', '.join(map(str, self.broken))}"] if self.broken else []
         said.append(f"{self.num_objects - len(self.matches)} distractors of {self.num_objects} objects")
         return f"{self.reference.scene_id}: {'; '.join(said)}"
 
@@ -240,10 +240,6 @@ def _broken(found: Matching, relations: tuple[Relation, ...], wishes: list[Wish]
 
 def _share_held(broken: tuple[Relation, ...] | None, relations: tuple[Relation, ...] | None) -> float | None:
     return None if broken is None or not relations else 1 - len(broken) / len(relations)
-
-
-def _said(relation: Relation) -> str:
-    return f"{relation.subject} {relation.kind} {relation.target}"
 
 
 class _Layout:

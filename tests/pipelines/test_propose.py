@@ -213,6 +213,14 @@ def test_the_first_library_serves_and_a_run_is_one(tiny: Path, tiny_run: Path, d
         AssetShelf([str(tiny / "nowhere")])
 
 
+def test_the_embedded_library_serves_where_others_have_nothing(dataset: Path) -> None:
+    own, rest = AssetShelf([str(dataset), "embedded"]).libraries
+    (alone,) = AssetShelf().libraries
+    first = {a.asset_id for a in own.assets}
+    assert {a.asset_id for a in rest.assets} == {a.asset_id for a in alone.assets} - first
+    assert rest.name == alone.name == "embedded"
+
+
 def test_a_folder_of_assets_alone_is_a_library(dataset: Path, tmp_path: Path) -> None:
     shutil.copytree(dataset, tmp_path / "assets", ignore=shutil.ignore_patterns("Layout_info"))
     assert len(AssetShelf([str(tmp_path / "assets")]).libraries[0])

@@ -144,3 +144,21 @@ def test_what_is_faulty_in_every_answer_is_left_out_in_the_end_and_what_rests_on
     ]
     (p,) = SemanticReasoner(Told([answers[2]]), check, tries=1).propose([ASK], [1])
     assert (p.reply, p.code) == (None, "reply_unusable")
+
+
+def test_a_long_later_list_is_taken_without_the_few_that_cannot_stay() -> None:
+    """One of eight is not worth asking again for; one of seven is, and so is anything that the first stage lacks."""
+
+    def check(reply: Reply, ask: Ask) -> list[Fault]:
+        gone = [o.instance for o in reply.objects if o.description == "a bad mug"]
+        return [Fault("same_place", f"{name} is where another is", instance=name) for name in gone]
+
+    bad = replace(MUG, instance="mug_9", description="a bad mug")
+    eight = render_objects([bad, *(replace(MUG, instance=f"mug_{k}") for k in range(7))])
+    seven = render_objects([bad, *(replace(MUG, instance=f"mug_{k}") for k in range(6))])
+    later = replace(ASK, wanted=Stage.SECONDARY)
+    (p,) = SemanticReasoner(Told([eight]), check).propose([later], [1])
+    assert (len(p.objects), p.tries, [f.code for f in p.faults]) == (7, 1, ["left_out"])
+    for ask, answer in ((later, seven), (ASK, eight)):
+        (p,) = SemanticReasoner(Told([answer], [GOOD]), check).propose([ask], [1])
+        assert (render_objects(p.objects), p.tries) == (GOOD, 2)

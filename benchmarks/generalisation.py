@@ -1,0 +1,160 @@
+"""How mass generation does on what it was not made for: other tables, other assets, instructions that contradict themselves.
+
+``python -m benchmarks.generalisation DATA [--scenes 100] [--workers 2] [--json FILE]``: DATA is a dataset in the MesaTask-10K format,
+best of real meshes. Nothing is left out of the figures because it was not accepted.
+
+- usual tables: drawn tasks of the embedded world's kinds of table, which the networks were trained on, beside
+- unseen tables: of kinds that no training has met, and
+- other assets: of the usual kinds, furnished from DATA's library first, from the embedded one where it has nothing that fits;
+- contradictory: the instructions of contradictory.jsonl, of which physics lets 8 of 20 be as they say. A claim is followed where the
+  finished scene holds it; where it does not, a warning or a failure has to say so, else it is silent.
+"""
+
+import argparse
+import json
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from benchmarks.alternation import figures_of
+from pipelines.generate import generate
+from pipelines.generate_settings import GenerateSettings
+from pipelines.generate_tasks import Tasks, of_file, sampled
+from pipelines.runner import Workers
+from stable_data.asset_library import library_of_folder
+from stable_data.scene import Scene
+from stable_data.shards import RunFolder
+from stable_data.synth.library import NAME as EMBEDDED
+from stable_data.synth.plans import UNSEEN_TABLES
+from stable_data.tables import scene_from_row
+
+CASES = Path(__file__).with_name("contradictory.jsonl")
+
+SAYING = frozenset(
+    {"relation_not_held", "not_as_said", "reply_unusable", "asset_unmatched", "dropped", "left_out", "required_missing"}
+)
+"""Codes of warnings and failures that say that something is not as it was asked for."""
+
+_MEASURES = ("clean", "stable", "awt", "aws", "num_objects", "num_stacked", "num_contained")
+_HEAD = ("clean %", "rest %", "AwT %", "AwS %", "objects", "on others", "in others")
+
+
+@contextmanager
+def made(tasks: Tasks, assets: Sequence[str], workers: Workers) -> Iterator[RunFolder]:
+    """A run that keeps whatever was made, gone afterwards."""
+    with tempfile.TemporaryDirectory(prefix="stable-data-") as out:
+        generate(tasks, out, GenerateSettings(accept="", num_pictures=0), workers, assets, report=False)
+        yield RunFolder(out)
+
+
+def figures(tasks: Tasks, assets: Sequence[str], workers: Workers, own: frozenset[str] = frozenset()) -> dict[str, Any]:
+    """Means of what is made of tasks.
+
+    Args:
+        tasks: The tasks.
+        assets: Where assets are taken from.
+        workers: Who does the work.
+        own: Assets of which the share among the objects is told.
+    """
+    with made(tasks, assets, workers) as run:
+        used = [o["asset_id"] for row in run.table("scenes", ["objects"]).to_pylist() for o in row["objects"]]
+        return figures_of(run, len(tasks.tasks), _MEASURES) | {
+            "own_assets": 100 * sum(a in own for a in used) / max(1, len(used))
+        }
+
+
+def outcome(case: Mapping[str, Any], scene: Scene | None, codes: Sequence[str]) -> dict[str, Any]:
+    """What became of an instruction that contradicts itself.
+
+    Args:
+        case: A line of contradictory.jsonl.
+        scene: The finished scene with its relations; None where there is none.
+        codes: Of the warnings and failures about it.
+    """
+    category = {} if scene is None else {o.instance: o.category for o in scene.objects}
+    there = (
+        set() if scene is None else {(category.get(r.subject), str(r.kind), category.get(r.target)) for r in scene.relations}
+    )
+    held = [tuple(claim) in there for claim in case["claims"]]
+    return {
+        "instruction": case["instruction"],
+        "possible": case["possible"],
+        "made": scene is not None,
+        "objects_there": sum(name in category.values() for name in case["objects"]),
+        "objects_named": len(case["objects"]),
+        "claims_held": sum(held),
+        "claims": len(held),
+        "said": sorted({code for code in codes if code in SAYING}),
+    }
+
+
+def contradictory(num_cases: int, workers: Workers) -> list[dict[str, Any]]:
+    """What becomes of each instruction that contradicts itself."""
+    cases = [json.loads(line) for line in CASES.read_text("utf-8").splitlines()][:num_cases]
+    with tempfile.TemporaryDirectory(prefix="stable-data-") as folder:
+        file = Path(folder) / "tasks.jsonl"
+        keys = ("instruction", "table_type", "table_size_cm")
+        lines = [json.dumps({"scene_id": f"case_{k}"} | {key: case[key] for key in keys}) for k, case in enumerate(cases)]
+        file.write_text("\n".join(lines) + "\n", "utf-8")
+        with made(of_file(file), (), workers) as run:
+            scenes = {row["scene_id"]: scene_from_row(row) for row in run.table("scenes").to_pylist()}
+            told = [*run.table("warnings").to_pylist(), *run.table("failures").to_pylist()]
+    return [
+        outcome(case, scenes.get(f"case_{k}"), [n["code"] for n in told if n["item_id"] == f"case_{k}"])
+        for k, case in enumerate(cases)
+    ]
+
+
+def measure(data: str, num_scenes: int, num_cases: int, workers: Workers) -> dict[str, Any]:
+    """All figures."""
+    usual, unseen = sampled(num_scenes, 1), sampled(num_scenes, 1, list(UNSEEN_TABLES))
+    own = frozenset(asset.asset_id for asset in library_of_folder(Path(data), "own").assets)
+    return {
+        "usual tables": figures(usual, (), workers),
+        "unseen tables": figures(unseen, (), workers),
+        "other assets": figures(usual, (data, EMBEDDED), workers, own),
+        "contradictory": contradictory(num_cases, workers),
+    }
+
+
+def show(found: dict[str, Any]) -> Iterable[str]:
+    """The figures as tables."""
+    yield f"{'':16}{'made':>10}" + "".join(f"{head:>11}" for head in _HEAD) + f"{'own assets %':>14}"
+    for name, one in found.items():
+        if name != "contradictory":
+            values = ("unknown" if one[key] is None else f"{one[key]:.1f}" for key in (*_MEASURES, "own_assets"))
+            shown = "".join(f"{v:>11}" for v in values)
+            yield f"{name:16}{one['made']:>5}/{one['tasks']:<4}{shown}"
+    yield ""
+    yield f"{'made':6}{'things':>8}{'claims':>8}  {'':12}instruction; what was said"
+    for one in found["contradictory"]:
+        things, claims = (f"{one[a]}/{one[b]}" for a, b in (("objects_there", "objects_named"), ("claims_held", "claims")))
+        can = "possible" if one["possible"] else "impossible"
+        said = f"; {', '.join(one['said'])}" if one["said"] else ""
+        yield f"{'yes' if one['made'] else 'no':6}{things:>8}{claims:>8}  {can:12}{one['instruction']}{said}"
+    possible = [one for one in found["contradictory"] if one["possible"]]
+    followed = sum(one["claims_held"] == one["claims"] for one in possible)
+    yield f"followed where physics lets: {followed} of {len(possible)}"
+    broken = [one for one in found["contradictory"] if one["claims_held"] < one["claims"]]
+    yield f"not followed: {len(broken)}, of these said: {sum(bool(one['said']) for one in broken)}"
+
+
+def main() -> None:
+    """Prints the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", help="a dataset in the MesaTask-10K format, whose library serves first")
+    parser.add_argument("--scenes", type=int, default=100, help="of each kind")
+    parser.add_argument("--cases", type=int, default=20, help="contradictory instructions")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    found = measure(arguments.data, arguments.scenes, arguments.cases, Workers(arguments.workers))
+    print("\n".join(show(found)))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(found, indent=2) + "\n", "utf-8")
+
+
+if __name__ == "__main__":
+    main()
