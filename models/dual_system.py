@@ -19,12 +19,15 @@ from models.semantic_reasoner.reasoner import Proposal
 from models.semantic_reasoner.staged import PROGRESSIVE, LayoutTask
 from stable_data.errors import ConfigError, Notice
 from stable_data.furnishing import Furnished
+from stable_data.metrics.kept import DIRECTIONAL
 from stable_data.relations import relations_of, scene_graph
 from stable_data.scene import TABLE, Relation, RelationKind, Scene, Stage
 from stable_data.seeds import named_seed
 
 STEP = "generate"
 """The step that notices of the loop name."""
+
+_CARRYING = frozenset({RelationKind.ON, RelationKind.IN})
 
 Corrects: TypeAlias = Literal["each", "end", "never"]
 """When the corrector is asked: after each stage (the paper), once when all is there, or not at all (its ablations)."""
@@ -241,7 +244,7 @@ class _Scene:
             if done.certified is None:
                 return Turn(wanted, proposal, furnished, corrections, done.reason, str(done.status))
             if (missing := _missing(done)) > self.missing and attempt + 1 < self.settings.tries:
-                reason = f"{missing} things are not on or in what the instruction says"
+                reason = f"{missing} things are not where the instruction says"
                 return Turn(wanted, proposal, furnished, corrections, reason, "relation_lost")
             self.missing = missing
             scene, self.correction, self.is_at_rest = done.certified, done, is_last
@@ -300,20 +303,21 @@ class _Scene:
 
 
 def _missing(done: Correction) -> int:
-    """How many things are not on or in what the instruction says."""
+    """How many things are not where the instruction says: on, in or beside another."""
     said = () if done.start.task is None else done.start.task.relations
     return 0 if done.kept is None else sum(r in said for r in done.kept.asked_missing)
 
 
 def _wanting(scene: Scene, meant: Mapping[str, Relation]) -> Scene:
-    """The scene as one whose things are to be where the instruction says, else in what they were meant to be in."""
+    """The scene as one whose things are to be where the instruction says, else on or in what they were meant to be on or in."""
     said = () if scene.task is None else scene.task.relations
-    wanted = {**meant} | {r.subject: r for r in said if r.kind in (RelationKind.ON, RelationKind.IN)}
-    return replace(scene, relations=tuple(r for r in wanted.values() if r.target in {o.instance for o in scene.objects}))
+    wanted = {**meant} | {r.subject: r for r in said if r.kind in _CARRYING}
+    there = {o.instance for o in scene.objects}
+    beside = [r for r in said if r.kind in DIRECTIONAL]
+    return replace(scene, relations=tuple(r for r in (*wanted.values(), *beside) if r.target in there))
 
 
 def _carried(scene: Scene, new: Set[str]) -> dict[str, Relation]:
     """What of the new things a proposal has on or in others, by their boxes."""
     graph = scene_graph(scene, {o.instance: (o.support,) for o in scene.objects if o.support is not None})
-    kinds = (RelationKind.ON, RelationKind.IN)
-    return {r.subject: r for r in relations_of(graph) if r.kind in kinds and r.target != TABLE and r.subject in new}
+    return {r.subject: r for r in relations_of(graph) if r.kind in _CARRYING and r.target != TABLE and r.subject in new}

@@ -16,7 +16,7 @@ _ON_IN = frozenset({RelationKind.ON, RelationKind.IN})
 Stuck: TypeAlias = Callable[[str, str], bool]
 """Is one of two objects deeper in the other than the audit lets pass? Of boxes that stand in nobody can say."""
 
-_DIRECTIONAL = frozenset({RelationKind.LEFT_OF, RelationKind.RIGHT_OF, RelationKind.IN_FRONT_OF, RelationKind.BEHIND})
+DIRECTIONAL = frozenset({RelationKind.LEFT_OF, RelationKind.RIGHT_OF, RelationKind.IN_FRONT_OF, RelationKind.BEHIND})
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,8 @@ class RelationsKept:
         directional_kept: How many of these still hold.
         asked_broken: ``on`` and ``in`` of the scene's own relations that did not hold before.
         asked_restored: How many of these hold now, likewise.
-        asked_missing: The scene's own relations that do not hold now, whether they did before or not.
+        asked_missing: Of the scene's own relations, of all the kinds above, those that do not hold now, whether they did before or
+            not.
     """
 
     on_in_held: int
@@ -84,9 +85,10 @@ def relations_kept(
     later = shapes_after or [shape[o.instance] for o in after.objects]
     graphs = [_relations(kept, own, audits[0]), _relations(after, later, audits[1])]
     on_in_before, on_in_after = ({r for r in found if r.kind in _ON_IN and r.target != TABLE} for found in graphs)
-    directional = [r for r in graphs[0] if r.kind in _DIRECTIONAL]
+    directional = [r for r in graphs[0] if r.kind in DIRECTIONAL]
     asked = {r for r in before.relations if r.kind in _ON_IN and {r.subject, r.target} <= there}
     broken = asked - on_in_before
+    turned = {r for r in before.relations if r.kind in DIRECTIONAL and {r.subject, r.target} <= there and not _holds(after, r)}
     return RelationsKept(
         on_in_held=len(on_in_before),
         on_in_kept=sum(is_held(on_in_after, r) for r in on_in_before),
@@ -94,7 +96,7 @@ def relations_kept(
         directional_kept=sum(_holds(after, r) for r in directional),
         asked_broken=len(broken),
         asked_restored=sum(is_held(on_in_after, r) for r in broken),
-        asked_missing=tuple(r for r in before.relations if r in asked and not is_held(on_in_after, r)),
+        asked_missing=tuple(r for r in before.relations if (r in asked and not is_held(on_in_after, r)) or r in turned),
     )
 
 
