@@ -53,6 +53,9 @@ SOURCE = "generated"
 TIMING_FOLDER = "timing"
 """In the run's folder: what each shard spent on what, seconds of one process. No table, for it is another each time."""
 
+_PLACES = 16
+"""Where a thing that does not stay is tried: with more, half of that time goes into what is left out in the end all the same."""
+
 REJECTED = "rejected"
 """Code of a scene that breaks the rule of acceptance."""
 
@@ -230,7 +233,7 @@ def _opened(work: GenerateWork) -> Opened:
     settings = work.settings
     shelf = AssetShelf(work.assets)
     reasoner, statistics = load_reasoner(settings.engine, settings.reasoner, work.pool)
-    corrector = PhysicsCorrector(load_flow(settings.weights, settings.steps), CertifyOptions(), judges_raw=False)
+    corrector = PhysicsCorrector(load_flow(settings.weights, settings.steps), CertifyOptions(places=_PLACES), judges_raw=False)
     answers = OwnAnswers(
         reasoner, shelf.retriever(settings.retrieval), corrector, AssetStore(shelf), settings.seed, settings.settle
     )

@@ -49,6 +49,8 @@ class EngineOptions:
         solref: Time constant (seconds) and damping ratio of contacts.
         solimp: Impedance of contacts at depth 0 and beyond the width, and the width (metres).
         impratio: How much stiffer friction is than the normal direction; keeps elliptic cones from creeping.
+        hurries: Whether a scene is watched no longer once something has gone too far in the settling: it is not stable, whatever
+            comes. Where it comes to lie, how far it drifts and how it trembles is not known then.
     """
 
     timestep: float = 0.002
@@ -60,6 +62,7 @@ class EngineOptions:
     solref: tuple[float, float] = (0.008, 1.0)
     solimp: Vec3 = (0.95, 0.99, 0.001)
     impratio: float = 10.0
+    hurries: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,10 +150,16 @@ def settle(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = Eng
         mujoco.mj_forward(model, data)
         penetration = deepest_contact(data)
         settled = _run(model, data, options.settle_seconds, options, options.rest_speed)
-        watched = _run(model, data, options.watch_seconds, options) if np.isfinite(settled).all() else settled
+        path = np.concatenate([start[None], settled])
+        if not np.isfinite(path).all():
+            watched = settled
+        elif options.hurries and _why_not(names, *_farthest(path), 0.0):
+            watched = settled[:0]
+        else:
+            watched = _run(model, data, options.watch_seconds, options)
     if not (np.isfinite(settled).all() and np.isfinite(watched).all()):
         return _exploded(names, start, penetration)
-    return _verdict(names, np.concatenate([start[None], settled]), watched, penetration, options)
+    return _verdict(names, path, watched, penetration, options)
 
 
 def compile_bodies(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = EngineOptions()) -> mujoco.MjModel:
@@ -316,15 +325,22 @@ def _verdict(
 ) -> SettleResult:
     """Judges trajectories (T, N, 7): the start and the settling, then the watch."""
     path = np.concatenate([settled, watched])
-    moves = np.linalg.norm(path[:, :, :3] - path[:1, :, :3], axis=2).max(axis=0)
-    turns = np.degrees(_angles(path[:1, :, 3:], path[:, :, 3:])).max(axis=0)
-    drift = float(np.linalg.norm(watched[:, :, :3] - settled[-1:, :, :3], axis=2).max(initial=0.0))
-    last = watched[-max(1, round(_JITTER_SECONDS / options.sample_seconds)) :, :, :3]
-    jitter = float(np.linalg.norm(last - last.mean(axis=0), axis=2).max(initial=0.0))
+    moves, turns = _farthest(path)
+    drift, jitter = 0.0, None
+    if len(watched):
+        drift = float(np.linalg.norm(watched[:, :, :3] - settled[-1:, :, :3], axis=2).max(initial=0.0))
+        last = watched[-max(1, round(_JITTER_SECONDS / options.sample_seconds)) :, :, :3]
+        jitter = 1e3 * float(np.linalg.norm(last - last.mean(axis=0), axis=2).max(initial=0.0))
     reason = _why_not(names, moves, turns, drift)
     move, turn = float(moves.max(initial=0.0)), float(turns.max(initial=0.0))
-    figures = (1e3 * penetration, 1e3 * move, turn, 1e3 * drift, 1e3 * jitter)
+    figures = (1e3 * penetration, 1e3 * move, turn, 1e3 * drift if len(watched) else None, jitter)
     return SettleResult(names, path[-1, :, :3], path[-1, :, 3:], moves, turns, *figures, stable=not reason, reason=reason)
+
+
+def _farthest(path: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How far each body was from its start on a trajectory (T, N, 7), (N,) metres, and how far turned, (N,) degrees."""
+    moves = np.linalg.norm(path[:, :, :3] - path[:1, :, :3], axis=2).max(axis=0)
+    return moves, np.degrees(_angles(path[:1, :, 3:], path[:, :, 3:])).max(axis=0)
 
 
 def _why_not(names: tuple[str, ...], moves: FloatArray, turns: FloatArray, drift: float) -> str:

@@ -1,7 +1,8 @@
 """Scenes certified so that they stay at rest: what the engine moves may lean as it came to lie, else it is put where it stays.
 
 The corrector itself changes positions and yaws alone. A pencil in a cup has no place that suits the angle at which it was drawn; at the
-angle at which it leans in the end it is at rest. This is for scenes that are made, whose tilts are nobody's but ours.
+angle at which it leans in the end it is at rest. This is for scenes that are made, whose tilts are nobody's but ours, and whose
+background need not hold a thing that nothing keeps still.
 """
 
 from collections.abc import Sequence
@@ -9,14 +10,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from models.physics_corrector.certify import Dropped, Status
 from models.physics_corrector.corrector import Correction, Fixed, PhysicsCorrector, certified_from, movement
 from stable_data.assets import AssetStore
 from stable_data.colliders import bodies_of
 from stable_data.errors import MeshError
 from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.metrics.kept import relations_kept
-from stable_data.physics import SettleResult
-from stable_data.scene import Scene
+from stable_data.physics import SettleResult, settle
+from stable_data.scene import Scene, Stage
 from stable_data.shape import Shape
 from stable_data.solid_scene import at_rest
 
@@ -27,7 +29,7 @@ _STRAYED, _TOPPLED = 0.05, 60.0  # what went farther, metres, or turned more, de
 def steadied(
     corrector: PhysicsCorrector, scene: Scene, shapes: Sequence[Shape], raw: Scene | None, fixed: Fixed, store: AssetStore
 ) -> Correction:
-    """One scene certified, of which the engine was asked; what it moves leans, or is put elsewhere.
+    """One scene certified, of which the engine was asked; what it moves leans, or is put elsewhere, or at last left out.
 
     Args:
         corrector: Certifies.
@@ -39,12 +41,13 @@ def steadied(
 
     Returns:
         The correction, with the engine's verdict where it could be asked; its figures of movement and relations are from the start.
+        Task objects are not left out: a scene whose own do not stay is unsteady.
     """
     try:
         bodies = bodies_of(scene, shapes, store)
     except MeshError:
         return corrector.certified(scene, shapes, audit_scene(scene, shapes), raw, fixed)
-    quick = replace(corrector, options=replace(corrector.options, mends=False))
+    quick = replace(corrector, options=replace(corrector.options, places=0))
     audit = audit_scene(scene, shapes)
     done = quick.certified(scene, shapes, audit, raw, fixed, bodies)
     for _ in range(_LEANS):
@@ -55,7 +58,38 @@ def steadied(
         done = better
     if done.certified is not None and done.rest is not None and done.rest.unsteady:
         done = _again(corrector, done, audit, done.certified, fixed, store) or done
+    if done.certified is not None and done.rest is not None and done.rest.unsteady:
+        done = _left_out(quick, done, audit, fixed, store) or _watched(done, store)
     return done
+
+
+def _left_out(
+    corrector: PhysicsCorrector, done: Correction, before: Audit, fixed: Fixed, store: AssetStore
+) -> Correction | None:
+    """The correction without what does not stay; None where the rest does not either, or is the task's or must be there."""
+    assert done.certified is not None
+    assert done.rest is not None
+    scene, unsteady = done.certified, set(done.rest.unsteady)
+    gone = [o for o in scene.objects if o.instance in scene.resting_on(unsteady) | unsteady]
+    if any(o.stage is Stage.TASK or o.instance in fixed | corrector.options.fixed for o in gone) or len(gone) == len(
+        scene.objects
+    ):
+        return None
+    rest = replace(scene, objects=tuple(o for o in scene.objects if o not in gone))
+    again = _again(corrector, done, before, rest, fixed, store)
+    if again is None or again.rest is None or not again.rest.stable:
+        return None
+    dropped = tuple(Dropped(o.instance, f"it, or what carries it, would not stay: {done.rest.reason}") for o in gone)
+    reason = "; ".join(f"{d.instance} dropped: {d.reason}" for d in (*done.dropped, *dropped))
+    return replace(again, status=Status.DROPPED, reason=reason, dropped=(*done.dropped, *dropped))
+
+
+def _watched(done: Correction, store: AssetStore) -> Correction:
+    """The correction with the whole verdict on it: what moves may not have been watched to its end."""
+    if done.certified is None or done.rest is None or done.rest.drift_mm is not None:
+        return done
+    scene, shapes, _ = store.resolved(done.certified)
+    return replace(done, rest=settle(bodies_of(scene, shapes, store), scene.table))
 
 
 def _leaning(done: Correction, store: AssetStore, fixed: Fixed) -> Scene | None:

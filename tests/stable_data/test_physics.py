@@ -61,6 +61,19 @@ def test_a_mass_that_no_thing_has_is_unknown_and_not_an_explosion(mass: float) -
     assert "body a: mass is" in result.reason
 
 
+def test_what_has_gone_too_far_is_not_watched_in_a_hurry_and_what_stays_is() -> None:
+    """The verdict is the same; what would come later is unknown."""
+    falls, stays = block("a", (0.5, 0.3, 0.15)), block("a", (0.5, 0.3, 0.05))
+    hurried = settle([falls], TABLE, EngineOptions(hurries=True))
+    whole = settle([falls], TABLE)
+    assert (hurried.stable, hurried.unsteady) == (whole.stable, whole.unsteady) == (False, ("a",))
+    assert (hurried.drift_mm, hurried.jitter_mm) == (None, None)
+    assert whole.drift_mm is not None
+    assert hurried.settle_move_max_mm == pytest.approx(whole.settle_move_max_mm, rel=0.01)
+    same, other = settle([stays], TABLE, EngineOptions(hurries=True)), settle([stays], TABLE)
+    assert (same.stable, same.drift_mm, same.jitter_mm) == (True, other.drift_mm, other.jitter_mm)
+
+
 def test_falling_box_moved_by_its_height() -> None:
     result = settle([block("a", (0.5, 0.3, 0.10))], TABLE)
     assert result.stable is False

@@ -194,24 +194,26 @@ class Certifier:
 
     def _rested(self, done: Certified, scene: Scene, bodies: Sequence["Body"]) -> Certified:
         from models.physics_corrector.certify.resting import Resting  # the engine takes long to import
-        from stable_data.physics import settle
+        from stable_data.physics import EngineOptions, settle
 
         body_of = {body.name: body for body in bodies}
 
         def verdict(of: Scene) -> "SettleResult":
-            return settle([replace(body_of[o.instance], position=o.position, yaw=o.yaw) for o in of.objects], of.table)
+            placed = [replace(body_of[o.instance], position=o.position, yaw=o.yaw) for o in of.objects]
+            return settle(placed, of.table, EngineOptions(hurries=not self.options.places))
 
         rest = verdict(scene)
         if rest.stable is None:
             reason = "; ".join(filter(None, (done.reason, f"the engine cannot be asked: {rest.reason}")))
             return replace(done, reason=reason)
-        if not rest.stable and self.options.mends:
+        if not rest.stable and self.options.places:
             if not self.is_laid_out:
                 carried = [choice[0] for choice in carriers_of(self.meshes, self.scene.poses(), {})]
                 self.layout, self.is_laid_out = Layout(self.scene, self.shapes, carried, self.options.fixed), True
             layout, was, unsteady = self.layout, self.layout.poses.copy(), set(rest.unsteady)
             moved = [k for k in layout.present() if self.scene.objects[k].instance in unsteady]
-            Resting(layout, self.meshes, bodies, directional(layout, self.original.poses())).settle(moved)
+            orders = directional(layout, self.original.poses())
+            Resting(layout, self.meshes, bodies, orders, self.options.places).settle(moved)
             if not np.array_equal(layout.poses, was):
                 mended = self._scene()
                 audit = audit_scene(mended, [self.shapes[k] for k in layout.present()])

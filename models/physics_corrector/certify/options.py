@@ -52,7 +52,8 @@ class CertifyOptions:
         clearance: Air between things that stand side by side, metres.
         tries: How many times a body may be put elsewhere to win back a directional relation.
         rounds: How many times the exact check may send the layout back.
-        mends: Whether what the physics engine moves, where it is asked, is put where it stays.
+        places: At how many places at most a thing that the physics engine moves, where it is asked, is tried until it stays; 0: it
+            is left where it moves, and looked at no longer than that takes.
     """
 
     when_full: Literal["drop", "infeasible"] = "drop"
@@ -61,7 +62,7 @@ class CertifyOptions:
     clearance: float = 5e-4
     tries: int = 24
     rounds: int = 8
-    mends: bool = True
+    places: int = 100
 
     def __post_init__(self) -> None:
         """Refuses settings that make no sense."""
@@ -69,8 +70,9 @@ class CertifyOptions:
             raise ConfigError(f"clearance is {self.clearance}, expected 0 to 0.1 metres", "clearance_invalid")
         if self.when_full not in ("drop", "infeasible"):
             raise ConfigError(f'when_full is {self.when_full!r}, expected "drop" or "infeasible"', "when_full_invalid")
-        if self.tries < 0 or self.rounds < 1:
-            raise ConfigError(f"tries is {self.tries} and rounds {self.rounds}, expected >= 0 and >= 1", "rounds_invalid")
+        if self.tries < 0 or self.rounds < 1 or self.places < 0:
+            found = f"tries is {self.tries}, rounds {self.rounds} and places {self.places}"
+            raise ConfigError(f"{found}, expected >= 0, >= 1 and >= 0", "rounds_invalid")
 
 
 @dataclass(frozen=True, slots=True)

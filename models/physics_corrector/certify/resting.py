@@ -34,7 +34,6 @@ _AROUND, _TURNS = 8, 12
 _TURN_COST = 0.008  # metres a radian
 _CLIMB = 2.0  # how much rising counts beside moving aside
 _BATCH, _BATCHES = 16, 20  # places that are looked at together, the best of them first; and how many of such
-_TRIALS = 100  # places at most that are tried for an object in the engine
 _SAME = np.array([1e3, 1e3, 1e3, 20.0])  # poses are the same within a millimetre and 3 degrees
 _FOLLOWED = 2  # how often the place to which the engine takes a thing is tried next
 _FARTHEST = 0.3  # how far away a neighbour to lean on is looked for, metres
@@ -51,10 +50,11 @@ class Resting:
         meshes: Its objects.
         bodies: The same as the engine sees them.
         orders: Directional relations that should be kept.
+        places: At how many an object is tried in the engine at most.
     """
 
-    def __init__(self, layout: Layout, meshes: Meshes, bodies: Sequence[Body], orders: Sequence[Relation]) -> None:
-        self._layout, self._meshes, self._bodies = layout, meshes, bodies
+    def __init__(self, layout: Layout, meshes: Meshes, bodies: Sequence[Body], orders: Sequence[Relation], places: int) -> None:
+        self._layout, self._meshes, self._bodies, self._places = layout, meshes, bodies, places
         self._meant = set(wanted_carriers(layout.scene))
         self._seen: dict[tuple[tuple[int, ...], bytes], list[int]] = {}
         self._moved: list[int] = []
@@ -179,7 +179,7 @@ class Resting:
                 ended = trial.outcome(layout.poses, _LOOK)[0]
                 layout.poses[tree] = was[tree]
                 refused.append(pose)
-                if len(refused) >= _TRIALS:
+                if len(refused) >= self._places:
                     return False
                 pose = self._down(k, ended)
         return False

@@ -1,16 +1,17 @@
 """What does not stay as it was tilted leans as it came to lie; the scene is clean and stays all the same."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
-from models.physics_corrector.certify import CertifyOptions
+from models.physics_corrector.certify import CertifyOptions, Status
 from models.physics_corrector.corrector import Correction, PhysicsCorrector
 from models.physics_corrector.leaning import steadied
 from stable_data.colliders import bodies_of
 from stable_data.metrics.audit import audit_scene
 from stable_data.physics import settle
-from stable_data.scene import QuatXyzw, Scene
+from stable_data.scene import QuatXyzw, Scene, Stage
 from tests.models.physics_corrector.shapes import scene, store, thing
 
 
@@ -53,7 +54,7 @@ def test_a_stick_in_a_bowl_leans_as_it_comes_to_lie() -> None:
 
 def test_without_it_the_stick_does_not_stay() -> None:
     resolved, shapes, _ = store().resolved(IN_A_BOWL)
-    quick = PhysicsCorrector(options=CertifyOptions(mends=False))
+    quick = PhysicsCorrector(options=CertifyOptions(places=0))
     audit = audit_scene(resolved, shapes)
     done = quick.certified(resolved, shapes, audit, None, frozenset(), bodies_of(resolved, shapes, store()))
     assert done.rest is not None
@@ -77,3 +78,30 @@ def test_what_topples_is_put_elsewhere_and_not_laid_down() -> None:
     given = scene(thing("cube", (0.5, 0.4, 0.2, 0.0), scale=(0.3, 0.3, 4.0), tilt=tilted(8)))
     done = steady(given)
     assert done.certified is None or done.certified["cube"].tilt_quat_xyzw == given["cube"].tilt_quat_xyzw
+
+
+POLE = thing("cube", (0.5, 0.4, 0.2, 0.0), scale=(0.3, 0.3, 4.0), tilt=tilted(8))  # on its edge, and no wall near
+PLATE = thing("plate", (0.2, 0.2, 0.005, 0.0))
+
+
+@pytest.mark.parametrize("stage", [Stage.IMPORTANT, Stage.SECONDARY])
+def test_background_that_nothing_keeps_still_is_left_out(stage: Stage) -> None:
+    done = steady(scene(PLATE, replace(POLE, stage=stage)))
+    assert done.certified is not None
+    assert [o.instance for o in done.certified.objects] == ["plate"]
+    assert (done.status, [d.instance for d in done.dropped]) == (Status.DROPPED, ["cube"])
+    assert "cube" in done.reason
+    assert done.rest is not None
+    assert done.rest.stable
+    assert done.rest.drift_mm is not None
+
+
+def test_a_task_object_that_nothing_keeps_still_is_told_and_stays() -> None:
+    done = steady(scene(PLATE, replace(POLE, stage=Stage.TASK)))
+    assert done.certified is not None
+    assert not done.dropped
+    assert done.rest is not None
+    assert done.rest.unsteady == ("cube",)
+    assert done.rest.drift_mm is not None  # it was watched to its end
+    assert done.rest.settle_turn_max_deg is not None
+    assert done.rest.settle_turn_max_deg > 60
