@@ -92,7 +92,7 @@ class Certifier:
         self.scene, self.given, self.options, self.original = scene, shapes, options, original
         # A box that stands in is checked like a mesh; that it proves nothing is said at the end.
         self.shapes = [s if s.is_exact else Shape(s.vertices, s.faces) for s in shapes]
-        self.meshes = Meshes(self.shapes)
+        self.meshes = Meshes(self.shapes, options.depth)
         self.dropped: list[Dropped] = []
         self.strict: set[frozenset[int]] = set()
         self.resettled: set[int] = set()

@@ -6,7 +6,7 @@ from weakref import WeakKeyDictionary
 import fcl
 import numpy as np
 
-from stable_data.metrics.collision import DIRECTIONS, NEAR, nested
+from stable_data.metrics.collision import DIRECTIONS, NEAR, ROUNDING, TOLERANCE, nested
 from stable_data.metrics.crossing import MeshPair, Surface
 from stable_data.metrics.support import carries
 from stable_data.scene import FloatArray, IntArray
@@ -92,10 +92,11 @@ class Meshes:
 
     Args:
         shapes: The geometry of each object.
+        depth: What is deeper in another thing penetrates it, metres; no more than the audit's tolerance.
     """
 
-    def __init__(self, shapes: Sequence[Shape]) -> None:
-        self.shapes = shapes
+    def __init__(self, shapes: Sequence[Shape], depth: float = TOLERANCE) -> None:
+        self.shapes, self._depth = shapes, depth + ROUNDING
         self._extents: dict[tuple[int, float], tuple[FloatArray, FloatArray]] = {}
         self._penetrates: dict[tuple[int, int, bytes], bool] = {}
         self._surfaces: dict[tuple[int, bytes], Surface] = {}
@@ -123,7 +124,7 @@ class Meshes:
         return self._bodies_cross(self._body(i, pose), self._body(j, other))
 
     def penetrates(self, i: int, pose: FloatArray, j: int, other: FloatArray) -> bool:
-        """Are two meshes deeper in each other than the tolerance, as the audit judges it?"""
+        """Are two meshes deeper in each other than they may be, as the audit judges it?"""
         key = (i, j, np.concatenate([pose, other]).tobytes())
         if key not in self._penetrates:
             self._penetrates[key] = self._are_deep(i, pose, j, other)
@@ -140,7 +141,7 @@ class Meshes:
         pair = self._pair(i, pose, j, other)
         normals = pair.normals()
         if normals is not None:
-            for number, way in enumerate(NEAR * np.concatenate([DIRECTIONS, normals, -normals])):
+            for number, way in enumerate(self._depth * np.concatenate([DIRECTIONS, normals, -normals])):
                 if not pair.cross(way, number):
                     break
             else:

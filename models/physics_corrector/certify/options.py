@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 from stable_data.errors import ConfigError
 from stable_data.metrics.audit import Audit
+from stable_data.metrics.collision import TOLERANCE
 from stable_data.scene import Scene
 
 if TYPE_CHECKING:
@@ -52,6 +53,8 @@ class CertifyOptions:
         clearance: Air between things that stand side by side, metres.
         tries: How many times a body may be put elsewhere to win back a directional relation.
         rounds: How many times the exact check may send the layout back.
+        depth: How deep things may be in each other, metres: the audit's tolerance, or less for a layout that is clean for coarser
+            judges too, which try fewer ways to part them.
         places: At how many places at most a thing that the physics engine moves, where it is asked, is tried until it stays; 0: it
             is left where it moves, and looked at no longer than that takes.
     """
@@ -62,6 +65,7 @@ class CertifyOptions:
     clearance: float = 5e-4
     tries: int = 24
     rounds: int = 8
+    depth: float = TOLERANCE
     places: int = 100
 
     def __post_init__(self) -> None:
@@ -70,6 +74,8 @@ class CertifyOptions:
             raise ConfigError(f"clearance is {self.clearance}, expected 0 to 0.1 metres", "clearance_invalid")
         if self.when_full not in ("drop", "infeasible"):
             raise ConfigError(f'when_full is {self.when_full!r}, expected "drop" or "infeasible"', "when_full_invalid")
+        if not 0 < self.depth <= TOLERANCE:
+            raise ConfigError(f"depth is {self.depth}, expected over 0 to {TOLERANCE} metres", "depth_invalid")
         if self.tries < 0 or self.rounds < 1 or self.places < 0:
             found = f"tries is {self.tries}, rounds {self.rounds} and places {self.places}"
             raise ConfigError(f"{found}, expected >= 0, >= 1 and >= 0", "rounds_invalid")

@@ -41,6 +41,19 @@ def test_what_is_clean_is_handed_back_as_it_is() -> None:
     assert result.scene is scene
 
 
+def test_less_depth_may_be_allowed_than_the_audit_lets_pass() -> None:
+    """Two books 0.45 mm in each other are clean, and may be parted all the same."""
+    scene, shapes = laid(("a", BOOK, 0.2, 0.3, 0.0), ("b", BOOK, 0.34955, 0.3, 0.0))
+    assert certify(scene, shapes).scene is scene
+    parted = certify(scene, shapes, CertifyOptions(depth=4e-4))
+    assert parted.scene is not None
+    assert parted.audit is not None
+    assert (parted.audit.card().max_penetration_mm or 0.0) < 0.4
+    assert 0 < sum(moved(scene, parted.scene).values()) < 2e-3
+    with pytest.raises(ConfigError, match="depth is 0.001"):
+        CertifyOptions(depth=1e-3)
+
+
 def test_books_that_touch_stay() -> None:
     scene, shapes = laid(("a", BOOK, 0.2, 0.3, 0.0), ("b", BOOK, 0.35, 0.3, 0.0), ("c", CUP, 0.6, 0.3, 0.05))
     result = certify(scene, shapes)
