@@ -122,6 +122,7 @@ def test_ray_gives_the_same_bytes_as_this_process(broken: Path, corrected: Path,
     assert content(tmp_path / "out") == content(corrected)
 
 
+@pytest.mark.slow
 def test_an_item_in_a_process_of_its_own_gives_the_same_rows(broken: Path, corrected: Path, tmp_path: Path) -> None:
     manifest = json.loads((corrected / "manifest.json").read_text("utf-8"))
     ids = sorted(rows_of(corrected, "scenes"))[:2]

@@ -56,9 +56,9 @@ def test_embedded_scenes_place_box_centres_and_are_told_apart(leaning: MesaTaskD
 def test_real_scenes_are_told_apart(shared_data: Path, tmp_path: Path) -> None:
     real = MesaTaskDataset(shared_data / "mesa_real")
     store = AssetStore(real, max_bytes=2**30)
-    assert position_convention(real, store, 32) is PositionConvention.BOX_CENTRE
+    assert position_convention(real, store, 16) is PositionConvention.BOX_CENTRE
     other = written_by_mesh_centre(real, tmp_path)
-    assert position_convention(other, AssetStore(other, max_bytes=2**30), 32) is PositionConvention.MESH_CENTRE
+    assert position_convention(other, AssetStore(other, max_bytes=2**30), 16) is PositionConvention.MESH_CENTRE
 
 
 @pytest.mark.parametrize(("num_scenes", "looked_at"), [(1, 1), (4, 3), (9, 9), (20, 9)])

@@ -50,7 +50,7 @@ def test_less_depth_may_be_allowed_than_the_audit_lets_pass() -> None:
     assert parted.audit is not None
     assert (parted.audit.card().max_penetration_mm or 0.0) < 0.4
     assert 0 < sum(moved(scene, parted.scene).values()) < 2e-3
-    with pytest.raises(ConfigError, match="depth is 0.001"):
+    with pytest.raises(ConfigError, match=r"depth is 0\.001"):
         CertifyOptions(depth=1e-3)
 
 
