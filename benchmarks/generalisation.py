@@ -102,7 +102,7 @@ def contradictory(num_cases: int, workers: Workers) -> list[dict[str, Any]]:
             scenes = {row["scene_id"]: scene_from_row(row) for row in run.table("scenes").to_pylist()}
             told = [*run.table("warnings").to_pylist(), *run.table("failures").to_pylist()]
     return [
-        outcome(case, scenes.get(f"case_{k}"), [n["code"] for n in told if n["item_id"] == f"case_{k}"])
+        outcome(case, scenes.get(f"case_{k}"), [n["code"] for n in told if n["id"] == f"case_{k}"])
         for k, case in enumerate(cases)
     ]
 
