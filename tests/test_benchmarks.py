@@ -1,18 +1,22 @@
 """The benchmarks: that all of them are started, on any set; what they measure is measured by running them."""
 
+import json
 import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from benchmarks import __main__ as benchmarks
 from benchmarks.audit import readable_scenes
+from benchmarks.generalisation import CASES, outcome
 from benchmarks.meshes import repaired_meshes
 from stable_data.cli import DONE, NOT_STARTED, SOME_FAILED
 from stable_data.mesatask import MesaTaskDataset
+from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Tabletop
 from stable_data.synth import World, write_world
 
 FOLDER = Path(benchmarks.__file__).parent
@@ -81,3 +85,25 @@ def test_scenes_and_meshes_that_cannot_be_used_are_left_out(tmp_path: Path) -> N
     first, second = sorted(library.iterdir())
     first.write_bytes(first.read_bytes()[:100])
     assert [asset_id for asset_id, _, _ in repaired_meshes(library, 0)] == [second.stem]
+
+
+def test_a_contradiction_counts_as_followed_only_where_the_scene_holds_it() -> None:
+    case = {"instruction": "", "possible": True, "objects": ["mug", "book"], "claims": [["book", "on", "mug"]]}
+    things = tuple(SceneObject(f"{name}_0", name, (0.5, 0.3, 0.1), 0.0, (0.1, 0.1, 0.1)) for name in ("mug", "book"))
+    held = Scene("one", Tabletop("office_table", (1.0, 0.6)), things, (Relation("book_0", RelationKind.ON, "mug_0"),))
+    found = outcome(case, held, [])
+    assert (found["made"], found["objects_there"], found["claims_held"], found["said"]) == (True, 2, 1, [])
+    lost = outcome(case, replace(held, relations=(Relation("mug_0", RelationKind.ON, "book_0"),)), ["not_as_said", "dropped"])
+    assert (lost["claims_held"], lost["said"]) == (0, ["dropped", "not_as_said"])
+    assert outcome(case, held, ["table_unknown"])["said"] == []  # it says nothing of the claims
+    failed = outcome(case, None, ["reply_unusable"])
+    assert (failed["made"], failed["objects_there"], failed["claims_held"], failed["said"]) == (False, 0, 0, ["reply_unusable"])
+
+
+def test_contradictory_cases_are_whole() -> None:
+    cases = [json.loads(line) for line in CASES.read_text("utf-8").splitlines()]
+    assert len(cases) == 20
+    assert sum(case["possible"] for case in cases) == 8
+    for case in cases:
+        assert {name for subject, _, target in case["claims"] for name in (subject, target)} <= set(case["objects"])
+        assert all(kind in set(RelationKind) for _, kind, _ in case["claims"])
