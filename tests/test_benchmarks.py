@@ -90,7 +90,7 @@ def test_scenes_and_meshes_that_cannot_be_used_are_left_out(tmp_path: Path) -> N
 def test_a_contradiction_counts_as_followed_only_where_the_scene_holds_it() -> None:
     case = {"instruction": "", "possible": True, "objects": ["mug", "book"], "claims": [["book", "on", "mug"]]}
     things = tuple(SceneObject(f"{name}_0", name, (0.5, 0.3, 0.1), 0.0, (0.1, 0.1, 0.1)) for name in ("mug", "book"))
-    held = Scene("one", Tabletop("office_table", (1.0, 0.6)), things, (Relation("book_0", RelationKind.ON, "mug_0"),))
+    held = Scene("one", Tabletop("office_table", (1.0, 0.6)), things, relations=(Relation("book_0", RelationKind.ON, "mug_0"),))
     found = outcome(case, held, [])
     assert (found["made"], found["objects_there"], found["claims_held"], found["said"]) == (True, 2, 1, [])
     lost = outcome(case, replace(held, relations=(Relation("mug_0", RelationKind.ON, "book_0"),)), ["not_as_said", "dropped"])
