@@ -79,8 +79,8 @@ class LoopSettings:
         schedule: What is asked for, in order; ``whole`` alone is the one-shot ablation.
         corrects: When the corrector is asked.
         earlier_move: How far a correction may move what stood there before its stage, metres: 0 holds it, infinity leaves it free.
-        tries: How often a stage is proposed at most where what it proposed found no assets or no place, or could not stay on or in
-            what the instruction says; at last it is taken without that.
+        tries: How often a stage is proposed at most where what it proposed found no assets or no place, or could not stay where
+            the instruction says; at last it is taken without that.
         full: Share of the table that may be covered before no further stage is asked for; 1 asks for all.
     """
 

@@ -46,7 +46,7 @@ def test_there_are_commands_to_run() -> None:
 @pytest.mark.ray
 @pytest.mark.parametrize(
     "command",
-    # `make demo`, which CI's users run first, generates as well; the job's own tests run its command line.
+    # `make demo` generates as well, and the job's own tests run its command line.
     [pytest.param(c, marks=pytest.mark.slow) if c.startswith("make generate") else c for c in COMMANDS],
 )
 def test_every_command_runs_as_written(command: str, scenes: Path, tmp_path: Path) -> None:

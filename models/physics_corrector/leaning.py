@@ -69,8 +69,9 @@ def _left_out(
     """The correction without what does not stay; None where the rest does not either, or is the task's or must be there."""
     assert done.certified is not None
     assert done.rest is not None
-    scene, unsteady = done.certified, set(done.rest.unsteady)
-    gone = [o for o in scene.objects if o.instance in scene.resting_on(unsteady) | unsteady]
+    scene = done.certified
+    names = set(done.rest.unsteady) | scene.resting_on(set(done.rest.unsteady))
+    gone = [o for o in scene.objects if o.instance in names]
     if any(o.stage is Stage.TASK or o.instance in fixed | corrector.options.fixed for o in gone) or len(gone) == len(
         scene.objects
     ):

@@ -17,6 +17,7 @@ Stuck: TypeAlias = Callable[[str, str], bool]
 """Is one of two objects deeper in the other than the audit lets pass? Of boxes that stand in nobody can say."""
 
 DIRECTIONAL = frozenset({RelationKind.LEFT_OF, RelationKind.RIGHT_OF, RelationKind.IN_FRONT_OF, RelationKind.BEHIND})
+"""Relations of two things beside each other, that hold within 45 degrees of their direction."""
 
 
 @dataclass(frozen=True, slots=True)
