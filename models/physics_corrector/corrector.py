@@ -13,9 +13,9 @@ import numpy as np
 from models.physics_corrector.certify import Certified, Certifier, CertifyOptions, Dropped, Status
 from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.metrics.card import MetricCard
-from stable_data.metrics.kept import RelationsKept, relations_kept
+from stable_data.metrics.kept import DIRECTIONAL, RelationsKept, relations_kept
 from stable_data.relations import scene_graph
-from stable_data.scene import FloatArray, IntArray, RelationKind, Scene
+from stable_data.scene import FloatArray, IntArray, Scene
 from stable_data.shape import Shape
 
 if TYPE_CHECKING:  # the engine takes long to import
@@ -27,7 +27,6 @@ Fixed: TypeAlias = frozenset[str]
 Flow: TypeAlias = Callable[[Sequence[Scene], Sequence[Sequence[Shape]], Sequence[Fixed]], list[Scene]]
 """Moves the objects of scenes: scenes, the shapes of their objects, what must stay in each -> the scenes after."""
 
-_DIRECTIONS = (RelationKind.LEFT_OF, RelationKind.RIGHT_OF, RelationKind.IN_FRONT_OF, RelationKind.BEHIND)
 _STILL, _STILL_TURN = 5e-3, float(np.radians(5))  # about what the flow is accurate to, metres and radians
 _DEFAULT = CertifyOptions()
 
@@ -227,7 +226,7 @@ def _side_by_side(scene: Scene, poses: FloatArray) -> tuple[IntArray, IntArray, 
     """Pairs (E,) that directional relations link, each once, and the axis along which they are apart, 0 or 1."""
     number = {o.instance: k for k, o in enumerate(scene.objects)}
     edges = scene_graph(scene, {}).edges(keys=True)
-    pairs = {tuple(sorted((number[s], number[t]))) for s, t, kind in edges if kind in _DIRECTIONS}
+    pairs = {tuple(sorted((number[s], number[t]))) for s, t, kind in edges if kind in DIRECTIONAL}
     one, other = np.array(sorted(pairs), np.int64).reshape(-1, 2).T
     apart = np.abs(poses[one, :2] - poses[other, :2])
     return one, other, (apart[:, 1] >= apart[:, 0]).astype(np.int64)

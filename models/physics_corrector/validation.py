@@ -5,7 +5,7 @@ figures from the grids are cheap; those of the exact audit (DESIGN section 7) an
 fewer scenes. What the exact audit cannot judge is left out and counted, never taken for good.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -26,6 +26,7 @@ from models.physics_corrector.training_set import TrainingSet
 from stable_data.assets import AssetStore
 from stable_data.metrics.audit import PosedScene, audit_posed
 from stable_data.metrics.collision import TOLERANCE
+from stable_data.metrics.kept import DIRECTIONAL
 from stable_data.relations import relations_of, scene_graph
 from stable_data.scene import FloatArray, Relation, RelationKind, Scene
 from stable_data.shape import Shape
@@ -38,7 +39,6 @@ Card: TypeAlias = dict[str, dict[str, Figures]]
 
 ROWS = (*KINDS, "jitter_fixed")
 _SUPPORTED = (RelationKind.ON, RelationKind.IN)
-_DIRECTIONS = (RelationKind.LEFT_OF, RelationKind.RIGHT_OF, RelationKind.IN_FRONT_OF, RelationKind.BEHIND)
 _YAW_ARM = 0.1  # metres that a radian counts in the distance to the target
 
 
@@ -161,7 +161,7 @@ def _exact(scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], poses: Fl
         figures, held = _judged(_posed(scene, poses[n]), of_scene)
         _, at_first = _judged(_posed(scene, coarse[n]), of_scene, is_card_wanted=False)
         _, wanted = _judged(scene, of_scene, is_card_wanted=False)
-        for name, kinds in (("on_in", _SUPPORTED), ("directional", _DIRECTIONS)):
+        for name, kinds in (("on_in", _SUPPORTED), ("directional", DIRECTIONAL)):
             figures[f"relations_kept_{name}"] = _kept(at_first, held, kinds)
             figures[f"relations_of_target_{name}"] = _kept(wanted, held, kinds)
         for name, value in figures.items():
@@ -214,7 +214,7 @@ def _judged(
     return figures, relations
 
 
-def _kept(before: frozenset[Relation], after: frozenset[Relation], kinds: Sequence[RelationKind]) -> float | None:
+def _kept(before: frozenset[Relation], after: frozenset[Relation], kinds: Collection[RelationKind]) -> float | None:
     """Share of the relations of some kinds that still hold; None where there were none."""
     wanted = {relation for relation in before if relation.kind in kinds}
     return len(wanted & after) / len(wanted) if wanted else None
