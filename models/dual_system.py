@@ -59,11 +59,13 @@ class Correct:
     Attributes:
         scene: All that is there.
         fixed: Instances that must stay.
+        new: Instances that no correction has put anywhere yet.
         is_last: Whether nothing comes after it, so that the physics engine is to be asked what stays at rest.
     """
 
     scene: Scene
     fixed: frozenset[str]
+    new: frozenset[str]
     is_last: bool
 
 
@@ -207,7 +209,8 @@ class _Scene:
                     return self._failed(turn.code, message)
                 self._warn("stage_left_out", message)
         if self.settings.corrects != "never" and not self.is_at_rest:
-            done = (yield from self._corrected(self.scene, self.meant, frozenset(), True))[-1]
+            new = frozenset[str]() if self.correction else frozenset(o.instance for o in self.scene.objects)
+            done = (yield from self._corrected(self.scene, self.meant, frozenset(), new, True))[-1]
             if done.certified is None:
                 return self._failed(str(done.status), done.reason)
             self.scene, self.correction = done.certified, done
@@ -239,7 +242,8 @@ class _Scene:
         corrections: tuple[Correction, ...] = ()
         if self.settings.corrects == "each" and (found or is_last):
             is_last = is_last or self._is_full(scene)
-            corrections = yield from self._corrected(scene, meant, frozenset(o.instance for o in self.scene.objects), is_last)
+            earlier, new = (frozenset(o.instance for o in objects) for objects in (self.scene.objects, found))
+            corrections = yield from self._corrected(scene, meant, earlier, new, is_last)
             done = corrections[-1]
             if done.certified is None:
                 return Turn(wanted, proposal, furnished, corrections, done.reason, str(done.status))
@@ -255,19 +259,19 @@ class _Scene:
         return Turn(wanted, proposal, furnished, corrections)
 
     def _corrected(
-        self, scene: Scene, meant: Mapping[str, Relation], earlier: frozenset[str], is_last: bool
+        self, scene: Scene, meant: Mapping[str, Relation], earlier: frozenset[str], new: frozenset[str], is_last: bool
     ) -> Generator[Request, Answer, tuple[Correction, ...]]:
         """Corrections of a scene, the last of which counts: what was there before is moved no farther than it may."""
         scene = _wanting(scene, meant)
         holds = self.settings.earlier_move == 0
-        first = yield Correct(scene, earlier if holds else frozenset(), is_last)
+        first = yield Correct(scene, earlier if holds else frozenset(), new, is_last)
         assert isinstance(first, Correction)
         if holds or first.certified is None or not earlier:
             return (first,)
         now = replace(first.certified, objects=tuple(o for o in first.certified.objects if o.instance in earlier))
         if len(now.objects) == len(earlier) and movement(scene, now)[1] <= 1e3 * self.settings.earlier_move:
             return (first,)
-        second = yield Correct(scene, earlier, is_last)
+        second = yield Correct(scene, earlier, new, is_last)
         assert isinstance(second, Correction)
         return first, second
 

@@ -3,12 +3,14 @@
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from models.text_encoder import load_default
 from pipelines.scene_source import FolderSource, mesh_cache
 from stable_data.asset_library import AssetLibrary, library_of_folder, library_of_run
 from stable_data.asset_scoring import RetrievalSettings
+from stable_data.glb import load_colliders
 from stable_data.mesatask.library import AssetAnnotation, AssetFolder
 from stable_data.mesatask.writing import LAYOUT_FOLDER
 from stable_data.mesh import Mesh
@@ -104,7 +106,8 @@ def _name(place: str) -> str:
 
 def _opened(place: str, name: str) -> _Place:
     if place == EMBEDDED:
-        return _of_folder(*embedded_library(_cache()))
+        made = _of_folder(*embedded_library(_cache()))
+        return replace(made, parts=partial(_parts_of_file, made.meshes))  # true by their making: they need no measuring
     if "://" in place or RunFolder(place).files("assets"):
         run = RunFolder(place)
         kept = TableAssets(run, mesh_cache())
@@ -112,6 +115,11 @@ def _opened(place: str, name: str) -> _Place:
     root = Path(place).expanduser().resolve()
     shown = FolderSource(root).first_scenes() if (root / LAYOUT_FOLDER).is_dir() else ()
     return _of_folder(root, library_of_folder(root, name, scenes=shown))
+
+
+def _parts_of_file(meshes: Callable[[str], Path | None], asset_id: str) -> tuple[Mesh, ...]:
+    path = meshes(asset_id)
+    return () if path is None else load_colliders(path, asset_id)
 
 
 def _of_folder(root: Path, library: AssetLibrary) -> _Place:

@@ -1,14 +1,15 @@
 """Who answers the questions of Algorithm 1 in one process: its own reasoner, libraries and corrector."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 from models.conversation import Conversation
 from models.dual_system import Correct, Propose, Retrieve
 from models.physics_corrector.certify import Status
-from models.physics_corrector.corrector import Correction, PhysicsCorrector
+from models.physics_corrector.corrector import Came, Correction, PhysicsCorrector, certified_from, named, told
 from models.physics_corrector.leaning import steadied
+from models.physics_corrector.letting_down import let_down
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
 from stable_data.assets import AssetStore
 from stable_data.furnishing import Furnished, furnish
@@ -28,12 +29,14 @@ class Certifying:
         scene: As it was proposed.
         raw: What the flow made of it; None without one.
         fixed: Instances that must stay.
+        new: Instances that nothing has put anywhere yet.
         settles: Whether the physics engine is asked what stays at rest.
     """
 
     scene: Scene
     raw: Scene | None
     fixed: frozenset[str]
+    new: frozenset[str]
     settles: bool
 
 
@@ -94,7 +97,7 @@ class OwnAnswers:
         began = perf_counter()
         certify = self.certify or self.certified
         asked = [
-            Certifying(scene, raw, q.fixed, q.is_last and self.settles)
+            Certifying(scene, raw, q.fixed, q.new, q.is_last and self.settles)
             for q, scene, raw in zip(questions, scenes, raws, strict=True)
         ]
         found = [certify(each) for each in asked]
@@ -104,9 +107,13 @@ class OwnAnswers:
     def certified(self, asked: Certifying) -> Correction:
         """One scene, certified here."""
         scene, shapes, _ = self.store.resolved(asked.scene)
-        if asked.settles:
-            return steadied(self.corrector, scene, shapes, asked.raw, asked.fixed, self.store)
-        return self.corrector.certified(scene, shapes, audit_scene(scene, shapes), asked.raw, asked.fixed)
+        came = Came(scene, shapes, audit_scene(scene, shapes))
+        let = let_down(scene, asked.new, asked.fixed, self.store)
+        _, shapes, _ = self.store.resolved(let.scene)
+        raw = None if asked.raw is None else let.followed(asked.raw)
+        options = replace(self.corrector.options, fixed=self.corrector.options.fixed | asked.fixed)
+        done = told(came, certified_from(let.scene, raw, shapes, options), named(let.scene, shapes), raw=asked.raw)
+        return steadied(self.corrector, done, came, asked.fixed, self.store) if asked.settles else done
 
 
 def unanswered(asked: Certifying, reason: str) -> Correction:

@@ -57,7 +57,7 @@ TIMING_FOLDER = "timing"
 _DEPTH = 0.8 * TOLERANCE
 """How deep things may be in each other, metres: judges that try fewer directions than the audit measure up to an eighth more."""
 
-_PLACES = 16
+_PLACES = 6
 """Where a thing that does not stay is tried: with more, half of that time goes into what is left out in the end all the same."""
 
 REJECTED = "rejected"
@@ -238,7 +238,7 @@ def _opened(work: GenerateWork) -> Opened:
     shelf = AssetShelf(work.assets)
     reasoner, statistics = load_reasoner(settings.engine, settings.reasoner, work.pool)
     corrector = PhysicsCorrector(
-        load_flow(settings.weights, settings.steps), CertifyOptions(depth=_DEPTH, places=_PLACES), judges_raw=False
+        load_flow(settings.weights, settings.steps), CertifyOptions(depth=_DEPTH, places=_PLACES, twice=False), judges_raw=False
     )
     answers = OwnAnswers(
         reasoner, shelf.retriever(settings.retrieval), corrector, AssetStore(shelf), settings.seed, settings.settle

@@ -18,7 +18,7 @@ from stable_data.errors import ConfigError, MeshError
 from stable_data.glb import load_glb
 from stable_data.mesatask.entry import is_upright
 from stable_data.mesatask.features import FEATURES_FILE, read_text_features
-from stable_data.mesatask.frame import normalised, rotation_matrix, turned_extents
+from stable_data.mesatask.frame import normalised, quat_product, rotation_matrix, stood_on_end, turned_extents
 from stable_data.mesatask.library import AssetAnnotation, AssetFolder
 from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Scene, Vec3
 from stable_data.shards import RunFolder
@@ -27,6 +27,9 @@ from stable_data.text_features import Rows, TextEncoder, checked_rows, text_rows
 
 _SAME_TILT = math.radians(5.0)
 _RIGHT_ANGLE = 1e-6
+_LONG = 3.0  # longest edge over the next of what leans in a cup rather than lies there
+_STEEP = math.radians(45.0)
+_LEANS = tuple(math.radians(a) for a in (6, 12, 18, 24, 30, 36))
 _COLUMNS = (
     "asset_id",
     "category",
@@ -79,7 +82,8 @@ class Asset:
         licence: As stated, or None: unknown.
         source: Where it comes from.
         extents: Box of the mesh, mesh units, z up.
-        tilts: How it usually rests, most frequent first; tilts within five degrees of a more frequent one are that one.
+        tilts: How it usually rests, most frequent first; tilts within five degrees of a more frequent one are that one. Last come
+            those at which a long thing that was only seen lying would lean in a cup.
         on_table: Whether it belongs on a table.
         mark_deletion: Whether the annotators wanted it removed.
         is_composite: Whether it is several things in one mesh.
@@ -175,6 +179,7 @@ def library_of_run(run: RunFolder, name: str | None = None, *, own_features: boo
     name = name or run.uri
     rows = run.table("assets", [*_COLUMNS, "text_embedding"] if own_features else _COLUMNS).to_pylist()
     usual = {row["asset_id"]: _usual([(_quat(t["tilt_quat_xyzw"]), t["count"]) for t in row["resting_tilts"]]) for row in rows}
+    usual = {row["asset_id"]: _with_leaning(usual[row["asset_id"]], _vec3(row["extents"])) for row in rows}
     leaning = [uid for uid, tilts in usual.items() if any(not _is_right_angled(quat) for quat, _ in tilts)]
     points = _surface_points(run, leaning)
     assets, features = list[Asset](), dict[str, Any]()
@@ -223,10 +228,12 @@ def library_of_folder(
     for uid in folder.asset_ids:
         annotation, tilts = folder.annotation(uid), _usual(seen.get(uid, ()))
         extents, vertices = annotation.extents_z_up, None
-        if extents is None or any(not _is_right_angled(quat) for quat, _ in tilts):
+        if extents is None:
             vertices = _mesh_vertices(folder, uid)
-        if extents is None and vertices is not None:
-            extents = _vec3(np.ptp(vertices, axis=0))
+            extents = None if vertices is None else _vec3(np.ptp(vertices, axis=0))
+        tilts = tilts if extents is None else _with_leaning(tilts, extents)
+        if vertices is None and any(not _is_right_angled(quat) for quat, _ in tilts):
+            vertices = _mesh_vertices(folder, uid)
         if extents is None:
             left_out[uid] = "without an annotated box or a readable mesh"
         else:
@@ -290,6 +297,19 @@ def _usual(tilts: Iterable[tuple[QuatXyzw, int]]) -> list[tuple[QuatXyzw, int]]:
         else:
             kept.append((quat, count))
     return sorted(kept, key=lambda item: (-item[1], item[0]))
+
+
+def _with_leaning(tilts: Sequence[tuple[QuatXyzw, int]], extents: Vec3) -> list[tuple[QuatXyzw, int]]:
+    """Tilts with those at which a long thing that was only seen lying leans in a cup, its top towards -y."""
+    axis = int(np.argmax(extents))
+    is_long = extents[axis] > _LONG * sorted(extents)[1]
+    if not tilts or not is_long or any(abs(rotation_matrix(q)[2, axis]) > math.cos(_STEEP) for q, _ in tilts):
+        return list(tilts)
+    leaning = []
+    for angle in _LEANS:
+        lean = (math.sin(angle / 2), 0.0, 0.0, math.cos(angle / 2))
+        leaning.append((quat_product(lean, stood_on_end(axis)), 0))
+    return [*tilts, *leaning]
 
 
 def _resting(tilts: Sequence[tuple[QuatXyzw, int]], extents: Vec3, points: FloatArray | None) -> tuple[RestingTilt, ...]:

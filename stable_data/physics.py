@@ -49,6 +49,8 @@ class EngineOptions:
         solref: Time constant (seconds) and damping ratio of contacts.
         solimp: Impedance of contacts at depth 0 and beyond the width, and the width (metres).
         impratio: How much stiffer friction is than the normal direction; keeps elliptic cones from creeping.
+        sleep_speed: What moves slower than this in the watch, metres a second, with all that it touches, is not looked at until
+            something touches it (0: all is). It would have to creep for minutes to change a verdict.
         hurries: Whether a scene is watched no longer once something has gone too far in the settling: it is not stable, whatever
             comes. Where it comes to lie, how far it drifts and how it trembles is not known then.
     """
@@ -62,6 +64,7 @@ class EngineOptions:
     solref: tuple[float, float] = (0.008, 1.0)
     solimp: Vec3 = (0.95, 0.99, 0.001)
     impratio: float = 10.0
+    sleep_speed: float = 1e-5
     hurries: bool = False
 
 
@@ -156,6 +159,9 @@ def settle(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = Eng
         elif options.hurries and _why_not(names, *_farthest(path), 0.0):
             watched = settled[:0]
         else:
+            if options.sleep_speed:  # not before: what only just begins to fall is as slow as what rests
+                model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+                model.opt.sleep_tolerance = options.sleep_speed
             watched = _run(model, data, options.watch_seconds, options)
     if not (np.isfinite(settled).all() and np.isfinite(watched).all()):
         return _exploded(names, start, penetration)

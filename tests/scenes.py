@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import manifold3d
 import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
@@ -45,6 +46,14 @@ def bowl(radius: float, wall: float) -> Shape:
     vertices[:, 2] -= (vertices[:, 2].min() + vertices[:, 2].max()) / 2
     faces = np.array(revolved.faces, np.int64)
     return Shape(vertices, faces if revolved.volume > 0 else faces[:, ::-1].copy())
+
+
+def cup(radius: float, height: float, wall: float) -> Shape:
+    """An upright round cup with a floor, as thick as its wall doubled."""
+    inside = manifold3d.Manifold.cylinder(height, radius - wall, circular_segments=48).translate((0.0, 0.0, 2 * wall))
+    solid = manifold3d.Manifold.cylinder(height, radius, circular_segments=48) - inside
+    raw = solid.translate((0.0, 0.0, -height / 2)).to_mesh64()
+    return Shape(np.asarray(raw.vert_properties)[:, :3], np.asarray(raw.tri_verts).astype(np.int64))
 
 
 def hollow(shape: Shape, *extra: Shape) -> Shape:

@@ -4,7 +4,7 @@ The learned flow moves all objects at once; ``certify`` proves the result or men
 :class:`Correction` holds the raw result of the flow and the certified one, with the cards of all three.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -124,32 +124,69 @@ class PhysicsCorrector:
         """
         options = replace(self.options, fixed=self.options.fixed | fixed)
         done = certified_from(scene, raw, shapes, options, bodies)
-        card_after, kept = None, None
-        if done.scene is not None and done.audit is not None:
-            kept = relations_kept(scene, done.scene, shapes, audits=(audit, done.audit))
-            mean, farthest, turn = movement(scene, done.scene)
-            card_after = replace(
-                done.audit.card(),
-                relations_kept_on_in=kept.on_in_share,
-                relations_kept_directional=kept.directional_share,
-                move_mean_mm=mean,
-                move_max_mm=farthest,
-                turn_max_deg=turn,
-            )
-        return Correction(
-            status=done.status,
-            reason=done.reason,
-            start=scene,
-            raw=raw,
-            certified=done.scene,
-            dropped=done.dropped,
-            card_before=audit.card(),
-            card_raw=audit_scene(raw, shapes).card() if raw is not None and self.judges_raw else None,
-            card_after=card_after,
-            audit=done.audit,
-            kept=kept,
-            rest=done.rest,
+        card_raw = audit_scene(raw, shapes).card() if raw is not None and self.judges_raw else None
+        return told(Came(scene, shapes, audit), done, named(scene, shapes), raw=raw, card_raw=card_raw)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Came:
+    """A scene as it came to the corrector: what movement and relations are measured from.
+
+    Attributes:
+        scene: The scene, resolved.
+        shapes: The geometry of its objects, in order.
+        audit: The verdicts on it.
+    """
+
+    scene: Scene
+    shapes: Sequence[Shape]
+    audit: Audit
+
+
+def named(scene: Scene, shapes: Sequence[Shape]) -> dict[str, Shape]:
+    """The geometry of a scene's objects by instance."""
+    return {o.instance: shape for o, shape in zip(scene.objects, shapes, strict=True)}
+
+
+def told(
+    came: Came, done: Certified, shapes: Mapping[str, Shape], *, raw: Scene | None = None, card_raw: MetricCard | None = None
+) -> Correction:
+    """What became of a scene, with the figures of its movement and of the relations that it kept.
+
+    Args:
+        came: The scene as it came.
+        done: What `certify` made of it.
+        shapes: The geometry that was certified, by instance; tilts may be others than they came with.
+        raw: What the flow made of it.
+        card_raw: Figures of that.
+    """
+    card_after, kept = None, None
+    if done.scene is not None and done.audit is not None:
+        after = [shapes[o.instance] for o in done.scene.objects]
+        kept = relations_kept(came.scene, done.scene, came.shapes, after, audits=(came.audit, done.audit))
+        mean, farthest, turn = movement(came.scene, done.scene)
+        card_after = replace(
+            done.audit.card(),
+            relations_kept_on_in=kept.on_in_share,
+            relations_kept_directional=kept.directional_share,
+            move_mean_mm=mean,
+            move_max_mm=farthest,
+            turn_max_deg=turn,
         )
+    return Correction(
+        status=done.status,
+        reason=done.reason,
+        start=came.scene,
+        raw=raw,
+        certified=done.scene,
+        dropped=done.dropped,
+        card_before=came.audit.card(),
+        card_raw=card_raw,
+        card_after=card_after,
+        audit=done.audit,
+        kept=kept,
+        rest=done.rest,
+    )
 
 
 def certified_from(
@@ -160,6 +197,8 @@ def certified_from(
     bodies: Sequence["Body"] | None = None,
 ) -> Certified:
     """Certifies a scene from where the flow put it; where that leaves out or breaks anything, once more from the scene itself.
+
+    Of what only breaks relations ``options.twice`` decides.
 
     Args:
         scene: As it came, with the supports of its objects where they are known.
@@ -174,7 +213,7 @@ def certified_from(
     start = starting_point(scene, raw)
     certifier = Certifier(start, shapes, options, scene)
     done = certifier.certified()
-    if start is not scene and (done.scene is None or done.dropped or done.num_broken):
+    if start is not scene and (done.scene is None or done.dropped or (options.twice and done.num_broken)):
         other = Certifier(scene, shapes, options)
 
         def badness(each: tuple[Certified, Certifier]) -> tuple[bool, int, int, float]:

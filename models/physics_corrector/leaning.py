@@ -5,37 +5,32 @@ angle at which it leans in the end it is at rest. This is for scenes that are ma
 background need not hold a thing that nothing keeps still.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from models.physics_corrector.certify import Dropped, Status
-from models.physics_corrector.corrector import Correction, Fixed, PhysicsCorrector, certified_from, movement
+from models.physics_corrector.corrector import Came, Correction, Fixed, PhysicsCorrector
+from models.physics_corrector.going_on import gone_on, put_elsewhere
+from models.physics_corrector.letting_down import leaning_in
 from stable_data.assets import AssetStore
 from stable_data.colliders import bodies_of
 from stable_data.errors import MeshError
-from stable_data.metrics.audit import Audit, audit_scene
-from stable_data.metrics.kept import relations_kept
-from stable_data.physics import SettleResult, settle
-from stable_data.scene import Scene, Stage
-from stable_data.shape import Shape
+from stable_data.physics import EngineOptions, SettleResult, settle
+from stable_data.scene import RelationKind, Scene, Stage
 from stable_data.solid_scene import at_rest
 
 _LEANS = 2  # how often what moves may take another tilt
 _STRAYED, _TOPPLED = 0.05, 60.0  # what went farther, metres, or turned more, degrees, has fallen and leans on nothing
 
 
-def steadied(
-    corrector: PhysicsCorrector, scene: Scene, shapes: Sequence[Shape], raw: Scene | None, fixed: Fixed, store: AssetStore
-) -> Correction:
-    """One scene certified, of which the engine was asked; what it moves leans, or is put elsewhere, or at last left out.
+def steadied(corrector: PhysicsCorrector, done: Correction, came: Came, fixed: Fixed, store: AssetStore) -> Correction:
+    """A correction of which the engine is asked; what it moves leans, or is put elsewhere, or at last left out.
 
     Args:
         corrector: Certifies.
-        scene: As it came, resolved.
-        shapes: The geometry of its objects, in order.
-        raw: What the flow made of it; None without one.
+        done: The correction, of which the engine was not asked.
+        came: The scene as it came.
         fixed: Instances that must stay.
         store: Geometry of the assets.
 
@@ -43,29 +38,42 @@ def steadied(
         The correction, with the engine's verdict where it could be asked; its figures of movement and relations are from the start.
         Task objects are not left out: a scene whose own do not stay is unsteady.
     """
-    try:
-        bodies = bodies_of(scene, shapes, store)
-    except MeshError:
-        return corrector.certified(scene, shapes, audit_scene(scene, shapes), raw, fixed)
+    if done.certified is None or done.status is Status.UNKNOWN:
+        return done
     quick = replace(corrector, options=replace(corrector.options, places=0))
-    audit = audit_scene(scene, shapes)
-    done = quick.certified(scene, shapes, audit, raw, fixed, bodies)
+    scene, shapes, _ = store.resolved(done.certified)
+    try:
+        rest = settle(bodies_of(scene, shapes, store), scene.table, EngineOptions(hurries=True))
+    except MeshError:
+        return done
+    done = replace(done, rest=rest if rest.stable is not None else None)
     for _ in range(_LEANS):
         leaning = _leaning(done, store, fixed)
-        better = None if leaning is None else _again(quick, done, audit, leaning, fixed, store)
+        better = None if leaning is None else _again(quick, done, came, leaning, fixed, store)
         if better is None:
             break
         done = better
+    for cup, names in _restless_cups(done, fixed):
+        assert done.certified is not None
+        anew = leaning_in(done.certified, cup, names, fixed, store)
+        done = (None if anew is None else _again(quick, done, came, anew, fixed, store)) or done
     if done.certified is not None and done.rest is not None and done.rest.unsteady:
-        done = _again(corrector, done, audit, done.certified, fixed, store) or done
+        done = put_elsewhere(corrector, done, came, fixed, store)
     if done.certified is not None and done.rest is not None and done.rest.unsteady:
-        done = _left_out(quick, done, audit, fixed, store) or _watched(done, store)
+        done = _left_out(quick, done, came, fixed, store) or _watched(done, store)
     return done
 
 
-def _left_out(
-    corrector: PhysicsCorrector, done: Correction, before: Audit, fixed: Fixed, store: AssetStore
-) -> Correction | None:
+def _restless_cups(done: Correction, fixed: Fixed) -> list[tuple[str, set[str]]]:
+    """What is to be in something and does not stay there, by what it is in."""
+    if done.certified is None or done.rest is None:
+        return []
+    there, unsteady = {o.instance for o in done.certified.objects}, set(done.rest.unsteady) - fixed
+    inside = [r for r in done.certified.relations if r.kind is RelationKind.IN and r.subject in unsteady and r.target in there]
+    return [(cup, {r.subject for r in inside if r.target == cup}) for cup in dict.fromkeys(r.target for r in inside)]
+
+
+def _left_out(corrector: PhysicsCorrector, done: Correction, came: Came, fixed: Fixed, store: AssetStore) -> Correction | None:
     """The correction without what does not stay; None where the rest does not either, or is the task's or must be there."""
     assert done.certified is not None
     assert done.rest is not None
@@ -77,7 +85,7 @@ def _left_out(
     ):
         return None
     rest = replace(scene, objects=tuple(o for o in scene.objects if o not in gone))
-    again = _again(corrector, done, before, rest, fixed, store)
+    again = _again(corrector, done, came, rest, fixed, store)
     if again is None or again.rest is None or not again.rest.stable:
         return None
     dropped = tuple(Dropped(o.instance, f"it, or what carries it, would not stay: {done.rest.reason}") for o in gone)
@@ -111,31 +119,11 @@ def _leaning(done: Correction, store: AssetStore, fixed: Fixed) -> Scene | None:
 
 
 def _again(
-    corrector: PhysicsCorrector, done: Correction, before: Audit, scene: Scene, fixed: Fixed, store: AssetStore
+    corrector: PhysicsCorrector, done: Correction, came: Came, scene: Scene, fixed: Fixed, store: AssetStore
 ) -> Correction | None:
-    """The correction gone on with from a scene, told as one with it; None where no more of it stays then."""
-    scene, shapes, _ = store.resolved(scene)
-    try:
-        bodies = bodies_of(scene, shapes, store)
-    except MeshError:
-        return None
-    again = certified_from(scene, None, shapes, replace(corrector.options, fixed=corrector.options.fixed | fixed), bodies)
-    if again.scene is None or again.audit is None or again.dropped:
-        return None
-    if _num_unsteady(again.rest) >= _num_unsteady(done.rest):
-        return None
-    _, shapes_before, _ = store.resolved(done.start)
-    kept = relations_kept(done.start, again.scene, shapes_before, shapes, audits=(before, again.audit))
-    mean, farthest, turn = movement(done.start, again.scene)
-    card = replace(
-        again.audit.card(),
-        relations_kept_on_in=kept.on_in_share,
-        relations_kept_directional=kept.directional_share,
-        move_mean_mm=mean,
-        move_max_mm=farthest,
-        turn_max_deg=turn,
-    )
-    return replace(done, certified=again.scene, card_after=card, audit=again.audit, kept=kept, rest=again.rest)
+    """The correction gone on with from a scene; None where no more of it stays then."""
+    again = gone_on(corrector, done, came, scene, fixed, store)
+    return None if again is None or _num_unsteady(again.rest) >= _num_unsteady(done.rest) else again
 
 
 def _num_unsteady(rest: SettleResult | None) -> float:

@@ -61,6 +61,18 @@ def rotation_matrix(quat_xyzw: QuatXyzw) -> FloatArray:
     )
 
 
+def stood_on_end(axis: int, *, is_down: bool = False) -> QuatXyzw:
+    """The rotation that stands a long thing on end.
+
+    Args:
+        axis: Along which it is long: 0, 1 or 2.
+        is_down: Whether the positive end of that axis is to be the lower one.
+    """
+    half = math.sqrt(0.5)
+    turned = ((0.0, -half, 0.0, half), (half, 0.0, 0.0, half), UPRIGHT)[axis]
+    return quat_product((1.0, 0.0, 0.0, 0.0), turned) if is_down else turned
+
+
 def heading(quat_xyzw: QuatXyzw) -> tuple[float, float]:
     """Where the turned x axis points, seen from above.
 

@@ -39,6 +39,13 @@ def run_of(root: Path, *rows: Row) -> RunFolder:
     return folder
 
 
+def tilts_of(root: Path, extents: tuple[float, float, float], *seen: QuatXyzw) -> list[RestingTilt]:
+    """The tilts of an asset of a run that was seen at some, once each."""
+    rows = [{"tilt_quat_xyzw": quat, "count": 1} for quat in seen]
+    points = np.asarray(np.meshgrid(*([-e / 2, e / 2] for e in extents))).reshape(3, -1).T.ravel()
+    return list(library_of_run(run_of(root, row("a", extents=extents, resting_tilts=rows, points=points))).assets[0].tilts)
+
+
 def folder_of(root: Path, annotations: dict[str, dict[str, object]], glbs: tuple[str, ...] = ()) -> Path:
     (root / "Assets_library").mkdir(parents=True)
     (root / "Asset_annotation.json").write_text(json.dumps(annotations), "utf-8")
@@ -177,3 +184,30 @@ def test_mesa_real_is_a_library(shared_data: Path) -> None:
         for tilt in asset.tilts:
             assert 0 < max(tilt.extents) <= math.hypot(*asset.extents) * 1.001
     assert any(tilt.quat_xyzw != UPRIGHT for asset in library.assets for tilt in asset.tilts)
+
+
+@pytest.mark.parametrize(
+    ("extents", "lying"),
+    [((0.1, 0.2, 2.0), leaning(90.0)), ((0.1, 2.0, 0.2), UPRIGHT), ((2.0, 0.1, 0.2), UPRIGHT)],
+)
+def test_what_is_long_and_was_only_seen_lying_may_lean(
+    tmp_path: Path, extents: tuple[float, float, float], lying: QuatXyzw
+) -> None:
+    first, *others = tilts_of(tmp_path, extents, lying)
+    assert (first.quat_xyzw, first.count) == (lying, 1)
+    assert [tilt.count for tilt in others] == [0] * len(others)
+    assert len(others) > 3
+    axis = np.eye(3)[int(np.argmax(extents))]
+    heights = [float((Rotation.from_quat(tilt.quat_xyzw).apply(axis))[2]) for tilt in others]
+    assert heights == sorted(heights, reverse=True)  # the steepest first
+    assert all(0.8 < height < 1 for height in heights)
+    for tilt in others:
+        assert tilt.extents == pytest.approx(np.abs(Rotation.from_quat(tilt.quat_xyzw).as_matrix()) @ extents)
+
+
+def test_what_stands_or_is_short_or_was_seen_to_lean_gets_no_tilt_more(tmp_path: Path) -> None:
+    long = (0.1, 0.2, 2.0)
+    assert len(tilts_of(tmp_path / "stands", long, UPRIGHT)) == 1
+    assert len(tilts_of(tmp_path / "leans", long, leaning(90.0), leaning(20.0))) == 2
+    assert len(tilts_of(tmp_path / "short", (1.0, 1.0, 2.0), leaning(90.0))) == 1
+    assert len(tilts_of(tmp_path / "unknown", long)) == 1

@@ -74,6 +74,27 @@ def test_what_has_gone_too_far_is_not_watched_in_a_hurry_and_what_stays_is() -> 
     assert (same.stable, same.drift_mm, same.jitter_mm) == (True, other.drift_mm, other.jitter_mm)
 
 
+@pytest.mark.parametrize("speed", [EngineOptions().sleep_speed, 1e-3])
+def test_what_sleeps_is_judged_as_what_is_looked_at(speed: float) -> None:
+    bodies = [block(str(k), (0.5, 0.3, 0.05 + 0.1 * k)) for k in range(3)]
+    awake, asleep = (settle(bodies, TABLE, EngineOptions(sleep_speed=s)) for s in (0.0, speed))
+    assert awake.stable
+    assert asleep.stable
+    assert asleep.moves == pytest.approx(awake.moves, abs=1e-6)
+    assert asleep.drift_mm == pytest.approx(awake.drift_mm, abs=0.1)
+
+
+def test_what_only_just_begins_to_fall_does_not_fall_asleep() -> None:
+    """A pole on its edge, almost in balance: it takes its time."""
+    angle = np.arctan(0.02 / 0.4) + 1e-4
+    turn = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
+    pole = box(0.02, 0.02, 0.4)
+    vertices = pole.vertices @ turn.T
+    result = settle([Body("pole", (Mesh(vertices, pole.faces),), 0.5, (0.5, 0.3, -float(vertices[:, 2].min())))], TABLE)
+    assert result.stable is False
+    assert result.settle_turn_max_deg == pytest.approx(87, abs=5)
+
+
 def test_falling_box_moved_by_its_height() -> None:
     result = settle([block("a", (0.5, 0.3, 0.10))], TABLE)
     assert result.stable is False

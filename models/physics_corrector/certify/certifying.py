@@ -111,7 +111,7 @@ class Certifier:
         """A correction that the engine has judged; what did not stay is elsewhere now, if it was found where it does.
 
         Args:
-            done: What :meth:`certified` gave.
+            done: What :meth:`certified` gave; the engine is not asked again of what it has judged.
             bodies: As for :func:`certify`.
         """
         if [body.name for body in bodies] != [o.instance for o in self.scene.objects]:
@@ -202,7 +202,7 @@ class Certifier:
             placed = [replace(body_of[o.instance], position=o.position, yaw=o.yaw) for o in of.objects]
             return settle(placed, of.table, EngineOptions(hurries=not self.options.places))
 
-        rest = verdict(scene)
+        rest = done.rest or verdict(scene)
         if rest.stable is None:
             reason = "; ".join(filter(None, (done.reason, f"the engine cannot be asked: {rest.reason}")))
             return replace(done, reason=reason)

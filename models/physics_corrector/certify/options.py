@@ -57,6 +57,8 @@ class CertifyOptions:
             judges too, which try fewer ways to part them.
         places: At how many places at most a thing that the physics engine moves, where it is asked, is tried until it stays; 0: it
             is left where it moves, and looked at no longer than that takes.
+        twice: Whether a layout that begins elsewhere than it came, where the flow put it, and loses relations is certified from
+            where it came too, and the better taken; where it loses objects it always is.
     """
 
     when_full: Literal["drop", "infeasible"] = "drop"
@@ -67,6 +69,7 @@ class CertifyOptions:
     rounds: int = 8
     depth: float = TOLERANCE
     places: int = 100
+    twice: bool = True
 
     def __post_init__(self) -> None:
         """Refuses settings that make no sense."""

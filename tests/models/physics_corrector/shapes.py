@@ -12,7 +12,7 @@ from stable_data.export.glb import write_glb
 from stable_data.mesh import Mesh
 from stable_data.scene import UPRIGHT, QuatXyzw, Rectangle, Scene, SceneObject, Tabletop, Vec3
 from stable_data.shape import Shape
-from tests.scenes import ball, bowl, box, sheet
+from tests.scenes import ball, bowl, box, cup, sheet
 
 RADIUS, SIDE = 0.05, 0.1
 SHAPES = {
@@ -20,6 +20,7 @@ SHAPES = {
     "cube": box(SIDE, SIDE, SIDE),
     "plate": box(0.2, 0.16, 0.01),
     "bowl": bowl(0.08, 0.006),
+    "cup": cup(0.04, 0.1, 0.005),
     "cloth": sheet(0.2, 0.1),
 }
 

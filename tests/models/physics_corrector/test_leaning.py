@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from models.physics_corrector.certify import CertifyOptions, Status
-from models.physics_corrector.corrector import Correction, PhysicsCorrector
+from models.physics_corrector.corrector import Came, Correction, PhysicsCorrector
 from models.physics_corrector.leaning import steadied
 from stable_data.colliders import bodies_of
 from stable_data.metrics.audit import audit_scene
@@ -22,7 +22,8 @@ def tilted(degrees: float) -> QuatXyzw:
 
 def steady(given: Scene, fixed: frozenset[str] = frozenset()) -> Correction:
     resolved, shapes, _ = store().resolved(given)
-    return steadied(PhysicsCorrector(), resolved, shapes, None, fixed, store())
+    came, corrector = Came(resolved, shapes, audit_scene(resolved, shapes)), PhysicsCorrector()
+    return steadied(corrector, corrector.certified(resolved, shapes, came.audit, None, fixed), came, fixed, store())
 
 
 STICK = (0.1, 0.1, 1.4)  # of a cube of 10 cm
