@@ -13,7 +13,7 @@ best of real meshes. Nothing is left out of the figures because it was not accep
 import argparse
 import json
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from pipelines.generate_settings import GenerateSettings
 from pipelines.generate_tasks import Tasks, of_file, sampled
 from pipelines.runner import Workers
 from stable_data.asset_library import library_of_folder
-from stable_data.scene import Scene
+from stable_data.scene import Relation, Scene
 from stable_data.shards import RunFolder
 from stable_data.synth.library import NAME as EMBEDDED
 from stable_data.synth.plans import TABLES, UNSEEN_TABLES
@@ -72,10 +72,8 @@ def outcome(case: Mapping[str, Any], scene: Scene | None, codes: Sequence[str]) 
         codes: Of the warnings and failures about it.
     """
     category = {} if scene is None else {o.instance: o.category for o in scene.objects}
-    there = (
-        set() if scene is None else {(category.get(r.subject), str(r.kind), category.get(r.target)) for r in scene.relations}
-    )
-    held = [tuple(claim) in there for claim in case["claims"]]
+    relations = frozenset[Relation]() if scene is None else frozenset(scene.relations)
+    held = [_is_so(relations, category, *claim) for claim in case["claims"]]
     return {
         "instruction": case["instruction"],
         "possible": case["possible"],
@@ -86,6 +84,12 @@ def outcome(case: Mapping[str, Any], scene: Scene | None, codes: Sequence[str]) 
         "claims": len(held),
         "said": sorted({code for code in codes if code in SAYING}),
     }
+
+
+def _is_so(relations: Set[Relation], category: Mapping[str, str], one: str, kind: str, other: str) -> bool:
+    """Is any thing of one category so to any of another? What is in a thing is on it too."""
+    kinds = {kind, "in"} if kind == "on" else {kind}
+    return any(str(r.kind) in kinds and category.get(r.subject) == one and category.get(r.target) == other for r in relations)
 
 
 def contradictory(num_cases: int, workers: Workers) -> list[dict[str, Any]]:

@@ -23,6 +23,7 @@ from models.semantic_reasoner.engine import OFF
 from models.semantic_reasoner.prompt import answer
 from models.semantic_reasoner.required import required
 from models.semantic_reasoner.staged import LayoutTask
+from models.semantic_reasoner.start_relations import relations_not_held
 from pipelines.asset_shelf import AssetShelf
 from pipelines.engine_pool import PooledEngine
 from pipelines.generate_answers import Certifying, OwnAnswers, unanswered
@@ -43,7 +44,7 @@ from stable_data.metrics.card import MetricCard
 from stable_data.metrics.collision import TOLERANCE
 from stable_data.metrics.kept import relations_kept
 from stable_data.physics import SettleResult, settle
-from stable_data.scene import Relation, Scene
+from stable_data.scene import Relation, RelationKind, Scene
 from stable_data.seeds import named_seed
 from stable_data.shape import Shape
 from stable_data.shards import RunFolder
@@ -277,11 +278,15 @@ def _with_alignment(
         return card, ()
     categories = [o.category for o in scene.objects]
     asked = required(scene.task.task, statistics)
-    awt = sum(one.is_met_by(categories) for one in asked) / len(asked) if asked else None
-    if not (scene.task.relations and scene.task.task_objects):
-        return replace(card, awt=awt), ()
+    card = replace(card, awt=sum(one.is_met_by(categories) for one in asked) / len(asked) if asked else None)
+    named = [o for o in scene.objects if o.instance in scene.task.task_objects]
+    on_in = {r for r in scene.relations if r.kind in (RelationKind.ON, RelationKind.IN)}
+    # What contradicts itself, or could be read of no such things, is among no task's relations.
+    broken = relations_not_held(named, scene.table, scene.task.task, statistics, on_in)
+    if not (scene.task.relations and named):
+        return card, broken
     known = align(scene, reference_of(scene), contacts=seen.contacts, footprints=seen.footprints, containers=containers)
-    return replace(card, awt=awt, aws=known.aws), known.broken or ()
+    return replace(card, aws=known.aws), tuple(dict.fromkeys((*(known.broken or ()), *broken)))
 
 
 def _with_rest(card: MetricCard, rest: SettleResult) -> MetricCard:

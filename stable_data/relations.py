@@ -43,6 +43,7 @@ _BOTTOM = 5e-3  # a carrier's bottom is not higher than the carried object's, bu
 _FLOOR = 1.5e-3  # a content lies at least this much above its container's bottom, metres
 _RIM_SHARE = 0.15  # the bottom of a content is below the rim by at least this share of the container's height
 _RIM_SHARE_UNKNOWN = 0.3  # the same where it is not known whether the thing is a container
+_SHEET = 8e-3  # and it is no lower than this, metres: how deep a thing is in a mat is how exactly its place was said
 _OVERLAP_UNKNOWN = 0.5  # and at least this share of the smaller outline is common, so that what leans on it is not in it
 _ABOVE_SLACK = 5e-3  # metres
 _ABOVE_OVERLAP = 0.5
@@ -86,11 +87,14 @@ class _Layout:
         flag = self.containers.get(parent)
         if flag is False or self.beyond(child, parent) > INSIDE_SLACK:
             return False
-        if flag is None and self.overlap(parent, child) < _OVERLAP_UNKNOWN:
+        if flag is None and (self._is_sheet(parent) or self.overlap(parent, child) < _OVERLAP_UNKNOWN):
             return False
         share = _RIM_SHARE if flag else _RIM_SHARE_UNKNOWN
         deep = self.depth(child, parent) >= share * (self.high[parent] - self.low[parent])
         return deep and self.low[child] > self.low[parent] + _FLOOR
+
+    def _is_sheet(self, name: str) -> bool:
+        return self.high[name] - self.low[name] < _SHEET
 
     def overlap(self, one: str, other: str) -> float:
         """Common area of two outlines as a share of the smaller."""

@@ -1,6 +1,6 @@
 """What an instruction says of the start, held against a layout: the reader of task infos, its words made those of the layout."""
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 
 import numpy as np
 
@@ -43,19 +43,23 @@ def understood(
 
 
 def relations_not_held(
-    layout: Sequence[SceneObject], table: Tabletop, instruction: str, statistics: CategoryStatistics
+    layout: Sequence[SceneObject],
+    table: Tabletop,
+    instruction: str,
+    statistics: CategoryStatistics,
+    on_in: Set[Relation] | None = None,
 ) -> tuple[Relation, ...]:
     """What an instruction says of the start that is true of no such objects of a layout.
 
-    Of several alike any will do, as many as are spoken of. In and on are told apart by boxes, as AwS judges a raw layout; what
-    shall be on a thing may be in it. What shall be emptied has something in or on it, whatever it is. Of what is not there at all
-    nothing is said.
+    Of several alike any will do, as many as are spoken of. What shall be on a thing may be in it. What shall be emptied has
+    something in or on it, whatever it is. Of what is not there at all nothing is said.
 
     Args:
         layout: The objects.
         table: The table.
         instruction: The instruction.
         statistics: What is known of categories.
+        on_in: What is on and in what, where that is known; None: by boxes, as AwS judges a raw layout.
     """
     instruction = instruction[:MAX_INSTRUCTION]
     words = words_of(instruction)
@@ -67,9 +71,12 @@ def relations_not_held(
         return ()  # most instructions say nothing of the start
     kinds = [set(statistics.nouns.categories_of(p.mention.noun)) for p in spoken]
     alike = [[o for o in layout if o.category in kind] for kind in kinds]
-    carriers = carriers_of(layout, table)
-    graph = scene_graph(Scene("layout", table, tuple(layout)), {})
-    on_in = {Relation(one, kind, other) for one, other, kind in graph.edges(keys=True) if kind in _CARRYING}
+    if on_in is None:
+        carrying = set(carriers_of(layout, table).values())
+        graph = scene_graph(Scene("layout", table, tuple(layout)), {})
+        on_in = {Relation(one, kind, other) for one, other, kind in graph.edges(keys=True) if kind in _CARRYING}
+    else:
+        carrying = {r.target for r in on_in}
 
     def are_so(kind: RelationKind, one: SceneObject, other: SceneObject) -> bool:
         if kind in _CARRYING:
@@ -93,7 +100,7 @@ def relations_not_held(
     broken += [
         Relation("something", RelationKind.ON, alike[k][0].instance)
         for k in empties
-        if alike[k] and not any(o.instance in carriers.values() for o in alike[k])
+        if alike[k] and not any(o.instance in carrying for o in alike[k])
     ]
     return tuple(broken)
 

@@ -55,6 +55,9 @@ _ILL_PLACED = re.compile(rf"{_LIST} do(?:es)? not belong (?P<spot>in|on) {_B}")
 _BEFORE = re.compile(rf"in front of {_B} by (?:moving|pushing|taking) {_LIST}")
 _STATED = re.compile(rf"{_LIST}(?P<be>{_BE}) {_SPOT} {_B}")
 _NOUN = re.compile(rf"{_LIST} {_SPOT} {_B}")
+_ALSO = re.compile(rf"(?:,? (?:and|is|are|also|too))+ {_SPOT} {_B}")
+"""Goes on after where a thing is with where it is besides: ``is left of the cup and behind the plate``."""
+
 _EMPTIED = re.compile(
     r"\b(?:(?:everything|nothing)(?: that is| should be)? (?:in|on|out of|off|from)|empty|clear(?: out)?) <(\d+)>(?! away)"
     r"|<(\d+)> empty\b|<(\d+)>\. take (?:what lies on top off|everything off)"
@@ -150,15 +153,28 @@ def _stated(marked: str) -> Iterator[Claim]:
             # "Put a on b" says where a shall be, "pick up a on b" where it is: the last verb tells.
             if re.search(_WISH, before) or (verbs and re.fullmatch(_PLACING, verbs[-1])):
                 continue
-            claims = list(_pairs(match, _SPOTS[re.sub(r"^(?:to|on) the | side", "", match["spot"])]))
+            things = [int(a) for a in re.findall(r"\d+", match["a"])]
             # "A, b and c standing on d" says it of c alone, "a, b and c stand on d" of all.
-            is_clause = pattern is _STATED and re.match(r",? ?(?:which|that|\w+ing|placed|kept)\b", match["be"])
-            yield from claims[-1:] if is_clause else claims
+            if pattern is _STATED and re.match(r",? ?(?:which|that|\w+ing|placed|kept)\b", match["be"]):
+                things = things[-1:]
+            where: re.Match[str] | None = match
+            while where is not None:
+                yield from _claims(things, _spot(where), where)
+                where = _ALSO.match(marked, where.end())
+
+
+def _spot(match: re.Match[str]) -> RelationKind:
+    return _SPOTS[re.sub(r"^(?:to|on) the | side", "", match["spot"])]
 
 
 def _pairs(match: re.Match[str], kind: RelationKind | None) -> Iterator[Claim]:
+    return _claims([int(a) for a in re.findall(r"\d+", match["a"])], kind, match)
+
+
+def _claims(things: Sequence[int], kind: RelationKind | None, match: re.Match[str]) -> Iterator[Claim]:
+    """What a match says of some things."""
     target = int(match["b"][1:-1])
-    return (Claim(int(a), kind, target) for a in re.findall(r"\d+", match["a"]) if int(a) != target)
+    return (Claim(a, kind, target) for a in things if a != target)
 
 
 def emptied(marked: str) -> tuple[int, ...]:
