@@ -77,7 +77,7 @@ def _opened(work: CarryWork) -> tuple[AssetShelf, AssetStore]:
 
 
 def asset_shards(run: RunFolder, names: Sequence[str], fingerprint: str) -> list[SceneShard[AssetUse]]:
-    """The assets that the scenes of a run use, in shards.
+    """The assets that the scenes of a run use, in shards; one without any where no scene was made, so that the tables are there.
 
     Args:
         run: The run.
@@ -94,5 +94,5 @@ def asset_shards(run: RunFolder, names: Sequence[str], fingerprint: str) -> list
                     uses[asset_id].add(None if scale is None else tuple(scale), tuple(tilt))
     # Grids of signed distance are for training, which prepares its own.
     found = [AssetUse(a, "", use.typical_scale(), (), tuple(use.most_tilts())) for a, use in sorted(uses.items())]
-    parts = groups(found, _PER_SHARD)
+    parts: list[Sequence[AssetUse]] = [*groups(found, _PER_SHARD)] or [()]
     return [SceneShard(content_id("carry", fingerprint, [asdict(use) for use in part]), tuple(part)) for part in parts]

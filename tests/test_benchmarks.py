@@ -93,6 +93,8 @@ def test_a_contradiction_counts_as_followed_only_where_the_scene_holds_it() -> N
     held = Scene("one", Tabletop("office_table", (1.0, 0.6)), things, relations=(Relation("book_0", RelationKind.ON, "mug_0"),))
     found = outcome(case, held, [])
     assert (found["made"], found["objects_there"], found["claims_held"], found["said"]) == (True, 2, 1, [])
+    inside = replace(held, relations=(Relation("book_0", RelationKind.IN, "mug_0"),))
+    assert outcome(case, inside, [])["claims_held"] == 1
     lost = outcome(case, replace(held, relations=(Relation("mug_0", RelationKind.ON, "book_0"),)), ["not_as_said", "dropped"])
     assert (lost["claims_held"], lost["said"]) == (0, ["not_as_said"])
     assert outcome(case, held, ["table_unknown"])["said"] == []  # it says nothing of the claims

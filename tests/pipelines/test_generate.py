@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 from PIL import Image
 
-from models.semantic_reasoner.engines import EngineSettings
+from models.semantic_reasoner.assembly import ReasonerSettings
+from models.semantic_reasoner.engines import EMBEDDED, EngineSettings
 from models.semantic_reasoner.prompt import WANTED
 from models.semantic_reasoner.staged import LayoutTask
 from pipelines.asset_shelf import AssetShelf
@@ -127,6 +128,40 @@ def test_every_turn_is_told(made: Path) -> None:
     assert {t["code"] for t in refused} == {"reply_unusable"}
     assert all(t["refused"] == [["reply_not_json"]] * t["tries"] for t in refused)
     assert {t["code"] for t in turns if t["scene_id"] == "task_3"} == {"asset_unmatched"}
+
+
+def test_a_run_in_which_nothing_could_be_made_ends_well(dataset: Path, settings: GenerateSettings, tmp_path: Path) -> None:
+    manifest = generate(tasks("Say nonsense"), str(tmp_path / "out"), settings, ALONE, [str(dataset)])
+    assert manifest["status"] == "complete"
+    assert (manifest["counts"]["scenes"], manifest["counts"]["assets"]) == (0, 0)
+    assert [row["code"] for row in rows_of(tmp_path / "out", "failures")] == ["reply_unusable"]
+    assert (tmp_path / "out" / "report" / "index.html").is_file()
+
+
+def test_what_an_instruction_says_of_the_start_and_does_not_hold_is_named(
+    dataset: Path, settings: GenerateSettings, shelf: AssetShelf, tmp_path: Path
+) -> None:
+    """Of two claims that exclude each other one is broken, whatever is made of them; nothing is said where all is as it is said."""
+    first, second = shelf.libraries[0].assets[1:3]
+    assert first.category != second.category
+    script = {
+        WANTED[Stage.TASK]: {"objects": [entry(first, 30.0), entry(second, 80.0)]},
+        WANTED[Stage.IMPORTANT]: {"objects": []},
+        WANTED[Stage.SECONDARY]: {"objects": []},
+    }
+    (tmp_path / "script.json").write_text(json.dumps(script))
+    one, other = (asset.category.replace("_", " ") for asset in (first, second))
+    asked = tasks(
+        f"The {one} is to the left of the {other}. Move it behind.",
+        f"The {one} is to the left of the {other} and to the right of the {other}. Move it behind.",
+        f"The {one} is on the {other} and the {other} is on the {one}. Take both away.",
+    )
+    reads = ReasonerSettings(statistics=str(EMBEDDED), tries=1)
+    own = replace(settings, engine=EngineSettings(f"scripted:{tmp_path / 'script.json'}"), reasoner=reads)
+    generate(asked, str(tmp_path / "out"), own, ALONE, [str(dataset)])
+    assert len(rows_of(tmp_path / "out", "scenes")) == 3
+    named = [row["id"] for row in rows_of(tmp_path / "out", "warnings") if row["code"] == "not_as_said"]
+    assert set(named) == {"task_1", "task_2"}
 
 
 def test_settled_poses_are_kept_beside(made: Path) -> None:

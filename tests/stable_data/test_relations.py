@@ -54,6 +54,13 @@ def test_nothing_is_in_a_thing_that_is_known_to_be_no_container() -> None:
     assert Relation("2_ball_0", RelationKind.ON, "1_bowl_0") in links(scene_of(BOWL, BALL), contacts, {"1_bowl_0": False})
 
 
+@pytest.mark.parametrize(("height", "kind"), [(0.004, RelationKind.ON), (0.03, RelationKind.IN)])
+def test_how_deep_a_thing_is_in_a_mat_says_nothing(height: float, kind: RelationKind) -> None:
+    mat = box("1_mat_0", (0.6, 0.3, height / 2), (0.2, 0.2, height))
+    mouse = box("2_mouse_0", (0.6, 0.3, height / 2 + 0.02), (0.06, 0.1, 0.04 - 1e-9))
+    assert Relation("2_mouse_0", kind, "1_mat_0") in links(scene_of(mat, mouse), {})
+
+
 def test_a_thing_that_leans_on_a_bowl_stands_on_the_table() -> None:
     pen = box("4_pen_0", (0.72, 0.3, 0.05), (0.02, 0.02, 0.1))
     contacts = {"4_pen_0": (TABLE, "1_bowl_0"), "1_bowl_0": (TABLE,)}
