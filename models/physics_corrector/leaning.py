@@ -9,18 +9,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.physics_corrector.certify import Dropped, Status
-from models.physics_corrector.corrector import Came, Correction, Fixed, PhysicsCorrector
+from models.physics_corrector.certify import Certified, Dropped, Status
+from models.physics_corrector.corrector import Came, Correction, Fixed, PhysicsCorrector, named, told
 from models.physics_corrector.going_on import gone_on, put_elsewhere
 from models.physics_corrector.letting_down import leaning_in
 from stable_data.assets import AssetStore
 from stable_data.colliders import bodies_of
 from stable_data.errors import MeshError
+from stable_data.metrics.audit import audit_scene
 from stable_data.physics import EngineOptions, SettleResult, settle
 from stable_data.scene import RelationKind, Scene, Stage
 from stable_data.solid_scene import at_rest
 
 _LEANS = 2  # how often what moves may take another tilt
+_LEFT_OUT = 3  # how often things are left out, where others move without them
+_NEEDED = 4  # at how many times as many places a thing of the task is tried, which cannot be left out
 _STRAYED, _TOPPLED = 0.05, 60.0  # what went farther, metres, or turned more, degrees, has fallen and leans on nothing
 
 
@@ -58,7 +61,10 @@ def steadied(corrector: PhysicsCorrector, done: Correction, came: Came, fixed: F
         anew = leaning_in(done.certified, cup, names, fixed, store)
         done = (None if anew is None else _again(quick, done, came, anew, fixed, store)) or done
     if done.certified is not None and done.rest is not None and done.rest.unsteady:
-        done = put_elsewhere(corrector, done, came, fixed, store)
+        is_needed = any(o.stage is Stage.TASK for o in done.certified.objects if o.instance in done.rest.unsteady)
+        places = (_NEEDED if is_needed else 1) * corrector.options.places
+        patient = replace(corrector, options=replace(corrector.options, places=places))
+        done = put_elsewhere(patient, done, came, fixed, store)
     if done.certified is not None and done.rest is not None and done.rest.unsteady:
         done = _left_out(quick, done, came, fixed, store) or _watched(done, store)
     return done
@@ -77,20 +83,24 @@ def _left_out(corrector: PhysicsCorrector, done: Correction, came: Came, fixed: 
     """The correction without what does not stay; None where the rest does not either, or is the task's or must be there."""
     assert done.certified is not None
     assert done.rest is not None
-    scene = done.certified
-    names = set(done.rest.unsteady) | scene.resting_on(set(done.rest.unsteady))
-    gone = [o for o in scene.objects if o.instance in names]
-    if any(o.stage is Stage.TASK or o.instance in fixed | corrector.options.fixed for o in gone) or len(gone) == len(
-        scene.objects
-    ):
-        return None
-    rest = replace(scene, objects=tuple(o for o in scene.objects if o not in gone))
-    again = _again(corrector, done, came, rest, fixed, store)
-    if again is None or again.rest is None or not again.rest.stable:
-        return None
-    dropped = tuple(Dropped(o.instance, f"it, or what carries it, would not stay: {done.rest.reason}") for o in gone)
-    reason = "; ".join(f"{d.instance} dropped: {d.reason}" for d in (*done.dropped, *dropped))
-    return replace(again, status=Status.DROPPED, reason=reason, dropped=(*done.dropped, *dropped))
+    scene, rest, dropped = done.certified, done.rest, list(done.dropped)
+    for _ in range(_LEFT_OUT):
+        names = set(rest.unsteady) | scene.resting_on(set(rest.unsteady))
+        gone = [o for o in scene.objects if o.instance in names]
+        if any(o.stage is Stage.TASK or o.instance in fixed | corrector.options.fixed for o in gone):
+            return None
+        dropped += [Dropped(o.instance, f"it, or what carries it, would not stay: {rest.reason}") for o in gone]
+        scene, shapes, _ = store.resolved(replace(scene, objects=tuple(o for o in scene.objects if o not in gone)))
+        if not scene.objects:
+            return None
+        audit, rest = audit_scene(scene, shapes), settle(bodies_of(scene, shapes, store), scene.table)
+        if rest.stable and audit.card().clean:  # nothing had moved: what was clean is clean without it
+            reason = "; ".join(f"{d.instance} dropped: {d.reason}" for d in dropped)
+            left = Certified(scene, Status.DROPPED, reason, tuple(dropped), audit, rest)
+            return replace(told(came, left, named(scene, shapes)), raw=done.raw, card_raw=done.card_raw)
+        if not rest.unsteady:
+            return None
+    return None
 
 
 def _watched(done: Correction, store: AssetStore) -> Correction:

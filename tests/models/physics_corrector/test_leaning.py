@@ -106,3 +106,17 @@ def test_a_task_object_that_nothing_keeps_still_is_told_and_stays() -> None:
     assert done.rest.drift_mm is not None  # it was watched to its end
     assert done.rest.settle_turn_max_deg is not None
     assert done.rest.settle_turn_max_deg > 60
+
+
+def test_all_that_nothing_keeps_still_is_left_out_at_once() -> None:
+    """Two poles on their edges are background, and the plate stays."""
+    upper = thing("cube_1", (0.5, 0.4, 0.5, 0.0), scale=(0.3, 0.3, 4.0), tilt=tilted(8))
+    poles = (replace(POLE, stage=Stage.SECONDARY), replace(upper, position=(0.8, 0.4, 0.2), stage=Stage.IMPORTANT))
+    done = steady(scene(replace(PLATE, stage=Stage.TASK), *poles))
+    assert done.certified is not None
+    assert [o.instance for o in done.certified.objects] == ["plate"]
+    assert sorted(d.instance for d in done.dropped) == ["cube", "cube_1"]
+    assert done.audit is not None
+    assert done.audit.card().clean
+    assert done.card_after is not None
+    assert done.kept is not None
