@@ -10,6 +10,7 @@ from models.text_encoder import load_default
 from pipelines.scene_source import FolderSource, mesh_cache
 from stable_data.asset_library import AssetLibrary, library_of_folder, library_of_run
 from stable_data.asset_scoring import RetrievalSettings
+from stable_data.errors import MeshError
 from stable_data.glb import load_colliders
 from stable_data.mesatask.library import AssetAnnotation, AssetFolder
 from stable_data.mesatask.writing import LAYOUT_FOLDER
@@ -86,7 +87,7 @@ class AssetShelf:
         return None if place is None else place.meshes(asset_id)
 
     def parts(self, asset_id: str) -> tuple[Mesh, ...]:
-        """The convex parts that a run keeps of its asset; none of other libraries' assets."""
+        """The convex parts that a run or the embedded world keeps of its asset; none of other libraries' assets."""
         place = self._of.get(asset_id)
         return () if place is None else place.parts(asset_id)
 
@@ -119,7 +120,10 @@ def _opened(place: str, name: str) -> _Place:
 
 def _parts_of_file(meshes: Callable[[str], Path | None], asset_id: str) -> tuple[Mesh, ...]:
     path = meshes(asset_id)
-    return () if path is None else load_colliders(path, asset_id)
+    try:
+        return () if path is None else load_colliders(path, asset_id)
+    except MeshError:
+        return ()  # the mesh is cut up instead
 
 
 def _of_folder(root: Path, library: AssetLibrary) -> _Place:

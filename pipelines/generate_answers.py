@@ -108,12 +108,13 @@ class OwnAnswers:
         """One scene, certified here."""
         scene, shapes, _ = self.store.resolved(asked.scene)
         came = Came(scene, shapes, audit_scene(scene, shapes))
-        let = let_down(scene, asked.new, asked.fixed, self.store)
+        fixed = self.corrector.options.fixed | asked.fixed
+        let = let_down(scene, asked.new, fixed, self.store)
         _, shapes, _ = self.store.resolved(let.scene)
         raw = None if asked.raw is None else let.followed(asked.raw)
-        options = replace(self.corrector.options, fixed=self.corrector.options.fixed | asked.fixed)
+        options = replace(self.corrector.options, fixed=fixed)
         done = told(came, certified_from(let.scene, raw, shapes, options), named(let.scene, shapes), raw=asked.raw)
-        return steadied(self.corrector, done, came, asked.fixed, self.store) if asked.settles else done
+        return steadied(self.corrector, done, came, fixed, self.store) if asked.settles else done
 
 
 def unanswered(asked: Certifying, reason: str) -> Correction:

@@ -183,7 +183,7 @@ class GenerateWork:
         progress.step = "settle"
         rest, why_not = self._settled(made.correction, scene, shapes)
         progress.step = "card"
-        card = _with_movement(with_counts(audit.card(), scene), made.start, scene, posed, audit)
+        card = _with_movement(with_counts(audit.card(), scene), made.start, scene, posed, audit, opened.answers.store)
         card, not_as_said = _with_alignment(card, seen, containers, opened.statistics)
         if rest is not None:
             card = _with_rest(card, rest)
@@ -250,14 +250,17 @@ def _opened(work: GenerateWork) -> Opened:
 # --- the card -----------------------------------------------------------------------------------------------------------------
 
 
-def _with_movement(card: MetricCard, start: Scene, scene: Scene, posed: PosedScene, audit: Audit) -> MetricCard:
+def _with_movement(
+    card: MetricCard, start: Scene, scene: Scene, posed: PosedScene, audit: Audit, store: AssetStore
+) -> MetricCard:
     """How far the corrections have moved what was proposed, and what of its relations they have kept."""
     there = {o.instance for o in start.objects}
     if there != {o.instance for o in scene.objects}:
         return card
     order = {o.instance: k for k, o in enumerate(scene.objects)}
     start = replace(start, objects=tuple(sorted(start.objects, key=lambda o: order[o.instance])))
-    kept = relations_kept(start, scene, posed.shapes, audits=(None, audit))
+    start, shapes, _ = store.resolved(start)  # at the tilts that were proposed
+    kept = relations_kept(start, scene, shapes, posed.shapes, audits=(None, audit))
     mean, farthest, turn = movement(start, scene)
     return replace(
         card,

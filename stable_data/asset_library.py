@@ -178,8 +178,12 @@ def library_of_run(run: RunFolder, name: str | None = None, *, own_features: boo
     """
     name = name or run.uri
     rows = run.table("assets", [*_COLUMNS, "text_embedding"] if own_features else _COLUMNS).to_pylist()
-    usual = {row["asset_id"]: _usual([(_quat(t["tilt_quat_xyzw"]), t["count"]) for t in row["resting_tilts"]]) for row in rows}
-    usual = {row["asset_id"]: _with_leaning(usual[row["asset_id"]], _vec3(row["extents"])) for row in rows}
+    usual = {
+        row["asset_id"]: _with_leaning(
+            _usual([(_quat(t["tilt_quat_xyzw"]), t["count"]) for t in row["resting_tilts"]]), _vec3(row["extents"])
+        )
+        for row in rows
+    }
     leaning = [uid for uid, tilts in usual.items() if any(not _is_right_angled(quat) for quat, _ in tilts)]
     points = _surface_points(run, leaning)
     assets, features = list[Asset](), dict[str, Any]()

@@ -30,9 +30,8 @@ from stable_data.shape import Shape
 ASPECT_STEP = math.log(1.05)
 """Aspects are snapped to powers of 1.05, so that assets scaled nearly alike share a grid."""
 
-_GOES_WITH = (
-    48  # what is made of a shape and lives as long takes so many times its own memory: 560 bytes a triangle for its tree
-)
+# The tree of a shape lives as long as it, and takes 560 bytes a triangle.
+_GOES_WITH = 48
 _STAND_IN = "a box of its size stands in, and what rests on its mesh is unknown"
 
 K = TypeVar("K", bound=Hashable)

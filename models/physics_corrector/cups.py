@@ -16,7 +16,7 @@ from stable_data.shape import Shape
 
 _SLENDER = 2.5  # what leans is longer than it is wide by this factor, and than its cup is deep by the next
 _STICKS_OUT = 1.05
-_LEVELS = (0.9, 0.75, 0.6, 0.45, 0.3, 0.15)  # heights at which a cup is cut, shares of its own, from above
+_LEVELS = (0.98, 0.9, 0.75, 0.6, 0.45, 0.3, 0.15)  # heights at which a cup is cut, shares of its own, from above
 _SAME = 0.5  # a lower cut is of the same hollow while it has this share of its area
 _FOOT = 0.05  # of a long thing, share of its length
 _LEAN, _CLEAR = 0.8, 7e-4  # how far it leans of what has room; what is between feet, and below them, metres
@@ -61,7 +61,8 @@ def hollow_of(o: SceneObject, shape: Shape) -> Hollow | None:
             for ring in part.interiors
         ]
         if free is not None:
-            holes = [common for hole in holes if (common := hole.intersection(free)).area > _SAME * free.area]
+            common = (part for hole in holes for part in shapely.get_parts(hole.intersection(free)))
+            holes = [part for part in common if isinstance(part, shapely.Polygon) and part.area > _SAME * free.area]
         if not holes:
             break
         free, floor = max(holes, key=lambda hole: float(hole.area)), (level - 0.5) * height
@@ -81,12 +82,12 @@ def is_inside(o: SceneObject, hollow: Hollow) -> bool:
 
 
 def is_long(o: SceneObject, hollow: Hollow, store: AssetStore) -> bool:
-    """Is a thing so slender, and longer than a hollow is deep, that it leans there rather than lies?"""
+    """Is a thing slender, and longer than a hollow is wide and deep, so that it leans there rather than lies?"""
     mesh = store.mesh_of(o)
     if mesh is None or o.scale is None:
         return False
     _, across, along = sorted((mesh.extents * o.scale).tolist())
-    return bool(along > _SLENDER * across and along > _STICKS_OUT * (hollow.rim - hollow.floor))
+    return bool(along > _SLENDER * across and along > _STICKS_OUT * max(hollow.rim - hollow.floor, 2 * hollow.radius))
 
 
 def stood(sticks: Sequence[SceneObject], hollow: Hollow, store: AssetStore) -> list[SceneObject]:
@@ -97,7 +98,7 @@ def stood(sticks: Sequence[SceneObject], hollow: Hollow, store: AssetStore) -> l
         hollow: The hollow.
         store: Geometry of the assets.
     """
-    ends = [(o, *_on_end(o, store)) for o in sticks]
+    ends = [end for end in ((o, *_on_end(o, store)) for o in sticks) if end[2] + _LEAST < hollow.radius]
     while ends:
         half = max(half for *_, half in ends)
         foot = 0.0 if len(ends) == 1 else (half + _CLEAR) / np.sin(np.pi / len(ends))

@@ -23,7 +23,7 @@ from stable_data.solid_scene import at_rest
 
 _LEANS = 2  # how often what moves may take another tilt
 _LEFT_OUT = 3  # how often things are left out, where others move without them
-_NEEDED = 4  # at how many times as many places a thing of the task is tried, which cannot be left out
+_NEEDED = 4  # at how many times as many places things are tried where one is of the task, which cannot be left out
 _STRAYED, _TOPPLED = 0.05, 60.0  # what went farther, metres, or turned more, degrees, has fallen and leans on nothing
 
 
@@ -43,6 +43,7 @@ def steadied(corrector: PhysicsCorrector, done: Correction, came: Came, fixed: F
     """
     if done.certified is None or done.status is Status.UNKNOWN:
         return done
+    fixed = fixed | corrector.options.fixed
     quick = replace(corrector, options=replace(corrector.options, places=0))
     scene, shapes, _ = store.resolved(done.certified)
     try:
@@ -64,7 +65,7 @@ def steadied(corrector: PhysicsCorrector, done: Correction, came: Came, fixed: F
         is_needed = any(o.stage is Stage.TASK for o in done.certified.objects if o.instance in done.rest.unsteady)
         places = (_NEEDED if is_needed else 1) * corrector.options.places
         patient = replace(corrector, options=replace(corrector.options, places=places))
-        done = put_elsewhere(patient, done, came, fixed, store)
+        done = put_elsewhere(patient, _watched(done, store), came, fixed, store)
     if done.certified is not None and done.rest is not None and done.rest.unsteady:
         done = _left_out(quick, done, came, fixed, store) or _watched(done, store)
     return done
@@ -87,7 +88,7 @@ def _left_out(corrector: PhysicsCorrector, done: Correction, came: Came, fixed: 
     for _ in range(_LEFT_OUT):
         names = set(rest.unsteady) | scene.resting_on(set(rest.unsteady))
         gone = [o for o in scene.objects if o.instance in names]
-        if any(o.stage is Stage.TASK or o.instance in fixed | corrector.options.fixed for o in gone):
+        if any(o.stage is Stage.TASK or o.instance in fixed for o in gone):
             return None
         dropped += [Dropped(o.instance, f"it, or what carries it, would not stay: {rest.reason}") for o in gone]
         scene, shapes, _ = store.resolved(replace(scene, objects=tuple(o for o in scene.objects if o not in gone)))
@@ -97,7 +98,7 @@ def _left_out(corrector: PhysicsCorrector, done: Correction, came: Came, fixed: 
         if rest.stable and audit.card().clean:  # nothing had moved: what was clean is clean without it
             reason = "; ".join(f"{d.instance} dropped: {d.reason}" for d in dropped)
             left = Certified(scene, Status.DROPPED, reason, tuple(dropped), audit, rest)
-            return replace(told(came, left, named(scene, shapes)), raw=done.raw, card_raw=done.card_raw)
+            return told(came, left, named(scene, shapes), raw=done.raw, card_raw=done.card_raw)
         if not rest.unsteady:
             return None
     return None

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from shapely.ops import nearest_points
 
 from models.physics_corrector.certify.contact import Meshes
+from models.physics_corrector.corrector import named
 from models.physics_corrector.cups import Hollow, hollow_of, is_inside, is_long, stood
 from stable_data.assets import AssetStore
 from stable_data.colliders import bodies_of
@@ -24,7 +25,9 @@ from stable_data.shape import Shape
 from stable_data.solid_scene import RestPose, at_rest
 
 _SETTLING = EngineOptions(settle_seconds=1.5, watch_seconds=0.02, rest_speed=2e-3)
-_STRAYED, _TOPPLED = 0.05, 45.0  # what goes farther, metres, or turns more, degrees, was not let go well
+_STRAYED, _TOPPLED = 0.05, 45.0  # what goes farther in a hollow, metres, or turns more, degrees, was not let go well
+_TIPPED = 5.0  # nor what turns more on a thing, degrees
+_INSET = 0.01  # how far inside its carrier's outline the middle of what is let go is at least, metres
 _SNAP = 1.5e-4  # a tilt that moves no corner farther than this, metres, is none
 
 
@@ -86,8 +89,11 @@ def let_down(scene: Scene, new: Set[str], fixed: Set[str], store: AssetStore) ->
         if chain[-1] not in wanted:  # else they are said to lie on each other
             layers.setdefault((len(chain), wanted[name]), set()).add(name)
     went_with: dict[str, str] = {}
+    waiting = set(wanted)
+    in_it = {r.subject for r in scene.relations if r.kind is RelationKind.IN}
     for (_, carrier), names in sorted(layers.items()):
-        came = _let_go(scene, carrier, names, fixed, store)
+        came = _let_go(scene, carrier, names, names & in_it, fixed, waiting, store)
+        waiting -= names
         scene = replace(scene, objects=tuple(came.get(o.instance, o) for o in scene.objects))
         went_with |= dict.fromkeys(came, went_with.get(carrier, carrier))
     return LetDown(scene, went_with)
@@ -106,7 +112,7 @@ def leaning_in(scene: Scene, cup: str, names: Set[str], fixed: Set[str], store: 
     Returns:
         The scene with them where they came to lie; None where none did.
     """
-    came = _let_go(scene, cup, names, fixed, store)
+    came = _let_go(scene, cup, names, names, fixed, names, store)
     return replace(scene, objects=tuple(came.get(o.instance, o) for o in scene.objects)) if came else None
 
 
@@ -118,15 +124,29 @@ def _down_from(name: str, wanted: Mapping[str, str]) -> list[str]:
     return chain
 
 
-def _let_go(scene: Scene, carrier: str, names: Set[str], fixed: Set[str], store: AssetStore) -> dict[str, SceneObject]:
-    """Things of a scene where they come to lie on or in one that is held; without those for which that is no good place."""
-    resolved, shapes, _ = store.resolved(scene)
-    hollow = hollow_of(*next(pair for pair in zip(resolved.objects, shapes, strict=True) if pair[0].instance == carrier))
-    leaning = [] if hollow is None else _leaning(resolved, carrier, names, fixed, hollow, store)
+def _let_go(
+    scene: Scene, carrier: str, names: Set[str], in_it: Set[str], fixed: Set[str], waiting: Set[str], store: AssetStore
+) -> dict[str, SceneObject]:
+    """Things of a scene where they come to lie on or in one that is held; without those for which that is no good place.
+
+    Args:
+        scene: The scene.
+        carrier: What is held.
+        names: What is let go.
+        in_it: Those of them that are to be in it.
+        fixed: Instances that must stay.
+        waiting: Instances that are not where they are to be yet, and so hold up nothing.
+        store: Geometry of the assets.
+    """
+    scene, shapes, _ = store.resolved(scene)
+    shape_of = named(scene, shapes)
+    hollow = hollow_of(scene[carrier], shape_of[carrier]) if in_it else None
+    leaning = [] if hollow is None else _leaning(scene, carrier, in_it, fixed, hollow, store)
     upright = {o.instance for o in leaning}
-    loose = [o for o in resolved.objects if o.instance in names - upright]
-    held = [o for o in resolved.objects if o.instance in resolved.resting_on({carrier}) - names - upright]
-    still = [resolved[carrier], *(o for o in held if o.instance != carrier)]
+    loose = [o for o in scene.objects if o.instance in names - upright]
+    there = scene.resting_on({carrier}) | {o.instance for o in scene.objects if hollow is not None and is_inside(o, hollow)}
+    there -= scene.resting_on(waiting | names | upright) | {carrier}
+    still = [scene[carrier], *(o for o in scene.objects if o.instance in there)]
     part, own, _ = store.resolved(replace(scene, objects=(*still, *leaning, *loose)))
     part = _lowered(part, own, len(part.objects) - len(loose))
     try:
@@ -136,17 +156,19 @@ def _let_go(scene: Scene, carrier: str, names: Set[str], fixed: Set[str], store:
     ended = settle([replace(body, movable=k >= len(still)) for k, body in enumerate(bodies)], scene.table, _SETTLING)
     if not np.isfinite(ended.moves).all():
         return {}
+    outline = _outline(scene[carrier], shape_of[carrier])
     came = {}
     for k, o in list(enumerate(part.objects))[len(still) :]:
         x, y, z = ended.positions[k].tolist()
         a, b, c, d = ended.quats_xyzw[k].tolist()
-        there = _came_to_lie(o, ((x, y, z), (a, b, c, d)), store)
-        if hollow is not None and o.instance in upright:
-            is_well = is_inside(there, hollow)
-        else:
-            is_well = bool(ended.moves[k] < _STRAYED and ended.turns[k] < _TOPPLED)
+        lies = _came_to_lie(o, ((x, y, z), (a, b, c, d)), store)
+        if hollow is not None and is_inside(lies, hollow):
+            is_well = o.instance in upright or bool(ended.moves[k] < _STRAYED and ended.turns[k] < _TOPPLED)
+        else:  # what tips over an edge leans on it first
+            is_well = bool(ended.moves[k] < _STRAYED and ended.turns[k] < _TIPPED and outline.covers(shapely.Point(x, y)))
+            is_well &= o.instance not in upright
         if is_well:
-            came[o.instance] = there
+            came[o.instance] = lies
     return came
 
 
@@ -159,14 +181,21 @@ def _leaning(scene: Scene, cup: str, names: Set[str], fixed: Set[str], hollow: H
 
 
 def _lowered(scene: Scene, shapes: Sequence[Shape], first: int) -> Scene:
-    """A scene whose objects from a number on are over its first one, come down on it and on each other."""
+    """A scene whose objects from a number on are well over its first one, come down on it and on each other."""
     meshes = Meshes([s if s.is_exact else Shape(s.vertices, s.faces) for s in shapes])
     poses = scene.poses()
-    outline = shapely.convex_hull(shapely.multipoints(shapes[0].posed_footprint(poses[0])))
+    outline = _outline(scene.objects[0], shapes[0])
+    inner = outline.buffer(-_INSET)
     for k in range(first, len(poses)):
-        poses[k, :2] = shapely.get_coordinates(nearest_points(outline, shapely.Point(poses[k, :2]))[0])[0]
+        area = outline if inner.is_empty else inner
+        poses[k, :2] = shapely.get_coordinates(nearest_points(area, shapely.Point(poses[k, :2]))[0])[0]
         poses[k, 2] = meshes.lowered(k, poses[k], range(k), poses)
     return scene.with_poses(poses)
+
+
+def _outline(o: SceneObject, shape: Shape) -> shapely.Geometry:
+    """Convex outline of a thing seen from above, world frame, metres."""
+    return shapely.convex_hull(shapely.multipoints(shape.posed_footprint(np.array([*o.position, o.yaw]))))
 
 
 def _came_to_lie(o: SceneObject, rest: RestPose, store: AssetStore) -> SceneObject:

@@ -55,8 +55,9 @@ _ILL_PLACED = re.compile(rf"{_LIST} do(?:es)? not belong (?P<spot>in|on) {_B}")
 _BEFORE = re.compile(rf"in front of {_B} by (?:moving|pushing|taking) {_LIST}")
 _STATED = re.compile(rf"{_LIST}(?P<be>{_BE}) {_SPOT} {_B}")
 _NOUN = re.compile(rf"{_LIST} {_SPOT} {_B}")
-_ALSO = re.compile(rf"(?:,? (?:and|is|are|also|too))+ {_SPOT} {_B}")
-"""Goes on after where a thing is with where it is besides: ``is left of the cup and behind the plate``."""
+_ALSO = re.compile(rf",? (?:(?:and )?(?:is |are )?also|and(?: is| are)?) {_SPOT} {_B}")
+"""Goes on after where a thing is with where it is besides: ``is left of the cup and behind the plate``, ``in the bowl is also in
+the mug``."""
 
 _EMPTIED = re.compile(
     r"\b(?:(?:everything|nothing)(?: that is| should be)? (?:in|on|out of|off|from)|empty|clear(?: out)?) <(\d+)>(?! away)"

@@ -16,7 +16,9 @@ from stable_data.mesatask.frame import rotation_matrix, stood_on_end
 from stable_data.metrics.audit import audit_scene
 from stable_data.physics import settle
 from stable_data.scene import QuatXyzw, Relation, RelationKind, Scene, SceneObject
+from stable_data.shape import Shape
 from tests.models.physics_corrector.shapes import scene, store, thing
+from tests.scenes import box, hollow
 
 LYING: QuatXyzw = (0.0, math.sin(math.pi / 4), 0.0, math.cos(math.pi / 4))
 CUP = thing("cup", (0.5, 0.4, 0.05, 0.3))
@@ -45,11 +47,11 @@ def steepness(o: SceneObject) -> float:
 
 
 def test_the_hollow_of_a_cup() -> None:
-    hollow = hollow_of(CUP, store().shape(CUP)[0])
-    assert hollow is not None
-    assert hollow.middle == pytest.approx(CUP.position[:2], abs=1e-3)
-    assert hollow.radius == pytest.approx(0.035, rel=0.05)
-    assert [hollow.floor, hollow.rim] == pytest.approx([0.015, 0.1])
+    room = hollow_of(CUP, store().shape(CUP)[0])
+    assert room is not None
+    assert room.middle == pytest.approx(CUP.position[:2], abs=1e-3)
+    assert room.radius == pytest.approx(0.035, rel=0.05)
+    assert [room.floor, room.rim] == pytest.approx([0.015, 0.1])
 
 
 @pytest.mark.parametrize("name", ["cube", "plate", "ball", "cloth"])
@@ -59,20 +61,20 @@ def test_what_has_no_walls_has_no_hollow(name: str) -> None:
 
 
 def test_only_slender_things_longer_than_the_cup_is_deep_lean() -> None:
-    hollow = hollow_of(CUP, store().shape(CUP)[0])
-    assert hollow is not None
-    assert is_long(stick(0, 0.5), hollow, store())
-    assert not is_long(thing("cube", (0.5, 0.4, 0.1, 0.0)), hollow, store())
-    assert not is_long(thing("cube", (0.5, 0.4, 0.1, 0.0), scale=(0.1, 0.1, 0.8)), hollow, store())
+    room = hollow_of(CUP, store().shape(CUP)[0])
+    assert room is not None
+    assert is_long(stick(0, 0.5), room, store())
+    assert not is_long(thing("cube", (0.5, 0.4, 0.1, 0.0)), room, store())
+    assert not is_long(thing("cube", (0.5, 0.4, 0.1, 0.0), scale=(0.1, 0.1, 0.8)), room, store())
 
 
 def test_as_many_stand_side_by_side_as_have_room() -> None:
-    hollow = hollow_of(CUP, store().shape(CUP)[0])
-    assert hollow is not None
-    found = stood([stick(k, 0.5) for k in range(30)], hollow, store())
+    room = hollow_of(CUP, store().shape(CUP)[0])
+    assert room is not None
+    found = stood([stick(k, 0.5) for k in range(30)], room, store())
     assert 5 < len(found) < 30
     assert [o.instance for o in found] == [f"cube_{k}" for k in range(len(found))]
-    assert all(is_inside(o, hollow) and steepness(o) > 0.8 for o in found)
+    assert all(is_inside(o, room) and steepness(o) > 0.8 for o in found)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -112,7 +114,8 @@ def test_a_thing_over_another_comes_down_on_it_and_keeps_its_tilt() -> None:
 
 
 def test_a_stack_is_let_down_from_below() -> None:
-    built = scene(thing("plate", (0.5, 0.4, 0.005, 0.0)), *(thing(f"cube_{k}", (0.5, 0.4, 0.6, 0.0)) for k in range(3)))
+    cubes = (thing(f"cube_{k}", (0.5, 0.4, 0.6, 0.0), support=f"cube_{k - 1}" if k else "plate") for k in range(3))
+    built = scene(thing("plate", (0.5, 0.4, 0.005, 0.0)), *cubes)
     pairs = (("cube_2", "cube_1"), ("cube_1", "cube_0"), ("cube_0", "plate"))
     let = let_go(with_relations(built, RelationKind.ON, *pairs))
     assert [let.scene[f"cube_{k}"].position[2] for k in range(3)] == pytest.approx([0.06, 0.16, 0.26], abs=1e-3)
@@ -120,7 +123,7 @@ def test_a_stack_is_let_down_from_below() -> None:
 
 
 def test_what_leans_in_an_askew_way_comes_to_lie_flat() -> None:
-    tilt: QuatXyzw = (math.sin(math.radians(4)), 0.0, 0.0, math.cos(math.radians(4)))
+    tilt: QuatXyzw = (math.sin(math.radians(1)), 0.0, 0.0, math.cos(math.radians(1)))
     built = scene(thing("plate", (0.5, 0.4, 0.005, 0.0)), thing("cube", (0.5, 0.4, 0.2, 0.0), tilt=tilt))
     let = let_go(with_relations(built, RelationKind.ON, ("cube", "plate")))
     assert steepness(let.scene["cube"]) == pytest.approx(1, abs=1e-4)
@@ -131,6 +134,54 @@ def test_what_rolls_off_is_where_it_was() -> None:
     let = let_go(with_relations(built, RelationKind.ON, ("ball_1", "ball_0")))
     assert let.scene == with_relations(built, RelationKind.ON, ("ball_1", "ball_0"))
     assert not let.went_with
+
+
+@pytest.mark.parametrize("x", [0.595, 0.61, 0.7])
+def test_what_is_proposed_at_or_beyond_an_edge_lies_flat_or_is_where_it_was(x: float) -> None:
+    built = scene(thing("plate", (0.5, 0.4, 0.005, 0.0)), thing("cube", (x, 0.4, 0.06, 0.0), scale=(0.4, 0.4, 0.4)))
+    cube = let_go(with_relations(built, RelationKind.ON, ("cube", "plate"))).scene["cube"]
+    assert cube.tilt_quat_xyzw == built["cube"].tilt_quat_xyzw
+    assert cube == built["cube"] or cube.position[0] <= 0.59 + 1e-3
+
+
+def test_what_waits_for_its_own_turn_holds_nothing_up() -> None:
+    """A cube stood under the plate as both were proposed: the plate comes down on the mat all the same."""
+    built = scene(
+        thing("cloth", (0.5, 0.4, 0.001, 0.0), scale=(2.0, 2.0, 1.0)),
+        thing("plate", (0.5, 0.4, 0.2, 0.0), support="cloth"),
+        thing("cube", (0.53, 0.4, 0.06, 0.0), scale=(0.3, 0.3, 0.6), support="plate"),
+    )
+    let = let_go(with_relations(built, RelationKind.ON, ("plate", "cloth"), ("cube", "plate")))
+    assert steepness(let.scene["plate"]) > 0.9999
+    assert let.scene["plate"].position[2] < 0.02
+    assert let.scene["cube"].position[2] == pytest.approx(let.scene["plate"].position[2] + 0.035, abs=2e-3)
+
+
+def test_what_is_to_be_on_a_cup_or_in_a_wide_bowl_does_not_lean_in_it() -> None:
+    on_it = with_relations(scene(CUP, stick(0, 0.5)), RelationKind.ON, ("cube_0", "cup"))
+    assert steepness(let_go(on_it).scene["cube_0"]) < 0.3
+    wide = thing("bowl", (0.5, 0.4, 0.08, 0.0), scale=(2.0, 2.0, 2.0))
+    room = hollow_of(wide, store().shape(wide)[0])
+    assert room is not None
+    assert not is_long(stick(0, 0.5), room, store())
+
+
+def test_the_hollow_turns_with_its_thing() -> None:
+    """A cup whose hollow is not in the middle of its box, as that of one with a handle."""
+    handle = box(0.06, 0.01, 0.04)
+    joined = hollow(store().shape(CUP)[0], Shape(np.add(handle.vertices, (0.065, 0.0, 0.0)), handle.faces))
+    middle = (joined.vertices.min(axis=0) + joined.vertices.max(axis=0)) / 2
+    turned = replace(CUP, size=(0.135, 0.08, 0.1), yaw=np.pi / 2)
+    found = hollow_of(turned, Shape(joined.vertices - middle, joined.faces))
+    assert found is not None
+    assert list(found.middle) == pytest.approx([0.5, 0.4 - middle[0]], abs=2e-3)
+
+
+def test_a_thick_thing_is_no_reason_that_thin_ones_do_not_stand() -> None:
+    room = hollow_of(CUP, store().shape(CUP)[0])
+    assert room is not None
+    thick = thing("cube_9", (0.5, 0.4, 0.2, 0.0), scale=(0.8, 0.8, 3.0))
+    assert [o.instance for o in stood([thick, stick(0, 0.5), stick(1, 0.5)], room, store())] == ["cube_0", "cube_1"]
 
 
 def test_things_that_are_said_to_lie_on_each_other_are_left_alone() -> None:
@@ -155,12 +206,14 @@ def test_those_that_lean_there_already_make_room_unless_they_must_stay() -> None
         assert made is not None
         assert (made["cube_0"] == first["cube_0"]) == bool(fixed)
         assert steepness(made["cube_1"]) > 0.7
+        resolved, shapes, _ = store().resolved(made)
+        assert all(p.penetration is None or p.penetration < 1e-3 for p in audit_scene(resolved, shapes).pairs)
 
 
 def test_what_is_too_thick_for_a_cup_does_not_stand_in_it() -> None:
-    hollow = hollow_of(CUP, store().shape(CUP)[0])
-    assert hollow is not None
-    assert not stood([thing("cube", (0.5, 0.4, 0.2, 0.0), scale=(0.8, 0.8, 3.0))], hollow, store())
+    room = hollow_of(CUP, store().shape(CUP)[0])
+    assert room is not None
+    assert not stood([thing("cube", (0.5, 0.4, 0.2, 0.0), scale=(0.8, 0.8, 3.0))], room, store())
 
 
 # --- going with what it lies on

@@ -28,6 +28,7 @@ def test_the_longest_types_are_marked_first() -> None:
         ("<0> is on <1> and in front of <2>, and in <3>.", [Claim(0, ON, 1), Claim(0, FRONT, 2), Claim(0, IN, 3)]),
         ("<0> is on <1> and <2> is in <3>.", [Claim(0, ON, 1), Claim(2, IN, 3)]),
         ("put <0> on <1> and in front of <2>.", []),
+        ("<3> with <0> on <1> is also in <2>.", [Claim(0, ON, 1), Claim(0, IN, 2)]),
         ("move <0> away from <1>.", []),
         ("fill <0> from <1>.", []),
         ("separate <0> from <1>: the former go left.", []),
