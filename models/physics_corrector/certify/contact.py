@@ -100,6 +100,7 @@ class Meshes:
         self._extents: dict[tuple[int, float], tuple[FloatArray, FloatArray]] = {}
         self._penetrates: dict[tuple[int, int, bytes], bool] = {}
         self._surfaces: dict[tuple[int, bytes], Surface] = {}
+        self._whole: set[int] = set()  # those of which a tree was wanted
 
     def box(self, k: int, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Lowest and highest corner of an object at a pose (4,), two (3,) metres."""
@@ -152,8 +153,11 @@ class Meshes:
         return nested(moved, still) or nested(still, moved)
 
     def _pair(self, i: int, pose: FloatArray, j: int, other: FloatArray) -> "_WholePair | _ThinnedPair":
-        """Two meshes to be asked whether they cross: where a tree of one is missing it is not worth the building."""
-        if self.shapes[i] in _trees and self.shapes[j] in _trees:
+        """Two meshes to be asked whether they cross: where no tree of one was wanted yet it is not worth the building.
+
+        What other scenes have built does not count: near the tolerance the two ways differ, and so would what a process makes.
+        """
+        if {i, j} <= self._whole:
             return _WholePair(self._body(i, pose), self._body(j, other), pose[:3])
         return _ThinnedPair(self.surface(i, pose), self.surface(j, other), NEAR)
 
@@ -264,6 +268,7 @@ class Meshes:
     def _body(self, k: int, pose: FloatArray) -> fcl.CollisionObject:
         c, s = np.cos(pose[3]), np.sin(pose[3])
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        self._whole.add(k)
         return fcl.CollisionObject(_tree(self.shapes[k]), fcl.Transform(turn, np.array(pose[:3])))
 
     @staticmethod
