@@ -20,6 +20,7 @@ from stable_data.scene import FloatArray, IntArray
 from stable_data.text_features import Rows
 
 Tickets = npt.NDArray[np.uint64]
+BoolArray = npt.NDArray[np.bool_]
 
 _BLOCK, _MAX_SCORES = 128, 1 << 24  # queries whose scores stay in the processor's cache; scores that are held at a time
 _FITTING = math.radians(5.0)  # boxes whose edge vectors are no further apart have the same proportions
@@ -90,6 +91,23 @@ class Choices:
     nearest: IntArray
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Boxes:
+    """What boxes are wanted.
+
+    Attributes:
+        shapes: Their proportions, (B, 3).
+        leans: Whether what is in each may lean on what carries it, (B,).
+    """
+
+    shapes: FloatArray
+    leans: BoolArray
+
+    def of(self, rows: IntArray) -> "Boxes":
+        """Those of some queries, one after the other."""
+        return Boxes(self.shapes[rows], self.leans[rows])
+
+
 class AssetScores:
     """One library, laid out for scoring: the assets that are offered and allowed.
 
@@ -111,6 +129,8 @@ class AssetScores:
         self.features: Rows = library.features if len(allowed) == len(library) else library.features[allowed]
         self.names_category = library.names_category
         self._boxes = proportions([t.extents for a in self.assets for t in a.tilts] or np.ones((0, 3)))
+        # How a thing would lean in a cup; upright where nothing is known comes first.
+        self._only_leaning = np.array([k > 0 and t.count == 0 for a in self.assets for k, t in enumerate(a.tilts)], np.bool_)
         self._num_tilts = np.array([len(a.tilts) for a in self.assets], np.int64)
         self._first_tilt = np.cumsum(self._num_tilts) - self._num_tilts
         self._codes = {name: k for k, name in enumerate(sorted({_kind(a.category) for a in self.assets} - {""}))}
@@ -118,7 +138,9 @@ class AssetScores:
         self._tickets = np.array([ticket(a.asset_id) for a in self.assets], np.uint64)
         self._slack = 2.0 * self.features.shape[1] * 2.0**-24  # what a float32 product of unit rows may be off
 
-    def choose(self, features: Rows, wanted: FloatArray, categories: Sequence[str | None], tickets: Tickets) -> Choices:
+    def choose(
+        self, features: Rows, wanted: FloatArray, categories: Sequence[str | None], tickets: Tickets, leans: BoolArray
+    ) -> Choices:
         """The best asset for each query, and how it lies.
 
         Args:
@@ -126,6 +148,7 @@ class AssetScores:
             wanted: Wanted boxes in the yaw frame, (B, 3) float64, metres.
             categories: What each is to be, where known.
             tickets: What decides among equals, (B,) uint64.
+            leans: Whether each may lean on what carries it, (B,).
         """
         shapes = proportions(wanted)
         codes = np.array([self._codes.get(_kind(name or ""), -1) for name in categories], np.int64)
@@ -133,15 +156,15 @@ class AssetScores:
         size = max(1, min(_BLOCK, _MAX_SCORES // len(self.assets)))
         for start in range(0, len(features), size):
             block = slice(start, start + size)
-            parts.append(self._choose(features[block], shapes[block], codes[block], tickets[block]))
+            parts.append(self._choose(features[block], Boxes(shapes[block], leans[block]), codes[block], tickets[block]))
         columns = zip(*((p.asset, p.tilt, p.text, p.size, p.nearest) for p in parts), strict=True)
         return Choices(*(np.concatenate(column) for column in columns))
 
-    def _choose(self, features: Rows, shapes: FloatArray, codes: IntArray, tickets: Tickets) -> Choices:
+    def _choose(self, features: Rows, boxes: Boxes, codes: IntArray, tickets: Tickets) -> Choices:
         """The same for a block of queries."""
         rough = features @ self.features.T  # (B, N)
-        rows, cols, text = self._candidates(rough, features, shapes)
-        size, rows, cols, text = self._best(rows, cols, text, features, shapes)
+        rows, cols, text = self._candidates(rough, features, boxes)
+        size, rows, cols, text = self._best(rows, cols, text, features, boxes)
         same = self._category[cols] == codes[rows]
         has_same = np.zeros(len(features), np.bool_)
         has_same[rows[same]] = True
@@ -155,15 +178,15 @@ class AssetScores:
         lost = np.flatnonzero(asset < 0)
         nearest[lost], texts[lost] = self._nearest(rough, features, lost)
         tilt = np.zeros(len(features), np.int64)
-        tilt[rows[last]] = self._tilt(cols[last], shapes[rows[last]])
+        tilt[rows[last]] = self._tilt(cols[last], boxes.of(rows[last]))
         return Choices(asset, tilt, texts, sizes, nearest)
 
-    def _candidates(self, rough: Rows, features: Rows, shapes: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
+    def _candidates(self, rough: Rows, features: Rows, boxes: Boxes) -> tuple[IntArray, IntArray, FloatArray]:
         """Pairs of query and asset that can be the best or as good, by query, and their text scores to within the slack."""
         s, slack = self._settings, self._slack
         best = rough.argmax(axis=1)
         # One asset's whole score bounds the text score of all that are to matter beside it.
-        known = s.text_weight * rough[np.arange(len(rough)), best] + s.size_weight * self._sizes(best, shapes)
+        known = s.text_weight * rough[np.arange(len(rough)), best] + s.size_weight * self._sizes(best, boxes)
         bar = np.maximum((known - s.margin - s.size_weight) / s.text_weight, s.floor) - 2 * slack
         edge = np.full(len(rough), s.floor + 2 * slack)
         k = s.top_k_text if s.top_k_text is not None and s.top_k_text < rough.shape[1] else None
@@ -183,11 +206,11 @@ class AssetScores:
         return rows[keep], cols[keep], text[keep]
 
     def _best(
-        self, rows: IntArray, cols: IntArray, text: FloatArray, features: Rows, shapes: FloatArray
+        self, rows: IntArray, cols: IntArray, text: FloatArray, features: Rows, boxes: Boxes
     ) -> tuple[FloatArray, IntArray, IntArray, FloatArray]:
         """Of candidates those as good as each query's best: size scores, queries, assets and exact text scores."""
         s = self._settings
-        size = self._sizes(cols, shapes[rows])
+        size = self._sizes(cols, boxes.of(rows))
         for slack in (2 * self._slack, 0.0):
             score = np.round(s.text_weight * text + s.size_weight * size, _DECIMALS)
             best = np.full(len(features), -np.inf)
@@ -211,19 +234,19 @@ class AssetScores:
         last = order[np.flatnonzero(np.diff(rows[order], append=-1))]
         return cols[last], text[last]
 
-    def _sizes(self, cols: IntArray, shapes: FloatArray) -> FloatArray:
+    def _sizes(self, cols: IntArray, boxes: Boxes) -> FloatArray:
         """Size scores of pairs at the tilt that fits best, (P,) float64."""
         if not len(cols):
             return np.zeros(0)
-        scores, starts = self._tilt_scores(cols, shapes)
+        scores, starts = self._tilt_scores(cols, boxes)
         best: FloatArray = np.maximum.reduceat(scores, starts)
         return best
 
-    def _tilt(self, cols: IntArray, shapes: FloatArray) -> IntArray:
+    def _tilt(self, cols: IntArray, boxes: Boxes) -> IntArray:
         """The resting tilt of each pair: the most usual one that fits as well as the best, or nearly, (P,) int64."""
         if not len(cols):
             return np.zeros(0, np.int64)
-        scores, starts = self._tilt_scores(cols, shapes)
+        scores, starts = self._tilt_scores(cols, boxes)
         counts = self._num_tilts[cols]
         misfits = np.arccos(scores)
         most = np.maximum(self._settings.tilt_patience * np.minimum.reduceat(misfits, starts), _FITTING)
@@ -232,12 +255,13 @@ class AssetScores:
         chosen: IntArray = np.minimum.reduceat(np.where(fits, number, len(scores)), starts)
         return chosen
 
-    def _tilt_scores(self, cols: IntArray, shapes: FloatArray) -> tuple[FloatArray, IntArray]:
+    def _tilt_scores(self, cols: IntArray, boxes: Boxes) -> tuple[FloatArray, IntArray]:
         """Size scores of pairs at each of the asset's tilts, one after the other, and where each pair's begin, (P,) int64."""
         counts = self._num_tilts[cols]
         starts = np.cumsum(counts) - counts
         tilts = np.arange(counts.sum()) + np.repeat(self._first_tilt[cols] - starts, counts)
-        return size_score(self._boxes[tilts], np.repeat(shapes, counts, axis=0)), starts
+        scores = size_score(self._boxes[tilts], np.repeat(boxes.shapes, counts, axis=0))
+        return np.where(self._only_leaning[tilts] & ~np.repeat(boxes.leans, counts), 0.0, scores), starts
 
 
 def ticket(*parts: str | int) -> int:

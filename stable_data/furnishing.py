@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from stable_data.errors import Notice
 from stable_data.retrieval import Match, Query, Retriever, Unmatched
-from stable_data.scene import Scene
+from stable_data.scene import TABLE, Scene
 from stable_data.substitution import with_assets
 
 STEP = "assets"
@@ -39,7 +39,10 @@ def furnish(scenes: Sequence[Scene], retriever: Retriever, seed: int = 0) -> lis
         seed: Decides among assets that are as good.
     """
     asked = [(k, o) for k, scene in enumerate(scenes) for o in scene.objects]
-    answers = retriever.retrieve([Query(o.description, o.size, o.category, scenes[k].scene_id) for k, o in asked], seed)
+    queries = [
+        Query(o.description, o.size, o.category, scenes[k].scene_id, leans=o.support not in (None, TABLE)) for k, o in asked
+    ]
+    answers = retriever.retrieve(queries, seed)
     matches: list[dict[str, Match]] = [{} for _ in scenes]
     unmatched: list[dict[str, Unmatched]] = [{} for _ in scenes]
     for (k, o), answer in zip(asked, answers, strict=True):

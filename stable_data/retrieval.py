@@ -36,12 +36,14 @@ class Query:
             demanded.
         key: What it is drawn by beside the seed, such as ``scene_id/instance``: with a key of its own each of several equal
             queries may get another asset, and with their scene's key all get the same.
+        leans: Whether it is carried by another thing, on which it may lean; else it has the tilts that it was seen at.
     """
 
     text: str
     size: Vec3
     category: str | None = None
     key: str = ""
+    leans: bool = False
 
     def __post_init__(self) -> None:
         """Refuses a box without extent."""
@@ -173,6 +175,7 @@ class Retriever:
                 np.array([query.size for query in asked], np.float64),
                 [query.category for query in asked],
                 np.array([ticket(seed, query.key, query.sentence()) for query in asked], np.uint64),
+                np.array([query.leans for query in asked], np.bool_),
             )
             for k, answer in zip(waiting, self._read(name, scores, choices, asked), strict=True):
                 previous = answers[k]

@@ -47,6 +47,19 @@ def test_words_decide() -> None:
     assert answer.scale + answer.size == pytest.approx((0.3,) * 6)
 
 
+def test_only_what_is_carried_leans() -> None:
+    """A brush that was only seen lying, and how it would lean: what stands on the table gets it as it was seen."""
+    tilt = (math.sin(0.1), 0.0, 0.0, math.cos(0.1))
+    seen, leant = RestingTilt(LAID, (0.1, 2.0, 0.1), 3), RestingTilt(tilt, (0.1, 0.5, 2.0))
+    tool = retriever(Asset("brush", "brush", "a red brush", (0.1, 0.1, 2.0), (seen, leant)))
+    for leans in (False, True):
+        answers = tool.retrieve([Query("a red brush", size, leans=leans) for size in ((0.01, 0.05, 0.2), (0.01, 0.2, 0.01))])
+        standing, lying = (answer for answer in answers if isinstance(answer, Match))
+        assert standing.tilt_quat_xyzw == (tilt if leans else LAID)
+        assert lying.tilt_quat_xyzw == LAID
+        assert standing.size_score > 0.99 or not leans
+
+
 def test_the_score_is_nine_parts_text_and_one_part_size() -> None:
     answer = ask(retriever(thing("a", "a red mug", (3.0, 4.0, 0.0))), "a blue mug", (4.0, 3.0, 0.0))
     text = float(np.dot(*BagOfWords()(["a red mug", "a blue mug"])))
