@@ -103,6 +103,7 @@ def test_each_stage_is_told_what_the_corrector_made_of_those_before() -> None:
     assert told == [tuple(pytest.approx(100 * v, abs=0.051) for v in o.position) for o in corrected.objects]
     assert told != [o.position_cm for o in (*CROWDED[Stage.TASK], *CROWDED[Stage.IMPORTANT])]
     assert [r.is_last for r in answers.of(Correct)] == [False, False, True]  # type: ignore[union-attr]
+    assert [set(r.new) for r in answers.of(Correct)] == [{"cube_0"}, {"cube_1"}, {"ball_0"}]  # type: ignore[union-attr]
     assert made.start.poses()[:, :2].tolist() == [[0.5, 0.4], [0.55, 0.4], [0.45, 0.4]]
 
 
@@ -190,6 +191,7 @@ def test_one_shot_is_one_stage() -> None:
     assert made.scene is not None
     assert [o.stage for o in made.scene.objects] == [Stage.TASK, Stage.IMPORTANT]
     assert [r.is_last for r in answers.of(Correct)] == [True]  # type: ignore[union-attr]
+    assert [set(r.new) for r in answers.of(Correct)] == [{o.instance for o in made.start.objects}]  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize(
