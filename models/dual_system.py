@@ -261,7 +261,10 @@ class _Scene:
     def _corrected(
         self, scene: Scene, meant: Mapping[str, Relation], earlier: frozenset[str], new: frozenset[str], is_last: bool
     ) -> Generator[Request, Answer, tuple[Correction, ...]]:
-        """Corrections of a scene, the last of which counts: what was there before is moved no farther than it may."""
+        """Corrections of a scene, the last of which counts: what was there before is moved no farther than it may.
+
+        Nor is any of it left out while the new things can give way to it.
+        """
         scene = _wanting(scene, meant)
         holds = self.settings.earlier_move == 0
         first = yield Correct(scene, earlier if holds else frozenset(), new, is_last)
@@ -269,10 +272,13 @@ class _Scene:
         if holds or first.certified is None or not earlier:
             return (first,)
         now = replace(first.certified, objects=tuple(o for o in first.certified.objects if o.instance in earlier))
-        if len(now.objects) == len(earlier) and movement(scene, now)[1] <= 1e3 * self.settings.earlier_move:
+        is_near = movement(scene, now)[1] <= 1e3 * self.settings.earlier_move
+        if len(now.objects) == len(earlier) and is_near:
             return (first,)
         second = yield Correct(scene, earlier, new, is_last)
         assert isinstance(second, Correction)
+        if is_near and (second.certified is None or (second.rest is not None and second.rest.unsteady)):
+            return second, first  # what has to go is one of those that stood there before
         return first, second
 
     def _is_full(self, scene: Scene) -> bool:

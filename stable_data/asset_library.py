@@ -29,7 +29,7 @@ _SAME_TILT = math.radians(5.0)
 _RIGHT_ANGLE = 1e-6
 _LONG = 3.0  # longest edge over the next of what leans in a cup rather than lies there
 _STEEP = math.radians(45.0)
-_LEANS = tuple(math.radians(a) for a in (6, 12, 18, 24, 30, 36))
+_LEANS = tuple(math.radians(a) for a in (6, 12, 18, 24, 30, 36, 45, 55, 65, 75))
 _COLUMNS = (
     "asset_id",
     "category",

@@ -24,6 +24,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 _BLOCK, _MAX_SCORES = 128, 1 << 24  # queries whose scores stay in the processor's cache; scores that are held at a time
 _FITTING = math.radians(5.0)  # boxes whose edge vectors are no further apart have the same proportions
+_NOT_MUCH = math.radians(10.0)  # a tilt that fits so much worse than the best is not taken, however usual it is
 _DECIMALS = 9  # scores that agree so far are equal
 _MIX = ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB))  # the finaliser of splitmix64 (Steele, Lea and Flood 2014)
 
@@ -40,7 +41,7 @@ class RetrievalSettings:
         top_k_text: Look at so many assets by text score alone, as MesaTask does with 20; None: at all of them. Assets that are
             not offered take no place among them.
         tilt_patience: The most usual resting tilt is taken whose misfit (the angle of which the size score is the cosine) is at
-            most so many times that of the tilt that fits best, or five degrees.
+            most so many times that of the tilt that fits best and ten degrees more, or five degrees.
         licences: Licences that are allowed, or None: all. An unknown licence is in no list.
         stretch: Scale along each axis to the wanted size, as the paper does; else by one factor.
         max_distortion: Largest factor over the smallest up to which an asset is stretched; infinite as in the paper.
@@ -249,7 +250,8 @@ class AssetScores:
         scores, starts = self._tilt_scores(cols, boxes)
         counts = self._num_tilts[cols]
         misfits = np.arccos(scores)
-        most = np.maximum(self._settings.tilt_patience * np.minimum.reduceat(misfits, starts), _FITTING)
+        least = np.minimum.reduceat(misfits, starts)
+        most = np.maximum(np.minimum(self._settings.tilt_patience * least, least + _NOT_MUCH), _FITTING)
         fits = misfits <= np.repeat(most, counts)
         number = np.arange(len(scores)) - np.repeat(starts, counts)  # tilts are sorted, the most usual first
         chosen: IntArray = np.minimum.reduceat(np.where(fits, number, len(scores)), starts)

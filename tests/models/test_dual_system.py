@@ -3,11 +3,12 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import pytest
 
 from models.conversation import Conversation, in_batches
 from models.dual_system import Correct, Generated, LoopSettings, Propose, Request, Retrieve, dual_system
-from models.physics_corrector.certify import CertifyOptions
+from models.physics_corrector.certify import CertifyOptions, Status
 from models.physics_corrector.corrector import Correction, PhysicsCorrector
 from models.scheduler import together
 from models.semantic_reasoner.categories import CategoryStatistics
@@ -17,6 +18,7 @@ from models.semantic_reasoner.reasoner import Proposal
 from models.semantic_reasoner.staged import LayoutTask
 from stable_data.errors import ConfigError
 from stable_data.furnishing import Furnished
+from stable_data.physics import SettleResult
 from stable_data.retrieval import Unmatched
 from stable_data.scene import Scene, Stage, Tabletop
 from tests.models.physics_corrector.shapes import SHAPES, store, thing
@@ -82,8 +84,38 @@ def staged(first: Sequence[LayoutObject], second: Sequence[LayoutObject], third:
     return dict(zip(Stage, (first, second, third), strict=True))
 
 
+class Restless(Answers):
+    """As if the engine left nothing still in the last correction while a thing of an earlier stage is there."""
+
+    def correct(self, questions: Sequence[Correct]) -> list[Correction]:
+        return [self._told(q, done) for q, done in zip(questions, super().correct(questions), strict=True)]
+
+    def _told(self, q: Correct, done: Correction) -> Correction:
+        assert done.certified is not None
+        if not q.is_last:
+            return done
+        if "cube_1" in q.fixed:
+            nothing = np.zeros((1, 7))
+            far = np.full(1, 9.0)
+            rest = SettleResult(("cube_1",), nothing[:, :3], nothing[:, 3:], far, far, 0.0, 9e3, 9.0, 0.0, 0.0, stable=False)
+            return replace(done, rest=rest)
+        left = tuple(o for o in done.certified.objects if o.instance != "cube_1")
+        return replace(done, certified=replace(done.certified, objects=left), status=Status.DROPPED)
+
+
 CROWDED = staged([said("cube_0", 50, 40)], [said("cube_1", 55, 40)], [said("ball_0", 45, 40)])
 """Each stage puts its thing into one that stands there."""
+
+
+def test_what_nothing_keeps_still_is_left_out_though_it_stood_there_before() -> None:
+    answers = Restless(CROWDED)
+    made = driven(answers)
+    assert made.scene is not None
+    assert [o.instance for o in made.scene.objects] == ["cube_0", "ball_0"]
+    assert made.correction is not None
+    assert made.correction.rest is None
+    assert [len(turn.corrections) for turn in made.turns] == [1, 1, 2]
+    assert [bool(r.fixed) for r in answers.of(Correct)] == [False, False, False, True]  # type: ignore[union-attr]
 
 
 def test_each_stage_is_told_what_the_corrector_made_of_those_before() -> None:
