@@ -80,8 +80,10 @@ class TableFiles:
         paths = self._folder.files(table)
         if not paths:
             self._folder.dataset(table)  # says what is missing
+        query = self._query()  # once: threads of Python 3.11 that parse side by side may fail
         with ThreadPoolExecutor(_REQUESTS) as pool:
-            self.groups = [group for groups in pool.map(self._list_groups, paths) for group in groups]
+            listed = pool.map(lambda path: self._list_groups(path, query), paths)
+            self.groups = [group for groups in listed for group in groups]
         self.starts: IntArray = np.cumsum([0, *(group.num_rows for group in self.groups)], dtype=np.int64)
 
     def __len__(self) -> int:
@@ -117,8 +119,7 @@ class TableFiles:
             part if g.chosen is None else part.take(g.chosen) for part, g in zip(parts, groups, strict=True)
         )
 
-    def _list_groups(self, path: str) -> list[RowGroup]:
-        query = self._query()
+    def _list_groups(self, path: str, query: Query | None) -> list[RowGroup]:
         try:
             with pq.ParquetFile(path, filesystem=self._folder.filesystem) as file:
                 check_version(pa.schema([], metadata=file.metadata.metadata), f"{self.uri}: {path}")
