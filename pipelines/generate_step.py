@@ -14,7 +14,7 @@ from typing import ClassVar
 
 from models.dual_system import Generated, Turn, dual_system
 from models.physics_corrector.certify import CertifyOptions
-from models.physics_corrector.corrector import Correction, PhysicsCorrector, movement
+from models.physics_corrector.corrector import Correction, PhysicsCorrector, with_movement
 from models.physics_corrector.learned import load_flow
 from models.scheduler import together
 from models.semantic_reasoner.assembly import load_reasoner
@@ -261,15 +261,7 @@ def _with_movement(
     start = replace(start, objects=tuple(sorted(start.objects, key=lambda o: order[o.instance])))
     start, shapes, _ = store.resolved(start)  # at the tilts that were proposed
     kept = relations_kept(start, scene, shapes, posed.shapes, audits=(None, audit))
-    mean, farthest, turn = movement(start, scene)
-    return replace(
-        card,
-        relations_kept_on_in=kept.on_in_share,
-        relations_kept_directional=kept.directional_share,
-        move_mean_mm=mean,
-        move_max_mm=farthest,
-        turn_max_deg=turn,
-    )
+    return with_movement(card, start, scene, kept)
 
 
 def _with_alignment(

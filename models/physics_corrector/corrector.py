@@ -164,15 +164,7 @@ def told(
     if done.scene is not None and done.audit is not None:
         after = [shapes[o.instance] for o in done.scene.objects]
         kept = relations_kept(came.scene, done.scene, came.shapes, after, audits=(came.audit, done.audit))
-        mean, farthest, turn = movement(came.scene, done.scene)
-        card_after = replace(
-            done.audit.card(),
-            relations_kept_on_in=kept.on_in_share,
-            relations_kept_directional=kept.directional_share,
-            move_mean_mm=mean,
-            move_max_mm=farthest,
-            turn_max_deg=turn,
-        )
+        card_after = with_movement(done.audit.card(), came.scene, done.scene, kept)
     return Correction(
         status=done.status,
         reason=done.reason,
@@ -288,3 +280,23 @@ def movement(before: Scene, after: Scene) -> tuple[float, float, float]:
     lengths = 1e3 * np.linalg.norm(steps[:, :3], axis=1)
     turns = np.degrees(np.abs(np.arctan2(np.sin(steps[:, 3]), np.cos(steps[:, 3]))))
     return float(lengths.mean()), float(lengths.max()), float(turns.max())
+
+
+def with_movement(card: MetricCard, before: Scene, after: Scene, kept: RelationsKept) -> MetricCard:
+    """A card with how far objects moved, millimetres and degrees, and what of their relations was kept.
+
+    Args:
+        card: Figures of ``after``.
+        before: A scene.
+        after: The same later.
+        kept: Their relations, compared.
+    """
+    mean, farthest, turn = movement(before, after)
+    return replace(
+        card,
+        relations_kept_on_in=kept.on_in_share,
+        relations_kept_directional=kept.directional_share,
+        move_mean_mm=mean,
+        move_max_mm=farthest,
+        turn_max_deg=turn,
+    )

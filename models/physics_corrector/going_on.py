@@ -19,7 +19,7 @@ def gone_on(
         corrector: Certifies.
         done: The correction so far.
         came: The scene as it came.
-        scene: What was made of its result; tilts may be others, objects may be missing.
+        scene: What was made of its result; tilts may be others.
         fixed: Instances that must stay.
         store: Geometry of the assets.
 
