@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from stable_data.assets import AssetStore
 from stable_data.mesatask.frame import rotation_matrix, stood_on_end
+from stable_data.relations import INSIDE_SLACK
 from stable_data.scene import FloatArray, SceneObject
 from stable_data.shape import Shape
 
@@ -20,6 +21,7 @@ _LEVELS = (0.98, 0.9, 0.75, 0.6, 0.45, 0.3, 0.15)  # heights at which a cup is c
 _SAME = 0.5  # a lower cut is of the same hollow while it has this share of its area
 _FOOT = 0.05  # of a long thing, share of its length
 _LEAN, _CLEAR = 0.8, 7e-4  # how far it leans of what has room; what is between feet, and below them, metres
+_WALL = 5e-4  # what is in a cup is higher than the cup's underside by at least this, metres
 _LEAST = 1e-3  # room without which nothing leans, metres
 _STEEP = 0.3  # sine of the slope from which on a thing that is upside down is meant to be so
 
@@ -31,14 +33,18 @@ class Hollow:
     Attributes:
         middle: Of its cross-section, (2,) metres, world frame.
         radius: Of the largest circle in it, metres.
+        reach: How far from there the middle of what is in the cup is at most, metres: long things lean out over the rim.
         floor: Height of its floor, or a little above, metres.
         rim: Height of its rim, metres.
+        below: Height of the cup's underside, metres.
     """
 
     middle: FloatArray
     radius: float
+    reach: float
     floor: float
     rim: float
+    below: float
 
 
 def hollow_of(o: SceneObject, shape: Shape) -> Hollow | None:
@@ -72,13 +78,16 @@ def hollow_of(o: SceneObject, shape: Shape) -> Hollow | None:
     (x, y), _ = circle.coords
     c, s = np.cos(o.yaw), np.sin(o.yaw)
     middle = np.array([c * x - s * y, s * x + c * y]) + o.position[:2]
-    return Hollow(middle, float(circle.length), o.position[2] + floor, o.position[2] + height / 2)
+    outline = shapely.convex_hull(shapely.multipoints(shape.vertices[:, :2]))
+    reach = float(outline.exterior.distance(shapely.Point(x, y))) + INSIDE_SLACK
+    z = o.position[2]
+    return Hollow(middle, float(circle.length), reach, z + floor, z + height / 2, z - height / 2)
 
 
 def is_inside(o: SceneObject, hollow: Hollow) -> bool:
-    """Is a thing's middle over a hollow, and its bottom below the rim?"""
+    """Is a thing in a cup: its middle over it, as the scene graph asks, its bottom below the rim and above the cup's?"""
     aside = float(np.linalg.norm(hollow.middle - o.position[:2]))
-    return aside < hollow.radius and hollow.floor - hollow.radius < o.position[2] - o.size[2] / 2 < hollow.rim
+    return aside < hollow.reach and hollow.below + _WALL < o.position[2] - o.size[2] / 2 < hollow.rim
 
 
 def is_long(o: SceneObject, hollow: Hollow, store: AssetStore) -> bool:
@@ -91,7 +100,10 @@ def is_long(o: SceneObject, hollow: Hollow, store: AssetStore) -> bool:
 
 
 def stood(sticks: Sequence[SceneObject], hollow: Hollow, store: AssetStore) -> list[SceneObject]:
-    """Long things with their feet side by side in a hollow, each leaning outwards to its own side, as many as have room.
+    """Long things put into a hollow, as many as have room.
+
+    One alone leans across, from the foot of one side to the rim of the other: in a wide bowl it would else tip over the rim. Of
+    more, which would be in each other's way, each leans to its own side, their feet side by side.
 
     Args:
         sticks: The things, of which :func:`is_long` holds, the more important first.
@@ -101,7 +113,8 @@ def stood(sticks: Sequence[SceneObject], hollow: Hollow, store: AssetStore) -> l
     ends = [end for end in ((o, *_on_end(o, store)) for o in sticks) if end[2] + _LEAST < hollow.radius]
     while ends:
         half = max(half for *_, half in ends)
-        foot = 0.0 if len(ends) == 1 else (half + _CLEAR) / np.sin(np.pi / len(ends))
+        alone = half + _CLEAR - hollow.radius
+        foot = alone if len(ends) == 1 else (half + _CLEAR) / np.sin(np.pi / len(ends))
         room = hollow.radius - half - foot
         if room > _LEAST:
             break

@@ -166,6 +166,28 @@ def test_what_is_to_be_on_a_cup_or_in_a_wide_bowl_does_not_lean_in_it() -> None:
     assert not is_long(stick(0, 0.5), room, store())
 
 
+def test_a_spoon_alone_leans_across_its_bowl() -> None:
+    """It would tip over the rim from the middle: it is thrice as long as the bowl is deep."""
+    wide = thing("bowl", (0.5, 0.4, 0.06, 0.3), scale=(1.5, 1.5, 1.5))
+    spoon = thing("cube", (0.55, 0.4, 0.2, 0.0), scale=(0.5, 0.12, 3.0))
+    let = let_go(with_relations(scene(wide, spoon), RelationKind.IN, ("cube", "bowl")))
+    assert dict(let.went_with) == {"cube": "bowl"}
+    room = hollow_of(let.scene["bowl"], store().shape(wide)[0])
+    assert room is not None
+    assert is_inside(let.scene["cube"], room)
+    assert 0.2 < steepness(let.scene["cube"]) < 0.8
+
+
+def test_what_leans_on_a_cup_from_outside_is_not_in_it() -> None:
+    room = hollow_of(CUP, store().shape(CUP)[0])
+    assert room is not None
+    assert room.reach == pytest.approx(0.045, abs=1e-3)
+    beside = stick(0, 0.535)
+    assert is_inside(beside.moved((0.535, 0.4, 0.052), 0.0), room)
+    assert not is_inside(beside.moved((0.535, 0.4, beside.size[2] / 2), 0.0), room)
+    assert not is_inside(beside.moved((0.56, 0.4, 0.052), 0.0), room)
+
+
 def test_the_hollow_turns_with_its_thing() -> None:
     """A cup whose hollow is not in the middle of its box, as that of one with a handle."""
     handle = box(0.06, 0.01, 0.04)
