@@ -8,6 +8,7 @@ READY := $(VENV)/.ready
 DATA ?= data/embedded
 OUT ?= runs/preprocess
 COUNT ?= 100
+TEST_WORKERS ?= 2
 EIGEN := $(VENV)/lib/python3.11/site-packages/cmeel.prefix/include/eigen3
 
 .PHONY: help env demo test test-all lint format schemas preprocess correct edit generate train evaluate bench clean
@@ -32,7 +33,7 @@ demo: $(READY) ## Fresh machine to 50 generated, certified, settled scenes and a
 	@echo "open runs/demo/report/index.html, runs/demo-scenes/report/index.html and its contact_sheet.png"
 
 test: $(READY) ## Run the tests, the slow ones left out (what CI runs)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile
 
 test-all: $(READY) ## Run all tests
 	$(BIN)/python -m pytest -m ''

@@ -82,7 +82,7 @@ class OwnAnswers:
     def retrieve(self, questions: Sequence[Retrieve], /) -> list[Furnished]:
         """Assets of objects, all of them looked for at once."""
         began = perf_counter()
-        found = furnish([q.scene for q in questions], self.retriever, self.seed)
+        found = furnish([q.scene for q in questions], self.retriever, self.seed, self.store.fault_of)
         self.seconds["retrieve"] += perf_counter() - began
         return found
 

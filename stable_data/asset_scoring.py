@@ -6,7 +6,7 @@ is chosen for a query does not depend on what else is asked.
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +25,7 @@ BoolArray = npt.NDArray[np.bool_]
 _BLOCK, _MAX_SCORES = 128, 1 << 24  # queries whose scores stay in the processor's cache; scores that are held at a time
 _FITTING = math.radians(5.0)  # boxes whose edge vectors are no further apart have the same proportions
 _NOT_MUCH = math.radians(10.0)  # a tilt that fits so much worse than the best is not taken, however usual it is
+_BARRED = -2.0  # instead of the dot product of unit rows, which is never less than -1
 _DECIMALS = 9  # scores that agree so far are equal
 _MIX = ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB))  # the finaliser of splitmix64 (Steele, Lea and Flood 2014)
 
@@ -140,7 +141,13 @@ class AssetScores:
         self._slack = 2.0 * self.features.shape[1] * 2.0**-24  # what a float32 product of unit rows may be off
 
     def choose(
-        self, features: Rows, wanted: FloatArray, categories: Sequence[str | None], tickets: Tickets, leans: BoolArray
+        self,
+        features: Rows,
+        wanted: FloatArray,
+        categories: Sequence[str | None],
+        tickets: Tickets,
+        leans: BoolArray,
+        without: Sequence[Collection[str]] | None = None,
     ) -> Choices:
         """The best asset for each query, and how it lies.
 
@@ -150,20 +157,33 @@ class AssetScores:
             categories: What each is to be, where known.
             tickets: What decides among equals, (B,) uint64.
             leans: Whether each may lean on what carries it, (B,).
+            without: Ids of assets that are not to be chosen, for each query.
         """
-        shapes = proportions(wanted)
+        shapes, barred = proportions(wanted), self._barred(without or ())
         codes = np.array([self._codes.get(_kind(name or ""), -1) for name in categories], np.int64)
         parts = []
         size = max(1, min(_BLOCK, _MAX_SCORES // len(self.assets)))
         for start in range(0, len(features), size):
             block = slice(start, start + size)
-            parts.append(self._choose(features[block], Boxes(shapes[block], leans[block]), codes[block], tickets[block]))
+            boxes, own = Boxes(shapes[block], leans[block]), [(k - start, n) for k, n in barred if start <= k < start + size]
+            parts.append(self._choose(features[block], boxes, codes[block], tickets[block], own))
         columns = zip(*((p.asset, p.tilt, p.text, p.size, p.nearest) for p in parts), strict=True)
         return Choices(*(np.concatenate(column) for column in columns))
 
-    def _choose(self, features: Rows, boxes: Boxes, codes: IntArray, tickets: Tickets) -> Choices:
+    def _barred(self, without: Sequence[Collection[str]]) -> list[tuple[int, int]]:
+        """Queries and assets, by number, that are not to come together."""
+        if not any(without):
+            return []
+        number = {asset.asset_id: n for n, asset in enumerate(self.assets)}
+        return [(k, number[name]) for k, names in enumerate(without) for name in sorted(names) if name in number]
+
+    def _choose(
+        self, features: Rows, boxes: Boxes, codes: IntArray, tickets: Tickets, barred: Sequence[tuple[int, int]]
+    ) -> Choices:
         """The same for a block of queries."""
         rough = features @ self.features.T  # (B, N)
+        for k, n in barred:
+            rough[k, n] = _BARRED
         rows, cols, text = self._candidates(rough, features, boxes)
         size, rows, cols, text = self._best(rows, cols, text, features, boxes)
         same = self._category[cols] == codes[rows]

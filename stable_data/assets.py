@@ -203,6 +203,14 @@ class AssetStore:
             notices += [Notice(scene.scene_id, n.step, n.code, n.message) for n in odd]
         return replace(scene, objects=tuple(objects)), shapes, tuple(notices)
 
+    def fault_of(self, asset_id: str) -> str | None:
+        """Why the mesh of an asset cannot be used, one line; None where it can."""
+        try:
+            self.asset(asset_id)
+        except MeshError as error:
+            return str(error)
+        return None
+
     def mesh_of(self, o: SceneObject) -> Mesh | None:
         """The repaired mesh of an object, mesh units, or None where it has none that can be used."""
         try:

@@ -1,10 +1,10 @@
 """Raw layouts get their assets: from libraries in order, the first that has a match serving."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from stable_data.errors import Notice
-from stable_data.retrieval import Match, Query, Retriever, Unmatched
+from stable_data.retrieval import Answer, Match, Query, Retriever, Unmatched
 from stable_data.scene import TABLE, Scene
 from stable_data.substitution import with_assets
 
@@ -27,7 +27,9 @@ class Furnished:
     notices: tuple[Notice, ...] = ()
 
 
-def furnish(scenes: Sequence[Scene], retriever: Retriever, seed: int = 0) -> list[Furnished]:
+def furnish(
+    scenes: Sequence[Scene], retriever: Retriever, seed: int = 0, fault_of: Callable[[str], str | None] = lambda _: None
+) -> list[Furnished]:
     """Layouts with an asset for each object that one is found for, all of them asked for at once.
 
     Within a layout equal words and sizes get equal assets. The underside of a thing stays at its height, and what rests on a thing
@@ -37,26 +39,57 @@ def furnish(scenes: Sequence[Scene], retriever: Retriever, seed: int = 0) -> lis
         scenes: The layouts, staged, with supports.
         retriever: Finds assets.
         seed: Decides among assets that are as good.
+        fault_of: Why an asset cannot be used, by its id; None where it can. Of what cannot, the next best takes the place.
     """
     asked = [(k, o) for k, scene in enumerate(scenes) for o in scene.objects]
     queries = [
         Query(o.description, o.size, o.category, scenes[k].scene_id, leans=o.support not in (None, TABLE)) for k, o in asked
     ]
-    answers = retriever.retrieve(queries, seed)
+    answers, faults = _usable(queries, retriever, seed, fault_of)
     matches: list[dict[str, Match]] = [{} for _ in scenes]
     unmatched: list[dict[str, Unmatched]] = [{} for _ in scenes]
-    for (k, o), answer in zip(asked, answers, strict=True):
+    passed: list[list[Notice]] = [[] for _ in scenes]
+    for (k, o), answer, found in zip(asked, answers, faults, strict=True):
+        name = scenes[k].scene_id
+        passed[k] += [Notice(name, STEP, "asset_unusable", f"{name}: {o.instance} goes without {fault}") for fault in found]
         if isinstance(answer, Match):
             matches[k][o.instance] = answer
         else:
             unmatched[k][o.instance] = answer
-    return [_furnished(*parts) for parts in zip(scenes, matches, unmatched, strict=True)]
+    return [_furnished(*parts) for parts in zip(scenes, matches, unmatched, passed, strict=True)]
 
 
-def _furnished(scene: Scene, matches: Mapping[str, Match], unmatched: Mapping[str, Unmatched]) -> Furnished:
+def _usable(
+    queries: Sequence[Query], retriever: Retriever, seed: int, fault_of: Callable[[str], str | None]
+) -> tuple[list[Answer], list[list[str]]]:
+    """The best asset that can be used for each query, and why those before it cannot.
+
+    Each query is asked anew without what it was given in vain, rather than without all that is known to be broken: so it gets the
+    same whatever was asked before.
+    """
+    asked, answers = list(queries), retriever.retrieve(queries, seed)
+    faults: list[list[str]] = [[] for _ in queries]
+    waiting = list(range(len(asked)))
+    while waiting:
+        again = []
+        for k in waiting:
+            answer = answers[k]
+            if isinstance(answer, Match) and (fault := fault_of(answer.asset_id)) is not None:
+                faults[k].append(fault)
+                asked[k] = replace(asked[k], without=asked[k].without | {answer.asset_id})
+                again.append(k)
+        waiting = again
+        for k, answer in zip(again, retriever.retrieve([asked[k] for k in again], seed) if again else (), strict=True):
+            answers[k] = answer
+    return answers, faults
+
+
+def _furnished(
+    scene: Scene, matches: Mapping[str, Match], unmatched: Mapping[str, Unmatched], passed: Sequence[Notice]
+) -> Furnished:
     gone = scene.resting_on(set(unmatched)) if unmatched else set()
     kept = [o for o in scene.objects if o.instance not in gone]
-    notices = []
+    notices = list(passed)
     for name in sorted(gone):
         why = f"no asset: {unmatched[name].reason}" if name in unmatched else "what it rests on is left out"
         code = "asset_unmatched" if name in unmatched else "carrier_left_out"

@@ -37,6 +37,7 @@ class Query:
         key: What it is drawn by beside the seed, such as ``scene_id/instance``: with a key of its own each of several equal
             queries may get another asset, and with their scene's key all get the same.
         leans: Whether it is carried by another thing, on which it may lean; else it has the tilts that it was seen at.
+        without: Ids of assets that it is not to get.
     """
 
     text: str
@@ -44,6 +45,7 @@ class Query:
     category: str | None = None
     key: str = ""
     leans: bool = False
+    without: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         """Refuses a box without extent."""
@@ -176,6 +178,7 @@ class Retriever:
                 [query.category for query in asked],
                 np.array([ticket(seed, query.key, query.sentence()) for query in asked], np.uint64),
                 np.array([query.leans for query in asked], np.bool_),
+                [query.without for query in asked],
             )
             for k, answer in zip(waiting, self._read(name, scores, choices, asked), strict=True):
                 previous = answers[k]

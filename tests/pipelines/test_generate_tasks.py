@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from models.point_encoder.checkpoint import DEFAULT_WEIGHTS as ENCODER
 from models.semantic_reasoner.staged import LayoutTask, of_scene
 from pipelines.__main__ import app
 from pipelines.generate_tasks import SampledTask, of_file, of_scenes, sampled
@@ -85,6 +86,7 @@ def test_broken_rows_of_a_file_are_named_and_the_rest_is_used(tmp_path: Path) ->
         (["--tasks", "no.jsonl"], "no.jsonl: cannot be read"),
         (["--count", "2", "--set", "accept=nice"], "names nice"),
         (["--count", "2", "--set", "weights=no.safetensors"], "no.safetensors"),
+        (["--count", "2", "--set", f"weights={ENCODER}"], "says nothing of its settings, expected a corrector's weights"),
         (["--count", "2", "--assets", "nowhere"], "nowhere"),
     ],
 )

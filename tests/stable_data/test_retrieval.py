@@ -241,6 +241,24 @@ def test_a_batch_answers_as_each_query_alone_in_any_order(top_k: int | None) -> 
     assert batch != tool.retrieve(CROWD_QUERIES, seed=5)
 
 
+def test_what_a_query_is_to_go_without_is_as_if_it_were_not_there() -> None:
+    tool = Retriever([CROWD], Noise())
+    first = tool.retrieve(CROWD_QUERIES, seed=4)
+    barred = {a.asset_id for a in first if isinstance(a, Match)}
+    left = tuple(a for a in CROWD.assets if a.asset_id not in barred)
+    few = Retriever([AssetLibrary("crowd", left).embedded(Noise())], Noise())
+    second = tool.retrieve([replace(query, without=frozenset(barred)) for query in CROWD_QUERIES], seed=4)
+    assert [found(answer) for answer in second] == [found(answer) for answer in few.retrieve(CROWD_QUERIES, seed=4)]
+    mixed = [replace(query, without=frozenset(barred)) if k % 3 else query for k, query in enumerate(CROWD_QUERIES)]
+    assert tool.retrieve(mixed, seed=4) == [second[k] if k % 3 else first[k] for k in range(len(mixed))]
+
+
+def test_a_query_that_may_have_nothing_is_reported() -> None:
+    everything = frozenset(asset.asset_id for asset in CROWD.assets)
+    (answer,) = Retriever([CROWD], Noise()).retrieve([replace(CROWD_QUERIES[0], without=everything)])
+    assert isinstance(answer, Unmatched)
+
+
 def test_the_floor_is_the_same_to_the_last_bit_alone_and_in_a_batch() -> None:
     by_text = RetrievalSettings(size_weight=0.0, margin=0.0, floor=-1.0)
     queries = [Query(f"unlike {k}", CUBE) for k in range(130)]

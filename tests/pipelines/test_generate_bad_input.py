@@ -1,0 +1,82 @@
+"""The generate job over what is broken: every task is accounted for, and the run goes on or stops with one line."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from models.semantic_reasoner.engines import EngineSettings
+from models.semantic_reasoner.staged import LayoutTask
+from pipelines.asset_shelf import AssetShelf
+from pipelines.generate import generate
+from pipelines.generate_settings import GenerateSettings
+from pipelines.generate_tasks import Tasks
+from pipelines.runner import Workers
+from stable_data.errors import ConfigError
+from stable_data.scene import Stage, Tabletop
+from stable_data.shards import RunFolder
+from tests.models.semantic_reasoner.endpoint import Act, endpoint, said
+from tests.pipelines.runs import content
+from tests.pipelines.scripts import one_thing_a_stage
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+ALONE = Workers()
+DESK = Tabletop("office_table", (1.2, 0.6))
+PLAIN = GenerateSettings(weights="none", scenes_per_shard=1, num_pictures=0)
+FOUR = Tasks("tasks", [LayoutTask(f"task_{n}", f"Lift it {n} times.", DESK) for n in range(4)])
+
+
+def ids(run: Path, table: str) -> set[str]:
+    return set(RunFolder(str(run)).table(table)["scene_id" if table == "scenes" else "id"].to_pylist())
+
+
+def test_a_library_with_holes_costs_no_task_and_gives_nothing_that_is_broken(dataset: Path, tmp_path: Path) -> None:
+    whole = AssetShelf([str(dataset)]).libraries[0].assets[1:4]
+    script = tmp_path / "script.json"
+    script.write_text(json.dumps(one_thing_a_stage(whole)))
+    holes = tmp_path / "holes"
+    shutil.copytree(dataset, holes)
+    missing, torn = (holes / "Assets_library" / f"{asset.asset_id}.glb" for asset in whole[1:])
+    missing.unlink()
+    torn.write_bytes(torn.read_bytes()[:100])
+    settings = replace(PLAIN, engine=EngineSettings(f"scripted:{script}"), accept="clean")
+    out = tmp_path / "out"
+    made = generate(FOUR, str(out), settings, ALONE, [str(holes)], report=False)
+    assert made["counts"]["scenes"] == len(FOUR.tasks)
+    objects = [o for row in RunFolder(str(out)).table("scenes").to_pylist() for o in row["objects"]]
+    assert [o["category"] for o in objects] == [whole[0].category, whole[1].category] * len(
+        FOUR.tasks
+    )  # none is like the third
+    assert not {o["asset_id"] for o in objects} & {missing.stem, torn.stem}
+    told = [row["message"] for row in RunFolder(str(out)).table("warnings").to_pylist() if row["code"] == "asset_unusable"]
+    assert [sum(words in message for message in told) for words in ("no GLB file", "a chunk ends")] == [4, 4]
+
+
+def test_an_endpoint_that_dies_halfway_stops_the_run_with_one_line_and_costs_no_task(dataset: Path, tmp_path: Path) -> None:
+    script = one_thing_a_stage(AssetShelf([str(dataset)]).libraries[0].assets[1:4])
+    answers = {words: json.dumps(reply) for words, reply in script.items()}
+    left = [0]
+
+    def plan(words: str, _: int, __: dict[str, Any]) -> Act:
+        if not left[0]:
+            return Act(drops=True)
+        left[0] -= 1
+        return Act(body=said(next(reply for wanted, reply in answers.items() if wanted in words)))
+
+    with endpoint(plan) as server:
+        settings = replace(PLAIN, engine=EngineSettings("openai:large", http=server.settings(), cache=str(tmp_path / "kept")))
+        out, undisturbed = tmp_path / "out", tmp_path / "undisturbed"
+        left[0] = 2 * len(Stage) + 1  # two scenes, and a stage of the third
+        with pytest.raises(ConfigError, match=r"^task_\d: .*; what is done is kept, run again to go on$") as caught:
+            generate(FOUR, str(out), settings, ALONE, [str(dataset)], report=False)
+        assert caught.value.code == "engine_off"
+        assert len(ids(out, "scenes")) == 2
+        left[0] = 1000
+        assert generate(FOUR, str(out), settings, ALONE, [str(dataset)], report=False)["status"] == "complete"
+        generate(FOUR, str(undisturbed), settings, ALONE, [str(dataset)], report=False)
+    assert content(out) == content(undisturbed)
+    assert ids(out, "scenes") == {t.scene_id for t in FOUR.tasks}
