@@ -1,11 +1,12 @@
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from stable_data.mesh import Mesh
-from stable_data.physics import Body, EngineOptions, SettleResult, compile_bodies, hull_volume, settle
+from stable_data.physics import Body, EngineOptions, SettleResult, _run, compile_bodies, hull_volume, settle
 from stable_data.scene import FloatArray, Tabletop, Vec3
 
 pytestmark = pytest.mark.sim
@@ -75,9 +76,18 @@ def test_what_has_gone_too_far_is_not_watched_in_a_hurry_and_what_stays_is() -> 
 
 
 @pytest.mark.parametrize("speed", [EngineOptions().sleep_speed, 1e-3])
-def test_what_sleeps_is_judged_as_what_is_looked_at(speed: float) -> None:
+def test_what_sleeps_is_judged_as_what_is_looked_at(speed: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    num_awake = []
+
+    def run(model: Any, data: Any, *more: Any) -> FloatArray:
+        found = _run(model, data, *more)
+        num_awake.append(data.ntree_awake)
+        return found
+
+    monkeypatch.setattr("stable_data.physics._run", run)
     bodies = [block(str(k), (0.5, 0.3, 0.05 + 0.1 * k)) for k in range(3)]
     awake, asleep = (settle(bodies, TABLE, EngineOptions(sleep_speed=s)) for s in (0.0, speed))
+    assert num_awake == [3, 3, 3, 0]
     assert awake.stable
     assert asleep.stable
     assert asleep.moves == pytest.approx(awake.moves, abs=1e-6)
