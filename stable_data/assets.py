@@ -32,6 +32,7 @@ ASPECT_STEP = math.log(1.05)
 
 # The tree of a shape lives as long as it, and takes 560 bytes a triangle.
 _GOES_WITH = 48
+_PASSING = ("glb_unreadable", "unexpected")  # faults that may be the machine's
 _STAND_IN = "a box of its size stands in, and what rests on its mesh is unknown"
 
 K = TypeVar("K", bound=Hashable)
@@ -103,6 +104,7 @@ class AssetStore:
         self._meshes: _Recent[str, AssetMesh | MeshError] = _Recent(max_bytes)
         self._shapes: _Recent[Hashable, Shape] = _Recent(max_bytes)
         self._grids: _Recent[Hashable, SdfGrid] = _Recent(max_bytes)
+        self._faults: dict[str, str | None] = {}
 
     def asset(self, asset_id: str) -> AssetMesh:
         """The repaired mesh of an asset.
@@ -204,12 +206,17 @@ class AssetStore:
         return replace(scene, objects=tuple(objects)), shapes, tuple(notices)
 
     def fault_of(self, asset_id: str) -> str | None:
-        """Why the mesh of an asset cannot be used, one line; None where it can."""
-        try:
-            self.asset(asset_id)
-        except MeshError as error:
-            return str(error)
-        return None
+        """Why the mesh of an asset cannot be used, one line; None where it can, or where that may be otherwise another time.
+
+        What cannot be read for now is not passed over for another asset: else the same task gave another scene elsewhere.
+        """
+        if asset_id not in self._faults:
+            try:
+                self.asset(asset_id)
+                self._faults[asset_id] = None
+            except MeshError as error:
+                self._faults[asset_id] = None if error.code in _PASSING else str(error)
+        return self._faults[asset_id]
 
     def mesh_of(self, o: SceneObject) -> Mesh | None:
         """The repaired mesh of an object, mesh units, or None where it has none that can be used."""

@@ -51,11 +51,12 @@ def furnish(
     passed: list[list[Notice]] = [[] for _ in scenes]
     for (k, o), answer, found in zip(asked, answers, faults, strict=True):
         name = scenes[k].scene_id
-        passed[k] += [Notice(name, STEP, "asset_unusable", f"{name}: {o.instance} goes without {fault}") for fault in found]
+        why = found[0] + (f" (and {len(found) - 1} more assets)" if found[1:] else "") if found else ""
         if isinstance(answer, Match):
             matches[k][o.instance] = answer
+            passed[k] += [Notice(name, STEP, "asset_unusable", f"{name}: {o.instance} goes without {why}")] * bool(why)
         else:
-            unmatched[k][o.instance] = answer
+            unmatched[k][o.instance] = replace(answer, reason=f"what is like it cannot be used: {why}") if why else answer
     return [_furnished(*parts) for parts in zip(scenes, matches, unmatched, passed, strict=True)]
 
 

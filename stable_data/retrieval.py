@@ -197,7 +197,9 @@ class Retriever:
         factors = uniform_factor([query.size for query in queries], boxes).tolist()
         answers: list[Answer] = []
         for query, factor, (index, tilt, text, size, nearest) in zip(queries, factors, columns, strict=True):
-            if index < 0:
+            if index < 0 and scores.assets[nearest].asset_id in query.without:
+                answers.append(Unmatched("it is to go without all that the libraries have"))
+            elif index < 0:
                 answers.append(self._unmatched(name, scores.assets[nearest], text, query))
             else:
                 answers.append(self._match(name, scores.assets[index], tilt, factor, (text, size), query))

@@ -21,19 +21,20 @@ _LEVELS = (0.98, 0.9, 0.75, 0.6, 0.45, 0.3, 0.15)  # heights at which a cup is c
 _SAME = 0.5  # a lower cut is of the same hollow while it has this share of its area
 _FOOT = 0.05  # of a long thing, share of its length
 _LEAN, _CLEAR = 0.8, 7e-4  # how far it leans of what has room; what is between feet, and below them, metres
-_WALL = 5e-4  # what is in a cup is higher than the cup's underside by at least this, metres
+_WALL = 1.5e-3  # what is in a cup is higher than the cup's underside by at least this, metres
 _LEAST = 1e-3  # room without which nothing leans, metres
 _STEEP = 0.3  # sine of the slope from which on a thing that is upside down is meant to be so
 
 
 @dataclass(frozen=True, slots=True)
 class Hollow:
-    """What is free inside a cup, an upright cylinder.
+    """A cup, and what is free inside it: a cylinder that widens towards the rim.
 
     Attributes:
         middle: Of its cross-section, (2,) metres, world frame.
-        radius: Of the largest circle in it, metres.
-        reach: How far from there the middle of what is in the cup is at most, metres: long things lean out over the rim.
+        radius: Of the largest circle in it at the floor, metres.
+        mouth: The same at the rim, metres.
+        reach: How far from the middle that of what is in the cup is at most, metres: long things lean out over the rim.
         floor: Height of its floor, or a little above, metres.
         rim: Height of its rim, metres.
         below: Height of the cup's underside, metres.
@@ -41,6 +42,7 @@ class Hollow:
 
     middle: FloatArray
     radius: float
+    mouth: float
     reach: float
     floor: float
     rim: float
@@ -55,7 +57,7 @@ def hollow_of(o: SceneObject, shape: Shape) -> Hollow | None:
         shape: Its geometry.
     """
     mesh, height = trimesh.Trimesh(shape.vertices, shape.faces, process=False), float(shape.size[2])
-    free, floor = None, 0.0
+    free, mouth, floor = None, None, 0.0
     for level in _LEVELS:
         section = mesh.section((0.0, 0.0, 1.0), (0.0, 0.0, (level - 0.5) * height))
         rings = [] if section is None else [ring for ring in section.to_2D(np.eye(4))[0].polygons_closed if ring is not None]
@@ -72,6 +74,7 @@ def hollow_of(o: SceneObject, shape: Shape) -> Hollow | None:
         if not holes:
             break
         free, floor = max(holes, key=lambda hole: float(hole.area)), (level - 0.5) * height
+        mouth = mouth or free
     if free is None:
         return None
     circle = shapely.maximum_inscribed_circle(free)
@@ -80,14 +83,34 @@ def hollow_of(o: SceneObject, shape: Shape) -> Hollow | None:
     middle = np.array([c * x - s * y, s * x + c * y]) + o.position[:2]
     outline = shapely.convex_hull(shapely.multipoints(shape.vertices[:, :2]))
     reach = float(outline.exterior.distance(shapely.Point(x, y))) + INSIDE_SLACK
-    z = o.position[2]
-    return Hollow(middle, float(circle.length), reach, z + floor, z + height / 2, z - height / 2)
+    z, radius = o.position[2], float(circle.length)
+    opens = max(radius, float(shapely.maximum_inscribed_circle(mouth).length))
+    return Hollow(middle, radius, opens, reach, z + floor, z + height / 2, z - height / 2)
 
 
-def is_inside(o: SceneObject, hollow: Hollow) -> bool:
-    """Is a thing in a cup: its middle over it, as the scene graph asks, its bottom below the rim and above the cup's?"""
+def is_inside(o: SceneObject, hollow: Hollow, store: AssetStore) -> bool:
+    """Is a thing in a cup?
+
+    Its middle is over the cup, as the scene graph asks, its bottom below the rim and above the cup's; and where it leans out, its foot
+    is in the hollow: what lies under a rim from outside is not in it.
+    """
+    bottom = o.position[2] - o.size[2] / 2
     aside = float(np.linalg.norm(hollow.middle - o.position[:2]))
-    return aside < hollow.reach and hollow.below + _WALL < o.position[2] - o.size[2] / 2 < hollow.rim
+    if aside >= hollow.reach or not hollow.below + _WALL < bottom < hollow.rim:
+        return False
+    if aside < hollow.radius:
+        return True
+    height = min(1.0, max(0.0, (bottom - hollow.floor) / (hollow.rim - hollow.floor)))
+    room = hollow.radius + height * (hollow.mouth - hollow.radius)
+    return float(np.linalg.norm(hollow.middle - _foot(store.shape(o)[0], o))) < room
+
+
+def _foot(shape: Shape, o: SceneObject) -> FloatArray:
+    """Middle of the lower end of a thing, (2,) metres, world frame."""
+    low = shape.vertices[shape.vertices[:, 2] < (_FOOT - 0.5) * shape.size[2]]
+    x, y = ((low.min(axis=0) + low.max(axis=0))[:2] / 2).tolist()
+    c, s = np.cos(o.yaw), np.sin(o.yaw)
+    return np.asarray(np.array([c * x - s * y, s * x + c * y]) + o.position[:2])
 
 
 def is_long(o: SceneObject, hollow: Hollow, store: AssetStore) -> bool:

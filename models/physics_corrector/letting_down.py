@@ -144,7 +144,9 @@ def _let_go(
     leaning = [] if hollow is None else _leaning(scene, carrier, in_it, fixed, hollow, store)
     upright = {o.instance for o in leaning}
     loose = [o for o in scene.objects if o.instance in names - upright]
-    there = scene.resting_on({carrier}) | {o.instance for o in scene.objects if hollow is not None and is_inside(o, hollow)}
+    there = scene.resting_on({carrier}) | {
+        o.instance for o in scene.objects if hollow is not None and is_inside(o, hollow, store)
+    }
     there -= scene.resting_on(waiting | names | upright) | {carrier}
     still = [scene[carrier], *(o for o in scene.objects if o.instance in there)]
     part, own, _ = store.resolved(replace(scene, objects=(*still, *leaning, *loose)))
@@ -162,7 +164,7 @@ def _let_go(
         x, y, z = ended.positions[k].tolist()
         a, b, c, d = ended.quats_xyzw[k].tolist()
         lies = _came_to_lie(o, ((x, y, z), (a, b, c, d)), store)
-        if hollow is not None and is_inside(lies, hollow):
+        if hollow is not None and is_inside(lies, hollow, store):
             is_well = o.instance in upright or bool(ended.moves[k] < _STRAYED and ended.turns[k] < _TOPPLED)
         else:  # what tips over an edge leans on it first
             is_well = bool(ended.moves[k] < _STRAYED and ended.turns[k] < _TIPPED and outline.covers(shapely.Point(x, y)))
@@ -174,7 +176,9 @@ def _let_go(
 
 def _leaning(scene: Scene, cup: str, names: Set[str], fixed: Set[str], hollow: Hollow, store: AssetStore) -> list[SceneObject]:
     """The long ones of some things and of what is in a cup, put into it; those that are there already before the others."""
-    inside = [o for o in scene.objects if o.instance in names or (o.instance not in fixed | {cup} and is_inside(o, hollow))]
+    inside = [
+        o for o in scene.objects if o.instance in names or (o.instance not in fixed | {cup} and is_inside(o, hollow, store))
+    ]
     sticks = [o for o in inside if is_long(o, hollow, store)]
     found = stood(sorted(sticks, key=lambda o: o.instance in names), hollow, store)
     return found if names & {o.instance for o in found} else []

@@ -4,6 +4,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import pytest
@@ -52,19 +53,36 @@ def test_a_library_with_holes_costs_no_task_and_gives_nothing_that_is_broken(dat
         FOUR.tasks
     )  # none is like the third
     assert not {o["asset_id"] for o in objects} & {missing.stem, torn.stem}
-    told = [row["message"] for row in RunFolder(str(out)).table("warnings").to_pylist() if row["code"] == "asset_unusable"]
-    assert [sum(words in message for message in told) for words in ("no GLB file", "a chunk ends")] == [4, 4]
+    told = [(row["code"], row["message"]) for row in RunFolder(str(out)).table("warnings").to_pylist()]
+    assert sum(code == "asset_unusable" and "goes without" in words and "no GLB file" in words for code, words in told) == 4
+    assert sum(code == "asset_unmatched" and "a chunk ends" in words for code, words in told) == 4
+
+
+def test_a_task_object_whose_asset_is_broken_and_has_no_like_is_a_failure_that_says_so(dataset: Path, tmp_path: Path) -> None:
+    whole = AssetShelf([str(dataset)]).libraries[0].assets[1:4]
+    script = tmp_path / "script.json"
+    script.write_text(json.dumps(one_thing_a_stage(whole[::-1])))
+    holes = tmp_path / "holes"
+    shutil.copytree(dataset, holes)
+    (holes / "Assets_library" / f"{whole[-1].asset_id}.glb").unlink()
+    settings = replace(PLAIN, engine=EngineSettings(f"scripted:{script}"))
+    out = tmp_path / "out"
+    generate(replace(FOUR, tasks=FOUR.tasks[:1]), str(out), settings, ALONE, [str(holes)], report=False)
+    (row,) = RunFolder(str(out)).table("failures").to_pylist()
+    assert row["id"] == "task_0"
+    assert "no GLB file" in row["message"]
 
 
 def test_an_endpoint_that_dies_halfway_stops_the_run_with_one_line_and_costs_no_task(dataset: Path, tmp_path: Path) -> None:
     script = one_thing_a_stage(AssetShelf([str(dataset)]).libraries[0].assets[1:4])
     answers = {words: json.dumps(reply) for words, reply in script.items()}
-    left = [0]
+    left, lock = [0], Lock()
 
     def plan(words: str, _: int, __: dict[str, Any]) -> Act:
-        if not left[0]:
+        with lock:
+            left[0] -= 1
+        if left[0] < 0:
             return Act(drops=True)
-        left[0] -= 1
         return Act(body=said(next(reply for wanted, reply in answers.items() if wanted in words)))
 
     with endpoint(plan) as server:

@@ -74,7 +74,7 @@ def test_as_many_stand_side_by_side_as_have_room() -> None:
     found = stood([stick(k, 0.5) for k in range(30)], room, store())
     assert 5 < len(found) < 30
     assert [o.instance for o in found] == [f"cube_{k}" for k in range(len(found))]
-    assert all(is_inside(o, room) and steepness(o) > 0.8 for o in found)
+    assert all(is_inside(o, room, store()) and steepness(o) > 0.8 for o in found)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -167,14 +167,14 @@ def test_what_is_to_be_on_a_cup_or_in_a_wide_bowl_does_not_lean_in_it() -> None:
 
 
 def test_a_spoon_alone_leans_across_its_bowl() -> None:
-    """It would tip over the rim from the middle: it is thrice as long as the bowl is deep."""
+    """From the middle it would tip over the rim: it is far longer than the bowl is deep."""
     wide = thing("bowl", (0.5, 0.4, 0.06, 0.3), scale=(1.5, 1.5, 1.5))
     spoon = thing("cube", (0.55, 0.4, 0.2, 0.0), scale=(0.5, 0.12, 3.0))
     let = let_go(with_relations(scene(wide, spoon), RelationKind.IN, ("cube", "bowl")))
     assert dict(let.went_with) == {"cube": "bowl"}
     room = hollow_of(let.scene["bowl"], store().shape(wide)[0])
     assert room is not None
-    assert is_inside(let.scene["cube"], room)
+    assert is_inside(let.scene["cube"], room, store())
     assert 0.2 < steepness(let.scene["cube"]) < 0.8
 
 
@@ -182,10 +182,31 @@ def test_what_leans_on_a_cup_from_outside_is_not_in_it() -> None:
     room = hollow_of(CUP, store().shape(CUP)[0])
     assert room is not None
     assert room.reach == pytest.approx(0.045, abs=1e-3)
-    beside = stick(0, 0.535)
-    assert is_inside(beside.moved((0.535, 0.4, 0.052), 0.0), room)
-    assert not is_inside(beside.moved((0.535, 0.4, beside.size[2] / 2), 0.0), room)
-    assert not is_inside(beside.moved((0.56, 0.4, 0.052), 0.0), room)
+    angle = math.radians(12.5)
+    out = stick(0, 0.538, tilt=(0.0, math.sin(angle), 0.0, math.cos(angle)))  # its foot is 3 cm nearer to the middle
+    for yaw, x, bottom, is_in in (
+        (0.0, 0.538, 0.012, True),
+        (np.pi, 0.538, 0.012, False),
+        (0.0, 0.538, 0.0, False),
+        (0.0, 0.56, 0.012, False),
+    ):
+        assert is_inside(out.moved((x, 0.4, bottom + out.size[2] / 2), yaw), room, store()) is is_in
+
+
+def test_what_lies_under_the_rim_of_a_bowl_is_not_in_it_and_stays() -> None:
+    """A pen on a mat beside it, over which the rim reaches."""
+    bowl = thing("bowl", (0.5, 0.4, 0.04, 0.0))
+    mat = thing("plate_0", (0.5, 0.5, 0.0015, 0.0), scale=(1.5, 0.8, 0.3))
+    pen = thing("cube_9", (0.5, 0.465, 0.0075, np.pi / 2), scale=(0.1, 0.09, 1.6), tilt=LYING, support="plate_0")
+    built = scene(bowl, mat, pen, stick(0, 0.3))
+    room = hollow_of(bowl, store().shape(bowl)[0])
+    assert room is not None
+    assert room.reach > 0.08 > room.mouth > room.radius
+    assert is_long(pen, room, store())
+    assert not is_inside(pen, room, store())
+    let = let_down(store().resolved(with_relations(built, RelationKind.IN, ("cube_0", "bowl")))[0], {"cube_0"}, NONE, store())
+    assert "cube_9" not in let.went_with
+    assert let.scene["cube_9"] == store().resolved(built)[0]["cube_9"]
 
 
 def test_the_hollow_turns_with_its_thing() -> None:
