@@ -44,7 +44,7 @@ _BE = (
 _WITHIN = r"(?: of| inside| within| the top of)? "
 _TAKE = r"(?:removing|taking|lifting|picking)"
 
-_AWAY = re.compile(rf"{_LIST}(?: up| gently| carefully)?(?P<gone> away)? (?P<how>out of|off|from){_WITHIN}{_B}")
+_AWAY = re.compile(rf"{_LIST}(?: up| gently| carefully)?(?P<gone> away)?,? (?P<how>out of|off|from){_WITHIN}{_B}")
 _AWAY_IT = re.compile(rf"{_B}[^.;<]* (?:by|after) {_TAKE} {_LIST}(?: up)? (?P<how>out of|off|from) it\b")
 _IT_AWAY = re.compile(rf"{_LIST}\. (?:take|get|lift|remove) (?:it|them) (?P<how>out of|off|from) {_B}")
 _OUT = re.compile(rf"(?:reach into|empty) {_B} (?:and|by) (?:take|get|taking|getting) out {_LIST}")
@@ -55,6 +55,7 @@ _ILL_PLACED = re.compile(rf"{_LIST} do(?:es)? not belong (?P<spot>in|on) {_B}")
 _BEFORE = re.compile(rf"in front of {_B} by (?:moving|pushing|taking) {_LIST}")
 _STATED = re.compile(rf"{_LIST}(?P<be>{_BE}) {_SPOT} {_B}")
 _NOUN = re.compile(rf"{_LIST} {_SPOT} {_B}")
+_SINGLED_OUT = re.compile(rf"{_LIST},? (?:which|that) (?:is|are) {_SPOT} $")
 _ALSO = re.compile(rf",? (?:(?:and )?(?:is |are )?also|and(?: is| are)?) {_SPOT} {_B}")
 """Goes on after where a thing is with where it is besides: ``is left of the cup and behind the plate``, ``in the bowl is also in
 the mug``."""
@@ -130,8 +131,11 @@ def _taken(marked: str) -> Iterator[Claim]:
     for match in _AWAY.finditer(marked):
         before = marked[: match.start()]
         is_other = match["how"] == "from" and (match["gone"] or re.search(_FILLING, before) or re.search(_PARTING, before))
-        if not is_other:  # "move a away from b", "fill a from b" and "separate a from b" do not say where a is
-            yield from _pairs(match, _left(match))
+        if is_other:  # "move a away from b", "fill a from b" and "separate a from b" do not say where a is
+            continue
+        # "Lift a that is left of c off b" says it of a.
+        meant = _SINGLED_OUT.search(before) or match
+        yield from _claims([int(a) for a in re.findall(r"\d+", meant["a"])], _left(match), match)
     for pattern in (_AWAY_IT, _IT_AWAY, _TAKEN_OFF, _INSTEAD, _NO_MORE):
         for match in pattern.finditer(marked):
             yield from _pairs(match, _left(match))

@@ -19,6 +19,8 @@ def test_the_longest_types_are_marked_first() -> None:
         ("take <0> out of <1>.", [Claim(0, IN, 1)]),
         ("remove <0> from <1>.", [Claim(0, None, 1)]),
         ("reach into <1> and take out <0>.", [Claim(0, IN, 1)]),
+        ("lift <0> that is to the right of <2> off <1>.", [Claim(0, ON, 1), Claim(0, RelationKind.RIGHT_OF, 2)]),
+        ("take <0>, which is in front of <2>, out of <1>.", [Claim(0, IN, 1), Claim(0, FRONT, 2)]),
         ("clear <1> by lifting <0> and <2> off it.", [Claim(0, ON, 1), Claim(2, ON, 1)]),
         ("<0> does not belong in <1>. take it out.", [Claim(0, IN, 1)]),
         ("i need <0>. take it out of <1> and hand it over.", [Claim(0, IN, 1)]),
