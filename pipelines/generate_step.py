@@ -4,7 +4,6 @@ A shard's rows depend on nothing but the shard: batches form from the order of i
 up in whatever process it runs.
 """
 
-import gc
 import json
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -245,7 +244,6 @@ def _opened(work: GenerateWork) -> Opened:
     answers = OwnAnswers(
         reasoner, shelf.retriever(settings.retrieval), corrector, AssetStore(shelf), settings.seed, settings.settle
     )
-    gc.freeze()  # models and libraries stay as long as the process: looking for garbage among them would be in vain
     return Opened(answers, shelf, statistics)
 
 
