@@ -147,7 +147,7 @@ class AssetScores:
         categories: Sequence[str | None],
         tickets: Tickets,
         leans: BoolArray,
-        without: Sequence[Collection[str]] | None = None,
+        without: Sequence[Collection[str]],
     ) -> Choices:
         """The best asset for each query, and how it lies.
 
@@ -159,7 +159,7 @@ class AssetScores:
             leans: Whether each may lean on what carries it, (B,).
             without: Ids of assets that are not to be chosen, for each query.
         """
-        shapes, barred = proportions(wanted), self._barred(without or ())
+        shapes, barred = proportions(wanted), self._barred(without)
         codes = np.array([self._codes.get(_kind(name or ""), -1) for name in categories], np.int64)
         parts = []
         size = max(1, min(_BLOCK, _MAX_SCORES // len(self.assets)))

@@ -52,11 +52,12 @@ def furnish(
     for (k, o), answer, found in zip(asked, answers, faults, strict=True):
         name = scenes[k].scene_id
         why = found[0] + (f" (and {len(found) - 1} more assets)" if found[1:] else "") if found else ""
-        if isinstance(answer, Match):
-            matches[k][o.instance] = answer
-            passed[k] += [Notice(name, STEP, "asset_unusable", f"{name}: {o.instance} goes without {why}")] * bool(why)
-        else:
+        if isinstance(answer, Unmatched):
             unmatched[k][o.instance] = replace(answer, reason=f"what is like it cannot be used: {why}") if why else answer
+            continue
+        matches[k][o.instance] = answer
+        if why:
+            passed[k].append(Notice(name, STEP, "asset_unusable", f"{name}: {o.instance} goes without {why}"))
     return [_furnished(*parts) for parts in zip(scenes, matches, unmatched, passed, strict=True)]
 
 

@@ -40,7 +40,7 @@ INSIDE_SLACK = 5e-3  # how far a content's centre may lie outside its container'
 _GAP = 1e-2  # what is this close below an object without contact counts as carrying it, metres
 _SINK = 1.5e-2  # how deep such an object may reach into the box of what carries it (a plate's hollow), metres
 _BOTTOM = 5e-3  # a carrier's bottom is not higher than the carried object's, but for this much, metres
-_FLOOR = 1.5e-3  # a content lies at least this much above its container's bottom, metres
+INSIDE_FLOOR = 1.5e-3  # a content lies at least this much above its container's bottom, metres
 _RIM_SHARE = 0.15  # the bottom of a content is below the rim by at least this share of the container's height
 _RIM_SHARE_UNKNOWN = 0.3  # the same where it is not known whether the thing is a container
 _SHEET = 8e-3  # and it is no lower than this, metres: how deep a thing is in a mat is how exactly its place was said
@@ -91,7 +91,7 @@ class _Layout:
             return False
         share = _RIM_SHARE if flag else _RIM_SHARE_UNKNOWN
         deep = self.depth(child, parent) >= share * (self.high[parent] - self.low[parent])
-        return deep and self.low[child] > self.low[parent] + _FLOOR
+        return deep and self.low[child] > self.low[parent] + INSIDE_FLOOR
 
     def _is_sheet(self, name: str) -> bool:
         return self.high[name] - self.low[name] < _SHEET

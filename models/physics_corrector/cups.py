@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from stable_data.assets import AssetStore
 from stable_data.mesatask.frame import rotation_matrix, stood_on_end
-from stable_data.relations import INSIDE_SLACK
+from stable_data.relations import INSIDE_FLOOR, INSIDE_SLACK
 from stable_data.scene import FloatArray, SceneObject
 from stable_data.shape import Shape
 
@@ -21,7 +21,6 @@ _LEVELS = (0.98, 0.9, 0.75, 0.6, 0.45, 0.3, 0.15)  # heights at which a cup is c
 _SAME = 0.5  # a lower cut is of the same hollow while it has this share of its area
 _FOOT = 0.05  # of a long thing, share of its length
 _LEAN, _CLEAR = 0.8, 7e-4  # how far it leans of what has room; what is between feet, and below them, metres
-_WALL = 1.5e-3  # what is in a cup is higher than the cup's underside by at least this, metres
 _LEAST = 1e-3  # room without which nothing leans, metres
 _STEEP = 0.3  # sine of the slope from which on a thing that is upside down is meant to be so
 
@@ -96,21 +95,22 @@ def is_inside(o: SceneObject, hollow: Hollow, store: AssetStore) -> bool:
     """
     bottom = o.position[2] - o.size[2] / 2
     aside = float(np.linalg.norm(hollow.middle - o.position[:2]))
-    if aside >= hollow.reach or not hollow.below + _WALL < bottom < hollow.rim:
+    if aside >= hollow.reach or not hollow.below + INSIDE_FLOOR < bottom < hollow.rim:
         return False
     if aside < hollow.radius:
         return True
     height = min(1.0, max(0.0, (bottom - hollow.floor) / (hollow.rim - hollow.floor)))
     room = hollow.radius + height * (hollow.mouth - hollow.radius)
-    return float(np.linalg.norm(hollow.middle - _foot(store.shape(o)[0], o))) < room
-
-
-def _foot(shape: Shape, o: SceneObject) -> FloatArray:
-    """Middle of the lower end of a thing, (2,) metres, world frame."""
-    low = shape.vertices[shape.vertices[:, 2] < (_FOOT - 0.5) * shape.size[2]]
-    x, y = ((low.min(axis=0) + low.max(axis=0))[:2] / 2).tolist()
+    x, y = _foot(store.shape(o)[0]).tolist()
     c, s = np.cos(o.yaw), np.sin(o.yaw)
-    return np.asarray(np.array([c * x - s * y, s * x + c * y]) + o.position[:2])
+    there = np.array([c * x - s * y, s * x + c * y]) + o.position[:2]
+    return float(np.linalg.norm(hollow.middle - there)) < room
+
+
+def _foot(shape: Shape) -> FloatArray:
+    """Middle of the lower end of a thing, (2,) metres, its yaw frame."""
+    low = shape.vertices[shape.vertices[:, 2] < (_FOOT - 0.5) * shape.size[2]]
+    return np.asarray((low.min(axis=0) + low.max(axis=0))[:2] / 2)
 
 
 def is_long(o: SceneObject, hollow: Hollow, store: AssetStore) -> bool:
@@ -155,10 +155,8 @@ def stood(sticks: Sequence[SceneObject], hollow: Hollow, store: AssetStore) -> l
         assert mesh is not None
         assert o.scale is not None
         shape = Shape.from_mesh(mesh, o.scale, (x, y, z, w))
-        low = shape.vertices[shape.vertices[:, 2] < (_FOOT - 0.5) * shape.size[2]]
-        below = (low.min(axis=0) + low.max(axis=0))[:2] / 2
         c, s = np.cos(yaw), np.sin(yaw)
-        there = hollow.middle + foot * np.array([s, -c]) - np.array([[c, -s], [s, c]]) @ below
+        there = hollow.middle + foot * np.array([s, -c]) - np.array([[c, -s], [s, c]]) @ _foot(shape)
         i, j = there.tolist()
         a, b, h = shape.size.tolist()
         height = hollow.floor + _CLEAR + h / 2

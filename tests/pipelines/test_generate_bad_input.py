@@ -49,9 +49,8 @@ def test_a_library_with_holes_costs_no_task_and_gives_nothing_that_is_broken(dat
     made = generate(FOUR, str(out), settings, ALONE, [str(holes)], report=False)
     assert made["counts"]["scenes"] == len(FOUR.tasks)
     objects = [o for row in RunFolder(str(out)).table("scenes").to_pylist() for o in row["objects"]]
-    assert [o["category"] for o in objects] == [whole[0].category, whole[1].category] * len(
-        FOUR.tasks
-    )  # none is like the third
+    like = [whole[0].category, whole[1].category]  # none is like the third
+    assert [o["category"] for o in objects] == like * len(FOUR.tasks)
     assert not {o["asset_id"] for o in objects} & {missing.stem, torn.stem}
     told = [(row["code"], row["message"]) for row in RunFolder(str(out)).table("warnings").to_pylist()]
     assert sum(code == "asset_unusable" and "goes without" in words and "no GLB file" in words for code, words in told) == 4
