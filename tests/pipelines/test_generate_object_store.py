@@ -6,9 +6,7 @@ import threading
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
-import boto3
 import pytest
 
 from models.semantic_reasoner.engines import EngineSettings
@@ -22,6 +20,7 @@ from pipelines.runner import Workers
 from stable_data.errors import ConfigError
 from stable_data.scene import Tabletop
 from stable_data.shards import RunFolder
+from tests.object_store import Application, object_store
 from tests.pipelines.scripts import one_thing_a_stage
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -39,9 +38,14 @@ class Refusing:
         refused: Those of them that were refused.
     """
 
-    def __init__(self, application: Any) -> None:
+    def __init__(self) -> None:
         self.share, self.asked, self.refused = 0.0, 0, 0
-        self._application, self._rng, self._lock = application, random.Random(0), threading.Lock()  # noqa: S311
+        self._rng, self._lock = random.Random(0), threading.Lock()  # noqa: S311
+
+    def around(self, application: Application) -> Application:
+        """Stands before a store."""
+        self._application = application
+        return self
 
     def __call__(self, environment: dict[str, Any], start: Any) -> Iterable[bytes]:
         with self._lock:
@@ -50,8 +54,7 @@ class Refusing:
             self.asked += 1
             self.refused += is_refused
         if not is_refused:
-            found: Iterable[bytes] = self._application(environment, start)
-            return found
+            return self._application(environment, start)
         environment["wsgi.input"].read(int(environment.get("CONTENT_LENGTH") or 0))
         body = f"<?xml version='1.0'?><Error><Code>{code}</Code><Message>try again later</Message></Error>".encode()
         start(status, [("Content-Type", "application/xml"), ("Content-Length", str(len(body)))])
@@ -59,24 +62,11 @@ class Refusing:
 
 
 @pytest.fixture
-def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Refusing, str]]:
-    """An S3 that speaks HTTP, and the URI of a run folder in it."""
-    from moto.moto_server.werkzeug_app import DomainDispatcherApplication, MotoRequestHandler, create_backend_app
-    from werkzeug.serving import make_server
-
-    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
-        monkeypatch.setenv(name, "test")
-    refusing = Refusing(DomainDispatcherApplication(create_backend_app))
-    server = make_server("127.0.0.1", 0, refusing, threaded=True, request_handler=MotoRequestHandler)
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    place = f"127.0.0.1:{server.server_port}"
-    boto3.client("s3", endpoint_url=f"http://{place}", region_name="us-east-1").create_bucket(Bucket="scenes")
-    run = f"run-{server.server_port}"  # all such servers of a process share their buckets
-    yield refusing, f"s3://scenes/{run}?region=us-east-1&scheme=http&endpoint_override={quote(place)}"
-    server.shutdown()
-    thread.join()
-    server.server_close()
+def store() -> Iterator[tuple[Refusing, str]]:
+    """The store, and the URI of a run folder in it."""
+    refusing = Refusing()
+    with object_store(refusing.around) as uri:
+        yield refusing, uri
 
 
 @pytest.fixture(scope="module")
@@ -131,8 +121,6 @@ def test_a_store_that_is_gone_ends_the_run_with_one_line_and_what_is_there_stays
     assert caught.value.code == "output_unwritable"
     assert "\n" not in str(caught.value)
     monkeypatch.undo()
-    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "test")
-    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "test")
     refusing.share = 0.0
     assert len(RunFolder(uri).shard_ids("scenes")) == 1
     generate(Tasks("tasks", TASKS), uri, settings, Workers(), [str(dataset)])

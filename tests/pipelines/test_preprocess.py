@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import boto3
 import numpy as np
 import pytest
 
@@ -24,6 +23,7 @@ from stable_data.mesatask import MesaTaskDataset, to_box_centre, write_text_feat
 from stable_data.mesh import Mesh
 from stable_data.shards import RunFolder
 from stable_data.tables import scene_from_row
+from tests.object_store import object_store
 from tests.pipelines.runs import ROOT, SMALL, content, run_cli, used_assets
 from tests.scenes import box
 
@@ -127,26 +127,14 @@ def test_a_run_that_cannot_start_says_why_in_one_line(
     assert "Traceback" not in done.stderr
 
 
-def test_a_run_into_an_object_store_gives_the_same_rows(tiny: Path, tiny_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from moto.server import ThreadedMotoServer
-
-    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "test")
-    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "test")
-    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0)
-    server.start()
-    try:
-        host, port = server.get_host_and_port()
-        endpoint = f"http://{host}:{port}"
-        boto3.client("s3", endpoint_url=endpoint, region_name="us-east-1").create_bucket(Bucket="preprocess")
-        uri = f"s3://preprocess/run?endpoint_override={host}%3A{port}&scheme=http&region=us-east-1"
+def test_a_run_into_an_object_store_gives_the_same_rows(tiny: Path, tiny_run: Path) -> None:
+    with object_store() as uri:
         preprocess(str(tiny), uri, SMALL, Workers())
         stored, local = RunFolder(uri), RunFolder(str(tiny_run))
         for table in TABLES:
             assert stored.table(table).equals(local.table(table)), table
         assert stored.read_bytes("report/index.html") is not None
         preprocess(str(tiny), uri, SMALL, Workers())  # resumes: nothing to do
-    finally:
-        server.stop()
 
 
 def test_a_task_writer_writes_the_tasks_and_is_asked_once(bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

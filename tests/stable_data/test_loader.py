@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -23,6 +22,7 @@ from stable_data.loader import TableDataset, TableStream, collate_scenes
 from stable_data.shards import RunFolder
 from stable_data.table_files import RowGroup, rows_from_table
 from stable_data.tables import SCHEMAS, Row, arrow_table, scene_from_row
+from tests.object_store import object_store
 from tests.stable_data.small_run import IDS, NUM_ROWS, SCENES, ids, scene_id, split_of, stream, write, write_run
 
 
@@ -449,21 +449,11 @@ def test_a_stream_that_would_give_nothing_is_refused(run: str, options: dict[str
     assert len(stream(run, batch_size=64)) == 1  # one batch that is not whole is still one
 
 
-def test_an_object_store_streams_the_same(run: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    boto3 = pytest.importorskip("boto3")
-    server = pytest.importorskip("moto.server").ThreadedMotoServer(ip_address="127.0.0.1", port=0)
-    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
-        monkeypatch.setenv(name, "test")
-    server.start()
-    try:
-        host, port = server.get_host_and_port()
-        boto3.client("s3", endpoint_url=f"http://{host}:{port}", region_name="us-east-1").create_bucket(Bucket="scenes")
-        uri = f"s3://scenes/run?region=us-east-1&scheme=http&endpoint_override={quote(f'{host}:{port}')}"
+def test_an_object_store_streams_the_same(run: str) -> None:
+    with object_store() as uri:
         write(RunFolder(uri))
         assert [TableDataset(uri)[i] for i in (0, 20)] == [SCENES[0], SCENES[20]]
         remote = stream(uri, batch_size=4, collate=collate_scenes)
         expected = ids(stream(run))
         assert ids(remote) == expected
         assert ids(DataLoader(remote, batch_size=None, num_workers=1, multiprocessing_context="spawn")) == expected
-    finally:
-        server.stop()

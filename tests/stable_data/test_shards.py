@@ -10,7 +10,6 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -23,6 +22,7 @@ from stable_data import shards
 from stable_data.errors import ConfigError
 from stable_data.shards import RunFolder, content_id, unwritable
 from stable_data.tables import SCHEMAS
+from tests.object_store import object_store
 
 CHECKOUT = Path(__file__).parents[2]
 HOLD = """
@@ -45,22 +45,8 @@ def run(tmp_path: Path) -> RunFolder:
 
 @pytest.fixture(scope="module")
 def bucket() -> Iterator[str]:
-    """An S3 that speaks HTTP, and the URI of a run folder in it."""
-    boto3 = pytest.importorskip("boto3")
-    server = pytest.importorskip("moto.server").ThreadedMotoServer(ip_address="127.0.0.1", port=0)
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in {
-            "AWS_ACCESS_KEY_ID": "test",
-            "AWS_SECRET_ACCESS_KEY": "test",
-            "AWS_EC2_METADATA_DISABLED": "true",
-        }.items():
-            patch.setenv(name, value)
-        server.start()
-        host, port = server.get_host_and_port()
-        endpoint = f"http://{host}:{port}"
-        boto3.client("s3", endpoint_url=endpoint, region_name="us-east-1").create_bucket(Bucket="scenes")
-        yield f"s3://scenes/runs/first?region=us-east-1&scheme=http&endpoint_override={quote(f'{host}:{port}')}"
-        server.stop()
+    with object_store() as uri:
+        yield uri
 
 
 def test_rows_come_back_in_the_order_of_the_files(run: RunFolder) -> None:
@@ -327,8 +313,8 @@ def test_an_object_store_holds_the_same(bucket: str, run: RunFolder) -> None:
 
 
 def test_an_object_store_without_the_bucket_is_reported(bucket: str) -> None:
-    with pytest.raises(ConfigError, match=r"s3://elsewhere/.* cannot be written") as caught:
-        RunFolder(bucket.replace("s3://scenes", "s3://elsewhere")).write_bytes("manifest.json", b"{}")
+    with pytest.raises(ConfigError, match=r"s3://not-scenes.* cannot be written") as caught:
+        RunFolder(bucket.replace("s3://", "s3://not-")).write_bytes("manifest.json", b"{}")
     assert caught.value.code == "output_unwritable"
     with pytest.raises(ConfigError, match="no table scenes"):
         RunFolder(bucket).dataset("scenes")

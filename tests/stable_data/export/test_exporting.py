@@ -6,7 +6,6 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from urllib.parse import quote
 
 import pytest
 from typer.testing import CliRunner, Result
@@ -21,6 +20,7 @@ from stable_data.scene import Scene, SceneObject
 from stable_data.shards import RunFolder
 from stable_data.solid_scene import SolidScene
 from stable_data.tables import scene_row
+from tests.object_store import object_store
 from tests.stable_data.export.runs import EMPTY, ODD, SCENES, TABLE, at_rest, falling, write_run
 
 pytestmark = pytest.mark.sim
@@ -194,22 +194,13 @@ def test_a_folder_with_another_export_is_refused(run: RunFolder, tmp_path: Path)
     assert "holds something else" in command(run.uri, tmp_path / "other", "--format", "glb").stderr
 
 
-def test_a_run_on_an_object_store_is_exported_the_same(run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    boto3 = pytest.importorskip("boto3")
-    server = pytest.importorskip("moto.server").ThreadedMotoServer(ip_address="127.0.0.1", port=0)
-    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
-        monkeypatch.setenv(name, "test")
-    server.start()
-    try:
-        host, port = server.get_host_and_port()
-        boto3.client("s3", endpoint_url=f"http://{host}:{port}", region_name="us-east-1").create_bucket(Bucket="scenes")
-        remote = RunFolder(f"s3://scenes/run?region=us-east-1&scheme=http&endpoint_override={quote(f'{host}:{port}')}")
+def test_a_run_on_an_object_store_is_exported_the_same(run: RunFolder, tmp_path: Path) -> None:
+    with object_store() as uri:
+        remote = RunFolder(uri)
         for path in Path(run.root).glob("*/part-*.parquet"):
             remote.write_bytes(path.relative_to(run.root).as_posix(), path.read_bytes())
         for source, out in ((run, tmp_path / "local"), (remote, tmp_path / "remote")):
             assert export_run(source, out, "mjcf", Choice(settled=True, where="num_objects > 0")).made == 2
-    finally:
-        server.stop()
     here, there = content(tmp_path / "local"), content(tmp_path / "remote")
     assert here.pop(exporting.MANIFEST_FILE) != there.pop(exporting.MANIFEST_FILE)  # it says from where
     assert here == there
