@@ -145,9 +145,7 @@ def resolve_task_objects(task: TaskInfo, scene: Scene, graph: SceneGraph) -> tup
     slots = [*types, *(type_name(scene[name].category) for name in pins)]
     notices += _settle(scene, graph, task, slots, claims, found, wanted)
     chosen = [o.instance for o in scene.objects if any(o.instance in names for names in found.values())]
-    # "From" is in or on: as the scene has it, else as the goal's words have it.
-    default = RelationKind.ON if re.search(r"\brests? on\b|\boff\b", " ".join(task.goal)) else RelationKind.IN
-    relations_said = {r for claim in claims for r in _relations_said(graph, claim, found, default)}
+    relations_said = {r for claim in claims for r in _relations_said(graph, claim, found)}
     linked = ((a, k, b) for a, b, k in graph.edges(keys=True) if a in chosen and k in (RelationKind.IN, RelationKind.ON))
     emptied_ones = {name for k in emptied(marked) for name in found[k] if len(found[k]) == 1}
     relations_said |= {Relation(a, RelationKind(k), b) for a, k, b in linked if b in emptied_ones}
@@ -255,14 +253,13 @@ def _holds(scene: Scene, graph: SceneGraph, a: str, kind: RelationKind | None, b
     return any(graph.has_edge(a, b, key=k) for k in (RelationKind.IN, RelationKind.ON) if kind in (k, None))
 
 
-def _relations_said(
-    graph: SceneGraph, claim: Claim, found: Mapping[int, list[str]], default: RelationKind
-) -> Iterator[Relation]:
+def _relations_said(graph: SceneGraph, claim: Claim, found: Mapping[int, list[str]]) -> Iterator[Relation]:
     if len(found[claim.b]) != 1:
         return
     b = found[claim.b][0]
     for a in found[claim.a]:
-        linked = next((k for k in (RelationKind.IN, RelationKind.ON) if graph.has_edge(a, b, key=k)), default)
+        # "From" is in or on: as the scene has it, else on, which being in a thing satisfies.
+        linked = RelationKind.IN if graph.has_edge(a, b, key=RelationKind.IN) else RelationKind.ON
         yield Relation(a, claim.kind or linked, b)
 
 

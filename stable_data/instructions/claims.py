@@ -23,7 +23,7 @@ _PLACING = (
     r"|carry|transfer|shift|nudge|serve|return|want|belongs?|goes|go)\b"
 )
 _TAKING = r"(?<!-)\b(?:pick|take|grab|grasp|lift|get|fetch|hand|give|pass|remove|use|press|open|close|leave|keep)\b"
-_WISH = r"\b(?:so that|so|until|make sure|ensure)(?: that)? $"
+_WISH = r"\b(?:so that|so|until|make sure|ensure)(?: that)? (?:(?:the|an?) (?:[\w-]+ ){0,3})?$"
 _FILLING = r"\b(?:fill|pour)\b[^.;]*$"
 _PARTING = r"\b(?:separate|part|tell) $"
 _SPOTS = {

@@ -37,6 +37,8 @@ def test_the_longest_types_are_marked_first() -> None:
         ("<0> belongs in <1> and <2> in <1>.", []),
         ("put <0> on <1>.", []),
         ("lift <2>, then hand me <1> after taking <0> off it.", [Claim(0, ON, 1)]),
+        ("arrange things so that the right-hand <0> is in front of <1>.", []),
+        ("make sure that the small red <0> is on <1>.", []),
         ("put the right-hand <0>, <1> and <2> inside <3>.", []),
     ],
 )
