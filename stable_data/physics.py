@@ -50,7 +50,7 @@ class EngineOptions:
         solimp: Impedance of contacts at depth 0 and beyond the width, and the width (metres).
         impratio: How much stiffer friction is than the normal direction; keeps elliptic cones from creeping.
         sleep_speed: What moves slower than this in the watch, metres a second, with all that it touches, is not looked at until
-            something touches it (0: all is). It would have to creep for minutes to change a verdict.
+            something touches it (0: all is). It could creep a third of a millimetre in the watch.
         hurries: Whether a scene is watched no longer once something has gone too far in the settling: it is not stable, whatever
             comes. Where it comes to lie, how far it drifts and how it trembles is not known then.
     """
@@ -64,7 +64,7 @@ class EngineOptions:
     solref: tuple[float, float] = (0.008, 1.0)
     solimp: Vec3 = (0.95, 0.99, 0.001)
     impratio: float = 10.0
-    sleep_speed: float = 1e-5
+    sleep_speed: float = 1e-4
     hurries: bool = False
 
 
@@ -159,9 +159,7 @@ def settle(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = Eng
         elif options.hurries and _why_not(names, *_farthest(path), 0.0):
             watched = settled[:0]
         else:
-            if options.sleep_speed:  # not before: what only just begins to fall is as slow as what rests
-                model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
-                model.opt.sleep_tolerance = options.sleep_speed
+            let_sleep(model, options)  # not before: what only just begins to fall is as slow as what rests
             watched = _run(model, data, options.watch_seconds, options)
     if not (np.isfinite(settled).all() and np.isfinite(watched).all()):
         return _exploded(names, start, penetration)
@@ -227,6 +225,13 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
         raise MeshError(
             f"the engine refuses the scene: {' '.join(str(error).split())}; repair its convex parts", "engine"
         ) from error
+
+
+def let_sleep(model: mujoco.MjModel, options: EngineOptions) -> None:
+    """From now on the engine does not look at what is slower than ``options.sleep_speed``, if that is more than 0."""
+    if options.sleep_speed:
+        model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+        model.opt.sleep_tolerance = options.sleep_speed
 
 
 def deepest_contact(data: mujoco.MjData) -> float:

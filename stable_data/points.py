@@ -99,22 +99,30 @@ def _sample(triangles: FloatArray, weights: FloatArray, num: int, rng: np.random
 
 def _farthest_first(points: FloatArray, num: int, chosen: list[int]) -> IntArray:
     """Indices (at most num, P) of points: the chosen ones, then each time the point farthest from all before it."""
-    x, y, z = np.ascontiguousarray((points - points.mean(axis=0)).T, np.float32)
-    squared = np.full(len(points), np.inf, np.float32)
-    step, offset = np.zeros_like(squared), np.zeros_like(squared)
-    order = list(chosen[:num])
+    # In the order of one coordinate, what is nearer to a new point than the farthest was to all before it is a slice.
+    axis = int(np.argmax(np.ptp(points, axis=0)))
+    in_order = np.argsort(points[:, axis], kind="stable")
+    place = np.empty_like(in_order)
+    place[in_order] = np.arange(len(points))
+    centred = np.roll(points[in_order] - points.mean(axis=0), -axis, axis=1)
+    x, y, z = np.ascontiguousarray(centred.T, np.float32)
+    squared, steps, offsets = (np.full(len(points), value, np.float32) for value in (np.inf, 0, 0))
+    order: list[int] = place[chosen[:num]].tolist()
+    near = slice(None)
     for n in range(min(num, len(points))):
         if n == len(order):
-            order.append(int(np.argmax(squared)))
-        last = order[n]
-        np.subtract(x, x[last], out=offset)
+            order.append(int(squared.argmax()))
+            at, reach = x[order[n]], 1.0001 * squared[order[n]] ** 0.5
+            near = slice(*x.searchsorted([at - reach, at + reach]).tolist())
+        last, step, offset = order[n], steps[near], offsets[near]
+        np.subtract(x[near], x[last], out=offset)
         np.multiply(offset, offset, out=step)
-        for axis in (y, z):
-            np.subtract(axis, axis[last], out=offset)
+        for other in (y, z):
+            np.subtract(other[near], other[last], out=offset)
             np.multiply(offset, offset, out=offset)
             np.add(step, offset, out=step)
-        np.minimum(squared, step, out=squared)
-    return np.array(order, np.int64)
+        np.minimum(squared[near], step, out=squared[near])
+    return in_order[order]
 
 
 def _below(triangles: FloatArray, height: float) -> FloatArray:

@@ -117,7 +117,7 @@ class LearnedFlow:
             if len(self._codes) >= _MOST_CODES:
                 self._codes.pop(next(iter(self._codes)))
             cloud = Cloud.of_shape(alike, self._encoder.preprocessing.num_points)
-            self._codes[key] = self._encoder.encode([cloud]).codes[0]
+            self._codes[key] = self._encoder.codes([cloud])[0]
         return self._codes[key]
 
 

@@ -83,7 +83,12 @@ class PointEncoder(nn.Module):
         return torch.segment_reduce(features, "mean", lengths=lengths, axis=0, unsafe=True)
 
     def encode(self, clouds: Sequence[Cloud], batch_size: int = 16) -> Features:
-        """Features of clouds, each independent of the others and of the order of its points.
+        """Features of clouds with what they are kept with; see :meth:`codes`."""
+        extents = np.array([cloud.size for cloud in clouds], np.float32).reshape(-1, 3)
+        return Features(self.codes(clouds, batch_size), np.log(np.maximum(extents, _SMALLEST_EXTENT)), self.fingerprint())
+
+    def codes(self, clouds: Sequence[Cloud], batch_size: int = 16) -> npt.NDArray[np.float32]:
+        """Features of clouds, (B, 64) float32, each independent of the others and of the order of its points.
 
         Args:
             clouds: Any number, as :meth:`Cloud.of_shape` makes them with ``preprocessing.num_points``.
@@ -101,8 +106,7 @@ class PointEncoder(nn.Module):
                 )
                 raise ConfigError(message, "encoder_unprojected")
             codes = (codes - self.mean.cpu()) @ self.basis.T.cpu()
-        extents = np.array([cloud.size for cloud in clouds], np.float32).reshape(-1, 3)
-        return Features(codes.numpy(), np.log(np.maximum(extents, _SMALLEST_EXTENT)), self.fingerprint())
+        return codes.numpy()
 
     def fit_projection(self, clouds: Sequence[Cloud], batch_size: int = 16) -> None:
         """Fits what turns the network's channels into 64: the whitened principal directions over clouds, more than 64 of them.

@@ -7,7 +7,7 @@ import numpy as np
 
 from models.physics_corrector.certify.outline import BoolArray
 from stable_data.engine import mujoco
-from stable_data.physics import Body, EngineOptions, compile_bodies, without_log_file
+from stable_data.physics import Body, EngineOptions, compile_bodies, let_sleep, without_log_file
 from stable_data.scene import FloatArray, Tabletop
 
 _OPTIONS = EngineOptions()  # as for the verdict of stability
@@ -83,6 +83,8 @@ class Trial:
         """Last poses (F, 7) with quaternions wxyz, farthest moves (F,) in metres and turns (F,) in degrees."""
         model, data = self._model, self._data
         mujoco.mj_resetData(model, data)
+        model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+        settling = round(_OPTIONS.settle_seconds / _SAMPLE)
         start = np.zeros((len(self.free), 7))
         start[:, :3] = poses[self.free, :3]
         start[:, 3], start[:, 6] = np.cos(poses[self.free, 3] / 2), np.sin(poses[self.free, 3] / 2)
@@ -90,7 +92,9 @@ class Trial:
         moves, turns = np.zeros(len(start)), np.zeros(len(start))
         still, now = 0, start
         with without_log_file():
-            for _ in range(round(seconds / _OPTIONS.timestep / self._stride)):
+            for number in range(round(seconds / _OPTIONS.timestep / self._stride)):
+                if number == settling:
+                    let_sleep(model, _OPTIONS)
                 mujoco.mj_step(model, data, nstep=self._stride)
                 now = np.array(data.qpos).reshape(-1, 7)
                 if not np.isfinite(now).all():
