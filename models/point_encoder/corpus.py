@@ -210,10 +210,10 @@ def _placed(key: str, copy: int) -> tuple[Shape, np.random.Generator]:
     """An asset at the aspect and tilt of a copy, and the stream that goes on from there."""
     found = asset(key)
     rng = np.random.default_rng([zlib.crc32(key.encode()), copy])
-    scale, tilt = (1.0, 1.0, 1.0), found.design.tilts[0]
+    scale, tilt = (1.0, 1.0, 1.0), found.tilts[0]
     if copy:
         x, y, z = np.exp(rng.uniform(-_ASPECT_SPREAD, _ASPECT_SPREAD, 3)).tolist()
-        scale, tilts = (x, y, z), (*found.design.tilts, UPRIGHT, LAID, ON_EDGE)
+        scale, tilts = (x, y, z), (*found.tilts, UPRIGHT, LAID, ON_EDGE)
         tilt = tilts[int(rng.integers(len(tilts)))]
     return Shape.from_mesh(found.mesh, scale, tilt), rng
 

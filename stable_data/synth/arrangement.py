@@ -132,12 +132,12 @@ class Kit:
 
     def item(self, key: str, x: float = 0.0, y: float = 0.0, yaw: float = 0.0, *, wobble: float = 0.0) -> Item:
         """A thing in its most usual resting tilt, a little larger or smaller than the catalogue's, turned by up to ``wobble``."""
-        return Item(key, x, y, yaw + self.around(wobble), asset(key).design.tilts[0], self.scale())
+        return Item(key, x, y, yaw + self.around(wobble), asset(key).tilts[0], self.scale())
 
     def single(self, *categories: str, wobble: float = 0.3) -> Item:
         """A thing by itself, in any of its usual tilts, sometimes stretched along some axes."""
         key = self.key(*categories)
-        tilts = asset(key).design.tilts
+        tilts = asset(key).tilts
         tilt = tilts[0] if self.chance(0.7) else tilts[self.rng.integers(len(tilts))]
         scale = self.scale()
         if tilt == UPRIGHT and self.chance(_UNEVEN):

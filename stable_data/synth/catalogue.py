@@ -12,9 +12,9 @@ from stable_data.errors import ConfigError
 from stable_data.export.glb import write_glb
 from stable_data.mesatask.library import AssetAnnotation
 from stable_data.mesh import Mesh
-from stable_data.scene import IntArray, Vec3
+from stable_data.scene import IntArray, QuatXyzw, Vec3
 from stable_data.synth.families import FAMILIES
-from stable_data.synth.family import COLORS, DENSITY, Design, Draw, Family, Space
+from stable_data.synth.family import COLORS, DENSITY, Draw, Family, Space
 from stable_data.synth.solids import box, coats, mesh_of, volume
 
 NUM_VARIANTS = 6
@@ -35,23 +35,31 @@ class Asset:
 
     Attributes:
         key: ``category/variant``.
-        design: What it was made from.
+        material: A key of ``DENSITY``.
+        color_name: A key of ``COLORS``, or ``#rrggbb``.
+        captions: Three or more ways to name it, the first the plainest full one.
+        tilts: Its usual resting tilts; the first is the most usual.
         mesh: Closed, outward, metres, z up, centred on its box.
         parts: The convex parts whose union it is, in the same frame.
         mass: Kilograms.
         unit: Metres in one unit of its file.
         is_z_up: Its file keeps the mesh z up under a node that turns it, as many exporters do.
+        paint: Colours of its faces: (``#rrggbb``, indices).
         top: Where things can stand on it, in the mesh's frame; None where nothing does.
         hollow: Where things can be in it, likewise.
     """
 
     key: str
-    design: Design
+    material: str
+    color_name: str
+    captions: tuple[str, ...]
+    tilts: tuple[QuatXyzw, ...]
     mesh: Mesh
     parts: tuple[Mesh, ...]
     mass: float
     unit: float
     is_z_up: bool
+    paint: tuple[tuple[str, IntArray], ...]
     top: Space | None
     hollow: Space | None
 
@@ -63,13 +71,7 @@ class Asset:
     @property
     def color(self) -> str:
         """``#rrggbb``."""
-        return COLORS.get(self.design.color, self.design.color)
-
-    @cached_property
-    def paint(self) -> tuple[tuple[str, IntArray], ...]:
-        """Colours of its faces: (``#rrggbb``, indices)."""
-        found = coats(self.design.solid)
-        return tuple((COLORS.get(color or "", color or self.color), rows) for color, rows in found.items() if len(rows))
+        return _rgb(self.color_name)
 
     @cached_property
     def glb(self) -> bytes:
@@ -90,7 +92,7 @@ class Asset:
     @property
     def annotation(self) -> AssetAnnotation:
         """Its entry in Asset_annotation.json."""
-        first = self.design.captions[0]
+        first = self.captions[0]
         return AssetAnnotation(
             self.uid,
             category=self.category,
@@ -100,7 +102,7 @@ class Asset:
             mass=round(self.mass, 4),
             is_container=self.hollow is not None,
             extents_z_up=self.file_extents,
-            raw={"materials": [self.design.material], "color": self.color, "captions": list(self.design.captions)},
+            raw={"materials": [self.material], "color": self.color, "captions": list(self.captions)},
         )
 
 
@@ -124,10 +126,29 @@ def asset(key: str) -> Asset:
     rng = np.random.default_rng([*category.encode(), variant])
     unit, is_z_up = float(rng.choice(_UNITS)), bool(rng.random() < 0.3)
     top, hollow = (_moved(space, centre.tolist()) for space in (design.top, design.hollow))
-    return Asset(key, design, mesh, parts, mass, unit, is_z_up, top, hollow)
+    paint = tuple((_rgb(color or design.color), rows) for color, rows in coats(design.solid).items() if len(rows))
+    return Asset(
+        key=key,
+        material=design.material,
+        color_name=design.color,
+        captions=design.captions,
+        tilts=design.tilts,
+        mesh=mesh,
+        parts=parts,
+        mass=mass,
+        unit=unit,
+        is_z_up=is_z_up,
+        paint=paint,
+        top=top,
+        hollow=hollow,
+    )
 
 
 _KNOWN = frozenset(KEYS)
+
+
+def _rgb(color: str) -> str:
+    return COLORS.get(color, color)
 
 
 def _moved(space: Space | None, centre: list[float]) -> Space | None:

@@ -111,7 +111,7 @@ def _additions(desk: Desk) -> Iterator[Draft]:
     plan = plan_of(desk.scene.table.table_type)
     for _ in range(4 * TRIES):  # a full table has no place for anything
         group = plan.others[desk.kit.rng.integers(len(plan.others))](desk.kit)
-        item = replace(group[0], x=0.0, y=0.0, yaw=desk.kit.around(0.4), tilt_quat_xyzw=asset(group[0].key).design.tilts[0])
+        item = replace(group[0], x=0.0, y=0.0, yaw=desk.kit.around(0.4), tilt_quat_xyzw=asset(group[0].key).tilts[0])
         caption = _new(item.key, desk.kit)
         for there, where in _destinations(desk, item):
             wish = f"I [need|want] {caption} {where.replace('into', 'in')}."
@@ -125,7 +125,7 @@ def _moves(desk: Desk) -> Iterator[Draft]:
         thing = desk.things[o.instance]
         item = replace(thing.item, x=0.0, y=0.0)
         if o.tilt_angle > 0.02:
-            item = replace(item, tilt_quat_xyzw=asset(item.key).design.tilts[0])
+            item = replace(item, tilt_quat_xyzw=asset(item.key).tilts[0])
         name = desk.name(o.instance)
         for there, where in _destinations(desk, item, o.instance):
             text = desk.kit.pick(f"[move] {name} {where}", f"[put] {name} {where}")
@@ -140,7 +140,7 @@ def _replacements(desk: Desk) -> Iterator[Draft]:
         if o.instance not in standing:
             continue
         key = plan.others[desk.kit.rng.integers(len(plan.others))](desk.kit)[0].key
-        item = Item(key, o.position[0], o.position[1], o.yaw, asset(key).design.tilts[0], desk.kit.scale())
+        item = Item(key, o.position[0], o.position[1], o.yaw, asset(key).tilts[0], desk.kit.scale())
         ratio = max(item.size[:2]) / max(o.size[:2])
         if not _NARROWEST < ratio < _WIDEST or asset(key).category == o.category or not _has_room(desk, item, o.instance):
             continue
@@ -165,8 +165,8 @@ def _restylings(desk: Desk) -> Iterator[Draft]:
         change = _restyled(desk, frozenset(kinds[category]), key)
         if change is None:
             continue
-        several_words, color = plural(" ".join(type_words(category))), asset(key).design.color
-        style = f"{color} ones" if not color.startswith("#") else f"ones like this: {asset(key).design.captions[0]}"
+        several_words, color = plural(" ".join(type_words(category))), asset(key).color_name
+        style = f"{color} ones" if not color.startswith("#") else f"ones like this: {asset(key).captions[0]}"
         text = desk.kit.pick(
             f"replace all the {several_words} [with|by] {style}", f"I would like all the {several_words} to be {style}.",
             f"[exchange|swap] all {several_words} for {style}",
@@ -186,7 +186,7 @@ KINDS = tuple(DRAFTERS)
 def _restyled(desk: Desk, instances: frozenset[str], key: str) -> dict[str, Placed] | None:
     """The groups of some things, laid again with these in another variant; None where one of them lies or leans."""
     groups = {desk.things[name].group for name in instances}
-    upright = asset(key).design.tilts[0]
+    upright = asset(key).tilts[0]
     change: dict[str, Placed] = {}
     for group in sorted(groups):
         members = [(name, thing) for name, thing in desk.things.items() if thing.group == group]
@@ -259,7 +259,7 @@ def _onto(desk: Desk, item: Item, moving: str | None) -> Iterator[tuple[Placed, 
 
 def _new(key: str, kit: Kit) -> str:
     """Words for a thing that is not there yet, with an article."""
-    captions = asset(key).design.captions
+    captions = asset(key).captions
     caption = kit.pick(captions[0], *(c for c in captions[1:] if "," not in c))
     first = caption.split()[0]
     if first in ("a", "an", "the", "some", "two", "three"):

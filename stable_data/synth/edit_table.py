@@ -95,7 +95,7 @@ def _thing(key: str, o: SceneObject, group: int) -> Placed:
 
 def _planned(key: str, tilt_quat_xyzw: QuatXyzw) -> QuatXyzw:
     """The catalogue's tilt, where this is one."""
-    tilts = asset(key).design.tilts
+    tilts = asset(key).tilts
     return next((tilt for tilt in tilts if np.allclose(tilt, tilt_quat_xyzw, rtol=0, atol=_SAME_TILT)), tilt_quat_xyzw)
 
 
@@ -131,7 +131,7 @@ def lowered_object(thing: Placed) -> SceneObject:
         source.uid,
         (sx, sy, sz),
         item.tilt_quat_xyzw,
-        source.design.captions[0],
+        source.captions[0],
     )
 
 

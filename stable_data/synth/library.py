@@ -53,7 +53,7 @@ def _make(root: Path) -> None:
             aside = Path(folder) / "made"
             aside.mkdir()
             write_library(aside, KEYS)
-            tilts = {asset(key).uid: asset(key).design.tilts for key in KEYS}
+            tilts = {asset(key).uid: asset(key).tilts for key in KEYS}
             (aside / TILTS_FILE).write_text(json.dumps(tilts), "utf-8")
             aside.rename(root)
     except OSError as error:

@@ -78,7 +78,7 @@ def _object(thing: Placed, name: str, result: SettleResult, index: int) -> Scene
         asset_id=source.uid,
         scale=_triple(np.multiply(item.scale, source.unit)),
         tilt_quat_xyzw=tilt,
-        description=source.design.captions[0],
+        description=source.captions[0],
     )
 
 

@@ -42,7 +42,7 @@ def books(kit: Kit) -> Group:
     """A stack of books, the largest at the bottom, sometimes with a thing on top."""
     count = kit.count(2, 5)
     volumes = [kit.item(kit.key("book", "book", "notebook", "magazine")) for _ in range(count)]
-    volumes = [replace(o, tilt_quat_xyzw=asset(o.key).design.tilts[0]) for o in volumes]
+    volumes = [replace(o, tilt_quat_xyzw=asset(o.key).tilts[0]) for o in volumes]
     volumes.sort(key=lambda o: -o.size[0] * o.size[1])
     pile = stack(volumes, kit, shift=0.008, turn=0.12 if kit.chance(0.6) else 0.4)
     return _topped(pile, kit) if kit.chance(0.45) else pile

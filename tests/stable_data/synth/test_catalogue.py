@@ -46,10 +46,10 @@ def test_assets_of_a_family_are_sound(category: str) -> None:
         assert union.volume() == pytest.approx(volume(made.mesh), rel=1e-5)
         assert 0.001 < made.mass < 12.0
         assert 0.008 < max(made.mesh.extents) < 0.75
-        assert made.design.material in DENSITY
+        assert made.material in DENSITY
         assert made.color.startswith("#")
-        assert len(set(made.design.captions)) >= 3
-        assert all(caption == caption.strip(". ") and caption[0].islower() for caption in made.design.captions)
+        assert len(set(made.captions)) >= 3
+        assert all(caption == caption.strip(". ") and caption[0].islower() for caption in made.captions)
         assert sum(len(rows) for _, rows in made.paint) == len(made.mesh.faces)
         for space in (made.top, made.hollow):
             if space is not None:
@@ -63,7 +63,7 @@ def test_variants_of_a_family_differ_and_stand_still(category: str) -> None:
     sizes = {tuple(np.round(1e3 * one.mesh.extents).tolist()) for one in made}
     assert len(sizes) >= 4
     one = made[sum(map(ord, category)) % NUM_VARIANTS]
-    parts = yaw_frame_parts(one, (1.0, 1.0, 1.0), one.design.tilts[0])
+    parts = yaw_frame_parts(one, (1.0, 1.0, 1.0), one.tilts[0])
     height = np.concatenate([part.vertices for part in parts])[:, 2].max()
     options = EngineOptions(settle_seconds=0.5, watch_seconds=0.1)
     result = settle([Body("it", parts, one.mass, (0.5, 0.5, height + 5e-5))], Tabletop("office_table", (1.0, 1.0)), options)
@@ -133,5 +133,5 @@ def test_tilted_parts_stay_around_the_box_centre() -> None:
 
 
 def test_some_assets_rest_in_several_ways() -> None:
-    assert sum(asset(f"{category}/0").design.tilts != STANDING for category in CATEGORIES) >= 6
+    assert sum(asset(f"{category}/0").tilts != STANDING for category in CATEGORIES) >= 6
     assert all(color.startswith("#") and len(color) == 7 for color in COLORS.values())

@@ -11,7 +11,7 @@ from stable_data.synth.library import TILTS_FILE, embedded_library
 
 
 def test_the_library_is_made_once_and_knows_how_things_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    leaning = next(key for key in KEYS if len(asset(key).design.tilts) > 1)
+    leaning = next(key for key in KEYS if len(asset(key).tilts) > 1)
     monkeypatch.setattr(library, "KEYS", (KEYS[0], leaning))
     root, found = embedded_library(tmp_path)
     offered = {a.asset_id: a for a in found.assets if a.is_offered}
@@ -19,8 +19,8 @@ def test_the_library_is_made_once_and_knows_how_things_rest(tmp_path: Path, monk
     for key in (KEYS[0], leaning):
         made = asset(key)
         tilts = [t.quat_xyzw for t in offered[made.uid].tilts]
-        assert tilts[0] == pytest.approx(made.design.tilts[0])
-        assert len(tilts) == len(made.design.tilts)
+        assert tilts[0] == pytest.approx(made.tilts[0])
+        assert len(tilts) == len(made.tilts)
     assert [p.name for p in tmp_path.iterdir()] == [root.name]
     monkeypatch.setattr(library, "write_library", None)  # not made again
     assert embedded_library(tmp_path)[1].assets == found.assets
