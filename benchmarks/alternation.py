@@ -10,6 +10,7 @@ is a run with tasks. Every scene that was made counts, whether it would be accep
 import argparse
 import json
 import tempfile
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +26,7 @@ from stable_data.shards import RunFolder
 
 _MEASURES = ("clean", "oc", "float_rate", "out_of_bounds_rate", "stable", "awt", "aws", "num_objects", "move_mean_mm")
 _HEAD = ("clean %", "OC %", "float %", "out %", "rest %", "AwT %", "AwS %", "objects", "moved mm")
+_VERDICTS = frozenset({"clean", "stable"})
 _COUNTS = frozenset({"num_objects", "num_stacked", "num_contained", "move_mean_mm"})
 
 
@@ -41,17 +43,18 @@ def variants(weights: str) -> dict[str, GenerateSettings]:
 
 
 def figures_of(folder: RunFolder, num_tasks: int, measures: Sequence[str] = _MEASURES) -> dict[str, Any]:
-    """Means of a run's scenes; None where nothing is known."""
+    """Means of a run's scenes, None where nothing is known; a scene of which a verdict is unknown does not pass it."""
     frame = pl.from_arrow(folder.table("scenes", measures))
     assert isinstance(frame, pl.DataFrame)
-    turns = pl.from_arrow(folder.table("turns", ["dropped"]))
-    assert isinstance(turns, pl.DataFrame)
-    means = frame.select(pl.col(measures).cast(pl.Float64).mean()).row(0, named=True)
+    warnings = Counter(folder.table("warnings", ["code"])["code"].to_pylist())
+    known = {name: pl.col(name).cast(pl.Float64) for name in measures}
+    verdicts = {name: value.fill_null(0.0) if name in _VERDICTS else value for name, value in known.items()}
+    means = frame.select(value.mean().alias(name) for name, value in verdicts.items()).row(0, named=True)
     return {
         "tasks": num_tasks,
         "made": frame.height,
         "with_relations": int(frame["aws"].is_not_null().sum()),
-        "dropped": int(turns["dropped"].list.len().sum()),
+        "dropped": warnings["dropped"],
         **{name: None if mean is None else mean * (1 if name in _COUNTS else 100) for name, mean in means.items()},
     }
 
@@ -72,7 +75,8 @@ def show(found: dict[str, Any]) -> Iterable[str]:
     for name, one in found.items():
         values = ("unknown" if one[key] is None else f"{one[key]:.1f}" for key in _MEASURES)
         yield f"{name:26}{one['made']:>5}/{one['tasks']:<4}" + "".join(f"{v:>10}" for v in values) + f"{one['dropped']:>10}"
-    yield f"AwS of the {max(one['with_relations'] for one in found.values())} scenes whose instructions say where things are"
+    counts = ", ".join(str(one["with_relations"]) for one in found.values())
+    yield f"AwS of the scenes whose instructions say where things are: {counts}"
 
 
 def main() -> None:

@@ -36,6 +36,9 @@ for path in map(str.strip, sys.stdin):
         for _ in range(200):
             mujoco.mj_step(model, data, nstep=10)
             mujoco.mj_kinematics(model, data)
+            if not np.isfinite(data.xpos).all():
+                moved, turned = float("inf"), float("inf")
+                break
             moved = max(moved, float(np.linalg.norm(data.xpos[1:] - start[0], axis=1).max(initial=0.0)))
             cosine = np.abs((data.xquat[1:] * start[1]).sum(axis=1))
             turned = max(turned, float(np.degrees(2 * np.arccos(np.minimum(cosine, 1.0))).max(initial=0.0)))

@@ -32,8 +32,11 @@ from stable_data.tables import scene_from_row
 
 CASES = Path(__file__).with_name("contradictory.jsonl")
 
-SAYING = frozenset({"relation_not_held", "not_as_said", "reply_unusable", "asset_unmatched", "required_missing"})
-"""Codes of warnings and failures that say that something is not as it was asked for; what is left out may be anything."""
+OF_CLAIMS, OF_THINGS = frozenset({"relation_not_held", "not_as_said"}), frozenset({"asset_unmatched", "required_missing"})
+"""Codes of notices that say of claims and of things that they are not as they were asked for."""
+
+UNUSABLE = "reply_unusable"
+"""Code of the failure that nothing proposed is as it was asked for."""
 
 _MEASURES = ("clean", "stable", "awt", "aws", "num_objects", "num_stacked", "num_contained")
 _HEAD = ("clean %", "rest %", "AwT %", "AwS %", "objects", "on others", "in others")
@@ -63,17 +66,25 @@ def figures(tasks: Tasks, assets: Sequence[str], workers: Workers, own: frozense
         }
 
 
-def outcome(case: Mapping[str, Any], scene: Scene | None, codes: Sequence[str]) -> dict[str, Any]:
+def outcome(case: Mapping[str, Any], scene: Scene | None, notices: Sequence[tuple[str, str]]) -> dict[str, Any]:
     """What became of an instruction that contradicts itself.
 
     Args:
         case: A line of contradictory.jsonl.
         scene: The finished scene with its relations; None where there is none.
-        codes: Of the warnings and failures about it.
+        notices: Codes and messages of the warnings and failures about it; they count where they name what is not as it was asked for.
     """
     category = {} if scene is None else {o.instance: o.category for o in scene.objects}
     relations = frozenset[Relation]() if scene is None else frozenset(scene.relations)
     held = [_is_so(relations, category, *claim) for claim in case["claims"]]
+    broken = [claim for claim, is_held in zip(case["claims"], held, strict=True) if not is_held]
+    missing = [name for name in case["objects"] if name not in category.values()]
+
+    def tells(code: str, message: str) -> bool:
+        if code in OF_CLAIMS:
+            return any(one in message and other in message for one, _, other in broken)
+        return (code == UNUSABLE and scene is None) or (code in OF_THINGS and any(name in message for name in missing))
+
     return {
         "instruction": case["instruction"],
         "possible": case["possible"],
@@ -82,7 +93,7 @@ def outcome(case: Mapping[str, Any], scene: Scene | None, codes: Sequence[str]) 
         "objects_named": len(case["objects"]),
         "claims_held": sum(held),
         "claims": len(held),
-        "said": sorted({code for code in codes if code in SAYING}),
+        "said": sorted({code for code, message in notices if tells(code, message)}),
     }
 
 
@@ -104,7 +115,7 @@ def contradictory(num_cases: int, workers: Workers) -> list[dict[str, Any]]:
             scenes = {row["scene_id"]: scene_from_row(row) for row in run.table("scenes").to_pylist()}
             told = [*run.table("warnings").to_pylist(), *run.table("failures").to_pylist()]
     return [
-        outcome(case, scenes.get(f"case_{k}"), [n["code"] for n in told if n["id"] == f"case_{k}"])
+        outcome(case, scenes.get(f"case_{k}"), [(n["code"], n["message"]) for n in told if n["id"] == f"case_{k}"])
         for k, case in enumerate(cases)
     ]
 

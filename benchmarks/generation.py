@@ -2,13 +2,14 @@
 
 ``python -m benchmarks.generation [--scenes 128] [--serial-scenes 24] [--scripted 100 1000] [--weights auto] [--json FILE]``
 
-Every run is the command ``python -m pipelines generate`` in processes of its own. Its time is that of its shards, with the start of
-Ray and of its workers, which opens models and libraries; assets are cut up and words encoded once a process, so more scenes are faster.
+Every run is the command ``python -m pipelines generate`` in processes of its own, on tasks that were drawn before. Its time is that of its
+shards, with the start of Ray and of its workers, which opens models and libraries; assets are cut up and words encoded once a process, so
+more scenes are faster.
 
 - pipelined: two workers, 64 scenes side by side in each, those that are corrected while others are proposed.
 - serial: Algorithm 1 with M = 1, one scene after the other in one process that has the whole machine.
 - in process, and on Ray with one worker: the same shards on one core; what Ray costs.
-- two plain processes: half of the tasks each, without Ray; what two workers lose.
+- two plain processes: half of the same tasks each, without Ray; what two workers lose.
 - scripted: a reasoner that answers at once, tables of three things: what memory grows with, and what the driver spends.
 """
 
@@ -27,8 +28,10 @@ from pathlib import Path
 from typing import Any
 
 from models.semantic_reasoner.prompt import WANTED
+from models.semantic_reasoner.staged import LayoutTask
 from pipelines.asset_shelf import AssetShelf
 from pipelines.generate_step import TIMING_FOLDER
+from pipelines.generate_tasks import sampled
 from stable_data.cli import DONE, SOME_FAILED
 from stable_data.scene import Stage
 from stable_data.shards import RunFolder
@@ -64,14 +67,12 @@ def command(out: Path, *words: str) -> list[str]:
     return [sys.executable, "-m", "pipelines", "generate", "--out", str(out), *words, "--set", "num_pictures=0"]
 
 
-def run(out: Path, *words: str, threads: bool = False, seed: int = 0) -> Course:
+def run(out: Path, *words: str, threads: bool = False) -> Course:
     """One run of the job; its status has to be 0 or 1."""
     environment = os.environ | ({} if threads else _ONE_CORE)
     if threads:
         environment = {key: value for key, value in environment.items() if key not in _ONE_CORE}
-    done = subprocess.run(
-        command(out, *words, "--seed", str(seed)), env=environment, capture_output=True, text=True, check=False
-    )
+    done = subprocess.run(command(out, *words), env=environment, capture_output=True, text=True, check=False)
     if done.returncode not in (DONE, SOME_FAILED):
         raise SystemExit(done.stderr.strip()[-2000:])
     return course_of(out)
@@ -88,10 +89,26 @@ def course_of(out: Path) -> Course:
     return Course(scenes, folder.num_rows("scenes"), sum(w["seconds"] for w in manifest["work"]), dict(steps))
 
 
-def side_by_side(place: Path, halves: Sequence[Sequence[str]]) -> float:
+def tasks_file(path: Path, tasks: Sequence[LayoutTask]) -> Path:
+    """Writes a file of tasks."""
+    with path.open("w", encoding="utf-8") as stream:
+        for task in tasks:
+            zone = task.table.restricted_zone
+            row = {
+                "scene_id": task.scene_id,
+                "instruction": task.instruction,
+                "table_type": task.table.table_type,
+                "table_size_cm": [100 * side for side in task.table.size_xy],
+                "restricted_zone_cm": None if zone is None else [100 * side for side in zone],
+            }
+            stream.write(json.dumps(row) + "\n")
+    return path
+
+
+def side_by_side(place: Path, parts: Sequence[Sequence[str]]) -> float:
     """Seconds that the slower of plain processes takes, each with its part."""
-    with ThreadPoolExecutor(len(halves)) as pool:
-        done = pool.map(lambda k: run(place / f"half{k}", *halves[k], seed=k), range(len(halves)))
+    with ThreadPoolExecutor(len(parts)) as pool:
+        done = pool.map(lambda k: run(place / f"part{k}", *parts[k]), range(len(parts)))
         return max(course.seconds for course in done)
 
 
@@ -124,18 +141,21 @@ def driver_of(place: Path, script: Path, count: int) -> dict[str, float]:
     words = ["--count", str(count), "--engine", f"scripted:{script}", "--set", "weights=none", "--set", "settle=false"]
     words += ["--set", "accept=clean", "--workers", "2"]
     timed = (
-        "import runpy, sys, time; sys.argv = ['pipelines', *sys.argv[1:]]\n"
+        "import runpy, sys, time; sys.argv, status = ['pipelines', *sys.argv[1:]], 0\n"
         "try: runpy.run_module('pipelines', run_name='__main__')\n"
-        "except SystemExit: pass\n"
-        "print(time.process_time())"
+        "except SystemExit as end: status = end.code or 0\n"
+        "print(time.process_time())\n"
+        "sys.exit(status)"
     )
     done = subprocess.run(
         [sys.executable, "-c", timed, *command(place / f"driver{count}", *words)[3:]],
         env=os.environ | _ONE_CORE,
         capture_output=True,
         text=True,
-        check=True,
+        check=False,
     )
+    if done.returncode not in (DONE, SOME_FAILED):
+        raise SystemExit(done.stderr.strip()[-2000:])
     return {"scenes": count, "seconds": float(done.stdout.split()[-1])}
 
 
@@ -155,17 +175,19 @@ def measure(scenes: int, serial: int, counts: Sequence[int], weights: str) -> di
     """All figures."""
     with tempfile.TemporaryDirectory(prefix="stable-data-") as name:
         place, script = Path(name), scripted(Path(name))
-        own = ["--set", f"weights={weights}"]
+        tasks = [task if isinstance(task, LayoutTask) else task.drawn() for task in sampled(scenes).tasks]
+        half = -(-scenes // 2)
 
-        def of(label: str, count: int, *words: str, threads: bool = False) -> Course:
-            return run(place / label, "--count", str(count), *own, *words, threads=threads)
+        def words(label: str, some: Sequence[LayoutTask], workers: int, per_shard: int = half) -> list[str]:
+            file = tasks_file(place / f"{label}.jsonl", some)
+            shards = ["--set", f"scenes_per_shard={per_shard}", "--set", f"weights={weights}"]
+            return ["--tasks", str(file), "--workers", str(workers), *shards]
 
-        half = str(-(-scenes // 2))
-        pipelined = of("pipelined", scenes, "--workers", "2", "--set", f"scenes_per_shard={half}")
-        alone = of("serial", serial, "--workers", "0", "--set", "scenes_per_shard=1", threads=True)
-        here = of("here", int(half), "--workers", "0", "--set", f"scenes_per_shard={half}")
-        on_ray = of("ray", int(half), "--workers", "1", "--set", f"scenes_per_shard={half}")
-        plain = side_by_side(place, [["--count", half, *own, "--workers", "0", "--set", f"scenes_per_shard={half}"]] * 2)
+        pipelined = run(place / "pipelined", *words("all", tasks, 2))
+        alone = run(place / "serial", *words("few", tasks[:serial], 0, 1), threads=True)
+        here = run(place / "here", *words("first", tasks[:half], 0))
+        on_ray = run(place / "ray", *words("first", tasks[:half], 1))
+        plain = side_by_side(place, [words("first", tasks[:half], 0), words("second", tasks[half:], 0)])
         memory = [memory_of(place, script, count) for count in counts]
         driver = [driver_of(place, script, count) for count in counts]
         found = {"pipelined": pipelined, "serial": alone, "in process": here, "on Ray": on_ray}

@@ -10,6 +10,7 @@ from collections.abc import Generator, Mapping, Set
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
+from models.physics_corrector.certify import Dropped
 from models.physics_corrector.corrector import Correction, movement
 from models.semantic_reasoner.acceptance import accepted, with_task
 from models.semantic_reasoner.categories import CategoryStatistics
@@ -134,6 +135,7 @@ class Generated:
         start: Its objects where they were first proposed; what is in ``scene`` is in it.
         turns: All that was tried, in order.
         correction: The one that made ``scene``; None where none did.
+        dropped: What the corrections that count have left out, of every stage.
         failure: Why there is no scene.
         warnings: What deserves a look.
     """
@@ -143,6 +145,7 @@ class Generated:
     start: Scene
     turns: tuple[Turn, ...]
     correction: Correction | None = None
+    dropped: tuple[Dropped, ...] = ()
     failure: Notice | None = None
     warnings: tuple[Notice, ...] = ()
 
@@ -182,6 +185,7 @@ class _Scene:
     start: Scene = field(init=False)
     turns: list[Turn] = field(default_factory=list)
     warnings: list[Notice] = field(default_factory=list)
+    dropped: list[Dropped] = field(default_factory=list)
     correction: Correction | None = None  # that made the scene as it is
     is_at_rest: bool = False  # whether the engine was asked of it
     meant: dict[str, Relation] = field(default_factory=dict)  # what was proposed on or in another thing, and is to be there
@@ -209,11 +213,13 @@ class _Scene:
                     return self._failed(turn.code, message)
                 self._warn("stage_left_out", message)
         if self.settings.corrects != "never" and not self.is_at_rest:
-            new = frozenset[str]() if self.correction else frozenset(o.instance for o in self.scene.objects)
-            done = (yield from self._corrected(self.scene, self.meant, frozenset(), new, True))[-1]
+            there, none = frozenset(o.instance for o in self.scene.objects), frozenset[str]()
+            earlier, new = (there, none) if self.correction else (none, there)
+            done = (yield from self._corrected(self.scene, self.meant, earlier, new, True))[-1]
             if done.certified is None:
                 return self._failed(str(done.status), done.reason)
             self.scene, self.correction = done.certified, done
+            self.dropped += done.dropped
         return self._ended(None)
 
     def _turn(self, wanted: Wanted, attempt: int, is_last: bool) -> Generator[Request, Answer, Turn]:
@@ -252,6 +258,7 @@ class _Scene:
                 return Turn(wanted, proposal, furnished, corrections, reason, "relation_lost")
             self.missing = missing
             scene, self.correction, self.is_at_rest = done.certified, done, is_last
+            self.dropped += done.dropped
         self.warnings += furnished.notices
         self.meant = meant
         self.start = replace(self.start, objects=(*self.start.objects, *found))
@@ -309,7 +316,8 @@ class _Scene:
     def _ended(self, failure: Notice | None) -> Generated:
         scene, correction = (self.scene, self.correction) if failure is None else (None, None)
         warnings = tuple(dict.fromkeys(self.warnings))
-        return Generated(self.task, scene, self._start(), tuple(self.turns), correction, failure, warnings)
+        dropped = tuple(self.dropped)
+        return Generated(self.task, scene, self._start(), tuple(self.turns), correction, dropped, failure, warnings)
 
 
 def _missing(done: Correction) -> int:

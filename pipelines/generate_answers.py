@@ -11,7 +11,9 @@ from models.physics_corrector.corrector import Came, Correction, PhysicsCorrecto
 from models.physics_corrector.leaning import steadied
 from models.physics_corrector.letting_down import let_down
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
+from pipelines.job import unexpected
 from stable_data.assets import AssetStore
+from stable_data.errors import ConfigError
 from stable_data.furnishing import Furnished, furnish
 from stable_data.metrics.audit import audit_scene
 from stable_data.retrieval import Retriever
@@ -105,7 +107,21 @@ class OwnAnswers:
         return found
 
     def certified(self, asked: Certifying) -> Correction:
-        """One scene, certified here."""
+        """One scene, certified here; what nobody foresaw keeps it out, and no other.
+
+        Raises:
+            ConfigError: The run itself cannot go on.
+            OSError: Nor can it for now.
+            MemoryError: Likewise.
+        """
+        try:
+            return self._certified(asked)
+        except (ConfigError, OSError, MemoryError):
+            raise
+        except Exception as error:  # noqa: BLE001 - a scene that breaks the geometry of one library is a row of failures
+            return unanswered(asked, unexpected(error))
+
+    def _certified(self, asked: Certifying) -> Correction:
         scene, shapes, _ = self.store.resolved(asked.scene)
         came = Came(scene, shapes, audit_scene(scene, shapes))
         fixed = self.corrector.options.fixed | asked.fixed

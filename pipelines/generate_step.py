@@ -12,6 +12,8 @@ from functools import lru_cache, partial
 from time import perf_counter
 from typing import ClassVar
 
+import ray
+
 from models.dual_system import Generated, Turn, dual_system
 from models.physics_corrector.certify import CertifyOptions
 from models.physics_corrector.corrector import Correction, PhysicsCorrector, with_movement
@@ -29,11 +31,11 @@ from pipelines.engine_pool import PooledEngine
 from pipelines.generate_answers import Certifying, OwnAnswers, unanswered
 from pipelines.generate_settings import GenerateSettings
 from pipelines.generate_tasks import Task
-from pipelines.job import Rows, rows_or_failure
+from pipelines.job import Rows, rows_or_failure, unexpected
 from pipelines.progress import Progress
 from pipelines.runner import Apart, Loss, limited
 from pipelines.scene_step import Related, SceneSettings, duplicate_group, related, split_of, with_counts
-from pipelines.scene_work import SceneShard, notices_of
+from pipelines.scene_work import SceneShard, dropped_notice, notices_of
 from stable_data import tables
 from stable_data.assets import AssetStore
 from stable_data.colliders import bodies_of
@@ -60,6 +62,9 @@ _DEPTH = 0.8 * TOLERANCE
 
 _PLACES = 6
 """Where a thing that does not stay is tried: with more, half of that time goes into what is left out in the end all the same."""
+
+_NOT_OF_A_SCENE = (ConfigError, OSError, MemoryError, ray.exceptions.RayError)
+"""Errors that are of the run or of the machine: another time, or elsewhere, they may not come."""
 
 REJECTED = "rejected"
 """Code of a scene that breaks the rule of acceptance."""
@@ -115,14 +120,13 @@ class GenerateWork:
         seconds = opened.answers.seconds
         seconds.update(dict.fromkeys(seconds, 0.0))
         opened.answers.certify = partial(self._certified, apart=apart)
-        settings, seed = self.settings.loop, self.settings.seed
         rows: dict[str, list[tables.Row]] = defaultdict(list)
         tasks = list(self._tasks(shard, rows))
-        loops = [dual_system(t, named_seed(seed, t.scene_id), settings, opened.statistics) for t in tasks]
-        for made in together(loops, opened.answers):
-            if made.turns and made.turns[-1].proposal.code in OFF:
-                why = made.turns[-1].proposal.failure
-                raise ConfigError(f"{made.task.scene_id}: {why}; what is done is kept, run again to go on", "engine_off")
+        for made in self._generated(tasks, opened):
+            if off := next((turn.proposal for turn in made.turns if turn.proposal.code in OFF), None):
+                raise ConfigError(
+                    f"{made.task.scene_id}: {off.failure}; what is done is kept, run again to go on", "engine_off"
+                )
             for table, found in self._rows(made).items():
                 rows[table] += found
         folder = RunFolder(self.out)
@@ -139,6 +143,30 @@ class GenerateWork:
                 yield task if isinstance(task, LayoutTask) else task.drawn()
             except SceneError as error:
                 rows["failures"].append(tables.notice_row(Notice(task.scene_id, "tasks", error.code, str(error))))
+
+    def _generated(self, tasks: Sequence[LayoutTask], opened: Opened) -> Iterator[Generated]:
+        """What becomes of tasks: made side by side, or one by one where something unforeseen ends that, which costs its scene."""
+
+        def made(some: Sequence[LayoutTask]) -> list[Generated]:
+            loops = [dual_system(t, named_seed(seed, t.scene_id), settings, opened.statistics) for t in some]
+            return together(loops, opened.answers)
+
+        settings, seed = self.settings.loop, self.settings.seed
+        try:
+            yield from made(tasks)
+        except _NOT_OF_A_SCENE:
+            raise
+        except Exception:  # noqa: BLE001 - which scene it was is found out below
+            for task in tasks:
+                try:
+                    found = made([task])[0]
+                except _NOT_OF_A_SCENE:
+                    raise
+                except Exception as error:  # noqa: BLE001 - what nobody foresaw becomes a row
+                    message = f"{task.scene_id}: {unexpected(error)}"
+                    blank = Scene(task.scene_id, task.table, ())
+                    found = Generated(task, None, blank, (), failure=Notice(task.scene_id, "generate", "unexpected", message))
+                yield found
 
     def _certified(self, asked: Certifying, *, apart: Apart | None) -> Correction:
         """One scene certified; in a process of its own where workers died over its shard."""
@@ -200,6 +228,7 @@ class GenerateWork:
         if not_as_said:
             lost = ", ".join(map(str, not_as_said))
             told.append(Notice(name, "card", "not_as_said", f"{name}: the instruction says what does not hold: {lost}"))
+        told += [dropped_notice(d, name) for d in made.dropped]
         if made.correction is not None:
             told += notices_of(made.correction, name)
         if why_not:
@@ -279,9 +308,12 @@ def _with_alignment(
     # What contradicts itself, or could be read of no such things, is among no task's relations.
     broken = relations_not_held(named, scene.table, scene.task.task, statistics, on_in)
     if not (scene.task.relations and named):
-        return card, broken
-    known = align(scene, reference_of(scene), contacts=seen.contacts, footprints=seen.footprints, containers=containers)
-    return replace(card, aws=known.aws), tuple(dict.fromkeys((*(known.broken or ()), *broken)))
+        return replace(card, aws=0.0 if broken else None), broken
+    reference = reference_of(scene)
+    known = align(scene, reference, contacts=seen.contacts, footprints=seen.footprints, containers=containers)
+    lost = tuple(dict.fromkeys((*(known.broken or ()), *broken)))
+    said = len({*reference.entailed, *broken})
+    return replace(card, aws=None if known.broken is None or not said else 1 - len(lost) / said), lost
 
 
 def _with_rest(card: MetricCard, rest: SettleResult) -> MetricCard:

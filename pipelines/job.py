@@ -49,8 +49,13 @@ def rows_or_failure(item_id: str, progress: Progress, make: Callable[[], Rows]) 
     except StableDataError as error:
         return {"failures": [tables.notice_row(Notice(item_id, progress.step, error.code, str(error)))]}
     except Exception as error:  # noqa: BLE001 - the one place where what nobody foresaw becomes a row
-        message = f"{item_id}: {type(error).__name__}: {error}; please report this with the file"
+        message = f"{item_id}: {unexpected(error)}"
         return {"failures": [tables.notice_row(Notice(item_id, progress.step, "unexpected", message))]}
+
+
+def unexpected(error: Exception) -> str:
+    """What is said of an error that nobody foresaw, one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}; please report this with the file"
 
 
 def rows_alone(

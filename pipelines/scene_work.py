@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Generic, Literal, TypeAlias, TypeVar
 
-from models.physics_corrector.certify import CertifyOptions, Status
+from models.physics_corrector.certify import CertifyOptions, Dropped, Status
 from models.physics_corrector.corrector import Correction, PhysicsCorrector
 from models.physics_corrector.learned import load_flow
 from pipelines.correct_settings import CorrectSettings
@@ -181,11 +181,14 @@ def corrector_of(settings: CorrectSettings, *, flows: bool = True) -> PhysicsCor
     return PhysicsCorrector(load_flow(settings.weights, settings.steps) if flows else None, options, settings.judge_raw)
 
 
+def dropped_notice(dropped: Dropped, scene_id: str) -> Notice:
+    """Says what was left out, and why."""
+    return Notice(scene_id, "certify", "dropped", f"{scene_id}: {dropped.instance} is left out: {dropped.reason}")
+
+
 def notices_of(done: Correction, scene_id: str) -> list[Notice]:
     """What of a correction deserves a look."""
-    notices = [
-        Notice(scene_id, "certify", "dropped", f"{scene_id}: {d.instance} is left out: {d.reason}") for d in done.dropped
-    ]
+    notices = [dropped_notice(d, scene_id) for d in done.dropped]
     if done.rest is not None and done.rest.unsteady:
         message = f"{scene_id}: {', '.join(done.rest.unsteady)} would not stay in the physics engine"
         notices.append(Notice(scene_id, "certify", "unsteady", message))

@@ -95,10 +95,14 @@ def test_a_contradiction_counts_as_followed_only_where_the_scene_holds_it() -> N
     assert (found["made"], found["objects_there"], found["claims_held"], found["said"]) == (True, 2, 1, [])
     inside = replace(held, relations=(Relation("book_0", RelationKind.IN, "mug_0"),))
     assert outcome(case, inside, [])["claims_held"] == 1
-    lost = outcome(case, replace(held, relations=(Relation("mug_0", RelationKind.ON, "book_0"),)), ["not_as_said", "dropped"])
+    notices = [("not_as_said", "the instruction says what does not hold: book_0 on mug_0"), ("dropped", "book_0 is left out")]
+    turned = replace(held, relations=(Relation("mug_0", RelationKind.ON, "book_0"),))
+    lost = outcome(case, turned, notices)
     assert (lost["claims_held"], lost["said"]) == (0, ["not_as_said"])
-    assert outcome(case, held, ["table_unknown"])["said"] == []  # it says nothing of the claims
-    failed = outcome(case, None, ["reply_unusable"])
+    assert outcome(case, held, notices)["said"] == []  # it holds after all
+    others = [("asset_unmatched", "nothing is like elephant"), ("not_as_said", "what does not hold: cup_0 on mug_0")]
+    assert outcome(case, turned, others)["said"] == []  # of other things
+    failed = outcome(case, None, [("reply_unusable", "no reply can be used")])
     assert (failed["made"], failed["objects_there"], failed["claims_held"], failed["said"]) == (False, 0, 0, ["reply_unusable"])
 
 

@@ -8,6 +8,7 @@ from models.semantic_reasoner.categories import CategoryStatistics
 from models.semantic_reasoner.layout_text import Reply
 from models.semantic_reasoner.prompt import Ask
 from models.semantic_reasoner.start_relations import understood
+from stable_data.metrics.alignment import members
 from stable_data.scene import Relation, Scene, SceneObject, Stage, TaskInfo
 from stable_data.staging import stage_scene
 
@@ -52,7 +53,7 @@ def with_task(
     relations: tuple[Relation, ...] = ()
     if statistics is not None:
         task, _, _ = understood(proposed, scene.table, instruction, statistics)
-        relations = tuple(r for r in task.relations if {r.subject, r.target} <= set(named))
+        relations = tuple(r for r in task.relations if set(members(r)) <= set(named))
     return replace(scene, task=TaskInfo("", instruction, task_objects=named, relations=relations))
 
 

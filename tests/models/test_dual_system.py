@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from models.conversation import Conversation, in_batches
-from models.dual_system import Correct, Generated, LoopSettings, Propose, Request, Retrieve, dual_system
+from models.dual_system import Correct, Corrects, Generated, LoopSettings, Propose, Request, Retrieve, dual_system
 from models.physics_corrector.certify import CertifyOptions, Status
 from models.physics_corrector.corrector import Correction, PhysicsCorrector
 from models.scheduler import together
@@ -152,6 +152,34 @@ def test_earlier_stages_move_only_as_far_as_they_may(limit: float) -> None:
                 assert o.position == pytest.approx(before[o.instance], abs=limit)
             before[o.instance] = o.position
     assert [len(turn.corrections) for turn in made.turns] == ([1, 1, 1] if limit == 0 else [1, 2, 2])
+
+
+@pytest.mark.parametrize(("limit", "held"), [(0.0, {"cube_0", "cube_1"}), (float("inf"), set[str]())])
+def test_a_closing_correction_moves_what_is_there_only_as_far_as_it_may(limit: float, held: set[str]) -> None:
+    """The last stage has no answer, so what is there is corrected once more, for the engine to be asked of it."""
+
+    def stages(request: Propose) -> Proposal:
+        if request.ask.wanted is Stage.SECONDARY:
+            return Proposal(None, failure="no reply can be used", code="reply_unusable")
+        return Proposal(Reply(tuple(CROWDED[request.ask.wanted])), tries=1)
+
+    answers = Answers(stages)
+    made = driven(answers, LoopSettings(earlier_move=limit))
+    assert made.scene is not None
+    last = answers.of(Correct)[-1]
+    assert isinstance(last, Correct)
+    assert last.is_last
+    assert last.fixed == held
+
+
+@pytest.mark.parametrize("corrects", ["each", "end"])
+def test_what_was_left_out_is_told_whenever_it_was(corrects: Corrects) -> None:
+    small = LayoutTask("scene", "Lift the cube.", Tabletop("nightstand", (0.11, 0.11)))
+    stages = staged([said("cube_0", 5.5, 5.5)], [said("cube_1", 5.5, 5.5)], [])
+    made = driven(Answers(stages), LoopSettings(corrects=corrects, tries=1), small)
+    assert made.scene is not None
+    assert [o.instance for o in made.scene.objects] == ["cube_0"]
+    assert [d.instance for d in made.dropped] == ["cube_1"]
 
 
 def test_what_finds_no_place_is_asked_for_again_and_then_left_out() -> None:

@@ -8,9 +8,12 @@ from threading import Lock
 from typing import Any
 
 import pytest
+from shapely.errors import GEOSException
 
 from models.semantic_reasoner.engines import EngineSettings
+from models.semantic_reasoner.prompt import WANTED
 from models.semantic_reasoner.staged import LayoutTask
+from pipelines import generate_answers
 from pipelines.asset_shelf import AssetShelf
 from pipelines.generate import generate
 from pipelines.generate_settings import GenerateSettings
@@ -97,3 +100,59 @@ def test_an_endpoint_that_dies_halfway_stops_the_run_with_one_line_and_costs_no_
         generate(FOUR, str(undisturbed), settings, ALONE, [str(dataset)], report=False)
     assert content(out) == content(undisturbed)
     assert ids(out, "scenes") == {t.scene_id for t in FOUR.tasks}
+
+
+def test_an_endpoint_that_is_down_for_one_stage_leaves_no_hole(dataset: Path, tmp_path: Path) -> None:
+    """It answers again before the scene is finished; the scene is made anew when the run goes on, with all its stages."""
+    script = one_thing_a_stage(AssetShelf([str(dataset)]).libraries[0].assets[1:4])
+    answers = {words: json.dumps(reply) for words, reply in script.items()}
+    is_down = [True]
+
+    def plan(words: str, _: int, __: dict[str, Any]) -> Act:
+        if is_down[0] and WANTED[Stage.IMPORTANT] in words:
+            return Act(drops=True)
+        return Act(body=said(next(reply for wanted, reply in answers.items() if wanted in words)))
+
+    with endpoint(plan) as server:
+        settings = replace(PLAIN, engine=EngineSettings("openai:large", http=server.settings(give_up_after=1, rest_s=0.0)))
+        with pytest.raises(ConfigError, match="run again to go on"):
+            generate(FOUR, str(tmp_path), settings, ALONE, [str(dataset)], report=False)
+        is_down[0] = False
+        generate(FOUR, str(tmp_path), settings, ALONE, [str(dataset)], report=False)
+    assert ids(tmp_path, "scenes") == {t.scene_id for t in FOUR.tasks}
+    assert {len(row["objects"]) for row in RunFolder(str(tmp_path)).table("scenes").to_pylist()} == {len(Stage)}
+
+
+@pytest.mark.parametrize("step", ["certified_from", "furnish"])
+def test_what_nobody_foresaw_costs_one_scene(step: str, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a correction, which is of one scene, and in what is done for many scenes at once."""
+    script = tmp_path / "script.json"
+    script.write_text(json.dumps(one_thing_a_stage(AssetShelf([str(dataset)]).libraries[0].assets[1:4])))
+    settings = replace(PLAIN, engine=EngineSettings(f"scripted:{script}"), scenes_per_shard=4, accept="clean", settle=False)
+    real = getattr(generate_answers, step)
+
+    def fails(first: Any, *more: Any) -> Any:
+        if "task_2" in {scene.scene_id for scene in (first if isinstance(first, list) else [first])}:
+            raise GEOSException("TopologyException:\nside location conflict")
+        return real(first, *more)
+
+    monkeypatch.setattr(generate_answers, step, fails)
+    generate(FOUR, str(tmp_path / "out"), settings, ALONE, [str(dataset)], report=False)
+    assert ids(tmp_path / "out", "scenes") == {"task_0", "task_1", "task_3"}
+    (row,) = RunFolder(str(tmp_path / "out")).table("failures").to_pylist()
+    assert (row["id"], row["code"]) == ("task_2", "unknown" if step == "certified_from" else "unexpected")
+    assert "GEOSException: TopologyException: side location conflict; please report" in row["message"]
+
+
+def test_a_full_disk_is_nobodys_scene(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    script = tmp_path / "script.json"
+    script.write_text(json.dumps(one_thing_a_stage(AssetShelf([str(dataset)]).libraries[0].assets[1:4])))
+    settings = replace(PLAIN, engine=EngineSettings(f"scripted:{script}"))
+
+    def fails(*_: Any) -> Any:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(generate_answers, "furnish", fails)
+    with pytest.raises(OSError, match="No space left"):
+        generate(FOUR, str(tmp_path / "out"), settings, ALONE, [str(dataset)], report=False)
+    assert not ids(tmp_path / "out", "failures")

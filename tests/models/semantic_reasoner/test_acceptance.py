@@ -2,10 +2,10 @@ import math
 
 import pytest
 
-from models.semantic_reasoner.acceptance import accepted
+from models.semantic_reasoner.acceptance import accepted, with_task
 from models.semantic_reasoner.layout_text import LayoutObject, Reply
 from models.semantic_reasoner.prompt import Wanted
-from stable_data.scene import Stage
+from stable_data.scene import Relation, RelationKind, Scene, Stage
 from tests.models.semantic_reasoner.known_categories import STATISTICS, ask, thing
 
 PLATE, MUG = thing("plate_0", 30, 30, turned=90), thing("mug_0", 30, 30, bottom=2.0)
@@ -70,3 +70,11 @@ def test_an_edit_sees_what_stays() -> None:
 def test_an_empty_reply_is_nothing() -> None:
     nothing: tuple[LayoutObject, ...] = ()
     assert accepted(Reply(nothing), ask(wanted=Stage.IMPORTANT)) == ()
+
+
+def test_a_task_says_in_which_corner_its_object_is() -> None:
+    wanted = ask("Lift the mug that is in the back right corner.")
+    mugs = accepted(Reply((thing("mug_0", 15, 10), thing("mug_1", 110, 55))), wanted)
+    scene = with_task(Scene("scene", wanted.table, mugs), wanted.instruction, mugs, STATISTICS)
+    assert scene.task is not None
+    assert scene.task.relations == (Relation("mug_1", RelationKind.IS_AT, "back_right"),)
