@@ -30,6 +30,7 @@ demo: $(READY) ## Fresh machine to 50 generated, certified, settled scenes and a
 	$(BIN)/stable-data synth data/embedded
 	$(BIN)/python -m pipelines preprocess --data data/embedded --out runs/demo
 	$(BIN)/python -m pipelines generate --count 54 --out runs/demo-scenes --set num_pictures=50 --set scenes_per_shard=27 || [ $$? -eq 1 ]
+	@$(BIN)/python -c "from stable_data.shards import RunFolder; n = RunFolder('runs/demo-scenes').num_rows('scenes'); n < 50 and exit(f'runs/demo-scenes has {n} accepted scenes, expected at least 50; its table failures says why')"
 	@echo "open runs/demo/report/index.html, runs/demo-scenes/report/index.html and its contact_sheet.png"
 
 test: $(READY) ## Run the tests, the slow ones left out (what CI runs)
@@ -63,7 +64,7 @@ edit: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA=<fold
 	$(BIN)/python -m pipelines edit --scenes $(DATA) --edits $(EDITS) --out $(if $(filter runs/preprocess,$(OUT)),runs/edit,$(OUT)) $(if $(ENGINE),--engine $(ENGINE))
 
 generate: $(READY) ## COUNT=<how many, drawn> or TASKS=<file of instructions and tables>, ASSETS=<library> ENGINE=<as for edit> OUT=<folder> to simulation-ready scenes
-	$(BIN)/python -m pipelines generate $(if $(TASKS),--tasks $(TASKS),--count $(COUNT)) --out $(if $(filter runs/preprocess,$(OUT)),runs/generate,$(OUT)) $(if $(ASSETS),--assets $(ASSETS)) $(if $(ENGINE),--engine $(ENGINE))
+	$(BIN)/python -m pipelines generate $(if $(TASKS),--tasks $(TASKS),--count $(COUNT)) --out $(if $(filter runs/preprocess,$(OUT)),runs/generate,$(OUT)) $(if $(ASSETS),--assets $(ASSETS)) $(if $(ENGINE),--engine $(ENGINE)) || [ $$? -eq 1 ]
 
 train: preprocess ## Point encoder, corrector and reasoner on the tables in OUT (hours on a CPU): runs/encoder, runs/corrector, runs/near, runs/reasoner
 	$(BIN)/python -m models.point_encoder.pretrain --out runs/encoder

@@ -24,6 +24,7 @@ from pipelines.job import check_resume, check_shards, count_items, count_rows, n
 from pipelines.plan import groups
 from pipelines.runner import Workers, connect
 from pipelines.scene_work import SceneShard
+from stable_data.errors import ConfigError
 from stable_data.shards import RunFolder, content_id
 from stable_data.synth.library import NAME as EMBEDDED
 
@@ -47,6 +48,12 @@ def generate(
     Raises:
         ConfigError: The run cannot start or go on; what is in place stays.
     """
+    if settings.engines and workers.are_this_process:
+        raise ConfigError(
+            f"engines is {settings.engines}, but in this process alone (--workers 0) nobody shares them; take workers, or leave "
+            "engines at 0",
+            "config_invalid",
+        )
     folder, places = RunFolder(out), _absolute(assets)
     shelf = AssetShelf(places)
     inputs = _inputs(tasks, settings, shelf)
@@ -92,12 +99,12 @@ def _engines(
     settings: GenerateSettings, workers: Workers, there: Set[str], shards: Sequence[SceneShard[Task]]
 ) -> Iterator[PooledEngine | None]:
     """The engines that the workers share, as long as there is something to do; None where each has its own."""
-    if not settings.engines or workers.are_this_process or {shard.shard_id for shard in shards} <= there:
+    if not settings.engines or {shard.shard_id for shard in shards} <= there:
         yield None
         return
     started = connect(workers)
     try:
-        yield engine_pool(settings.engine, settings.engines, settings.engine_gpus)
+        yield engine_pool(settings.engine, settings.engines, settings.engine_gpus, may_grow=not started)
     finally:
         if started:
             ray.shutdown()

@@ -36,7 +36,7 @@ _LOOK_SECONDS = 10.0  # between looks at a cluster on which no shard ends
 _PATIENCE_SECONDS = 1800.0  # with a cluster that has no core at all, as between two spot machines
 _START_SECONDS = 600.0  # in which a process of its own is there and ready
 _CHECKOUT = Path(__file__).resolve().parents[1]
-_NOT_SHIPPED = ["/.git", "/.venv", "/data", "/out", "/runs", "/shared"]
+_NOT_SHIPPED = ["/.git", "/.venv", "/data", "/out", "/runs"]
 _WORKER_LOST = (ray.exceptions.WorkerCrashedError, ray.exceptions.TaskCancelledError, ray.exceptions.OutOfMemoryError)
 _NODE_LOST = (
     ray.exceptions.NodeDiedError,

@@ -91,7 +91,7 @@ class Body:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SettleResult:
-    """Where the bodies came to rest, and the verdict (DESIGN section 7). None is unknown, and never a pass.
+    """Where the bodies came to rest, and the verdict (docs/generate.md). None is unknown, and never a pass.
 
     Attributes:
         names: The bodies, in the order given.
@@ -103,7 +103,7 @@ class SettleResult:
         settle_move_max_mm: Largest of ``moves``.
         settle_turn_max_deg: Largest of ``turns``.
         drift_mm: Farthest that a body was, while watched, from where it was when the settling ended.
-        jitter_mm: Farthest that a body was from its own mean position in the last second.
+        jitter_mm: Farthest that a body was from its own mean position in the last second; what sleeps does not tremble.
         stable: Nothing moved more than 10 mm or turned more than 5 degrees in all, nothing drifted 50 mm.
         reason: Why ``stable`` is not True; empty where it is.
     """

@@ -1,7 +1,7 @@
 """The validation card: raw samples of the flow on held-out scenes, beside the coarse layouts that they came from.
 
 Each row is a kind of perturbation at a fixed seed; ``jitter_fixed`` is ``jitter`` with the objects of earlier stages fixed. The
-figures from the grids are cheap; those of the exact audit (DESIGN section 7) and of the scene graph take longer and are made of
+figures from the grids are cheap; those of the exact audit (docs/audit.md) and of the scene graph take longer and are made of
 fewer scenes. What the exact audit cannot judge is left out and counted, never taken for good.
 """
 

@@ -1,6 +1,6 @@
 """The audit of a scene: every verdict on collision, support and bounds, pair by pair and object by object.
 
-Definitions are those of DESIGN section 7, against the scaled, tilted triangle meshes. An object whose mesh is missing is a
+Definitions are those of docs/audit.md, against the scaled, tilted triangle meshes. An object whose mesh is missing is a
 box: what its box rules out is known (boxes that do not meet do not collide), the rest is unknown and never a pass.
 """
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class MetricCard:
-    """The figures of a scene (DESIGN section 7). None is unknown.
+    """The figures of a scene (docs/audit.md). None is unknown.
 
     Attributes:
         num_objects: Objects.

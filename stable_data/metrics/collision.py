@@ -35,7 +35,7 @@ _ALIKE = 0.1  # normals that differ by less, about 6 degrees, part a pair at dep
 
 
 def penetration(a: FloatArray | Surface, b: FloatArray | Surface, pair: MeshPair | None = None) -> float:
-    """How deep two meshes are in each other (DESIGN section 7).
+    """How deep two meshes are in each other (docs/audit.md).
 
     Zero when they neither cross nor nest; else the smallest translation along a contact normal or one of 26 fixed directions
     that parts them. Tested at LEVELS, then refined between them to 2 %.

@@ -121,6 +121,21 @@ def test_the_image_is_built_of_what_is_there() -> None:
     assert {".venv", "data", "runs"} <= set(left_out)
 
 
+def test_every_core_that_does_shards_has_the_memory_that_the_page_names() -> None:
+    (needed,) = re.findall(r"\*\*(\d+) GiB of memory a core\*\*", (ROOT / "docs" / "clusters.md").read_text("utf-8"))
+    found: dict[str, float] = {}
+    spot = launcher()["available_node_types"]["spot"]
+    assert "CPU" not in spot["resources"]  # all that the machine has
+    found["ray"] = {"c": 2, "m": 4, "r": 8}[spot["node_config"]["InstanceType"][0]]  # what AWS gives a core, by family
+    for group in rayjob()["spec"]["rayClusterSpec"]["workerGroupSpecs"]:
+        (container,) = group["template"]["spec"]["containers"]
+        limits = container["resources"]["limits"]
+        cores = int(group["rayStartParams"].get("num-cpus", limits["cpu"]))
+        found[group["groupName"]] = int(limits["memory"].removesuffix("Gi")) / cores
+    (found["slurm"],) = map(int, re.findall(r"^#SBATCH --mem-per-cpu=(\d+)G$", SBATCH.read_text("utf-8"), re.MULTILINE))
+    assert all(memory >= int(needed) for memory in found.values()), found
+
+
 def test_the_batch_script_is_one_that_bash_reads() -> None:
     assert subprocess.run(["bash", "-n", str(SBATCH)], capture_output=True, text=True, check=True).stderr == ""
     options = re.findall(r"^#SBATCH --([\w-]+)", SBATCH.read_text("utf-8"), re.MULTILINE)
