@@ -257,9 +257,13 @@ def _relations_said(graph: SceneGraph, claim: Claim, found: Mapping[int, list[st
     if len(found[claim.b]) != 1:
         return
     b = found[claim.b][0]
+    is_container = graph.nodes[b]["container"] is True
     for a in found[claim.a]:
-        # "From" is in or on: as the scene has it, else on, which being in a thing satisfies.
-        linked = RelationKind.IN if graph.has_edge(a, b, key=RelationKind.IN) else RelationKind.ON
+        if a == b:
+            continue
+        # "From" is in or on: in what is known to hold things, else on, which being in a thing satisfies.
+        is_in = is_container and graph.has_edge(a, b, key=RelationKind.IN)
+        linked = RelationKind.IN if is_in else RelationKind.ON
         yield Relation(a, claim.kind or linked, b)
 
 

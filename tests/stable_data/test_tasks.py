@@ -112,6 +112,17 @@ def test_a_statement_that_does_not_hold_is_kept_and_noticed() -> None:
     assert codes == ["task_relation_not_held"]
 
 
+def test_nothing_is_said_of_a_thing_and_itself() -> None:
+    task, _ = resolved("The mug is in front of the mug. Turn it.", "Mug")
+    assert task.relations == ()
+
+
+def test_what_is_in_a_box_of_which_nobody_knows_that_it_holds_things_is_on_it() -> None:
+    """Such as a mouse by its box in that of a pad with a wrist rest."""
+    task, _ = resolve_task_objects(TaskInfo("", "Remove the spice jar from the nesting cup."), SCENE, scene_graph(SCENE, {}))
+    assert task.relations == (Relation("2_spice_jar_0", ON, "1_nesting_cup_0"),)
+
+
 def test_from_means_on_where_the_scene_does_not_decide() -> None:
     task, _ = resolved("Remove the dice from the mug.", "Dice", "Mug")
     assert task.relations == (Relation("8_dice_0", ON, "6_mug_0"),)
