@@ -189,14 +189,17 @@ def test_ten_kills_at_random_moments_lose_nothing(dataset: Path, clean_run: Path
         )
         time.sleep(moments.uniform(2.0, 14.0))
         if victim == "driver":
-            killed += process.poll() is None
-            os.killpg(process.pid, signal.SIGKILL)
+            if process.poll() is None:  # it may have found everything done
+                os.killpg(process.pid, signal.SIGKILL)
+                killed += 1
             process.wait()
         else:
+            busy: list[int] = []
             while process.poll() is None and not (busy := busy_workers([process.pid])):
                 time.sleep(0.1)
-            os.kill(busy[0], signal.SIGKILL)
-            killed += 1
+            for worker in busy[:1]:
+                os.kill(worker, signal.SIGKILL)
+                killed += 1
             assert process.wait(timeout=300) == 0
             assert content(out) == content(clean_run), number
             shutil.rmtree(out)
