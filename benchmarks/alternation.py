@@ -47,9 +47,8 @@ def figures_of(folder: RunFolder, num_tasks: int, measures: Sequence[str] = _MEA
     frame = pl.from_arrow(folder.table("scenes", measures))
     assert isinstance(frame, pl.DataFrame)
     warnings = Counter(folder.table("warnings", ["code"])["code"].to_pylist())
-    known = {name: pl.col(name).cast(pl.Float64) for name in measures}
-    verdicts = {name: value.fill_null(0.0) if name in _VERDICTS else value for name, value in known.items()}
-    means = frame.select(value.mean().alias(name) for name, value in verdicts.items()).row(0, named=True)
+    judged = frame.with_columns(pl.col(name).fill_null(value=False) for name in measures if name in _VERDICTS)
+    means = judged.select(pl.col(measures).cast(pl.Float64).mean()).row(0, named=True)
     return {
         "tasks": num_tasks,
         "made": frame.height,

@@ -19,6 +19,9 @@ from stable_data.metrics.audit import audit_scene
 from stable_data.retrieval import Retriever
 from stable_data.scene import Scene
 
+NOT_OF_A_SCENE = (ConfigError, OSError, MemoryError)
+"""Errors that are of the run or of the machine: another time, or elsewhere, they may not come."""
+
 Certify = Callable[["Certifying"], Correction]
 """Certifies one scene; in a process of its own where a mesh may end this one."""
 
@@ -116,7 +119,7 @@ class OwnAnswers:
         """
         try:
             return self._certified(asked)
-        except (ConfigError, OSError, MemoryError):
+        except NOT_OF_A_SCENE:
             raise
         except Exception as error:  # noqa: BLE001 - a scene that breaks the geometry of one library is a row of failures
             return unanswered(asked, unexpected(error))

@@ -28,7 +28,7 @@ from models.semantic_reasoner.staged import LayoutTask
 from models.semantic_reasoner.start_relations import relations_not_held
 from pipelines.asset_shelf import AssetShelf
 from pipelines.engine_pool import PooledEngine
-from pipelines.generate_answers import Certifying, OwnAnswers, unanswered
+from pipelines.generate_answers import NOT_OF_A_SCENE, Certifying, OwnAnswers, unanswered
 from pipelines.generate_settings import GenerateSettings
 from pipelines.generate_tasks import Task
 from pipelines.job import Rows, rows_or_failure, unexpected
@@ -63,8 +63,7 @@ _DEPTH = 0.8 * TOLERANCE
 _PLACES = 6
 """Where a thing that does not stay is tried: with more, half of that time goes into what is left out in the end all the same."""
 
-_NOT_OF_A_SCENE = (ConfigError, OSError, MemoryError, ray.exceptions.RayError)
-"""Errors that are of the run or of the machine: another time, or elsewhere, they may not come."""
+_NOT_OF_A_SCENE = (*NOT_OF_A_SCENE, ray.exceptions.RayError)  # the engines may be elsewhere
 
 REJECTED = "rejected"
 """Code of a scene that breaks the rule of acceptance."""

@@ -78,7 +78,7 @@ _LEFT = {
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """What an instruction says of the start: number ``a`` is ``kind`` of ``b``; None: in or on, as the scene has it."""
+    """What an instruction says of the start: number ``a`` is ``kind`` of ``b``; None: in it or on it, the words leave open which."""
 
     a: int
     kind: RelationKind | None
