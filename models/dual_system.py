@@ -18,6 +18,7 @@ from models.semantic_reasoner.layout_text import layout_objects
 from models.semantic_reasoner.prompt import Ask, Wanted
 from models.semantic_reasoner.reasoner import Proposal
 from models.semantic_reasoner.staged import PROGRESSIVE, LayoutTask
+from models.semantic_reasoner.start_relations import relations_not_held
 from stable_data.errors import ConfigError, Notice
 from stable_data.furnishing import Furnished
 from stable_data.metrics.kept import DIRECTIONAL
@@ -253,7 +254,7 @@ class _Scene:
             done = corrections[-1]
             if done.certified is None:
                 return Turn(wanted, proposal, furnished, corrections, done.reason, str(done.status))
-            if (missing := _missing(done)) > self.missing and attempt + 1 < self.settings.tries:
+            if (missing := self._missing(done)) > self.missing and attempt + 1 < self.settings.tries:
                 reason = f"{missing} things are not where the instruction says"
                 return Turn(wanted, proposal, furnished, corrections, reason, "relation_lost")
             self.missing = missing
@@ -288,6 +289,16 @@ class _Scene:
             return second, first  # what has to go is one of those that stood there before
         return first, second
 
+    def _missing(self, done: Correction) -> int:
+        """How many things are not where the instruction says: on, in or beside another, or in a corner of the table."""
+        said = () if done.start.task is None else done.start.task.relations
+        missing = set() if done.kept is None else {r for r in done.kept.asked_missing if r in said}
+        if self.statistics is not None and done.certified is not None:
+            named = [o for o in done.certified.objects if o.stage is Stage.TASK]
+            broken = relations_not_held(named, self.task.table, self.task.instruction, self.statistics, frozenset())
+            missing |= {r for r in broken if r.kind is RelationKind.IS_AT}
+        return len(missing)
+
     def _is_full(self, scene: Scene) -> bool:
         """Whether what stands on the table covers as much of it as it may."""
         width, depth = scene.table.size_xy
@@ -318,12 +329,6 @@ class _Scene:
         warnings = tuple(dict.fromkeys(self.warnings))
         dropped = tuple(self.dropped)
         return Generated(self.task, scene, self._start(), tuple(self.turns), correction, dropped, failure, warnings)
-
-
-def _missing(done: Correction) -> int:
-    """How many things are not where the instruction says: on, in or beside another."""
-    said = () if done.start.task is None else done.start.task.relations
-    return 0 if done.kept is None else sum(r in said for r in done.kept.asked_missing)
 
 
 def _wanting(scene: Scene, meant: Mapping[str, Relation]) -> Scene:

@@ -62,7 +62,7 @@ the mug``."""
 
 _EMPTIED = re.compile(
     r"\b(?:(?:everything|nothing)(?: that is| should be)? (?:in|on|out of|off|from)|empty|clear(?: out)?) <(\d+)>(?! away)"
-    r"|<(\d+)> empty\b|<(\d+)>\. take (?:what lies on top off|everything off)"
+    r"|<(\d+)> empty\b|<(\d+)>(?:,? (?:which|that) [^.;<]*(?:<\d+>)?)?\. take (?:what lies on top off|everything off)"
 )
 _ALL = re.compile(r"\b(?:everything|nothing|whatever|what|empty|clear)\b", re.IGNORECASE)
 """Words with which an instruction can speak of what it does not name; what :data:`_EMPTIED` reads has one of them."""

@@ -300,3 +300,16 @@ def test_what_cannot_be_where_the_instruction_says_is_asked_for_again_and_at_las
     assert made.correction is not None
     assert made.correction.kept is not None
     assert [r.subject for r in made.correction.kept.asked_missing] == ["plate_0"]
+
+
+def test_what_is_pushed_out_of_its_corner_is_asked_for_again() -> None:
+    pushing = staged([said("cube_0", 33, 20)], [said("ball_0", 28, 20)], [])
+    task = LayoutTask("scene", "Lift the cube that is in the front left corner.", TABLE)
+    loop = dual_system(task, 7, LoopSettings(tries=2), CategoryStatistics.of_names(["ball", "cube"]))
+    (made,) = together([loop], Answers(pushing))
+    assert [(str(turn.wanted), turn.code) for turn in made.turns] == [
+        ("task", ""),
+        ("important", "relation_lost"),
+        ("important", ""),
+        ("secondary", ""),
+    ]

@@ -46,6 +46,17 @@ def test_claims_are_what_the_words_presuppose(marked: str, claims: list[Claim]) 
     assert list(read_claims(marked)) == claims
 
 
-@pytest.mark.parametrize("text", ["empty <3>.", "take everything out of <3>.", "clear <3>, please.", "i need <3> empty."])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "empty <3>.",
+        "take everything out of <3>.",
+        "clear <3>, please.",
+        "i need <3> empty.",
+        "i need <3>. take what lies on top off first.",
+        "i need <3> that is to the right of <1>. take what lies on top off first.",
+        "i need <3> that is in the front left corner. take everything off first.",
+    ],
+)
 def test_what_is_to_be_emptied_is_found(text: str) -> None:
     assert emptied(text) == (3,)
