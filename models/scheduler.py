@@ -4,7 +4,8 @@ What is answered together follows from the order of the loops and from what they
 answers make the same batches wherever they run, and so the same scenes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from models.conversation import Conversation, converse
@@ -25,22 +26,38 @@ class Answerer(Protocol):
         """Assets of objects: one answer each, in their order."""
         ...
 
-    def correct(self, questions: Sequence[Correct], /) -> Sequence[Correction]:
-        """Clean poses of scenes: one answer each, in their order."""
+    def correct(self, questions: Sequence[Correct], /) -> Iterable[Correction]:
+        """Clean poses of scenes: one answer each, in their order, each of them when it is there."""
         ...
 
 
-def together(loops: Sequence[Loop], answerer: Answerer) -> list[Generated]:
+@dataclass(frozen=True, slots=True)
+class Queues:
+    """Where the scenes of a batch are.
+
+    Attributes:
+        reasoner: How many wait for a proposal.
+        corrector: How many wait for assets and clean poses.
+        made: How many are at their end.
+    """
+
+    reasoner: int
+    corrector: int
+    made: int
+
+
+def together(loops: Sequence[Loop], answerer: Answerer, watch: Callable[[Queues], None] | None = None) -> list[Generated]:
     """Runs loops side by side: Algorithm 1 with its batch of M scenes; with one loop, its serial alternation.
 
     Args:
         loops: The loops, none of them begun.
         answerer: Answers.
+        watch: Told where the scenes are each time one of them has gone on.
 
     Returns:
         What became of each, in their order.
     """
-    run = _Run(loops, answerer)
+    run = _Run(loops, answerer, watch)
     asking: list[int] = []  # the loop of each question for a proposal, in the order in which they were asked
 
     def proposals_wanted() -> list[Propose]:
@@ -69,8 +86,8 @@ class _Run:
         made: What became of the loops that are at their end.
     """
 
-    def __init__(self, loops: Sequence[Loop], answerer: Answerer) -> None:
-        self._loops, self._answerer = loops, answerer
+    def __init__(self, loops: Sequence[Loop], answerer: Answerer, watch: Callable[[Queues], None] | None) -> None:
+        self._loops, self._answerer, self._watch = loops, answerer, watch
         self.open: dict[int, Any] = {}
         self.made: dict[int, Generated] = {}
         for k in range(len(loops)):
@@ -82,6 +99,9 @@ class _Run:
             self.open[k] = self._loops[k].send(answer)  # type: ignore[arg-type]  # a loop that begins is sent None
         except StopIteration as end:
             self.made[k] = end.value
+        if self._watch is not None:
+            corrector, made = sum(isinstance(q, Retrieve | Correct) for q in self.open.values()), len(self.made)
+            self._watch(Queues(len(self._loops) - corrector - made, corrector, made))
 
     def answer_others(self) -> None:
         """Answers all that asks for no proposal, until nothing else is open."""
@@ -95,7 +115,7 @@ class _Run:
             else:
                 return
 
-    def _give(self, loops: Sequence[int], answers: Sequence[Answer]) -> None:
+    def _give(self, loops: Sequence[int], answers: Iterable[Answer]) -> None:
         for k, answer in zip(loops, answers, strict=True):
             del self.open[k]
             self.go_on(k, answer)

@@ -21,6 +21,7 @@ from pipelines.generate_settings import GenerateSettings
 from pipelines.generate_step import GenerateWork
 from pipelines.generate_tasks import Task, Tasks
 from pipelines.job import check_resume, check_shards, count_items, count_rows, new_manifest, run_missing, write_manifest
+from pipelines.live import OwnTally, SharedTally, Tally
 from pipelines.plan import groups
 from pipelines.runner import Workers, connect
 from pipelines.scene_work import SceneShard
@@ -74,15 +75,15 @@ def generate(
         write_notices(folder, tasks.lost, [])
         there, began = folder.shard_ids("scenes"), perf_counter()
         place = folder.root if folder.is_local else out
-        with _engines(settings, workers, there, shards) as pool:
-            work = GenerateWork(place, places, settings, fingerprint, pool)
-            run_missing(folder, shards, lambda _: work.TABLES, work, workers, "generate", "scene")
-        if made := sum(len(shard) for shard in shards if shard.shard_id not in there):
-            manifest["work"].append({"seconds": round(perf_counter() - began, 1), "scenes": made})
-        libraries = content_id(shelf.fingerprints)
-        carried = asset_shards(folder, ("scenes", "rejected"), libraries)
-        carry = CarryWork(place, places, libraries, settings.seconds_per_item)
-        run_missing(folder, carried, lambda _: carry.TABLES, carry, workers, "assets", "asset")
+        with _shared(settings, workers, there, shards) as (pool, tally):
+            work = GenerateWork(place, places, settings, fingerprint, pool, tally)
+            run_missing(folder, shards, lambda _: work.TABLES, work, workers, "generate", "scene", tally)
+            if made := sum(len(shard) for shard in shards if shard.shard_id not in there):
+                manifest["work"].append({"seconds": round(perf_counter() - began, 1), "scenes": made})
+            libraries = content_id(shelf.fingerprints)
+            carried = asset_shards(folder, ("scenes", "rejected"), libraries)
+            carry = CarryWork(place, places, libraries, settings.seconds_per_item)
+            run_missing(folder, carried, lambda _: carry.TABLES, carry, workers, "assets", "asset")
         _check(folder, shards, carried, carry)
         ids = [*(task.scene_id for task in tasks.tasks), *(notice.item_id for notice in tasks.lost)]
         failed = count_items(folder, "scenes", "scene_id", ids)
@@ -95,16 +96,24 @@ def generate(
 
 
 @contextmanager
-def _engines(
+def _shared(
     settings: GenerateSettings, workers: Workers, there: Set[str], shards: Sequence[SceneShard[Task]]
-) -> Iterator[PooledEngine | None]:
-    """The engines that the workers share, as long as there is something to do; None where each has its own."""
-    if not settings.engines or {shard.shard_id for shard in shards} <= there:
-        yield None
+) -> Iterator[tuple[PooledEngine | None, Tally | None]]:
+    """What the workers share as long as there is something to do: engines, unless each has its own, and whom they tell of it."""
+    if {shard.shard_id for shard in shards} <= there:
+        yield None, None
+        return
+    if workers.are_this_process:
+        yield None, OwnTally()
         return
     started = connect(workers)
     try:
-        yield engine_pool(settings.engine, settings.engines, settings.engine_gpus, may_grow=not started)
+        pool = (
+            engine_pool(settings.engine, settings.engines, settings.engine_gpus, may_grow=not started)
+            if settings.engines
+            else None
+        )
+        yield pool, SharedTally.started()
     finally:
         if started:
             ray.shutdown()

@@ -1,6 +1,6 @@
 """Who answers the questions of Algorithm 1 in one process: its own reasoner, libraries and corrector."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 
@@ -45,72 +45,20 @@ class Certifying:
     settles: bool
 
 
-@dataclass(slots=True, eq=False)
-class OwnAnswers:
-    """Answers from this process, in batches.
+@dataclass(frozen=True, slots=True, eq=False)
+class Certifier:
+    """Certifies scenes in this process.
 
     Attributes:
-        reasoner: Proposes objects.
-        retriever: Finds assets.
         corrector: Corrects scenes.
         store: Geometry of the assets.
-        seed: Decides among assets that are as good.
-        settles: Whether the physics engine is asked of the last correction of a scene.
-        certify: Certifies one scene; None: here.
-        seconds: Spent on each kind of question so far.
     """
 
-    reasoner: SemanticReasoner
-    retriever: Retriever
     corrector: PhysicsCorrector
     store: AssetStore
-    seed: int = 0
-    settles: bool = True
-    certify: Certify | None = None
-    seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("propose", "retrieve", "flow", "certify"), 0.0))
 
-    def propose(self, questions: Sequence[Propose], /) -> Conversation[Proposal, Propose]:
-        """Objects of stages: what is asked for later joins what the engine is still busy with."""
-        began = perf_counter()
-        talk = self.reasoner.converse([(q.ask, q.seed) for q in questions])
-        found = next(talk, None)
-        while found is not None:
-            self.seconds["propose"] += perf_counter() - began
-            more = yield found
-            began = perf_counter()
-            try:
-                found = talk.send([(q.ask, q.seed) for q in more])
-            except StopIteration:
-                found = None
-        self.seconds["propose"] += perf_counter() - began
-
-    def retrieve(self, questions: Sequence[Retrieve], /) -> list[Furnished]:
-        """Assets of objects, all of them looked for at once."""
-        began = perf_counter()
-        found = furnish([q.scene for q in questions], self.retriever, self.seed, self.store.fault_of)
-        self.seconds["retrieve"] += perf_counter() - began
-        return found
-
-    def correct(self, questions: Sequence[Correct], /) -> list[Correction]:
-        """Clean poses of scenes: the flow moves all of them as one batch, each is certified alone."""
-        began = perf_counter()
-        resolved = [self.store.resolved(q.scene)[:2] for q in questions]
-        fixed = [q.fixed for q in questions]
-        scenes, shapes = [scene for scene, _ in resolved], [shapes for _, shapes in resolved]
-        raws = self.corrector.raw(scenes, shapes, fixed)
-        self.seconds["flow"] += perf_counter() - began
-        began = perf_counter()
-        certify = self.certify or self.certified
-        asked = [
-            Certifying(scene, raw, q.fixed, q.new, q.is_last and self.settles)
-            for q, scene, raw in zip(questions, scenes, raws, strict=True)
-        ]
-        found = [certify(each) for each in asked]
-        self.seconds["certify"] += perf_counter() - began
-        return found
-
-    def certified(self, asked: Certifying) -> Correction:
-        """One scene, certified here; what nobody foresaw keeps it out, and no other.
+    def __call__(self, asked: Certifying) -> Correction:
+        """One scene; what nobody foresaw keeps it out, and no other.
 
         Raises:
             ConfigError: The run itself cannot go on.
@@ -134,6 +82,66 @@ class OwnAnswers:
         options = replace(self.corrector.options, fixed=fixed)
         done = told(came, certified_from(let.scene, raw, shapes, options), named(let.scene, shapes), raw=asked.raw)
         return steadied(self.corrector, done, came, fixed, self.store) if asked.settles else done
+
+
+@dataclass(slots=True, eq=False)
+class OwnAnswers:
+    """Answers from this process, in batches.
+
+    Attributes:
+        reasoner: Proposes objects.
+        retriever: Finds assets.
+        certifier: Corrects scenes.
+        seed: Decides among assets that are as good.
+        settles: Whether the physics engine is asked of the last correction of a scene.
+        certify: Certifies one scene instead; None: the certifier.
+        seconds: Spent on each kind of question so far.
+    """
+
+    reasoner: SemanticReasoner
+    retriever: Retriever
+    certifier: Certifier
+    seed: int = 0
+    settles: bool = True
+    certify: Certify | None = None
+    seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("propose", "retrieve", "flow", "certify"), 0.0))
+
+    def propose(self, questions: Sequence[Propose], /) -> Conversation[Proposal, Propose]:
+        """Objects of stages: what is asked for later joins what the engine is still busy with."""
+        began = perf_counter()
+        talk = self.reasoner.converse([(q.ask, q.seed) for q in questions])
+        found = next(talk, None)
+        while found is not None:
+            self.seconds["propose"] += perf_counter() - began
+            more = yield found
+            began = perf_counter()
+            try:
+                found = talk.send([(q.ask, q.seed) for q in more])
+            except StopIteration:
+                found = None
+        self.seconds["propose"] += perf_counter() - began
+
+    def retrieve(self, questions: Sequence[Retrieve], /) -> list[Furnished]:
+        """Assets of objects, all of them looked for at once."""
+        began = perf_counter()
+        found = furnish([q.scene for q in questions], self.retriever, self.seed, self.certifier.store.fault_of)
+        self.seconds["retrieve"] += perf_counter() - began
+        return found
+
+    def correct(self, questions: Sequence[Correct], /) -> Iterator[Correction]:
+        """Clean poses of scenes: the flow moves all of them as one batch, each is certified alone."""
+        began = perf_counter()
+        resolved = [self.certifier.store.resolved(q.scene)[:2] for q in questions]
+        fixed = [q.fixed for q in questions]
+        scenes, shapes = [scene for scene, _ in resolved], [shapes for _, shapes in resolved]
+        raws = self.certifier.corrector.raw(scenes, shapes, fixed)
+        self.seconds["flow"] += perf_counter() - began
+        certify = self.certify or self.certifier
+        for q, scene, raw in zip(questions, scenes, raws, strict=True):
+            began = perf_counter()
+            found = certify(Certifying(scene, raw, q.fixed, q.new, q.is_last and self.settles))
+            self.seconds["certify"] += perf_counter() - began
+            yield found
 
 
 def unanswered(asked: Certifying, reason: str) -> Correction:

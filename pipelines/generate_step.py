@@ -18,7 +18,7 @@ from models.dual_system import Generated, Turn, dual_system
 from models.physics_corrector.certify import CertifyOptions
 from models.physics_corrector.corrector import Correction, PhysicsCorrector, with_movement
 from models.physics_corrector.learned import load_flow
-from models.scheduler import together
+from models.scheduler import Queues, together
 from models.semantic_reasoner.assembly import load_reasoner
 from models.semantic_reasoner.categories import CategoryStatistics
 from models.semantic_reasoner.engine import OFF
@@ -28,10 +28,11 @@ from models.semantic_reasoner.staged import LayoutTask
 from models.semantic_reasoner.start_relations import relations_not_held
 from pipelines.asset_shelf import AssetShelf
 from pipelines.engine_pool import PooledEngine
-from pipelines.generate_answers import NOT_OF_A_SCENE, Certifying, OwnAnswers, unanswered
+from pipelines.generate_answers import NOT_OF_A_SCENE, Certifier, Certifying, OwnAnswers, unanswered
 from pipelines.generate_settings import GenerateSettings
 from pipelines.generate_tasks import Task
 from pipelines.job import Rows, rows_or_failure, unexpected
+from pipelines.live import Tally, Telling
 from pipelines.progress import Progress
 from pipelines.runner import Apart, Loss, limited
 from pipelines.scene_step import Related, SceneSettings, duplicate_group, related, split_of, with_counts
@@ -95,6 +96,7 @@ class GenerateWork:
         settings: The job's settings.
         fingerprint: Content of the inputs: what a process keeps of one is not used for another in the same place.
         pool: Engines that are shared; None: a process has its own.
+        tally: Told where the scenes of a shard are; None: nobody looks.
     """
 
     TABLES: ClassVar = ("warnings", "failures", "turns", "settled", "rejected", "scenes")
@@ -104,6 +106,7 @@ class GenerateWork:
     settings: GenerateSettings
     fingerprint: str = ""
     pool: PooledEngine | None = field(default=None, compare=False)
+    tally: Tally | None = field(default=None, compare=False)
 
     def __call__(self, shard: SceneShard[Task], *, isolated: bool = False) -> tuple[int, int]:
         """Makes the scenes of a shard and puts its tables in place; gives how many there are and how many of them failed.
@@ -111,17 +114,19 @@ class GenerateWork:
         Raises:
             ConfigError: The engine answers nothing any more (``engine_off``).
         """
-        with Apart(partial(_prepare, self)) as apart:
-            return self._made(shard, apart if isolated else None)
+        with Apart(partial(_prepare, self._physics())) as apart, Telling(self.tally, shard.shard_id) as tell:
+            return self._made(shard, apart if isolated else None, tell)
 
-    def _made(self, shard: SceneShard[Task], apart: Apart | None) -> tuple[int, int]:
+    def _made(self, shard: SceneShard[Task], apart: Apart | None, tell: Telling) -> tuple[int, int]:
+        tell(to_begin=len(shard))
         began, opened = perf_counter(), _opened(self)
         seconds = opened.answers.seconds
         seconds.update(dict.fromkeys(seconds, 0.0))
         opened.answers.certify = partial(self._certified, apart=apart)
         rows: dict[str, list[tables.Row]] = defaultdict(list)
         tasks = list(self._tasks(shard, rows))
-        for made in self._generated(tasks, opened):
+        for number, made in enumerate(self._generated(tasks, opened, tell)):
+            tell(to_judge=len(tasks) - number)
             if off := next((turn.proposal for turn in made.turns if turn.proposal.code in OFF), None):
                 raise ConfigError(
                     f"{made.task.scene_id}: {off.failure}; what is done is kept, run again to go on", "engine_off"
@@ -143,12 +148,15 @@ class GenerateWork:
             except SceneError as error:
                 rows["failures"].append(tables.notice_row(Notice(task.scene_id, "tasks", error.code, str(error))))
 
-    def _generated(self, tasks: Sequence[LayoutTask], opened: Opened) -> Iterator[Generated]:
+    def _generated(self, tasks: Sequence[LayoutTask], opened: Opened, tell: Telling) -> Iterator[Generated]:
         """What becomes of tasks: made side by side, or one by one where something unforeseen ends that, which costs its scene."""
 
         def made(some: Sequence[LayoutTask]) -> list[Generated]:
             loops = [dual_system(t, named_seed(seed, t.scene_id), settings, opened.statistics) for t in some]
-            return together(loops, opened.answers)
+            return together(loops, opened.answers, watch)
+
+        def watch(queues: Queues) -> None:
+            tell(at_the_reasoner=queues.reasoner, at_the_corrector=queues.corrector, to_judge=queues.made)
 
         settings, seed = self.settings.loop, self.settings.seed
         try:
@@ -172,11 +180,15 @@ class GenerateWork:
         seconds = self.settings.seconds_per_item
         if apart is None:
             with limited(seconds):
-                return _opened(self).answers.certified(asked)
-        found = apart.call(partial(_certify, self), asked, seconds=seconds)
+                return _opened(self).answers.certifier(asked)
+        found = apart.call(partial(_certify, self._physics()), asked, seconds=seconds)
         if isinstance(found, Loss):
             return unanswered(asked, f"the correction {str(found).replace('_', ' ')} ({seconds:g} s are allowed)")
         return found
+
+    def _physics(self) -> "GenerateWork":
+        """The work for a process that corrects alone: it is no worker of Ray, and reaches none of what the workers share."""
+        return replace(self, pool=None, tally=None)
 
     def _rows(self, made: Generated) -> Rows:
         """All rows of one scene."""
@@ -197,7 +209,7 @@ class GenerateWork:
         """The rows of a scene that was made: accepted, or rejected and said why."""
         opened, name = _opened(self), scene.scene_id
         progress.step = "mesh"
-        scene, shapes, notices = opened.answers.store.resolved(scene)
+        scene, shapes, notices = opened.answers.certifier.store.resolved(scene)
         progress.step = "audit"
         posed = PosedScene(scene, shapes)
         audit = audit_posed(posed) if made.correction is None else made.correction.audit or audit_posed(posed)
@@ -210,7 +222,7 @@ class GenerateWork:
         progress.step = "settle"
         rest, why_not = self._settled(made.correction, scene, shapes)
         progress.step = "card"
-        card = _with_movement(with_counts(audit.card(), scene), made.start, scene, posed, audit, opened.answers.store)
+        card = _with_movement(with_counts(audit.card(), scene), made.start, scene, posed, audit, opened.answers.certifier.store)
         card, not_as_said = _with_alignment(card, seen, containers, opened.statistics)
         if rest is not None:
             card = _with_rest(card, rest)
@@ -247,18 +259,30 @@ class GenerateWork:
         if correction is not None and correction.rest is not None:
             return correction.rest, ""  # it was asked of this very scene
         try:
-            return settle(bodies_of(scene, shapes, _opened(self).answers.store), scene.table), ""
+            return settle(bodies_of(scene, shapes, _opened(self).answers.certifier.store), scene.table), ""
         except MeshError as error:
             return None, str(error)
 
 
 def _prepare(work: GenerateWork) -> None:
     """Opens what a correction needs, outside of its time."""
-    _opened(work)
+    _apart(work)
 
 
 def _certify(work: GenerateWork, asked: Certifying) -> Correction:
-    return _opened(work).answers.certified(asked)
+    return _apart(work)(asked)
+
+
+@lru_cache(maxsize=1)
+def _apart(work: GenerateWork) -> Certifier:
+    return _certifier(work.settings, AssetShelf(work.assets))
+
+
+def _certifier(settings: GenerateSettings, shelf: AssetShelf) -> Certifier:
+    options = CertifyOptions(depth=_DEPTH, places=_PLACES, twice=False)
+    return Certifier(
+        PhysicsCorrector(load_flow(settings.weights, settings.steps), options, judges_raw=False), AssetStore(shelf)
+    )
 
 
 @lru_cache(maxsize=1)
@@ -266,12 +290,8 @@ def _opened(work: GenerateWork) -> Opened:
     settings = work.settings
     shelf = AssetShelf(work.assets)
     reasoner, statistics = load_reasoner(settings.engine, settings.reasoner, work.pool)
-    corrector = PhysicsCorrector(
-        load_flow(settings.weights, settings.steps), CertifyOptions(depth=_DEPTH, places=_PLACES, twice=False), judges_raw=False
-    )
-    answers = OwnAnswers(
-        reasoner, shelf.retriever(settings.retrieval), corrector, AssetStore(shelf), settings.seed, settings.settle
-    )
+    retriever, certifier = shelf.retriever(settings.retrieval), _certifier(settings, shelf)
+    answers = OwnAnswers(reasoner, retriever, certifier, settings.seed, settings.settle)
     return Opened(answers, shelf, statistics)
 
 

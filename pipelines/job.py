@@ -3,12 +3,10 @@
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from time import perf_counter
 from typing import Any, Protocol, TypeAlias, TypeVar
 
-from tqdm import tqdm
-
 import stable_data
+from pipelines.live import LiveBar, Tally
 from pipelines.progress import Progress
 from pipelines.runner import Loss, Work, Workers, alone
 from stable_data import tables
@@ -133,6 +131,7 @@ def run_missing(
     workers: Workers,
     name: str,
     unit: str = "item",
+    tally: Tally | None = None,
 ) -> None:
     """Does the shards whose tables are not all in place.
 
@@ -144,20 +143,16 @@ def run_missing(
         workers: Who does it.
         name: Of the job, on the progress bar.
         unit: Of what is counted there.
+        tally: What the work tells of the shards that it is at; None: it tells nothing.
     """
     present = {table: folder.shard_ids(table) for table in {t for s in shards for t in tables_of(s)}}
     missing = [s for s in shards if not all(s.shard_id in present[table] for table in tables_of(s))]
-    total, failed, done, began = sum(map(len, shards)), 0, 0, perf_counter()
-    with tqdm(total=total, initial=total - sum(map(len, missing)), desc=name, unit=unit) as bar:
+    total = sum(map(len, shards))
+    with LiveBar(name, unit, total, total - sum(map(len, missing)), tally) as bar:
         for left, (size, failures) in zip(
             reversed(range(len(missing))), workers.run(work, missing) if missing else (), strict=True
         ):
-            failed += failures
-            done += size
-            bar.update(size)
-            rate = 60 * done / max(perf_counter() - began, 1e-9)
-            valid = 100 * (done - failed) / max(done, 1)
-            bar.set_postfix_str(f"{rate:.0f} a minute, {valid:.1f} % valid, {left} shards to come", refresh=False)
+            bar.count(size, failures, left)
 
 
 def check_shards(folder: RunFolder, planned: Mapping[str, set[str]]) -> None:

@@ -1,13 +1,12 @@
 """One process answers: what is to be in a cup leans in it, wherever the flow puts the cup, and stays there."""
 
 from dataclasses import replace
-from typing import Any
 
 import pytest
 
 from models.physics_corrector.certify import CertifyOptions
 from models.physics_corrector.corrector import Correction, PhysicsCorrector
-from pipelines.generate_answers import Certifying, OwnAnswers
+from pipelines.generate_answers import Certifier, Certifying
 from stable_data.mesatask.frame import rotation_matrix
 from stable_data.metrics.audit import audit_scene
 from stable_data.scene import Relation, RelationKind, Scene
@@ -15,7 +14,6 @@ from tests.models.physics_corrector.shapes import scene, store, thing
 
 pytestmark = pytest.mark.sim
 
-NOBODY: Any = None
 STICKS = frozenset({"cube_0", "cube_1"})
 FLAT = (0.0, 0.5**0.5, 0.0, 0.5**0.5)
 
@@ -31,8 +29,8 @@ def pencils() -> Scene:
 
 
 def corrected(built: Scene, *, new: frozenset[str] = STICKS, raw: Scene | None = None, settles: bool = False) -> Correction:
-    answers = OwnAnswers(NOBODY, NOBODY, PhysicsCorrector(options=CertifyOptions(twice=False)), store())
-    return answers.certified(Certifying(built, raw, frozenset(), new, settles))
+    certifier = Certifier(PhysicsCorrector(options=CertifyOptions(twice=False)), store())
+    return certifier(Certifying(built, raw, frozenset(), new, settles))
 
 
 def height_of(done: Correction, name: str) -> float:
