@@ -6,26 +6,35 @@ Every run is the command ``python -m pipelines generate`` in processes of its ow
 shards, with the start of Ray and of its workers, which opens models and libraries; assets are cut up and words encoded once a process, so
 more scenes are faster.
 
-- pipelined: two workers, 64 scenes side by side in each, those that are corrected while others are proposed.
+- pipelined: two workers, up to 64 scenes side by side in each, those that are corrected while others are proposed.
 - serial: Algorithm 1 with M = 1, one scene after the other in one process that has the whole machine.
 - in process, and on Ray with one worker: the same shards on one core; what Ray costs.
 - two plain processes: half of the same tasks each, without Ray; what two workers lose.
-- scripted: a reasoner that answers at once, tables of three things: what memory grows with, and what the driver spends.
+- scripted: a reasoner that answers at once, tables of three things: what memory grows with, and what the driver and Ray's object store
+  spend.
+
+Each figure is printed, and written, when it is there.
 """
 
 import argparse
 import json
 import os
+import resource
+import runpy
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+
+import ray
 
 from models.semantic_reasoner.prompt import WANTED
 from models.semantic_reasoner.staged import LayoutTask
@@ -137,26 +146,50 @@ def memory_of(place: Path, script: Path, count: int) -> dict[str, float]:
 
 
 def driver_of(place: Path, script: Path, count: int) -> dict[str, float]:
-    """Processor seconds of a run's driver, with a reasoner that answers at once; its workers' are not among them."""
+    """What a run's driver spends, with a reasoner that answers at once: :func:`driven` in a process of its own."""
     words = ["--count", str(count), "--engine", f"scripted:{script}", "--set", "weights=none", "--set", "settle=false"]
     words += ["--set", "accept=clean", "--workers", "2"]
-    timed = (
-        "import runpy, sys, time; sys.argv, status = ['pipelines', *sys.argv[1:]], 0\n"
-        "try: runpy.run_module('pipelines', run_name='__main__')\n"
-        "except SystemExit as end: status = end.code or 0\n"
-        "print(time.process_time())\n"
-        "sys.exit(status)"
-    )
     done = subprocess.run(
-        [sys.executable, "-c", timed, *command(place / f"driver{count}", *words)[3:]],
+        [sys.executable, "-c", "import benchmarks.generation; benchmarks.generation.driven()"],
+        input=json.dumps(command(place / f"driver{count}", *words)[3:]),
         env=os.environ | _ONE_CORE,
         capture_output=True,
         text=True,
         check=False,
     )
-    if done.returncode not in (DONE, SOME_FAILED):
+    if done.returncode:
         raise SystemExit(done.stderr.strip()[-2000:])
-    return {"scenes": count, "seconds": float(done.stdout.split()[-1])}
+    return {"scenes": count, **json.loads(done.stdout.splitlines()[-1])}
+
+
+def driven() -> None:
+    """Runs the command line that it reads, and prints what this process and Ray's object store have spent on it.
+
+    Seconds of the processor, megabytes of largest resident memory, and megabytes of objects, looked at twice a second; those of its
+    workers are not among them.
+    """
+    words, stored, end = json.loads(sys.stdin.read()), [0.0], threading.Event()
+
+    def look() -> None:
+        while not end.wait(0.5):
+            with suppress(Exception):  # Ray may not be there yet, or no more
+                there, free = (r.get("object_store_memory", 0.0) for r in (ray.cluster_resources(), ray.available_resources()))
+                stored.append(there - free)
+
+    threading.Thread(target=look, daemon=True).start()
+    sys.argv = ["pipelines", *words]
+    try:
+        runpy.run_module("pipelines", run_name="__main__")
+    except SystemExit as stop:
+        if stop.code not in (DONE, SOME_FAILED):
+            raise
+    end.set()
+    megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(
+        json.dumps(
+            {"seconds": time.process_time(), "megabytes": megabytes, "objects_mb": max(stored) / 1e6, "looks": len(stored)}
+        )
+    )
 
 
 def listing(place: Path) -> dict[str, float]:
@@ -171,52 +204,41 @@ def listing(place: Path) -> dict[str, float]:
     return {"shards": len(found), "seconds": time.perf_counter() - began}
 
 
-def measure(scenes: int, serial: int, counts: Sequence[int], weights: str) -> dict[str, Any]:
-    """All figures."""
+def figures(scenes: int, serial: int, counts: Sequence[int], weights: str) -> Iterator[tuple[str, Any]]:
+    """All figures with their names, each when it is there."""
     with tempfile.TemporaryDirectory(prefix="stable-data-") as name:
         place, script = Path(name), scripted(Path(name))
         tasks = [task if isinstance(task, LayoutTask) else task.drawn() for task in sampled(scenes).tasks]
         half = -(-scenes // 2)
 
-        def words(label: str, some: Sequence[LayoutTask], workers: int, per_shard: int = half) -> list[str]:
+        def words(label: str, some: Sequence[LayoutTask], workers: int, per_shard: int = min(64, half)) -> list[str]:
             file = tasks_file(place / f"{label}.jsonl", some)
             shards = ["--set", f"scenes_per_shard={per_shard}", "--set", f"weights={weights}"]
             return ["--tasks", str(file), "--workers", str(workers), *shards]
 
-        pipelined = run(place / "pipelined", *words("all", tasks, 2))
-        alone = run(place / "serial", *words("few", tasks[:serial], 0, 1), threads=True)
-        here = run(place / "here", *words("first", tasks[:half], 0))
-        on_ray = run(place / "ray", *words("first", tasks[:half], 1))
+        yield "pipelined", (pipelined := run(place / "pipelined", *words("all", tasks, 2)))
+        yield "serial", (alone := run(place / "serial", *words("few", tasks[:serial], 0, 1), threads=True))
+        yield "pipelined_to_serial", (pipelined.scenes / pipelined.seconds) / (alone.scenes / alone.seconds)
         plain = side_by_side(place, [words("first", tasks[:half], 0), words("second", tasks[half:], 0)])
-        memory = [memory_of(place, script, count) for count in counts]
-        driver = [driver_of(place, script, count) for count in counts]
-        found = {"pipelined": pipelined, "serial": alone, "in process": here, "on Ray": on_ray}
-        return {
-            "courses": {label: asdict(course) for label, course in found.items()},
-            "accepted_a_minute": {label: course.a_minute for label, course in found.items()},
-            "pipelined_to_serial": (pipelined.scenes / pipelined.seconds) / (alone.scenes / alone.seconds),
-            "ray_overhead": on_ray.seconds / here.seconds - 1,
-            "two_workers_to_two_processes": plain / pipelined.seconds,
-            "memory": memory,
-            "driver": driver,
-            "listing": listing(place),
-        }
+        yield "two_workers_to_two_processes", plain / pipelined.seconds
+        yield "in process", (here := run(place / "here", *words("first", tasks[:half], 0)))
+        yield "on Ray", (on_ray := run(place / "ray", *words("first", tasks[:half], 1)))
+        yield "ray_overhead", on_ray.seconds / here.seconds - 1
+        for count in counts:
+            yield f"memory, {count} scenes", memory_of(place, script, count)
+        for count in counts:
+            yield f"driver, {count} scenes", driver_of(place, script, count)
+        yield "listing", listing(place)
 
 
-def show(figures: dict[str, Any]) -> Iterable[str]:
-    """The figures as lines."""
-    for label, course in figures["courses"].items():
-        steps = ", ".join(f"{step} {seconds / course['scenes']:.2f}" for step, seconds in course["steps"].items())
-        pace = figures["accepted_a_minute"][label]
-        yield f"{label:12} {course['accepted']} of {course['scenes']} accepted, {pace:.1f} a minute; seconds a scene: {steps}"
-    yield f"pipelined to serial: {figures['pipelined_to_serial']:.2f} times"
-    yield f"Ray's overhead: {100 * figures['ray_overhead']:.1f} %"
-    yield f"two workers, of two plain processes: {100 * figures['two_workers_to_two_processes']:.1f} %"
-    for one in figures["memory"]:
-        yield f"scripted, {one['scenes']} scenes: {one['megabytes']:.0f} MB at most, {one['seconds']:.0f} s"
-    for one in figures["driver"]:
-        yield f"driver, {one['scenes']} scenes: {one['seconds']:.1f} s of its processor"
-    yield f"listing {figures['listing']['shards']} shards: {figures['listing']['seconds']:.2f} s"
+def shown(name: str, found: Any) -> str:
+    """A figure as a line."""
+    if isinstance(found, Course):
+        steps = ", ".join(f"{step} {seconds / found.scenes:.2f}" for step, seconds in found.steps.items())
+        return f"{name}: {found.accepted} of {found.scenes} accepted, {found.a_minute:.1f} a minute; seconds a scene: {steps}"
+    if isinstance(found, dict):
+        return f"{name}: " + ", ".join(f"{key} {value:g}" for key, value in found.items())
+    return f"{name}: {found:.3f}"
 
 
 def main() -> None:
@@ -230,10 +252,12 @@ def main() -> None:
     parser.add_argument("--weights", default="auto", help="the corrector's")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    figures = measure(arguments.scenes, arguments.serial_scenes, arguments.scripted, arguments.weights)
-    print("\n".join(show(figures)))
-    if arguments.json:
-        arguments.json.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
+    all_of_them: dict[str, Any] = {}
+    for name, found in figures(arguments.scenes, arguments.serial_scenes, arguments.scripted, arguments.weights):
+        print(shown(name, found), flush=True)
+        all_of_them[name] = asdict(found) | {"a_minute": found.a_minute} if isinstance(found, Course) else found
+        if arguments.json:
+            arguments.json.write_text(json.dumps(all_of_them, indent=2) + "\n", "utf-8")
 
 
 if __name__ == "__main__":

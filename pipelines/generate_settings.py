@@ -36,7 +36,7 @@ class GenerateSettings:
         keep_settled: Whether the poses in which the physics engine left the objects are kept, in the table ``settled``.
         seed: Of draws and choices; a scene's own seed follows from it and from the scene's name.
         engines: Engines that the workers share, each an actor of Ray; 0: every worker has its own.
-        engine_gpus: GPUs of each of these; may be a part of one.
+        engine_gpus: GPUs of each of these: a part of one, or whole ones.
         scenes_per_shard: Scenes that are made side by side, and kept together.
         num_pictures: Scenes drawn in the report.
         core_hour_price: What a core costs an hour, for the report's cost of a thousand scenes.
@@ -72,9 +72,10 @@ class GenerateSettings:
             found = f"scenes_per_shard is {self.scenes_per_shard}, num_pictures {self.num_pictures}, steps {self.steps}, "
             found += f"seconds_per_item {self.seconds_per_item}"
             raise ConfigError(f"{found}, expected at least 1, 0 and 0, and a positive number", "config_invalid")
-        if self.engines < 0 or not self.engine_gpus >= 0:
+        is_part_or_whole = 0 <= self.engine_gpus <= 1 or float(self.engine_gpus).is_integer()
+        if self.engines < 0 or not (self.engine_gpus >= 0 and is_part_or_whole):
             found = f"engines is {self.engines} and engine_gpus {self.engine_gpus}"
-            raise ConfigError(f"{found}, expected none negative", "config_invalid")
+            raise ConfigError(f"{found}, expected none negative, and a part of a GPU or whole ones", "config_invalid")
         _ = self.loop, self.accepting
 
     @property

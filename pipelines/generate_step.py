@@ -125,6 +125,7 @@ class GenerateWork:
         opened.answers.certify = partial(self._certified, apart=apart)
         rows: dict[str, list[tables.Row]] = defaultdict(list)
         tasks = list(self._tasks(shard, rows))
+        tell(at_once=True, at_the_reasoner=len(tasks))
         for number, made in enumerate(self._generated(tasks, opened, tell)):
             tell(to_judge=len(tasks) - number)
             if off := next((turn.proposal for turn in made.turns if turn.proposal.code in OFF), None):

@@ -108,10 +108,10 @@ class Telling:
         if self.tally is not None:
             self.tally.note(self.shard_id, {})
 
-    def __call__(self, **where: int) -> None:
-        """Tells how many items are where, unless that was told a moment ago."""
+    def __call__(self, *, at_once: bool = False, **where: int) -> None:
+        """Tells how many items are where, unless that was told a moment ago and need not be told at once."""
         now = perf_counter()
-        if self.tally is not None and now >= self._next:
+        if self.tally is not None and (at_once or now >= self._next):
             self._next = now + _TELL_SECONDS
             self.tally.note(self.shard_id, where)
 

@@ -29,7 +29,7 @@ R_co = TypeVar("R_co", covariant=True)
 T_contra = TypeVar("T_contra", contravariant=True)
 
 _AHEAD = 2  # shards in flight for each worker: the next one is there when one ends, and memory stays flat
-_ALONE_FROM = 2  # deaths of workers over a shard from which its items run one by one: the first may have come from outside
+_ALONE_FROM = 2  # deaths of workers over a shard from which it runs isolated: the first may have come from outside
 _MAX_DEATHS = 4  # of workers over one shard, before it is left to a later run
 _MAX_NODES = 8  # lost under one shard before it is left to a later run: it is hardly ever at fault, but nothing loops forever
 _LOOK_SECONDS = 10.0  # between looks at a cluster on which no shard ends
@@ -55,7 +55,7 @@ class Work(Protocol[T_contra, R_co]):
 
         Args:
             shard: The shard.
-            isolated: Workers died over this shard: run its items one by one, each in a process of its own.
+            isolated: Workers died over this shard: do what may end a process in one of its own, item by item.
         """
         ...
 
@@ -152,8 +152,8 @@ class _RayRun(Generic[T, R]):
                 ray.shutdown()
         if lost:
             raise ConfigError(
-                f"{len(lost)} of {len(self._shards)} shards were lost, each with {_MAX_DEATHS} workers although their items ran "
-                f"one by one in the end, or with {_MAX_NODES} nodes: {', '.join(lost[:3])}{', …' if len(lost) > 3 else ''}; free "
+                f"{len(lost)} of {len(self._shards)} shards were lost, each with {_MAX_DEATHS} workers although each of their items had a "
+                f"process of its own in the end, or with {_MAX_NODES} nodes: {', '.join(lost[:3])}{', …' if len(lost) > 3 else ''}; free "
                 "memory or take fewer workers and run again: finished shards are kept",
                 "worker_lost",
             )

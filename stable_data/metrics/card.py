@@ -37,7 +37,7 @@ class MetricCard:
         settle_move_max_mm: Farthest that an object ever was from its start.
         settle_turn_max_deg: Farthest that an object ever was turned from its start, degrees.
         drift_mm: Farthest that an object went after the settling.
-        jitter_mm: Farthest that an object was from its own mean position in the last second.
+        jitter_mm: Farthest that an object was from its own mean position in the last second; what sleeps does not tremble.
         stable: Nothing moved more than 10 mm, turned more than 5 degrees or drifted 50 mm in it.
     """
 

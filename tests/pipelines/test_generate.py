@@ -292,6 +292,8 @@ def test_a_training_job_reads_the_run(made: Path) -> None:
         ({"scenes_per_shard": 0}, "scenes_per_shard is 0"),
         ({"seconds_per_item": float("nan")}, "seconds_per_item nan"),
         ({"earlier_move": -1.0}, "earlier_move -1"),
+        ({"engines": 1, "engine_gpus": 1.5}, "engine_gpus 1.5, .* a part of a GPU or whole ones"),
+        ({"engines": 1, "engine_gpus": float("nan")}, "engine_gpus nan"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(change: dict[str, Any], message: str) -> None:
