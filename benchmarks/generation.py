@@ -12,6 +12,8 @@ more scenes are faster.
 - two plain processes: half of the same tasks each, without Ray; what two workers lose.
 - scripted: a reasoner that answers at once, tables of three things: what memory grows with, and what the driver and Ray's object store
   spend.
+- elsewhere: the same reasoner behind an endpoint, one batch of up to 64 at a time and some seconds each, as a GPU that the workers
+  share would take; asked by the worker itself, which waits, and by an engine beside it, so that it corrects another shard meanwhile.
 
 Each figure is printed, and written, when it is there.
 """
@@ -27,16 +29,20 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import ray
 
+from models.semantic_reasoner.chat_server import serve
+from models.semantic_reasoner.engine import Completion, Request
 from models.semantic_reasoner.prompt import WANTED
+from models.semantic_reasoner.scripted_engine import ScriptedEngine
 from models.semantic_reasoner.staged import LayoutTask
 from pipelines.asset_shelf import AssetShelf
 from pipelines.generate_step import TIMING_FOLDER
@@ -76,15 +82,23 @@ def command(out: Path, *words: str) -> list[str]:
     return [sys.executable, "-m", "pipelines", "generate", "--out", str(out), *words, "--set", "num_pictures=0"]
 
 
-def run(out: Path, *words: str, threads: bool = False) -> Course:
-    """One run of the job; its status has to be 0 or 1."""
+def run(out: Path, *words: str, threads: bool = False, cores: Set[int] | None = None) -> Course:
+    """One run of the job, on some cores or on all; its status has to be 0 or 1."""
     environment = os.environ | ({} if threads else _ONE_CORE)
     if threads:
         environment = {key: value for key, value in environment.items() if key not in _ONE_CORE}
-    done = subprocess.run(command(out, *words), env=environment, capture_output=True, text=True, check=False)
+    keep = None if cores is None else partial(os.sched_setaffinity, 0, cores)
+    done = subprocess.run(command(out, *words), env=environment, capture_output=True, text=True, check=False, preexec_fn=keep)
     if done.returncode not in (DONE, SOME_FAILED):
         raise SystemExit(done.stderr.strip()[-2000:])
-    return course_of(out)
+    return checked(course_of(out))
+
+
+def checked(course: Course) -> Course:
+    """A run in which all came to something; one in which nothing does is fast."""
+    if course.accepted < 0.9 * course.scenes:
+        raise SystemExit(f"{course.accepted} of {course.scenes} scenes are accepted, expected nine in ten at least")
+    return course
 
 
 def course_of(out: Path) -> Course:
@@ -142,6 +156,7 @@ def memory_of(place: Path, script: Path, count: int) -> dict[str, float]:
     _, status, used = os.wait4(child.pid, 0)
     if os.waitstatus_to_exitcode(status) not in (DONE, SOME_FAILED):
         raise SystemExit(f"the scripted run of {count} ended with {os.waitstatus_to_exitcode(status)}")
+    checked(course_of(place / f"scripted{count}"))
     return {"scenes": count, "megabytes": used.ru_maxrss / 1024, "seconds": time.perf_counter() - began}
 
 
@@ -159,22 +174,23 @@ def driver_of(place: Path, script: Path, count: int) -> dict[str, float]:
     )
     if done.returncode:
         raise SystemExit(done.stderr.strip()[-2000:])
+    checked(course_of(place / f"driver{count}"))
     return {"scenes": count, **json.loads(done.stdout.splitlines()[-1])}
 
 
 def driven() -> None:
     """Runs the command line that it reads, and prints what this process and Ray's object store have spent on it.
 
-    Seconds of the processor, megabytes of largest resident memory, and megabytes of objects, looked at twice a second; those of its
-    workers are not among them.
+    Seconds of the processor, megabytes of largest resident memory, and megabytes that Ray reckons its objects to take, looked at twice
+    a second; those of its workers are not among them.
     """
-    words, stored, end = json.loads(sys.stdin.read()), [0.0], threading.Event()
+    words, end = json.loads(sys.stdin.read()), threading.Event()
+    stored: list[float] = []
 
     def look() -> None:
         while not end.wait(0.5):
-            with suppress(Exception):  # Ray may not be there yet, or no more
-                there, free = (r.get("object_store_memory", 0.0) for r in (ray.cluster_resources(), ray.available_resources()))
-                stored.append(there - free)
+            with suppress(ray.exceptions.RaySystemError, KeyError):  # Ray is not there yet, or no more
+                stored.append(ray.cluster_resources()["object_store_memory"] - ray.available_resources()["object_store_memory"])
 
     threading.Thread(target=look, daemon=True).start()
     sys.argv = ["pipelines", *words]
@@ -184,12 +200,56 @@ def driven() -> None:
         if stop.code not in (DONE, SOME_FAILED):
             raise
     end.set()
+    if len(stored) < 2:
+        raise SystemExit("nothing is known of Ray's object store: it could hardly be looked at")
     megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(
         json.dumps(
             {"seconds": time.process_time(), "megabytes": megabytes, "objects_mb": max(stored) / 1e6, "looks": len(stored)}
         )
     )
+
+
+class Unhurried:
+    """An engine that takes its time for each batch.
+
+    Attributes:
+        name: Its own.
+        repeats: Whether the same request has the same reply.
+        busy: Seconds that it has taken so far.
+    """
+
+    name, repeats = "unhurried", True
+
+    def __init__(self, engine: ScriptedEngine, batch_seconds: float) -> None:
+        self._engine, self._batch_seconds, self.busy = engine, batch_seconds, 0.0
+
+    def complete(self, requests: Sequence[Request]) -> list[Completion]:
+        """One completion for each request, after a while."""
+        time.sleep(self._batch_seconds)
+        self.busy += self._batch_seconds
+        return self._engine.complete(requests)
+
+
+def elsewhere(place: Path, script: Path, scenes: int, batch_seconds: float) -> dict[str, float]:
+    """How busy an endpoint and one core are: with the core waiting for it, and with an engine that waits in its place.
+
+    The run has one core of this machine, whatever Ray reckons with.
+    """
+    cores = {min(os.sched_getaffinity(0))}
+    found: dict[str, float] = {"scenes": scenes, "seconds_a_batch": batch_seconds}
+    for label, engines in (("waiting", 0), ("shared", 1)):
+        engine = Unhurried(ScriptedEngine.from_file(script), batch_seconds)
+        with serve(engine, max_wait_s=0.25) as server:
+            words = ["--count", str(scenes), "--workers", "1", "--engine", "openai:unhurried", "--set", f"engines={engines}"]
+            words += ["--set", f"engine.http.base_url={server.url}", "--set", "engine.http.concurrency=64"]
+            words += ["--set", "weights=none", "--set", "settle=false", "--set", "accept=clean"]
+            course = run(place / f"elsewhere_{label}", *words, cores=cores)
+            found[f"{label}_batches"] = len(server.batcher.sizes)
+        corrector = sum(seconds for step, seconds in course.steps.items() if step != "propose")
+        found |= {f"{label}_seconds": course.seconds, f"{label}_reasoner_busy": engine.busy / course.seconds}
+        found[f"{label}_corrector_busy"] = corrector / course.seconds
+    return found
 
 
 def listing(place: Path) -> dict[str, float]:
@@ -228,6 +288,7 @@ def figures(scenes: int, serial: int, counts: Sequence[int], weights: str) -> It
             yield f"memory, {count} scenes", memory_of(place, script, count)
         for count in counts:
             yield f"driver, {count} scenes", driver_of(place, script, count)
+        yield "elsewhere", elsewhere(place, script, 4 * 64, 4.0)
         yield "listing", listing(place)
 
 

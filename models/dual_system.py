@@ -255,7 +255,7 @@ class _Scene:
             if done.certified is None:
                 return Turn(wanted, proposal, furnished, corrections, done.reason, str(done.status))
             if (missing := self._missing(done)) > self.missing and attempt + 1 < self.settings.tries:
-                reason = f"{missing} things are not where the instruction says"
+                reason = f"{missing} relations do not hold that the instruction says"
                 return Turn(wanted, proposal, furnished, corrections, reason, "relation_lost")
             self.missing = missing
             scene, self.correction, self.is_at_rest = done.certified, done, is_last
@@ -290,7 +290,7 @@ class _Scene:
         return first, second
 
     def _missing(self, done: Correction) -> int:
-        """How many things are not where the instruction says: on, in or beside another, or in a corner of the table."""
+        """How many relations do not hold that the instruction says: on, in or beside a thing, or in a corner of the table."""
         said = () if done.start.task is None else done.start.task.relations
         missing = set() if done.kept is None else {r for r in done.kept.asked_missing if r in said}
         if self.statistics is not None and done.certified is not None:

@@ -6,7 +6,7 @@ up in whatever process it runs.
 
 import json
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from time import perf_counter
@@ -114,20 +114,17 @@ class GenerateWork:
         Raises:
             ConfigError: The engine answers nothing any more (``engine_off``).
         """
-        with Apart(partial(_prepare, self._physics())) as apart, Telling(self.tally, shard.shard_id) as tell:
+        with Apart(partial(_prepare, self._physics())) as apart, Telling(self.tally, shard.shard_id, begin=len(shard)) as tell:
             return self._made(shard, apart if isolated else None, tell)
 
     def _made(self, shard: SceneShard[Task], apart: Apart | None, tell: Telling) -> tuple[int, int]:
-        tell(to_begin=len(shard))
         began, opened = perf_counter(), _opened(self)
         seconds = opened.answers.seconds
         seconds.update(dict.fromkeys(seconds, 0.0))
         opened.answers.certify = partial(self._certified, apart=apart)
         rows: dict[str, list[tables.Row]] = defaultdict(list)
         tasks = list(self._tasks(shard, rows))
-        tell(at_once=True, at_the_reasoner=len(tasks))
-        for number, made in enumerate(self._generated(tasks, opened, tell)):
-            tell(to_judge=len(tasks) - number)
+        for made in self._generated(tasks, opened, tell):
             if off := next((turn.proposal for turn in made.turns if turn.proposal.code in OFF), None):
                 raise ConfigError(
                     f"{made.task.scene_id}: {off.failure}; what is done is kept, run again to go on", "engine_off"
@@ -152,20 +149,23 @@ class GenerateWork:
     def _generated(self, tasks: Sequence[LayoutTask], opened: Opened, tell: Telling) -> Iterator[Generated]:
         """What becomes of tasks: made side by side, or one by one where something unforeseen ends that, which costs its scene."""
 
-        def made(some: Sequence[LayoutTask]) -> list[Generated]:
+        def made(some: Sequence[LayoutTask], watch: Callable[[Queues], None] | None = None) -> list[Generated]:
             loops = [dual_system(t, named_seed(seed, t.scene_id), settings, opened.statistics) for t in some]
             return together(loops, opened.answers, watch)
 
         def watch(queues: Queues) -> None:
-            tell(at_the_reasoner=queues.reasoner, at_the_corrector=queues.corrector, to_judge=queues.made)
+            tell(propose=queues.reasoner, correct=queues.corrector, judge=queues.made)
 
         settings, seed = self.settings.loop, self.settings.seed
         try:
-            yield from made(tasks)
+            for number, found in enumerate(made(tasks, watch)):
+                tell(judge=len(tasks) - number)
+                yield found
         except _NOT_OF_A_SCENE:
             raise
         except Exception:  # noqa: BLE001 - which scene it was is found out below
-            for task in tasks:
+            for number, task in enumerate(tasks):
+                tell(propose=len(tasks) - number)
                 try:
                     found = made([task])[0]
                 except _NOT_OF_A_SCENE:

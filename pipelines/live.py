@@ -1,16 +1,15 @@
 """Live progress: what is in place, how fast it comes, and where the items of the shards are that are being done.
 
-All of it is for the eye: what is lost on the way to the driver is told again a moment later, and no row depends on it.
+All of it is for the eye: each worker tells once a second where its items are, whether that has changed or not, and who has not been
+heard of for a while is not counted. What is lost on the way is told again, and no row depends on it.
 """
 
 import sys
 from collections import Counter
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from threading import Event, Thread
 from time import perf_counter
-from types import TracebackType
 from typing import Any, Protocol, TypeAlias
 
 import ray
@@ -21,9 +20,13 @@ Where: TypeAlias = Mapping[str, int]
 """How many items are where, in the words of the progress bar."""
 
 _TELL_SECONDS = 1.0  # between two messages of a worker about one shard
+_SILENT_SECONDS = (
+    60.0  # after which a worker that tells nothing is taken to be lost; C code may keep it from telling for a while
+)
 _SHOW_SECONDS = 1.0  # between two looks at the tally
 _LOG_SECONDS = 30.0  # likewise where nobody looks at a terminal, and each look is a line of a log
 _PATIENCE_SECONDS = 5.0  # with a tally that does not answer
+_BAR = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} {unit}s [{elapsed}<{remaining}{postfix}]"
 
 
 class Tally(Protocol):
@@ -42,19 +45,20 @@ class Tally(Protocol):
 class OwnTally:
     """A tally in this process."""
 
-    _of: dict[str, Where] = field(default_factory=dict)
+    _of: dict[str, tuple[float, Where]] = field(default_factory=dict)
 
     def note(self, shard_id: str, where: Where) -> None:
         """Takes what a worker tells of its shard."""
-        self._of[shard_id] = where
+        self._of[shard_id] = perf_counter(), where
         if not where:
             del self._of[shard_id]
 
     def total(self) -> dict[str, int]:
-        """Items of all shards by where they are."""
+        """Items of all shards by where they are, of those that were heard of lately."""
         found: Counter[str] = Counter()
-        for where in list(self._of.values()):
-            found.update(where)
+        for told, where in list(self._of.values()):
+            if perf_counter() - told <= _SILENT_SECONDS:
+                found.update(where)
         return dict(found)
 
 
@@ -72,48 +76,61 @@ class SharedTally:
     def started(cls) -> "SharedTally":
         """One beside the driver, on the cluster that this process is connected to; it takes no core from the work."""
         here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=True)
-        return cls(ray.remote(num_cpus=0, scheduling_strategy=here)(OwnTally).remote())
+        return cls(ray.remote(num_cpus=0, max_restarts=-1, scheduling_strategy=here)(OwnTally).remote())
 
     def note(self, shard_id: str, where: Where) -> None:
         """Sends what a worker tells of its shard; waits for nothing."""
         self.actor.note.remote(shard_id, dict(where))
 
     def total(self) -> dict[str, int]:
-        """Items of all shards by where they are; none where the tally does not answer."""
-        with suppress(ray.exceptions.RayError):
-            found: dict[str, int] = ray.get(self.actor.total.remote(), timeout=_PATIENCE_SECONDS)
-            return found
-        return {}
+        """Items of all shards by where they are.
+
+        Raises:
+            RayError: The tally does not answer.
+        """
+        found: dict[str, int] = ray.get(self.actor.total.remote(), timeout=_PATIENCE_SECONDS)
+        return found
 
 
-@dataclass(slots=True)
 class Telling:
-    """Tells a tally where the items of one shard are, now and then. Used in a ``with`` statement, at whose end the shard is done.
+    """Tells a tally where the items of one shard are. Used in a ``with`` statement, at whose end the shard is done.
 
-    Attributes:
+    Args:
         tally: The tally; None: nobody looks.
         shard_id: The shard.
+        where: How many items are where at first.
     """
 
-    tally: Tally | None
-    shard_id: str
-    _next: float = 0.0
+    def __init__(self, tally: Tally | None, shard_id: str, **where: int) -> None:
+        self._tally, self._shard_id = tally, shard_id
+        self._where: Where = where
+        self._end, self._thread = Event(), Thread(target=self._tell, name="telling", daemon=True)
 
     def __enter__(self) -> "Telling":
-        """Tells nothing yet."""
+        """Begins to tell."""
+        if self._tally is not None:
+            self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         """Tells that the shard is done, or given up."""
-        if self.tally is not None:
-            self.tally.note(self.shard_id, {})
+        if self._tally is not None:
+            self._end.set()
+            self._thread.join()
 
-    def __call__(self, *, at_once: bool = False, **where: int) -> None:
-        """Tells how many items are where, unless that was told a moment ago and need not be told at once."""
-        now = perf_counter()
-        if self.tally is not None and (at_once or now >= self._next):
-            self._next = now + _TELL_SECONDS
-            self.tally.note(self.shard_id, where)
+    def __call__(self, **where: int) -> None:
+        """Takes how many items are where by now."""
+        self._where = where
+
+    def _tell(self) -> None:
+        assert self._tally is not None
+        try:
+            self._tally.note(self._shard_id, self._where)
+            while not self._end.wait(_TELL_SECONDS):
+                self._tally.note(self._shard_id, self._where)
+            self._tally.note(self._shard_id, {})
+        except Exception:  # noqa: BLE001 - nobody listens any more, and the shard goes on all the same
+            return
 
 
 class LiveBar:
@@ -128,8 +145,8 @@ class LiveBar:
     """
 
     def __init__(self, name: str, unit: str, total: int, initial: int, tally: Tally | None = None) -> None:
-        self._bar = tqdm(total=total, initial=initial, desc=name, unit=unit)
-        self._tally, self._said, self._done, self._failed = tally, "", 0, 0
+        self._bar = tqdm(total=total, initial=initial, desc=name, unit=unit, bar_format=_BAR)
+        self._tally, self._done, self._failed, self._left = tally, 0, 0, 0
         self._began, self._end = perf_counter(), Event()
         self._thread = Thread(target=self._look, name="progress", daemon=True)
 
@@ -139,12 +156,12 @@ class LiveBar:
             self._thread.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         """Leaves the bar as it is."""
         self._end.set()
         if self._tally is not None:
             self._thread.join()
-        self._bar.set_postfix_str(self._said, refresh=False)
+        self._bar.set_postfix_str(self._said({}), refresh=False)
         self._bar.close()
 
     def count(self, size: int, failures: int, left: int) -> None:
@@ -157,14 +174,26 @@ class LiveBar:
         """
         self._done += size
         self._failed += failures
-        rate = 60 * self._done / max(perf_counter() - self._began, 1e-9)
-        valid = 100 * (self._done - self._failed) / max(self._done, 1)
-        self._said = f"{rate:.0f} a minute, {valid:.1f} % valid, {left} shards to come"
-        self._bar.set_postfix_str(self._said, refresh=False)
+        self._left = left
+        self._bar.set_postfix_str(self._said({}), refresh=False)
         self._bar.update(size)
+
+    def _said(self, where: Where) -> str:
+        """What stands behind the bar; on a narrow terminal its end is cut off."""
+        now = ", ".join(f"{count} {name}" for name, count in where.items() if count)
+        if not self._done:
+            return now
+        rate = 60 * self._done / max(perf_counter() - self._began, 1e-9)
+        valid = 100 * (self._done - self._failed) / self._done
+        so_far = f"{rate:.0f}/min, {valid:.1f} % valid"
+        return "; ".join(filter(None, (so_far, now, f"{self._left} shards to come")))
 
     def _look(self) -> None:
         assert self._tally is not None
         while not self._end.wait(_SHOW_SECONDS if sys.stderr.isatty() else _LOG_SECONDS):
-            where = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in self._tally.total().items() if count)
-            self._bar.set_postfix_str("; ".join(filter(None, (self._said, where))))
+            try:
+                self._bar.set_postfix_str(self._said(self._tally.total()))
+            except ray.exceptions.RayError:
+                continue  # it is being started anew
+            except Exception:  # noqa: BLE001 - nothing can be shown any more, and the run goes on all the same
+                return

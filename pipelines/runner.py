@@ -152,8 +152,8 @@ class _RayRun(Generic[T, R]):
                 ray.shutdown()
         if lost:
             raise ConfigError(
-                f"{len(lost)} of {len(self._shards)} shards were lost, each with {_MAX_DEATHS} workers although each of their items had a "
-                f"process of its own in the end, or with {_MAX_NODES} nodes: {', '.join(lost[:3])}{', …' if len(lost) > 3 else ''}; free "
+                f"{len(lost)} of {len(self._shards)} shards were lost, each with {_MAX_DEATHS} workers although what may end one had a "
+                f"process of its own at last, or with {_MAX_NODES} nodes: {', '.join(lost[:3])}{', …' if len(lost) > 3 else ''}; free "
                 "memory or take fewer workers and run again: finished shards are kept",
                 "worker_lost",
             )

@@ -65,7 +65,9 @@ def relations_not_held(
     words = words_of(instruction)
     spoken = list(phrases(words, statistics.nouns))
     text = marked(instruction, words, spoken)
-    claims, empties = read_claims(text), emptied(text)
+    # "Some soap from the dispenser" is no soap that is there; "some pens from the cup" are.
+    parts = {k for k, p in enumerate(spoken) if words[p.first].text == "some" and not p.mention.is_plural}
+    claims, empties = [claim for claim in read_claims(text) if claim.a not in parts], emptied(text)
     corners = {k: cell for k, p in enumerate(spoken) if (cell := _corner(p.clause)) is not None}
     if not (claims or empties or corners):
         return ()  # most instructions say nothing of the start

@@ -26,6 +26,8 @@ _TAKING = r"(?<!-)\b(?:pick|take|grab|grasp|lift|get|fetch|hand|give|pass|remove
 _WISH = r"\b(?:so that|so|until|make sure|ensure)(?: that)? (?:(?:the|an?) (?:[\w-]+ ){0,3})?$"
 _FILLING = r"\b(?:fill|pour)\b[^.;]*$"
 _PARTING = r"\b(?:separate|part|tell) $"
+_PART_OF_IT = r"\b(?:drops?|bit|some|more) of $"
+_INSTEAD_OF = r"\binstead of (?:<\d+>(?:, and |, | and ))*$"
 _SPOTS = {
     "in": RelationKind.IN,
     "inside": RelationKind.IN,
@@ -62,7 +64,7 @@ the mug``."""
 
 _EMPTIED = re.compile(
     r"\b(?:(?:everything|nothing)(?: that is| should be)? (?:in|on|out of|off|from)|empty|clear(?: out)?) <(\d+)>(?! away)"
-    r"|<(\d+)> empty\b|<(\d+)>(?:,? (?:which|that) [^.;<]*(?:<\d+>)?)?\. take (?:what lies on top off|everything off)"
+    r"|<(\d+)> empty\b|<(\d+)>(?: that (?:is|are|lies|sits|stands) [^.;,]*)?\. take (?:what lies on top off|everything off)"
 )
 _ALL = re.compile(r"\b(?:everything|nothing|whatever|what|empty|clear)\b", re.IGNORECASE)
 """Words with which an instruction can speak of what it does not name; what :data:`_EMPTIED` reads has one of them."""
@@ -130,14 +132,16 @@ def _taken(marked: str) -> Iterator[Claim]:
     """Claims in words of taking away."""
     for match in _AWAY.finditer(marked):
         before = marked[: match.start()]
-        is_other = match["how"] == "from" and (match["gone"] or re.search(_FILLING, before) or re.search(_PARTING, before))
-        if is_other:  # "move a away from b", "fill a from b" and "separate a from b" do not say where a is
-            continue
+        is_other = match["gone"] or any(re.search(words, before) for words in (_FILLING, _PARTING, _PART_OF_IT))
+        if match["how"] == "from" and is_other:
+            continue  # "move a away from b", "fill a from b", "separate a from b", "get a drop of a from b" do not say where a is
         # "Lift a that is left of c off b" says it of a.
         meant = _SINGLED_OUT.search(before) or match
         yield from _claims([int(a) for a in re.findall(r"\d+", meant["a"])], _left(match), match)
     for pattern in (_AWAY_IT, _IT_AWAY, _TAKEN_OFF, _INSTEAD, _NO_MORE):
         for match in pattern.finditer(marked):
+            if pattern is _TAKEN_OFF and re.search(_INSTEAD_OF, marked[: match.start()]):
+                continue  # "instead of b. Take it out" speaks of b itself
             yield from _pairs(match, _left(match))
     for match in _OUT.finditer(marked):
         yield from _pairs(match, RelationKind.IN)

@@ -4,7 +4,7 @@ import json
 import logging
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -46,99 +46,156 @@ def settings(dataset: Path, own_cache: None, tmp_path: Path) -> GenerateSettings
     return GenerateSettings(EngineSettings(f"scripted:{script}"), weights="none", num_pictures=0)
 
 
+def until(is_so: Callable[[], bool]) -> None:
+    """Waits for another thread or process, however slow the machine is."""
+    end = time.monotonic() + 120
+    while not is_so():
+        assert time.monotonic() < end, "it never came"
+        time.sleep(0.01)
+
+
+class Kept(OwnTally):
+    """Keeps all that it is told, and knows what it was asked last."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.told: list[dict[str, int]] = []
+        self.asked: list[dict[str, int]] = []
+
+    def note(self, shard_id: str, where: Where) -> None:
+        self.told.append(dict(where))
+        super().note(shard_id, where)
+
+    def total(self) -> dict[str, int]:
+        self.asked.append(super().total())
+        return self.asked[-1]
+
+
 def test_a_tally_adds_up_what_is_told_last_of_each_shard() -> None:
     tally = OwnTally()
-    tally.note("a", {"waiting": 3})
-    tally.note("b", {"waiting": 1, "done": 2})
-    tally.note("a", {"waiting": 1, "done": 2})
-    assert tally.total() == {"waiting": 2, "done": 4}
+    tally.note("a", {"propose": 3})
+    tally.note("b", {"propose": 1, "judge": 2})
+    tally.note("a", {"propose": 1, "judge": 2})
+    assert tally.total() == {"propose": 2, "judge": 4}
     tally.note("b", {})
-    assert tally.total() == {"waiting": 1, "done": 2}
+    assert tally.total() == {"propose": 1, "judge": 2}
 
 
-def test_a_shard_is_told_of_now_and_then_and_its_end_always() -> None:
+def test_who_is_not_heard_of_any_more_is_not_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 100.0
+    monkeypatch.setattr(live, "perf_counter", lambda: now)
     tally = OwnTally()
-    with Telling(tally, "a") as tell:
-        tell(waiting=2)
-        tell(waiting=1)  # a moment later
-        assert tally.total() == {"waiting": 2}
-        tell(at_once=True, waiting=1)
-        assert tally.total() == {"waiting": 1}
-        tell._next = time.perf_counter()
-        tell(waiting=0, done=2)
-        assert tally.total() == {"waiting": 0, "done": 2}
-    assert tally.total() == {}
-    with suppress(ConfigError), Telling(tally, "a") as tell:
-        tell(waiting=2)
+    tally.note("lost", {"propose": 3})
+    now += 50
+    tally.note("alive", {"correct": 1})
+    assert tally.total() == {"propose": 3, "correct": 1}
+    now += 50
+    assert tally.total() == {"correct": 1}
+    tally.note("lost", {"propose": 2})  # another worker has it
+    assert tally.total() == {"propose": 2, "correct": 1}
+
+
+def test_a_shard_is_told_of_again_and_again_and_its_end_in_any_case(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "_TELL_SECONDS", 0.01)
+    tally = Kept()
+    with Telling(tally, "a", propose=2) as tell:
+        until(lambda: tally.told.count({"propose": 2}) > 2)
+        tell(propose=1, judge=1)
+        until(lambda: tally.told[-1] == {"propose": 1, "judge": 1})
+    assert tally.told[-1] == tally.total() == {}
+    with suppress(ConfigError), Telling(tally, "a", propose=2):
+        until(lambda: tally.total() == {"propose": 2})
         raise ConfigError("the shard is given up")
     assert tally.total() == {}
+
+
+def test_a_tally_that_is_lost_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Lost(OwnTally):
+        def note(self, shard_id: str, where: Where) -> None:
+            asked.append("note")
+            raise ConnectionError("gone")
+
+        def total(self) -> dict[str, int]:
+            asked.append("total")
+            raise ConnectionError("gone")
+
+    monkeypatch.setattr(live, "_TELL_SECONDS", 0.01)
+    monkeypatch.setattr(live, "_LOG_SECONDS", 0.01)
+    asked: list[str] = []
+    with LiveBar("generate", "scene", 1, 0, Lost()) as bar, Telling(Lost(), "a", propose=1):
+        until(lambda: set(asked) == {"note", "total"})
+        bar.count(1, 0, 0)
 
 
 def test_the_bar_shows_what_is_in_place_and_where_the_rest_is(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(live, "_LOG_SECONDS", 0.02)
-    tally = OwnTally()
+    monkeypatch.setattr(live, "_LOG_SECONDS", 0.01)
+    tally = Kept()
+    tally.note("a", {"propose": 3, "correct": 1, "judge": 0})
     with LiveBar("generate", "scene", 10, 2, tally) as bar:
-        tally.note("a", {"at_the_reasoner": 3, "at_the_corrector": 1, "to_judge": 0})
-        time.sleep(0.2)
-        assert re.search(r"generate: .* 2/10 .*3 at the reasoner, 1 at the corrector\]", capsys.readouterr().err)
-        tally.note("a", {})
+        until(lambda: len(tally.asked) > 2)  # what was heard before is shown by then
         bar.count(4, 1, 1)
-        time.sleep(0.2)
-    last = capsys.readouterr().err.strip().split("\r")[-1]
-    assert re.search(r" 6/10 .* \d+ a minute, 75\.0 % valid, 1 shards to come\]", last)
+        heard = len(tally.asked)
+        until(lambda: len(tally.asked) > heard + 1)
+        tally.note("a", {})
+    shown = capsys.readouterr().err.strip().split("\r")
+    assert any(re.search(r"generate: .* 2/10 scenes \[\S+<\S+, 3 propose, 1 correct\]$", line.rstrip()) for line in shown)
+    so_far = r"generate: .* 6/10 scenes \[\S+<\S+, \d+/min, 75\.0 % valid; "
+    assert any(re.search(so_far + r"3 propose, 1 correct; 1 shards to come\]$", line.rstrip()) for line in shown)
+    assert re.search(so_far + r"1 shards to come\]$", shown[-1])
 
 
 @pytest.mark.ray
-def test_workers_tell_a_tally_on_ray_and_a_lost_one_holds_nothing_up(own_ray: None) -> None:
+def test_workers_tell_a_tally_on_ray_which_is_there_again_when_it_is_lost(own_ray: None) -> None:
     tally = SharedTally.started()
-    tally.note("a", {"waiting": 3})
-    assert tally.total() == {"waiting": 3}
-    ray.kill(tally.actor)
-    tally.note("a", {"waiting": 2})
+    tally.note("a", {"propose": 3})
+    assert tally.total() == {"propose": 3}
+    ray.kill(tally.actor, no_restart=False)
+
+    def has(where: dict[str, int]) -> bool:
+        with suppress(ray.exceptions.RayError):
+            return tally.total() == where
+        return False
+
+    until(lambda: has({}))  # another, that has heard of nothing
+    with Telling(tally, "a", propose=2):
+        until(lambda: has({"propose": 2}))
     assert tally.total() == {}
 
 
 @pytest.mark.ray
+@pytest.mark.parametrize("workers", [Workers(), Workers(1)], ids=["here", "ray"])
 def test_a_run_tells_where_its_scenes_are(
+    workers: Workers, settings: GenerateSettings, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[dict[str, int]] = []
+
+    def look(bar: LiveBar) -> None:
+        assert bar._tally is not None
+        while not seen and not bar._end.wait(0.01):
+            seen.extend(filter(None, [bar._tally.total()]))
+
+    monkeypatch.setattr(LiveBar, "_look", look)
+    generate(Tasks("tasks", list(TASKS)), str(tmp_path / "out"), settings, workers, [str(dataset)])
+    assert sum(seen[0].values()) == 2
+
+
+def test_scenes_are_told_of_where_they_are(
     settings: GenerateSettings, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(live, "_TELL_SECONDS", 0.0)
-    for name, workers in (("here", Workers()), ("ray", Workers(1))):
-        told: list[dict[str, int]] = []
-        monkeypatch.setattr(live.LiveBar, "_look", lambda bar, told=told: told.extend(looks(bar)))
-        generate(Tasks("tasks", list(TASKS)), str(tmp_path / name), settings, workers, [str(dataset)])
-        assert {"to_begin": 2} in told  # which lasts, while the worker opens what it needs
-
-
-def test_scenes_are_told_of_where_they_are(settings: GenerateSettings, dataset: Path, tmp_path: Path) -> None:
-    told: list[Where] = []
-
-    class Kept(OwnTally):
-        def note(self, shard_id: str, where: Where) -> None:
-            told.append(where)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(live, "_TELL_SECONDS", 0.0)
-        GenerateWork(str(tmp_path), (str(dataset),), settings, tally=Kept())(SceneShard("0" * 16, TASKS))
-    assert [dict(where) for where in told[:2]] == [{"to_begin": 2}, {"at_the_reasoner": 2}]
-    queues = [tuple(where.values()) for where in told if len(where) == 3]
-    assert list(dict.fromkeys(queues)) == [
-        (2, 0, 0),
-        (1, 1, 0),
-        (0, 2, 0),
-        (0, 1, 1),
-        (0, 0, 2),
+    queues: list[dict[str, int]] = []
+    monkeypatch.setattr(Telling, "__call__", lambda _, **where: queues.append(where))
+    GenerateWork(str(tmp_path), (str(dataset),), settings)(SceneShard("0" * 16, TASKS))
+    assert [k for n, k in enumerate(queues) if k not in queues[:n]] == [
+        {"propose": 2, "correct": 0, "judge": 0},
+        {"propose": 1, "correct": 1, "judge": 0},
+        {"propose": 0, "correct": 2, "judge": 0},
+        {"propose": 0, "correct": 1, "judge": 1},
+        {"propose": 0, "correct": 0, "judge": 2},
+        {"judge": 2},
+        {"judge": 1},
     ]
-    assert [dict(where) for where in told[-3:]] == [{"to_judge": 2}, {"to_judge": 1}, {}]
-
-
-def looks(bar: LiveBar) -> Iterator[dict[str, int]]:
-    """What the tally has said until the end."""
-    assert bar._tally is not None
-    while not bar._end.wait(0.001):
-        yield bar._tally.total()
 
 
 @pytest.mark.ray

@@ -33,6 +33,9 @@ def test_the_longest_types_are_marked_first() -> None:
         ("<3> with <0> on <1> is also in <2>.", [Claim(0, ON, 1), Claim(0, IN, 2)]),
         ("move <0> away from <1>.", []),
         ("fill <0> from <1>.", []),
+        ("get me a drop of <0> from <1>.", []),
+        ("<0> should hold <1> instead of <2>. take <3> out first.", [Claim(2, IN, 0)]),
+        ("<0> should hold <1> instead of <2> and <4>. take <3> out first.", [Claim(2, IN, 0), Claim(4, IN, 0)]),
         ("separate <0> from <1>: the former go left.", []),
         ("<0> belongs in <1> and <2> in <1>.", []),
         ("put <0> on <1>.", []),
@@ -56,6 +59,7 @@ def test_claims_are_what_the_words_presuppose(marked: str, claims: list[Claim]) 
         "i need <3>. take what lies on top off first.",
         "i need <3> that is to the right of <1>. take what lies on top off first.",
         "i need <3> that is in the front left corner. take everything off first.",
+        "i need <3> that is to the left of <1> and behind <2>. take what lies on top off first.",
     ],
 )
 def test_what_is_to_be_emptied_is_found(text: str) -> None:
