@@ -18,6 +18,9 @@ DENSITY = 400.0
 _LIGHTEST = 1e-3  # kilograms
 
 _CUT_UP: WeakKeyDictionary[AssetStore, dict[str, tuple[Mesh, ...]]] = WeakKeyDictionary()
+_PARTS: WeakKeyDictionary[Shape, tuple[Mesh, ...]] = (
+    WeakKeyDictionary()
+)  # a store has one shape for an asset at a scale and tilt
 
 
 def parts_of(o: SceneObject, shape: Shape, store: AssetStore) -> tuple[Mesh, ...]:
@@ -26,11 +29,20 @@ def parts_of(o: SceneObject, shape: Shape, store: AssetStore) -> tuple[Mesh, ...
     Args:
         o: The object, resolved: its scale is the one its mesh has (``AssetStore.resolved``).
         shape: Its geometry.
-        store: Where its mesh is; keeps its parts as long as it lives.
+        store: Where its mesh is; keeps its asset's parts as long as it lives.
+
+    Returns:
+        The same meshes each time for the same shape, so that an engine is given them once however many objects have them.
 
     Raises:
         MeshError: Nothing that has a volume could be made of the mesh.
     """
+    if shape not in _PARTS:
+        _PARTS[shape] = _parts_of(o, shape, store)
+    return _PARTS[shape]
+
+
+def _parts_of(o: SceneObject, shape: Shape, store: AssetStore) -> tuple[Mesh, ...]:
     mesh = store.mesh_of(o) if shape.is_exact else None
     if mesh is None or o.asset_id is None or o.scale is None:
         return (Mesh(shape.vertices, shape.faces),)
