@@ -86,7 +86,8 @@ def asset_shards(run: RunFolder, names: Sequence[str], fingerprint: str) -> list
     """
     uses: dict[str, UseCount] = defaultdict(UseCount)
     for name in names:
-        for batch in run.dataset(name).to_batches(columns=["objects"]):
+        # A file at a time: what is read ahead of a run of many scenes is more than all that is counted.
+        for batch in run.dataset(name).to_batches(columns=["objects"], batch_readahead=1, fragment_readahead=1):
             objects = pc.list_flatten(batch["objects"])
             columns = [pc.struct_field(objects, key).to_pylist() for key in ("asset_id", "scale", "tilt_quat_xyzw")]
             for asset_id, scale, tilt in zip(*columns, strict=True):

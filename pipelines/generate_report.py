@@ -136,24 +136,32 @@ def _quality(scenes: pl.DataFrame, rejected: pl.DataFrame) -> Iterable[str]:
 
 def _stages(folder: RunFolder, turns: pl.DataFrame) -> Iterable[str]:
     """What each stage was when it was proposed, and what became of it."""
-    cards = _frame(folder, "turns", ["stage", "card_before", "card_after"])
+    cards = [_cards(folder, column) for column in ("card_before", "card_after")]
     rows = []
     for stage in turns["stage"].unique(maintain_order=True).to_list():
-        own, of_stage = turns.filter(pl.col("stage") == stage), cards.filter(pl.col("stage") == stage)
-        before, after = (of_stage[f"card_{when}"].drop_nulls() for when in ("before", "after"))
+        own = turns.filter(pl.col("stage") == stage)
+        before_after = [card.filter(pl.col("stage") == stage) for card in cards]
         rows.append(
             (
                 stage,
                 str(own.height),
                 _mean(own["tries"], 1.0, ""),
-                *(_mean(card.struct.field("oc"), 100.0, " %") if len(card) else "unknown" for card in (before, after)),
-                *(_share(card.struct.field("clean")) if len(card) else "unknown" for card in (before, after)),
+                *(_mean(card["oc"], 100.0, " %") if card.height else "unknown" for card in before_after),
+                *(_share(card["clean"]) if card.height else "unknown" for card in before_after),
             )
         )
     yield "<h2>Stages</h2>"
     yield table(("stage", "turns", "answers a turn", "OC proposed", "OC corrected", "clean proposed", "clean corrected"), rows)
     if (codes := turns["code"].filter(turns["code"] != "")).len():
         yield bars("Why turns were not taken", codes)
+
+
+def _cards(folder: RunFolder, column: str) -> pl.DataFrame:
+    """What the page says of the cards of the turns that have one: two of their many columns, for turns are many."""
+    wanted = {"stage": pc.field("stage")} | {key: pc.field(column, key) for key in ("num_objects", "oc", "clean")}
+    frame = pl.from_arrow(folder.dataset("turns").to_table(columns=wanted))
+    assert isinstance(frame, pl.DataFrame)
+    return frame.filter(pl.col("num_objects").is_not_null())  # always known where there is a card
 
 
 def _time(spent: Counter[str]) -> Iterable[str]:
