@@ -209,12 +209,13 @@ def test_two_processes_with_sharded_weights_give_what_one_gives(
         names = ("loss/train", "gradient_norm", "validation/task")
         losses.append([event.value for name in names for event in log.Scalars(name)])
     # Muon gives small singular values of a gradient the size of the large ones, and so the rounding of its sum over processes too.
-    tolerance = 1e-2 if settings.precision == "bfloat16" else 5e-3 if settings.optimizer == "muon" else 1e-4
+    amplifies = settings.optimizer == "muon"
+    tolerance = 1e-2 if settings.precision == "bfloat16" else 5e-3 if amplifies else 1e-4
     assert losses[0] == pytest.approx(losses[1], rel=tolerance)
     here, there = weights(other), weights(out)
     assert set(here) == set(there)
     if settings.precision == "float32":
-        assert all(here[name].allclose(value, atol=2e-3) for name, value in there.items())
+        assert all(here[name].allclose(value, atol=1e-2 if amplifies else 2e-3) for name, value in there.items())
 
 
 @pytest.mark.slow
