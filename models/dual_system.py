@@ -295,6 +295,7 @@ class _Scene:
         missing = set() if done.kept is None else {r for r in done.kept.asked_missing if r in said}
         if self.statistics is not None and done.certified is not None:
             named = [o for o in done.certified.objects if o.stage is Stage.TASK]
+            # Of corners alone: what is on and in what is known of the correction, exactly.
             broken = relations_not_held(named, self.task.table, self.task.instruction, self.statistics, frozenset())
             missing |= {r for r in broken if r.kind is RelationKind.IS_AT}
         return len(missing)

@@ -109,11 +109,9 @@ def _shared(
         return
     started = connect(workers)
     try:
-        pool = (
-            engine_pool(settings.engine, settings.engines, settings.engine_gpus, may_grow=not started)
-            if settings.engines
-            else None
-        )
+        pool = None
+        if settings.engines:
+            pool = engine_pool(settings.engine, settings.engines, settings.engine_gpus, may_grow=not started)
         yield pool, SharedTally.started()
     finally:
         if started:

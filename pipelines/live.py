@@ -49,9 +49,10 @@ class OwnTally:
 
     def note(self, shard_id: str, where: Where) -> None:
         """Takes what a worker tells of its shard."""
-        self._of[shard_id] = perf_counter(), where
-        if not where:
-            del self._of[shard_id]
+        if where:
+            self._of[shard_id] = perf_counter(), where
+        else:
+            self._of.pop(shard_id, None)
 
     def total(self) -> dict[str, int]:
         """Items of all shards by where they are, of those that were heard of lately."""

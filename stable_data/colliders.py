@@ -18,9 +18,8 @@ DENSITY = 400.0
 _LIGHTEST = 1e-3  # kilograms
 
 _CUT_UP: WeakKeyDictionary[AssetStore, dict[str, tuple[Mesh, ...]]] = WeakKeyDictionary()
-_PARTS: WeakKeyDictionary[Shape, tuple[Mesh, ...]] = (
-    WeakKeyDictionary()
-)  # a store has one shape for an asset at a scale and tilt
+# A store has one shape for an asset at a scale and tilt.
+_PARTS: WeakKeyDictionary[Shape, tuple[Mesh, ...]] = WeakKeyDictionary()
 
 
 def parts_of(o: SceneObject, shape: Shape, store: AssetStore) -> tuple[Mesh, ...]:

@@ -26,7 +26,7 @@ _TAKING = r"(?<!-)\b(?:pick|take|grab|grasp|lift|get|fetch|hand|give|pass|remove
 _WISH = r"\b(?:so that|so|until|make sure|ensure)(?: that)? (?:(?:the|an?) (?:[\w-]+ ){0,3})?$"
 _FILLING = r"\b(?:fill|pour)\b[^.;]*$"
 _PARTING = r"\b(?:separate|part|tell) $"
-_PART_OF_IT = r"\b(?:drops?|bit|some|more) of $"
+_PART_OF_IT = r"\b(?:drops?|bit) of $"
 _INSTEAD_OF = r"\binstead of (?:<\d+>(?:, and |, | and ))*$"
 _SPOTS = {
     "in": RelationKind.IN,

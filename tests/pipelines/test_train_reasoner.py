@@ -202,20 +202,22 @@ def test_two_processes_with_sharded_weights_give_what_one_gives(
     other = Path(shutil.copytree(cache, tmp_path / "other"))
     job(run, other, settings).run()
     job(run, out, settings).run(2)
-    losses = []
+    losses, norms = [], []
     for folder in (out, other):
         log = EventAccumulator(str(folder / "logs"))
         log.Reload()
-        names = ("loss/train", "gradient_norm", "validation/task")
-        losses.append([event.value for name in names for event in log.Scalars(name)])
+        losses.append([event.value for name in ("loss/train", "validation/task") for event in log.Scalars(name)])
+        norms.append([event.value for event in log.Scalars("gradient_norm")])
     # Muon gives small singular values of a gradient the size of the large ones, and so the rounding of its sum over processes too.
     amplifies = settings.optimizer == "muon"
-    tolerance = 1e-2 if settings.precision == "bfloat16" else 5e-3 if amplifies else 1e-4
+    tolerance = 1e-2 if settings.precision == "bfloat16" else 1e-4
     assert losses[0] == pytest.approx(losses[1], rel=tolerance)
+    assert norms[0][0] == pytest.approx(norms[1][0], rel=tolerance)
+    assert norms[0] == pytest.approx(norms[1], rel=5e-3 if amplifies else tolerance)
     here, there = weights(other), weights(out)
     assert set(here) == set(there)
     if settings.precision == "float32":
-        assert all(here[name].allclose(value, atol=1e-2 if amplifies else 2e-3) for name, value in there.items())
+        assert all(here[name].allclose(value, atol=5e-3 if amplifies else 2e-3) for name, value in there.items())
 
 
 @pytest.mark.slow

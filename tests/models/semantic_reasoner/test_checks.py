@@ -201,6 +201,12 @@ def test_a_later_stage_does_not_undo_what_the_instruction_says() -> None:
     assert faults(thing("apple_0", 10, 10), of=never) == []  # it was not so before
 
 
+def test_some_of_a_stuff_is_not_a_thing_that_is_there() -> None:
+    far = (PLATE, thing("mug_0", 10, 10))
+    assert soft(*far, of=ask("Take the mug from the plate.")) == {"relation_not_held"}
+    assert faults(*far, of=ask("Get me some mug from the plate.")) == []
+
+
 def test_what_shall_be_emptied_is_not_empty() -> None:
     said = ask("Take everything off the plate.")
     (found,) = faults(PLATE, MUG, of=said)

@@ -34,6 +34,7 @@ def test_the_longest_types_are_marked_first() -> None:
         ("move <0> away from <1>.", []),
         ("fill <0> from <1>.", []),
         ("get me a drop of <0> from <1>.", []),
+        ("take some of <0> from <1>.", [Claim(0, None, 1)]),
         ("<0> should hold <1> instead of <2>. take <3> out first.", [Claim(2, IN, 0)]),
         ("<0> should hold <1> instead of <2> and <4>. take <3> out first.", [Claim(2, IN, 0), Claim(4, IN, 0)]),
         ("separate <0> from <1>: the former go left.", []),
