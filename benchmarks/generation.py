@@ -6,7 +6,8 @@ Every run is the command ``python -m pipelines generate`` in processes of its ow
 shards, with the start of Ray and of its workers, which opens models and libraries; assets are cut up and words encoded once a process, so
 more scenes are faster.
 
-- pipelined: two workers, up to 64 scenes side by side in each, those that are corrected while others are proposed.
+- pipelined: two workers, a quarter of the scenes (up to 128) side by side in each, those that are corrected while others are
+  proposed.
 - serial: Algorithm 1 with M = 1, one scene after the other in one process that has the whole machine.
 - in process, and on Ray with one worker: the same shards on one core; what Ray costs.
 - two plain processes: half of the same tasks each, without Ray; what two workers lose.
@@ -45,6 +46,7 @@ from models.semantic_reasoner.prompt import WANTED
 from models.semantic_reasoner.scripted_engine import ScriptedEngine
 from models.semantic_reasoner.staged import LayoutTask
 from pipelines.asset_shelf import AssetShelf
+from pipelines.generate_settings import GenerateSettings
 from pipelines.generate_step import TIMING_FOLDER
 from pipelines.generate_tasks import sampled
 from stable_data.cli import DONE, SOME_FAILED
@@ -52,7 +54,7 @@ from stable_data.scene import Stage
 from stable_data.shards import RunFolder
 
 _ONE_CORE = {"OMP_NUM_THREADS": "1", "IGL_NUM_THREADS": "1"}
-_SHARDS_OF_A_MILLION = 15_625
+_SHARDS_OF_A_MILLION = 7_813
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,7 +273,9 @@ def figures(scenes: int, serial: int, counts: Sequence[int], weights: str) -> It
         tasks = [task if isinstance(task, LayoutTask) else task.drawn() for task in sampled(scenes).tasks]
         half = -(-scenes // 2)
 
-        def words(label: str, some: Sequence[LayoutTask], workers: int, per_shard: int = min(64, half)) -> list[str]:
+        size = min(half, GenerateSettings().of_tasks(scenes).scenes_per_shard)
+
+        def words(label: str, some: Sequence[LayoutTask], workers: int, per_shard: int = size) -> list[str]:
             file = tasks_file(place / f"{label}.jsonl", some)
             shards = ["--set", f"scenes_per_shard={per_shard}", "--set", f"weights={weights}"]
             return ["--tasks", str(file), "--workers", str(workers), *shards]

@@ -55,7 +55,7 @@ def generate(
             "engines at 0",
             "config_invalid",
         )
-    folder, places = RunFolder(out), _absolute(assets)
+    folder, places, settings = RunFolder(out), _absolute(assets), settings.of_tasks(len(tasks.tasks))
     shelf = AssetShelf(places)
     inputs = _inputs(tasks, settings, shelf)
     fingerprint, shards = content_id(inputs), _shards(tasks.tasks, settings, inputs)
@@ -120,7 +120,7 @@ def _shared(
 
 def describe_generation(tasks: Tasks, settings: GenerateSettings, assets: Sequence[str] = ()) -> dict[str, Any]:
     """What a run would do: settings, inputs and counts, for ``--dry-run``."""
-    inputs = _inputs(tasks, settings, AssetShelf(_absolute(assets)))
+    inputs, settings = _inputs(tasks, settings, AssetShelf(_absolute(assets))), settings.of_tasks(len(tasks.tasks))
     return {
         "tasks": tasks.name,
         "num_tasks": len(tasks.tasks),

@@ -1,6 +1,6 @@
 """Settings of the generate job: who proposes, how assets are chosen, how the two systems take turns, and what is accepted."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, ClassVar, cast
 
 from models.dual_system import Corrects, LoopSettings
@@ -13,6 +13,8 @@ from stable_data.errors import ConfigError
 from stable_data.query import Query, parse_query
 from stable_data.scene import Stage
 from stable_data.tables import SCHEMAS
+
+_FEWEST, _MOST = 16, 128  # scenes of a shard: with fewer the reasoner's batches are small, with more a lost worker costs much
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +39,8 @@ class GenerateSettings:
         seed: Of draws and choices; a scene's own seed follows from it and from the scene's name.
         engines: Engines that the workers share, each an actor of Ray; 0: every worker has its own.
         engine_gpus: GPUs of each of these: a part of one, or whole ones.
-        scenes_per_shard: Scenes that are made side by side, and kept together.
+        scenes_per_shard: Scenes that are made side by side, and kept together; 0: a quarter of the tasks, but 16 to 128, so that
+            small jobs keep several workers busy and large ones fill their batches.
         num_pictures: Scenes drawn in the report.
         core_hour_price: What a core costs an hour, for the report's cost of a thousand scenes.
         seconds_per_item: A correction that takes longer is given up; not watched without worker processes.
@@ -61,17 +64,17 @@ class GenerateSettings:
     seed: int = 0
     engines: int = 0
     engine_gpus: float = 0.0
-    scenes_per_shard: int = 64
+    scenes_per_shard: int = 0
     num_pictures: int = 12
     core_hour_price: float = 0.0
     seconds_per_item: float = 600.0
 
     def __post_init__(self) -> None:
         """Refuses settings that no run can follow."""
-        if self.scenes_per_shard < 1 or self.num_pictures < 0 or not self.seconds_per_item > 0 or self.steps < 0:
+        if self.scenes_per_shard < 0 or self.num_pictures < 0 or not self.seconds_per_item > 0 or self.steps < 0:
             found = f"scenes_per_shard is {self.scenes_per_shard}, num_pictures {self.num_pictures}, steps {self.steps}, "
             found += f"seconds_per_item {self.seconds_per_item}"
-            raise ConfigError(f"{found}, expected at least 1, 0 and 0, and a positive number", "config_invalid")
+            raise ConfigError(f"{found}, expected none negative, and a positive number", "config_invalid")
         is_part_or_whole = 0 <= self.engine_gpus <= 1 or float(self.engine_gpus).is_integer()
         if self.engines < 0 or not (self.engine_gpus >= 0 and is_part_or_whole):
             found = f"engines is {self.engines} and engine_gpus {self.engine_gpus}"
@@ -102,6 +105,10 @@ class GenerateSettings:
     def accepting(self) -> Query | None:
         """Which scenes are accepted; None: all."""
         return parse_query(self.accept, SCHEMAS["scenes"]) if self.accept.strip() else None
+
+    def of_tasks(self, count: int) -> "GenerateSettings":
+        """The same with as many scenes a shard as a number of tasks makes it."""
+        return replace(self, scenes_per_shard=self.scenes_per_shard or min(_MOST, max(_FEWEST, -(-count // 4))))
 
     def shaping(self) -> dict[str, Any]:
         """The settings that shape rows beside the reasoner's own: a run is resumed only under the same."""

@@ -14,7 +14,7 @@ from models.semantic_reasoner.engines import EMBEDDED, EngineSettings
 from models.semantic_reasoner.prompt import WANTED
 from models.semantic_reasoner.staged import LayoutTask
 from pipelines.asset_shelf import AssetShelf
-from pipelines.generate import generate
+from pipelines.generate import describe_generation, generate
 from pipelines.generate_settings import GenerateSettings
 from pipelines.generate_step import GenerateWork
 from pipelines.generate_tasks import Tasks, sampled
@@ -289,7 +289,7 @@ def test_a_training_job_reads_the_run(made: Path) -> None:
         ({"schedule": "task,edit"}, "schedule has 'edit'"),
         ({"schedule": "secondary"}, "expected task or whole first"),
         ({"accept": "steady"}, "names steady"),
-        ({"scenes_per_shard": 0}, "scenes_per_shard is 0"),
+        ({"scenes_per_shard": -1}, "scenes_per_shard is -1"),
         ({"seconds_per_item": float("nan")}, "seconds_per_item nan"),
         ({"earlier_move": -1.0}, "earlier_move -1"),
         ({"engines": 1, "engine_gpus": 1.5}, "engine_gpus 1.5, .* a part of a GPU or whole ones"),
@@ -299,6 +299,25 @@ def test_a_training_job_reads_the_run(made: Path) -> None:
 def test_settings_that_make_no_sense_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         GenerateSettings(**change)
+
+
+@pytest.mark.parametrize(("count", "size"), [(0, 16), (10, 16), (100, 25), (384, 96), (385, 97), (512, 128), (1_000_000, 128)])
+def test_a_small_job_has_four_shards_and_a_large_one_shards_that_fill_batches(count: int, size: int) -> None:
+    assert GenerateSettings().of_tasks(count).scenes_per_shard == size
+    assert GenerateSettings(scenes_per_shard=64).of_tasks(count).scenes_per_shard == 64
+
+
+def test_what_a_run_chose_by_itself_can_be_named_when_it_goes_on(
+    dataset: Path, settings: GenerateSettings, tmp_path: Path
+) -> None:
+    by_itself, of_sixteen, out = replace(settings, scenes_per_shard=0), replace(settings, scenes_per_shard=16), tmp_path / "out"
+    generate(MIXED, str(out), by_itself, ALONE, [str(dataset)], report=False)
+    was = content(out)
+    generate(MIXED, str(out), of_sixteen, ALONE, [str(dataset)], report=False)
+    assert content(out) == was
+    plans = [describe_generation(MIXED, each, [str(dataset)]) for each in (by_itself, of_sixteen)]
+    assert plans[0] == plans[1]
+    assert plans[0]["num_shards"] == 1
 
 
 def test_no_task_at_all_is_refused_before_anything_is_written(settings: GenerateSettings, tmp_path: Path) -> None:
