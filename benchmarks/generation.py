@@ -8,7 +8,8 @@ more scenes are faster.
 
 - pipelined: two workers, a quarter of the scenes (up to 128) side by side in each, those that are corrected while others are
   proposed.
-- serial: Algorithm 1 with M = 1, one scene after the other in one process that has the whole machine.
+- serial: Algorithm 1 with M = 1, one scene after the other in one process, with as many threads as the machine has cores and with
+  one; the faster of both is compared with.
 - in process, and on Ray with one worker: the same shards on one core; what Ray costs.
 - two plain processes: half of the same tasks each, without Ray; what two workers lose.
 - scripted: a reasoner that answers at once, tables of three things: what memory grows with, and what the driver and Ray's object store
@@ -281,8 +282,10 @@ def figures(scenes: int, serial: int, counts: Sequence[int], weights: str) -> It
             return ["--tasks", str(file), "--workers", str(workers), *shards]
 
         yield "pipelined", (pipelined := run(place / "pipelined", *words("all", tasks, 2)))
-        yield "serial", (alone := run(place / "serial", *words("few", tasks[:serial], 0, 1), threads=True))
-        yield "pipelined_to_serial", (pipelined.scenes / pipelined.seconds) / (alone.scenes / alone.seconds)
+        yield "serial", (wide := run(place / "serial", *words("few", tasks[:serial], 0, 1), threads=True))
+        yield "serial, one thread", (narrow := run(place / "narrow", *words("few", tasks[:serial], 0, 1)))
+        seconds = min(wide.seconds / wide.scenes, narrow.seconds / narrow.scenes)
+        yield "pipelined_to_serial", seconds * pipelined.scenes / pipelined.seconds
         plain = side_by_side(place, [words("first", tasks[:half], 0), words("second", tasks[half:], 0)])
         yield "two_workers_to_two_processes", plain / pipelined.seconds
         yield "in process", (here := run(place / "here", *words("first", tasks[:half], 0)))

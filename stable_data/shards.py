@@ -15,10 +15,10 @@ import json
 import os
 import re
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -33,7 +33,10 @@ MAX_BYTES = 96 * 10**6
 """A file holds at most this much before compression, so it stays under 100 MB."""
 
 _ROW_GROUP = 1024
+_FILES_AT_ONCE = 32
 _PART = re.compile(r"part-([^-]+)(?:-(\d+))?\.parquet")
+
+T = TypeVar("T")
 
 
 def content_id(*parts: Any) -> str:
@@ -211,21 +214,33 @@ class RunFolder:
         check_version(schema, f"{self.uri}/{table}")
         return ds.dataset(files, format="parquet", filesystem=self.filesystem, schema=SCHEMAS[table])
 
+    def parts(self, table: str) -> Iterator[ds.Dataset]:
+        """A table of the run, some files at a time: a dataset keeps the footer of each file that it has read, and runs have many.
+
+        Raises:
+            ConfigError: As :meth:`dataset`.
+        """
+        files = self.dataset(table).files
+        for start in range(0, len(files), _FILES_AT_ONCE):
+            part = files[start : start + _FILES_AT_ONCE]
+            yield ds.dataset(part, format="parquet", filesystem=self.filesystem, schema=SCHEMAS[table])
+
     def table(self, table: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None) -> pa.Table:
         """A table of the run, or those of its columns and rows that are asked for; see :meth:`dataset`."""
-        dataset = self.dataset(table)
-        try:
-            return dataset.to_table(columns=None if columns is None else list(columns), filter=where)
-        except (pa.ArrowException, OSError) as error:
-            raise unreadable(self.uri, self._broken(dataset.files) or table, error) from error
+        wanted = None if columns is None else list(columns)
+        return pa.concat_tables(self._read(table, lambda part: part.to_table(wanted, filter=where, cache_metadata=False)))
 
     def num_rows(self, table: str) -> int:
         """Number of rows of a table of the run; see :meth:`dataset`."""
-        dataset = self.dataset(table)
-        try:
-            return int(dataset.count_rows())
-        except (pa.ArrowException, OSError) as error:
-            raise unreadable(self.uri, self._broken(dataset.files) or table, error) from error
+        return sum(self._read(table, lambda part: int(part.count_rows(cache_metadata=False))))
+
+    def _read(self, table: str, read: Callable[[ds.Dataset], T]) -> Iterator[T]:
+        """What is read of a table, part by part."""
+        for part in self.parts(table):
+            try:
+                yield read(part)
+            except (pa.ArrowException, OSError) as error:
+                raise unreadable(self.uri, self._broken(part.files) or table, error) from error
 
     def _broken(self, files: Sequence[str]) -> str | None:
         """The first file that cannot be read whole, or None."""
