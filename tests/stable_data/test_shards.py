@@ -60,6 +60,20 @@ def test_rows_come_back_in_the_order_of_the_files(run: RunFolder) -> None:
     assert run.table("warnings", ["code"]).column_names == ["code"]
 
 
+def test_a_table_of_many_files_is_read_some_at_a_time(run: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shards, "_FILES_AT_ONCE", 3)
+    names = [f"{number:02x}" for number in range(8)]
+    for name in names:
+        run.write_shard("warnings", name, warnings(name))
+    assert [len(part.files) for part in run.parts("warnings")] == [3, 3, 2]
+    assert run.table("warnings", ["id"])["id"].to_pylist() == names
+    assert run.table("warnings", where=pc.field("id") > "05")["id"].to_pylist() == ["06", "07"]
+    assert run.num_rows("warnings") == 8
+    Path(run.files("warnings")[6]).write_bytes(b"PAR1 no more")
+    with pytest.raises(ConfigError, match=r"part-06\.parquet cannot be read"):
+        run.num_rows("warnings")
+
+
 def test_a_shard_without_rows_is_complete_too(run: RunFolder) -> None:
     run.write_shard("warnings", "00", [])
     assert run.shard_ids("warnings") == {"00"}
