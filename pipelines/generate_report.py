@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-import pyarrow as pa
 import pyarrow.compute as pc
 from PIL import Image
 
@@ -160,7 +159,7 @@ def _stages(folder: RunFolder, turns: pl.DataFrame) -> Iterable[str]:
 def _cards(folder: RunFolder, column: str) -> pl.DataFrame:
     """What the page says of the cards of the turns that have one: two of their many columns, for turns are many."""
     wanted = {"stage": pc.field("stage")} | {key: pc.field(column, key) for key in ("num_objects", "oc", "clean")}
-    frame = pl.from_arrow(pa.concat_tables(part.to_table(wanted, cache_metadata=False) for part in folder.parts("turns")))
+    frame = pl.from_arrow(folder.table("turns", wanted))
     assert isinstance(frame, pl.DataFrame)
     return frame.filter(pl.col("num_objects").is_not_null())  # always known where there is a card
 

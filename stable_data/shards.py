@@ -33,7 +33,7 @@ MAX_BYTES = 96 * 10**6
 """A file holds at most this much before compression, so it stays under 100 MB."""
 
 _ROW_GROUP = 1024
-_FILES_AT_ONCE = 32
+_FILES_AT_ONCE = 32  # their footers are in memory together, and are read side by side from an object store
 _PART = re.compile(r"part-([^-]+)(?:-(\d+))?\.parquet")
 
 T = TypeVar("T")
@@ -225,9 +225,11 @@ class RunFolder:
             part = files[start : start + _FILES_AT_ONCE]
             yield ds.dataset(part, format="parquet", filesystem=self.filesystem, schema=SCHEMAS[table])
 
-    def table(self, table: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None) -> pa.Table:
-        """A table of the run, or those of its columns and rows that are asked for; see :meth:`dataset`."""
-        wanted = None if columns is None else list(columns)
+    def table(
+        self, table: str, columns: Sequence[str] | Mapping[str, pc.Expression] | None = None, where: pc.Expression | None = None
+    ) -> pa.Table:
+        """A table of the run, or those of its columns, or what is made of them, and rows that are asked for; see :meth:`dataset`."""
+        wanted = columns if columns is None or isinstance(columns, Mapping) else list(columns)
         return pa.concat_tables(self._read(table, lambda part: part.to_table(wanted, filter=where, cache_metadata=False)))
 
     def num_rows(self, table: str) -> int:
