@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
 
 from stable_data.engine import mujoco
 from stable_data.errors import MeshError
@@ -97,8 +98,9 @@ class SettleResult:
         names: The bodies, in the order given.
         positions: At the end, (N, 3) float64, metres, world frame: where the centre of the box at the start has gone.
         quats_xyzw: At the end, (N, 4) float64, unit, world from yaw frame at yaw 0; upright at the start it is the yaw alone.
-        moves: Farthest that each body ever was from its start, (N,) float64, metres.
-        turns: Farthest that each body ever was turned from its start, (N,) float64, degrees.
+        moves: Farthest that each body ever was from its start, (N,) float64, metres. Where the simulation blew up it is inf of the
+            bodies that had gone too far before (of all where none had), and NaN, unknown, of the others.
+        turns: Farthest that each body ever was turned from its start, (N,) float64, degrees, with inf and NaN as in ``moves``.
         engine_penetration_mm: Deepest contact at t = 0.
         settle_move_max_mm: Largest of ``moves``.
         settle_turn_max_deg: Largest of ``turns``.
@@ -123,9 +125,14 @@ class SettleResult:
 
     @property
     def unsteady(self) -> tuple[str, ...]:
-        """The bodies that went too far or turned too much."""
-        gone = (self.moves > MOVE_LIMIT) | (self.turns > TURN_LIMIT)
-        return tuple(name for name, is_gone in zip(self.names, gone.tolist(), strict=True) if is_gone)
+        """The bodies that went too far or turned too much; where the simulation blew up, those that are to blame."""
+        is_gone = _gone(self.moves, self.turns).tolist()
+        return tuple(name for name, gone in zip(self.names, is_gone, strict=True) if gone)
+
+    @property
+    def num_restless(self) -> int:
+        """How many bodies are not known to stay: those that are unsteady, and all where the simulation blew up or never ran."""
+        return int((~((self.moves <= MOVE_LIMIT) & (self.turns <= TURN_LIMIT))).sum())
 
 
 def settle(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = EngineOptions()) -> SettleResult:
@@ -154,15 +161,13 @@ def settle(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = Eng
         penetration = deepest_contact(data)
         settled = _run(model, data, options.settle_seconds, options, options.rest_speed)
         path = np.concatenate([start[None], settled])
-        if not np.isfinite(path).all():
-            watched = settled
-        elif options.hurries and _why_not(names, *_farthest(path), 0.0):
+        if not np.isfinite(path).all() or (options.hurries and _why_not(names, *_farthest(path), 0.0)):
             watched = settled[:0]
         else:
             let_sleep(model, options)  # not before: what only just begins to fall is as slow as what rests
             watched = _run(model, data, options.watch_seconds, options)
-    if not (np.isfinite(settled).all() and np.isfinite(watched).all()):
-        return _exploded(names, start, penetration)
+    if not (np.isfinite(path).all() and np.isfinite(watched).all()):
+        return _exploded(names, np.concatenate([path, watched])[:-1], penetration)
     return _verdict(names, path, watched, penetration, options)
 
 
@@ -369,11 +374,23 @@ def _unknown(names: tuple[str, ...], start: FloatArray, reason: str) -> SettleRe
     )
 
 
-def _exploded(names: tuple[str, ...], start: FloatArray, penetration: float) -> SettleResult:
-    nothing = np.full(len(names), np.inf)
-    reason = "the simulation blew up; are objects deep in one another?"
+def _exploded(names: tuple[str, ...], known: FloatArray, penetration: float) -> SettleResult:
+    """The verdict on a simulation that blew up after a trajectory (T, N, 7), its start included.
+
+    What had gone too far by then is to blame, for what only stands there does not blow up; where nothing had, anything may be.
+    """
+    moves, turns = _farthest(known)
+    gone = _gone(moves, turns)
+    blamed = np.where(gone | ~gone.any(), np.inf, np.nan)
+    after = _why_not(names, moves, turns, 0.0)
+    reason = "the simulation blew up" + (f" after {after}" if after else "; are objects deep in one another?")
     figures = (1e3 * penetration, None, None, None, None)
-    return SettleResult(names, start[:, :3], start[:, 3:], nothing, nothing, *figures, stable=False, reason=reason)
+    return SettleResult(names, known[0, :, :3], known[0, :, 3:], blamed, blamed, *figures, stable=False, reason=reason)
+
+
+def _gone(moves: FloatArray, turns: FloatArray) -> npt.NDArray[np.bool_]:
+    """Which bodies went too far, (N,) bool."""
+    return (moves > MOVE_LIMIT) | (turns > TURN_LIMIT)
 
 
 def _angles(first: FloatArray, second: FloatArray) -> FloatArray:

@@ -134,8 +134,8 @@ def _again(
 ) -> Correction | None:
     """The correction gone on with from a scene; None where no more of it stays then."""
     again = gone_on(corrector, done, came, scene, fixed, store)
-    return None if again is None or _num_unsteady(again.rest) >= _num_unsteady(done.rest) else again
+    return None if again is None or _num_restless(again.rest) >= _num_restless(done.rest) else again
 
 
-def _num_unsteady(rest: SettleResult | None) -> float:
-    return np.inf if rest is None or rest.stable is None else len(rest.unsteady)
+def _num_restless(rest: SettleResult | None) -> float:
+    return np.inf if rest is None or rest.stable is None else rest.num_restless

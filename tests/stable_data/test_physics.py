@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -183,6 +184,31 @@ def test_simulation_that_blows_up_fails_without_a_log_file(tmp_path: Path, monke
     assert result.stable is False
     assert "blew up" in result.reason
     assert not list(tmp_path.iterdir())
+
+
+def test_what_had_gone_too_far_before_is_to_blame_where_a_simulation_blows_up() -> None:
+    """One falls past the largest number that the engine takes; that another would have stayed is not known."""
+    falls, stays = block("falls", (9.0, 9.0, 0.05 - 1e10)), block("stays", (0.5, 0.3, 0.05))
+    result = settle([stays, falls], TABLE)
+    assert result.stable is False
+    assert result.unsteady == ("falls",)
+    assert result.num_restless == 2
+    assert re.search(r"blew up after falls moved \d", result.reason)
+    assert np.isnan([result.moves[0], result.turns[0]]).all()
+    assert result.settle_move_max_mm is None
+    np.testing.assert_array_equal(result.positions[0], stays.position)
+
+
+def test_anything_may_be_to_blame_where_nothing_had_moved_before() -> None:
+    result = settle([block("stays", (0.5, 0.3, 0.05)), block("far", (9.0, 9.0, 1e300))], TABLE, SHORT)
+    assert result.unsteady == ("stays", "far")
+
+
+def test_what_is_not_known_to_stay_is_restless() -> None:
+    falls, stays = block("a", (0.5, 0.3, 0.15)), block("b", (0.2, 0.3, 0.05))
+    assert settle([falls, stays], TABLE, SHORT).num_restless == 1
+    assert settle([stays], TABLE, SHORT).num_restless == 0
+    assert settle([stays, Body("nothing", (), 0.1, (0.5, 0.3, 0.1))], TABLE, SHORT).num_restless == 2
 
 
 def test_body_without_mass_is_unknown() -> None:

@@ -218,7 +218,7 @@ class Certifier:
                 mended = self._scene()
                 audit = audit_scene(mended, [self.shapes[k] for k in layout.present()])
                 after = verdict(mended)
-                if audit.card().clean and len(after.unsteady) <= len(rest.unsteady):
+                if audit.card().clean and after.num_restless <= rest.num_restless:
                     done, rest = self._concluded(mended, audit), after
         return replace(done, rest=rest)
 
