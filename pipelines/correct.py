@@ -162,7 +162,7 @@ def write_dataset(source: FolderSource, folder: RunFolder) -> Path:
         library = root / LIBRARY_FOLDER
         if not library.is_symlink() and (dataset.root / LIBRARY_FOLDER).is_dir():
             library.symlink_to((dataset.root / LIBRARY_FOLDER).resolve(), target_is_directory=True)
-        for batch in folder.dataset("scenes").to_batches():
+        for batch in folder.batches("scenes"):
             for row in batch.to_pylist():
                 write_scene(root, tables.scene_from_row(row), annotations=dataset.annotations)
     except OSError as error:

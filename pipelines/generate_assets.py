@@ -86,9 +86,7 @@ def asset_shards(run: RunFolder, names: Sequence[str], fingerprint: str) -> list
     """
     uses: dict[str, UseCount] = defaultdict(UseCount)
     for name in names:
-        # A file at a time: what is read ahead of a run of many scenes is more than all that is counted.
-        options = {"batch_readahead": 1, "fragment_readahead": 1, "cache_metadata": False}
-        for batch in (b for part in run.parts(name) for b in part.to_batches(columns=["objects"], **options)):
+        for batch in run.batches(name, ["objects"]):
             objects = pc.list_flatten(batch["objects"])
             columns = [pc.struct_field(objects, key).to_pylist() for key in ("asset_id", "scale", "tilt_quat_xyzw")]
             for asset_id, scale, tilt in zip(*columns, strict=True):

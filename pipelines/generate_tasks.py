@@ -120,10 +120,7 @@ def of_scenes(place: str, where: str = "") -> Tasks:
 
 def _of_run(run: RunFolder, where: str) -> Iterator[LayoutTask | Notice]:
     query = parse_query(where, tables.SCHEMAS["scenes"]) if where.strip() else None
-    rows = run.dataset("scenes").to_batches(
-        columns=tables.SCHEMAS["scenes"].names, filter=None if query is None else query.expression
-    )
-    for batch in rows:
+    for batch in run.batches("scenes", where=None if query is None else query.expression):
         for row in batch.to_pylist():
             scene = tables.scene_from_row(row)
             yield of_scene(scene) if scene.task is not None else _without_task(scene.scene_id)

@@ -1,14 +1,13 @@
 """The scenes of a run that a condition takes, as a run of their own with all that belongs to them."""
 
 import json
-from collections.abc import Iterator
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
 import stable_data
 from stable_data.errors import ConfigError
-from stable_data.query import Query, parse_query
+from stable_data.query import parse_query
 from stable_data.shards import RunFolder, content_id
 from stable_data.tables import SCHEMAS, TABLE_VERSION
 
@@ -60,7 +59,7 @@ def select(run: RunFolder, where: str, target: RunFolder) -> dict[str, int]:
     if target.read_bytes("manifest.json") is None:
         _write_manifest(target, manifest | {"status": "running"})
     scene_ids, asset_ids = set[str](), set[str]()
-    for part in _parts(run, "scenes", query):
+    for part in run.batches("scenes", ["scene_id", "objects"], query.expression):
         scene_ids.update(part["scene_id"].to_pylist())
         objects = pc.list_flatten(part["objects"])
         asset_ids.update(pc.struct_field(objects, "asset_id").drop_null().to_pylist())
@@ -82,11 +81,6 @@ def _texts(values: set[str]) -> pa.Array:
     return pa.array(sorted(values), pa.string())
 
 
-def _parts(run: RunFolder, table: str, query: Query) -> Iterator[pa.Table]:
-    for fragment in run.dataset(table).get_fragments(query.expression):
-        yield fragment.to_table(schema=SCHEMAS[table], columns=["scene_id", "objects"], filter=query.expression)
-
-
 def _write(run: RunFolder, table: str, where: pc.Expression, target: RunFolder) -> None:
     """As few shards as the size of a file allows, so that neither memory nor the number of files grows with the run."""
     there = target.shard_ids(table)
@@ -101,10 +95,9 @@ def _write(run: RunFolder, table: str, where: pc.Expression, target: RunFolder) 
         kept.clear()
         number += 1
 
-    for fragment in run.dataset(table).get_fragments(where):
-        rows = fragment.to_table(schema=SCHEMAS[table], filter=where)
-        if rows.num_rows:
-            kept.append(rows.replace_schema_metadata(SCHEMAS[table].metadata))
+    for batch in run.batches(table, where=where):
+        if batch.num_rows:
+            kept.append(pa.Table.from_batches([batch]).replace_schema_metadata(SCHEMAS[table].metadata))
         if sum(part.nbytes for part in kept) > _SHARD_BYTES:
             write()
     if kept or not number:

@@ -15,10 +15,10 @@ import json
 import os
 import re
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -35,8 +35,6 @@ MAX_BYTES = 96 * 10**6
 _ROW_GROUP = 1024
 _FILES_AT_ONCE = 32  # their footers are in memory together, and are read side by side from an object store
 _PART = re.compile(r"part-([^-]+)(?:-(\d+))?\.parquet")
-
-T = TypeVar("T")
 
 
 def content_id(*parts: Any) -> str:
@@ -214,35 +212,54 @@ class RunFolder:
         check_version(schema, f"{self.uri}/{table}")
         return ds.dataset(files, format="parquet", filesystem=self.filesystem, schema=SCHEMAS[table])
 
-    def parts(self, table: str) -> Iterator[ds.Dataset]:
-        """A table of the run, some files at a time: a dataset keeps the footer of each file that it has read, and runs have many.
+    def batches(
+        self, table: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
+    ) -> Iterator[pa.RecordBatch]:
+        """A table of the run, or those of its columns and rows that are asked for, a batch at a time; see :meth:`dataset`.
+
+        Files are read one after the other: what is read ahead of a run of many scenes is more than most want of it.
 
         Raises:
             ConfigError: As :meth:`dataset`.
         """
-        files = self.dataset(table).files
-        for start in range(0, len(files), _FILES_AT_ONCE):
-            part = files[start : start + _FILES_AT_ONCE]
-            yield ds.dataset(part, format="parquet", filesystem=self.filesystem, schema=SCHEMAS[table])
+        wanted = SCHEMAS[table].names if columns is None else list(columns)
+        ahead = {"batch_readahead": 1, "fragment_readahead": 1, "cache_metadata": False}
+        for part in self._parts(table):
+            with self._naming_what_is_broken(part):
+                yield from part.to_batches(wanted, filter=where, **ahead)
 
     def table(
         self, table: str, columns: Sequence[str] | Mapping[str, pc.Expression] | None = None, where: pc.Expression | None = None
     ) -> pa.Table:
         """A table of the run, or those of its columns, or what is made of them, and rows that are asked for; see :meth:`dataset`."""
         wanted = columns if columns is None or isinstance(columns, Mapping) else list(columns)
-        return pa.concat_tables(self._read(table, lambda part: part.to_table(wanted, filter=where, cache_metadata=False)))
+        tables = []
+        for part in self._parts(table):
+            with self._naming_what_is_broken(part):
+                tables.append(part.to_table(wanted, filter=where, cache_metadata=False))
+        return pa.concat_tables(tables)
 
     def num_rows(self, table: str) -> int:
         """Number of rows of a table of the run; see :meth:`dataset`."""
-        return sum(self._read(table, lambda part: int(part.count_rows(cache_metadata=False))))
+        count = 0
+        for part in self._parts(table):
+            with self._naming_what_is_broken(part):
+                count += int(part.count_rows(cache_metadata=False))
+        return count
 
-    def _read(self, table: str, read: Callable[[ds.Dataset], T]) -> Iterator[T]:
-        """What is read of a table, part by part."""
-        for part in self.parts(table):
-            try:
-                yield read(part)
-            except (pa.ArrowException, OSError) as error:
-                raise unreadable(self.uri, self._broken(part.files) or table, error) from error
+    def _parts(self, table: str) -> Iterator[ds.Dataset]:
+        """A table of the run, some files at a time: a dataset keeps the footer of each file that it has read, and runs have many."""
+        files = self.dataset(table).files
+        for start in range(0, len(files), _FILES_AT_ONCE):
+            part = files[start : start + _FILES_AT_ONCE]
+            yield ds.dataset(part, format="parquet", filesystem=self.filesystem, schema=SCHEMAS[table])
+
+    @contextmanager
+    def _naming_what_is_broken(self, part: ds.Dataset) -> Iterator[None]:
+        try:
+            yield
+        except (pa.ArrowException, OSError) as error:
+            raise unreadable(self.uri, self._broken(part.files) or part.files[0], error) from error
 
     def _broken(self, files: Sequence[str]) -> str | None:
         """The first file that cannot be read whole, or None."""

@@ -13,6 +13,7 @@ from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
@@ -65,7 +66,16 @@ def test_a_table_of_many_files_is_read_some_at_a_time(run: RunFolder, monkeypatc
     names = [f"{number:02x}" for number in range(8)]
     for name in names:
         run.write_shard("warnings", name, warnings(name))
-    assert [len(part.files) for part in run.parts("warnings")] == [3, 3, 2]
+    opened: list[int] = []
+    dataset = ds.dataset
+
+    def noted(files: list[str], **options: Any) -> Any:
+        opened.append(len(files))
+        return dataset(files, **options)
+
+    monkeypatch.setattr(ds, "dataset", noted)
+    assert [row["id"] for batch in run.batches("warnings") for row in batch.to_pylist()] == names
+    assert opened == [8, 3, 3, 2]  # the first says what is there
     assert run.table("warnings", ["id"])["id"].to_pylist() == names
     assert run.table("warnings", where=pc.field("id") > "05")["id"].to_pylist() == ["06", "07"]
     assert run.num_rows("warnings") == 8
@@ -262,7 +272,7 @@ def test_a_damaged_shard_behind_a_whole_one_is_named(run: RunFolder, damage: Cal
     run.write_shard("warnings", "01", warnings(*map(str, range(99))))
     path = Path(run.root) / "warnings" / "part-01.parquet"
     path.write_bytes(damage(path.read_bytes()))
-    attempts: list[Callable[[], object]] = [lambda: run.table("warnings")]
+    attempts: list[Callable[[], object]] = [lambda: run.table("warnings"), lambda: list(run.batches("warnings", ["id"]))]
     if damage is not _garbled:
         attempts.append(lambda: run.num_rows("warnings"))
     for attempt in attempts:
