@@ -22,6 +22,7 @@ from stable_data.scene import QuatXyzw, Vec3
 from stable_data.text_features import Rows, TextEncoder, checked_rows
 
 _PROBED = 32  # assets whose words are encoded again to see whether features of unknown origin are this encoder's
+_MOST_TEXTS = 20_000  # whose features are kept: 31 MB of 384 numbers
 _RELATED = 0.5  # how near they must be on average: those of another encoder are at about 0
 
 
@@ -139,6 +140,7 @@ class Retriever:
             licences = "any" if self.settings.licences is None else ", ".join(sorted(self.settings.licences)) or "none"
             message = f"libraries {', '.join(names)} offer no asset under the licences {licences}"
             raise ConfigError(f"{message}, expected some; allow more licences or add a library", "library_unusable")
+        self._known: dict[str, Rows] = {}
 
     def retrieve(self, queries: Sequence[Query], seed: int = 0) -> list[Answer]:
         """An asset for each query, or why there is none.
@@ -157,13 +159,22 @@ class Retriever:
         texts = list(dict.fromkeys(q.sentence(names_category=kind) for kind in sorted(kinds) for q in queries if q.sentence()))
         if not texts:
             return [_wordless() for _ in queries]
-        rows = checked_rows(self._encoder(texts), len(texts), "the text encoder")
-        if rows.shape[1] != self._libraries[0][1].features.shape[1]:
-            message = f"the text encoder gives {rows.shape[1]} numbers, but the libraries have"
-            raise ConfigError(
-                f"{message} {self._libraries[0][1].features.shape[1]}; embed them with it", "features_of_another_encoder"
-            )
-        return self._answers(queries, dict(zip(texts, rows, strict=True)), seed)
+        return self._answers(queries, self._encoded(texts), seed)
+
+    def _encoded(self, texts: Sequence[str]) -> dict[str, Rows]:
+        """The row (D,) of each text; scenes say the same of their things again and again, so it is kept."""
+        found = {text: self._known[text] for text in texts if text in self._known}
+        if unknown := [text for text in texts if text not in found]:
+            rows = checked_rows(self._encoder(unknown), len(unknown), "the text encoder")
+            if rows.shape[1] != (wanted := self._libraries[0][1].features.shape[1]):
+                message = f"the text encoder gives {rows.shape[1]} numbers, but the libraries have {wanted}"
+                raise ConfigError(f"{message}; embed them with it", "features_of_another_encoder")
+            new = {text: row.copy() for text, row in zip(unknown, rows, strict=True)}
+            found |= new
+            self._known |= new
+            for text in list(self._known)[: max(0, len(self._known) - _MOST_TEXTS)]:
+                del self._known[text]
+        return found
 
     def _answers(self, queries: Sequence[Query], rows: dict[str, Rows], seed: int) -> list[Answer]:
         answers: list[Answer] = [_wordless() for _ in queries]

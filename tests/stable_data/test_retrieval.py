@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stable_data import retrieval
 from stable_data.asset_library import Asset, AssetLibrary, RestingTilt, library_of_folder
 from stable_data.asset_scoring import RetrievalSettings
 from stable_data.errors import ConfigError, SceneError
@@ -137,6 +138,20 @@ def test_the_first_library_that_has_a_match_serves() -> None:
     assert found(reverse[0]) == "mug"
     assert isinstance(answers[2], Unmatched)
     assert reverse[1].text_score == answers[2].text_score  # the nearest of all libraries, whatever their order
+
+
+def test_words_are_encoded_once_and_answered_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(retrieval, "_MOST_TEXTS", 3)
+    encoder = BagOfWords()
+    tool = Retriever([library(thing("cup", "a red cup"), thing("fork", "steel fork"))], encoder)
+    first = tool.retrieve([Query(text, CUBE) for text in ("a red cup", "steel fork", "a red cup")])
+    assert encoder.asked == ["a red cup", "steel fork"]
+    again = tool.retrieve([Query(text, CUBE) for text in ("steel fork", "a cup", "a red cup")])
+    assert encoder.asked == ["a red cup", "steel fork", "a cup"]
+    assert [again[2], again[0]] == first[:2]
+    tool.retrieve([Query("a fork", CUBE)])  # one too many: the first is forgotten
+    assert tool.retrieve([Query("a red cup", CUBE)]) == first[:1]
+    assert encoder.asked[3:] == ["a fork", "a red cup"]
 
 
 def test_the_category_is_preferred_among_equals_and_never_demanded() -> None:
