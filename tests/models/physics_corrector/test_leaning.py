@@ -2,11 +2,14 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
+from models.physics_corrector import leaning
 from models.physics_corrector.certify import CertifyOptions, Status
 from models.physics_corrector.corrector import Came, Correction, PhysicsCorrector
+from models.physics_corrector.going_on import put_elsewhere
 from models.physics_corrector.leaning import steadied
 from stable_data.colliders import bodies_of
 from stable_data.metrics.audit import audit_scene
@@ -107,6 +110,21 @@ def test_a_task_object_that_nothing_keeps_still_is_told_and_stays() -> None:
     assert done.rest.drift_mm is not None  # it was watched to its end
     assert done.rest.settle_turn_max_deg is not None
     assert done.rest.settle_turn_max_deg > 60
+
+
+@pytest.mark.parametrize(("stage", "places"), [(Stage.TASK, 20), (Stage.SECONDARY, 5)])
+def test_more_places_are_tried_for_what_must_not_be_left_out(
+    stage: Stage, places: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = []
+
+    def noted(corrector: PhysicsCorrector, done: Correction, *more: Any) -> Correction:
+        tried.append(corrector.options.places)
+        return put_elsewhere(corrector, done, *more)
+
+    monkeypatch.setattr(leaning, "put_elsewhere", noted)
+    steady(scene(PLATE, replace(POLE, stage=stage)), places=5)
+    assert tried == [places]
 
 
 def test_all_that_nothing_keeps_still_is_left_out_at_once() -> None:
