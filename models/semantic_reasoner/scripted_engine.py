@@ -2,6 +2,7 @@
 
 import json
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
@@ -15,6 +16,8 @@ Reply: TypeAlias = str | Completion
 Script: TypeAlias = Mapping[str, Reply] | Sequence[Reply] | Callable[[Request], Reply]
 """Where replies come from; see :class:`ScriptedEngine`."""
 
+_MOST_KEPT = 1000
+
 
 class ScriptedEngine:
     """Answers from a script.
@@ -27,13 +30,14 @@ class ScriptedEngine:
 
     Attributes:
         repeats: Whether the same request has the same reply: not where replies come in order.
-        requests: All that was asked so far.
+        requests: What it was asked last, a thousand at most: runs of many scenes ask it too.
     """
 
     def __init__(self, script: Script, name: str = "scripted") -> None:
         self.name, self._script = name, script
         self.repeats = callable(script) or isinstance(script, Mapping)
-        self.requests: list[Request] = []
+        self.requests: deque[Request] = deque(maxlen=_MOST_KEPT)
+        self._num_asked = 0
         self._lock = threading.Lock()
 
     @classmethod
@@ -64,7 +68,8 @@ class ScriptedEngine:
             return [self._complete(request) for request in requests]
 
     def _complete(self, request: Request) -> Completion:
-        at = len(self.requests)
+        at = self._num_asked
+        self._num_asked += 1
         self.requests.append(request)
         try:
             reply = self._reply(request, at)

@@ -6,7 +6,7 @@ it.
 """
 
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, lru_cache
 from types import MappingProxyType
 
 from stable_data.instructions.words import singular, type_words
@@ -237,7 +237,7 @@ def is_counted(noun: str) -> bool:
     return noun.split(" ")[-1] not in _UNCOUNTED
 
 
-@cache
+@lru_cache(maxsize=65536)
 def answers_to(category: str, noun: str) -> bool:
     """Would one look at such a thing when asked for the noun? A ``wine_glass`` answers to ``glass``, a mug to ``cup``."""
     asked = " ".join(singular(tuple(noun.split(" "))))

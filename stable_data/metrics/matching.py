@@ -17,7 +17,7 @@ need more than ``MAX_NODES`` branchings is given up and says so: its relations a
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -96,7 +96,7 @@ def closeness(found: str, wanted: str) -> int:
     return _closeness(singular(type_words(found)), singular(type_words(wanted)), found, wanted)
 
 
-@cache
+@lru_cache(maxsize=65536)
 def _closeness(found: tuple[str, ...], wanted: tuple[str, ...], found_name: str, wanted_name: str) -> int:
     if not found or not wanted:
         return 0

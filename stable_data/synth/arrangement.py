@@ -6,7 +6,7 @@ A group lists what carries before what is carried; heights are found later, by l
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -68,7 +68,7 @@ class Item:
         return shapely.Polygon([(self.x + c * u - s * v, self.y + s * u + c * v) for u, v in corners])
 
 
-@cache
+@lru_cache(maxsize=4096)
 def _extents(key: str, tilt_quat_xyzw: QuatXyzw) -> Vec3:
     turned = Rotation.from_quat(tilt_quat_xyzw).apply(asset(key).mesh.vertices)
     x, y, z = (turned.max(axis=0) - turned.min(axis=0)).tolist()

@@ -8,7 +8,7 @@ import math
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 
 import networkx as nx
@@ -135,7 +135,7 @@ def lowered_object(thing: Placed) -> SceneObject:
     )
 
 
-@cache
+@lru_cache(maxsize=4096)
 def _box(key: str, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> Vec3:
     x, y, z = Placed(Item(key, scale=scale, tilt_quat_xyzw=tilt_quat_xyzw)).shape.size.tolist()
     return x, y, z

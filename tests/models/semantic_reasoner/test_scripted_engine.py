@@ -21,7 +21,7 @@ def test_replies_by_words_are_the_same_every_time() -> None:
     assert "sing" in first[2].failure
     assert engine.complete(asked) == first
     assert engine.repeats
-    assert engine.requests == asked * 2
+    assert list(engine.requests) == asked * 2
 
 
 def test_replies_in_order_go_on_over_calls_and_end() -> None:
@@ -30,6 +30,13 @@ def test_replies_in_order_go_on_over_calls_and_end() -> None:
     found = engine.complete([ask("x"), ask("x")])
     assert [(c.text, c.code) for c in found] == [("b", ""), ("", "script_silent")]
     assert not engine.repeats
+
+
+def test_of_many_requests_the_last_are_kept_and_replies_stay_in_order() -> None:
+    engine = ScriptedEngine([str(k) for k in range(1200)])
+    asked = [ask(f"x {k}") for k in range(1200)]
+    assert [c.text for c in engine.complete(asked)] == [str(k) for k in range(1200)]
+    assert list(engine.requests) == asked[-1000:]
 
 
 def test_a_function_answers_and_its_errors_are_failures_by_their_code() -> None:
