@@ -23,7 +23,7 @@ from stable_data.errors import ConfigError, Notice
 from stable_data.furnishing import Furnished
 from stable_data.metrics.kept import DIRECTIONAL
 from stable_data.relations import relations_of, scene_graph
-from stable_data.scene import TABLE, Relation, RelationKind, Scene, Stage
+from stable_data.scene import TABLE, Relation, RelationKind, Scene, SceneObject, Stage
 from stable_data.seeds import named_seed
 
 STEP = "generate"
@@ -84,7 +84,7 @@ class LoopSettings:
         corrects: When the corrector is asked.
         earlier_move: How far a correction may move what stood there before its stage, metres: 0 holds it, infinity leaves it free.
         tries: How often a stage is proposed at most where what it proposed found no assets or no place, or could not stay where
-            the instruction says; at last it is taken without that.
+            the instruction says; where none could, the one counts that lacks the fewest of what it says.
         full: Share of the table that may be covered before no further stage is asked for; 1 asks for all.
     """
 
@@ -174,6 +174,20 @@ def dual_system(
     return _Scene(task, seed, settings, statistics).run()
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Step:
+    """What a try would make of a scene: with what it found, corrected where that is wanted."""
+
+    scene: Scene
+    found: tuple[SceneObject, ...]
+    meant: dict[str, Relation]  # of the scene and this
+    notices: tuple[Notice, ...]
+    missing: int  # how many of the relations that the instruction says the scene would have lost
+    correction: Correction | None = None
+    is_at_rest: bool = False
+    turn: int = -1  # its number
+
+
 @dataclass(slots=True, eq=False)
 class _Scene:
     """A scene being made."""
@@ -201,14 +215,19 @@ class _Scene:
             if self._is_full(self.scene):
                 self._warn("table_full", f"stage {wanted} is not asked for: the table is as full as it may be")
                 break
+            best: _Step | None = None
             for attempt in range(self.settings.tries):
-                turn = yield from self._turn(wanted, attempt, number == len(schedule) - 1)
+                turn, step = yield from self._turn(wanted, attempt, number == len(schedule) - 1)
                 self.turns.append(turn)
+                if step is not None and (best is None or step.missing <= best.missing):
+                    best = replace(step, turn=len(self.turns) - 1)
                 if not turn.rejected:
                     break
                 if not turn.proposal.refused and turn.proposal.failure:
                     break  # the question itself, or whoever answers, is at fault
-            if turn.rejected:
+            if best is not None:
+                self._take(best)
+            else:
                 message = f"stage {wanted}: {turn.rejected}"
                 if not self.scene.objects:
                     return self._failed(turn.code, message)
@@ -223,15 +242,31 @@ class _Scene:
             self.dropped += done.dropped
         return self._ended(None)
 
-    def _turn(self, wanted: Wanted, attempt: int, is_last: bool) -> Generator[Request, Answer, Turn]:
-        """Asks for a stage once; what it brings is in the scene after it, unless it is rejected."""
+    def _take(self, step: "_Step") -> None:
+        """Makes a try's scene the scene."""
+        self.turns[step.turn] = replace(self.turns[step.turn], rejected="", code="")
+        self.warnings += step.notices
+        self.meant, self.missing = step.meant, step.missing
+        self.start = replace(self.start, objects=(*self.start.objects, *step.found))
+        self.scene = step.scene
+        if step.correction is not None:
+            self.correction, self.is_at_rest = step.correction, step.is_at_rest
+            self.dropped += step.correction.dropped
+
+    def _turn(self, wanted: Wanted, attempt: int, is_last: bool) -> Generator[Request, Answer, tuple[Turn, "_Step | None"]]:
+        """Asks for a stage once.
+
+        Returns:
+            What came of it, and what it would make of the scene, None where it cannot be used. It is rejected and yet can be used
+            where relations are lost that the instruction says.
+        """
         told = layout_objects(self.scene.objects, {o.instance: o.instance for o in self.scene.objects})
         ask = Ask(self.task.instruction, self.task.table, wanted, told, self.task.details)
         proposal = yield Propose(ask, named_seed(self.seed, attempt))
         assert isinstance(proposal, Proposal)
         self._hear(wanted, proposal)
         if proposal.reply is None:
-            return Turn(wanted, proposal, rejected=proposal.failure, code=proposal.code)
+            return Turn(wanted, proposal, rejected=proposal.failure, code=proposal.code), None
         proposed = accepted(proposal.reply, ask, self.statistics)
         furnished = yield Retrieve(replace(self.scene, objects=proposed))
         assert isinstance(furnished, Furnished)
@@ -239,32 +274,30 @@ class _Scene:
         there = {o.instance for o in found}
         if lost := [o.instance for o in proposed if o.stage is Stage.TASK and o.instance not in there]:
             why = next((f"; {furnished.unmatched[name].reason}" for name in lost if name in furnished.unmatched), "")
-            return Turn(wanted, proposal, furnished, (), f"no asset for {', '.join(lost)}{why}", "asset_unmatched")
+            return Turn(wanted, proposal, furnished, (), f"no asset for {', '.join(lost)}{why}", "asset_unmatched"), None
         if not (found or self.scene.objects):
-            return Turn(wanted, proposal, furnished, (), "nothing is proposed, expected an object at least", "layout_empty")
+            return Turn(
+                wanted, proposal, furnished, (), "nothing is proposed, expected an object at least", "layout_empty"
+            ), None
         scene = replace(self.scene, objects=(*self.scene.objects, *found))
         if not self.scene.objects:
             scene = with_task(scene, self.task.instruction, proposed, self.statistics)
         meant = self.meant | _carried(replace(self.scene, objects=(*self.scene.objects, *proposed)), there)
-        corrections: tuple[Correction, ...] = ()
-        if self.settings.corrects == "each" and (found or is_last):
-            is_last = is_last or self._is_full(scene)
-            earlier, new = (frozenset(o.instance for o in objects) for objects in (self.scene.objects, found))
-            corrections = yield from self._corrected(scene, meant, earlier, new, is_last)
-            done = corrections[-1]
-            if done.certified is None:
-                return Turn(wanted, proposal, furnished, corrections, done.reason, str(done.status))
-            if (missing := self._missing(done)) > self.missing and attempt + 1 < self.settings.tries:
-                reason = f"{missing} relations do not hold that the instruction says"
-                return Turn(wanted, proposal, furnished, corrections, reason, "relation_lost")
-            self.missing = missing
-            scene, self.correction, self.is_at_rest = done.certified, done, is_last
-            self.dropped += done.dropped
-        self.warnings += furnished.notices
-        self.meant = meant
-        self.start = replace(self.start, objects=(*self.start.objects, *found))
-        self.scene = scene
-        return Turn(wanted, proposal, furnished, corrections)
+        step = _Step(scene, found, meant, furnished.notices, self.missing)
+        if self.settings.corrects != "each" or not (found or is_last):
+            return Turn(wanted, proposal, furnished), step
+        is_last = is_last or self._is_full(scene)
+        earlier, new = (frozenset(o.instance for o in objects) for objects in (self.scene.objects, found))
+        corrections = yield from self._corrected(scene, meant, earlier, new, is_last)
+        done = corrections[-1]
+        if done.certified is None:
+            return Turn(wanted, proposal, furnished, corrections, done.reason, str(done.status)), None
+        missing = self._missing(done)
+        step = replace(step, scene=done.certified, correction=done, is_at_rest=is_last, missing=missing)
+        if missing <= self.missing:
+            return Turn(wanted, proposal, furnished, corrections), step
+        reason = f"{missing} relations do not hold that the instruction says"
+        return Turn(wanted, proposal, furnished, corrections, reason, "relation_lost"), step
 
     def _corrected(
         self, scene: Scene, meant: Mapping[str, Relation], earlier: frozenset[str], new: frozenset[str], is_last: bool

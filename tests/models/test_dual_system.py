@@ -14,7 +14,7 @@ from models.scheduler import together
 from models.semantic_reasoner.categories import CategoryStatistics
 from models.semantic_reasoner.layout_text import LayoutObject, Reply
 from models.semantic_reasoner.prompt import Wanted
-from models.semantic_reasoner.reasoner import Proposal
+from models.semantic_reasoner.reasoner import Proposal, Refused
 from models.semantic_reasoner.staged import LayoutTask
 from stable_data.errors import ConfigError
 from stable_data.furnishing import Furnished
@@ -300,6 +300,55 @@ def test_what_cannot_be_where_the_instruction_says_is_asked_for_again_and_at_las
     assert made.correction is not None
     assert made.correction.kept is not None
     assert [r.subject for r in made.correction.kept.asked_missing] == ["plate_0"]
+
+
+IN_THE_BOWL = (
+    LayoutObject("bowl_0", "a bowl", (16.0, 16.0, 8.0), (50.0, 40.0, 4.0), 0),
+    replace(said("plate_0", 50, 40, 9.0), size_cm=(10.0, 10.0, 10.0)),  # has no room in it
+)
+
+
+@pytest.mark.parametrize(
+    "last",
+    [
+        Proposal(None, failure="4 answers could not be used", code="reply_unusable", refused=(Refused("x", ()),)),
+        Proposal(None, failure="the question timed out", code="timeout"),
+        Proposal(Reply((said("elephant_0", 20, 20),)), tries=1),
+    ],
+    ids=["reply_unusable", "timeout", "asset_unmatched"],
+)
+def test_an_earlier_try_counts_where_the_last_one_fails(last: Proposal) -> None:
+    replies = iter([Proposal(Reply(IN_THE_BOWL), tries=1), last])
+
+    def stages(question: Propose) -> Proposal:
+        return next(replies) if question.ask.wanted is Stage.TASK else Proposal(Reply(()), tries=1)
+
+    task = LayoutTask("scene", "Take the plate out of the bowl.", TABLE)
+    loop = dual_system(task, 7, LoopSettings(tries=2), CategoryStatistics.of_names(["ball", "bowl", "plate", "elephant"]))
+    (made,) = together([loop], Answers(stages))
+    assert made.failure is None
+    assert made.scene is not None
+    assert [o.instance for o in made.scene.objects] == ["bowl_0", "plate_0"]
+    assert [o.instance for o in made.start.objects] == ["bowl_0", "plate_0"]
+    assert [bool(turn.rejected) for turn in made.turns[:2]] == [False, True]
+    assert made.correction is not None
+    assert made.correction.card_after is not None
+    assert made.correction.card_after.clean
+
+
+def test_of_tries_that_lack_something_the_one_counts_that_lacks_least() -> None:
+    corner = tuple(replace(o, position_cm=(20.0, 15.0, o.position_cm[2])) for o in IN_THE_BOWL)
+    replies = iter([Proposal(Reply(corner), tries=1), Proposal(Reply(IN_THE_BOWL), tries=1)])
+
+    def stages(question: Propose) -> Proposal:
+        return next(replies) if question.ask.wanted is Stage.TASK else Proposal(Reply(()), tries=1)
+
+    task = LayoutTask("scene", "Take the plate out of the bowl that is in the front left corner.", TABLE)
+    loop = dual_system(task, 7, LoopSettings(tries=2), CategoryStatistics.of_names(["ball", "bowl", "plate"]))
+    (made,) = together([loop], Answers(stages))
+    assert made.scene is not None
+    assert [turn.code for turn in made.turns[:2]] == ["", "relation_lost"]
+    assert made.scene["bowl_0"].position[0] < 0.3
 
 
 def test_what_is_pushed_out_of_its_corner_is_asked_for_again() -> None:
