@@ -11,8 +11,9 @@ from models.semantic_reasoner.engine import Completion
 class CircuitBreaker:
     """Lets requests through while the endpoint answers.
 
-    After some failures in a row it is open: every request gets the last failure at once. When its rest is over, one request is let
-    through, and those that come meanwhile wait for what becomes of it.
+    After some failures in a row, whatever they were, the endpoint is held to be down and the breaker is open: every request gets the
+    last failure at once, as ``endpoint_down``. When its rest is over, one request is let through, and those that come meanwhile wait
+    for what becomes of it.
 
     Args:
         after: Failures in a row that open it.
@@ -41,19 +42,24 @@ class CircuitBreaker:
                 self._changed.wait()
             return None
 
-    def leave(self, failure: Completion | None) -> None:
+    def leave(self, failure: Completion | None) -> Completion | None:
         """Says what became of a request that was let through.
 
         Args:
             failure: What would be every other request's failure, too; None: the endpoint answers.
+
+        Returns:
+            The failure, as ``endpoint_down`` where the endpoint is held to be down now.
         """
         with self._changed:
             self._in_a_row = 0 if failure is None else self._in_a_row + 1
             if failure is not None:
                 told = f"{failure.failure}; not asked again for {self._rest:g} s"
-                self._failure, self._until = replace(failure, failure=told), self._clock() + self._rest
+                self._failure = replace(failure, failure=told, code="endpoint_down")
+                self._until = self._clock() + self._rest
             self._is_probed = False
             self._changed.notify_all()
+            return failure if failure is None or self._in_a_row < self._after else replace(failure, code="endpoint_down")
 
     def withdraw(self) -> None:
         """Says that a request that was let through was given up before anything became of it."""

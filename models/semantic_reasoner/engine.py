@@ -12,7 +12,15 @@ from models.conversation import Conversation, in_batches
 from models.semantic_reasoner.prompt import Message
 from models.semantic_reasoner.reply_form import ReplyForm
 
-OFF = ("endpoint_down", "key_refused", "model_unknown", "server_closing")
+OFF = (
+    "certificate_refused",
+    "endpoint_down",
+    "key_refused",
+    "model_unknown",
+    "quota_spent",
+    "redirect_refused",
+    "server_closing",
+)
 """Codes of failures that are the engine's and not the question's: no other question would be answered either."""
 
 

@@ -32,7 +32,7 @@ from models.semantic_reasoner.chat_protocol import (
     tokens_of,
 )
 from models.semantic_reasoner.circuit_breaker import CircuitBreaker
-from models.semantic_reasoner.engine import Completion, Request, Sampling
+from models.semantic_reasoner.engine import OFF, Completion, Request, Sampling
 from models.semantic_reasoner.http_settings import HttpSettings
 from stable_data.errors import Notice
 from stable_data.shards import content_id
@@ -40,17 +40,8 @@ from stable_data.shards import content_id
 MAX_BYTES = 16 * 2**20
 """Longest answer."""
 
-EVERYONES = {
-    "certificate_refused",
-    "endpoint_down",
-    "endpoint_error",
-    "endpoint_timeout",
-    "key_refused",
-    "model_unknown",
-    "quota_spent",
-    "redirect_refused",
-}
-"""Codes of failures that say something about the endpoint and not about the request."""
+EVERYONES = {*OFF, "endpoint_error", "endpoint_timeout"}
+"""Codes of failures that say something about the endpoint; but one request alone may break it, or take too long."""
 
 _DO = {
     "certificate_refused": "name the file of its authority in SSL_CERT_FILE, if that is trusted",
@@ -176,9 +167,8 @@ class HttpEngine:
             return self._failure("unexpected", f"unexpected {type(error).__name__}: {error}", "please report it")
         if completion.code == "abandoned":
             self._breaker.withdraw()
-        else:
-            self._breaker.leave(completion if completion.code in EVERYONES else None)
-        return completion
+            return completion
+        return self._breaker.leave(completion if completion.code in EVERYONES else None) or completion
 
     def _try(self, request: Request, stopped: threading.Event) -> Completion:
         """Sends a request until it is answered, hopeless, or has used up its tries or its time."""

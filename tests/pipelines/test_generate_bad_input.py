@@ -75,7 +75,19 @@ def test_a_task_object_whose_asset_is_broken_and_has_no_like_is_a_failure_that_s
     assert "no GLB file" in row["message"]
 
 
-def test_an_endpoint_that_dies_halfway_stops_the_run_with_one_line_and_costs_no_task(dataset: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "death",
+    [
+        Act(drops=True),
+        Act(503, {"error": {"message": "no healthy upstream"}}),
+        Act(429, {"error": {"code": "insufficient_quota", "message": "You exceeded your current quota"}}),
+        Act(after_s=2.0),
+    ],
+    ids=["drops", "gateway", "quota", "silence"],
+)
+def test_an_endpoint_that_dies_halfway_stops_the_run_with_one_line_and_costs_no_task(
+    death: Act, dataset: Path, tmp_path: Path
+) -> None:
     script = one_thing_a_stage(AssetShelf([str(dataset)]).libraries[0].assets[1:4])
     answers = {words: json.dumps(reply) for words, reply in script.items()}
     left, lock = [0], Lock()
@@ -84,11 +96,12 @@ def test_an_endpoint_that_dies_halfway_stops_the_run_with_one_line_and_costs_no_
         with lock:
             left[0] -= 1
         if left[0] < 0:
-            return Act(drops=True)
+            return death
         return Act(body=said(next(reply for wanted, reply in answers.items() if wanted in words)))
 
     with endpoint(plan) as server:
-        settings = replace(PLAIN, engine=EngineSettings("openai:large", http=server.settings(), cache=str(tmp_path / "kept")))
+        http = server.settings(give_up_after=1, rest_s=0.0, tries=2, read_s=1.0)
+        settings = replace(PLAIN, engine=EngineSettings("openai:large", http=http, cache=str(tmp_path / "kept")))
         out, undisturbed = tmp_path / "out", tmp_path / "undisturbed"
         left[0] = 2 * len(Stage) + 1  # two scenes, and a stage of the third
         with pytest.raises(ConfigError, match=r"^task_\d: .*; what is done is kept, run again to go on$") as caught:

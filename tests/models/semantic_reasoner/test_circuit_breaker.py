@@ -30,6 +30,21 @@ def test_failures_in_a_row_open_it_and_the_failure_is_everyones() -> None:
     assert told.failure == "down; not asked again for 10 s"
 
 
+def test_whatever_the_failures_were_the_endpoint_is_down_then() -> None:
+    breaker = CircuitBreaker(2, 10.0, Clock())
+    found = []
+    for code in ("endpoint_timeout", "endpoint_error"):
+        assert breaker.enter() is None
+        found.append(breaker.leave(Completion("", failure=code, code=code)))
+    assert [c and (c.failure, c.code) for c in found] == [
+        ("endpoint_timeout", "endpoint_timeout"),
+        ("endpoint_error", "endpoint_down"),
+    ]
+    told = breaker.enter()
+    assert told is not None
+    assert (told.failure, told.code) == ("endpoint_error; not asked again for 10 s", "endpoint_down")
+
+
 def test_an_answer_in_between_keeps_it_closed() -> None:
     breaker = CircuitBreaker(3, 10.0, Clock())
     for outcome in (DOWN, DOWN, None, DOWN, DOWN):
