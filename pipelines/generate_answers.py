@@ -95,6 +95,7 @@ class OwnAnswers:
         seed: Decides among assets that are as good.
         settles: Whether the physics engine is asked of the last correction of a scene.
         certify: Certifies one scene instead; None: the certifier.
+        fault_of: Says why an asset cannot be used instead; None: the certifier's store.
         seconds: Spent on each kind of question so far.
     """
 
@@ -104,6 +105,7 @@ class OwnAnswers:
     seed: int = 0
     settles: bool = True
     certify: Certify | None = None
+    fault_of: Callable[[str], str | None] | None = None
     seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("propose", "retrieve", "flow", "certify"), 0.0))
 
     def propose(self, questions: Sequence[Propose], /) -> Conversation[Proposal, Propose]:
@@ -124,7 +126,8 @@ class OwnAnswers:
     def retrieve(self, questions: Sequence[Retrieve], /) -> list[Furnished]:
         """Assets of objects, all of them looked for at once."""
         began = perf_counter()
-        found = furnish([q.scene for q in questions], self.retriever, self.seed, self.certifier.store.fault_of)
+        fault_of = self.fault_of or self.certifier.store.fault_of
+        found = furnish([q.scene for q in questions], self.retriever, self.seed, fault_of)
         self.seconds["retrieve"] += perf_counter() - began
         return found
 

@@ -122,6 +122,7 @@ class GenerateWork:
         seconds = opened.answers.seconds
         seconds.update(dict.fromkeys(seconds, 0.0))
         opened.answers.certify = partial(self._certified, apart=apart)
+        opened.answers.fault_of = lru_cache(maxsize=None)(partial(self._fault_of, apart=apart))
         rows: dict[str, list[tables.Row]] = defaultdict(list)
         tasks = list(self._tasks(shard, rows))
         for made in self._generated(tasks, opened, tell):
@@ -186,6 +187,16 @@ class GenerateWork:
         if isinstance(found, Loss):
             return unanswered(asked, f"the correction {str(found).replace('_', ' ')} ({seconds:g} s are allowed)")
         return found
+
+    def _fault_of(self, asset_id: str, *, apart: Apart | None) -> str | None:
+        """Why an asset cannot be used; where workers died over the shard it is read in a process of its own first."""
+        seconds, store = self.settings.seconds_per_item, _opened(self).answers.certifier.store
+        if apart is not None:
+            found = apart.call(partial(_read, self._physics()), asset_id, seconds=seconds)
+            if isinstance(found, Loss):
+                return f"asset {asset_id}: reading it {str(found).replace('_', ' ')} ({seconds:g} s are allowed)"
+        with limited(seconds):
+            return store.fault_of(asset_id)
 
     def _physics(self) -> "GenerateWork":
         """The work for a process that corrects alone: it is no worker of Ray, and reaches none of what the workers share."""
@@ -272,6 +283,10 @@ def _prepare(work: GenerateWork) -> None:
 
 def _certify(work: GenerateWork, asked: Certifying) -> Correction:
     return _apart(work)(asked)
+
+
+def _read(work: GenerateWork, asset_id: str) -> None:
+    _apart(work).store.fault_of(asset_id)
 
 
 @lru_cache(maxsize=1)

@@ -19,10 +19,12 @@ from pipelines.generate import generate
 from pipelines.generate_settings import GenerateSettings
 from pipelines.generate_tasks import Tasks
 from pipelines.runner import Workers
+from pipelines.scene_work import SceneShard
 from stable_data.errors import ConfigError
 from stable_data.scene import Stage, Tabletop
 from stable_data.shards import RunFolder
 from tests.models.semantic_reasoner.endpoint import Act, endpoint, said
+from tests.pipelines.hostile_asset import HOSTILE, HostileWork
 from tests.pipelines.runs import content
 from tests.pipelines.scripts import one_thing_a_stage
 
@@ -73,6 +75,23 @@ def test_a_task_object_whose_asset_is_broken_and_has_no_like_is_a_failure_that_s
     (row,) = RunFolder(str(out)).table("failures").to_pylist()
     assert row["id"] == "task_0"
     assert "no GLB file" in row["message"]
+
+
+def test_an_asset_that_ends_whoever_reads_it_is_passed_over_where_workers_died(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Were it read in this process, the tests would end here."""
+    chosen = AssetShelf([str(dataset)]).libraries[0].assets[1:4]
+    script = tmp_path / "script.json"
+    script.write_text(json.dumps(one_thing_a_stage(chosen)))
+    monkeypatch.setenv(HOSTILE, chosen[0].asset_id)
+    settings = replace(PLAIN, engine=EngineSettings(f"scripted:{script}"))
+    work = HostileWork(str(tmp_path / "out"), (str(dataset),), settings)
+    assert work(SceneShard("0" * 16, tuple(FOUR.tasks[:2])), isolated=True)[0] == 2
+    run = RunFolder(str(tmp_path / "out"))
+    told = [row["message"] for table in ("warnings", "failures") for row in run.table(table).to_pylist()]
+    assert sum(f"asset {chosen[0].asset_id}: reading it crashed" in message for message in told) == 2
+    assert run.num_rows("scenes") + run.num_rows("failures") == 2
 
 
 @pytest.mark.parametrize(
