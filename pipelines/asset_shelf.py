@@ -10,8 +10,7 @@ from models.text_encoder import load_default
 from pipelines.scene_source import FolderSource, mesh_cache
 from stable_data.asset_library import AssetLibrary, library_of_folder, library_of_run
 from stable_data.asset_scoring import RetrievalSettings
-from stable_data.errors import MeshError
-from stable_data.glb import load_colliders
+from stable_data.assets import colliders_of
 from stable_data.mesatask.library import AssetAnnotation, AssetFolder
 from stable_data.mesatask.writing import LAYOUT_FOLDER
 from stable_data.mesh import Mesh
@@ -120,10 +119,7 @@ def _opened(place: str, name: str) -> _Place:
 
 def _parts_of_file(meshes: Callable[[str], Path | None], asset_id: str) -> tuple[Mesh, ...]:
     path = meshes(asset_id)
-    try:
-        return () if path is None else load_colliders(path, asset_id)
-    except MeshError:
-        return ()  # the mesh is cut up instead
+    return () if path is None else colliders_of(path, asset_id)
 
 
 def _of_folder(root: Path, library: AssetLibrary) -> _Place:

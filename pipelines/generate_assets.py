@@ -10,6 +10,7 @@ import pyarrow.compute as pc
 
 from pipelines.asset_shelf import AssetShelf
 from pipelines.asset_step import AssetSettings, AssetUse, preprocess_asset
+from pipelines.generate_answers import NOT_OF_A_SCENE
 from pipelines.job import Rows, rows_alone, rows_or_failure
 from pipelines.plan import UseCount, file_digest, groups
 from pipelines.progress import Progress
@@ -59,7 +60,7 @@ class CarryWork:
 
     def _rows(self, use: AssetUse) -> Rows:
         progress = Progress("mesh")
-        return rows_or_failure(use.asset_id, progress, partial(self._made, use, progress))
+        return rows_or_failure(use.asset_id, progress, partial(self._made, use, progress), of_the_run=NOT_OF_A_SCENE)
 
     def _made(self, use: AssetUse, progress: Progress) -> Rows:
         shelf, store = _opened(self)

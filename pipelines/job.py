@@ -34,15 +34,24 @@ class Shard(Protocol):
     def __len__(self) -> int: ...
 
 
-def rows_or_failure(item_id: str, progress: Progress, make: Callable[[], Rows]) -> Rows:
+def rows_or_failure(
+    item_id: str, progress: Progress, make: Callable[[], Rows], *, of_the_run: tuple[type[Exception], ...] = (ConfigError,)
+) -> Rows:
     """Rows of one item; where it cannot be used, a row of ``failures`` that says in which step and why.
+
+    Args:
+        item_id: What a failure is named by.
+        progress: Which step it is at.
+        make: Makes the rows.
+        of_the_run: Errors that are not the item's but the run's, and are raised. What is read from outside can bring forth any but
+            ConfigError; a job that makes its items itself names those that may pass, too.
 
     Raises:
         ConfigError: The run itself cannot go on.
     """
     try:
         return make()
-    except ConfigError:
+    except of_the_run:
         raise
     except StableDataError as error:
         return {"failures": [tables.notice_row(Notice(item_id, progress.step, error.code, str(error)))]}

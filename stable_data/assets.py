@@ -110,7 +110,8 @@ class AssetStore:
         """The repaired mesh of an asset.
 
         Raises:
-            MeshError: It is missing or cannot be used; the same words each time.
+            MeshError: It is missing or cannot be used; the same words each time, but what may be the machine's fault is tried anew
+                each time: else what a process made would depend on what it had made before.
         """
         found = self._meshes.get(asset_id, lambda: self._load(asset_id), _mesh_bytes)
         if isinstance(found, MeshError):
@@ -118,12 +119,13 @@ class AssetStore:
         return found
 
     def colliders(self, asset_id: str) -> tuple[Mesh, ...]:
-        """The convex parts that came with an asset's file, in the frame of its mesh; none where it has none that can be used."""
+        """The convex parts that came with an asset's file, in the frame of its mesh; none where it has none that can be used.
+
+        Raises:
+            MeshError: The file cannot be read for now: other parts would be made of it, and kept.
+        """
         path = self._source.asset_path(asset_id)
-        try:
-            return () if path is None else load_colliders(path, asset_id)
-        except MeshError:
-            return ()  # the mesh itself is there: it is cut up instead
+        return () if path is None else colliders_of(path, asset_id)
 
     def kept_parts(self, asset_id: str) -> tuple[Mesh, ...]:
         """The convex parts that its source keeps of an asset, see :class:`PartSource`; none where it keeps none."""
@@ -215,7 +217,9 @@ class AssetStore:
                 self.asset(asset_id)
                 self._faults[asset_id] = None
             except MeshError as error:
-                self._faults[asset_id] = None if error.code in _PASSING else str(error)
+                if error.code in _PASSING:
+                    return None  # asked again the next time
+                self._faults[asset_id] = str(error)
         return self._faults[asset_id]
 
     def mesh_of(self, o: SceneObject) -> Mesh | None:
@@ -243,6 +247,7 @@ class AssetStore:
         return self._shapes.get(key, lambda: Shape.from_mesh(asset.mesh, scale, tilt), lambda s: _GOES_WITH * s.vertices.nbytes)
 
     def _load(self, asset_id: str) -> AssetMesh | MeshError:
+        """The mesh, or the error that is kept in its place; one that may pass is raised, and so not kept."""
         path = self._source.asset_path(asset_id)
         if path is None:
             return MeshError(
@@ -252,11 +257,27 @@ class AssetStore:
             mesh, odd = load_glb(path, asset_id)
             mesh, report, repaired = repair(mesh, asset_id)
         except MeshError as error:
+            if error.code in _PASSING:
+                raise
             return MeshError(str(error), error.code)  # the error itself holds on to the file's content
-        except Exception as error:  # noqa: BLE001 - a file that nobody foresaw is one asset lost, whoever asks for it
+        except Exception as error:  # a file that nobody foresaw is one asset lost, whoever asks for it
             found = f"{type(error).__name__}: {error}"
-            return MeshError(f"asset {asset_id}: {found}; please report this with the file", "unexpected")
+            raise MeshError(f"asset {asset_id}: {found}; please report this with the file", "unexpected") from error
         return AssetMesh(mesh, report, odd + repaired)
+
+
+def colliders_of(path: Path, asset_id: str) -> tuple[Mesh, ...]:
+    """The convex parts that a file brings with it; none where it has none that can be used, and the mesh itself is cut up instead.
+
+    Raises:
+        MeshError: The file cannot be read for now.
+    """
+    try:
+        return load_colliders(path, asset_id)
+    except MeshError as error:
+        if error.code in _PASSING:
+            raise
+        return ()
 
 
 def _in_cm(size: Iterable[float]) -> str:

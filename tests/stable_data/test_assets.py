@@ -1,11 +1,13 @@
 """An object's geometry: at its scale and tilt, fitted where the scale is missing or wrong, a box where the mesh is."""
 
 import contextlib
+import errno
 import math
 import struct
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -213,6 +215,67 @@ def test_a_file_that_vanishes_is_a_mesh_that_is_missing(store: AssetStore, folde
     shape, (notice,) = store.shape(BLOCK)
     assert not shape.is_exact
     assert notice.code == "glb_unreadable"
+
+
+class FailsOnce(type(Path())):  # type: ignore[misc]
+    """A file whose first read fails as a disk or a network does."""
+
+    reads = 0
+
+    def read_bytes(self) -> bytes:
+        type(self).reads += 1
+        if type(self).reads == 1:
+            raise OSError(errno.EIO, "Input/output error")
+        return bytes(super().read_bytes())
+
+
+def test_a_read_that_fails_once_costs_the_asset_nothing_afterwards(
+    store: AssetStore, folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(FailsOnce, "reads", 0)
+    folder.asset_path = lambda asset_id: FailsOnce(folder.root / f"{asset_id}.glb")  # type: ignore[method-assign]
+    shape, (notice,) = store.shape(BLOCK)
+    assert (shape.is_exact, notice.code) == (False, "glb_unreadable")
+    assert "Input/output error" in notice.message
+    shape, notices = store.shape(BLOCK)
+    assert (shape.is_exact, notices) == (True, ())
+    assert store.mesh_of(BLOCK) is store.mesh_of(BLOCK)
+    assert FailsOnce.reads == 2
+
+
+def test_what_is_broken_behind_a_read_that_fails_once_is_a_fault(
+    store: AssetStore, folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(FailsOnce, "reads", 0)
+    folder.asset_path = lambda asset_id: FailsOnce(folder.root / f"{asset_id}.glb")  # type: ignore[method-assign]
+    assert store.fault_of("broken") is None  # not known yet
+    fault = store.fault_of("broken")
+    assert fault is not None
+    assert "broken" in fault
+    assert store.fault_of("broken") == fault
+    assert FailsOnce.reads == 2
+
+
+def test_convex_parts_that_cannot_be_read_for_now_are_not_made_otherwise(
+    store: AssetStore, folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(FailsOnce, "reads", 0)
+    part = box(1.0, 2.0, 4.0)
+    solid = Mesh(part.vertices, part.faces)
+    (folder.root / "block.glb").write_bytes(write_glb(solid, parts=[solid]))
+    folder.asset_path = lambda asset_id: FailsOnce(folder.root / f"{asset_id}.glb")  # type: ignore[method-assign]
+    with pytest.raises(MeshError, match="Input/output error"):
+        store.colliders("block")
+    assert len(store.colliders("block")) == 1
+
+
+def test_a_repair_that_fails_once_is_tried_again(store: AssetStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr("stable_data.assets.repair", Mock(side_effect=MemoryError))
+        with pytest.raises(MeshError, match="MemoryError") as caught:
+            store.asset("block")
+    assert caught.value.code == "unexpected"
+    assert store.asset("block") is store.asset("block")
 
 
 def test_what_exceeds_the_memory_is_computed_again(folder: Folder) -> None:
