@@ -11,6 +11,7 @@ import torch
 
 from stable_data.dotted import differences, flat
 from stable_data.errors import ConfigError
+from stable_data.files import aside_of
 
 # What torch.load raises on bytes that are no checkpoint, and what a checkpoint of something else lacks.
 _UNREADABLE = (OSError, EOFError, RuntimeError, ValueError, KeyError, TypeError, pickle.UnpicklingError)
@@ -27,7 +28,7 @@ def keep(path: Path, state: Mapping[str, Any], about: Mapping[str, Any]) -> None
         about: What shapes the training: settings, and fingerprints of what it learns from.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f".{path.name}.{os.getpid()}")
+    aside = aside_of(path)
     try:
         with aside.open("wb") as file:
             torch.save({_ABOUT: json.dumps(about, sort_keys=True), **state}, file)

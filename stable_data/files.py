@@ -1,13 +1,21 @@
 """Files that are there whole or not at all, and names that any file system and any other program takes."""
 
 import hashlib
-import os
 import re
+import uuid
 from collections.abc import Set
 from pathlib import Path
 
 _PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*")
 _MAX_LENGTH = 100
+
+
+def aside_of(path: Path) -> Path:
+    """Where a file is written before it is put in place: beside it, under a name that no other writer has, on no machine.
+
+    The number of a process would not do: machines, or containers, that share a folder have the same ones.
+    """
+    return path.with_name(f".{path.name}.tmp-{uuid.uuid4().hex}")
 
 
 def put_file(path: Path, content: bytes) -> None:
@@ -16,13 +24,12 @@ def put_file(path: Path, content: bytes) -> None:
     Raises:
         OSError: It cannot be written.
     """
-    aside = path.with_name(f".{path.name}.tmp-{os.getpid()}")
+    aside = aside_of(path)
     try:
         aside.write_bytes(content)
         aside.replace(path)
-    except OSError:
+    finally:  # a time limit may end it too
         aside.unlink(missing_ok=True)
-        raise
 
 
 def plain_name(name: str, reserved: Set[str] = frozenset()) -> str:

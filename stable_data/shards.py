@@ -14,7 +14,6 @@ import hashlib
 import json
 import os
 import re
-import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -27,6 +26,7 @@ import pyarrow.fs as pafs
 import pyarrow.parquet as pq
 
 from stable_data.errors import ConfigError
+from stable_data.files import aside_of
 from stable_data.tables import SCHEMAS, arrow_table, check_version
 
 MAX_BYTES = 96 * 10**6
@@ -122,20 +122,19 @@ class RunFolder:
             ConfigError: It cannot be written: no permission, or the disk is full.
         """
         target = self._path(name)
-        folder, _, base = target.rpartition("/")
-        aside = f"{folder}/.{base}.tmp-{uuid.uuid4().hex}" if self.is_local else target
+        aside = aside_of(Path(target))
         try:
             if self.is_local:
-                Path(folder).mkdir(parents=True, exist_ok=True)
-                _write_local(Path(aside), content)
-                Path(aside).replace(target)
+                aside.parent.mkdir(parents=True, exist_ok=True)
+                _write_local(aside, content)
+                aside.replace(target)
             else:  # an object appears when its upload ends
                 with self.filesystem.open_output_stream(target) as stream:
                     stream.write(content)
         except OSError as error:
             if self.is_local:
                 with suppress(OSError):  # where a part of the path is a file, there is nothing to remove
-                    Path(aside).unlink()
+                    aside.unlink()
             raise unwritable(f"{self.uri}/{name}", error) from error
 
     def read_bytes(self, name: str) -> bytes | None:

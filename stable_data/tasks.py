@@ -8,10 +8,8 @@ things that are true in the scene, or :func:`model_task` asks a model of the cal
 import hashlib
 import json
 import math
-import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -19,6 +17,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from stable_data.errors import Notice, SceneError
+from stable_data.files import put_file
 from stable_data.instructions import derive_task, task_rng, type_name, type_words
 from stable_data.instructions.claims import OUTERMOST, Claim, emptied, mark, read_claims
 from stable_data.instructions.naming import Mention, Namer, involved, mentions
@@ -346,12 +345,8 @@ def _kept(path: Path) -> dict[str, Any] | None:
 
 def _keep(path: Path, data: Mapping[str, Any]) -> None:
     """Written aside and put in place in one step, so that a reader never sees half of it."""
-    aside = path.with_suffix(f".{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        aside.write_text(json.dumps(data, indent=2, sort_keys=True), encoding="utf-8")
-        aside.replace(path)
+        put_file(path, json.dumps(data, indent=2, sort_keys=True).encode())
     except OSError as error:
-        with suppress(OSError):
-            aside.unlink()
         raise unwritable(str(path), error) from error

@@ -4,7 +4,6 @@ The library knows no model: whoever has one hands it in. Rows of two encoders ar
 fingerprint of its weights.
 """
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol, TypeAlias
@@ -15,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from stable_data.errors import ConfigError
+from stable_data.files import put_file
 from stable_data.shards import unwritable
 
 Rows: TypeAlias = npt.NDArray[np.float32]
@@ -99,7 +99,8 @@ def _read(cache: Path, fingerprint: str) -> tuple[list[str], Rows]:
     if not cache.exists():
         return [], np.zeros((0, 0), np.float32)
     try:
-        table = pq.read_table(cache)
+        with pq.ParquetFile(cache) as file:  # opened once: another writer may put a newer file in its place meanwhile
+            table = file.read()
         found = (table.schema.metadata or {}).get(_FINGERPRINT, b"").decode()
         texts = table["text"].to_pylist()
         values = table["feature"].combine_chunks()
@@ -120,10 +121,10 @@ def _write(cache: Path, texts: Sequence[str], rows: Rows, fingerprint: str) -> N
     """Puts a file in place in one step."""
     features = pa.FixedSizeListArray.from_arrays(pa.array(rows.ravel()), rows.shape[1]).cast(pa.list_(pa.float32()))
     table = pa.table({"text": pa.array(texts, pa.string()), "feature": features})
-    aside = cache.with_name(f".{cache.name}.{os.getpid()}")
+    sink = pa.BufferOutputStream()
+    pq.write_table(table.replace_schema_metadata({_FINGERPRINT: fingerprint}), sink)
     try:
         cache.parent.mkdir(parents=True, exist_ok=True)
-        pq.write_table(table.replace_schema_metadata({_FINGERPRINT: fingerprint}), aside)
-        aside.replace(cache)
+        put_file(cache, sink.getvalue().to_pybytes())
     except OSError as error:
         raise unwritable(str(cache), error) from error

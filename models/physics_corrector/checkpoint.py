@@ -5,7 +5,6 @@ encoder whose features the network reads.
 """
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from models.physics_corrector.flow import Flow
 from models.physics_corrector.network import VelocityNetwork
 from models.physics_corrector.presets import CorrectorSettings
 from stable_data.errors import ConfigError
+from stable_data.files import put_file
 
 DEFAULT_WEIGHTS = Path(__file__).resolve().parents[1] / "weights" / "physics_corrector.safetensors"
 """Our own small corrector; models/weights/README.md says how it was made and what it does."""
@@ -57,14 +57,9 @@ def save_corrector(
     if notes and _SETTINGS in notes:
         raise ConfigError(f"{path}: the note {_SETTINGS!r} is taken, expected another name", "config_invalid")
     path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f".{path.name}.{os.getpid()}")
     tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
-    try:
-        # Not by the library's own writer of files, whose files nobody but their owner may read.
-        aside.write_bytes(_with_sorted_header(save(tensors, {**(notes or {}), _SETTINGS: settings.to_json()})))
-        aside.replace(path)
-    finally:
-        aside.unlink(missing_ok=True)
+    # Not by the library's own writer of files, whose files nobody but their owner may read.
+    put_file(path, _with_sorted_header(save(tensors, {**(notes or {}), _SETTINGS: settings.to_json()})))
 
 
 def _with_sorted_header(content: bytes) -> bytes:

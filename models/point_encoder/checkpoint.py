@@ -23,6 +23,7 @@ from models.point_encoder.encoder import PointEncoder
 from models.point_encoder.serialization import CURVES
 from models.point_encoder.transformer import TransformerConfig
 from stable_data.errors import ConfigError
+from stable_data.files import put_file
 
 FORMAT = "stable-data point encoder 1"
 
@@ -40,11 +41,9 @@ def save(encoder: PointEncoder, path: Path) -> None:
     settings = {name: json.dumps(value) for name, value in encoder.settings().items()}
     metadata = {"format": FORMAT, "fingerprint": encoder.fingerprint(), **settings}
     path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f"{path.name}.tmp")
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in encoder.state_dict().items()}
     # Not by the library's own writer of files, whose files nobody but their owner may read.
-    aside.write_bytes(serialized(tensors, metadata))
-    aside.replace(path)
+    put_file(path, serialized(tensors, metadata))
 
 
 def load(path: Path) -> PointEncoder:

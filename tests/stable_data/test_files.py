@@ -1,3 +1,5 @@
+import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -19,6 +21,22 @@ def test_what_cannot_be_put_in_place_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r".*"):
         put_file(tmp_path / "a", b"content")
     assert [p.name for p in tmp_path.iterdir()] == ["a"]
+
+
+def test_writers_with_the_number_of_one_process_do_not_disturb_each_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "getpid", lambda: 1)  # as in two containers that share a folder
+    path, contents = tmp_path / "a.bin", [bytes([k]) * 2**20 for k in range(4)]
+
+    def write(content: bytes) -> None:
+        for _ in range(10):
+            put_file(path, content)
+            assert path.read_bytes() in contents
+
+    with ThreadPoolExecutor(len(contents)) as pool:
+        list(pool.map(write, contents))
+    assert list(tmp_path.iterdir()) == [path]
 
 
 @given(st.text())

@@ -1,5 +1,7 @@
 """Rows of texts, and the file that keeps them."""
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +38,22 @@ def test_a_file_serves_what_it_holds_and_takes_what_it_lacks(tmp_path: Path) -> 
     text_rows(["a fork", *TEXTS], encoder, cache)
     assert encoder.asked == ["a fork"]
     assert [path.name for path in cache.parent.iterdir()] == ["rows.parquet"]
+
+
+def test_writers_with_the_number_of_one_process_do_not_disturb_each_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "getpid", lambda: 1)  # as in two containers that share a folder
+    cache = tmp_path / "rows.parquet"
+
+    def ask(writer: int) -> None:
+        for number in range(20):
+            texts = [f"thing {writer} {number} {k}" for k in range(50)]
+            assert np.array_equal(text_rows(texts, BagOfWords(), cache), BagOfWords()(texts))
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(ask, range(4)))
+    assert list(tmp_path.iterdir()) == [cache]
 
 
 def test_a_file_of_another_encoder_is_refused(tmp_path: Path) -> None:
