@@ -45,15 +45,16 @@ def tiles(figures: Iterable[tuple[str, str]]) -> str:
 def notices(folder: RunFolder) -> Iterable[str]:
     """The tables ``failures`` and ``warnings``."""
     for name in ("failures", "warnings"):
-        rows = folder.table(name).to_pylist()
-        yield f"<h2>{name.capitalize()} ({len(rows)})</h2>"
-        if not rows:
+        rows = folder.table(name).sort_by([("code", "ascending"), ("id", "ascending")])
+        yield f"<h2>{name.capitalize()} ({rows.num_rows})</h2>"
+        if not rows.num_rows:
             yield '<p class="note">None.</p>'
             continue
-        shown = sorted(rows, key=lambda r: (r["code"], r["id"]))[:_SHOWN]
-        yield table(("id", "step", "code", "message"), [(r["id"], r["step"], r["code"], r["message"]) for r in shown])
-        if len(rows) > len(shown):
-            yield f'<p class="note">and {len(rows) - len(shown)} more in the table {name}.</p>'
+        columns = ("id", "step", "code", "message")
+        shown = rows.slice(0, _SHOWN).to_pylist()
+        yield table(columns, [[row[column] for column in columns] for row in shown])
+        if rows.num_rows > len(shown):
+            yield f'<p class="note">and {rows.num_rows - len(shown)} more in the table {name}.</p>'
 
 
 def image_uri(picture: Any) -> str:

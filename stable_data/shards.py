@@ -34,6 +34,7 @@ MAX_BYTES = 96 * 10**6
 
 _ROW_GROUP = 1024
 _FILES_AT_ONCE = 32  # their footers are in memory together, and are read side by side from an object store
+_AHEAD = 8  # files of an object store that are fetched while another is looked at
 _PART = re.compile(r"part-([^-]+)(?:-(\d+))?\.parquet")
 
 
@@ -216,13 +217,14 @@ class RunFolder:
     ) -> Iterator[pa.RecordBatch]:
         """A table of the run, or those of its columns and rows that are asked for, a batch at a time; see :meth:`dataset`.
 
-        Files are read one after the other: what is read ahead of a run of many scenes is more than most want of it.
+        Files of a local run are read one after the other, for what is read ahead is more than most want of it; those of an object
+        store some at a time, for each has to be waited for.
 
         Raises:
             ConfigError: As :meth:`dataset`.
         """
         wanted = SCHEMAS[table].names if columns is None else list(columns)
-        ahead = {"batch_readahead": 1, "fragment_readahead": 1, "cache_metadata": False}
+        ahead = {"batch_readahead": 1, "fragment_readahead": 1 if self.is_local else _AHEAD, "cache_metadata": False}
         for part in self._parts(table):
             with self._naming_what_is_broken(part):
                 yield from part.to_batches(wanted, filter=where, **ahead)
