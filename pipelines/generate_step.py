@@ -214,7 +214,8 @@ class GenerateWork:
             return rows | {"failures": [tables.notice_row(made.failure)]}
         progress = Progress("judge")
         with limited(self.settings.seconds_per_item):
-            judged = rows_or_failure(name, progress, partial(self._judged, made, made.scene, progress))
+            make = partial(self._judged, made, made.scene, progress)
+            judged = rows_or_failure(name, progress, make, of_the_run=_NOT_OF_A_SCENE)
         return rows | judged | {"warnings": [*rows["warnings"], *judged.get("warnings", [])]}
 
     def _judged(self, made: Generated, scene: Scene, progress: Progress) -> Rows:

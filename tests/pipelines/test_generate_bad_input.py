@@ -5,6 +5,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -13,7 +14,7 @@ from shapely.errors import GEOSException
 from models.semantic_reasoner.engines import EngineSettings
 from models.semantic_reasoner.prompt import WANTED
 from models.semantic_reasoner.staged import LayoutTask
-from pipelines import generate_answers
+from pipelines import generate_answers, generate_step
 from pipelines.asset_shelf import AssetShelf
 from pipelines.generate import generate
 from pipelines.generate_settings import GenerateSettings
@@ -176,7 +177,12 @@ def test_what_nobody_foresaw_costs_one_scene(step: str, dataset: Path, tmp_path:
     assert "GEOSException: TopologyException: side location conflict; please report" in row["message"]
 
 
-def test_a_full_disk_is_nobodys_scene(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("module", "step"), [(generate_answers, "furnish"), (generate_step, "related")], ids=["made", "judged"]
+)
+def test_a_full_disk_is_nobodys_scene(
+    module: ModuleType, step: str, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     script = tmp_path / "script.json"
     script.write_text(json.dumps(one_thing_a_stage(AssetShelf([str(dataset)]).libraries[0].assets[1:4])))
     settings = replace(PLAIN, engine=EngineSettings(f"scripted:{script}"))
@@ -184,7 +190,7 @@ def test_a_full_disk_is_nobodys_scene(dataset: Path, tmp_path: Path, monkeypatch
     def fails(*_: Any) -> Any:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(generate_answers, "furnish", fails)
+    monkeypatch.setattr(module, step, fails)
     with pytest.raises(OSError, match="No space left"):
         generate(FOUR, str(tmp_path / "out"), settings, ALONE, [str(dataset)], report=False)
     assert not ids(tmp_path / "out", "failures")
