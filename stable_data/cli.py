@@ -225,7 +225,8 @@ def query(
 ) -> None:
     """Count the scenes of a run that a condition takes, or write them to a run of their own.
 
-    Conditions compare columns of the table scenes with constants and are joined by and, or and not; what is unknown passes none.
+    Conditions compare columns of the table scenes with constants and are joined by and, or and not. What is unknown passes none,
+    unless it is asked for: "aws is None or aws >= 1".
     """
     from stable_data.selection import count_selected, select
     from stable_data.shards import RunFolder

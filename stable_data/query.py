@@ -2,14 +2,15 @@
 
 A condition names columns, compares them with constants and joins the comparisons with ``and``, ``or`` and ``not``. It is read by
 Python's own parser and nothing of it is ever run; Arrow evaluates it, and skips the parts of a file whose statistics rule it out. A
-value that is unknown (null) makes no row pass: neither ``stable`` nor ``not stable`` holds where stability was never judged.
+value that is unknown (null) makes no row pass: neither ``stable`` nor ``not stable`` holds where stability was never judged. Only
+``is None`` and ``is not None`` ask for it: ``aws is None or aws >= 1`` takes what is unknown too.
 """
 
 import ast
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import reduce
-from operator import and_, or_
+from operator import and_, eq, ge, gt, le, lt, ne, or_
 from typing import Any
 
 import pyarrow as pa
@@ -18,13 +19,13 @@ import pyarrow.dataset as ds
 
 from stable_data.errors import ConfigError
 
-_COMPARISONS: dict[type[ast.cmpop], str] = {
-    ast.Eq: "==",
-    ast.NotEq: "!=",
-    ast.Lt: "<",
-    ast.LtE: "<=",
-    ast.Gt: ">",
-    ast.GtE: ">=",
+_COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], pc.Expression]] = {
+    ast.Eq: eq,
+    ast.NotEq: ne,
+    ast.Lt: lt,
+    ast.LtE: le,
+    ast.Gt: gt,
+    ast.GtE: ge,
 }
 
 
@@ -61,7 +62,8 @@ def parse_query(text: str, schema: pa.Schema) -> Query:
     """A condition from its words.
 
     Args:
-        text: Such as ``stable and num_stacked >= 2``, ``table_type in ["office_table", "desk"]`` or ``0 < float_rate <= 0.1``.
+        text: Such as ``stable and num_stacked >= 2``, ``table_type in ["office_table", "desk"]``, ``0 < float_rate <= 0.1`` or
+            ``aws is None or aws >= 1``.
         schema: The table's, whose columns of numbers, texts and truths may be named.
 
     Raises:
@@ -75,8 +77,14 @@ def parse_query(text: str, schema: pa.Schema) -> Query:
     try:
         expression = reader.truth(tree)
         ds.InMemoryDataset(schema.empty_table()).to_table(filter=expression)  # finds comparisons of unlike things
-    except (pa.ArrowException, RecursionError) as error:
+    except ConfigError:
+        raise
+    except pa.ArrowException as error:
         raise _invalid(text, f"compares unlike things ({str(error).partition(chr(10))[0]})") from error
+    except RecursionError as error:
+        raise _invalid(text, f"cannot be read ({error})") from error
+    except (OverflowError, ValueError) as error:
+        raise _invalid(text, f"has what no column holds ({error}), expected whole numbers of 64 bits and Unicode") from error
     if not reader.columns:
         raise _invalid(text, "names no column; leave it out to take every row")
     return Query(text, tuple(reader.columns), expression)
@@ -115,19 +123,13 @@ class _Reader:
             alike = [value == pc.scalar(constant) for constant in self._constants(right)]
             found = reduce(or_, alike)  # and not is_in, which calls what is unknown false
             return found if isinstance(operator, ast.In) else ~found
-        symbol = _COMPARISONS.get(type(operator))
-        if symbol is None:
-            raise _invalid(self._text, "compares by identity, expected ==, !=, <, <=, >, >= or in")
-        one, other = self._value(left), self._value(right)
-        compared: dict[str, pc.Expression] = {
-            "==": one == other,
-            "!=": one != other,
-            "<": one < other,
-            "<=": one <= other,
-            ">": one > other,
-            ">=": one >= other,
-        }
-        return compared[symbol]
+        if isinstance(operator, ast.Is | ast.IsNot):
+            if not isinstance(left, ast.Name) or not isinstance(right, ast.Constant) or right.value is not None:
+                found = ast.unparse(ast.Compare(left, [operator], [right]))
+                raise _invalid(self._text, f"has {found!r}, expected a column before is and None after it")
+            value = self._value(left)
+            return value.is_null() if isinstance(operator, ast.Is) else value.is_valid()
+        return _COMPARISONS[type(operator)](self._value(left), self._value(right))
 
     def _value(self, node: ast.expr) -> pc.Expression:
         if isinstance(node, ast.Name):
@@ -144,6 +146,8 @@ class _Reader:
             value = ast.literal_eval(node)
         except (ValueError, TypeError) as error:
             raise _invalid(self._text, f"has {ast.unparse(node)!r}, expected a column or a constant") from error
+        if value is None:
+            raise _invalid(self._text, "compares with None; write is None or is not None of what may be unknown")
         if not isinstance(value, str | int | float) or value != value:
             raise _invalid(self._text, f"has {ast.unparse(node)!r}, expected a number, a text or a truth")
         return value

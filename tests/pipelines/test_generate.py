@@ -168,6 +168,41 @@ def test_what_an_instruction_says_of_the_start_and_does_not_hold_is_named(
     assert [held[f"task_{k}"] for k in range(4)] == [1.0, 0.5, 0.5, 0.0]
 
 
+@pytest.mark.parametrize(
+    ("accept", "accepted"),
+    [("clean and aws >= 1", {"task_1"}), ("clean and (aws is None or aws >= 1)", {"task_0", "task_1"})],
+)
+def test_an_instruction_that_says_nothing_of_the_start_is_accepted_where_the_rule_takes_what_is_unknown(
+    dataset: Path, settings: GenerateSettings, shelf: AssetShelf, tmp_path: Path, accept: str, accepted: set[str]
+) -> None:
+    first, second = shelf.libraries[0].assets[1:3]
+    script = {
+        WANTED[Stage.TASK]: {"objects": [entry(first, 30.0), entry(second, 80.0)]},
+        WANTED[Stage.IMPORTANT]: {"objects": []},
+        WANTED[Stage.SECONDARY]: {"objects": []},
+    }
+    (tmp_path / "script.json").write_text(json.dumps(script))
+    one, other = (asset.category.replace("_", " ") for asset in (first, second))
+    asked = tasks(
+        f"Lift the {one}.",
+        f"The {one} is to the left of the {other}. Move it behind.",
+        f"The {one} is to the left of the {other} and to the right of the {other}. Move it behind.",
+    )
+    own = replace(
+        settings,
+        engine=EngineSettings(f"scripted:{tmp_path / 'script.json'}"),
+        reasoner=ReasonerSettings(statistics=str(EMBEDDED), tries=1),
+        accept=accept,
+    )
+    generate(asked, str(tmp_path / "out"), own, ALONE, [str(dataset)])
+    assert {row["scene_id"] for row in rows_of(tmp_path / "out", "scenes")} == accepted
+    known = {row["scene_id"]: row["aws"] for table in ("scenes", "rejected") for row in rows_of(tmp_path / "out", table)}
+    assert known == {"task_0": None, "task_1": 1.0, "task_2": 0.5}
+    reasons = {row["scene_id"]: row["reason"] for row in rows_of(tmp_path / "out", "rejected")}
+    assert "aws is 0.5" in reasons["task_2"]
+    assert "aws is unknown" in reasons.get("task_0", "aws is unknown")
+
+
 def test_settled_poses_are_kept_beside(made: Path) -> None:
     scenes = {row["scene_id"]: row for row in rows_of(made, "scenes")}
     settled = rows_of(made, "settled")

@@ -1,8 +1,11 @@
 """Conditions against Python's own reading of the same words."""
 
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.dataset as ds
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -34,6 +37,9 @@ ATOMS = st.sampled_from(
         "kind == 'desk'",
         "kind in ['desk', 'shelf']",
         "n not in (1, 2)",
+        "x is None",
+        "kind is not None",
+        "ok is None or ok",
     ]
 )
 CONDITIONS = st.recursive(
@@ -65,6 +71,8 @@ def truth(text: str, row: dict[str, Any]) -> bool | None:
                 ast.Compare(one, [operator], [other]) for one, operator, other in zip(sides, node.ops, sides[1:], strict=False)
             ]
             return of(ast.BoolOp(ast.And(), links))
+        if isinstance(node, ast.Compare) and isinstance(node.ops[0], ast.Is | ast.IsNot):
+            return bool(eval(ast.unparse(node), {}, row))  # noqa: S307 - what is unknown is known to be so
         names = [n.id for n in ast.walk(node) if isinstance(n, ast.Name)]
         if any(row[name] is None for name in names):
             return None
@@ -86,6 +94,29 @@ def test_a_table_is_filtered_row_by_row(text: str, rows: list[dict[str, Any]]) -
 
 
 @pytest.mark.parametrize(
+    ("text", "values", "groups"),
+    [
+        ("x is None", [None, None, None], [0, 2]),
+        ("x is not None", [0.5, 1.0, 0.2], [1, 2]),
+        ("not (x is None)", [0.5, 1.0, 0.2], [1, 2]),
+        ("x is None or x >= 1", [None, None, 1.0, None], [0, 1, 2]),
+        ("x is not None and x < 1", [0.5, 0.2], [1, 2]),
+        ("x < 1", [0.5, 0.2], [1, 2]),
+        ("not x < 1", [1.0], [1]),
+    ],
+)
+def test_a_file_is_opened_where_its_statistics_leave_it_open(
+    text: str, values: list[float | None], groups: list[int], tmp_path: Path
+) -> None:
+    path, schema = tmp_path / "x.parquet", pa.schema([("x", pa.float64())])
+    pq.write_table(pa.table({"x": [None, None, 0.5, 1.0, None, 0.2]}, schema), path, row_group_size=2)
+    query, [fragment] = parse_query(text, schema), ds.dataset(path).get_fragments()
+    assert ds.dataset(path).to_table(filter=query.expression)["x"].to_pylist() == values
+    assert query.rows(pq.read_table(path))["x"].to_pylist() == values
+    assert [group.id for group in fragment.subset(query.expression).row_groups] == groups
+
+
+@pytest.mark.parametrize(
     ("text", "words"),
     [
         ("", "cannot be read"),
@@ -97,13 +128,26 @@ def test_a_table_is_filtered_row_by_row(text: str, rows: list[dict[str, Any]]) -
         ("n", "expected a comparison"),
         ("n + 1 > 2", "expected a column or a constant"),
         ("__import__('os').system('true')", "where something true or false is expected"),
-        ("n is None", "identity"),
-        ("n == None", "expected a number, a text or a truth"),
+        ("n is 3", "has 'n is 3', expected a column before is and None after it"),
+        ("n is not kind", "has 'n is not kind', expected a column before is and None after it"),
+        ("None is n", "has 'None is n', expected a column before is and None after it"),
+        ("n is None is None", "has 'None is None', expected a column before is and None after it"),
+        ("many is None", "names many"),
+        ("n == None", "compares with None; write is None or is not None"),
+        ("n in [1, None]", "compares with None; write is None or is not None"),
+        ("n in [1j]", "expected a number, a text or a truth"),
         ("n in kind", "expected a list of constants"),
         ("n in []", "expected a list of constants"),
         ("n > 'many'", "unlike things"),
         ("n in [1, 'a']", "unlike things"),
         ("True", "names no column"),
+        ("n < 99999999999999999999", "what no column holds"),
+        ("-99999999999999999999 in [n]", "what no column holds"),
+        ("n in [1, 99999999999999999999]", "what no column holds"),
+        (f"n + 0x{'f' * 5000} > 1", "what no column holds"),
+        (r"'\ud800' == kind", "what no column holds"),
+        (r"kind in ['\ud800']", "what no column holds"),
+        ("kind == '\ud800'", "cannot be read"),
     ],
 )
 def test_what_is_no_condition_is_refused_in_one_line(text: str, words: str) -> None:
@@ -121,3 +165,11 @@ def test_the_columns_of_the_card_can_be_asked_for() -> None:
     assert query.passes(row, SCHEMAS["scenes"])
     assert not query.passes(row | {"num_stacked": 1}, SCHEMAS["scenes"])
     assert not query.passes(row | {"clean": None}, SCHEMAS["scenes"])
+
+
+def test_what_is_unknown_passes_where_it_is_asked_for_and_nowhere_else() -> None:
+    schema = SCHEMAS["scenes"]
+    assert [parse_query("aws >= 1", schema).passes({"aws": aws}, schema) for aws in (None, 0.5, 1.0)] == [False, False, True]
+    lenient = parse_query("aws is None or aws >= 1", schema)
+    assert [lenient.passes({"aws": aws}, schema) for aws in (None, 0.5, 1.0)] == [True, False, True]
+    assert not parse_query("(aws is None or aws >= 1) and stable", schema).passes({"aws": None, "stable": None}, schema)
