@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 from shapely.errors import GEOSException
 
+from models.physics_corrector.checkpoint import save_corrector
+from models.point_encoder import save as save_encoder
 from models.semantic_reasoner.engines import EngineSettings
 from models.semantic_reasoner.prompt import WANTED
 from models.semantic_reasoner.staged import LayoutTask
@@ -24,6 +26,8 @@ from pipelines.scene_work import SceneShard
 from stable_data.errors import ConfigError
 from stable_data.scene import Stage, Tabletop
 from stable_data.shards import RunFolder
+from tests.models.physics_corrector.conditions import awake_network, small_settings
+from tests.models.point_encoder.clouds import tiny_encoder
 from tests.models.semantic_reasoner.endpoint import Act, endpoint, said
 from tests.pipelines.hostile_asset import HOSTILE, HostileWork
 from tests.pipelines.runs import content
@@ -194,6 +198,20 @@ def test_a_full_disk_is_nobodys_scene(
     with pytest.raises(OSError, match="No space left"):
         generate(FOUR, str(tmp_path / "out"), settings, ALONE, [str(dataset)], report=False)
     assert not ids(tmp_path / "out", "failures")
+
+
+def test_weights_that_do_not_fit_the_features_are_refused_before_anything_is_written(dataset: Path, tmp_path: Path) -> None:
+    settings = small_settings("set_transformer")
+    settings = replace(settings, network=replace(settings.network, num_features=64))
+    path = tmp_path / "physics_corrector.safetensors"
+    save_corrector(path, settings, awake_network(settings).state_dict(), {"encoder_fingerprint": "another"})
+    save_encoder(tiny_encoder(), path.with_name("point_encoder.safetensors"))
+    job = replace(PLAIN, weights=str(path), engine=EngineSettings("embedded"))
+    with pytest.raises(ConfigError, match=r"trained on the features of encoder another, found \w+; give the encoder") as caught:
+        generate(FOUR, str(tmp_path / "out"), job, ALONE, [str(dataset)])
+    assert caught.value.code == "encoder_mismatch"
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
 
 
 def test_the_folder_of_another_job_is_refused_and_stays_as_it_is(bare_run: Path, dataset: Path, tmp_path: Path) -> None:
