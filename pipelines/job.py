@@ -5,11 +5,12 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol, TypeAlias, TypeVar
 
-import stable_data
+from pipelines.code_record import record_code, with_release
 from pipelines.live import LiveBar, Tally
 from pipelines.progress import Progress
 from pipelines.runner import Loss, Work, Workers, alone
 from stable_data import tables
+from stable_data.code_version import code_version
 from stable_data.dotted import differences
 from stable_data.errors import ConfigError, Notice, StableDataError
 from stable_data.shards import RunFolder
@@ -81,18 +82,20 @@ def rows_alone(
 
 def new_manifest(job: str, dataset: str, fingerprint: str, **more: Any) -> dict[str, Any]:
     """The manifest of a run that starts."""
-    head = {"job": job, "status": "running", "code_version": stable_data.__version__, "table_version": tables.TABLE_VERSION}
+    code = {"code_version": code_version(), "code_versions": [code_version()]}
+    head = {"job": job, "status": "running", **code, "table_version": tables.TABLE_VERSION}
     return {**head, "dataset": dataset, "input_fingerprint": fingerprint, **more}
 
 
 def check_resume(
-    folder: RunFolder, manifest: Mapping[str, Any], shaping: Mapping[str, Any], *, may_be_added: Sequence[str] = ()
+    folder: RunFolder, manifest: dict[str, Any], shaping: Mapping[str, Any], *, may_be_added: Sequence[str] = ()
 ) -> None:
     """Refuses to mix rows of two configurations, inputs or versions in one folder.
 
     Args:
         folder: The run.
-        manifest: Of the run that starts; its ``inputs`` are compared one by one.
+        manifest: Of the run that starts; its ``inputs`` are compared one by one. Other sources of the same version are not refused,
+            but said, and put into its ``code_versions``, see :func:`pipelines.code_record.record_code`.
         shaping: The settings that shape rows.
         may_be_added: Keys of the manifest that are compared too, unless the former run had none of it.
 
@@ -116,7 +119,8 @@ def check_resume(
             f"{folder.uri}/manifest.json: not a JSON object ({error}); is this the folder of a run?", "manifest_invalid"
         ) from error
     compared = (*_COMPARED, *(key for key in may_be_added if was.get(key) is not None))
-    changed = differences({k: was.get(k) for k in compared}, {k: manifest[k] for k in compared})
+    before, now = with_release(was), with_release(manifest)
+    changed = differences({k: before.get(k) for k in compared}, {k: now[k] for k in compared})
     changed += [f"inputs.{change}" for change in differences(was_inputs, manifest["inputs"])]
     changed += differences({k: was_settings.get(k) for k in shaping}, shaping)
     if changed:
@@ -124,6 +128,7 @@ def check_resume(
             f"{folder.uri}: was made with another configuration ({'; '.join(changed)}); choose a new folder or restore it",
             "config_changed",
         )
+    record_code(folder.uri, was, manifest)
 
 
 def write_manifest(folder: RunFolder, manifest: Mapping[str, Any]) -> None:

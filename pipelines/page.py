@@ -32,7 +32,7 @@ def head(manifest: dict[str, Any]) -> str:
     """The title of a run, and what it was made from."""
     return (
         f"<h1>{escape(manifest['dataset'])}</h1>"
-        f'<p class="note">{manifest["job"]}, code {escape(manifest["code_version"])}, tables version '
+        f'<p class="note">{manifest["job"]}, code {escape(", ".join(manifest["code_versions"]))}, tables version '
         f"{manifest['table_version']}, inputs {manifest['input_fingerprint']}</p>"
     )
 

@@ -249,6 +249,7 @@ def plan_run(dataset: MesaTaskDataset, settings: PreprocessSettings, encoder: st
     Raises:
         ConfigError: The text features cannot be used.
     """
+    # Of the code the version alone: where sources change, check_resume tells, and what is in place stays.
     versions = {"table_version": tables.TABLE_VERSION, "code": stable_data.__version__}
     shaping = settings.shaping() | versions
     uses: dict[str, UseCount] = defaultdict(UseCount)

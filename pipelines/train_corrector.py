@@ -19,7 +19,6 @@ from typing import Any
 
 from tqdm import tqdm
 
-import stable_data
 from models.physics_corrector.checkpoint import save_corrector
 from models.physics_corrector.training import Training, train
 from models.physics_corrector.training_set import RunScenes, TrainingSet
@@ -27,6 +26,7 @@ from models.physics_corrector.training_settings import TrainingSettings
 from models.physics_corrector.validation import Card, HeldOut, scalars, validation_card
 from models.place import Place
 from pipelines.training_run import as_json, event_log, here, on_signals, refuse_changes
+from stable_data.code_version import code_version
 from stable_data.errors import ConfigError
 from stable_data.shards import RunFolder
 
@@ -198,7 +198,7 @@ class _Watcher:
             "encoder_fingerprint": self._data.encoder,
             "features": job.settings.features,
             "training": json.dumps(asdict(job.settings), sort_keys=True),
-            "code_version": stable_data.__version__,
+            "code_version": code_version(),
         }
         save_corrector(job.out / WEIGHTS, job.settings.corrector, training.average, notes)
         if is_done:
@@ -229,7 +229,8 @@ def _manifest(job: TrainCorrector, data: TrainingSet) -> dict[str, Any]:
     return {
         "job": "train_corrector",
         "status": "running",
-        "code_version": stable_data.__version__,
+        "code_version": code_version(),
+        "code_versions": [code_version()],
         "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "data_fingerprint": data.fingerprint,
         "encoder_fingerprint": data.encoder,

@@ -21,7 +21,6 @@ from typing import Any, TypeAlias
 from tqdm import tqdm
 from transformers import PreTrainedTokenizerBase
 
-import stable_data
 from models.place import Place
 from models.semantic_reasoner.batches import batches_of_pass
 from models.semantic_reasoner.categories import CategoryStatistics
@@ -33,6 +32,7 @@ from models.semantic_reasoner.training import Identity, Step, Training, train
 from models.semantic_reasoner.training_data import RunExamples, fingerprint_of
 from models.semantic_reasoner.training_settings import ReasonerTraining
 from pipelines.training_run import as_json, event_log, here, on_signals, refuse_changes
+from stable_data.code_version import code_version
 from stable_data.errors import ConfigError
 from stable_data.shards import RunFolder
 
@@ -222,7 +222,7 @@ class _Watcher:
         self._add(figures)
         notes = {
             "prompt_version": PROMPT_VERSION,
-            "code_version": stable_data.__version__,
+            "code_version": code_version(),
             "settings": asdict(job.settings),
             **asdict(job.identity(training.tokenizer)),
             "steps": training.step,
@@ -252,7 +252,8 @@ def _manifest(job: TrainReasoner, tokenizer: PreTrainedTokenizerBase, data: Toke
     return {
         "job": "train_reasoner",
         "status": "running",
-        "code_version": stable_data.__version__,
+        "code_version": code_version(),
+        "code_versions": [code_version()],
         "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         **asdict(job.identity(tokenizer)),
         "examples": {"train": _counts(data), "validation": _counts(held_out)},

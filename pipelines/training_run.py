@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 
+from pipelines.code_record import record_code, with_release
 from stable_data.dotted import differences, flat
 from stable_data.errors import ConfigError
 from stable_data.shards import RunFolder
@@ -38,11 +39,12 @@ def here() -> torch.device:
 
 
 def refuse_changes(folder: RunFolder, manifest: dict[str, Any], compared: Sequence[str]) -> None:
-    """Refuses to go on with a training of other settings, data or code.
+    """Refuses to go on with a training of other settings, data or version.
 
     Args:
         folder: The training's folder.
-        manifest: Of the training that is to start.
+        manifest: Of the training that is to start. Other sources of the same version are not refused, but said, and put into its
+            ``code_versions``, see :func:`pipelines.code_record.record_code`.
         compared: Keys of it that must be as they were, beside ``settings``.
 
     Raises:
@@ -58,13 +60,15 @@ def refuse_changes(folder: RunFolder, manifest: dict[str, Any], compared: Sequen
         raise ConfigError(
             f"{folder.uri}/manifest.json: not a JSON object ({error}); is this the folder of a run?", "manifest_invalid"
         ) from error
-    changed = differences({k: was.get(k) for k in compared}, {k: manifest[k] for k in compared})
+    before, now = with_release(was), with_release(manifest)
+    changed = differences({k: before.get(k) for k in compared}, {k: now[k] for k in compared})
     changed += differences(flat(was_settings), flat(manifest["settings"]))
     if changed:
         raise ConfigError(
             f"{folder.uri}: was made with another configuration ({'; '.join(changed)}); choose a new folder or restore it",
             "config_changed",
         )
+    record_code(folder.uri, was, manifest)
 
 
 def as_json(document: dict[str, Any]) -> bytes:

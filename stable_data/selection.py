@@ -5,7 +5,7 @@ import json
 import pyarrow as pa
 import pyarrow.compute as pc
 
-import stable_data
+from stable_data.code_version import code_version
 from stable_data.errors import ConfigError
 from stable_data.query import parse_query
 from stable_data.shards import RunFolder, content_id
@@ -49,7 +49,7 @@ def select(run: RunFolder, where: str, target: RunFolder) -> dict[str, int]:
     read = {table: sorted(run.shard_ids(table)) for table in SCHEMAS if run.files(table) and table != "failures"}
     manifest = {
         "job": "query",
-        "code_version": stable_data.__version__,
+        "code_version": code_version(),
         "table_version": TABLE_VERSION,
         "input_fingerprint": content_id(read),
         "inputs": {"run": run.uri},

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from stable_data import __version__
+from stable_data.code_version import code_version
 from stable_data.errors import ConfigError, StableDataError
 from stable_data.export.formats import Format, format_named
 from stable_data.files import put_file
@@ -155,7 +155,7 @@ def _check_same(target: RunFolder, run: RunFolder, name: str, choice: Choice) ->
             raise ConfigError(
                 f"{target.uri}: holds something else, expected an empty folder or this export", "output_not_empty"
             )
-        text = json.dumps(settings | {"code_version": __version__}, indent=2, sort_keys=True, ensure_ascii=False)
+        text = json.dumps(settings | {"code_version": code_version()}, indent=2, sort_keys=True, ensure_ascii=False)
         target.write_bytes(MANIFEST_FILE, (text + "\n").encode())
         return
     try:
