@@ -58,7 +58,8 @@ def read_edits(path: Path, scene_ids: Container[str]) -> EditFile:
         scene_ids: The scenes that are there.
 
     Returns:
-        The edits. Without an id the k-th edit of a scene is ``<scene_id>_edit<k>``, counted from 1.
+        The edits. Without an id the k-th edit of a scene is ``<scene_id>_edit<k>``, counted from 1. A line that is none
+        is called by its number, ``line 000002``: with a space, so that no edit has its name.
 
     Raises:
         ConfigError: It cannot be read, or holds nothing (``edits_invalid``).
@@ -74,16 +75,14 @@ def read_edits(path: Path, scene_ids: Container[str]) -> EditFile:
     for number, line in enumerate(lines, 1):
         if not line.strip():
             continue
-        item_id = f"line_{number:06d}"
         try:
             edit = _edit_of(line, count)
-            item_id = item_id if edit.edit_id in edits else edit.edit_id
             if edit.edit_id in edits or edit.edit_id in scene_ids:
                 raise SceneError(f"edit_id {edit.edit_id} is taken, expected one of its own; choose another", "edit_invalid")
             if edit.scene_id not in scene_ids:
                 raise SceneError(f"scene {edit.scene_id} is not in the scenes; is it their edit?", "scene_unknown")
         except SceneError as error:
-            failures.append(Notice(item_id, "edits", error.code, f"{path.name}, line {number}: {error}"))
+            failures.append(Notice(f"line {number:06d}", "edits", error.code, f"{path.name}, line {number}: {error}"))
         else:
             edits[edit.edit_id] = edit
     if not edits and not failures:

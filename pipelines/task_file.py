@@ -38,15 +38,16 @@ def read_tasks(path: Path) -> Iterator[LayoutTask | Notice]:
             in CSV. The restricted zone is x_min, x_max, y_min, y_max. Empty lines are passed over.
 
     Yields:
-        A task, or what keeps a row from being one, in the file's order. A row without ``scene_id`` is called by its number.
+        A task, or what keeps a row from being one, in the file's order. A task without ``scene_id`` is called by the number of its
+        row, ``task_000002``; a row that is none likewise, but with a space, so that no task has its name.
 
     Raises:
         ConfigError: It cannot be read, is of another kind, or holds nothing (``tasks_invalid``).
     """
     taken: set[str] = set()
+    number = 0
     try:
         for number, row in _rows(path):
-            item_id = f"row_{number:06d}"
             try:
                 task = task_of(row if isinstance(row, Mapping) else _parsed(row), f"task_{number:06d}")
                 if task.scene_id in taken:
@@ -54,15 +55,14 @@ def read_tasks(path: Path) -> Iterator[LayoutTask | Notice]:
                         f"scene_id {task.scene_id} is taken, expected one of its own; choose another", "task_invalid"
                     )
             except SceneError as error:
-                yield Notice(item_id, STEP, error.code, f"{path.name}, row {number}: {error}")
+                yield Notice(f"row {number:06d}", STEP, error.code, f"{path.name}, row {number}: {error}")
             else:
+                taken.add(task.scene_id)
                 yield task
-                item_id = task.scene_id
-            taken.add(item_id)
     except (OSError, UnicodeDecodeError, csv.Error, pa.ArrowException) as error:
         reason = (isinstance(error, OSError) and error.strerror) or str(error).strip().partition("\n")[0]
         raise _unreadable(path, f"cannot be read ({reason})") from error
-    if not taken:
+    if not number:
         raise _unreadable(path, "holds no tasks")
 
 

@@ -260,13 +260,13 @@ def test_replies_that_cannot_be_used_are_failures_and_nothing_is_lost(
         "said": ("reply", "reply_not_json"),
         "zebra": ("reply", "edit_refused"),
         "long": ("reply", "instruction_invalid"),
-        "nowhere_0001_edit1": ("edits", "scene_unknown"),
-        "line_000009": ("edits", "instruction_invalid"),
-        "line_000010": ("edits", "edit_invalid"),
-        "line_000011": ("edits", "edit_invalid"),
-        "line_000012": ("edits", "edit_invalid"),
-        "line_000013": ("edits", "edit_invalid"),
-        "line_000014": ("edits", "edit_invalid"),
+        "line 000008": ("edits", "scene_unknown"),
+        "line 000009": ("edits", "instruction_invalid"),
+        "line 000010": ("edits", "edit_invalid"),
+        "line 000011": ("edits", "edit_invalid"),
+        "line 000012": ("edits", "edit_invalid"),
+        "line 000013": ("edits", "edit_invalid"),
+        "line 000014": ("edits", "edit_invalid"),
     }
     assert rows_of(out, "scenes").keys() == {"good"}
     assert manifest["num_edits"] == 14
@@ -587,6 +587,19 @@ def test_edits_are_numbered_by_scene(tmp_path: Path) -> None:
     for nothing in (tmp_path / "no.jsonl", file_of([""], tmp_path / "empty.jsonl")):
         with pytest.raises(ConfigError):
             read_edits(nothing, {"a"})
+
+
+def test_each_line_is_one_edit_or_one_failure_of_its_own_name(tmp_path: Path) -> None:
+    lines: list[Any] = [
+        {"scene_id": "nowhere", "instruction": "Do it.", "edit_id": "mine"},
+        {"scene_id": "a", "instruction": "Do it.", "edit_id": "mine"},
+        {"scene_id": "a", "instruction": "Do it.", "edit_id": "line_000005"},
+        {"scene_id": "a", "instruction": "Do it.", "edit_id": "a"},
+        {"scene_id": "a", "instruction": "Do it.", "edit_id": "a"},
+        {"scene_id": "a", "instruction": "Do it.", "edit_id": "line 000005"},
+    ]
+    found = read_edits(file_of(lines, tmp_path / "e.jsonl"), {"a"})
+    assert found.ids == ["mine", "line_000005", "line 000001", "line 000004", "line 000005", "line 000006"]
 
 
 def test_the_command_asks_the_engine_that_is_named(dataset: Path, wanted: list[dict[str, Any]], tmp_path: Path) -> None:

@@ -70,7 +70,7 @@ def tasks(*words: str) -> Tasks:
 
 MIXED = replace(
     tasks("Lift it.", "Say nonsense", "Turn it.", "Lift the elephant", "Take it."),
-    lost=[Notice("row_000006", "tasks", "task_invalid", "tasks.jsonl, row 6: no JSON")],
+    lost=[Notice("row 000006", "tasks", "task_invalid", "tasks.jsonl, row 6: no JSON")],
 )
 
 
@@ -90,7 +90,7 @@ def rows_of(out: Path, table: str) -> list[Row]:
 def test_each_task_is_a_scene_or_a_failure(made: Path) -> None:
     assert {row["scene_id"] for row in rows_of(made, "scenes")} == {"task_0", "task_2", "task_4"}
     failures = {row["id"]: row["code"] for row in rows_of(made, "failures")}
-    assert failures == {"task_1": "reply_unusable", "task_3": "asset_unmatched", "row_000006": "task_invalid"}
+    assert failures == {"task_1": "reply_unusable", "task_3": "asset_unmatched", "row 000006": "task_invalid"}
     counts = json.loads((made / "manifest.json").read_text())["counts"]
     assert (counts["scenes"], counts["failed_scenes"], counts["failures"]) == (3, 3, 3)
 

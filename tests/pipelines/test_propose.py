@@ -101,16 +101,16 @@ def test_each_task_is_a_scene_or_a_failure(dataset: Path, shelf: AssetShelf, tmp
     manifest = propose(tasks, str(out), settings, [str(dataset)])
     failures = {row["id"]: row["code"] for row in rows_of(out, "failures")}
     assert failures == {
-        "row_000002": "task_invalid",
-        "row_000004": "task_invalid",
-        "row_000005": "task_invalid",
-        "row_000006": "instruction_invalid",
+        "row 000002": "task_invalid",
+        "row 000004": "task_invalid",
+        "row 000005": "task_invalid",
+        "row 000006": "instruction_invalid",
         "task_000007": "instruction_invalid",
         "task_000008": "reply_unusable",
         "task_000009": "asset_unmatched",
-        "row_000010": "table_invalid",
-        "row_000011": "table_invalid",
-        "row_000012": "task_invalid",
+        "row 000010": "table_invalid",
+        "row 000011": "table_invalid",
+        "row 000012": "task_invalid",
         "task_000013": "layout_empty",
     }
     assert manifest["counts"]["scenes"] + len(failures) == manifest["num_tasks"] == len(rows)
@@ -281,7 +281,18 @@ def test_a_file_of_another_kind_says_the_same(ending: str, tmp_path: Path) -> No
     last, other = found[2], expected[2]
     assert isinstance(last, Notice)
     assert isinstance(other, Notice)
-    assert (last.item_id, last.code) == (other.item_id, other.code) == ("row_000003", "instruction_invalid")
+    assert (last.item_id, last.code) == (other.item_id, other.code) == ("row 000003", "instruction_invalid")
+
+
+def test_no_task_has_the_name_of_a_row_that_is_none(tmp_path: Path) -> None:
+    names = ["row_000002", "row 000002", "row_000004", "task_000006"]
+    rows = [*({**GOOD, "scene_id": name} for name in names), {**GOOD, "instruction": ""}, GOOD, "no JSON"]
+    found = list(read_tasks(task_file(tmp_path, rows)))
+    tasks = [task.scene_id for task in found if isinstance(task, LayoutTask)]
+    lost = {notice.item_id: notice.message for notice in found if isinstance(notice, Notice)}
+    assert tasks == ["row_000002", "row_000004", "task_000006"]
+    assert list(lost) == ["row 000002", "row 000005", "row 000006", "row 000007"]
+    assert "scene_id task_000006 is taken, expected one of its own" in lost["row 000006"]  # first come keeps the name
 
 
 @pytest.mark.parametrize("content", [None, b"", b"\xff\xfe{", b"instruction,table_type\na,b\n", b"PAR1 and no more"])
