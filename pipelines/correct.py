@@ -13,7 +13,16 @@ from models.physics_corrector.learned import load_flow, weights_fingerprint
 from pipelines.correct_report import write_correct_report
 from pipelines.correct_settings import CorrectSettings
 from pipelines.correct_step import CorrectWork
-from pipelines.job import check_resume, check_shards, count_items, count_rows, new_manifest, run_missing, write_manifest
+from pipelines.job import (
+    OF_DATASET,
+    check_resume,
+    check_shards,
+    count_items,
+    count_rows,
+    new_manifest,
+    run_missing,
+    write_manifest,
+)
 from pipelines.runner import Loss, Workers, alone
 from pipelines.scene_source import FolderSource, SceneSource, TableSource, scene_source
 from pipelines.scene_work import SceneShard
@@ -27,9 +36,6 @@ S = TypeVar("S", bound=CorrectSettings)
 
 CARRIED_TABLES = ("assets", "meshes", "sdf", "features")
 """Tables of the input run that the output carries, so that it can be trained on and exported as it is."""
-
-OF_DATASET = content_id("dataset")
-"""The shard of rows that belong to no other: what is lost or odd of the input as a whole."""
 
 
 def correct(scenes: str, out: str, settings: CorrectSettings, workers: Workers, *, report: bool = True) -> dict[str, Any]:

@@ -7,12 +7,21 @@ from typing import Any
 
 from models.physics_corrector.learned import NONE, load_flow, weights_fingerprint
 from models.semantic_reasoner.assembly import shaping_of_proposals
-from pipelines.correct import OF_DATASET, carry_assets, places, settled_here, write_dataset, write_notices
+from pipelines.correct import carry_assets, places, settled_here, write_dataset, write_notices
 from pipelines.edit_file import EditFile, WantedEdit, read_edits
 from pipelines.edit_report import write_edit_report
 from pipelines.edit_settings import EditSettings
 from pipelines.edit_step import EditWork
-from pipelines.job import check_resume, check_shards, count_items, count_rows, new_manifest, run_missing, write_manifest
+from pipelines.job import (
+    OF_DATASET,
+    check_resume,
+    check_shards,
+    count_items,
+    count_rows,
+    new_manifest,
+    run_missing,
+    write_manifest,
+)
 from pipelines.runner import Workers
 from pipelines.scene_source import FolderSource, SceneSource, scene_source
 from pipelines.scene_work import SceneShard

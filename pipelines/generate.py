@@ -13,14 +13,23 @@ import ray
 from models.physics_corrector.learned import load_flow, weights_fingerprint
 from models.semantic_reasoner.assembly import shaping_of_proposals
 from pipelines.asset_shelf import AssetShelf
-from pipelines.correct import OF_DATASET, write_notices
+from pipelines.correct import write_notices
 from pipelines.engine_pool import PooledEngine, engine_pool
 from pipelines.generate_assets import CarryWork, asset_shards
 from pipelines.generate_report import write_generate_report
 from pipelines.generate_settings import GenerateSettings
 from pipelines.generate_step import GenerateWork
 from pipelines.generate_tasks import Task, Tasks
-from pipelines.job import check_resume, check_shards, count_items, count_rows, new_manifest, run_missing, write_manifest
+from pipelines.job import (
+    OF_DATASET,
+    check_resume,
+    check_shards,
+    count_items,
+    count_rows,
+    new_manifest,
+    run_missing,
+    write_manifest,
+)
 from pipelines.live import OwnTally, SharedTally, Tally
 from pipelines.plan import groups
 from pipelines.runner import Workers, connect

@@ -13,13 +13,16 @@ from stable_data import tables
 from stable_data.code_version import code_version
 from stable_data.dotted import differences
 from stable_data.errors import ConfigError, Notice, StableDataError
-from stable_data.shards import RunFolder
+from stable_data.shards import RunFolder, content_id
 
 Rows: TypeAlias = dict[str, list[tables.Row]]
 """Rows by table."""
 
 I = TypeVar("I")  # noqa: E741 - an item
 S = TypeVar("S", bound="Shard")
+
+OF_DATASET = content_id("dataset")
+"""The shard of rows that belong to no other: what is lost or odd of the input as a whole."""
 
 _COMPARED = ("job", "code_version", "table_version", "dataset")
 
@@ -200,20 +203,21 @@ def count_items(folder: RunFolder, table: str, column: str, planned: Iterable[st
         planned: Ids of all.
 
     Raises:
-        ConfigError: An item is not exactly one row of its table or a failure.
+        ConfigError: An item is not exactly one row of its table or one failure.
     """
-    failed = set(folder.table("failures", ["id"])["id"].to_pylist())
-    usable = folder.table(table, [column])[column].to_pylist()
-    rest = set(planned) - set(usable)
-    if len(set(usable)) < len(usable) or not set(usable) <= set(planned) or not rest <= failed:
-        twice = {item_id for item_id, count in Counter(usable).items() if count > 1}
-        odd = sorted(twice | (set(usable) - set(planned)) | (rest - failed))
+    usable = Counter(folder.table(table, [column])[column].to_pylist())
+    # Of the same shards: other items of the run, or features of these, may fail under the same names.
+    shard_ids = folder.shard_ids(table) | {OF_DATASET}
+    failed = Counter(folder.table("failures", ["id"], shard_ids=shard_ids)["id"].to_pylist())
+    wanted = set(planned)
+    odd = sorted({i for i in wanted if usable[i] + failed[i] != 1} | (usable.keys() - wanted))
+    if odd:
         raise ConfigError(
             f"{folder.uri}: {len(odd)} {table} such as {odd[0]} are not exactly one row of {table} or failures, expected "
             "each to be; choose a new folder",
             "rows_differ",
         )
-    return len(rest)
+    return len(wanted - usable.keys())
 
 
 def count_rows(folder: RunFolder, names: Iterable[str]) -> dict[str, Any]:

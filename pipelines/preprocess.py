@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from pipelines.asset_step import AssetSettings, AssetUse, TextFeature, preprocess_asset
 from pipelines.feature_step import AUTO, NONE, FeatureUse, encoder_of, feature_rows, fingerprint_of
 from pipelines.job import (
+    OF_DATASET,
     Rows,
     check_resume,
     check_shards,
@@ -51,7 +52,6 @@ TABLES = tuple(dict.fromkeys((*ASSET_TABLES, *SCENE_TABLES)))
 Item: TypeAlias = str | AssetUse | FeatureUse
 """A scene's id, an asset, or an asset whose features are made."""
 
-_OF_DATASET = content_id("dataset")
 _NO_ASSETS = content_id("no assets")
 
 
@@ -255,8 +255,8 @@ def _write_whole_tables(folder: RunFolder, plan: Plan) -> None:
     ]  # a scene folder without a layout is a failure like any other
     odd = [n for n in plan.notices if n.code != "layout_missing"]
     for table, notices in (("failures", lost), ("warnings", odd)):
-        if _OF_DATASET not in folder.shard_ids(table):
-            folder.write_shard(table, _OF_DATASET, [tables.notice_row(n) for n in notices])
+        if OF_DATASET not in folder.shard_ids(table):
+            folder.write_shard(table, OF_DATASET, [tables.notice_row(n) for n in notices])
     if not plan.asset_ids:
         for table in ASSET_TABLES:
             folder.write_shard(table, _NO_ASSETS, [])
@@ -268,7 +268,7 @@ def _planned(plan: Plan) -> dict[str, set[str]]:
     """Shards of each table."""
     planned: dict[str, set[str]] = {table: set() for table in (*TABLES, "features")}
     for table in ("warnings", "failures"):
-        planned[table].add(_OF_DATASET)
+        planned[table].add(OF_DATASET)
     for table in ASSET_TABLES if not plan.asset_ids else ():
         planned[table].add(_NO_ASSETS)
     if plan.encoder is not None and not plan.counts()["num_features"]:

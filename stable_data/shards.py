@@ -14,7 +14,7 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
@@ -230,12 +230,19 @@ class RunFolder:
                 yield from part.to_batches(wanted, filter=where, **ahead)
 
     def table(
-        self, table: str, columns: Sequence[str] | Mapping[str, pc.Expression] | None = None, where: pc.Expression | None = None
+        self,
+        table: str,
+        columns: Sequence[str] | Mapping[str, pc.Expression] | None = None,
+        where: pc.Expression | None = None,
+        shard_ids: Set[str] | None = None,
     ) -> pa.Table:
-        """A table of the run, or those of its columns, or what is made of them, and rows that are asked for; see :meth:`dataset`."""
+        """A table of the run, or those of its columns, or what is made of them, and rows and shards that are asked for.
+
+        See :meth:`dataset`.
+        """
         wanted = columns if columns is None or isinstance(columns, Mapping) else list(columns)
         tables = []
-        for part in self._parts(table):
+        for part in self._parts(table, shard_ids):
             with self._naming_what_is_broken(part):
                 tables.append(part.to_table(wanted, filter=where, cache_metadata=False))
         return pa.concat_tables(tables)
@@ -248,10 +255,12 @@ class RunFolder:
                 count += int(part.count_rows(cache_metadata=False))
         return count
 
-    def _parts(self, table: str) -> Iterator[ds.Dataset]:
+    def _parts(self, table: str, shard_ids: Set[str] | None = None) -> Iterator[ds.Dataset]:
         """A table of the run, some files at a time: a dataset keeps the footer of each file that it has read, and runs have many."""
         files = self.dataset(table).files
-        for start in range(0, len(files), _FILES_AT_ONCE):
+        if shard_ids is not None:
+            files = [path for path in files if Path(path).stem.split("-")[1] in shard_ids]
+        for start in range(0, max(1, len(files)), _FILES_AT_ONCE):  # of no files, a table without rows
             part = files[start : start + _FILES_AT_ONCE]
             yield ds.dataset(part, format="parquet", filesystem=self.filesystem, schema=SCHEMAS[table])
 

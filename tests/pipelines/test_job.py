@@ -1,12 +1,17 @@
-"""What the jobs share: whose fault an error is."""
+"""What the jobs share: whose fault an error is, and that every item is one row."""
 
 import errno
+from collections.abc import Sequence
+from pathlib import Path
 
 import pytest
 
 from pipelines.generate_answers import NOT_OF_A_SCENE
-from pipelines.job import Rows, rows_or_failure
+from pipelines.job import OF_DATASET, Rows, count_items, rows_or_failure
 from pipelines.progress import Progress
+from stable_data.errors import ConfigError, Notice
+from stable_data.shards import RunFolder
+from stable_data.tables import SCHEMAS, notice_row
 
 
 class FailsOnce:
@@ -32,3 +37,51 @@ def test_an_error_that_is_the_runs_is_no_row_and_another_time_there_is_none() ->
     with pytest.raises(OSError, match="Input/output error"):
         rows_or_failure("scene_1", Progress("read"), make, of_the_run=NOT_OF_A_SCENE)
     assert rows_or_failure("scene_1", Progress("read"), make, of_the_run=NOT_OF_A_SCENE) == {"scenes": []}
+
+
+def run_of(out: Path, scenes: list[str], failures: list[str], of_assets: Sequence[str] = ()) -> RunFolder:
+    """A run with one shard of scenes and one of assets, of which some fail."""
+    folder = RunFolder(str(out))
+    blank = dict.fromkeys(SCHEMAS["scenes"].names)
+    folder.write_shard("scenes", "0" * 16, [blank | {"scene_id": scene_id} for scene_id in scenes])
+    for shard_id, failed in (("0" * 16, failures), ("1" * 16, of_assets)):
+        rows = [notice_row(Notice(item_id, "read", "lost", f"{item_id}: is lost")) for item_id in failed]
+        folder.write_shard("failures", shard_id, rows)
+    return folder
+
+
+def test_items_that_failed_are_counted(tmp_path: Path) -> None:
+    folder = run_of(tmp_path, ["a", "b"], ["c"])
+    assert count_items(folder, "scenes", "scene_id", ["a", "b", "c"]) == 1
+    assert count_items(run_of(tmp_path / "none", [], ["a"]), "scenes", "scene_id", ["a"]) == 1
+
+
+def test_what_is_lost_of_the_input_as_a_whole_counts(tmp_path: Path) -> None:
+    folder = run_of(tmp_path, ["a"], [])
+    folder.write_shard("failures", OF_DATASET, [notice_row(Notice("b", "read", "lost", "b: is lost"))])
+    assert count_items(folder, "scenes", "scene_id", ["a", "b"]) == 1
+
+
+def test_an_asset_that_failed_under_the_name_of_a_scene_is_no_failure_of_the_scene(tmp_path: Path) -> None:
+    folder = run_of(tmp_path, ["a"], [], of_assets=["a", "a", "b"])
+    assert count_items(folder, "scenes", "scene_id", ["a"]) == 0
+    with pytest.raises(ConfigError, match="1 scenes such as b"):
+        count_items(folder, "scenes", "scene_id", ["a", "b"])
+
+
+@pytest.mark.parametrize(
+    ("scenes", "failures", "odd"),
+    [
+        (["a", "b"], ["b"], "b"),  # both usable and failed
+        (["a", "a", "b"], [], "a"),
+        (["a"], ["b", "b"], "b"),
+        (["a"], [], "b"),
+        (["a", "b", "c"], [], "c"),  # nobody asked for it
+    ],
+)
+def test_an_item_that_is_not_exactly_one_row_is_refused(
+    scenes: list[str], failures: list[str], odd: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigError, match=f"1 scenes such as {odd} are not exactly one row of scenes or failures") as caught:
+        count_items(run_of(tmp_path, scenes, failures), "scenes", "scene_id", ["a", "b"])
+    assert caught.value.code == "rows_differ"
