@@ -275,7 +275,7 @@ def _add_body(spec: mujoco.MjSpec, body: Body, meshes: dict[int, str], collider:
             added.add_geom(collider, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=meshes[id(part)], mass=mass)
 
 
-@lru_cache(maxsize=8192)
+@lru_cache(maxsize=1024)
 def hull_volume(part: Mesh) -> float:
     """Volume of a closed convex part, cubic metres; 0 where it is too flat for an engine to collide with."""
     vertices = part.vertices - part.vertices.mean(axis=0)

@@ -84,7 +84,7 @@ class ReplyCheck:
 
     def __init__(self, statistics: CategoryStatistics, settings: CheckSettings = CheckSettings()) -> None:
         self._statistics, self._settings = statistics, settings
-        self._required = lru_cache(maxsize=4096)(lambda instruction: required(instruction, statistics))
+        self._required = lru_cache(maxsize=512)(lambda instruction: required(instruction, statistics))
 
     def __call__(self, reply: Reply, ask: Ask, /) -> list[Fault]:
         """The faults of a reply to a question."""

@@ -137,7 +137,7 @@ def _closed(properties: dict[str, Any]) -> dict[str, Any]:
     return {"type": "object", "properties": properties, "required": list(properties), "additionalProperties": False}
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=512)
 def _grammar(form: ReplyForm) -> str:
     more = form.at_most - 1
     some = f'entry ("," entry){{{max(0, form.at_least - 1)},{more}}}' if more > 0 else "entry"
