@@ -113,7 +113,10 @@ def _check_same(target: RunFolder, manifest: dict[str, object]) -> None:
         was = {} if content is None else dict(json.loads(content))
     except (ValueError, TypeError):
         was = {}
-    if any(was.get(key) != manifest[key] for key in ("job", "table_version", "input_fingerprint", "settings")):
+    compared = ["job", "table_version", "input_fingerprint", "settings"]
+    if was.get("status") == "running":
+        compared.append("code_version")  # shards are cut, and so named, by the code
+    if any(was.get(key) != manifest[key] for key in compared):
         raise ConfigError(
             f"{target.uri}: holds another run or selection, expected an empty folder or this one; choose a new folder",
             "config_changed",

@@ -138,19 +138,23 @@ def test_a_run_in_which_nothing_could_be_made_ends_well(dataset: Path, settings:
     assert (tmp_path / "out" / "report" / "index.html").is_file()
 
 
+def two_side_by_side(shelf: AssetShelf, script: Path) -> tuple[str, str]:
+    """Writes a script that puts two things on every table, the first to the left; gives what they are called."""
+    first, second = shelf.libraries[0].assets[1:3]
+    assert first.category != second.category
+    replies: dict[str, dict[str, Any]] = {
+        wanted: {"objects": []} for wanted in (WANTED[Stage.IMPORTANT], WANTED[Stage.SECONDARY])
+    }
+    replies[WANTED[Stage.TASK]] = {"objects": [entry(first, 30.0), entry(second, 80.0)]}
+    script.write_text(json.dumps(replies))
+    return first.category.replace("_", " "), second.category.replace("_", " ")
+
+
 def test_what_an_instruction_says_of_the_start_and_does_not_hold_is_named(
     dataset: Path, settings: GenerateSettings, shelf: AssetShelf, tmp_path: Path
 ) -> None:
     """Of two claims that exclude each other one is broken, whatever is made of them; nothing is said where all is as it is said."""
-    first, second = shelf.libraries[0].assets[1:3]
-    assert first.category != second.category
-    script = {
-        WANTED[Stage.TASK]: {"objects": [entry(first, 30.0), entry(second, 80.0)]},
-        WANTED[Stage.IMPORTANT]: {"objects": []},
-        WANTED[Stage.SECONDARY]: {"objects": []},
-    }
-    (tmp_path / "script.json").write_text(json.dumps(script))
-    one, other = (asset.category.replace("_", " ") for asset in (first, second))
+    one, other = two_side_by_side(shelf, tmp_path / "script.json")
     asked = tasks(
         f"The {one} is to the left of the {other}. Move it behind.",
         f"The {one} is to the left of the {other} and to the right of the {other}. Move it behind.",
@@ -175,14 +179,7 @@ def test_what_an_instruction_says_of_the_start_and_does_not_hold_is_named(
 def test_an_instruction_that_says_nothing_of_the_start_is_accepted_where_the_rule_takes_what_is_unknown(
     dataset: Path, settings: GenerateSettings, shelf: AssetShelf, tmp_path: Path, accept: str, accepted: set[str]
 ) -> None:
-    first, second = shelf.libraries[0].assets[1:3]
-    script = {
-        WANTED[Stage.TASK]: {"objects": [entry(first, 30.0), entry(second, 80.0)]},
-        WANTED[Stage.IMPORTANT]: {"objects": []},
-        WANTED[Stage.SECONDARY]: {"objects": []},
-    }
-    (tmp_path / "script.json").write_text(json.dumps(script))
-    one, other = (asset.category.replace("_", " ") for asset in (first, second))
+    one, other = two_side_by_side(shelf, tmp_path / "script.json")
     asked = tasks(
         f"Lift the {one}.",
         f"The {one} is to the left of the {other}. Move it behind.",

@@ -1,5 +1,6 @@
 """A selection is a run: every reader of runs reads it, and nothing of other scenes is in it."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -59,6 +60,21 @@ def test_what_was_broken_off_goes_on_to_the_same_bytes(clean_run: Path, selected
     next((again / "scenes").glob("*.parquet")).unlink()
     select(RunFolder(str(clean_run)), where, RunFolder(str(again)))
     assert content(again) == content(selected)
+
+
+def test_what_was_broken_off_by_other_code_is_not_gone_on_with(
+    clean_run: Path, selected: Path, where: str, tmp_path: Path
+) -> None:
+    """It may have cut the rows into shards elsewhere; what is whole is taken as it is."""
+    again = Path(shutil.copytree(selected, tmp_path / "again"))
+    manifest = json.loads((again / "manifest.json").read_bytes())
+    for status in ("complete", "running"):
+        (again / "manifest.json").write_text(json.dumps(manifest | {"code_version": "0.1.0+other", "status": status}))
+        if status == "complete":
+            select(RunFolder(str(clean_run)), where, RunFolder(str(again)))
+        else:
+            with pytest.raises(ConfigError, match="choose a new folder"):
+                select(RunFolder(str(clean_run)), where, RunFolder(str(again)))
 
 
 def test_nothing_is_mixed(clean_run: Path, selected: Path) -> None:
