@@ -11,9 +11,9 @@ from models.semantic_reasoner.engine import Completion
 class CircuitBreaker:
     """Lets requests through while the endpoint answers.
 
-    After some failures in a row, whatever they were, the endpoint is held to be down and the breaker is open: every request gets the
-    last failure at once, as ``endpoint_down``. When its rest is over, one request is let through, and those that come meanwhile wait
-    for what becomes of it.
+    After some failures in a row, whatever they were, or one that is known to be the endpoint's, the endpoint is held to be down and the
+    breaker is open: every request gets the last failure at once, as ``endpoint_down``. When its rest is over, one request is let
+    through, and those that come meanwhile wait for what becomes of it.
 
     Args:
         after: Failures in a row that open it.
@@ -42,17 +42,18 @@ class CircuitBreaker:
                 self._changed.wait()
             return None
 
-    def leave(self, failure: Completion | None) -> Completion | None:
+    def leave(self, failure: Completion | None, *, is_sure: bool = False) -> Completion | None:
         """Says what became of a request that was let through.
 
         Args:
             failure: What would be every other request's failure, too; None: the endpoint answers.
+            is_sure: Whether that is known, and not only likely.
 
         Returns:
             The failure, as ``endpoint_down`` where the endpoint is held to be down now.
         """
         with self._changed:
-            self._in_a_row = 0 if failure is None else self._in_a_row + 1
+            self._in_a_row = 0 if failure is None else max(self._in_a_row + 1, self._after * is_sure)
             if failure is not None:
                 told = f"{failure.failure}; not asked again for {self._rest:g} s"
                 self._failure = replace(failure, failure=told, code="endpoint_down")

@@ -6,6 +6,7 @@ and passwords of the environment are not looked at. The key is read from the env
 """
 
 import json
+import math
 import queue
 import threading
 import time
@@ -40,8 +41,8 @@ from stable_data.shards import content_id
 MAX_BYTES = 16 * 2**20
 """Longest answer."""
 
-EVERYONES = {*OFF, "endpoint_error", "endpoint_timeout"}
-"""Codes of failures that say something about the endpoint; but one request alone may break it, or take too long."""
+DOUBTFUL = ("endpoint_error", "endpoint_timeout")
+"""Codes of failures that the endpoint may be to blame for, or one request alone that breaks it or takes too long."""
 
 _DO = {
     "certificate_refused": "name the file of its authority in SSL_CERT_FILE, if that is trusted",
@@ -85,8 +86,20 @@ class _Hopeful(_Hopeless):
         self.wait_s = wait_s
 
 
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """When it was last known whether the endpoint answers, and whether it did."""
+
+    at: float = -math.inf
+    answers: bool = False
+
+
 class HttpEngine:
     """Asks an OpenAI-compatible endpoint.
+
+    An error of the server or silence may be the doing of one request. So the request that was answered last is asked again: where that
+    is not answered either, the endpoint is down. While nothing has been answered yet, as many failures in a row as ``give_up_after``
+    say so.
 
     Args:
         settings: The endpoint.
@@ -113,6 +126,8 @@ class HttpEngine:
         self._pool = urllib3.connection_from_url(settings.base_url, maxsize=settings.concurrency, block=False)
         self._slots = threading.BoundedSemaphore(settings.concurrency)
         self._breaker = CircuitBreaker(settings.give_up_after, settings.rest_s)
+        self._answered: Request | None = None
+        self._look, self._looking = _Look(), threading.Lock()
         self._spelt = {name: ways[0] for name, ways in SPELLINGS.items()}
         self._spelling = threading.Lock()
 
@@ -168,7 +183,35 @@ class HttpEngine:
         if completion.code == "abandoned":
             self._breaker.withdraw()
             return completion
-        return self._breaker.leave(completion if completion.code in EVERYONES else None) or completion
+        if completion.code in DOUBTFUL:
+            answers = self._still_answers(stopped)
+            if answers is None:
+                hint = (
+                    f"nothing was answered before; {self.settings.give_up_after} in a row (give_up_after) mean that it is down"
+                )
+                completion = replace(completion, failure=f"{completion.failure}; {hint}")
+            return self._breaker.leave(None if answers else completion, is_sure=answers is False) or completion
+        if not completion.failure:
+            self._answered = request
+        return self._breaker.leave(completion if completion.code in OFF else None) or completion
+
+    def _still_answers(self, stopped: threading.Event) -> bool | None:
+        """Whether the endpoint answers again what it answered last; None: it has answered nothing yet, or nobody waits for it.
+
+        One thread asks; those whose requests have failed by the time that it knows take what it found.
+        """
+        failed_at = time.monotonic()
+        with self._looking:
+            if self._look.at > failed_at:
+                return self._look.answers
+            if self._answered is None:
+                return None
+            # Of another seed: what stands before the endpoint may keep answers and outlive it.
+            code = self._try(replace(self._answered, seed=self._answered.seed + 1), stopped).code
+            if code == "abandoned":
+                return None
+            self._look = _Look(time.monotonic(), code not in (*OFF, *DOUBTFUL))
+            return self._look.answers
 
     def _try(self, request: Request, stopped: threading.Event) -> Completion:
         """Sends a request until it is answered, hopeless, or has used up its tries or its time."""

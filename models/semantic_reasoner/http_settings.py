@@ -29,7 +29,7 @@ class HttpSettings:
         reply_price: Of a million tokens written.
         extra: More fields of the body, a JSON object, such as ``{"top_k": 50}`` for vLLM; empty: none.
         sends_form: Whether the form of replies is sent in a field of our own; for :mod:`.chat_server`, others refuse it.
-        give_up_after: So many requests in a row without an answer, and the endpoint is held to be down ...
+        give_up_after: So many failures in a row while nothing was answered yet, and the endpoint is held to be down ...
         rest_s: ... for so long, seconds: what is asked meanwhile fails at once.
     """
 

@@ -124,7 +124,7 @@ def test_an_endpoint_that_dies_halfway_stops_the_run_with_one_line_and_costs_no_
         return Act(body=said(next(reply for wanted, reply in answers.items() if wanted in words)))
 
     with endpoint(plan) as server:
-        http = server.settings(give_up_after=1, rest_s=0.0, tries=2, read_s=1.0)
+        http = server.settings(rest_s=0.0, tries=2, read_s=1.0)
         settings = replace(PLAIN, engine=EngineSettings("openai:large", http=http, cache=str(tmp_path / "kept")))
         out, undisturbed = tmp_path / "out", tmp_path / "undisturbed"
         left[0] = 2 * len(Stage) + 1  # two scenes, and a stage of the third

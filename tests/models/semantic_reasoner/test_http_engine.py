@@ -172,7 +172,34 @@ def test_one_request_that_breaks_the_server_has_its_tries_and_the_others_go_on()
         assert completions[13].code == "endpoint_error"
         assert "boom" in completions[13].failure
         assert "after 4 tries" in completions[13].failure
-        assert server.tries == {str(k): 4 if k == 13 else 1 for k in range(40)}
+        assert server.tries["13"] == 4
+        assert server.tries.total() == 4 + 39 + 1  # one of the answered is asked again: is it the endpoint, or the request?
+
+
+def test_requests_that_fail_alone_are_no_endpoint_that_is_down_however_many_they_are() -> None:
+    """They end last and together, after all of their tries, so many more in a row than ``give_up_after``."""
+    poison = {str(k) for k in range(0, 40, 4)}
+    with endpoint(lambda words, *_: Act(500, error("boom")) if words in poison else None) as server:
+        completions = HttpEngine(server.settings(give_up_after=2)).complete([ask(str(k)) for k in range(40)])
+    assert {str(k): c.code for k, c in enumerate(completions) if c.failure} == dict.fromkeys(poison, "endpoint_error")
+
+
+@pytest.mark.parametrize("death", [Act(503, error("no backend")), Act(after_s=1.0)], ids=["errors", "silence"])
+def test_an_endpoint_that_dies_over_its_last_request_is_down(death: Act) -> None:
+    """Fewer failures than ``give_up_after``: what it answered before says so, for it is not answered any more."""
+    with endpoint(lambda words, *_: death if server.tries.total() > 3 else None) as server:
+        engine = HttpEngine(server.settings(concurrency=1, tries=2, read_s=0.2))
+        assert [c.code for k in range(4) for c in engine.complete([ask(str(k))])] == ["", "", "", "endpoint_down"]
+        assert engine.complete([ask("more")])[0].code == "endpoint_down"
+        assert server.tries["more"] == 0
+
+
+def test_before_the_first_answer_failures_in_a_row_say_that_it_is_down() -> None:
+    with endpoint(lambda *_: Act(500, error("boom"))) as server:
+        engine = HttpEngine(server.settings(tries=1, give_up_after=2))
+        (one,), (two,) = (engine.complete([ask(words)]) for words in "ab")
+    assert (one.code, two.code) == ("endpoint_error", "endpoint_down")
+    assert "2 in a row (give_up_after)" in two.failure
 
 
 def test_a_longer_wait_than_there_is_time_for_is_not_begun() -> None:
