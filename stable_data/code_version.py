@@ -33,7 +33,9 @@ def release_of(code: str) -> str:
 def digest_of(root: Path) -> str:
     """12 hex digits of the hash of all modules of the toolkit in a folder, by their names and content."""
     digest = hashlib.sha256()
-    paths = [path for package in _PACKAGES for path in (root / package).rglob("*.py")]
+    found = (path for package in _PACKAGES for path in (root / package).rglob("*.py"))
+    # An editor's lock beside a module is a link to nothing.
+    paths = [path for path in found if path.is_file() and not path.name.startswith(".")]
     for name in sorted(path.relative_to(root).as_posix() for path in paths):
         content = (root / name).read_bytes()
         digest.update(f"{name}\n{len(content)}\n".encode() + content)

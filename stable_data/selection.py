@@ -1,6 +1,8 @@
 """The scenes of a run that a condition takes, as a run of their own with all that belongs to them."""
 
 import json
+from collections.abc import Mapping
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -32,7 +34,7 @@ def count_selected(run: RunFolder, where: str) -> tuple[int, int]:
 def select(run: RunFolder, where: str, target: RunFolder) -> dict[str, int]:
     """Writes the scenes that pass a condition to another folder, with their rows of other tables and the assets that they use.
 
-    Failures are of the run and stay there. Run again, it writes what is missing.
+    Failures are of the run and stay there. Run again, it writes what is missing; what other code has written whole stays as it is.
 
     Args:
         run: The run.
@@ -55,8 +57,10 @@ def select(run: RunFolder, where: str, target: RunFolder) -> dict[str, int]:
         "inputs": {"run": run.uri},
         "settings": {"where": where},
     }
-    _check_same(target, manifest)
-    if target.read_bytes("manifest.json") is None:
+    was = _former(target, manifest)
+    if was and was["code_version"] != manifest["code_version"]:
+        return dict(was["counts"])
+    if not was:
         _write_manifest(target, manifest | {"status": "running"})
     scene_ids, asset_ids = set[str](), set[str]()
     for part in run.batches("scenes", ["scene_id", "objects"], query.expression):
@@ -104,23 +108,42 @@ def _write(run: RunFolder, table: str, where: pc.Expression, target: RunFolder) 
         write()
 
 
-def _check_same(target: RunFolder, manifest: dict[str, object]) -> None:
+def _former(target: RunFolder, manifest: dict[str, object]) -> dict[str, Any]:
+    """The manifest of the selection that is there; empty where there is none.
+
+    Raises:
+        ConfigError: Something else is there, or a selection that other code broke off.
+    """
     content = target.read_bytes("manifest.json")
     held = [table for table in SCHEMAS if target.files(table)]
     if content is None and not held:
-        return
+        return {}
     try:
         was = {} if content is None else dict(json.loads(content))
     except (ValueError, TypeError):
         was = {}
-    compared = ["job", "table_version", "input_fingerprint", "settings"]
-    if was.get("status") == "running":
-        compared.append("code_version")  # shards are cut, and so named, by the code
-    if any(was.get(key) != manifest[key] for key in compared):
+    if any(was.get(key) != manifest[key] for key in ("job", "table_version", "input_fingerprint", "settings")):
         raise ConfigError(
             f"{target.uri}: holds another run or selection, expected an empty folder or this one; choose a new folder",
             "config_changed",
         )
+    if was.get("code_version") != manifest["code_version"] and not _is_whole(target, was):
+        # Shards are cut, and so named, by the code: rows that are there would be written once more, cut elsewhere.
+        raise ConfigError(
+            f"{target.uri}: was broken off by other code ({was.get('code_version')}), expected {manifest['code_version']}; "
+            "choose a new folder",
+            "config_changed",
+        )
+    return was
+
+
+def _is_whole(target: RunFolder, was: Mapping[str, Any]) -> bool:
+    counts = was.get("counts")
+    return (
+        was.get("status") == "complete"
+        and isinstance(counts, dict)
+        and counts == {table: target.num_rows(table) for table in counts if target.files(table)}
+    )
 
 
 def _write_manifest(target: RunFolder, manifest: dict[str, object]) -> None:

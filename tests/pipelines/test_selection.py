@@ -8,6 +8,7 @@ import pyarrow.compute as pc
 import pytest
 from typer.testing import CliRunner
 
+from stable_data import selection
 from stable_data.cli import app
 from stable_data.errors import ConfigError
 from stable_data.loader import TableStream
@@ -63,18 +64,23 @@ def test_what_was_broken_off_goes_on_to_the_same_bytes(clean_run: Path, selected
 
 
 def test_what_was_broken_off_by_other_code_is_not_gone_on_with(
-    clean_run: Path, selected: Path, where: str, tmp_path: Path
+    clean_run: Path, selected: Path, where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It may have cut the rows into shards elsewhere; what is whole is taken as it is."""
-    again = Path(shutil.copytree(selected, tmp_path / "again"))
-    manifest = json.loads((again / "manifest.json").read_bytes())
-    for status in ("complete", "running"):
-        (again / "manifest.json").write_text(json.dumps(manifest | {"code_version": "0.1.0+other", "status": status}))
-        if status == "complete":
-            select(RunFolder(str(clean_run)), where, RunFolder(str(again)))
-        else:
-            with pytest.raises(ConfigError, match="choose a new folder"):
-                select(RunFolder(str(clean_run)), where, RunFolder(str(again)))
+    """It cuts the rows into shards elsewhere; what is whole is taken as it is."""
+    monkeypatch.setattr(selection, "_SHARD_BYTES", 10_000)
+    again, run = Path(shutil.copytree(selected, tmp_path / "again")), RunFolder(str(clean_run))
+    manifest = json.loads((again / "manifest.json").read_bytes()) | {"code_version": "0.1.0+other"}
+    (again / "manifest.json").write_text(json.dumps(manifest))
+    before = content(again)
+    assert select(run, where, RunFolder(str(again))) == manifest["counts"]
+    assert content(again) == before
+    (again / "manifest.json").write_text(json.dumps(manifest | {"status": "running"}))
+    with pytest.raises(ConfigError, match=r"broken off by other code \(0\.1\.0\+other\)"):
+        select(run, where, RunFolder(str(again)))
+    (again / "manifest.json").write_text(json.dumps(manifest))
+    next((again / "meshes").glob("*.parquet")).unlink()
+    with pytest.raises(ConfigError, match="choose a new folder"):
+        select(run, where, RunFolder(str(again)))
 
 
 def test_nothing_is_mixed(clean_run: Path, selected: Path) -> None:

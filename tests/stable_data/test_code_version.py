@@ -46,6 +46,8 @@ def test_another_process_with_the_same_files_elsewhere_says_the_same(copied: Pat
         (lambda root: (root / "stable_data" / "synth" / "solids.py").unlink(), True),
         (lambda root: (root / "pipelines" / "notes.md").write_text("a"), False),
         (lambda root: (root / "new.py").write_text("a = 1\n"), False),
+        (lambda root: (root / "models" / ".#scheduler.py").symlink_to("user@host.1234"), False),  # an editor's lock
+        (lambda root: (root / "models" / "notes.py").mkdir(), False),
     ],
 )
 def test_it_is_another_where_a_module_is(copied: Path, change: Callable[[Path], object], is_other: bool) -> None:
