@@ -14,25 +14,39 @@ def with_release(manifest: Mapping[str, Any]) -> dict[str, Any]:
     return {**manifest, "code_version": release_of(str(manifest.get("code_version")))}
 
 
-def record_code(where: str, was: Mapping[str, Any], manifest: dict[str, Any]) -> None:
-    """Puts ``code_versions`` into the manifest of a run that goes on: all that it was started with, that of now last.
+def take_over_code(was: Mapping[str, Any], manifest: dict[str, Any]) -> None:
+    """Puts into the manifest of a run that goes on which code made what is there.
 
-    Where they are several, that is said.
+    Args:
+        was: Its former manifest.
+        manifest: That of the run that goes on; :func:`record_code` adds to it.
+    """
+    former = [str(code) for code in was.get("code_versions") or [was.get("code_version")]]
+    manifest |= {"code_version": former[-1], "code_versions": former}
+
+
+def record_code(where: str, manifest: dict[str, Any]) -> bool:
+    """Puts the code of now into a run's manifest, last of ``code_versions``; where they are several, that is said.
+
+    To be called before anything is made, and not where nothing is missing: then no row is of the code of now.
 
     Other sources of the same version do not stop a run: what mends it is often a change of them, and its rows must not be lost for it.
     But it is no longer one program's, which must be seen.
 
     Args:
         where: The run's folder.
-        was: Its former manifest.
-        manifest: That of the run that goes on.
+        manifest: Its manifest.
+
+    Returns:
+        Whether the manifest is another now.
     """
-    former = dict.fromkeys(map(str, was.get("code_versions") or [was.get("code_version")]))
-    versions = [*(code for code in former if code != code_version()), code_version()]
-    manifest["code_versions"] = versions
+    was, now = list(manifest["code_versions"]), code_version()
+    versions = [*(code for code in was if code != now), now]
+    manifest |= {"code_version": now, "code_versions": versions}
     if len(versions) > 1:
         tqdm.write(
-            f"{where}: was begun with other code ({', '.join(versions[:-1])}), what is missing is done with {versions[-1]}; if all is "
+            f"{where}: was worked on with other code ({', '.join(versions[:-1])}), what is missing is done with {now}; if all is "
             "to be of one, go back to that code or choose a new folder",
             file=sys.stderr,
         )
+    return versions != was

@@ -73,7 +73,7 @@ def correct(scenes: str, out: str, settings: CorrectSettings, workers: Workers, 
         lost = [n for n in source.notices if n.code == "layout_missing"]
         write_notices(folder, lost, [n for n in source.notices if n.code != "layout_missing"])
         work = CorrectWork(where, folder.root if folder.is_local else out, settings, fingerprint)
-        run_missing(folder, shards, lambda _: CorrectWork.TABLES, work, workers, "correct", "scene")
+        run_missing(folder, manifest, shards, lambda _: CorrectWork.TABLES, work, workers, "correct", "scene")
         ids = {shard.shard_id for shard in shards}
         check_shards(folder, {t: ids | {OF_DATASET} if t in ("warnings", "failures") else ids for t in CorrectWork.TABLES})
         carried = carry_assets(source, folder)

@@ -80,7 +80,7 @@ def edit(
         write_notices(folder, found.failures, ())
         shards = _shards(found.edits, settings, fingerprint)
         work = EditWork(where, folder.root if folder.is_local else out, settings, fingerprint)
-        run_missing(folder, shards, lambda _: EditWork.TABLES, work, workers, "edit", "edit")
+        run_missing(folder, manifest, shards, lambda _: EditWork.TABLES, work, workers, "edit", "edit")
         ids = {shard.shard_id for shard in shards}
         check_shards(folder, {t: ids | {OF_DATASET} if t in ("warnings", "failures") else ids for t in EditWork.TABLES})
         carried = carry_assets(source, folder)

@@ -11,13 +11,14 @@ from typing import ClassVar
 from models.physics_corrector.corrector import Correction
 from models.semantic_reasoner.assembly import load_reasoner
 from models.semantic_reasoner.editing import EditedScene, Editing, apply_edit, editing
+from models.semantic_reasoner.engine import OFF
 from models.semantic_reasoner.layout_text import parse_reply
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
 from pipelines.correct_step import correction_row
 from pipelines.edit_assets import AssetFinder
 from pipelines.edit_file import WantedEdit
 from pipelines.edit_settings import EditSettings
-from pipelines.job import Rows, rows_or_failure
+from pipelines.job import Rows, engine_off, rows_or_failure
 from pipelines.progress import Progress
 from pipelines.runner import Loss
 from pipelines.scene_source import Taken, scene_source
@@ -70,7 +71,11 @@ class EditWork(SceneWork[EditSettings, WantedEdit, Replied]):
         editing(self.take(item.scene_id, progress).scene)
 
     def answers(self, items: Sequence[WantedEdit]) -> list[Replied]:
-        """What the replies make of the scenes; the reasoner is asked for all that have none at once."""
+        """What the replies make of the scenes; the reasoner is asked for all that have none at once.
+
+        Raises:
+            ConfigError: The engine answers nothing any more (``engine_off``).
+        """
         shown = [editing(self.take(edit.scene_id, Progress("read")).scene) for edit in items]
         waiting = [k for k, edit in enumerate(items) if edit.reply is None]
         proposals: dict[int, Proposal] = {}
@@ -78,6 +83,9 @@ class EditWork(SceneWork[EditSettings, WantedEdit, Replied]):
             asks = [shown[k].ask(items[k].instruction) for k in waiting]
             seeds = [seed_of(items[k], self.settings.seed) for k in waiting]
             proposals = dict(zip(waiting, self.opened().reasoner.propose(asks, seeds), strict=True))
+            for k, proposal in proposals.items():
+                if proposal.code in OFF:
+                    raise engine_off(f"{items[k].edit_id}: {proposal.failure}")
         return [_replied(edit, own, proposals.get(k)) for k, (edit, own) in enumerate(zip(items, shown, strict=True))]
 
     def unanswered(self, loss: Loss, items: Sequence[WantedEdit]) -> ConfigError:

@@ -86,14 +86,14 @@ def generate(
         place = folder.root if folder.is_local else out
         with _shared(settings, workers, there, shards) as (pool, tally):
             work = GenerateWork(place, places, settings, fingerprint, pool, tally)
-            run_missing(folder, shards, lambda _: work.TABLES, work, workers, "generate", "scene", tally)
+            run_missing(folder, manifest, shards, lambda _: work.TABLES, work, workers, "generate", "scene", tally)
         if made := sum(len(shard) for shard in shards if shard.shard_id not in there):
             manifest["work"].append({"seconds": round(perf_counter() - began, 1), "scenes": made})
         libraries = content_id(shelf.fingerprints)
         carried = asset_shards(folder, ("scenes", "rejected"), libraries)
         carry = CarryWork(place, places, libraries, settings.seconds_per_item)
         # Engines are gone by now, and so is what the workers of a Ray of our own had opened.
-        run_missing(folder, carried, lambda _: carry.TABLES, carry, workers, "assets", "asset")
+        run_missing(folder, manifest, carried, lambda _: carry.TABLES, carry, workers, "assets", "asset")
         _check(folder, shards, carried, carry)
         ids = [*(task.scene_id for task in tasks.tasks), *(notice.item_id for notice in tasks.lost)]
         failed = count_items(folder, "scenes", "scene_id", ids)

@@ -31,7 +31,7 @@ from pipelines.engine_pool import PooledEngine
 from pipelines.generate_answers import NOT_OF_A_SCENE, Certifier, Certifying, OwnAnswers, unanswered
 from pipelines.generate_settings import GenerateSettings
 from pipelines.generate_tasks import Task
-from pipelines.job import Rows, rows_or_failure, unexpected
+from pipelines.job import Rows, engine_off, rows_or_failure, unexpected
 from pipelines.live import Tally, Telling
 from pipelines.progress import Progress
 from pipelines.runner import Apart, Loss, limited
@@ -40,7 +40,7 @@ from pipelines.scene_work import SceneShard, dropped_notice, notices_of
 from stable_data import tables
 from stable_data.assets import AssetStore
 from stable_data.colliders import bodies_of
-from stable_data.errors import ConfigError, MeshError, Notice, SceneError
+from stable_data.errors import MeshError, Notice, SceneError
 from stable_data.metrics.alignment import align, reference_of
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed
 from stable_data.metrics.card import MetricCard
@@ -127,9 +127,7 @@ class GenerateWork:
         tasks = list(self._tasks(shard, rows))
         for made in self._generated(tasks, opened, tell):
             if off := next((turn.proposal for turn in made.turns if turn.proposal.code in OFF), None):
-                raise ConfigError(
-                    f"{made.task.scene_id}: {off.failure}; what is done is kept, run again to go on", "engine_off"
-                )
+                raise engine_off(f"{made.task.scene_id}: {off.failure}")
             for table, found in self._rows(made).items():
                 rows[table] += found
         folder = RunFolder(self.out)

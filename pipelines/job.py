@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol, TypeAlias, TypeVar
 
-from pipelines.code_record import record_code, with_release
+from pipelines.code_record import record_code, take_over_code, with_release
 from pipelines.live import LiveBar, Tally
 from pipelines.progress import Progress
 from pipelines.runner import Loss, Work, Workers, alone
@@ -83,6 +83,11 @@ def rows_alone(
     return {"failures": [tables.notice_row(Notice(item_id, "isolate", str(found), f"{item_id}: {hint}"))]}
 
 
+def engine_off(failure: str) -> ConfigError:
+    """What stops a run whose engine answers nothing any more, see :data:`models.semantic_reasoner.engine.OFF`."""
+    return ConfigError(f"{failure}; what is done is kept, run again to go on", "engine_off")
+
+
 def new_manifest(job: str, dataset: str, fingerprint: str, **more: Any) -> dict[str, Any]:
     """The manifest of a run that starts."""
     code = {"code_version": code_version(), "code_versions": [code_version()]}
@@ -98,7 +103,7 @@ def check_resume(
     Args:
         folder: The run.
         manifest: Of the run that starts; its ``inputs`` are compared one by one. Other sources of the same version are not refused,
-            but said, and put into its ``code_versions``, see :func:`pipelines.code_record.record_code`.
+            and :func:`run_missing` says so.
         shaping: The settings that shape rows.
         may_be_added: Keys of the manifest that are compared too, unless the former run had none of it.
 
@@ -131,7 +136,7 @@ def check_resume(
             f"{folder.uri}: was made with another configuration ({'; '.join(changed)}); choose a new folder or restore it",
             "config_changed",
         )
-    record_code(folder.uri, was, manifest)
+    take_over_code(was, manifest)
 
 
 def write_manifest(folder: RunFolder, manifest: Mapping[str, Any]) -> None:
@@ -142,6 +147,7 @@ def write_manifest(folder: RunFolder, manifest: Mapping[str, Any]) -> None:
 
 def run_missing(
     folder: RunFolder,
+    manifest: dict[str, Any],
     shards: Sequence[S],
     tables_of: Callable[[S], Iterable[str]],
     work: Work[S, tuple[int, int]],
@@ -154,6 +160,7 @@ def run_missing(
 
     Args:
         folder: The run.
+        manifest: Of the run; where something is missing, the code of now is put into its ``code_versions``.
         shards: All shards.
         tables_of: Tables that a shard writes.
         work: Does one shard, and gives its items and how many of them failed.
@@ -164,6 +171,8 @@ def run_missing(
     """
     present = {table: folder.shard_ids(table) for table in {t for s in shards for t in tables_of(s)}}
     missing = [s for s in shards if not all(s.shard_id in present[table] for table in tables_of(s))]
+    if missing and record_code(folder.uri, manifest):
+        write_manifest(folder, manifest)
     total = sum(map(len, shards))
     with LiveBar(name, unit, total, total - sum(map(len, missing)), tally) as bar:
         for left, (size, failures) in zip(
@@ -207,7 +216,7 @@ def count_items(folder: RunFolder, table: str, column: str, planned: Iterable[st
     """
     usable = Counter(folder.table(table, [column])[column].to_pylist())
     # Of the same shards: other items of the run, or features of these, may fail under the same names.
-    shard_ids = folder.shard_ids(table) | {OF_DATASET}
+    shard_ids = folder.shard_ids(table) | ({OF_DATASET} if table == "scenes" else set())
     failed = Counter(folder.table("failures", ["id"], shard_ids=shard_ids)["id"].to_pylist())
     wanted = set(planned)
     odd = sorted({i for i in wanted if usable[i] + failed[i] != 1} | (usable.keys() - wanted))

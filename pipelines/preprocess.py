@@ -199,7 +199,7 @@ def preprocess(data: str, out: str, settings: PreprocessSettings, workers: Worke
         work = PreprocessShard(
             str(dataset.root), folder.root if folder.is_local else out, placed, plan.fingerprint, plan.encoder
         )
-        run_missing(folder, plan.shards, _tables_of, work, workers, "preprocess")
+        run_missing(folder, manifest, plan.shards, _tables_of, work, workers, "preprocess")
         check_shards(folder, _planned(plan))
         manifest |= {"status": "complete", "counts": _counts(folder, plan)}
         write_manifest(folder, manifest)

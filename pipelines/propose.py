@@ -19,7 +19,8 @@ from tqdm import tqdm
 from models.semantic_reasoner.assembly import load_reasoner, shaping_of_proposals
 from models.semantic_reasoner.staged import LayoutTask
 from pipelines.asset_shelf import AssetShelf
-from pipelines.job import check_resume, check_shards, count_rows, new_manifest, write_manifest
+from pipelines.code_record import record_code
+from pipelines.job import check_resume, check_shards, count_rows, engine_off, new_manifest, write_manifest
 from pipelines.pictures import drawn
 from pipelines.propose_report import write_propose_report
 from pipelines.propose_settings import ProposeSettings, plain_retrieval
@@ -84,6 +85,8 @@ def propose(
             for part in _parts(rows, settings.scenes_per_shard):
                 shard_id = content_id("propose", settings.shaping(), inputs, [asdict(task) for task in part])
                 if not work.is_done(shard_id):
+                    if record_code(folder.uri, manifest):
+                        write_manifest(folder, manifest)
                     work.write(shard_id, part, proposer)
                 shard_ids.append(shard_id)
                 num_tasks += len(part)
@@ -143,7 +146,7 @@ class _Writer:
         if any(outcome.is_off for outcome in outcomes):
             failure = next(o.failure for o in outcomes if o.is_off)
             assert failure is not None
-            raise ConfigError(f"{failure.message}; what is done is kept, run again to go on", "engine_off")
+            raise engine_off(failure.message)
         failures = [row for row in part if isinstance(row, Notice)]
         warnings: list[Notice] = []
         for outcome in outcomes:

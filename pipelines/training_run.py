@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from pipelines.code_record import record_code, with_release
+from pipelines.code_record import record_code, take_over_code, with_release
 from stable_data.dotted import differences, flat
 from stable_data.errors import ConfigError
 from stable_data.shards import RunFolder
@@ -68,7 +68,9 @@ def refuse_changes(folder: RunFolder, manifest: dict[str, Any], compared: Sequen
             f"{folder.uri}: was made with another configuration ({'; '.join(changed)}); choose a new folder or restore it",
             "config_changed",
         )
-    record_code(folder.uri, was, manifest)
+    take_over_code(was, manifest)
+    if was.get("status") != "complete":
+        record_code(folder.uri, manifest)
 
 
 def as_json(document: dict[str, Any]) -> bytes:

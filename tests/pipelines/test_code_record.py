@@ -45,14 +45,30 @@ def test_a_run_goes_on_with_other_sources_and_names_both(
     bare: Path, bare_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], was: dict[str, object]
 ) -> None:
     out = begun_with(bare_run, tmp_path / "out", code_version=OTHER, **was)
-    for _ in range(2):  # what is mixed stays so
+    for number in range(2):  # what is mixed stays so
         preprocess(str(bare), str(out), SMALL, Workers())
         assert content(out) == content(bare_run)
         assert (manifest_of(out)["code_version"], manifest_of(out)["code_versions"]) == (NOW, [OTHER, NOW])
-        (line,) = [line for line in capsys.readouterr().err.splitlines() if "other code" in line]
-        assert f"{out}: was begun with other code ({OTHER}), what is missing is done with {NOW}" in line
-        assert "choose a new folder" in line
+        lines = [line for line in capsys.readouterr().err.splitlines() if "other code" in line]
+        assert len(lines) == (1 if number == 0 else 0)
+        for line in lines:
+            assert f"{out}: was worked on with other code ({OTHER}), what is missing is done with {NOW}" in line
+            assert "choose a new folder" in line
     assert f"code {OTHER}, {NOW}, tables" in (out / "report" / "index.html").read_text("utf-8")
+
+
+def test_code_that_makes_nothing_is_not_named(
+    bare: Path, bare_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A run that is whole, looked at again: its page is made anew, its rows are not."""
+    out = tmp_path / "out"
+    shutil.copytree(bare_run, out)
+    (out / "manifest.json").write_text(
+        json.dumps(manifest_of(out) | {"code_version": OTHER, "code_versions": [OTHER]}), "utf-8"
+    )
+    preprocess(str(bare), str(out), SMALL, Workers(), report=False)
+    assert (manifest_of(out)["code_version"], manifest_of(out)["code_versions"]) == (OTHER, [OTHER])
+    assert "other code" not in capsys.readouterr().err
 
 
 def test_the_code_that_is_gone_back_to_is_named_last(bare: Path, bare_run: Path, tmp_path: Path) -> None:

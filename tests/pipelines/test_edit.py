@@ -234,7 +234,6 @@ def test_replies_that_cannot_be_used_are_failures_and_nothing_is_lost(
     unknown = '{"remove":["zebra_0"],"objects":[]}'
     lines: list[Any] = [
         {"scene_id": scene_id, "instruction": "Never JSON.", "edit_id": "never"},
-        {"scene_id": scene_id, "instruction": "Engine is down.", "edit_id": "down"},
         {"scene_id": scene_id, "instruction": "Zoo.", "edit_id": "zoo"},
         {"scene_id": scene_id, "instruction": "Said.", "reply": "no json", "edit_id": "said"},
         {"scene_id": scene_id, "instruction": "Unknown.", "reply": unknown, "edit_id": "zebra"},
@@ -249,32 +248,46 @@ def test_replies_that_cannot_be_used_are_failures_and_nothing_is_lost(
         "[1]",
         "",
     ]
-    engine = Told({"Never JSON.": "still not", "Engine is down.": "down", "Zoo.": unknown})
+    engine = Told({"Never JSON.": "still not", "Zoo.": unknown})
     out = tmp_path / "out"
     manifest = edit(str(dataset), file_of(lines, tmp_path / "e.jsonl"), str(out), asked(engine), ALONE)
     failures = rows_of(out, "failures", "id")
     assert {k: (r["step"], r["code"]) for k, r in failures.items()} == {
         "never": ("reply", "reply_unusable"),
-        "down": ("reply", "endpoint_down"),
         "zoo": ("reply", "reply_unusable"),
         "said": ("reply", "reply_not_json"),
         "zebra": ("reply", "edit_refused"),
         "long": ("reply", "instruction_invalid"),
-        "line 000008": ("edits", "scene_unknown"),
-        "line 000009": ("edits", "instruction_invalid"),
+        "line 000007": ("edits", "scene_unknown"),
+        "line 000008": ("edits", "instruction_invalid"),
+        "line 000009": ("edits", "edit_invalid"),
         "line 000010": ("edits", "edit_invalid"),
         "line 000011": ("edits", "edit_invalid"),
         "line 000012": ("edits", "edit_invalid"),
         "line 000013": ("edits", "edit_invalid"),
-        "line 000014": ("edits", "edit_invalid"),
     }
     assert rows_of(out, "scenes").keys() == {"good"}
-    assert manifest["num_edits"] == 14
+    assert manifest["num_edits"] == 13
     assert all("\n" not in row["message"] for row in failures.values())
     assert "3 answers could not be used, the last because zebra_0 is to be removed" in failures["zoo"]["message"]
     assert len([r for r in engine.asked if "Never JSON." in r.messages[1]["content"]]) == 3
-    assert len([r for r in engine.asked if "Engine is down." in r.messages[1]["content"]]) == 1
     assert "zebra_0" in (out / "report" / "index.html").read_text("utf-8")
+
+
+def test_an_endpoint_that_is_down_stops_the_run_and_costs_no_edit(
+    dataset: Path, wanted: list[dict[str, Any]], tmp_path: Path, asked: Callable[[Told], EditSettings]
+) -> None:
+    lines = [{"scene_id": wanted[0]["scene_id"], "instruction": f"{k} is asked.", "edit_id": str(k)} for k in range(6)]
+    path, out = file_of(lines, tmp_path / "e.jsonl"), tmp_path / "out"
+    engine = Told({f"{k} is asked.": "down" if k == 5 else "still not" for k in range(6)})  # shards are of four
+    with pytest.raises(ConfigError, match=r"^5: nobody answers; what is done is kept, run again to go on$") as caught:
+        edit(str(dataset), path, str(out), asked(engine), ALONE, report=False)
+    assert caught.value.code == "engine_off"
+    engine.replies["5 is asked."] = "nor is this"
+    before = len(engine.asked)
+    assert edit(str(dataset), path, str(out), asked(engine), ALONE, report=False)["status"] == "complete"
+    assert len(engine.asked) == before + 2 * 3  # the second shard alone, every edit three times
+    assert {k: r["code"] for k, r in rows_of(out, "failures", "id").items()} == dict.fromkeys("012345", "reply_unusable")
 
 
 def test_what_is_known_of_categories_keeps_bad_replies_out_and_odd_ones_are_named(

@@ -69,6 +69,14 @@ def test_an_asset_that_failed_under_the_name_of_a_scene_is_no_failure_of_the_sce
         count_items(folder, "scenes", "scene_id", ["a", "b"])
 
 
+def test_a_scene_that_is_lost_under_the_name_of_an_asset_is_no_failure_of_the_asset(tmp_path: Path) -> None:
+    folder = run_of(tmp_path, ["a"], [], of_assets=[])
+    folder.write_shard("assets", "1" * 16, [dict.fromkeys(SCHEMAS["assets"].names) | {"asset_id": "b"}])
+    folder.write_shard("failures", OF_DATASET, [notice_row(Notice("b", "read", "layout_missing", "b: is lost"))])
+    assert count_items(folder, "assets", "asset_id", ["b"]) == 0
+    assert count_items(folder, "scenes", "scene_id", ["a", "b"]) == 1
+
+
 @pytest.mark.parametrize(
     ("scenes", "failures", "odd"),
     [
