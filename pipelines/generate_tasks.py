@@ -35,8 +35,8 @@ class SampledTask:
 
     @property
     def scene_id(self) -> str:
-        """Names the scene."""
-        return scene_id_of(self.number, self.tables)
+        """Names the scene; of runs with other seeds no two scenes have one name, so that they can be joined."""
+        return scene_id_of(self.number, self.tables) + (f"_seed{self.seed}" if self.seed else "")
 
     def drawn(self) -> LayoutTask:
         """The task.
@@ -74,7 +74,8 @@ class Tasks:
     def __post_init__(self) -> None:
         """Refuses what asks for nothing."""
         if not self.tasks:
-            raise ConfigError(f"{self.name}: holds no task that can be used, expected one at least", "tasks_invalid")
+            why = f"; {len(self.lost)} are none, such as {self.lost[0].message}" if self.lost else ""
+            raise ConfigError(f"{self.name}: holds no task that can be used, expected one at least{why}", "tasks_invalid")
 
 
 def sampled(count: int, seed: int = 0, kinds: Sequence[str] = ()) -> Tasks:

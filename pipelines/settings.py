@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import is_dataclass, replace
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from stable_data.dotted import flat
 from stable_data.errors import ConfigError
@@ -43,7 +43,7 @@ def resolve(kind: type[C], section: str, file: Path | None, overrides: Iterable[
 
 def _filled(base: C, name: str, values: Mapping[str, Any]) -> C:
     """Settings with some of their values, by dotted key, replaced."""
-    hints = get_type_hints(type(base))
+    hints = {key: hint for key, hint in get_type_hints(type(base)).items() if get_origin(hint) is not ClassVar}
     changed: dict[str, Any] = {}
     inner: dict[str, dict[str, Any]] = {}
     for key, value in values.items():

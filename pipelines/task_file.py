@@ -4,7 +4,7 @@ import csv
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +82,7 @@ def task_of(row: Mapping[str, Any], scene_id: str) -> LayoutTask:
     instruction, table_type = values.get("instruction"), values.get("table_type")
     if not isinstance(instruction, str) or not instruction.strip():
         raise SceneError(
-            f"instruction is {shown(instruction)}, expected what is to be done on the table", "instruction_invalid"
+            f"instruction is {shown(row.get('instruction'))}, expected what is to be done on the table", "instruction_invalid"
         )
     name = _name(values.get("scene_id", scene_id), "scene_id", "task_invalid")
     kind = _name("_".join(str(table_type or "").lower().split()), "table_type", "table_invalid")
@@ -139,12 +139,12 @@ def _rows(path: Path) -> Iterator[tuple[int, Mapping[str, Any] | str]]:
             yield from ((number, line) for number, line in enumerate(lines, 1) if line.strip())
     elif path.suffix == ".csv":
         with path.open(encoding="utf-8-sig", newline="") as stream:
-            reader = csv.DictReader(stream, restkey="more")
-            _check_columns(path, reader.fieldnames or [])
+            reader = csv.DictReader(stream, restkey="fields beyond the header")
+            _check_columns(path, list(reader.fieldnames or ()))
             yield from enumerate(reader, 1)
     elif path.suffix == ".parquet":
         with pq.ParquetFile(path) as file:
-            _check_columns(path, file.schema_arrow.names)
+            _check_columns(path, list(file.schema_arrow.names))
             number = 0
             for batch in file.iter_batches(_ROWS):
                 for row in batch.to_pylist():
@@ -154,10 +154,11 @@ def _rows(path: Path) -> Iterator[tuple[int, Mapping[str, Any] | str]]:
         raise _unreadable(path, f"ends in {path.suffix or 'nothing'}")
 
 
-def _check_columns(path: Path, names: object) -> None:
-    found = list(names) if isinstance(names, list | tuple) else []
-    if missing := [key for key in KEYS[1:4] if key not in found]:
+def _check_columns(path: Path, names: Sequence[str]) -> None:
+    if missing := [key for key in KEYS[1:4] if key not in names]:
         raise _unreadable(path, f"has no column {missing[0]}")
+    if unknown := [name for name in names if name not in KEYS]:  # else the rows alone would be lost that fill it
+        raise _unreadable(path, f"has a column {shown(unknown[0])}")
 
 
 def _unreadable(path: Path, found: str) -> ConfigError:

@@ -22,8 +22,8 @@ R = TypeVar("R")
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help="Tabletop scenes as data.")
 
-DONE, SOME_FAILED, NOT_STARTED = 0, 1, 2
-"""Exit statuses: all well; some items failed, all accounted for; could not start."""
+DONE, SOME_FAILED, NOT_STARTED, INTERRUPTED = 0, 1, 2, 130
+"""Exit statuses: all well; some items failed, all accounted for; could not start or go on; Ctrl-C."""
 
 DEBUG = "STABLE_DATA_DEBUG"
 """Environment variable: where it is set, an error ends a command with its traceback."""
@@ -47,6 +47,9 @@ def with_clear_errors(command: Callable[P, R]) -> Callable[P, R]:
             return command(*args, **kwargs)
         except (typer.Exit, typer.Abort, BrokenPipeError):
             raise  # an end that was meant, or a reader such as `head` that has seen enough
+        except KeyboardInterrupt as error:
+            typer.echo("interrupted; what is in place stays", err=True)
+            raise typer.Exit(INTERRUPTED) from error
         except Exception as error:  # the outermost level: nobody is helped by a traceback that they did not ask for
             if os.environ.get(DEBUG):
                 raise

@@ -125,9 +125,15 @@ class TabletopEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
         Args:
             action: Its velocity, (3,) from -1 to 1; more counts as 1.
+
+        Raises:
+            ValueError: It is no such action.
         """
+        wanted = np.asarray(action, np.float64)
+        if wanted.shape != (3,) or not np.isfinite(wanted).all():
+            raise ValueError(f"action is {action}, expected three finite numbers: the hand's velocity along x, y and z")
         before = self._observation() if self._reward is not None else None
-        velocity = HAND_SPEED * np.clip(np.asarray(action, np.float64), -1.0, 1.0)
+        velocity = HAND_SPEED * np.clip(wanted, -1.0, 1.0)
         timestep = self._model.opt.timestep
         with without_log_file():
             for _ in range(round(STEP_SECONDS / timestep)):

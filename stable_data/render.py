@@ -5,6 +5,7 @@ The camera follows the format's rule: it looks at the middle of what is there (o
 """
 
 import hashlib
+import os
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Literal, TypeAlias
@@ -262,8 +263,11 @@ def open_renderer(model: mujoco.MjModel, size: tuple[int, int]) -> mujoco.Render
     try:
         return mujoco.Renderer(model, height=size[1], width=size[0])
     except (ImportError, AttributeError, RuntimeError, mujoco.FatalError) as error:
+        # MuJoCo was imported before `stable_data.engine` said how to draw.
+        is_late = os.environ.get("MUJOCO_GL") == "egl" and "egl" not in getattr(mujoco, "GLContext", int).__module__
+        late = "import stable_data.env before mujoco, or set MUJOCO_GL=egl for both; else " if is_late else ""
         raise ConfigError(
-            f"no picture: OpenGL does not start ({type(error).__name__}: {error}); "
+            f"no picture: OpenGL does not start ({type(error).__name__}: {error}); {late}"
             "install libegl1 and libgl1-mesa-dri, or set MUJOCO_GL to egl, osmesa or glfw, or go on without pictures",
             "no_gl",
         ) from error

@@ -61,11 +61,14 @@ def export_run(run: RunFolder, out: Path, name: str, choice: Choice, progress: P
         How many were written, were there and failed.
 
     Raises:
-        ConfigError: It cannot start: the format, a table or a scene is not known, or the folder holds something else.
+        ConfigError: It cannot start: the format, a table or a scene is not known, no scene is chosen, or the folder holds something
+            else.
     """
     chosen = format_named(name)
     target = RunFolder(str(out))
     scenes = RunScenes(run, choice)
+    if not len(scenes):
+        raise ConfigError(f"{run.uri}: no scene is chosen, expected one at least; ask for others", "scene_unknown")
     annotations = run_annotations(run)
     with target.locked():
         _check_same(target, run, name, choice)

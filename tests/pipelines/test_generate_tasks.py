@@ -1,6 +1,7 @@
 """What the generate job is asked for: files, scenes that are there, drawn ones."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -26,7 +27,8 @@ def test_drawn_tasks_depend_on_seed_and_number_alone() -> None:
     assert sampled_task(3, 5) != sampled_task(3, 6)
     names = [task.scene_id for task in found.tasks]
     assert len(set(names)) == 30
-    kinds = {name.rpartition("_")[0] for name in names}
+    assert not set(names) & {task.scene_id for seed in (0, 6) for task in sampled(30, seed).tasks}  # runs can be joined
+    kinds = {re.sub(r"_\d{5}_seed5", "", name) for name in names}
     assert kinds >= set(TABLES)
     assert kinds & set(UNSEEN_TABLES)
 
@@ -73,6 +75,13 @@ def test_broken_rows_of_a_file_are_named_and_the_rest_is_used(tmp_path: Path) ->
     found = of_file(path)
     assert [type(task) for task in found.tasks] == [LayoutTask]
     assert [notice.code for notice in found.lost] == ["task_invalid", "table_invalid"]
+
+
+def test_a_file_without_a_usable_row_says_why(tmp_path: Path) -> None:
+    path = tmp_path / "tasks.csv"
+    path.write_text("instruction,table_type,table_size_cm\nLift it.,office_table,120,60\n")
+    with pytest.raises(ConfigError, match=r"expected one at least; 1 are none, such as tasks\.csv, row 1: has .fields beyond"):
+        of_file(path)
 
 
 @pytest.mark.parametrize(

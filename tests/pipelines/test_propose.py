@@ -295,6 +295,25 @@ def test_no_task_has_the_name_of_a_row_that_is_none(tmp_path: Path) -> None:
     assert "scene_id task_000006 is taken, expected one of its own" in lost["row 000006"]  # first come keeps the name
 
 
+def test_an_empty_instruction_is_shown_as_it_is(tmp_path: Path) -> None:
+    (lost,) = read_tasks(task_file(tmp_path, [{**GOOD, "instruction": ""}]))
+    assert isinstance(lost, Notice)
+    assert "instruction is '', expected" in lost.message
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_a_column_that_is_none_of_a_tasks_is_refused_at_once(ending: str, tmp_path: Path) -> None:
+    """Else the rows alone would be lost that fill it."""
+    path = tmp_path / f"tasks.{ending}"
+    rows = [{"instruction": "Lift it.", "table_type": "desk", "table_size_cm": "120 x 60", "note": note} for note in ("", "a")]
+    if ending == "csv":
+        path.write_text("\n".join(",".join(row.values()) for row in ({key: key for key in rows[0]}, *rows)))
+    else:
+        pq.write_table(pa.Table.from_pylist(rows), path)
+    with pytest.raises(ConfigError, match="has a column 'note', expected tasks"):
+        list(read_tasks(path))
+
+
 @pytest.mark.parametrize("content", [None, b"", b"\xff\xfe{", b"instruction,table_type\na,b\n", b"PAR1 and no more"])
 @pytest.mark.parametrize("ending", ["jsonl", "csv", "parquet", "xlsx"])
 def test_a_file_that_holds_no_tasks_is_refused(content: bytes | None, ending: str, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
@@ -15,6 +16,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @dataclass(frozen=True)
 class Sample:
+    section: ClassVar[str] = "sample"
+
     steps: int = 3
     share: float = 0.5
     name: str = "a"
@@ -32,6 +35,7 @@ def test_set_is_stronger_than_the_file(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("stops=1", "did you mean steps"),
+        ("section=foo", "setting sample.section is not known"),
         ("steps=many", "expected int"),
         ("steps=1.5", "expected int"),
         ("quick=1", "expected bool"),

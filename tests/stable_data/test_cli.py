@@ -11,7 +11,7 @@ import typer
 from typer.testing import CliRunner, Result
 
 import stable_data.lint
-from stable_data.cli import DEBUG, EXTRA_OF_MODULE, NOT_STARTED, app, with_clear_errors
+from stable_data.cli import DEBUG, EXTRA_OF_MODULE, INTERRUPTED, NOT_STARTED, app, with_clear_errors
 from stable_data.lint import LintResult
 from stable_data.shards import RunFolder
 
@@ -60,6 +60,15 @@ def test_an_end_that_was_meant_stays(end: BaseException) -> None:
     with pytest.raises(type(end)) as caught:
         stop()
     assert caught.value is end
+
+
+def test_ctrl_c_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(root: Path, *, progress: bool) -> LintResult:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(stable_data.lint, "lint_folder", stop)
+    result = run("lint", "anywhere")
+    assert (result.exit_code, result.stderr) == (INTERRUPTED, "interrupted; what is in place stays\n")
 
 
 @pytest.mark.parametrize("arguments", [["lint", "anywhere"], ["synth", "somewhere"]])

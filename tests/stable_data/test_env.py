@@ -1,6 +1,10 @@
 """Scenes as Gymnasium environments: they pass its own check, repeat themselves, and the hand pushes."""
 
+import ctypes.util
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -191,6 +195,29 @@ def test_settled_objects_lie_where_the_engine_left_them(run: RunFolder, store: A
 def test_settings_that_cannot_be_are_refused(settings: dict[str, Any], message: str, store: AssetStore) -> None:
     with pytest.raises(ConfigError, match=re.escape(message)):
         env_of(EMPTY, store, **settings)
+
+
+@pytest.mark.parametrize("action", [[np.nan, 0.0, 0.0], [0.0, 0.0], [[0.0, 0.0, 0.0]], [np.inf, 0.0, 0.0]])
+def test_an_action_that_is_none_is_refused_and_moves_nothing(action: list[Any], store: AssetStore) -> None:
+    env = env_of(EMPTY, store)
+    before, _ = env.reset(seed=0)
+    with pytest.raises(ValueError, match="expected three finite numbers"):
+        env.step(np.array(action, np.float32))
+    after, *_ = env.step(np.zeros(3, np.float32))
+    assert (after["hand"] == before["hand"]).all()
+
+
+def test_without_a_display_it_is_said_that_mujoco_came_too_early(run: RunFolder) -> None:
+    if ctypes.util.find_library("EGL") is None:
+        pytest.skip("this machine has no EGL")
+    code = (
+        "import sys, mujoco; from stable_data.env import make_env; "
+        "make_env(sys.argv[1], sys.argv[2], cameras=('front',)).reset(seed=0)"
+    )
+    without = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY")}
+    words = [sys.executable, "-c", code, run.uri, EMPTY.scene_id]
+    found = subprocess.run(words, capture_output=True, text=True, check=False, env=without, cwd=DOC.parents[1])
+    assert "import stable_data.env before mujoco, or set MUJOCO_GL=egl for both" in found.stderr
 
 
 def test_a_scene_that_the_run_does_not_have_is_refused(run: RunFolder) -> None:

@@ -171,6 +171,8 @@ def test_a_run_that_keeps_no_settled_poses_says_so(tmp_path: Path) -> None:
     [
         (["--format", "stl"], "format is 'stl', expected one of glb, mesatask, mjcf"),
         (["--format", "glb", "--where", "num_objects >"], "cannot be read"),
+        (["--format", "glb", "--where", "num_objects > 1000"], "no scene is chosen, expected one at least"),
+        (["--format", "glb", "--limit", "0"], "no scene is chosen, expected one at least"),
         (["--format", "glb", "--scene", "nowhere"], "the run has no scenes ['nowhere']"),
         (["--format", "glb", "--scene", "empty", "--where", "num_objects > 1"], "no scenes ['empty'] where num_objects > 1"),
     ],
