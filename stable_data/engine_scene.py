@@ -139,7 +139,7 @@ def _add_surroundings(spec: mujoco.MjSpec, solid: SolidScene, picture: tuple[int
     set_mood(spec, picture)
     add_lights(spec, low, high)
     for view in CAMERAS:
-        add_camera(spec, low, high, view, name=view)
+        add_camera(spec, low, high, view, picture, name=view)
 
 
 def _wxyz(quat_xyzw: QuatXyzw) -> list[float]:

@@ -1,7 +1,7 @@
 """Pictures of scenes, drawn off screen, and contact sheets.
 
 The camera follows the format's rule: it looks at the middle of what is there (objects and table) through a 50 mm lens on a
-36 mm sensor, from 1.5 times the largest dimension away.
+36 mm sensor, from 1.5 times the largest dimension away; farther, where near corners would be cut off.
 """
 
 import hashlib
@@ -34,8 +34,9 @@ _DIRECTIONS: Mapping[str, Vec3] = {
     "top": (0.0, 0.0, 1.0),
     "left": (-1.0, 0.0, 0.3),
 }
-_FIELD_OF_VIEW = float(np.degrees(2 * np.arctan(18 / 50)))  # 36 mm sensor, 50 mm lens
-_DISTANCE = 1.5
+_HALF_VIEW = 18 / 50  # tangent of half the field of view: 36 mm sensor, 50 mm lens
+_FIELD_OF_VIEW = float(np.degrees(2 * np.arctan(_HALF_VIEW)))
+_DISTANCE, _MARGIN = 1.5, 1.02
 TABLE_THICKNESS = 0.03
 SINK_RISE = 4e-4  # above the table top, so that it is seen
 _MAX_FACES = 6000
@@ -91,7 +92,7 @@ def render_scene(
         _add_object(spec, o, mesh, colour, k)
     low, high = scene_bounds(scene, meshes)
     add_lights(spec, low, high)
-    add_camera(spec, low, high, view)
+    add_camera(spec, low, high, view, size)
     return _draw(spec.compile(), size)
 
 
@@ -230,14 +231,17 @@ def add_lights(spec: mujoco.MjSpec, low: FloatArray, high: FloatArray) -> None:
     )  # fmt: skip
 
 
-def add_camera(spec: mujoco.MjSpec, low: FloatArray, high: FloatArray, view: View, name: str = "view") -> None:
-    """Adds the camera that looks at so much from one side.
+def add_camera(
+    spec: mujoco.MjSpec, low: FloatArray, high: FloatArray, view: View, size: tuple[int, int], name: str = "view"
+) -> None:
+    """Adds the camera that looks at so much from one side; all corners of it are in the picture.
 
     Args:
         spec: The description to add it to.
         low: Lowest corner of what is there, (3,), metres.
         high: Highest corner.
         view: Where from.
+        size: Width and height of its pictures, of which the ratio counts.
         name: Its name.
     """
     direction = np.array(_DIRECTIONS[view]) / np.linalg.norm(_DIRECTIONS[view])
@@ -246,7 +250,11 @@ def add_camera(spec: mujoco.MjSpec, low: FloatArray, high: FloatArray, view: Vie
     up = np.cross(direction, right)
     quat = np.empty(4)
     mujoco.mju_mat2Quat(quat, np.stack([right, up, direction], axis=1).ravel())
-    position = (low + high) / 2 + _DISTANCE * (high - low).max() * direction
+    half = (high - low) / 2
+    corners = half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    narrow = min(1.0, size[0] / size[1])  # the field of view is that of the height
+    needed = corners @ direction + np.maximum(abs(corners @ right) / narrow, abs(corners @ up)) / _HALF_VIEW
+    position = (low + high) / 2 + max(_DISTANCE * 2 * half.max(), _MARGIN * needed.max()) * direction
     spec.worldbody.add_camera(name=name, pos=position.tolist(), quat=quat.tolist(), fovy=_FIELD_OF_VIEW)
 
 

@@ -1,10 +1,13 @@
 import numpy as np
 import pytest
 
+from stable_data.engine import mujoco
 from stable_data.errors import ConfigError
 from stable_data.mesh import Mesh
 from stable_data.render import (
     Picture,
+    View,
+    add_camera,
     category_colour,
     contact_sheet,
     object_colour,
@@ -112,6 +115,22 @@ def test_mesh_without_area_is_drawn_as_its_box() -> None:
     o, mesh = thing("can/0", 0.4, 0.25)
     speck = Mesh(mesh.vertices * 0, mesh.faces)
     assert (drawn(scene_of(o), [speck], size=(64, 64)) != drawn(scene_of(), [], size=(64, 64))).any()
+
+
+@pytest.mark.parametrize("view", ["front", "perspective", "top", "left"])
+@pytest.mark.parametrize("size", [(512, 512), (320, 180), (90, 160)])
+@pytest.mark.parametrize("high", [(0.8, 0.5, 0.2), (2.0, 0.4, 0.3), (0.3, 0.3, 1.2)])
+def test_all_corners_are_in_the_picture(view: View, size: tuple[int, int], high: tuple[float, float, float]) -> None:
+    spec = mujoco.MjSpec()
+    add_camera(spec, np.array([0.0, 0.0, -0.03]), np.array(high), view, size)
+    model = spec.compile()
+    corners = np.array([[x, y, z] for x in (0.0, high[0]) for y in (0.0, high[1]) for z in (-0.03, high[2])])
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    seen = (corners - data.cam_xpos[0]) @ data.cam_xmat[0].reshape(3, 3)  # x to the right, y up, z to the viewer
+    half = np.tan(np.radians(model.cam_fovy[0]) / 2)
+    assert (abs(seen[:, 1]) < -seen[:, 2] * half).all()
+    assert (abs(seen[:, 0]) < -seen[:, 2] * half * size[0] / size[1]).all()
 
 
 def test_unknown_view_is_refused() -> None:
