@@ -16,6 +16,7 @@ from stable_data.export.glb import write_glb
 from stable_data.mass import mass_properties
 from stable_data.mesatask import AssetAnnotation
 from stable_data.mesh import Mesh
+from stable_data.paint import Paint
 from stable_data.points import surface_points
 from stable_data.scene import QuatXyzw, Vec3
 
@@ -91,7 +92,8 @@ def preprocess_asset(
     progress.step = "points"
     row = _asset_row(use, annotation, asset, settings, embedding)
     progress.step = "parts"
-    return AssetRows(row, _mesh_row(use.asset_id, asset, store), grids, asset.notices)
+    paint, odd = store.paint(use.asset_id)
+    return AssetRows(row, _mesh_row(use.asset_id, asset, store, paint), grids, asset.notices + odd)
 
 
 def _asset_row(
@@ -127,10 +129,10 @@ def _asset_row(
     }
 
 
-def _mesh_row(asset_id: str, asset: AssetMesh, store: AssetStore) -> tables.Row:
+def _mesh_row(asset_id: str, asset: AssetMesh, store: AssetStore, paint: Paint) -> tables.Row:
     kept = store.kept_parts(asset_id)
     parts = convex_parts(asset.mesh, given=kept or store.colliders(asset_id), kept=bool(kept))
-    glb = write_glb(asset.mesh)
+    glb = write_glb(asset.mesh, paint=paint)
     return {
         "asset_id": asset_id,
         "glb": glb,

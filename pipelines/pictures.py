@@ -8,7 +8,7 @@ from pipelines.page import image_uri
 from stable_data.assets import AssetStore
 from stable_data.errors import ConfigError
 from stable_data.mesh import Mesh
-from stable_data.render import render_scene
+from stable_data.render import object_colour, render_scene
 from stable_data.scene import Scene
 
 Shown: TypeAlias = Sequence[tuple[Any, str]]
@@ -16,9 +16,10 @@ Shown: TypeAlias = Sequence[tuple[Any, str]]
 
 
 def drawn(scene: Scene, store: AssetStore) -> Any:
-    """A picture of a scene, (H, W, 3) uint8."""
+    """A picture of a scene, (H, W, 3) uint8, in the colours of its assets where they are known."""
     shapes, _ = store.shapes(scene)
-    return render_scene(scene, [Mesh(s.vertices, s.faces) if s.is_exact else None for s in shapes])
+    meshes = [Mesh(s.vertices, s.faces) if s.is_exact else None for s in shapes]
+    return render_scene(scene, meshes, colors=[store.paint_of(o) or object_colour(o) for o in scene.objects])
 
 
 def figures(scenes: Iterable[tuple[str, Callable[[], Shown]]]) -> Iterable[str]:

@@ -21,6 +21,7 @@ from stable_data.mesatask import (
 )
 from stable_data.mesatask.frame import normalised
 from stable_data.mesh import Mesh
+from stable_data.paint import Paint, paint_of
 from stable_data.repair import MeshReport, repair
 from stable_data.scene import QuatXyzw, Scene, SceneObject, Vec3
 from stable_data.sdf_build import build_grid
@@ -104,6 +105,7 @@ class AssetStore:
         self._meshes: _Recent[str, AssetMesh | MeshError] = _Recent(max_bytes)
         self._shapes: _Recent[Hashable, Shape] = _Recent(max_bytes)
         self._grids: _Recent[Hashable, SdfGrid] = _Recent(max_bytes)
+        self._paints: _Recent[str, tuple[Paint, tuple[Notice, ...]]] = _Recent(max_bytes)
         self._faults: dict[str, str | None] = {}
 
     def asset(self, asset_id: str) -> AssetMesh:
@@ -228,6 +230,31 @@ class AssetStore:
             return None if o.asset_id is None else self.asset(o.asset_id).mesh
         except MeshError:
             return None
+
+    def paint(self, asset_id: str) -> tuple[Paint, tuple[Notice, ...]]:
+        """The colours of the faces of an asset's repaired mesh, and why there are none where its file's cannot be read.
+
+        Raises:
+            MeshError: The mesh is missing or cannot be used.
+        """
+        return self._paints.get(asset_id, lambda: self._painted(asset_id), lambda p: 256 + sum(f.nbytes for _, f in p[0]))
+
+    def _painted(self, asset_id: str) -> tuple[Paint, tuple[Notice, ...]]:
+        mesh, path = self.asset(asset_id).mesh, self._source.asset_path(asset_id)
+        assert path is not None
+        try:
+            return paint_of(path, asset_id, mesh), ()
+        except MeshError as error:
+            if error.code in _PASSING:
+                raise
+            return (), (Notice(asset_id, "mesh", error.code, str(error)),)
+
+    def paint_of(self, o: SceneObject) -> Paint:
+        """The colours of an object, none where they are not known."""
+        try:
+            return () if o.asset_id is None else self.paint(o.asset_id)[0]
+        except MeshError:
+            return ()
 
     def grid(self, asset_id: str, scale: Vec3) -> SdfGrid:
         """The signed-distance grid of an asset at the aspect of a scale.

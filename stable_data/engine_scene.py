@@ -8,7 +8,7 @@ import numpy as np
 
 from stable_data.engine import mujoco
 from stable_data.files import plain_name
-from stable_data.mesh import Mesh, double_areas
+from stable_data.mesh import Mesh, compact, double_areas
 from stable_data.physics import COLLIDER, compile_spec, spec_of
 from stable_data.render import (
     SINK_COLOUR,
@@ -100,24 +100,26 @@ def _add_looks(
     """The mesh of an object as it is seen, or its box, see-through, where there is none."""
     o, mesh, name = solid.scene.objects[index], solid.meshes[index], f"{body.name}/visual"
     if mesh is not None and o.scale is not None:
-        faces = mesh.faces[double_areas(Mesh(mesh.vertices * o.scale, mesh.faces)) > 2 * _FLATTEST]
-        if len(faces):
-            key = (o.asset_id, o.scale)
+        is_seen = double_areas(Mesh(mesh.vertices * o.scale, mesh.faces)) > 2 * _FLATTEST
+        coats = [(colour, rows[is_seen[rows]]) for colour, rows in solid.paint(index)]
+        for number, (colour, rows) in enumerate((colour, rows) for colour, rows in coats if len(rows)):
+            own = f"{name}_{number}" if number else name
+            key = (o.asset_id, o.scale, colour)
             if key not in meshes:  # objects of one asset share its looks
-                meshes[key] = name
+                meshes[key] = own
+                vertices, faces = compact(mesh.vertices, mesh.faces[rows])
                 inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # what is only seen may be open or flat
-                spec.add_mesh(
-                    name=name, uservert=mesh.vertices.ravel(), userface=faces.ravel(), scale=list(o.scale), inertia=inertia
-                )
+                spec.add_mesh(name=own, uservert=vertices.ravel(), userface=faces.ravel(), scale=list(o.scale), inertia=inertia)
             body.add_geom(
                 visual,
-                name=name,
+                name=own,
                 type=mujoco.mjtGeom.mjGEOM_MESH,
                 meshname=meshes[key],
                 pos=solid.offset(index).tolist(),
                 quat=_wxyz(o.tilt_quat_xyzw),
-                rgba=rgba(object_colour(o)),
+                rgba=rgba(colour),
             )
+        if any(len(rows) for _, rows in coats):
             return
     half = (np.maximum(o.size, 2e-4) / 2).tolist()
     body.add_geom(visual, name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, rgba=rgba(object_colour(o), 0.45))

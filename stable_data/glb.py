@@ -25,6 +25,7 @@ PART_FACES = "part_faces"
 
 _MAGIC, _JSON_CHUNK, _BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 # Required extensions that change how a surface looks, or that the accessor reader covers, not where it is.
 _HARMLESS = (
@@ -118,6 +119,47 @@ def load_colliders(data: bytes | Path, asset_id: str, *, limits: MeshLimits = Me
         reader.fail("glb_invalid", f"its colliders break the format ({type(error).__name__}: {error})", "convex parts")
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Coat:
+    """Triangles of a file with one material.
+
+    Attributes:
+        triangles: (F, 3, 3) float64, in the file's unit, z up, placed; nothing welded.
+        factor: The material's base colour, red, green, blue from 0 to 1, linear; None where there is no material.
+        corner_colours: Colours of the corners, (F, 3, 3), likewise; None where they have none.
+        image: The material's texture, a file's content; None where it has none that lies in the file.
+        corner_uv: Where in it the corners are, (F, 3, 2), shares of its width and height from the upper left.
+    """
+
+    triangles: FloatArray
+    factor: tuple[float, float, float] | None
+    corner_colours: FloatArray | None
+    image: bytes | None
+    corner_uv: FloatArray | None
+
+
+def load_coats(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits()) -> list[Coat]:
+    """What a file says of the colours of its surface.
+
+    Args:
+        data: The file, or its content; not trusted, and no URI in it is opened.
+        asset_id: Named in messages.
+        limits: Sizes beyond which the file is refused.
+
+    Raises:
+        MeshError: It breaks the format; the codes are those of :func:`load_glb`.
+    """
+    content = _read_bytes(data, asset_id, limits) if isinstance(data, Path) else data
+    reader = _GlbReader(asset_id, limits)
+    try:
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            return reader.coats(content)
+    except MeshError:
+        raise
+    except _HOSTILE as error:
+        reader.fail("glb_invalid", f"its materials break the format ({type(error).__name__}: {error})", "valid ones")
+
+
 def _read_bytes(path: Path, asset_id: str, limits: MeshLimits) -> bytes:
     try:
         size = path.stat().st_size
@@ -149,22 +191,65 @@ class _GlbReader:
         """Corners (V, 3) in the file's frame, z up, and faces (F, 3), instances placed; nothing welded yet."""
         self._open(content)
         self._refuse_unsupported()
-        vertices, faces, num_vertices, num_faces = [], [], 0, 0
-        primitives: dict[int, list[tuple[FloatArray, IntArray]]] = {}
+        vertices, faces, num_vertices = [], [], 0
+        for _, corners, triangles in self._placed():
+            faces.append(triangles + num_vertices)
+            vertices.append(corners)
+            num_vertices += len(corners)
+        if not sum(map(len, faces)):
+            self.fail("glb_no_faces", "has no triangle", "at least one; is it a point cloud, a skeleton or an empty node?")
+        return np.concatenate(vertices), np.concatenate(faces)
+
+    def coats(self, content: bytes) -> list[Coat]:
+        """What the scene shows, by material; see :func:`load_coats`."""
+        self._open(content)
+        self._refuse_unsupported()
+        found = []
+        for primitive, corners, triangles in self._placed():
+            factor, texture = self._base_colour(primitive)
+            attributes, colours, uv = primitive["attributes"], None, None
+            if "COLOR_0" in attributes:
+                width = 4 if self.document["accessors"][attributes["COLOR_0"]]["type"] == "VEC4" else 3
+                colours = self._accessor(attributes["COLOR_0"], width)[triangles][..., :3].astype(np.float64)
+            image = None if texture is None else self._image(texture)
+            name = f"TEXCOORD_{(texture or {}).get('texCoord', 0)}"
+            if image is not None and name in attributes:
+                uv = self._accessor(attributes[name], 2)[triangles].astype(np.float64)
+            found.append(Coat(corners[triangles], factor, colours, image, uv))
+        return found
+
+    def _base_colour(self, primitive: dict[str, Any]) -> tuple[tuple[float, float, float] | None, dict[str, Any] | None]:
+        """Factor and texture of a primitive's material; without a material no factor."""
+        if "material" not in primitive:
+            return None, None
+        material = self.document["materials"][primitive["material"]]
+        older = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
+        names = ("baseColorFactor", "baseColorTexture") if older is None else ("diffuseFactor", "diffuseTexture")
+        found = material.get("pbrMetallicRoughness", {}) if older is None else older
+        red, green, blue = (float(channel) for channel in found.get(names[0], (1.0, 1.0, 1.0))[:3])
+        return (red, green, blue), found.get(names[1])
+
+    def _image(self, texture: dict[str, Any]) -> bytes | None:
+        """The content of a texture's picture; None where it is not in the file."""
+        entry = self.document["textures"][texture["index"]]
+        source = entry.get("extensions", {}).get("EXT_texture_webp", {}).get("source", entry.get("source"))
+        image = {} if source is None else self.document["images"][source]
+        return self._view(image["bufferView"]) if "bufferView" in image else None
+
+    def _placed(self) -> Iterator[tuple[dict[str, Any], FloatArray, IntArray]]:
+        """Every primitive that the scene shows with its corners (V, 3), z up, where its node has them, and its triangles (F, 3)."""
+        primitives: dict[int, list[tuple[dict[str, Any], FloatArray, IntArray]]] = {}
+        num_faces = num_corners = 0
         for mesh_index, world_from_node in self._placed_meshes():
             if mesh_index not in primitives:
                 primitives[mesh_index] = list(self._primitives(self.document["meshes"][mesh_index]))
-            for corners, triangles in primitives[mesh_index]:
-                num_faces += len(triangles)
-                if num_faces > self.limits.max_faces or num_vertices + len(corners) > 3 * self.limits.max_faces:
+            is_mirrored = np.linalg.det(world_from_node[:3, :3]) < 0
+            for primitive, corners, triangles in primitives[mesh_index]:
+                num_faces, num_corners = num_faces + len(triangles), num_corners + len(corners)
+                if num_faces > self.limits.max_faces or num_corners > 3 * self.limits.max_faces:
                     self.fail("glb_too_large", "has too many faces", f"at most {self.limits.max_faces}; decimate it")
-                is_mirrored = np.linalg.det(world_from_node[:3, :3]) < 0
-                faces.append((triangles[:, ::-1] if is_mirrored else triangles) + num_vertices)
-                vertices.append(corners @ world_from_node[:3, :3].T + world_from_node[:3, 3])
-                num_vertices += len(corners)
-        if not num_faces:
-            self.fail("glb_no_faces", "has no triangle", "at least one; is it a point cloud, a skeleton or an empty node?")
-        return np.concatenate(vertices)[:, [0, 2, 1]] * (1.0, -1.0, 1.0), np.concatenate(faces)
+                placed = corners @ world_from_node[:3, :3].T + world_from_node[:3, 3]
+                yield primitive, placed[:, [0, 2, 1]] * (1.0, -1.0, 1.0), triangles[:, ::-1] if is_mirrored else triangles
 
     def colliders(self, content: bytes) -> tuple[Mesh, ...]:
         """The convex parts of the mesh ``colliders``, centred on the box of all, placed as the one mesh that the scene shows."""
@@ -174,7 +259,7 @@ class _GlbReader:
         if not found or len(placed) != 1:
             return ()
         world_from_node = placed[0][1]
-        (corners, faces), counts = next(self._primitives(found[0])), np.array(found[0]["extras"][PART_FACES], np.int64)
+        (_, corners, faces), counts = next(self._primitives(found[0])), np.array(found[0]["extras"][PART_FACES], np.int64)
         if counts.sum() != len(faces) or (counts < 4).any() or len(faces) > self.limits.max_faces:
             self.fail("glb_invalid", f"{len(counts)} colliders have {counts.sum()} faces", f"the {len(faces)} that are there")
         corners = corners @ world_from_node[:3, :3].T + world_from_node[:3, 3]
@@ -241,8 +326,8 @@ class _GlbReader:
         children = {child for node in nodes for child in node.get("children", [])}
         return [index for index in range(len(nodes)) if index not in children]
 
-    def _primitives(self, mesh: dict[str, Any]) -> Iterator[tuple[FloatArray, IntArray]]:
-        """Corners (V, 3) float64 and triangles (F, 3) int64 of every primitive that has triangles."""
+    def _primitives(self, mesh: dict[str, Any]) -> Iterator[tuple[dict[str, Any], FloatArray, IntArray]]:
+        """Every primitive that has triangles with its corners (V, 3) float64 and triangles (F, 3) int64."""
         for primitive in mesh["primitives"]:
             mode = primitive.get("mode", _TRIANGLES)
             if mode not in (_TRIANGLES, _STRIP, _FAN):
@@ -254,7 +339,7 @@ class _GlbReader:
             indices = np.arange(len(corners))
             if "indices" in primitive:
                 indices = self._indices(primitive["indices"], len(corners))
-            yield corners, _triangles(indices, mode)
+            yield primitive, corners, _triangles(indices, mode)
 
     def _indices(self, accessor: int, num_corners: int) -> IntArray:
         indices = self._accessor(accessor, 1)[:, 0]
@@ -275,14 +360,23 @@ class _GlbReader:
                 f"accessor {index} is sparse or has no data",
                 "plain accessors; export it without compression",
             )
-        if accessor["type"] != {1: "SCALAR", 3: "VEC3"}[width]:
+        if accessor["type"] != _TYPES[width]:
             self.fail("glb_invalid", f"accessor {index} holds {accessor['type']}", f"{width} numbers an element")
-        view = self.document["bufferViews"][accessor["bufferView"]]
-        buffer = self.document["buffers"][view["buffer"]]
-        if view["buffer"] != 0 or "uri" in buffer:
+        view, content = self.document["bufferViews"][accessor["bufferView"]], self._view(accessor["bufferView"])
+        kind = np.dtype(_COMPONENTS[accessor["componentType"]])
+        stride, offset = view.get("byteStride") or kind.itemsize * width, accessor.get("byteOffset", 0)
+        if stride < kind.itemsize * width or min(offset, accessor["count"]) < 0:
+            self.fail("glb_invalid", f"accessor {index} has stride {stride}, offset {offset}", "elements that do not overlap")
+        values = np.ndarray((accessor["count"], width), kind, content, offset, (stride, kind.itemsize))
+        return values / np.iinfo(kind).max if accessor.get("normalized") and kind.kind != "f" else values
+
+    def _view(self, index: int) -> bytes:
+        """The bytes of a buffer view."""
+        view = self.document["bufferViews"][index]
+        if view["buffer"] != 0 or "uri" in self.document["buffers"][view["buffer"]]:
             self.fail(
                 "glb_unsupported",
-                "its geometry lies in a second file or a URI",
+                "its content lies in a second file or a URI",
                 "one self-contained GLB; nothing outside is opened",
             )
         start, length = view.get("byteOffset", 0), view["byteLength"]
@@ -290,14 +384,7 @@ class _GlbReader:
             self.fail(
                 "glb_truncated", f"data end at byte {start + length} of {len(self.binary)}", "a whole file; copy it again"
             )
-        kind = np.dtype(_COMPONENTS[accessor["componentType"]])
-        stride, offset = view.get("byteStride") or kind.itemsize * width, accessor.get("byteOffset", 0)
-        if stride < kind.itemsize * width or min(offset, accessor["count"]) < 0:
-            self.fail("glb_invalid", f"accessor {index} has stride {stride}, offset {offset}", "elements that do not overlap")
-        values = np.ndarray(
-            (accessor["count"], width), kind, self.binary[start : start + length], offset, (stride, kind.itemsize)
-        )
-        return values / np.iinfo(kind).max if accessor.get("normalized") and kind.kind != "f" else values
+        return self.binary[start : start + length]
 
 
 def _parent_from_node(node: dict[str, Any]) -> FloatArray:

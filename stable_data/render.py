@@ -18,13 +18,14 @@ from PIL import Image, ImageDraw, ImageFilter, ImageFont
 from stable_data.engine import mujoco
 from stable_data.errors import ConfigError
 from stable_data.mesh import Mesh
+from stable_data.paint import Paint
 from stable_data.scene import FloatArray, Scene, SceneObject, Tabletop, Vec3
 
 Picture: TypeAlias = npt.NDArray[np.uint8]
 """(H, W, 3) uint8, red, green, blue."""
 
-Paint: TypeAlias = str | Sequence[tuple[str, npt.NDArray[np.int64]]]
-"""``#rrggbb`` for all of a mesh, or for some of its faces each: (colour, indices of faces)."""
+Coat: TypeAlias = str | Paint
+"""``#rrggbb`` for all of a mesh, or its paint."""
 
 View: TypeAlias = Literal["front", "perspective", "top", "left"]
 
@@ -65,7 +66,7 @@ def render_scene(
     *,
     size: tuple[int, int] = (512, 512),
     view: View = "front",
-    colors: Sequence[Paint] | None = None,
+    colors: Sequence[Coat] | None = None,
 ) -> Picture:
     """A picture of a scene.
 
@@ -74,7 +75,7 @@ def render_scene(
         meshes: Of each object, metres, yaw frame, centred on its box; None draws the object's box, see-through.
         size: Width and height, pixels.
         view: Where from.
-        colors: Of each object; by default its category's colour, a little lighter or darker by its asset.
+        colors: Of each object, or of its faces; by default its category's colour, a little lighter or darker by its asset.
 
     Returns:
         The picture.
@@ -84,7 +85,7 @@ def render_scene(
     """
     if view not in _DIRECTIONS:
         raise ConfigError(f"view is {view!r}, expected one of {sorted(_DIRECTIONS)}", "unknown_view")
-    chosen: list[Paint] = [object_colour(o) for o in scene.objects] if colors is None else list(colors)
+    chosen: list[Coat] = [object_colour(o) for o in scene.objects] if colors is None else list(colors)
     spec = mujoco.MjSpec()
     set_mood(spec, size)
     _add_table(spec, scene.table)
@@ -187,7 +188,7 @@ def _add_box(spec: mujoco.MjSpec, centre: Vec3, half: Vec3, rgba: list[float], y
     )
 
 
-def _add_object(spec: mujoco.MjSpec, o: SceneObject, mesh: Mesh | None, paint: Paint, index: int) -> None:
+def _add_object(spec: mujoco.MjSpec, o: SceneObject, mesh: Mesh | None, paint: Coat, index: int) -> None:
     coats = _coats(mesh, paint) if mesh is not None else []
     if not coats:
         colour = paint if isinstance(paint, str) else object_colour(o)
@@ -204,7 +205,7 @@ def _add_object(spec: mujoco.MjSpec, o: SceneObject, mesh: Mesh | None, paint: P
         )  # fmt: skip
 
 
-def _coats(mesh: Mesh, paint: Paint) -> list[tuple[str, FloatArray, FloatArray]]:
+def _coats(mesh: Mesh, paint: Coat) -> list[tuple[str, FloatArray, FloatArray]]:
     """Colour, corners and normals of each part of a mesh that has one colour; nothing where there is nothing to see."""
     pairs = [(paint, mesh)] if isinstance(paint, str) else [(c, Mesh(mesh.vertices, mesh.faces[rows])) for c, rows in paint]
     drawn = [(colour, _drawn(part)) for colour, part in pairs]

@@ -13,7 +13,9 @@ from stable_data.colliders import asset_parts, bodies_of
 from stable_data.errors import Notice, SceneError
 from stable_data.mesatask.frame import heading, tilt_of, yaw_frame_box
 from stable_data.mesh import Mesh
+from stable_data.paint import Paint
 from stable_data.physics import Body
+from stable_data.render import object_colour
 from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject, Vec3
 from stable_data.shape import Shape
 
@@ -76,6 +78,12 @@ class SolidScene:
         assert mesh is not None
         assert o.scale is not None
         return -_box_centre(mesh, o.scale, o.tilt_quat_xyzw)
+
+    def paint(self, index: int) -> Paint:
+        """The colours of an object's mesh; its category's where nothing is known of them."""
+        o, mesh = self.scene.objects[index], self.meshes[index]
+        assert mesh is not None
+        return self.store.paint_of(o) or ((object_colour(o), np.arange(len(mesh.faces))),)
 
     def parts(self, index: int) -> Sequence[Mesh]:
         """Convex parts of an object's asset, in the frame and unit of its mesh."""

@@ -291,7 +291,12 @@ SCHEMAS: dict[str, pa.Schema] = {
     "meshes": pa.schema(
         [
             _column("asset_id", _text, "the asset"),
-            _column("glb", pa.binary(), "the repaired mesh as binary glTF, y up", "mesh units"),
+            _column(
+                "glb",
+                pa.binary(),
+                "the repaired mesh as binary glTF, y up, with up to eight colours of its faces",
+                "mesh units",
+            ),
             _column("parts", pa.list_(PART), "convex parts, z up", "mesh units"),
             _column("parts_method", _text, "hull or the decomposition used"),
             _column("parts_overfill_max", _number, "how far the parts stand out of the mesh at most", "mesh units"),

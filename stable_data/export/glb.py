@@ -1,4 +1,4 @@
-"""Binary glTF: geometry, one colour, convex parts; the same bytes every time."""
+"""Binary glTF: geometry, colours, convex parts; the same bytes every time."""
 
 import json
 import struct

@@ -11,7 +11,7 @@ from stable_data.solid_scene import SolidScene
 
 ABOUT = """A dataset in the MesaTask-10K format: `Layout_info/<table type>/<scene>/layout.json` with its `task_info.json`, centimetres,
 quaternions xyzw; `Assets_library/<uid>.glb`, y up, with the convex parts as a second mesh that no node shows. `stable-data lint`
-and `python -m pipelines preprocess` take it. Meshes are the repaired ones of the run, in one colour."""
+and `python -m pipelines preprocess` take it. Meshes are the repaired ones of the run, in up to eight colours each."""
 
 
 def place(scene: Scene, out: Path) -> Path:
@@ -43,5 +43,5 @@ def write(solid: SolidScene, out: Path) -> None:
         x, y, z = mesh.extents.tolist()
         extents[o.asset_id] = (x, y, z)
         if not (out / LIBRARY_FOLDER / f"{o.asset_id}.glb").exists():
-            write_asset(out, o.asset_id, write_glb(mesh, parts=solid.parts(k)))
+            write_asset(out, o.asset_id, write_glb(mesh, paint=solid.paint(k), parts=solid.parts(k)))
     write_scene(out, solid.scene, extents=extents)

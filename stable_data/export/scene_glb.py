@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from stable_data.export.glb import material, pack
 from stable_data.files import plain_name, put_file
 from stable_data.mesh import Mesh
+from stable_data.paint import Paint
 from stable_data.render import SINK_COLOUR, SINK_RISE, TABLE_COLOUR, TABLE_THICKNESS, object_colour
 from stable_data.scene import TABLE, FloatArray, IntArray, QuatXyzw, Scene, Tabletop, Vec3
 from stable_data.shape import Shape
@@ -45,16 +46,16 @@ def scene_glb(solid: SolidScene) -> bytes:
     unit = Shape.box((1.0, 1.0, 1.0))
     box = Mesh(unit.vertices, unit.faces)
     for name, colour, position, size in _table_boxes(solid.scene.table):
-        document.add(name, document.mesh(name, box, colour), position, (0.0, 0.0, 0.0, 1.0), size)
+        document.add(name, document.mesh(name, box, _all_of(box, colour)), position, (0.0, 0.0, 0.0, 1.0), size)
     for k, (o, mesh) in enumerate(zip(solid.scene.objects, solid.meshes, strict=True)):
-        colour, turn = object_colour(o), Rotation.from_euler("z", o.yaw)
+        turn = Rotation.from_euler("z", o.yaw)
         extras = {"category": o.category, "description": o.description, "asset_id": o.asset_id}
         if mesh is None or o.scale is None:  # its box stands in
-            number = document.mesh("box", box, colour)
+            number = document.mesh("box", box, _all_of(box, object_colour(o)))
             document.add(o.instance, number, o.position, _quat(turn), o.size, extras)
             continue
         x, y, z = (o.position + turn.apply(solid.offset(k))).tolist()
-        number = document.mesh(str(o.asset_id), mesh, colour)
+        number = document.mesh(str(o.asset_id), mesh, solid.paint(k))
         document.add(o.instance, number, (x, y, z), _quat(turn * Rotation.from_quat(o.tilt_quat_xyzw)), o.scale, extras)
     return document.content(solid.scene.scene_id)
 
@@ -67,18 +68,22 @@ class _Document:
         self._meshes: list[dict[str, Any]] = []
         self._materials: list[dict[str, Any]] = []
         self._arrays: list[FloatArray | IntArray] = []
-        self._numbers: dict[tuple[str, str], int] = {}
+        self._numbers: dict[tuple[str, ...], int] = {}
 
-    def mesh(self, name: str, mesh: Mesh, colour: str) -> int:
-        """Number of a mesh in a colour; one that is there already is used again."""
-        if (name, colour) not in self._numbers:
-            self._numbers[name, colour] = len(self._meshes)
-            corners, material_number = len(self._arrays), len(self._materials)
-            primitive = {"attributes": {"POSITION": corners}, "indices": corners + 1, "material": material_number}
-            self._meshes.append({"name": name, "primitives": [primitive]})
-            self._materials.append(material(colour))
-            self._arrays += [mesh.vertices, mesh.faces]
-        return self._numbers[name, colour]
+    def mesh(self, name: str, mesh: Mesh, paint: Paint) -> int:
+        """Number of a mesh in its colours; one that is there already is used again."""
+        key = (name, *(colour for colour, _ in paint))
+        if key not in self._numbers:
+            self._numbers[key] = len(self._meshes)
+            corners, first = len(self._arrays), len(self._materials)
+            primitives = [
+                {"attributes": {"POSITION": corners}, "indices": corners + 1 + n, "material": first + n}
+                for n in range(len(paint))
+            ]
+            self._meshes.append({"name": name, "primitives": primitives})
+            self._materials += [material(colour) for colour, _ in paint]
+            self._arrays += [mesh.vertices, *(mesh.faces[rows] for _, rows in paint)]
+        return self._numbers[key]
 
     def add(
         self, name: str, mesh: int, position: Vec3, quat_xyzw: QuatXyzw, scale: Vec3, extras: dict[str, Any] | None = None
@@ -98,6 +103,10 @@ class _Document:
             "materials": self._materials,
         }
         return pack(document, self._arrays)
+
+
+def _all_of(mesh: Mesh, colour: str) -> Paint:
+    return ((colour, np.arange(len(mesh.faces))),)
 
 
 def _table_boxes(table: Tabletop) -> list[tuple[str, str, Vec3, Vec3]]:

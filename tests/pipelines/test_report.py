@@ -25,7 +25,7 @@ def scene_names(run: Path) -> list[str]:
     return sorted(RunFolder(str(run)).table("scenes", ["scene_id"])["scene_id"].to_pylist())
 
 
-def drawn(*_: Any) -> Any:
+def drawn(*_: Any, **__: Any) -> Any:
     return np.zeros((4, 4, 3), np.uint8)
 
 
@@ -47,7 +47,7 @@ def test_assets_without_a_mesh_are_counted(bare_run: Path, bare: Path) -> None:
 def test_a_scene_that_cannot_be_drawn_is_a_note(clean_run: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first, *others = scene_names(clean_run)
 
-    def draw(scene: Any, _: Any) -> Any:
+    def draw(scene: Any, *_: Any, **__: Any) -> Any:
         if scene.scene_id == first:
             raise ValueError("too <small>")
         return drawn()
@@ -59,7 +59,7 @@ def test_a_scene_that_cannot_be_drawn_is_a_note(clean_run: Path, dataset: Path, 
 
 
 def test_a_machine_that_cannot_draw_is_said_once(clean_run: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def draw(*_: Any) -> Any:
+    def draw(*_: Any, **__: Any) -> Any:
         raise ConfigError("no picture: OpenGL does not start", "no_gl")
 
     monkeypatch.setattr(pictures, "render_scene", draw)

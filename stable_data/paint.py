@@ -1,0 +1,124 @@
+"""The colours of a mesh, from the materials, textures and vertex colours of its GLB: few of them, each with its faces.
+
+Instructions name colours ("the yellow block"), so what a camera sees must have them.
+"""
+
+import io
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from stable_data.errors import MeshError
+from stable_data.glb import Coat, load_coats
+from stable_data.mesh import Mesh, double_areas
+from stable_data.scene import FloatArray, IntArray
+
+Paint: TypeAlias = tuple[tuple[str, IntArray], ...]
+"""Colours as seen on a screen, with the faces that they are on, each face once: (``#rrggbb``, indices)."""
+
+MOST_COLOURS = 8
+"""Of a mesh: more than an instruction names, and few enough pieces to draw."""
+
+_PIXELS = 512  # to which a texture is brought down along each side
+_MOST_PIXELS = 2**26  # of a texture as it comes
+_FEW = 20_000  # faces up to which many points of each are looked up
+_STEP = 16  # of 256: colours of a mesh with many that fall into one such cell are one
+
+
+def paint_of(data: bytes | Path, asset_id: str, mesh: Mesh) -> Paint:
+    """The colours of the faces of a mesh.
+
+    Args:
+        data: Its file, or the content; not trusted.
+        asset_id: Named in messages.
+        mesh: As :func:`stable_data.glb.load_glb` gave it, repaired or not: a face takes the colour of the file's nearest one.
+
+    Returns:
+        The colours, that of the largest surface first; none where the file says nothing of them.
+
+    Raises:
+        MeshError: What it says cannot be read.
+    """
+    coats = load_coats(data, asset_id)
+    if all(coat.factor is None and coat.corner_colours is None for coat in coats):
+        return ()
+    try:
+        colours = np.concatenate([_colours(coat) for coat in coats])
+    except (OSError, ValueError, SyntaxError, MemoryError) as error:  # as PIL raises them
+        message = f"asset {asset_id}: a texture cannot be read ({error}), expected a picture; export it again"
+        raise MeshError(message, "texture_invalid") from error
+    triangles = np.concatenate([coat.triangles for coat in coats])
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    middles = triangles.mean(axis=1) - (low + high) / 2
+    if not np.isfinite(middles).all():
+        raise MeshError(f"asset {asset_id}: a vertex is not finite, expected finite coordinates", "glb_nan_vertices")
+    nearest: IntArray = np.asarray(cKDTree(middles).query(mesh.triangles.mean(axis=1))[1])
+    return _grouped(colours[nearest], double_areas(mesh))
+
+
+def _colours(coat: Coat) -> npt.NDArray[np.uint8]:
+    """Colour of each face, (F, 3), as seen on a screen."""
+    linear = np.tile(np.array(coat.factor or (1.0, 1.0, 1.0)), (len(coat.triangles), 1))
+    if coat.corner_colours is not None:
+        linear *= coat.corner_colours.mean(axis=1)
+    if coat.image is not None and coat.corner_uv is not None:
+        linear *= _looked_up(coat.image, coat.corner_uv)
+    clipped = np.clip(np.nan_to_num(linear), 0.0, 1.0)
+    on_screen = np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)  # sRGB, IEC 61966-2-1
+    return np.asarray(np.rint(255 * on_screen), np.uint8)
+
+
+def _looked_up(image: bytes, corner_uv: FloatArray) -> FloatArray:
+    """Mean colour of a texture over each face, (F, 3), linear."""
+    from PIL import Image  # only few files have textures, and not every installation has it
+
+    try:
+        opened = Image.open(io.BytesIO(image))  # reads the head alone
+    except Image.DecompressionBombError as error:
+        raise ValueError(str(error)) from error
+    with opened as picture:
+        if picture.width * picture.height > _MOST_PIXELS:
+            raise ValueError(f"it has {picture.width} x {picture.height} pixels")
+        picture.thumbnail((_PIXELS, _PIXELS))
+        pixels = np.asarray(picture.convert("RGB"), np.float64) / 255
+    linear = np.where(pixels <= 0.04045, pixels / 12.92, ((pixels + 0.055) / 1.055) ** 2.4)
+    height, width, _ = linear.shape
+    uv = np.einsum("kc,fcd->fkd", _SPREAD if len(corner_uv) <= _FEW else _SPREAD.mean(axis=0, keepdims=True), corner_uv)
+    uv = np.nan_to_num(uv) % 1.0
+    column, row = (uv[..., 0] * width).astype(int) % width, (uv[..., 1] * height).astype(int) % height
+    return np.asarray(linear[row, column].mean(axis=1))
+
+
+def _spread(steps: int) -> FloatArray:
+    """Points all over a triangle, (K, 3), as shares of its corners: the middles of the smaller ones that it is cut into."""
+    thirds = [(3 * i + d, 3 * j + d) for d in (1, 2) for i in range(steps) for j in range(steps - i - (d == 2))]
+    a, b = np.array(thirds).T / (3 * steps)
+    return np.stack([a, b, 1 - a - b], axis=1)
+
+
+_SPREAD = _spread(4)
+
+
+def _grouped(colours: npt.NDArray[np.uint8], areas: FloatArray) -> Paint:
+    """Faces by colour, of which there are at most MOST_COLOURS: the others become the nearest of those with the largest surface."""
+    kept, group = np.unique(colours, axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    if len(kept) > MOST_COLOURS:
+        cells, group = np.unique(colours // _STEP, axis=0, return_inverse=True)
+        group = group.reshape(-1)
+        surface = np.bincount(group, areas, len(cells))
+        weight = np.maximum(areas, 1e-300)
+        total = np.bincount(group, weight, len(cells))
+        means = np.stack([np.bincount(group, weight * colours[:, k], len(cells)) / total for k in range(3)], axis=1)
+        largest = np.argsort(-surface, kind="stable")[:MOST_COLOURS]
+        kept = np.rint(means[largest]).astype(np.uint8)
+        group = np.asarray(cKDTree(means[largest]).query(means)[1])[group]
+    surface = np.bincount(group, areas, len(kept))
+    return tuple(
+        ("#" + bytes(kept[k]).hex(), np.flatnonzero(group == k))
+        for k in np.argsort(-surface, kind="stable")
+        if (group == k).any()
+    )
