@@ -392,7 +392,7 @@ def test_drawn_tasks_are_drawn_where_they_are_needed(dataset: Path, settings: Ge
     assert manifest["counts"]["failed_scenes"] == 3 - len(rows)
     assert rows
     for row in rows:
-        number = int(row["scene_id"].rpartition("_")[2])
+        number = int(row["scene_id"].removesuffix("_seed1").rpartition("_")[2])
         assert row["task"]["task"] == sampled_task(number, 1)[1]
 
 
