@@ -180,6 +180,7 @@ class _GlbReader:
     notices: list[Notice] = field(default_factory=list)
     document: dict[str, Any] = field(default_factory=dict)
     binary: bytes = b""
+    images: dict[int, bytes] = field(default_factory=dict)
 
     def fail(self, code: str, found: str, expected: str) -> NoReturn:
         raise MeshError(f"asset {self.asset_id}: {found}, expected {expected}", code)
@@ -234,7 +235,11 @@ class _GlbReader:
         entry = self.document["textures"][texture["index"]]
         source = entry.get("extensions", {}).get("EXT_texture_webp", {}).get("source", entry.get("source"))
         image = {} if source is None else self.document["images"][source]
-        return self._view(image["bufferView"]) if "bufferView" in image else None
+        if "bufferView" not in image:
+            return None
+        if source not in self.images:  # many primitives may have one large texture
+            self.images[source] = self._view(image["bufferView"])
+        return self.images[source]
 
     def _placed(self) -> Iterator[tuple[dict[str, Any], FloatArray, IntArray]]:
         """Every primitive that the scene shows with its corners (V, 3), z up, where its node has them, and its triangles (F, 3)."""

@@ -46,7 +46,11 @@ def paint_of(data: bytes | Path, asset_id: str, mesh: Mesh) -> Paint:
     if all(coat.factor is None and coat.corner_colours is None for coat in coats):
         return ()
     try:
-        colours = np.concatenate([_colours(coat) for coat in coats])
+        textures: dict[int, FloatArray] = {}  # many coats may have one large picture
+        for coat in coats:
+            if coat.image is not None and coat.corner_uv is not None and id(coat.image) not in textures:
+                textures[id(coat.image)] = _pixels(coat.image)
+        colours = np.concatenate([_colours(coat, textures.get(id(coat.image))) for coat in coats])
     except (OSError, ValueError, SyntaxError, MemoryError) as error:  # as PIL raises them
         message = f"asset {asset_id}: a texture cannot be read ({error}), expected a picture; export it again"
         raise MeshError(message, "texture_invalid") from error
@@ -59,20 +63,20 @@ def paint_of(data: bytes | Path, asset_id: str, mesh: Mesh) -> Paint:
     return _grouped(colours[nearest], double_areas(mesh))
 
 
-def _colours(coat: Coat) -> npt.NDArray[np.uint8]:
+def _colours(coat: Coat, texture: FloatArray | None) -> npt.NDArray[np.uint8]:
     """Colour of each face, (F, 3), as seen on a screen."""
     linear = np.tile(np.array(coat.factor or (1.0, 1.0, 1.0)), (len(coat.triangles), 1))
     if coat.corner_colours is not None:
         linear *= coat.corner_colours.mean(axis=1)
-    if coat.image is not None and coat.corner_uv is not None:
-        linear *= _looked_up(coat.image, coat.corner_uv)
+    if texture is not None and coat.corner_uv is not None:
+        linear *= _looked_up(texture, coat.corner_uv)
     clipped = np.clip(np.nan_to_num(linear), 0.0, 1.0)
     on_screen = np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)  # sRGB, IEC 61966-2-1
     return np.asarray(np.rint(255 * on_screen), np.uint8)
 
 
-def _looked_up(image: bytes, corner_uv: FloatArray) -> FloatArray:
-    """Mean colour of a texture over each face, (F, 3), linear."""
+def _pixels(image: bytes) -> FloatArray:
+    """A texture, not too large, (H, W, 3), linear."""
     from PIL import Image  # only few files have textures, and not every installation has it
 
     try:
@@ -84,12 +88,16 @@ def _looked_up(image: bytes, corner_uv: FloatArray) -> FloatArray:
             raise ValueError(f"it has {picture.width} x {picture.height} pixels")
         picture.thumbnail((_PIXELS, _PIXELS))
         pixels = np.asarray(picture.convert("RGB"), np.float64) / 255
-    linear = np.where(pixels <= 0.04045, pixels / 12.92, ((pixels + 0.055) / 1.055) ** 2.4)
-    height, width, _ = linear.shape
+    return np.asarray(np.where(pixels <= 0.04045, pixels / 12.92, ((pixels + 0.055) / 1.055) ** 2.4))
+
+
+def _looked_up(texture: FloatArray, corner_uv: FloatArray) -> FloatArray:
+    """Mean colour of a texture over each face, (F, 3), linear."""
+    height, width, _ = texture.shape
     uv = np.einsum("kc,fcd->fkd", _SPREAD if len(corner_uv) <= _FEW else _SPREAD.mean(axis=0, keepdims=True), corner_uv)
     uv = np.nan_to_num(uv) % 1.0
     column, row = (uv[..., 0] * width).astype(int) % width, (uv[..., 1] * height).astype(int) % height
-    return np.asarray(linear[row, column].mean(axis=1))
+    return np.asarray(texture[row, column].mean(axis=1))
 
 
 def _spread(steps: int) -> FloatArray:

@@ -10,6 +10,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+from stable_data import paint
 from stable_data.assets import AssetStore
 from stable_data.engine import mujoco
 from stable_data.engine_scene import VISUAL_GROUP, engine_spec
@@ -20,7 +21,7 @@ from stable_data.glb import load_glb
 from stable_data.mesh import double_areas
 from stable_data.paint import MOST_COLOURS, Paint, paint_of
 from stable_data.repair import repair
-from stable_data.scene import Scene, SceneObject, Tabletop
+from stable_data.scene import FloatArray, Scene, SceneObject, Tabletop
 from stable_data.solid_scene import SolidScene
 from stable_data.synth.catalogue import asset
 
@@ -76,12 +77,12 @@ def test_a_thing_has_the_colours_that_it_was_painted_with(key: str) -> None:
 
 def test_what_is_written_is_read_again_with_the_same_colours() -> None:
     mesh = repair(load_glb(asset("laptop/0").glb, "a")[0], "a")[0]
-    paint = paint_of(asset("laptop/0").glb, "a", mesh)
-    content = write_glb(mesh, paint=paint)
+    given = paint_of(asset("laptop/0").glb, "a", mesh)
+    content = write_glb(mesh, paint=given)
     again = load_glb(content, "a")[0]
     once_more = paint_of(content, "a", again)
-    assert [colour for colour, _ in once_more] == [colour for colour, _ in paint]
-    for (_, rows), (_, other) in zip(paint, once_more, strict=True):
+    assert [colour for colour, _ in once_more] == [colour for colour, _ in given]
+    for (_, rows), (_, other) in zip(given, once_more, strict=True):
         was, now = (np.sort(m.triangles[r].mean(axis=1), axis=0) for m, r in ((mesh, rows), (again, other)))
         np.testing.assert_allclose(now, was, atol=1e-5 * mesh.extents.max())
 
@@ -96,6 +97,23 @@ def test_a_texture_gives_each_face_its_mean_colour() -> None:
     left, right = [[0.1, 0.1], [0.4, 0.1], [0.4, 0.9], [0.1, 0.9]], [[1.6, 0.1], [1.9, 0.1], [1.9, 0.9], [1.6, 0.9]]
     assert [colour for colour, _ in painted(textured(image, left))] == ["#f08020"]
     assert [colour for colour, _ in painted(textured(image, right))] == ["#20c040"]  # the texture repeats
+
+
+def test_a_picture_of_many_pieces_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    read = list[int]()
+    real = paint._pixels
+
+    def counted(image: bytes) -> FloatArray:
+        read.append(len(image))
+        return real(image)
+
+    monkeypatch.setattr(paint, "_pixels", counted)
+    content = changed(
+        textured(Image.new("RGB", (8, 8), "#f08020")),
+        lambda d: d["meshes"][0]["primitives"].extend(8 * d["meshes"][0]["primitives"]),
+    )
+    assert [colour for colour, _ in painted(content)] == ["#f08020"]
+    assert len(read) == 1
 
 
 def test_vertices_may_have_colours() -> None:
@@ -127,8 +145,8 @@ def test_a_texture_that_cannot_be_read_is_said_and_the_mesh_used(content: bytes,
         painted(broken)
     assert caught.value.code == "texture_invalid"
     (tmp_path / "a.glb").write_bytes(broken)
-    paint, (notice,) = AssetStore(Folder(tmp_path)).paint("a")
-    assert (paint, notice.code) == ((), "texture_invalid")
+    found, (notice,) = AssetStore(Folder(tmp_path)).paint("a")
+    assert (found, notice.code) == ((), "texture_invalid")
 
 
 @pytest.mark.parametrize(
