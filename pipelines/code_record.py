@@ -26,7 +26,7 @@ def take_over_code(was: Mapping[str, Any], manifest: dict[str, Any]) -> None:
 
 
 def record_code(where: str, manifest: dict[str, Any]) -> bool:
-    """Puts the code of now into a run's manifest, last of ``code_versions``; where they are several, that is said.
+    """Puts the code of now into a run's manifest, last of ``code_versions``; where that makes them another list, it is said.
 
     To be called before anything is made, and not where nothing is missing: then no row is of the code of now.
 
@@ -43,7 +43,7 @@ def record_code(where: str, manifest: dict[str, Any]) -> bool:
     was, now = list(manifest["code_versions"]), code_version()
     versions = [*(code for code in was if code != now), now]
     manifest |= {"code_version": now, "code_versions": versions}
-    if len(versions) > 1:
+    if versions != was:
         tqdm.write(
             f"{where}: was worked on with other code ({', '.join(versions[:-1])}), what is missing is done with {now}; if all is "
             "to be of one, go back to that code or choose a new folder",

@@ -21,7 +21,7 @@ from stable_data.mesatask import (
 )
 from stable_data.mesatask.frame import normalised
 from stable_data.mesh import Mesh
-from stable_data.paint import Paint, paint_of
+from stable_data.paint import Paint, load_paint
 from stable_data.repair import MeshReport, repair
 from stable_data.scene import QuatXyzw, Scene, SceneObject, Vec3
 from stable_data.sdf_build import build_grid
@@ -243,7 +243,7 @@ class AssetStore:
         mesh, path = self.asset(asset_id).mesh, self._source.asset_path(asset_id)
         assert path is not None
         try:
-            return paint_of(path, asset_id, mesh), ()
+            return load_paint(path, asset_id, mesh), ()
         except MeshError as error:
             if error.code in _PASSING:
                 raise

@@ -101,8 +101,8 @@ def _add_looks(
     o, mesh, name = solid.scene.objects[index], solid.meshes[index], f"{body.name}/visual"
     if mesh is not None and o.scale is not None:
         is_seen = double_areas(Mesh(mesh.vertices * o.scale, mesh.faces)) > 2 * _FLATTEST
-        coats = [(colour, rows[is_seen[rows]]) for colour, rows in solid.paint(index)]
-        for number, (colour, rows) in enumerate((colour, rows) for colour, rows in coats if len(rows)):
+        coats = [(colour, seen) for colour, rows in solid.paint(index) if len(seen := rows[is_seen[rows]])]
+        for number, (colour, rows) in enumerate(coats):
             own = f"{name}_{number}" if number else name
             key = (o.asset_id, o.scale, colour)
             if key not in meshes:  # objects of one asset share its looks
@@ -119,7 +119,7 @@ def _add_looks(
                 quat=_wxyz(o.tilt_quat_xyzw),
                 rgba=rgba(colour),
             )
-        if any(len(rows) for _, rows in coats):
+        if coats:
             return
     half = (np.maximum(o.size, 2e-4) / 2).tolist()
     body.add_geom(visual, name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, rgba=rgba(object_colour(o), 0.45))

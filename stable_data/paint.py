@@ -28,7 +28,7 @@ _FEW = 20_000  # faces up to which many points of each are looked up
 _STEP = 16  # of 256: colours of a mesh with many that fall into one such cell are one
 
 
-def paint_of(data: bytes | Path, asset_id: str, mesh: Mesh) -> Paint:
+def load_paint(data: bytes | Path, asset_id: str, mesh: Mesh) -> Paint:
     """The colours of the faces of a mesh.
 
     Args:
@@ -63,6 +63,11 @@ def paint_of(data: bytes | Path, asset_id: str, mesh: Mesh) -> Paint:
     return _grouped(colours[nearest], double_areas(mesh))
 
 
+def to_linear(on_screen: FloatArray) -> FloatArray:
+    """Colours as light, which glTF has, from colours as seen on a screen (sRGB, IEC 61966-2-1), both 0 to 1, any shape."""
+    return np.asarray(np.where(on_screen <= 0.04045, on_screen / 12.92, ((on_screen + 0.055) / 1.055) ** 2.4))
+
+
 def _colours(coat: Coat, texture: FloatArray | None) -> npt.NDArray[np.uint8]:
     """Colour of each face, (F, 3), as seen on a screen."""
     linear = np.tile(np.array(coat.factor or (1.0, 1.0, 1.0)), (len(coat.triangles), 1))
@@ -71,7 +76,7 @@ def _colours(coat: Coat, texture: FloatArray | None) -> npt.NDArray[np.uint8]:
     if texture is not None and coat.corner_uv is not None:
         linear *= _looked_up(texture, coat.corner_uv)
     clipped = np.clip(np.nan_to_num(linear), 0.0, 1.0)
-    on_screen = np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)  # sRGB, IEC 61966-2-1
+    on_screen = np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)  # undoes `to_linear`
     return np.asarray(np.rint(255 * on_screen), np.uint8)
 
 
@@ -88,7 +93,7 @@ def _pixels(image: bytes) -> FloatArray:
             raise ValueError(f"it has {picture.width} x {picture.height} pixels")
         picture.thumbnail((_PIXELS, _PIXELS))
         pixels = np.asarray(picture.convert("RGB"), np.float64) / 255
-    return np.asarray(np.where(pixels <= 0.04045, pixels / 12.92, ((pixels + 0.055) / 1.055) ** 2.4))
+    return to_linear(pixels)
 
 
 def _looked_up(texture: FloatArray, corner_uv: FloatArray) -> FloatArray:

@@ -24,9 +24,6 @@ from stable_data.scene import FloatArray, Scene, SceneObject, Tabletop, Vec3
 Picture: TypeAlias = npt.NDArray[np.uint8]
 """(H, W, 3) uint8, red, green, blue."""
 
-Coat: TypeAlias = str | Paint
-"""``#rrggbb`` for all of a mesh, or its paint."""
-
 View: TypeAlias = Literal["front", "perspective", "top", "left"]
 
 _DIRECTIONS: Mapping[str, Vec3] = {
@@ -66,7 +63,7 @@ def render_scene(
     *,
     size: tuple[int, int] = (512, 512),
     view: View = "front",
-    colors: Sequence[Coat] | None = None,
+    colors: Sequence[str | Paint] | None = None,
 ) -> Picture:
     """A picture of a scene.
 
@@ -85,7 +82,7 @@ def render_scene(
     """
     if view not in _DIRECTIONS:
         raise ConfigError(f"view is {view!r}, expected one of {sorted(_DIRECTIONS)}", "unknown_view")
-    chosen: list[Coat] = [object_colour(o) for o in scene.objects] if colors is None else list(colors)
+    chosen: list[str | Paint] = [object_colour(o) for o in scene.objects] if colors is None else list(colors)
     spec = mujoco.MjSpec()
     set_mood(spec, size)
     _add_table(spec, scene.table)
@@ -188,7 +185,7 @@ def _add_box(spec: mujoco.MjSpec, centre: Vec3, half: Vec3, rgba: list[float], y
     )
 
 
-def _add_object(spec: mujoco.MjSpec, o: SceneObject, mesh: Mesh | None, paint: Coat, index: int) -> None:
+def _add_object(spec: mujoco.MjSpec, o: SceneObject, mesh: Mesh | None, paint: str | Paint, index: int) -> None:
     coats = _coats(mesh, paint) if mesh is not None else []
     if not coats:
         colour = paint if isinstance(paint, str) else object_colour(o)
@@ -205,7 +202,7 @@ def _add_object(spec: mujoco.MjSpec, o: SceneObject, mesh: Mesh | None, paint: C
         )  # fmt: skip
 
 
-def _coats(mesh: Mesh, paint: Coat) -> list[tuple[str, FloatArray, FloatArray]]:
+def _coats(mesh: Mesh, paint: str | Paint) -> list[tuple[str, FloatArray, FloatArray]]:
     """Colour, corners and normals of each part of a mesh that has one colour; nothing where there is nothing to see."""
     pairs = [(paint, mesh)] if isinstance(paint, str) else [(c, Mesh(mesh.vertices, mesh.faces[rows])) for c, rows in paint]
     drawn = [(colour, _drawn(part)) for colour, part in pairs]

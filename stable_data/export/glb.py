@@ -9,6 +9,7 @@ import numpy as np
 
 from stable_data.glb import COLLIDERS, PART_FACES
 from stable_data.mesh import Mesh
+from stable_data.paint import to_linear
 from stable_data.scene import FloatArray, IntArray
 
 _FLOAT, _UINT, _VERTICES, _INDICES = 5126, 5125, 34962, 34963  # of the glTF 2.0 specification
@@ -70,8 +71,8 @@ def material(color: str) -> dict[str, Any]:
 
 def _linear(color: str) -> list[float]:
     """GlTF's linear RGBA of a colour as it is seen on a screen (sRGB)."""
-    seen = [int(color[k : k + 2], 16) / 255 for k in (1, 3, 5)]
-    return [*(round(c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4, 5) for c in seen), 1.0]
+    seen = np.array([int(color[k : k + 2], 16) / 255 for k in (1, 3, 5)])
+    return [*(round(channel, 5) for channel in to_linear(seen).tolist()), 1.0]
 
 
 def pack(document: dict[str, Any], arrays: Sequence[FloatArray | IntArray]) -> bytes:

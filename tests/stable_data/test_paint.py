@@ -3,7 +3,9 @@
 import io
 import json
 import struct
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +21,7 @@ from stable_data.export.glb import write_glb
 from stable_data.export.scene_glb import scene_glb
 from stable_data.glb import load_glb
 from stable_data.mesh import double_areas
-from stable_data.paint import MOST_COLOURS, Paint, paint_of
+from stable_data.paint import MOST_COLOURS, Paint, load_paint
 from stable_data.repair import repair
 from stable_data.scene import FloatArray, Scene, SceneObject, Tabletop
 from stable_data.solid_scene import SolidScene
@@ -40,7 +42,7 @@ class Folder:
 
 def painted(content: bytes) -> Paint:
     mesh, _ = load_glb(content, "a")
-    return paint_of(content, "a", repair(mesh, "a")[0])
+    return load_paint(content, "a", repair(mesh, "a")[0])
 
 
 def textured(image: Image.Image, uv: list[list[float]] | None = None) -> bytes:
@@ -51,11 +53,10 @@ def textured(image: Image.Image, uv: list[list[float]] | None = None) -> bytes:
     return bytes(trimesh.Scene([mesh]).export(file_type="glb"))
 
 
-def changed(content: bytes, change: object) -> bytes:
+def changed(content: bytes, change: Callable[[dict[str, Any]], object]) -> bytes:
     """A GLB with other JSON."""
     length = struct.unpack_from("<I", content, 12)[0]
     document = json.loads(content[20 : 20 + length])
-    assert callable(change)
     change(document)
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
@@ -70,17 +71,17 @@ def test_a_thing_has_the_colours_that_it_was_painted_with(key: str) -> None:
     wanted = {colour: areas[rows].sum() / areas.sum() for colour, rows in thing.paint}
     mesh, _ = load_glb(thing.glb, key)
     mesh = repair(mesh, key)[0]
-    found, areas = paint_of(thing.glb, key, mesh), double_areas(mesh)
+    found, areas = load_paint(thing.glb, key, mesh), double_areas(mesh)
     assert sorted(np.concatenate([rows for _, rows in found])) == list(range(len(mesh.faces)))
     assert {colour: areas[rows].sum() / areas.sum() for colour, rows in found} == pytest.approx(wanted, abs=0.02)
 
 
 def test_what_is_written_is_read_again_with_the_same_colours() -> None:
     mesh = repair(load_glb(asset("laptop/0").glb, "a")[0], "a")[0]
-    given = paint_of(asset("laptop/0").glb, "a", mesh)
+    given = load_paint(asset("laptop/0").glb, "a", mesh)
     content = write_glb(mesh, paint=given)
     again = load_glb(content, "a")[0]
-    once_more = paint_of(content, "a", again)
+    once_more = load_paint(content, "a", again)
     assert [colour for colour, _ in once_more] == [colour for colour, _ in given]
     for (_, rows), (_, other) in zip(given, once_more, strict=True):
         was, now = (np.sort(m.triangles[r].mean(axis=1), axis=0) for m, r in ((mesh, rows), (again, other)))
@@ -158,11 +159,11 @@ def test_a_texture_that_cannot_be_read_is_said_and_the_mesh_used(content: bytes,
         lambda document: document["materials"].__setitem__(0, 7),
     ],
 )
-def test_materials_that_break_the_format_are_an_error_of_ours(change: object) -> None:
+def test_materials_that_break_the_format_are_an_error_of_ours(change: Callable[[dict[str, Any]], object]) -> None:
     content = changed(asset("mug/0").glb, change)
     mesh, _ = load_glb(content, "a")
     with pytest.raises(MeshError) as caught:
-        paint_of(content, "a", mesh)
+        load_paint(content, "a", mesh)
     assert caught.value.code == "glb_invalid"
 
 

@@ -130,3 +130,9 @@ def endpoint(plan: Plan = lambda words, number, body: None) -> Iterator[Endpoint
     finally:
         server.shutdown()
         server.server_close()
+
+
+def closed_url() -> str:
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return f"http://127.0.0.1:{s.getsockname()[1]}/v1"
