@@ -2,15 +2,24 @@
 
 import json
 import shutil
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from models.semantic_reasoner.examples import edit_example_of
+from pipelines.edit import edit
 from pipelines.preprocess import preprocess
 from pipelines.runner import Workers
 from stable_data.synth import World, write_world
+from stable_data.synth.drafting import KINDS
+from stable_data.synth.edit_table import edit_rows
+from stable_data.tables import Row
+from tests.pipelines import edit_runs
 from tests.pipelines.runs import SMALL, used_assets
+from tests.stable_data.synth.edit_scenes import made_scenes, row_of
 
 
 @pytest.fixture(scope="session")
@@ -73,4 +82,44 @@ def bare_run(bare: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run over the scene without meshes."""
     out = tmp_path_factory.mktemp("bare_run") / "out"
     preprocess(str(bare), str(out), SMALL, Workers())
+    return out
+
+
+@pytest.fixture(scope="module")
+def drafted(dataset: Path) -> list[Row]:
+    """Edits of the scenes of ``dataset``: two each, of the kinds in turn, with assets that its library has."""
+    there, count, found = used_assets(dataset), Counter[str](), list[Row]()
+    for made in made_scenes(0, 1, 2, 3, seed=3):
+        usable = [t for t in edit_rows(row_of(made), 60) if {o["asset_id"] for o in t["objects_out"]} <= there]
+        for _ in range(2):
+            found.append(usable.pop(min(range(len(usable)), key=lambda k: count[usable[k]["kind"]])))
+            count[found[-1]["kind"]] += 1
+    assert set(count) == set(KINDS)
+    return found
+
+
+@pytest.fixture(scope="module")
+def wanted(drafted: list[Row]) -> list[dict[str, Any]]:
+    """Lines of a file of edits, each with its reply; the last asks for nothing."""
+    lines = [
+        {"scene_id": told["scene_id"], "instruction": told["instruction"], "reply": json.loads(edit_example_of(told).answer)}
+        for told in drafted
+    ]
+    return [
+        *lines,
+        {"scene_id": drafted[0]["scene_id"], "instruction": "Leave it as it is.", "reply": edit_runs.EMPTY, "edit_id": "same"},
+    ]
+
+
+@pytest.fixture(scope="module")
+def edits(wanted: list[dict[str, Any]], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return edit_runs.file_of(wanted, tmp_path_factory.mktemp("edits") / "edits.jsonl")
+
+
+@pytest.fixture(scope="module")
+def edited(dataset: Path, edits: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("edited") / "out"
+    manifest = edit(str(dataset), edits, str(out), edit_runs.SMALL, edit_runs.ALONE)
+    assert manifest["counts"]["scenes"] == manifest["num_edits"] == 9
+    assert manifest["counts"]["failures"] == 0
     return out
