@@ -23,6 +23,9 @@ NUM_VARIANTS = 6
 BY_CATEGORY: Mapping[str, Family] = MappingProxyType({family.category: family for family in FAMILIES})
 """Every family, by category."""
 
+LICENCE = "Apache-2.0"
+"""Of every asset: that of this project, whose code makes it."""
+
 KEYS: tuple[str, ...] = tuple(f"{category}/{n}" for category in BY_CATEGORY for n in range(NUM_VARIANTS))
 """Every asset, as ``category/variant``."""
 
@@ -102,7 +105,7 @@ class Asset:
             mass=round(self.mass, 4),
             is_container=self.hollow is not None,
             extents_z_up=self.file_extents,
-            raw={"materials": [self.material], "color": self.color, "captions": list(self.captions)},
+            raw={"licence": LICENCE, "materials": [self.material], "color": self.color, "captions": list(self.captions)},
         )
 
 

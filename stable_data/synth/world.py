@@ -22,7 +22,7 @@ from stable_data.mesatask.writing import LAYOUT_FOLDER, write_annotations, write
 from stable_data.mesh import Mesh
 from stable_data.render import contact_sheet, render_scene
 from stable_data.shape import Shape
-from stable_data.synth.catalogue import KEYS, asset, unit_cube
+from stable_data.synth.catalogue import KEYS, LICENCE, asset, unit_cube
 from stable_data.synth.drafting import KINDS
 from stable_data.synth.edits import Edit, make_edit
 from stable_data.synth.scenes import RECORD, MadeScene, make_scene, plan_of, scene_id_of, table_type_of
@@ -272,7 +272,14 @@ def _cube_annotations() -> list[tuple[str, AssetAnnotation]]:
         (
             uid,
             AssetAnnotation(
-                uid, category, text.rstrip(".").lower(), text, "synth", on_table=False, extents_z_up=(1.0, 1.0, 1.0)
+                uid,
+                category,
+                text.rstrip(".").lower(),
+                text,
+                "synth",
+                on_table=False,
+                extents_z_up=(1.0, 1.0, 1.0),
+                raw={"licence": LICENCE},
             ),
         )
         for uid, category, text in words

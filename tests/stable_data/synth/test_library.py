@@ -6,7 +6,7 @@ import pytest
 
 import stable_data.synth.library as library
 from stable_data.errors import ConfigError
-from stable_data.synth.catalogue import KEYS, asset
+from stable_data.synth.catalogue import KEYS, LICENCE, asset
 from stable_data.synth.library import TILTS_FILE, embedded_library
 
 
@@ -16,6 +16,7 @@ def test_the_library_is_made_once_and_knows_how_things_rest(tmp_path: Path, monk
     root, found = embedded_library(tmp_path)
     offered = {a.asset_id: a for a in found.assets if a.is_offered}
     assert set(offered) == {asset(key).uid for key in (KEYS[0], leaning)}
+    assert {a.licence for a in found.assets} == {LICENCE}
     for key in (KEYS[0], leaning):
         made = asset(key)
         tilts = [t.quat_xyzw for t in offered[made.uid].tilts]
