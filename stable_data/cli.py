@@ -20,7 +20,12 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 R = TypeVar("R")
 
-app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help="Tabletop scenes as data.")
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Tabletop scenes as data. Jobs on Ray (preprocess, generate, correct, ...) are `python -m pipelines` in a checkout.",
+)
 
 DONE, SOME_FAILED, NOT_STARTED, INTERRUPTED = 0, 1, 2, 130
 """Exit statuses: all well; some items failed, all accounted for; could not start or go on; Ctrl-C."""
