@@ -31,7 +31,7 @@ SHEET = "report/contact_sheet.png"
 
 _AT_ONCE = 16  # small files that are fetched side by side: on an object store each has to be waited for
 _COLUMNS = 5
-_SMALL = (384, 384)
+_SMALL = (384, 240)
 _MEASURES = (
     ("objects", "num_objects", 1.0, ""),
     ("stacked", "num_stacked", 1.0, ""),

@@ -15,11 +15,14 @@ Shown: TypeAlias = Sequence[tuple[Any, str]]
 """Pictures, (H, W, 3) uint8, each with its caption in HTML."""
 
 
+_SIZE = (512, 320)  # pixels: tables are wide
+
+
 def drawn(scene: Scene, store: AssetStore) -> Any:
-    """A picture of a scene, (H, W, 3) uint8, in the colours of its assets where they are known."""
+    """A picture of a scene, (320, 512, 3) uint8, in the colours of its assets where they are known."""
     shapes, _ = store.shapes(scene)
     meshes = [Mesh(s.vertices, s.faces) if s.is_exact else None for s in shapes]
-    return render_scene(scene, meshes, colors=[store.paint_of(o) or object_colour(o) for o in scene.objects])
+    return render_scene(scene, meshes, size=_SIZE, colors=[store.paint_of(o) or object_colour(o) for o in scene.objects])
 
 
 def figures(scenes: Iterable[tuple[str, Callable[[], Shown]]]) -> Iterable[str]:
