@@ -1,4 +1,4 @@
-"""Tables of a run for training in PyTorch: by index, or as a stream over ranks and workers that resumes exactly.
+"""Tables of runs for training in PyTorch: by index, or as a stream over ranks and workers that resumes exactly.
 
 The only module of the library that imports torch. Where a run lies on an object store, give a ``DataLoader`` with workers
 ``multiprocessing_context="spawn"``: the clients of object stores do not survive a fork.
@@ -68,7 +68,7 @@ class TableDataset(Dataset[Any]):
     at every step: where the table is larger than the cache, shuffle with :class:`TableStream`.
 
     Args:
-        uri: The run folder, as :class:`~stable_data.shards.RunFolder` takes it.
+        uri: The run folder, as :class:`~stable_data.shards.RunFolder` takes it; or several, whose rows come one run after the other.
         table: Name in SCHEMAS.
         columns: Columns to read, or None: all of them.
         decode: Row, column -> value, to item. By default ``scenes`` with all columns gives a ``Scene`` without its ``source``
@@ -85,7 +85,7 @@ class TableDataset(Dataset[Any]):
 
     def __init__(
         self,
-        uri: str,
+        uri: str | Sequence[str],
         table: str = "scenes",
         *,
         columns: Sequence[str] | None = None,
@@ -147,7 +147,7 @@ class TableStream(IterableDataset[Any]):
     every row once, but with workers its order depends on their number.
 
     Args:
-        uri: The run folder, as :class:`~stable_data.shards.RunFolder` takes it.
+        uri: As in :class:`TableDataset`.
         table: Name in SCHEMAS.
         columns: As in :class:`TableDataset`.
         decode: As in :class:`TableDataset`.
@@ -169,7 +169,7 @@ class TableStream(IterableDataset[Any]):
 
     def __init__(
         self,
-        uri: str,
+        uri: str | Sequence[str],
         table: str = "scenes",
         *,
         columns: Sequence[str] | None = None,

@@ -1,4 +1,4 @@
-"""The row groups of a table: listed once, read one by one in whichever process holds a copy."""
+"""The row groups of a table, of one run or of several: listed once, read one by one in whichever process holds a copy."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -33,6 +33,7 @@ class RowGroup:
     """One row group of one file.
 
     Attributes:
+        run: Which of the runs, counted from 0.
         path: The file, as its file system names it.
         index: Which of the file's row groups.
         num_rows: Rows, without those that are not asked for.
@@ -40,6 +41,7 @@ class RowGroup:
         chosen: Which rows, (num_rows,) int64, or None: all of them.
     """
 
+    run: int
     path: str
     index: int
     num_rows: int
@@ -51,7 +53,7 @@ class TableFiles:
     """The row groups of a table in the order of its files.
 
     Args:
-        uri: The run folder.
+        uri: The run folder; or several, whose rows come one run after the other.
         table: Name in SCHEMAS.
         leaves: Columns or leaves of columns, as Parquet names them, or None: all.
         split: Rows of which split, or None: all. Others are left out before anything is made of them.
@@ -59,30 +61,38 @@ class TableFiles:
             statistics rule out are not opened.
 
     Attributes:
-        uri: The run folder.
+        uri: The run folder, or all of them in one string.
         split: As given.
         where: As given.
         groups: The row groups that hold rows.
         starts: Number of the first row of each, and of the row after the last, (groups + 1,) int64.
 
     Raises:
-        ConfigError: The table is not there, was written by another version, cannot be read, or has no such split or columns.
+        ConfigError: The table is not there, was written by another version, cannot be read, or has no such split or columns; or no run is
+            given, or one twice.
     """
 
     def __init__(
-        self, uri: str, table: str, leaves: Sequence[str] | None, split: str | None = None, where: str | None = None
+        self,
+        uri: str | Sequence[str],
+        table: str,
+        leaves: Sequence[str] | None,
+        split: str | None = None,
+        where: str | None = None,
     ) -> None:
         _check_split(table, split)
-        self.uri, self.split, self.where = uri, split, where
+        self._uris = (uri,) if isinstance(uri, str) else tuple(uri)
+        self.uri, self.split, self.where = ", ".join(self._uris), split, where
         self._table = table
         self._leaves = None if leaves is None else list(leaves)
-        self._folder, self._process = RunFolder(uri), os.getpid()
-        paths = self._folder.files(table)
-        if not paths:
-            self._folder.dataset(table)  # says what is missing
+        self._folders, self._process = [RunFolder(uri) for uri in self._uris], os.getpid()
+        places = {folder.root if folder.is_local else folder.uri for folder in self._folders}
+        if not places or len(places) < len(self._folders):
+            raise ConfigError(f"runs are [{self.uri}], expected at least one, and each once", "runs_invalid")
+        paths = [(run, path) for run, folder in enumerate(self._folders) for path in self._paths(folder)]
         query = self._query()  # once: threads of Python 3.11 that parse side by side may fail
         with ThreadPoolExecutor(_REQUESTS) as pool:
-            listed = pool.map(lambda path: self._list_groups(path, query), paths)
+            listed = pool.map(lambda found: self._list_groups(found[0], found[1], query), paths)
             self.groups = [group for groups in listed for group in groups]
         self.starts: IntArray = np.cumsum([0, *(group.num_rows for group in self.groups)], dtype=np.int64)
 
@@ -93,7 +103,7 @@ class TableFiles:
     @property
     def fingerprint(self) -> str:
         """Hash of which rows there are, in which order."""
-        return content_id([(group.path.rpartition("/")[2], group.index, group.num_rows) for group in self.groups])
+        return content_id([(group.run, group.path.rpartition("/")[2], group.index, group.num_rows) for group in self.groups])
 
     def read(self, groups: Sequence[int], *, use_threads: bool = False) -> pa.Table:
         """The rows of some row groups, in that order.
@@ -102,31 +112,40 @@ class TableFiles:
             ConfigError: A file was changed or removed since.
         """
         if self._process != os.getpid():  # forked: a file system is not shared with the parent
-            self._folder, self._process = RunFolder(self.uri), os.getpid()
-        of_files = [(path, list(of_file)) for path, of_file in groupby((self.groups[g] for g in groups), lambda g: g.path)]
-        if self._folder.is_local or len(of_files) == 1:
-            return pa.concat_tables([self._read_file(path, of_file, use_threads) for path, of_file in of_files])
+            self._folders, self._process = [RunFolder(uri) for uri in self._uris], os.getpid()
+        of_files = [list(of_file) for _, of_file in groupby((self.groups[g] for g in groups), lambda g: (g.run, g.path))]
+        if len(of_files) == 1 or all(self._folders[of_file[0].run].is_local for of_file in of_files):
+            return pa.concat_tables([self._read_file(of_file, use_threads) for of_file in of_files])
         with ThreadPoolExecutor(_REQUESTS) as pool:  # an object store answers late, but many at once
-            return pa.concat_tables(pool.map(lambda file: self._read_file(file[0], file[1], False), of_files))
+            return pa.concat_tables(pool.map(lambda of_file: self._read_file(of_file, False), of_files))
 
-    def _read_file(self, path: str, groups: list[RowGroup], use_threads: bool) -> pa.Table:
+    def _read_file(self, groups: list[RowGroup], use_threads: bool) -> pa.Table:
+        """The rows of row groups of one file."""
+        folder, path = self._folders[groups[0].run], groups[0].path
         try:
-            with pq.ParquetFile(path, filesystem=self._folder.filesystem, pre_buffer=True) as file:
+            with pq.ParquetFile(path, filesystem=folder.filesystem, pre_buffer=True) as file:
                 parts = [file.read_row_group(g.index, columns=self._leaves, use_threads=use_threads) for g in groups]
         except (pa.ArrowException, OSError) as error:
-            raise unreadable(self.uri, path, error) from error
+            raise unreadable(folder.uri, path, error) from error
         return pa.concat_tables(
             part if g.chosen is None else part.take(g.chosen) for part, g in zip(parts, groups, strict=True)
         )
 
-    def _list_groups(self, path: str, query: Query | None) -> list[RowGroup]:
+    def _paths(self, folder: RunFolder) -> list[str]:
+        paths = folder.files(self._table)
+        if not paths:
+            folder.dataset(self._table)  # says what is missing
+        return paths
+
+    def _list_groups(self, run: int, path: str, query: Query | None) -> list[RowGroup]:
+        folder = self._folders[run]
         try:
-            with pq.ParquetFile(path, filesystem=self._folder.filesystem) as file:
-                check_version(pa.schema([], metadata=file.metadata.metadata), f"{self.uri}: {path}")
-                possible = range(file.num_row_groups) if query is None else _possible(query, path, file, self._folder)
-                groups = [_row_group(path, file, index, query) for index in possible]
+            with pq.ParquetFile(path, filesystem=folder.filesystem) as file:
+                check_version(pa.schema([], metadata=file.metadata.metadata), f"{folder.uri}: {path}")
+                possible = range(file.num_row_groups) if query is None else _possible(query, path, file, folder)
+                groups = [_row_group(run, path, file, index, query) for index in possible]
         except (pa.ArrowException, OSError) as error:
-            raise unreadable(self.uri, path, error) from error
+            raise unreadable(folder.uri, path, error) from error
         return [group for group in groups if group.num_rows]
 
     def _query(self) -> Query | None:
@@ -143,14 +162,14 @@ def _possible(query: Query, path: str, file: pq.ParquetFile, folder: RunFolder) 
     return [group.id for group in fragment.subset(query.expression, schema=file.schema_arrow).row_groups]
 
 
-def _row_group(path: str, file: pq.ParquetFile, index: int, query: Query | None) -> RowGroup:
+def _row_group(run: int, path: str, file: pq.ParquetFile, index: int, query: Query | None) -> RowGroup:
     footer = file.metadata.row_group(index)
     if query is None:
-        return RowGroup(path, index, footer.num_rows, footer.total_byte_size)
+        return RowGroup(run, path, index, footer.num_rows, footer.total_byte_size)
     columns = file.read_row_group(index, columns=list(query.columns))
     numbers = pa.array(np.arange(footer.num_rows))
     chosen = query.rows(columns.append_column(_NUMBER, numbers))[_NUMBER].to_numpy()
-    return RowGroup(path, index, len(chosen), footer.total_byte_size, chosen)
+    return RowGroup(run, path, index, len(chosen), footer.total_byte_size, chosen)
 
 
 def check_columns(table: str, columns: Sequence[str] | None) -> None:

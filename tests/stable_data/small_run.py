@@ -1,6 +1,7 @@
 """A small run whose scenes are known, for the tests of loading."""
 
 import itertools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,18 +50,22 @@ def split_of(scene: Scene) -> str:
     return "unseen" if number in (0, 4, 8) else "validation" if number % 5 == 2 else "train"
 
 
-def write(folder: RunFolder) -> None:
+def write(folder: RunFolder, suffix: str = "") -> None:
+    """The scenes, with that at the end of their names."""
     blank = dict.fromkeys(SCHEMAS["scenes"].names) | {"source": "test", "pairs": [], "verdicts": []} | card_row(CARD)
     rest = iter(SCENES)
     for number, size in enumerate(SHARDS):
-        rows = [blank | scene_row(scene) | {"split": split_of(scene)} for scene in itertools.islice(rest, size)]
+        rows = [
+            blank | scene_row(scene) | {"scene_id": f"{scene.scene_id}{suffix}", "split": split_of(scene)}
+            for scene in itertools.islice(rest, size)
+        ]
         folder.write_shard("scenes", f"{number:016x}", rows)
 
 
-def write_run(root: Path) -> str:
+def write_run(root: Path, suffix: str = "") -> str:
     """A run with the scenes and a table of features; gives its URI."""
     folder = RunFolder(str(root))
-    write(folder)
+    write(folder, suffix)
     rows = [
         dict.fromkeys(SCHEMAS["features"].names)
         | {"asset_id": f"asset{i}", "feature": [float(i)] * 64, "log_extents": [0.0, 1.0, 2.0]}
@@ -70,7 +75,7 @@ def write_run(root: Path) -> str:
     return folder.uri
 
 
-def stream(run: str, **settings: Any) -> TableStream:
+def stream(run: str | Sequence[str], **settings: Any) -> TableStream:
     return TableStream(run, **{"shuffle_seed": 5, "window_rows": 10, **settings})
 
 
