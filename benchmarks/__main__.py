@@ -37,6 +37,7 @@ def main() -> None:
             "preprocess": ["benchmarks.preprocess", data, "--scenes", "160" if few else "1000"],
             "loader": ["benchmarks.loader", run, data],
             "export": ["benchmarks.export", run, *(["--scenes", "6"] if few else [])],
+            "env": ["benchmarks.env", run, *(["--scenes", "2", "--steps", "10"] if few else [])],
             "corrector_losses": ["benchmarks.corrector_losses", run, data, *(["--batch", "8"] if few else [])],
             "correction": ["benchmarks.correction", data, *layouts, *(["--per-bucket", "1"] if few else [])],
             "correction_cost": ["benchmarks.correction_cost", data, *(["--scenes", "4", "--rounds", "1"] if few else [])],
