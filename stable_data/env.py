@@ -23,7 +23,7 @@ from stable_data.physics import COLLIDER, compile_spec, has_exploded, without_lo
 from stable_data.render import Picture, open_renderer
 from stable_data.run_scenes import Choice, RunScenes, SettledPoses
 from stable_data.scene import FloatArray, Scene
-from stable_data.shards import RunFolder
+from stable_data.shards import RunFolder, Uri
 from stable_data.solid_scene import SolidScene
 from stable_data.table_assets import run_store
 
@@ -196,7 +196,7 @@ class TabletopEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
 
 def make_env(
-    run: str, scene: str | Scene, *, settled: bool = False, store: AssetStore | None = None, **settings: Any
+    run: Uri, scene: str | Scene, *, settled: bool = False, store: AssetStore | None = None, **settings: Any
 ) -> TabletopEnv:
     """The environment of a scene of a run.
 

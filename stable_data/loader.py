@@ -19,6 +19,7 @@ from stable_data.epoch_order import EpochOrder
 from stable_data.errors import ConfigError
 from stable_data.scene import IntArray, Scene
 from stable_data.scene_columns import ARRAY_LEAVES, SCENE_LEAVES, SceneArrays, scenes_from_table
+from stable_data.shards import Uri
 from stable_data.table_files import TableFiles, check_columns, rows_from_table, slices
 from stable_data.tables import Row
 
@@ -85,7 +86,7 @@ class TableDataset(Dataset[Any]):
 
     def __init__(
         self,
-        uri: str | Sequence[str],
+        uri: Uri | Sequence[Uri],
         table: str = "scenes",
         *,
         columns: Sequence[str] | None = None,
@@ -169,7 +170,7 @@ class TableStream(IterableDataset[Any]):
 
     def __init__(
         self,
-        uri: str | Sequence[str],
+        uri: Uri | Sequence[Uri],
         table: str = "scenes",
         *,
         columns: Sequence[str] | None = None,

@@ -17,7 +17,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeAlias, cast
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -28,6 +28,9 @@ import pyarrow.parquet as pq
 from stable_data.errors import ConfigError
 from stable_data.files import aside_of
 from stable_data.tables import SCHEMAS, arrow_table, check_version
+
+Uri: TypeAlias = str | os.PathLike[str]
+"""Where a run lies: a local path, or a URI that pyarrow knows, such as ``s3://bucket/prefix``."""
 
 MAX_BYTES = 96 * 10**6
 """A file holds at most this much before compression, so it stays under 100 MB."""
@@ -55,8 +58,8 @@ class RunFolder:
         ConfigError: No file system takes the URI.
     """
 
-    def __init__(self, uri: str) -> None:
-        self.uri = uri
+    def __init__(self, uri: Uri) -> None:
+        self.uri = uri = os.fspath(uri)
         try:
             if "://" in uri:
                 self.filesystem, self.root = pafs.FileSystem.from_uri(uri)

@@ -12,7 +12,7 @@ from stable_data.errors import ConfigError
 from stable_data.files import put_file
 from stable_data.mesatask.library import AssetAnnotation
 from stable_data.mesh import Mesh
-from stable_data.shards import RunFolder, unwritable
+from stable_data.shards import RunFolder, Uri, unwritable
 from stable_data.table_files import TableFiles
 
 
@@ -97,7 +97,7 @@ class TableAssets:
             raise unwritable(str(self._files), error) from error
 
 
-def run_store(run: str) -> AssetStore:
+def run_store(run: Uri) -> AssetStore:
     """The assets of a run, their files in a folder of their own that goes when the store does.
 
     Args:

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from stable_data.errors import ConfigError
 from stable_data.query import Query, parse_query
 from stable_data.scene import IntArray
-from stable_data.shards import RunFolder, content_id, unreadable
+from stable_data.shards import RunFolder, Uri, content_id, unreadable
 from stable_data.tables import SCHEMAS, Row, check_version
 
 SPLITS = ("train", "validation", "test", "unseen")
@@ -74,14 +74,14 @@ class TableFiles:
 
     def __init__(
         self,
-        uri: str | Sequence[str],
+        uri: Uri | Sequence[Uri],
         table: str,
         leaves: Sequence[str] | None,
         split: str | None = None,
         where: str | None = None,
     ) -> None:
         _check_split(table, split)
-        self._uris = (uri,) if isinstance(uri, str) else tuple(uri)
+        self._uris = [os.fspath(one) for one in ([uri] if isinstance(uri, str | os.PathLike) else uri)]
         self.uri, self.split, self.where = ", ".join(self._uris), split, where
         self._table = table
         self._leaves = None if leaves is None else list(leaves)

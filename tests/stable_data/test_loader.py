@@ -464,7 +464,8 @@ ALL_IDS = [*IDS, *(f"{name}_seed7" for name in IDS)]
 def test_rows_of_several_runs_come_one_run_after_the_other(runs: list[str]) -> None:
     data = TableDataset(runs, columns=["scene_id"], decode=scene_id)
     assert [data[i] for i in range(len(data))] == ALL_IDS
-    assert ids(TableStream(tuple(runs))) == ALL_IDS
+    assert ids(TableStream(tuple(Path(run) for run in runs))) == ALL_IDS
+    assert ids(TableStream(Path(runs[0]))) == IDS
     assert len(TableDataset(runs, "features")) == 10
     chosen = [s.scene_id for s in SCENES if split_of(s) == "train" and s.scene_id >= "scene-021"]
     found = ids(TableStream(runs, split="train", where="scene_id >= 'scene-021'"))
