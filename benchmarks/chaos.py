@@ -38,7 +38,6 @@ from stable_data.tables import SCHEMAS
 ROOT = Path(__file__).resolve().parents[1]
 
 _LAST = 0.9  # share of the shards in place after which nothing is planned any more: the run could end before
-_DELAY_SECONDS = 3.0  # at most, between the shard that a kill waits for and the kill
 _ABSENT_SECONDS = 20.0  # at most, until another node takes the place of a killed one
 _LOOK_SECONDS = 0.2
 
@@ -178,6 +177,7 @@ class Disturbed:
         num_shards: How many it has in the end.
         nodes: The cluster.
         rng: Chooses moments and victims.
+        delay_seconds: At most, between the shard that a kill waits for and the kill.
     """
 
     command: Sequence[str]
@@ -186,6 +186,7 @@ class Disturbed:
     num_shards: int
     nodes: Nodes
     rng: np.random.Generator
+    delay_seconds: float = 3.0
 
     def run(self, kills: Sequence[Kill]) -> Course:
         """Runs it to its end.
@@ -202,7 +203,7 @@ class Disturbed:
                     self._note(course, log)
                     driver = self._start(log)
                 elif waiting and self._share() >= waiting[0].at:
-                    time.sleep(float(self.rng.uniform(0, _DELAY_SECONDS)))
+                    time.sleep(float(self.rng.uniform(0, self.delay_seconds)))
                     if self._killed(waiting[0].victim, driver):
                         course.kills[waiting.popleft().victim] += 1
                         driver = driver if driver.poll() is None else self._start(log)
@@ -218,19 +219,26 @@ class Disturbed:
         return len(RunFolder(self.out).shard_ids(self.table)) / self.num_shards
 
     def _killed(self, victim: Victim, driver: subprocess.Popen[str]) -> bool:
-        """Kills a victim of a kind where there is one."""
+        """Kills a victim of a kind where there is one; gives whether there was."""
         if driver.poll() is not None:
             return False
         if victim is Victim.NODE:
             return self.nodes.lose(self.rng)
         if victim is Victim.WORKER:
-            busy = self.nodes.busy()
-            if busy:
-                _kill(busy[int(self.rng.integers(len(busy)))])
-            return bool(busy)
+            return self._worker_killed(driver)
         os.killpg(driver.pid, signal.SIGKILL)
         driver.wait()
         return True
+
+    def _worker_killed(self, driver: subprocess.Popen[str]) -> bool:
+        """Kills a worker as soon as one is busy: a short shard would be missed by looking now and then."""
+        while driver.poll() is None:
+            self.nodes.restore()
+            if busy := self.nodes.busy():
+                _kill(busy[int(self.rng.integers(len(busy)))])
+                return True
+            time.sleep(_LOOK_SECONDS)
+        return False
 
     def _note(self, course: Course, log: Any) -> None:
         """Keeps what the job said when it ended by itself.

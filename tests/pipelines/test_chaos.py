@@ -13,7 +13,8 @@ from pipelines.generate_step import GenerateWork
 from stable_data.shards import RunFolder
 from tests.pipelines.scripts import one_thing_a_stage
 
-NUM_SCENES, PER_SHARD, KILLS = 48, 2, 6
+NUM_SCENES, PER_SHARD, KILLS = 96, 2, 6
+DELAY_SECONDS = 0.5  # of a kill: shards are made in a second
 
 
 def test_kills_are_of_all_kinds_and_spread_over_the_run() -> None:
@@ -60,7 +61,7 @@ def test_killed_drivers_workers_and_nodes_lose_no_row_and_make_none_twice(
         for name, kills in (("clean", 0), ("disturbed", KILLS)):
             out = str(tmp_path / name)
             here = [*command, "--out", out, "--address", nodes.address]
-            run = Disturbed(here, out, GenerateWork.TABLES[-1], NUM_SCENES // PER_SHARD, nodes, rng)
+            run = Disturbed(here, out, GenerateWork.TABLES[-1], NUM_SCENES // PER_SHARD, nodes, rng, DELAY_SECONDS)
             course = run.run(planned(kills, rng))
     finally:
         nodes.close()
