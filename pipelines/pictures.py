@@ -14,15 +14,23 @@ from stable_data.scene import Scene
 Shown: TypeAlias = Sequence[tuple[Any, str]]
 """Pictures, (H, W, 3) uint8, each with its caption in HTML."""
 
+_SIZE = (512, 320)  # of pictures on a page, pixels: tables are wide
 
-_SIZE = (512, 320)  # pixels: tables are wide
 
+def drawn(scene: Scene, store: AssetStore, size: tuple[int, int] = _SIZE) -> Any:
+    """A picture of a scene, (H, W, 3) uint8, in the colours of its assets where they are known.
 
-def drawn(scene: Scene, store: AssetStore) -> Any:
-    """A picture of a scene, (320, 512, 3) uint8, in the colours of its assets where they are known."""
+    Args:
+        scene: The scene.
+        store: Its assets.
+        size: Width and height, pixels.
+
+    Raises:
+        ConfigError: The machine cannot draw (``no_gl``).
+    """
     shapes, _ = store.shapes(scene)
     meshes = [Mesh(s.vertices, s.faces) if s.is_exact else None for s in shapes]
-    return render_scene(scene, meshes, size=_SIZE, colors=[store.paint_of(o) or object_colour(o) for o in scene.objects])
+    return render_scene(scene, meshes, size=size, colors=[store.paint_of(o) or object_colour(o) for o in scene.objects])
 
 
 def figures(scenes: Iterable[tuple[str, Callable[[], Shown]]]) -> Iterable[str]:

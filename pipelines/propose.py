@@ -32,6 +32,7 @@ from stable_data.mesatask import write_annotations, write_scene
 from stable_data.mesatask.layout import LAYOUT_FILE
 from stable_data.mesatask.library import LIBRARY_FOLDER
 from stable_data.mesatask.writing import LAYOUT_FOLDER, write_asset
+from stable_data.render import FRONT_SIZE
 from stable_data.scene import Scene
 from stable_data.shards import RunFolder, content_id, unwritable
 from stable_data.tables import notice_row
@@ -210,7 +211,7 @@ class _Writer:
             return None
         stream = io.BytesIO()
         try:
-            Image.fromarray(drawn(scene, self._store)).save(stream, "png")
+            Image.fromarray(drawn(scene, self._store, FRONT_SIZE)).save(stream, "png")
         except ConfigError as error:  # this machine draws nothing at all
             self._draws = False
             warnings.append(Notice(scene.scene_id, "draw", error.code, f"{scene.scene_id} and those after it: {error}"))

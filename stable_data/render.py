@@ -1,7 +1,8 @@
 """Pictures of scenes, drawn off screen, and contact sheets.
 
 The camera follows the format's rule: it looks at the middle of what is there (objects and table) through a 50 mm lens on a
-36 mm sensor, from 1.5 times the largest dimension away; farther, where near corners would be cut off.
+36 mm sensor, from 1.5 times the largest dimension away; farther, where near corners would be cut off, and for pictures that are wider
+than high as much nearer as they are wider.
 """
 
 import hashlib
@@ -24,6 +25,9 @@ from stable_data.scene import FloatArray, Scene, SceneObject, Tabletop, Vec3
 Picture: TypeAlias = npt.NDArray[np.uint8]
 """(H, W, 3) uint8, red, green, blue."""
 
+FRONT_SIZE = (512, 512)
+"""Width and height of ``front.png`` in the MesaTask-10K format, pixels."""
+
 View: TypeAlias = Literal["front", "perspective", "top", "left"]
 
 _DIRECTIONS: Mapping[str, Vec3] = {
@@ -34,7 +38,7 @@ _DIRECTIONS: Mapping[str, Vec3] = {
 }
 _HALF_VIEW = 18 / 50  # tangent of half the field of view: 36 mm sensor, 50 mm lens
 _FIELD_OF_VIEW = float(np.degrees(2 * np.arctan(_HALF_VIEW)))
-_MARGIN = 1.05
+_DISTANCE, _MARGIN = 1.5, 1.02
 TABLE_THICKNESS = 0.03
 SINK_RISE = 4e-4  # above the table top, so that it is seen
 _MAX_FACES = 6000
@@ -61,7 +65,7 @@ def render_scene(
     scene: Scene,
     meshes: Sequence[Mesh | None],
     *,
-    size: tuple[int, int] = (512, 512),
+    size: tuple[int, int] = FRONT_SIZE,
     view: View = "front",
     colors: Sequence[str | Paint] | None = None,
 ) -> Picture:
@@ -70,7 +74,7 @@ def render_scene(
     Args:
         scene: The scene.
         meshes: Of each object, metres, yaw frame, centred on its box; None draws the object's box, see-through.
-        size: Width and height, pixels.
+        size: Width and height, pixels; by default those of the format's ``front.png``.
         view: Where from.
         colors: Of each object, or of its faces; by default its category's colour, a little lighter or darker by its asset.
 
@@ -158,7 +162,7 @@ def set_mood(spec: mujoco.MjSpec, size: tuple[int, int]) -> None:
     )  # fmt: skip
     visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = size
-    # A CPU draws a shadow map as slowly as a picture: four of its points for each of a row of the picture's are enough.
+    # A CPU draws a shadow map no faster than a picture; four points of it for each pixel of a row are enough.
     visual.quality.shadowsize, visual.quality.offsamples = min(2048, max(512, 4 * max(size))), 4
     visual.headlight.ambient, visual.headlight.diffuse, visual.headlight.specular = [0.34] * 3, [0.18] * 3, [0.0] * 3
     # The shadow map keeps off surfaces by a share of the depth that it spans: with 50 some table tops had specks of their own shadow.
@@ -234,7 +238,7 @@ def add_lights(spec: mujoco.MjSpec, low: FloatArray, high: FloatArray) -> None:
 def add_camera(
     spec: mujoco.MjSpec, low: FloatArray, high: FloatArray, view: View, size: tuple[int, int], name: str = "view"
 ) -> None:
-    """Adds the camera that looks at so much from one side, as near as all corners of it are in the picture.
+    """Adds the camera that looks at so much from one side, as the module says; all corners of it are in the picture.
 
     Args:
         spec: The description to add it to.
@@ -252,9 +256,10 @@ def add_camera(
     mujoco.mju_mat2Quat(quat, np.stack([right, up, direction], axis=1).ravel())
     half = (high - low) / 2
     corners = half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    half_view = _HALF_VIEW * size[0] / size[1], _HALF_VIEW  # across, up
-    needed = corners @ direction + np.maximum(abs(corners @ right) / half_view[0], abs(corners @ up) / half_view[1])
-    position = (low + high) / 2 + _MARGIN * needed.max() * direction
+    ratio = size[0] / size[1]  # the field of view is that of the height
+    needed = corners @ direction + np.maximum(abs(corners @ right) / ratio, abs(corners @ up)) / _HALF_VIEW
+    usual = _DISTANCE * 2 * half.max() / max(1.0, ratio)
+    position = (low + high) / 2 + max(usual, _MARGIN * needed.max()) * direction
     spec.worldbody.add_camera(name=name, pos=position.tolist(), quat=quat.tolist(), fovy=_FIELD_OF_VIEW)
 
 

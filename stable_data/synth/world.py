@@ -20,7 +20,7 @@ from stable_data.mesatask.layout import LAYOUT_FILE
 from stable_data.mesatask.library import ANNOTATION_FILE, LIBRARY_FOLDER, AssetAnnotation
 from stable_data.mesatask.writing import LAYOUT_FOLDER, write_annotations, write_asset, write_scene
 from stable_data.mesh import Mesh
-from stable_data.render import contact_sheet, render_scene
+from stable_data.render import FRONT_SIZE, contact_sheet, render_scene
 from stable_data.shape import Shape
 from stable_data.synth.catalogue import KEYS, LICENCE, asset, unit_cube
 from stable_data.synth.drafting import KINDS
@@ -307,7 +307,7 @@ def _write_whole(
         shutil.rmtree(aside, ignore_errors=True)
 
 
-def picture(made: MadeScene, size: tuple[int, int] = (512, 512)) -> bytes | None:
+def picture(made: MadeScene, size: tuple[int, int] = FRONT_SIZE) -> bytes | None:
     """The front view as PNG, in the colours of its things; None where the machine cannot draw."""
     paints = [thing.asset.paint for thing in made.placed]
     try:

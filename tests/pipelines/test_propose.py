@@ -10,6 +10,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 import pipelines.propose as job
@@ -124,7 +125,8 @@ def test_each_task_is_a_scene_or_a_failure(dataset: Path, shelf: AssetShelf, tmp
         assert scene.task is not None
         assert scene.task.task == "Lift it."
         assert scene.task.task_objects == (f"{wanted[0].category}_0",)
-        assert (made.layout_path(scene_id).with_name("front.png")).read_bytes().startswith(b"\x89PNG")
+        with Image.open(made.layout_path(scene_id).with_name("front.png")) as front:
+            assert (front.format, front.size) == ("PNG", (512, 512))  # as the format has it
     assert made.read("mine")[0].table == Tabletop("office_table", (1.2, 0.6), (0.0, 0.4, 0.4, 0.6))
     assert set(made.annotations) == {a.asset_id for a in wanted}
     assert {p.stem for p in (out / "dataset" / "Assets_library").iterdir()} == set(made.annotations)
