@@ -248,7 +248,7 @@ def _flag(value: object) -> bool | None:
 def _mass(value: object) -> float | None:
     """Kilograms, also where written with the unit."""
     if isinstance(value, str):
-        match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(?:kg)?\s*", value)
+        match = re.fullmatch(r"\s*+(\d++(?:\.\d++)?)\s*+(?:kg)?\s*+", value)  # possessive: the time is linear in the length
         value = float(match[1]) if match else None
     mass = number(value)
     return mass if mass is not None and math.isfinite(mass) and mass > 0 else None

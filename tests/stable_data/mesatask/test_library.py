@@ -1,6 +1,7 @@
 """Annotations in every spelling, asset files that never lead elsewhere, categories."""
 
 import math
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,20 @@ def test_annotations_are_read_in_every_spelling(box: dict[str, Any], key: str) -
 )
 def test_annotations_without_sense_get_defaults(raw: dict[str, Any]) -> None:
     assert read_annotation(UID, raw) == AssetAnnotation(UID)
+
+
+@pytest.mark.parametrize(
+    "mass", ["1" + " " * 200_000 + "x", " " * 200_000 + "x", "1" * 200_000 + "x", "1.1" + "1" * 200_000 + "x"]
+)
+def test_a_long_number_is_read_in_linear_time(mass: str) -> None:
+    start = time.process_time()
+    assert read_annotation(UID, {"mass": mass}).mass is None
+    assert time.process_time() - start < 1  # a quadratic search takes minutes
+
+
+@pytest.mark.parametrize("mass", ["0.2", "0.2kg", " 0.2\tkg ", "\n0.2 "])
+def test_a_mass_may_have_a_unit_and_spaces(mass: str) -> None:
+    assert read_annotation(UID, {"mass": mass}).mass == 0.2
 
 
 @pytest.mark.parametrize(
