@@ -26,6 +26,9 @@ Vec3: TypeAlias = tuple[float, float, float]
 QuatXyzw: TypeAlias = tuple[float, float, float, float]
 Rectangle: TypeAlias = tuple[float, float, float, float]  # x_min, x_max, y_min, y_max
 
+MAX_INSTRUCTION = 2000
+"""Longest instruction, characters. The time to read what one says of a scene grows with the third power of its length."""
+
 TABLE = "table"
 """The name that stands for the table top where an instance is expected (``SceneObject.support``)."""
 

@@ -24,7 +24,7 @@ from stable_data.instructions.naming import Mention, Namer, involved, mentions
 from stable_data.instructions.situation import OPPOSITE
 from stable_data.instructions.words import singular
 from stable_data.relations import SceneGraph, relations_of
-from stable_data.scene import TABLE, Relation, RelationKind, Scene, SceneObject, TaskInfo
+from stable_data.scene import MAX_INSTRUCTION, TABLE, Relation, RelationKind, Scene, SceneObject, TaskInfo
 from stable_data.shards import unwritable
 
 TaskWriter: TypeAlias = Callable[[Scene, tuple[Relation, ...]], Mapping[str, Any]]
@@ -43,11 +43,13 @@ def validate_task_info(data: Mapping[str, Any]) -> None:
         data: The content of a ``task_info.json``.
 
     Raises:
-        SceneError: A key is missing or of the wrong type (``task_info_invalid``).
+        SceneError: A key is missing or of the wrong type, or the task is longer than MAX_INSTRUCTION (``task_info_invalid``).
     """
     for key in ("Environment", "Task"):
         if not isinstance(data.get(key), str) or not data[key].strip():
             raise _invalid(key, data.get(key), "a sentence")
+    if len(data["Task"]) > MAX_INSTRUCTION:
+        raise _invalid("Task", data["Task"], f"at most {MAX_INSTRUCTION:,} characters")
     for key in ("Goal", "Action Sequence", "Objects cluster"):
         if not isinstance(data.get(key), list) or not all(isinstance(x, str) for x in data[key]):
             raise _invalid(key, data.get(key), "a list of strings")

@@ -11,7 +11,7 @@ from typing import Literal, TypeAlias
 
 from models.semantic_reasoner.layout_text import DECIMALS, LayoutObject, plain, render_objects
 from stable_data.errors import SceneError
-from stable_data.scene import Stage, Tabletop, TaskInfo
+from stable_data.scene import MAX_INSTRUCTION, Stage, Tabletop, TaskInfo
 
 PROMPT_VERSION = 1
 """Raised whenever a fixed part changes: models are trained on one version."""
@@ -21,9 +21,6 @@ Message: TypeAlias = dict[str, str]
 
 Wanted: TypeAlias = Stage | Literal["whole", "edit"]
 """A stage, the whole layout at once (the paper's one-shot ablation), or an edit."""
-
-MAX_INSTRUCTION = 2000
-"""Longest instruction, characters."""
 
 ANY_TABLE = "table"
 """The table type where none is to be said."""

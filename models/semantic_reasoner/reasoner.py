@@ -10,10 +10,10 @@ from models.semantic_reasoner.dialect import Dialect, StagedDialect
 from models.semantic_reasoner.engine import Completion, Engine, Request, conversation
 from models.semantic_reasoner.grounding import Grounding
 from models.semantic_reasoner.layout_text import LayoutObject, Reply, renumbered
-from models.semantic_reasoner.prompt import MAX_INSTRUCTION, Ask
+from models.semantic_reasoner.prompt import Ask
 from models.semantic_reasoner.putting_right import put_right
 from stable_data.errors import ConfigError, Notice, SceneError
-from stable_data.scene import Stage
+from stable_data.scene import MAX_INSTRUCTION, Stage
 from stable_data.seeds import named_seed
 
 _LEFT_OUT = "left_out"

@@ -8,11 +8,10 @@ from models.semantic_reasoner.carrying import carriers_of
 from models.semantic_reasoner.categories import CategoryStatistics
 from models.semantic_reasoner.nouns import own_noun, words_of
 from models.semantic_reasoner.phrases import marked, phrases
-from models.semantic_reasoner.prompt import MAX_INSTRUCTION
 from stable_data.instructions.claims import emptied, read_claims
 from stable_data.instructions.words import plural
 from stable_data.relations import SceneGraph, cell_of, direction_of, is_held, scene_graph
-from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Tabletop, TaskInfo
+from stable_data.scene import MAX_INSTRUCTION, Relation, RelationKind, Scene, SceneObject, Tabletop, TaskInfo
 from stable_data.tasks import resolve_task_objects
 
 _CARRYING = (RelationKind.IN, RelationKind.ON)

@@ -5,7 +5,7 @@ from typing import Any
 
 from stable_data.errors import SceneError
 from stable_data.mesatask.document import Log, parse_object, shown
-from stable_data.scene import Relation, RelationKind, Tabletop, TaskInfo
+from stable_data.scene import MAX_INSTRUCTION, Relation, RelationKind, Tabletop, TaskInfo
 
 TASK_INFO_FILE = "task_info.json"
 
@@ -21,7 +21,7 @@ def read_task_info(data: bytes | str, scene_id: str) -> TaskInfo:
         The task; keys that are not known stay in ``source``.
 
     Raises:
-        SceneError: ``task_info_invalid``: not JSON, no task, or a field of the wrong type.
+        SceneError: ``task_info_invalid``: not JSON, no task, one longer than MAX_INSTRUCTION, or a field of the wrong type.
     """
     log = Log(scene_id)
     try:
@@ -31,6 +31,9 @@ def read_task_info(data: bytes | str, scene_id: str) -> TaskInfo:
     task = document.get("Task")
     if not isinstance(task, str) or not task.strip():
         raise log.error("task_info_invalid", f"{TASK_INFO_FILE} has Task {shown(task)}, expected a sentence")
+    if len(task) > MAX_INSTRUCTION:
+        found = f"a Task of {len(task):,} characters, expected at most {MAX_INSTRUCTION:,}; shorten it"
+        raise log.error("task_info_invalid", f"{TASK_INFO_FILE} has {found}")
     environment = document.get("Environment", "")
     if not isinstance(environment, str):
         raise log.error("task_info_invalid", f"{TASK_INFO_FILE} has Environment {shown(environment)}, expected a sentence")

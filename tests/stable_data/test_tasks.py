@@ -263,6 +263,7 @@ def test_a_kept_answer_that_was_damaged_is_asked_for_again(tmp_path: Path) -> No
     [
         ("Task", ""),
         ("Task", None),
+        ("Task", "mug, " * 2000),
         ("Environment", 3),
         ("Goal", "Done."),
         ("Goal", [1]),

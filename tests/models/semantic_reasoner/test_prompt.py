@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from models.semantic_reasoner.layout_text import LayoutObject, parse_reply
 from models.semantic_reasoner.prompt import (
     LAYOUT,
-    MAX_INSTRUCTION,
     SYSTEM,
     WANTED,
     Ask,
@@ -17,7 +16,7 @@ from models.semantic_reasoner.prompt import (
     question,
 )
 from stable_data.errors import SceneError
-from stable_data.scene import Stage, Tabletop, TaskInfo
+from stable_data.scene import MAX_INSTRUCTION, Stage, Tabletop, TaskInfo
 
 TABLE = Tabletop("office_table", (1.2, 0.6), (0.2, 0.45, 0.1, 0.3))
 ASK = Ask("Put the mug on the book.", TABLE, Stage.TASK)

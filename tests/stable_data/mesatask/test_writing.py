@@ -228,6 +228,7 @@ def test_task_infos_read_and_write_back() -> None:
     [
         {"Task": ""},
         {"Task": None},
+        {"Task": "lamp, " * 2000 + "lamp off " * 2000},
         {"Goal": 5},
         {"Goal": [1]},
         {"Environment": []},
