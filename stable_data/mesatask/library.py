@@ -2,6 +2,7 @@
 
 import bisect
 import math
+import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -146,7 +147,7 @@ class AssetFolder:
 
     Attributes:
         annotations: By uid.
-        notices: What was odd about the annotations.
+        notices: What was odd about the annotations and the files.
 
     Raises:
         ConfigError: Asset_annotation.json exists but cannot be used.
@@ -157,16 +158,30 @@ class AssetFolder:
         self.annotations: Mapping[str, AssetAnnotation] = _read_annotations(root / ANNOTATION_FILE, log)
         self._folder = root / LIBRARY_FOLDER
         self._resolved = self._folder.resolve()
-        self._files = {path.stem: path for path in self._glb_files()}
+        self._files = {path.stem: path for path in self._glb_files(log)}
         self._stems = sorted(self._files)
         if not self._files:
             log.warn("assets_missing", f"{LIBRARY_FOLDER} holds no GLB: objects are boxes; unpack the asset archive there")
         self.notices = tuple(log.notices)
 
-    def _glb_files(self) -> Iterator[Path]:
-        """Files with the ending .glb, in order of their names."""
-        if self._folder.is_dir():
-            yield from (path for path in sorted(self._folder.iterdir()) if path.suffix.lower() == ".glb")
+    def _glb_files(self, log: Log) -> Iterator[Path]:
+        """Files with the ending .glb that may be read, in order of their names."""
+        if not self._folder.is_dir():
+            return
+        with os.scandir(self._folder) as entries:
+            found = sorted((Path(entry.path), entry) for entry in entries)
+        for path, entry in found:
+            if path.suffix.lower() != ".glb":
+                continue
+            if self._is_own(path) if entry.is_symlink() else entry.is_file():
+                yield path
+            else:
+                message = f"{LIBRARY_FOLDER} holds {shown(path.name)}, expected a regular file inside of it"
+                log.warn("glb_refused", f"{message}; it is not used; put the file itself there")
+
+    def _is_own(self, path: Path) -> bool:
+        """Whether a path leads to a regular file inside of the library."""
+        return path.is_file() and path.resolve().is_relative_to(self._resolved)
 
     @property
     def asset_ids(self) -> tuple[str, ...]:
@@ -183,9 +198,7 @@ class AssetFolder:
             return None
         stem = stem_of(asset_id)
         path = self._files.get(asset_id) or self._files.get(stem) or self._variant(stem)
-        if path is None or not path.is_file() or not path.resolve().is_relative_to(self._resolved):
-            return None
-        return path
+        return path if path is not None and self._is_own(path) else None
 
     def _variant(self, stem: str) -> Path | None:
         """A file named ``<stem>_...``, where the stem is a full uid: ``mug`` is not served by ``mug_red``."""
@@ -202,7 +215,7 @@ class AssetFolder:
             KeyError: It is neither annotated nor on disk.
         """
         found = self.annotations.get(asset_id) or self.annotations.get(stem_of(asset_id))
-        if found is None and self.path(asset_id) is None:
+        if found is None and asset_id not in self._files and self.path(asset_id) is None:  # a file may be gone since
             raise KeyError(asset_id)
         return found or AssetAnnotation(asset_id)
 

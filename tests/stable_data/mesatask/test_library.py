@@ -11,6 +11,7 @@ import pytest
 from stable_data.errors import ConfigError
 from stable_data.mesatask import (
     AssetAnnotation,
+    AssetFolder,
     MesaTaskDataset,
     category_of,
     read_annotation,
@@ -40,6 +41,27 @@ def test_an_asset_is_never_looked_for_outside_of_the_library(tmp_path: Path) -> 
     for asset_id in ("../x", "", "a/b"):
         with pytest.raises(ConfigError, match="cannot name a file"):
             write_asset(tmp_path, asset_id, b"")
+
+
+def test_a_link_out_of_the_library_is_refused_and_the_others_are_listed(tmp_path: Path) -> None:
+    make_dataset(tmp_path)
+    library = tmp_path / "Assets_library"
+    sound = (library / f"{UID}.glb").read_bytes()
+    (tmp_path / "secret.glb").write_bytes(sound)
+    (library / "secret.glb").symlink_to(tmp_path / "secret.glb")
+    (library / "nowhere.glb").symlink_to(tmp_path / "nowhere.glb")
+    (library / "loop.glb").symlink_to("loop.glb")
+    (library / "folder.glb").mkdir()
+    (library / "within.glb").symlink_to(f"{UID}.glb")
+    folder = AssetFolder(tmp_path)
+    assert folder.asset_ids == (UID, "within")
+    assert [(n.code, n.message.split(" ")[3]) for n in folder.notices] == [
+        ("glb_refused", f"'{name}.glb',") for name in ("folder", "loop", "nowhere", "secret")
+    ]
+    assert "secret" not in folder
+    assert [folder.annotation(asset_id).asset_id for asset_id in folder.asset_ids] == [UID, "within"]
+    (library / "within.glb").unlink()
+    assert folder.annotation("within") == AssetAnnotation("within")
 
 
 def test_the_library_itself_may_lie_elsewhere(tmp_path: Path) -> None:
