@@ -27,7 +27,7 @@ from pipelines.propose_settings import ProposeSettings, plain_retrieval
 from pipelines.propose_step import Outcome, Proposer, proposal_rows
 from pipelines.task_file import read_tasks
 from stable_data.assets import AssetStore
-from stable_data.errors import ConfigError, Notice, SceneError
+from stable_data.errors import ConfigError, MeshError, Notice, SceneError
 from stable_data.mesatask import write_annotations, write_scene
 from stable_data.mesatask.layout import LAYOUT_FILE
 from stable_data.mesatask.library import LIBRARY_FOLDER
@@ -199,7 +199,7 @@ class _Writer:
             annotations = {uid: self._shelf.annotation(uid) for uid in uids}
             extents = {uid: box for uid, a in annotations.items() if (box := a.extents_z_up) is not None}
             write_scene(self.root, scene, self._picture(scene, warnings), extents=extents, annotations=annotations)
-        except SceneError as error:
+        except (SceneError, MeshError) as error:
             return Notice(scene.scene_id, "write", error.code, str(error))
         except OSError as error:
             raise unwritable(str(self.root), error) from error

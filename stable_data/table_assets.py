@@ -1,5 +1,6 @@
 """Assets of a run's own tables, for jobs that see the run folder and not the dataset that it was made of."""
 
+import hashlib
 import weakref
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -8,8 +9,9 @@ import numpy as np
 import pyarrow as pa
 
 from stable_data.assets import AssetStore
-from stable_data.errors import ConfigError
+from stable_data.errors import ConfigError, MeshError
 from stable_data.files import put_file
+from stable_data.mesatask.document import shown
 from stable_data.mesatask.library import AssetAnnotation
 from stable_data.mesh import Mesh
 from stable_data.shards import RunFolder, Uri, unwritable
@@ -20,7 +22,8 @@ class TableAssets:
     """An :class:`~stable_data.assets.AssetSource` over the table ``meshes``: its GLBs as files, named by their content.
 
     The files of a row group are written when the first of them is asked for; those that are there already, such as another
-    process's, are used. Of the table no more than a row group is held at a time. It is a
+    process's, are used. A file is served once its content has been hashed, and a GLB that has another hash than its row states
+    is never written: runs of any origin may share the folder. Of the table no more than a row group is held at a time. It is a
     :class:`~stable_data.assets.PartSource` too: the convex parts are those of the table.
 
     Args:
@@ -38,6 +41,7 @@ class TableAssets:
         self._parts = TableFiles(run.uri, "meshes", ["asset_id", "parts"])
         self._group_of: dict[str, int] = {}
         self._content_of: dict[str, str] = {}
+        self._hashed: set[str] = set()
         self._read: tuple[int, pa.Table] | None = None
         for group in range(len(self._names.groups)):
             rows = self._names.read([group])
@@ -57,12 +61,19 @@ class TableAssets:
 
         Raises:
             ConfigError: The table cannot be read any more, or the file cannot be written.
+            MeshError: The hash of the row's GLB is not the one that the row states (``mesh_differs``).
         """
         if asset_id not in self._content_of:
             return None
-        path = self._path(self._content_of[asset_id])
-        if not path.exists():
-            self._place(self._group_of[asset_id])
+        sha256 = self._content_of[asset_id]
+        path = self._path(sha256)
+        if sha256 not in self._hashed:
+            if _digest(path) != sha256:
+                self._place(self._group_of[asset_id], sha256)
+            if _digest(path) != sha256:
+                found = f"the glb in table meshes does not have the hash {shown(sha256)} that its row states"
+                raise MeshError(f"asset {asset_id}: {found}; preprocess the dataset again", "mesh_differs")
+            self._hashed.add(sha256)
         return path
 
     def parts(self, asset_id: str) -> tuple[Mesh, ...]:
@@ -86,15 +97,26 @@ class TableAssets:
     def _path(self, sha256: str) -> Path:
         return self._files / f"{sha256}.glb"
 
-    def _place(self, group: int) -> None:
-        """Writes the files of a row group that are not there yet, each in one step."""
+    def _place(self, group: int, wanted: str) -> None:
+        """Writes the files of a row group that have the stated content, each in one step: ``wanted``, and those not there yet."""
         rows = self._meshes.read([group])
         try:
             for glb, sha256 in zip(rows["glb"], rows["sha256"].to_pylist(), strict=True):
-                if not self._path(sha256).exists():
-                    put_file(self._path(sha256), glb.as_buffer())
+                content = glb.as_buffer()
+                is_due = content is not None and (sha256 == wanted or not self._path(sha256).exists())
+                if is_due and hashlib.sha256(content).hexdigest() == sha256:
+                    put_file(self._path(sha256), content)
         except OSError as error:
             raise unwritable(str(self._files), error) from error
+
+
+def _digest(path: Path) -> str | None:
+    """Hash of a file's content; None where there is none that can be read."""
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError:
+        return None
 
 
 def run_store(run: Uri) -> AssetStore:

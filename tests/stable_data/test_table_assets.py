@@ -6,7 +6,7 @@ import pytest
 
 from stable_data.assets import AssetStore
 from stable_data.colliders import asset_parts
-from stable_data.errors import ConfigError
+from stable_data.errors import ConfigError, MeshError
 from stable_data.export.glb import write_glb
 from stable_data.mesatask.library import AssetAnnotation
 from stable_data.mesh import Mesh
@@ -67,6 +67,32 @@ def test_a_content_that_is_no_name_is_refused(tmp_path: Path) -> None:
     """No path from data leaves the folder."""
     with pytest.raises(ConfigError, match="64 hex digits"):
         TableAssets(run_of(tmp_path / "run", "../" * 20 + "out"), tmp_path / "files")
+
+
+def test_a_run_cannot_put_its_mesh_in_the_place_of_another_run(tmp_path: Path) -> None:
+    """Runs share the folder: a row that states the hash of another mesh fails, and the other run is served its own."""
+    honest = run_of(tmp_path / "honest")
+    [row] = honest.table("meshes").to_pylist()
+    hostile = RunFolder(str(tmp_path / "hostile"))
+    foreign = dict(row, glb=write_glb(Mesh(3 * box(1, 1, 1).vertices, box(1, 1, 1).faces)))
+    sound = dict(row, asset_id="sound", glb=foreign["glb"], sha256=hashlib.sha256(foreign["glb"]).hexdigest())
+    hostile.write_shard("meshes", "0" * 16, [foreign, sound, dict(row, asset_id="none", glb=None, sha256="f" * 64)])
+    assets = TableAssets(hostile, tmp_path / "files")
+    for asset_id in ("cube", "none"):
+        with pytest.raises(MeshError, match=f"asset {asset_id}: the glb in table meshes does not have the hash") as caught:
+            AssetStore(assets).asset(asset_id)
+        assert caught.value.code == "mesh_differs"
+    assert np.allclose(AssetStore(assets).asset("sound").mesh.extents, 3)
+    assert [path.stem for path in (tmp_path / "files").iterdir()] == [sound["sha256"]]
+    assert AssetStore(TableAssets(honest, tmp_path / "files")).asset("cube").mesh.extents.max() < 1
+
+
+def test_a_file_that_was_changed_in_the_folder_is_written_again(tmp_path: Path) -> None:
+    run = run_of(tmp_path / "run")
+    path = TableAssets(run, tmp_path / "files").asset_path("cube")
+    assert path is not None
+    path.write_bytes(b"poison")
+    assert np.allclose(AssetStore(TableAssets(run, tmp_path / "files")).asset("cube").mesh.extents, (0.1, 0.2, 0.3))
 
 
 def test_a_run_without_meshes_is_refused(tmp_path: Path) -> None:
