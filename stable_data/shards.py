@@ -14,7 +14,8 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeAlias, cast
@@ -32,8 +33,13 @@ from stable_data.tables import SCHEMAS, arrow_table, check_version
 Uri: TypeAlias = str | os.PathLike[str]
 """Where a run lies: a local path, or a URI that pyarrow knows, such as ``s3://bucket/prefix``."""
 
+_Columns: TypeAlias = list[str] | Mapping[str, pc.Expression] | None
+
 MAX_BYTES = 96 * 10**6
 """A file holds at most this much before compression, so it stays under 100 MB."""
+
+MAX_DECODED = 2**30
+"""What is read whole of a file takes at most this much memory, bytes: ten times what one that is written here takes."""
 
 _ROW_GROUP = 1024
 _FILES_AT_ONCE = 32  # their footers are in memory together, and are read side by side from an object store
@@ -241,14 +247,14 @@ class RunFolder:
     ) -> pa.Table:
         """A table of the run, or those of its columns, or what is made of them, and rows and shards that are asked for.
 
-        See :meth:`dataset`.
+        See :meth:`dataset`; a file that takes more than MAX_DECODED is refused (``shard_too_big``), but :meth:`batches` reads it.
         """
         wanted = columns if columns is None or isinstance(columns, Mapping) else list(columns)
-        tables = []
-        for part in self._parts(table, shard_ids):
-            with self._naming_what_is_broken(part):
-                tables.append(part.to_table(wanted, filter=where, cache_metadata=False))
-        return pa.concat_tables(tables)
+        files = [path for path in self.dataset(table).files if shard_ids is None or _shard_of(path) in shard_ids]
+        if not files:
+            return _chosen(SCHEMAS[table].empty_table(), wanted, where)
+        with ThreadPoolExecutor(_AHEAD) as pool:
+            return pa.concat_tables(pool.map(lambda path: self._read(table, path, wanted, where), files))
 
     def num_rows(self, table: str) -> int:
         """Number of rows of a table of the run; see :meth:`dataset`."""
@@ -258,12 +264,31 @@ class RunFolder:
                 count += int(part.count_rows(cache_metadata=False))
         return count
 
-    def _parts(self, table: str, shard_ids: Set[str] | None = None) -> Iterator[ds.Dataset]:
+    def _read(self, table: str, path: str, wanted: _Columns, where: pc.Expression | None) -> pa.Table:
+        """What is asked for of one file."""
+        schema = SCHEMAS[table]
+        needed = [name for name in schema.names if name in _names_in(schema.names if wanted is None else wanted, where)]
+        try:
+            fragment = ds.ParquetFileFormat().make_fragment(path, self.filesystem)
+            fragment = fragment if where is None else fragment.subset(where, schema=schema)
+            with pq.ParquetFile(path, filesystem=self.filesystem, metadata=fragment.metadata, pre_buffer=True) as file:
+                rows = read_row_groups(file, path, [group.id for group in fragment.row_groups], needed)
+        except (pa.ArrowException, OSError) as error:
+            raise unreadable(self.uri, path, error) from error
+        # As in a dataset, a column that the file lacks is null.
+        parts = [
+            rows[name].cast(schema.field(name).type)
+            if name in rows.column_names
+            else pa.nulls(len(rows), schema.field(name).type)
+            for name in needed
+        ]
+        known = pa.schema([schema.field(name) for name in needed], schema.metadata)
+        return _chosen(pa.table(parts, known), wanted, where)
+
+    def _parts(self, table: str) -> Iterator[ds.Dataset]:
         """A table of the run, some files at a time: a dataset keeps the footer of each file that it has read, and runs have many."""
         files = self.dataset(table).files
-        if shard_ids is not None:
-            files = [path for path in files if Path(path).stem.split("-")[1] in shard_ids]
-        for start in range(0, max(1, len(files)), _FILES_AT_ONCE):  # of no files, a table without rows
+        for start in range(0, len(files), _FILES_AT_ONCE):
             part = files[start : start + _FILES_AT_ONCE]
             yield ds.dataset(part, format="parquet", filesystem=self.filesystem, schema=SCHEMAS[table])
 
@@ -278,7 +303,8 @@ class RunFolder:
         """The first file that cannot be read whole, or None."""
         for path in files:
             try:
-                pq.ParquetFile(path, filesystem=self.filesystem).read()
+                file = pq.ParquetFile(path, filesystem=self.filesystem)
+                read_row_groups(file, path, range(file.num_row_groups))
             except (pa.ArrowException, OSError):
                 return path
         return None
@@ -304,6 +330,57 @@ def unreadable(where: str, path: str, error: Exception) -> ConfigError:
         "if it is there, delete it and run again what wrote it",
         "shard_unreadable",
     )
+
+
+def read_row_groups(
+    file: pq.ParquetFile, path: str, groups: Iterable[int], columns: Sequence[str] | None = None, *, use_threads: bool = True
+) -> pa.Table:
+    """Row groups of a Parquet file, decoded a few rows at a time: a few bytes of a file may state a great many.
+
+    Args:
+        file: The file.
+        path: Its name, for the message.
+        groups: Which row groups.
+        columns: Columns or leaves of columns, as Parquet names them, or None: all.
+        use_threads: Whether columns are decoded side by side.
+
+    Raises:
+        ConfigError: They take more than MAX_DECODED (``shard_too_big``).
+    """
+    batches, size = list[pa.RecordBatch](), 0
+    for group in groups:
+        stated = file.metadata.row_group(group).total_byte_size
+        step = max(1, MAX_DECODED // max(1, stated))  # no value is larger than all that is stored
+        for batch in () if stated > MAX_DECODED else file.iter_batches(step, [group], columns, use_threads=use_threads):
+            size += batch.nbytes
+            if size > MAX_DECODED:
+                break
+            batches.append(batch)
+        if max(size, stated) > MAX_DECODED:
+            raise ConfigError(
+                f"{path}: takes more than {MAX_DECODED:,} bytes of memory, expected at most that of one file of a table; "
+                "do not trust it, or write its rows to several files",
+                "shard_too_big",
+            )
+    return pa.Table.from_batches(batches) if batches else file.read_row_groups([], columns)
+
+
+def _shard_of(path: str) -> str:
+    return Path(path).stem.split("-")[1]
+
+
+def _names_in(wanted: Iterable[str] | Mapping[str, pc.Expression], where: pc.Expression | None) -> set[str]:
+    """Names of columns, and all words of expressions: Arrow does not list the columns of one, and a word too many costs time alone."""
+    expressions = list(wanted.values()) if isinstance(wanted, Mapping) else []
+    words = re.findall(r"\w+", " ".join(map(str, expressions if where is None else [*expressions, where])))
+    return {*words} if isinstance(wanted, Mapping) else {*wanted, *words}
+
+
+def _chosen(rows: pa.Table, wanted: _Columns, where: pc.Expression | None) -> pa.Table:
+    """Those columns of rows, or what is made of them, and those rows that are asked for."""
+    if where is None and not isinstance(wanted, Mapping):
+        return rows if wanted is None else rows.select(wanted)
+    return ds.dataset(rows).to_table(wanted, filter=where)
 
 
 def _unreachable(where: str, error: OSError) -> ConfigError:

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from stable_data.errors import ConfigError
 from stable_data.query import Query, parse_query
 from stable_data.scene import IntArray
-from stable_data.shards import RunFolder, Uri, content_id, unreadable
+from stable_data.shards import RunFolder, Uri, content_id, read_row_groups, unreadable
 from stable_data.tables import SCHEMAS, Row, check_version
 
 SPLITS = ("train", "validation", "test", "unseen")
@@ -124,7 +124,7 @@ class TableFiles:
         folder, path = self._folders[groups[0].run], groups[0].path
         try:
             with pq.ParquetFile(path, filesystem=folder.filesystem, pre_buffer=True) as file:
-                parts = [file.read_row_group(g.index, columns=self._leaves, use_threads=use_threads) for g in groups]
+                parts = [read_row_groups(file, path, [g.index], self._leaves, use_threads=use_threads) for g in groups]
         except (pa.ArrowException, OSError) as error:
             raise unreadable(folder.uri, path, error) from error
         return pa.concat_tables(
@@ -166,7 +166,7 @@ def _row_group(run: int, path: str, file: pq.ParquetFile, index: int, query: Que
     footer = file.metadata.row_group(index)
     if query is None:
         return RowGroup(run, path, index, footer.num_rows, footer.total_byte_size)
-    columns = file.read_row_group(index, columns=list(query.columns))
+    columns = read_row_groups(file, path, [index], list(query.columns))
     numbers = pa.array(np.arange(footer.num_rows))
     chosen = query.rows(columns.append_column(_NUMBER, numbers))[_NUMBER].to_numpy()
     return RowGroup(run, path, index, len(chosen), footer.total_byte_size, chosen)

@@ -22,6 +22,7 @@ from hypothesis import strategies as st
 from stable_data import shards
 from stable_data.errors import ConfigError
 from stable_data.shards import RunFolder, content_id, unwritable
+from stable_data.table_files import TableFiles
 from stable_data.tables import SCHEMAS
 from tests.object_store import object_store
 
@@ -280,6 +281,57 @@ def test_a_damaged_shard_behind_a_whole_one_is_named(run: RunFolder, damage: Cal
             attempt()
         assert caught.value.code == "shard_unreadable"
         assert "\n" not in str(caught.value)
+
+
+def _bomb(run: RunFolder) -> Path:
+    """A file of some kilobytes whose rows take 400 MB: one long message, stored once."""
+    run.make("warnings")
+    path = Path(run.root) / "warnings" / "part-00.parquet"
+    rows = pa.Table.from_pylist(warnings("a"), schema=SCHEMAS["warnings"])
+    rows = rows.set_column(3, SCHEMAS["warnings"].field("message"), pa.array(["x" * 10**5]))
+    pq.write_table(pa.concat_tables([rows] * 4000), path, compression="zstd")
+    return path
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda run: run.table("warnings"),
+        lambda run: run.table("warnings", where=pc.field("id") == "a"),
+        lambda run: run.table("warnings", {"length": pc.utf8_length(pc.field("message"))}),
+        lambda run: TableFiles(run.uri, "warnings", None).read([0]),
+        lambda run: TableFiles(run.uri, "warnings", None, where="message != 'y'"),
+    ],
+)
+def test_a_small_file_that_takes_much_memory_is_refused(
+    read: Callable[[RunFolder], object], run: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = _bomb(run)
+    assert path.stat().st_size < 10**4
+    monkeypatch.setattr(shards, "MAX_DECODED", 2 * 10**6)
+    before = pa.total_allocated_bytes()
+    with pytest.raises(ConfigError, match=r"part-00.parquet: takes more than 2,000,000 bytes of memory") as caught:
+        read(run)
+    assert caught.value.code == "shard_too_big"
+    assert "\n" not in str(caught.value)
+    assert pa.total_allocated_bytes() < before + 10**7
+    assert run.table("warnings", ["id"]).num_rows == 4000
+    assert sum(batch.num_rows for batch in run.batches("warnings")) == 4000  # as a stream it can be read
+
+
+def test_tables_are_those_of_an_arrow_dataset(run: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where a file lacks a column, has several row groups, or is decoded a row at a time."""
+    for shard in range(3):
+        run.write_shard("warnings", f"0{shard}", warnings(*(f"{shard}-{k}" for k in range(1500))))
+    path = Path(run.root) / "warnings" / "part-01.parquet"
+    pq.write_table(pq.read_table(path).drop_columns(["step"]), path)
+    columns = {"n": pc.utf8_length(pc.field("id")), "step": pc.field("step")}
+    for _ in range(2):
+        for wanted in (None, ["code", "id"], columns):
+            for where in (None, (pc.field("id") > "1") & (pc.field("message") != "x"), pc.field("id") == "none"):
+                expected = run.dataset("warnings").to_table(wanted, filter=where)
+                assert run.table("warnings", wanted, where).equals(expected, check_metadata=True)
+        monkeypatch.setattr(shards, "MAX_DECODED", 10**5)
 
 
 @pytest.mark.parametrize("attempt", [lambda run: run.read_bytes("manifest.json"), lambda run: run.files("warnings")])
