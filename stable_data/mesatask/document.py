@@ -12,6 +12,9 @@ from stable_data.errors import Notice, SceneError
 MAX_DEPTH = 64
 """How deep JSON may nest: a layout needs 4."""
 
+MAX_VALUES = 1 << 22
+"""How many values JSON may hold: an annotated library of 12,000 assets has a tenth of it."""
+
 
 class Log:
     """What a reader notices about one item; the words that start each of its messages.
@@ -68,9 +71,12 @@ def parse_object(data: bytes | str, what: str, log: Log, *, repeated_code: str |
         repeated_code: Code of the notice on a key that is given twice, whose first value is kept; None: that is an error.
 
     Raises:
-        SceneError: ``json_not_utf8``, ``json_truncated``, ``json_invalid``, ``json_duplicate_key``, ``json_too_deep`` or
-            ``json_not_object``.
+        SceneError: ``json_too_big``, ``json_not_utf8``, ``json_truncated``, ``json_invalid``, ``json_duplicate_key``,
+            ``json_too_deep`` or ``json_not_object``.
     """
+    if sum(data.count(mark) for mark in ((b"{", b"[", b",") if isinstance(data, bytes) else ("{", "[", ","))) > MAX_VALUES:
+        # Of two bytes of JSON Python makes an object of 64: they are counted before it does.
+        raise log.error("json_too_big", f"{what} has more than {MAX_VALUES:,} brackets and commas, expected fewer; split it")
     text = _decoded(data, what, log)
 
     def without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

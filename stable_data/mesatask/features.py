@@ -21,10 +21,26 @@ from stable_data.errors import ConfigError
 from stable_data.mesatask.document import shown
 
 FEATURES_FILE = "sbert_text_features.pkl"
-_MAX_BYTES = 1 << 30
+_MAX_BYTES = 1 << 28
 _MAX_MEMO = 1 << 22
+_MAX_OPERATIONS = 1 << 24  # an object takes up to 100 bytes; rows as lists of floats have one a number
+_MAX_ROWS = 1 << 20
+_MAX_NUMBERS = 1 << 26
+_MAX_DEPTH = 64
 _GZIP_MAGIC = b"\x1f\x8b"
-_UNSOUND = (pickle.UnpicklingError, EOFError, OverflowError, AttributeError, LookupError, MemoryError, TypeError, ValueError)
+_UNSOUND = (
+    pickle.UnpicklingError,
+    ArithmeticError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    RecursionError,
+    TypeError,
+    ValueError,
+)
+_TUPLES = ("TUPLE", "TUPLE1", "TUPLE2", "TUPLE3")
+_SETS = ("EMPTY_SET", "FROZENSET", "ADDITEMS")
 _FLOATS = ("f2", "f4", "f8")
 _MULTIARRAY = ("numpy.core.multiarray", "numpy._core.multiarray")
 _NUMERIC = ("numpy.core.numeric", "numpy._core.numeric")
@@ -45,7 +61,7 @@ def read_text_features(path: Path, max_bytes: int = _MAX_BYTES) -> tuple[tuple[s
             does not hold what is expected.
     """
     data = _unpacked(path, max_bytes)
-    _check_memo(data, path)
+    _check_operations(data, path)
     try:
         document = _PlainUnpickler(data, path).load()
     except ConfigError:
@@ -78,6 +94,8 @@ def write_text_features(path: Path, uids: Sequence[str], features: npt.ArrayLike
 class _Described:
     """What a pickle says about a numpy value. It has no behaviour but to take its state."""
 
+    __slots__ = ("arguments", "state")
+
     def __init__(self, *arguments: Any) -> None:
         self.arguments = arguments
         self.state: Any = None
@@ -89,21 +107,31 @@ class _Described:
 class _Array(_Described):
     """numpy.ndarray: state (version, shape, dtype, is Fortran order, bytes or list)."""
 
+    __slots__ = ()
+
 
 class _Buffer(_Described):
     """An array of pickle protocol 5: arguments (bytes, dtype, shape, order)."""
+
+    __slots__ = ()
 
 
 class _Dtype(_Described):
     """numpy.dtype: arguments (type string, …), state (version, byte order, …)."""
 
+    __slots__ = ()
+
 
 class _Scalar(_Described):
     """A numpy scalar: arguments (dtype, bytes)."""
 
+    __slots__ = ()
+
 
 class _Bytes(_Described):
     """bytes as protocol 2 spells them: arguments (text, "latin1")."""
+
+    __slots__ = ()
 
 
 _STAND_INS: dict[tuple[str, str], Any] = {
@@ -155,16 +183,55 @@ def _unpacked(path: Path, max_bytes: int) -> bytes:
     return data
 
 
-def _check_memo(data: bytes, path: Path) -> None:
-    """Refuses an index that would make the unpickler allocate a table of that length."""
+def _check_operations(data: bytes, path: Path) -> None:
+    """Refuses a pickle that would take much more memory than its bytes, or nests so deep that it would end the process."""
+    num_tuples = 0
     try:
-        for operation, argument, _ in pickletools.genops(data):
+        for number, (operation, argument, _) in enumerate(pickletools.genops(data), 1):
+            found = ""
             if operation.name in ("PUT", "BINPUT", "LONG_BINPUT") and argument is not None and argument > _MAX_MEMO:
-                raise ConfigError(f"{path} holds memo index {argument}, expected at most {_MAX_MEMO}", "pickle_refused")
+                found = f"memo index {argument}, expected at most {_MAX_MEMO}"
+            elif operation.name in _SETS:
+                found = "a set, expected numpy arrays in plain containers"
+            elif number > _MAX_OPERATIONS:
+                found = f"more than {_MAX_OPERATIONS:,} operations, expected features as one array"
+            if found:
+                raise ConfigError(f"{path} holds {found}; it was not read, do not trust it", "pickle_refused")
+            num_tuples += operation.name in _TUPLES
+        if num_tuples > _MAX_DEPTH and _tuple_depth(data) > _MAX_DEPTH:
+            raise ConfigError(
+                f"{path} nests tuples deeper than {_MAX_DEPTH}, expected at most 4; it was not read, do not trust it",
+                "pickle_refused",
+            )
     except ConfigError:
         raise
     except _UNSOUND as error:
         raise ConfigError(f"{path} is not a sound pickle: {shown(str(error))}; fetch it again", "features_invalid") from error
+
+
+def _tuple_depth(data: bytes) -> int:
+    """How deep tuples nest: Python hashes one that is a key by recursion in C, which nothing bounds.
+
+    The pickle's operations are followed with the depth of each value instead of the value.
+    """
+    stack, marks, memo, deepest = list[int](), list[int](), dict[int, int](), 0
+    for operation, argument, _ in pickletools.genops(data):
+        name, before, after = operation.name, operation.stack_before, operation.stack_after
+        if name == "MARK":
+            marks.append(len(stack))
+        elif name in ("PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE"):
+            memo[len(memo) if name == "MEMOIZE" else int(argument or 0)] = stack[-1]
+        elif name in ("GET", "BINGET", "LONG_BINGET"):
+            stack.append(memo[int(argument or 0)])
+        elif name == "POP" and marks and marks[-1] == len(stack):
+            marks.pop()
+        else:
+            has_mark = pickletools.markobject in before
+            start = (marks.pop() - before.index(pickletools.markobject)) if has_mark else len(stack) - len(before)
+            depth = max(stack[start:], default=0) + (name in _TUPLES)
+            stack[start:] = [depth] * len(after)
+            deepest = max(deepest, depth)
+    return deepest
 
 
 def _checked(uids: Any, described: Any, path: Path) -> tuple[tuple[str, ...], npt.NDArray[np.float32]]:
@@ -174,12 +241,30 @@ def _checked(uids: Any, described: Any, path: Path) -> tuple[tuple[str, ...], np
     if not isinstance(names, (list, tuple)) or not all(isinstance(name, str) for name in names):
         raise _invalid(path, f"has a {type(names).__name__} of uids")
     try:
+        if len(rows) != len(names):
+            raise ValueError(f"{len(rows)} rows for {len(names)} uids")
+        if not isinstance(rows, np.ndarray):
+            _check_rows(rows)
         features = np.asarray(rows, np.float32) if len(rows) else np.zeros((0, 0), np.float32)
-    except (TypeError, ValueError) as error:
+    except _UNSOUND as error:
         raise _invalid(path, f"has features that are no table ({shown(str(error))})") from error
-    if features.ndim != 2 or len(features) != len(names) or not np.isfinite(features).all():
-        raise _invalid(path, f"has {len(names)} uids and features of shape {features.shape}, or values that are not finite")
+    if features.ndim != 2 or not np.isfinite(features).all():
+        raise _invalid(path, f"has features of shape {features.shape}, or values that are not finite")
     return tuple(names), features
+
+
+def _check_rows(rows: list[Any]) -> None:
+    """Refuses rows that are no rows of numbers, or too many of them: one list or array may be referred to many times.
+
+    Raises:
+        ValueError: What is wrong.
+    """
+    num_numbers = sum(len(row) for row in rows)
+    if num_numbers > _MAX_NUMBERS:
+        raise ValueError(f"{num_numbers:,} numbers, expected at most {_MAX_NUMBERS:,}")
+    for row in rows:
+        if row.ndim != 1 if isinstance(row, np.ndarray) else not all(isinstance(x, int | float) for x in row):
+            raise ValueError(f"a row that is {type(row).__name__}, expected one of numbers")
 
 
 def _invalid(path: Path, what: str) -> ConfigError:
@@ -190,6 +275,8 @@ def _invalid(path: Path, what: str) -> ConfigError:
 def _plain(value: Any, path: Path) -> Any:
     """A list or array for a described one, one level of nesting down."""
     if isinstance(value, (list, tuple)):
+        if len(value) > _MAX_ROWS:
+            raise _invalid(path, f"has a list of {len(value):,}, expected at most {_MAX_ROWS:,}")
         return [_plain_array(item, path) if isinstance(item, _Described) else item for item in value]
     return _plain_array(value, path) if isinstance(value, _Described) else value
 
@@ -205,7 +292,7 @@ def _plain_array(value: _Described, path: Path) -> Any:
             return _from_bytes(data, dtype, shape, order == "F")
         _, shape, dtype, is_fortran, data = value.state
         if isinstance(data, list):
-            if len(data) != math.prod(shape) or any(isinstance(item, _Described) for item in data):
+            if len(data) != _size(shape) or any(isinstance(item, _Described) for item in data):
                 raise ValueError(f"{len(data)} plain items for shape {shape}")
             return data
         return _from_bytes(data, dtype, shape, is_fortran)
@@ -213,14 +300,26 @@ def _plain_array(value: _Described, path: Path) -> Any:
         raise _invalid(path, f"describes an array that cannot be ({shown(str(error))})") from error
 
 
+def _size(shape: Any) -> int:
+    """The number of items of an array of a shape."""
+    if not isinstance(shape, tuple) or len(shape) > 2 or not all(isinstance(n, int) and n >= 0 for n in shape):
+        raise ValueError("a shape that is none, expected one or two lengths")
+    return math.prod(shape)
+
+
 def _from_bytes(data: bytes | _Bytes, dtype: _Dtype, shape: tuple[int, ...], is_fortran: bool) -> Any:
     """An array of floats, or a list of strings, from its bytes."""
     if isinstance(data, _Bytes):
-        data = str(data.arguments[0]).encode("latin-1")
-    kind = str(dtype.arguments[0]).lstrip("<>=|")
+        data = data.arguments[0].encode("latin-1")
+    name, size = dtype.arguments[0], _size(shape)
+    if not isinstance(name, str):
+        raise ValueError(f"a dtype that is {type(name).__name__}, expected its name")
+    kind = name.lstrip("<>=|")
     is_big = bool(dtype.state) and dtype.state[1] == ">"
     if kind not in _FLOATS and not (kind[:1] == "U" and kind[1:].isdigit()):
         raise ValueError(f"dtype {shown(kind)}, expected floats or strings")
+    if kind[0] == "U" and size > _MAX_ROWS:
+        raise ValueError(f"{size:,} strings, expected at most {_MAX_ROWS:,}")
     array = np.frombuffer(data, np.dtype((">" if is_big else "<") + kind))
     array = array.reshape(shape, order="F" if is_fortran else "C")
     return array.tolist() if kind[0] == "U" else array

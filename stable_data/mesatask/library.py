@@ -16,7 +16,7 @@ from stable_data.scene import Vec3
 ANNOTATION_FILE = "Asset_annotation.json"
 LIBRARY_FOLDER = "Assets_library"
 
-_MAX_ANNOTATION_BYTES = 1 << 29
+_MAX_ANNOTATION_BYTES = 1 << 27
 _VARIANT_SUFFIX = re.compile(r"_x_-?\d+(?:\.\d+)?(?:_[yz]_-?\d+(?:\.\d+)?)+$")
 _HEX = "[0-9a-fA-F]"
 _KNOWN_FORM = re.compile(rf"{_HEX}{{32}}|(?:gen_)?{_HEX}{{8}}-{_HEX}{{4}}-{_HEX}{{4}}-{_HEX}{{4}}-{_HEX}{{12}}")

@@ -11,6 +11,7 @@ import pytest
 
 from stable_data.errors import ConfigError
 from stable_data.mesatask import (
+    features,
     read_text_features,
     write_text_features,
 )
@@ -77,6 +78,70 @@ def test_unsound_pickles_say_why(data: bytes, code: str, tmp_path: Path) -> None
     with pytest.raises(ConfigError) as caught:
         read_text_features(path, max_bytes=50_000)
     assert caught.value.code == code
+
+
+_ONE = b"\x80\x04}(\x8c\x04uids](\x8c\x01ae\x8c\rtext_features"
+"""The start of a pickle of one uid; its features are missing, and the end ``u.``."""
+
+_DEEP_LIST = b"]" * 200_000 + b"a" * 199_999
+_DTYPE = b"cnumpy\ndtype\n" + _DEEP_LIST + b"\x85R"
+_RECONSTRUCT = b"cnumpy.core.multiarray\n_reconstruct\n)R"
+
+
+@pytest.mark.parametrize(
+    ("data", "code", "words"),
+    [
+        # A tuple in tuples, as a key: hashing it would end the process with a fault of the machine.
+        (b"\x80\x04}" + b")" + b"\x85" * 300_000 + b"K\x01s.", "pickle_refused", "nests tuples deeper than 64"),
+        (b"\x80\x04}" + b")\x94" + b"h\x00\x86" * 90 + b"K\x01s.", "pickle_refused", "nests tuples"),
+        (
+            b"\x80\x04})\x940" + b"".join(b"h" + bytes([k]) + b"\x85\x940" for k in range(90)) + b"hZK\x01s.",
+            "pickle_refused",
+            "nests tuples",
+        ),
+        (b"\x80\x04\x8f.", "pickle_refused", "holds a set"),
+        (b"\x80\x04" + b"]" * 30_000 + b".", "pickle_refused", "more than 20,000 operations"),
+        (
+            _ONE + _RECONSTRUCT + b"(K\x01K\x01K\x01\x86" + _DTYPE + b"\x89C\x04\x00\x00\x00\x00tbu.",
+            "features_invalid",
+            "a dtype that is list",
+        ),
+        (_ONE + _DEEP_LIST + b"u.", "features_invalid", "expected one of numbers"),
+        (_ONE + _RECONSTRUCT + b"(K\x01" + _DEEP_LIST + b"\x85N\x89](K\x01etbu.", "features_invalid", "a shape that is none"),
+        (_ONE + b"](](\x8a\xc8" + b"\x7f" * 200 + b"eeu.", "features_invalid", "no table"),
+        (
+            pickle.dumps({"uids": ["a"] * 5000, "text_features": [[0.5] * 5000] * 5000}),
+            "features_invalid",
+            "25,000,000 numbers, expected at most 1,000,000",
+        ),
+        (pickle.dumps({"uids": ["a"] * 6000, "text_features": [[0.5]] * 6000}), "features_invalid", "a list of 6,000"),
+        (
+            pickle.dumps({"uids": np.array(["a"] * 6000), "text_features": np.zeros((6000, 1))}),
+            "features_invalid",
+            "6,000 strings",
+        ),
+    ],
+)
+def test_pickles_that_take_much_more_than_their_bytes_are_refused(
+    data: bytes, code: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    operations = 20_000 if data.count(b"]") == 30_000 else 10**7
+    for name, limit in (("_MAX_OPERATIONS", operations), ("_MAX_ROWS", 5000), ("_MAX_NUMBERS", 10**6)):
+        monkeypatch.setattr(features, name, limit)
+    path = tmp_path / "f.pkl"
+    path.write_bytes(gzip.compress(data))
+    with pytest.raises(ConfigError, match=words) as caught:
+        read_text_features(path)
+    assert caught.value.code == code
+    assert len(str(caught.value)) < 500
+
+
+def test_rows_with_their_own_tuples_are_not_deep(tmp_path: Path) -> None:
+    """Each row of a list of arrays has some tuples, beside each other."""
+    path, rows = tmp_path / "f.pkl", [np.full(3, k, np.float32) for k in range(500)]
+    for protocol in range(2, 6):
+        path.write_bytes(pickle.dumps({"uids": list(map(str, range(500))), "text_features": rows}, protocol))
+        np.testing.assert_array_equal(read_text_features(path)[1], rows)
 
 
 def test_features_that_do_not_fit_their_uids_are_not_written(tmp_path: Path) -> None:

@@ -137,6 +137,19 @@ def test_categories_are_cleaned(instance: str, category: str) -> None:
     assert category_of(instance) == category
 
 
+def test_annotations_of_very_many_values_are_refused_unread(tmp_path: Path) -> None:
+    """Each ``{},`` would take twenty times its bytes."""
+    (tmp_path / "Asset_annotation.json").write_bytes(b'{"a": [' + b"{}," * 3_000_000 + b"{}]}")
+    start = time.process_time()
+    with pytest.raises(ConfigError, match=r"Asset_annotation.json has more than 4,194,304 brackets and commas") as caught:
+        AssetFolder(tmp_path)
+    assert caught.value.code == "json_too_big"
+    assert time.process_time() - start < 1
+    (tmp_path / "Asset_annotation.json").write_bytes(b'{"a": ' + b"[" * 10**6 + b"]" * 10**6 + b"}")
+    with pytest.raises(ConfigError, match="nests far deeper"):
+        AssetFolder(tmp_path)
+
+
 def test_an_asset_annotated_twice_keeps_the_first_and_is_noticed(tmp_path: Path) -> None:
     make_dataset(tmp_path)
     path = tmp_path / "Asset_annotation.json"
