@@ -4,6 +4,9 @@ A condition names columns, compares them with constants and joins the comparison
 Python's own parser and nothing of it is ever run; Arrow evaluates it, and skips the parts of a file whose statistics rule it out. A
 value that is unknown (null) makes no row pass: neither ``stable`` nor ``not stable`` holds where stability was never judged. Only
 ``is None`` and ``is not None`` ask for it: ``aws is None or aws >= 1`` takes what is unknown too.
+
+A condition has at most :data:`LONGEST_QUERY` characters and :data:`DEEPEST_QUERY` levels. Many comparisons, and lists of many
+constants, are one level.
 """
 
 import ast
@@ -18,6 +21,15 @@ import pyarrow.compute as pc
 import pyarrow.dataset as ds
 
 from stable_data.errors import ConfigError
+
+LONGEST_QUERY = 1_000_000
+"""Most characters of a condition: room for 10,000 ids of 96 characters each."""
+
+DEEPEST_QUERY = 30
+"""Most levels of a condition's syntax tree. The reader here and the evaluation in Arrow recurse once a level."""
+
+_WIDEST = 8  # parts of one chain in Arrow's expression
+_LONGEST_SHOWN = 200  # characters of a condition that a message repeats
 
 _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], pc.Expression]] = {
     ast.Eq: eq,
@@ -67,12 +79,19 @@ def parse_query(text: str, schema: pa.Schema) -> Query:
         schema: The table's, whose columns of numbers, texts and truths may be named.
 
     Raises:
-        ConfigError: It cannot be read, or names no such column (``query_invalid``).
+        ConfigError: It cannot be read, is too long or too deep, or names no such column (``query_invalid``).
     """
+    if len(text) > LONGEST_QUERY:
+        raise _invalid(text, f"has {len(text)} characters, expected at most {LONGEST_QUERY}; ask in several queries")
+    tree: ast.expr | None
     try:
         tree = ast.parse(" ".join(text.split()), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+    except (SyntaxError, ValueError) as error:
         raise _invalid(text, f"cannot be read ({getattr(error, 'msg', error)})") from error
+    except (RecursionError, MemoryError):
+        tree = None  # Python's parser has limits of its own, beyond ours
+    if tree is None or _is_deep(tree):
+        raise _invalid(text, f"nests deeper than {DEEPEST_QUERY} levels; write it flatter")
     reader = _Reader(text, schema)
     try:
         expression = reader.truth(tree)
@@ -81,8 +100,6 @@ def parse_query(text: str, schema: pa.Schema) -> Query:
         raise
     except pa.ArrowException as error:
         raise _invalid(text, f"compares unlike things ({str(error).partition(chr(10))[0]})") from error
-    except RecursionError as error:
-        raise _invalid(text, f"cannot be read ({error})") from error
     except (OverflowError, ValueError) as error:
         raise _invalid(text, f"has what no column holds ({error}), expected whole numbers of 64 bits and Unicode") from error
     if not reader.columns:
@@ -95,12 +112,13 @@ class _Reader:
 
     def __init__(self, text: str, schema: pa.Schema) -> None:
         self._text, self._schema = text, schema
+        self._names = [f.name for f in schema if not pa.types.is_nested(f.type)]
         self.columns: dict[str, None] = {}
 
     def truth(self, node: ast.expr) -> pc.Expression:
         """An expression that is true or false."""
         if isinstance(node, ast.BoolOp):
-            return reduce(and_ if isinstance(node.op, ast.And) else or_, map(self.truth, node.values))
+            return _joined(and_ if isinstance(node.op, ast.And) else or_, [self.truth(value) for value in node.values])
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
             return ~self.truth(node.operand)
         if isinstance(node, ast.Compare):
@@ -111,22 +129,20 @@ class _Reader:
             return pc.field(node.id)
         if isinstance(node, ast.Constant) and isinstance(node.value, bool):
             return pc.scalar(node.value)
-        raise _invalid(self._text, f"has {ast.unparse(node)!r} where something true or false is expected")
+        raise _invalid(self._text, f"has {_quoted(node)} where something true or false is expected")
 
     def _compared(self, node: ast.Compare) -> pc.Expression:
         sides = [node.left, *node.comparators]
-        return reduce(and_, (self._comparison(*each) for each in zip(sides, node.ops, sides[1:], strict=False)))
+        return _joined(and_, [self._comparison(*each) for each in zip(sides, node.ops, sides[1:], strict=False)])
 
     def _comparison(self, left: ast.expr, operator: ast.cmpop, right: ast.expr) -> pc.Expression:
         if isinstance(operator, ast.In | ast.NotIn):
-            value = self._value(left)
-            alike = [value == pc.scalar(constant) for constant in self._constants(right)]
-            found = reduce(or_, alike)  # and not is_in, which calls what is unknown false
+            found = _is_in(self._value(left), self._constants(right))
             return found if isinstance(operator, ast.In) else ~found
         if isinstance(operator, ast.Is | ast.IsNot):
             if not isinstance(left, ast.Name) or not isinstance(right, ast.Constant) or right.value is not None:
-                found = ast.unparse(ast.Compare(left, [operator], [right]))
-                raise _invalid(self._text, f"has {found!r}, expected a column before is and None after it")
+                found = _quoted(ast.Compare(left, [operator], [right]))
+                raise _invalid(self._text, f"has {found}, expected a column before is and None after it")
             value = self._value(left)
             return value.is_null() if isinstance(operator, ast.Is) else value.is_valid()
         return _COMPARISONS[type(operator)](self._value(left), self._value(right))
@@ -138,27 +154,66 @@ class _Reader:
 
     def _constants(self, node: ast.expr) -> list[Any]:
         if not isinstance(node, ast.List | ast.Tuple | ast.Set) or not node.elts:
-            raise _invalid(self._text, f"has {ast.unparse(node)!r} after in, expected a list of constants")
+            raise _invalid(self._text, f"has {_quoted(node)} after in, expected a list of constants")
         return [self._constant(item) for item in node.elts]
 
     def _constant(self, node: ast.expr) -> Any:
         try:
             value = ast.literal_eval(node)
         except (ValueError, TypeError) as error:
-            raise _invalid(self._text, f"has {ast.unparse(node)!r}, expected a column or a constant") from error
+            raise _invalid(self._text, f"has {_quoted(node)}, expected a column or a constant") from error
         if value is None:
             raise _invalid(self._text, "compares with None; write is None or is not None of what may be unknown")
         if not isinstance(value, str | int | float) or value != value:
-            raise _invalid(self._text, f"has {ast.unparse(node)!r}, expected a number, a text or a truth")
+            raise _invalid(self._text, f"has {_quoted(node)}, expected a number, a text or a truth")
         return value
 
     def _column(self, node: ast.Name) -> str:
-        names = [f.name for f in self._schema if not pa.types.is_nested(f.type)]
-        if node.id not in names:
-            raise _invalid(self._text, f"names {node.id}, expected one of {', '.join(names)}")
+        if node.id not in self._names:
+            raise _invalid(self._text, f"names {_quoted(node)[1:-1]}, expected one of {', '.join(self._names)}")
         self.columns[node.id] = None
         return node.id
 
 
+def _joined(operation: Callable[[Any, Any], Any], parts: list[pc.Expression]) -> pc.Expression:
+    """One expression of many, nested no deeper than their logarithm, since Arrow recurses into it on the C++ stack.
+
+    Arrow makes one chain of nested operations of the same kind, whatever their shape. A double negation keeps groups apart.
+    """
+    while len(parts) > _WIDEST:
+        parts = [~~reduce(operation, parts[start : start + _WIDEST]) for start in range(0, len(parts), _WIDEST)]
+    return reduce(operation, parts)
+
+
+def _is_in(value: pc.Expression, constants: list[Any]) -> pc.Expression:
+    """Whether a value equals one of some constants; null where the value is.
+
+    ``isin`` alone is false for null, compares unlike types, and tells -0.0 from 0.0. One comparison of each type is added to it: with
+    zero where zero is among them.
+    """
+    parts = []
+    for kind in dict.fromkeys(map(type, constants)):
+        alike = [constant for constant in constants if type(constant) is kind]
+        compared = next((constant for constant in alike if constant == 0), alike[0])
+        parts += [value.isin(pa.array(alike)), value == pc.scalar(compared)]
+    return _joined(or_, parts)
+
+
+def _is_deep(tree: ast.expr) -> bool:
+    """Whether a syntax tree has more than DEEPEST_QUERY levels."""
+    level: list[ast.AST] = [tree]
+    for _ in range(DEEPEST_QUERY):
+        level = [child for node in level for child in ast.iter_child_nodes(node) if isinstance(child, ast.expr)]
+        if not level:
+            return False
+    return True
+
+
+def _quoted(words: ast.AST | str) -> str:
+    """What was written, as a message repeats it: bounded, on one line."""
+    text = repr(words if isinstance(words, str) else ast.unparse(words))
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 3]}..."
+
+
 def _invalid(text: str, why: str) -> ConfigError:
-    return ConfigError(f"query {text!r} {why}", "query_invalid")
+    return ConfigError(f"query {_quoted(text)} {why}", "query_invalid")

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stable_data.errors import ConfigError
-from stable_data.query import parse_query
+from stable_data.query import DEEPEST_QUERY, LONGEST_QUERY, parse_query
 from stable_data.tables import SCHEMAS
 
 SCHEMA = pa.schema(
@@ -37,6 +37,9 @@ ATOMS = st.sampled_from(
         "kind == 'desk'",
         "kind in ['desk', 'shelf']",
         "n not in (1, 2)",
+        "n in [2.0, 0.5, 3]",
+        "x in [0.1, -0.0]",
+        "ok not in [False]",
         "x is None",
         "kind is not None",
         "ok is None or ok",
@@ -103,6 +106,8 @@ def test_a_table_is_filtered_row_by_row(text: str, rows: list[dict[str, Any]]) -
         ("x is not None and x < 1", [0.5, 0.2], [1, 2]),
         ("x < 1", [0.5, 0.2], [1, 2]),
         ("not x < 1", [1.0], [1]),
+        ("x in [0.5, 0.2]", [0.5, 0.2], [1, 2]),
+        ("not x in [0.5, 0.2]", [1.0], [1, 2]),
     ],
 )
 def test_a_file_is_opened_where_its_statistics_leave_it_open(
@@ -140,6 +145,18 @@ def test_a_file_is_opened_where_its_statistics_leave_it_open(
         ("n in []", "expected a list of constants"),
         ("n > 'many'", "unlike things"),
         ("n in [1, 'a']", "unlike things"),
+        ("n in [1, True]", "unlike things"),
+        ("kind in [1]", "unlike things"),
+        ("ok in [1]", "unlike things"),
+        ("ok" + " or ok" * LONGEST_QUERY, "expected at most"),
+        ("not " * DEEPEST_QUERY + "ok", "nests deeper"),
+        ("not " * 900 + "ok", "nests deeper"),
+        ("not " * 90_000 + "ok", "nests deeper"),
+        ("(" * 900 + "ok" + ")" * 900, "cannot be read"),
+        ("1 + " * 90_000 + "n > 1", "nests deeper"),
+        ("n" + ".n" * 90_000, "nests deeper"),
+        (f"n in '{'a' * 90_000}'", "expected a list of constants"),
+        ("n" * 90_000, "names nnn"),
         ("True", "names no column"),
         ("n < 99999999999999999999", "what no column holds"),
         ("-99999999999999999999 in [n]", "what no column holds"),
@@ -156,6 +173,45 @@ def test_what_is_no_condition_is_refused_in_one_line(text: str, words: str) -> N
     assert caught.value.code == "query_invalid"
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 700
+
+
+def nested(width: int, depth: int) -> str:
+    """A condition that is ``ok``: so deep, and so wide on each level, the deepest part first."""
+    text = "ok"
+    for level in range(1, depth):
+        text = f"({text})" + (" and ok" if level % 2 else " or n < 0") * width
+    return text
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"),
+    [
+        (" and ".join(["ok"] * 10_000), [0, 1]),
+        (" or ".join(f"n == {number}" for number in range(1, 10_001)), [1, 2]),
+        (" or ".join(["ok and x is not None", *["n < 0 and x < n"] * 100]), [0]),
+        ("0 <= n" + " <= n" * 1_000 + " <= 1", [0, 1]),
+        (f"kind in {[f'scene_{number:05d}' for number in range(10_000)]}", [0, 1]),
+        (f"kind not in {[f'scene_{number:05d}' for number in range(10_000)]}", [2]),
+        ("not " * (DEEPEST_QUERY // 2 * 2 - 2) + "ok", [0, 1]),
+        (nested(64, DEEPEST_QUERY - 1), [0, 1]),
+    ],
+)
+def test_long_conditions_are_answered(text: str, numbers: list[int]) -> None:
+    rows = [
+        {"n": 0, "x": -0.0, "ok": True, "kind": "scene_00000"},
+        {"n": 1, "x": None, "ok": True, "kind": "scene_09999"},
+        {"n": 10_000, "x": 1.0, "ok": False, "kind": "desk"},
+        {"n": None, "x": None, "ok": None, "kind": None},
+    ]
+    table = pa.Table.from_pylist(rows, SCHEMA)
+    assert parse_query(text, SCHEMA).rows(table)["n"].to_pylist() == [rows[number]["n"] for number in numbers]
+
+
+def test_a_list_takes_both_zeros() -> None:
+    table = pa.table({"x": [0.0, -0.0, None]}, pa.schema([("x", pa.float64())]))
+    for text in ("x in [0.0, 1.0]", "x in [-0.0, 1.0]", "x in [1, 0]"):
+        assert parse_query(text, SCHEMA).rows(table).num_rows == 2
 
 
 def test_the_columns_of_the_card_can_be_asked_for() -> None:
