@@ -121,6 +121,8 @@ def check(
     Returns:
         The faults, hard ones first; empty where there is nothing to say. The same for the same input.
     """
+    if len(objects) > settings.most_objects:  # the other checks compare each object with each
+        return [Fault("too_many", f"there are {len(objects)} objects; give at most {settings.most_objects}")]
     faults = list(name_faults(objects, removed, ask))
     if any(f.is_hard for f in faults):
         return faults  # without names nothing else can be told
@@ -203,15 +205,15 @@ def name_faults(objects: Sequence[LayoutObject], removed: Sequence[str], ask: As
     """
     layout = [o.instance for o in ask.layout]
     names = [o.instance for o in objects]
-    for name in _repeated(names):
-        yield Fault("instance_twice", f"{name} is there {names.count(name)} times; give every object a number of its own")
+    for name, count in _repeated(names):
+        yield Fault("instance_twice", f"{name} is there {count} times; give every object a number of its own")
     for name in dict.fromkeys(names):
         if name in layout and not ask.edits:
             yield Fault("instance_repeated", f"{name} is in the layout already; leave it out, or number a new one differently")
     for name in sorted(set(removed) - set(layout)):
         yield Fault("removed_unknown", f"{name} is to be removed, but is not in the layout, which has {_some(layout, name)}")
-    for name in _repeated(removed):
-        yield Fault("removed_twice", f"{name} is removed {removed.count(name)} times; name it once")
+    for name, count in _repeated(removed):
+        yield Fault("removed_twice", f"{name} is removed {count} times; name it once")
     for name in sorted(set(removed) & set(names)):
         yield Fault(
             "removed_and_there", f"{name} is removed and given anew; do one of the two, or give what is new another number"
@@ -220,8 +222,9 @@ def name_faults(objects: Sequence[LayoutObject], removed: Sequence[str], ask: As
         yield Fault("removed_unasked", "nothing may be removed here; leave out remove")
 
 
-def _repeated(names: Sequence[str]) -> list[str]:
-    return [name for name, count in Counter(names).items() if count > 1]
+def _repeated(names: Sequence[str]) -> list[tuple[str, int]]:
+    """Names that are there more than once, and how often."""
+    return [(name, count) for name, count in Counter(names).items() if count > 1]
 
 
 def _some(known: Sequence[str], wanted: str) -> str:
@@ -236,8 +239,6 @@ def _numbers(
 ) -> Iterator[Fault]:
     if not objects and ask.wanted in (Stage.TASK, "whole"):
         yield Fault("empty", "there are no objects; give those that the instruction names and what carries them")
-    if len(objects) > s.most_objects:
-        yield Fault("too_many", f"there are {len(objects)} objects; give at most {s.most_objects}")
     width, depth = ask.table.size_xy
     taken = _standing(layout) / (width * depth)
     before = _standing([o.to_scene_object() for o in ask.layout]) / (width * depth) if ask.edits else 0.0

@@ -10,7 +10,7 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,8 +20,13 @@ from stable_data.scene import SceneObject, Stage, Vec3
 DECIMALS = 1
 """Decimals of a length in centimetres."""
 
+LONGEST_REPLY = 2**18
+"""Most bytes of a reply: a layout of 60 objects has about 20,000."""
+
+MOST_ENTRIES = 1000
+"""Most objects that a reply is read with, and most instances that it takes away. The checks allow fewer."""
+
 _INSTANCE = re.compile(r"[^\W\d_]\w*?_\d+")
-_FENCE = re.compile(r"^\s*```(?:json)?\s*|\s*```\s*$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,13 +112,18 @@ def renumbered(objects: Iterable[LayoutObject], taken: Iterable[str]) -> tuple[L
     """
     used = set(taken)
     named = []
+    untried: dict[str, Iterator[str]] = {}  # by category: numbers before these are taken
     for o in objects:
         if o.instance in used:
-            numbers = (f"{o.category}_{n}" for n in itertools.count())
+            numbers = untried.setdefault(o.category, _numbered(o.category))
             o = replace(o, instance=next(name for name in numbers if name not in used))
         used.add(o.instance)
         named.append(o)
     return tuple(named)
+
+
+def _numbered(category: str) -> Iterator[str]:
+    return (f"{category}_{n}" for n in itertools.count())
 
 
 def _category_word(category: str) -> str:
@@ -190,10 +200,13 @@ def parse_reply(text: str) -> Reply:
         Its objects.
 
     Raises:
-        SceneError: It is no JSON (``reply_not_json``), or not in the form of a reply (``reply_malformed``).
+        SceneError: It is too long (``reply_too_long``), no JSON (``reply_not_json``), or not in the form of a reply
+            (``reply_malformed``).
     """
-    body = _FENCE.sub("", text)
-    body = body[max(0, body.find("{")) :].strip()
+    num_bytes = len(text.encode("utf-8", "surrogatepass"))
+    if num_bytes > LONGEST_REPLY:
+        raise SceneError(f"reply has {num_bytes} bytes, expected at most {LONGEST_REPLY}; ask again", "reply_too_long")
+    body = text[max(0, text.find("{")) :].rstrip().removesuffix("```")
     try:
         data = json.loads(body, parse_constant=_refuse)
     except (ValueError, RecursionError) as error:
@@ -203,6 +216,9 @@ def parse_reply(text: str) -> Reply:
     removed = data.get("remove", [])
     if not isinstance(removed, list) or not all(isinstance(name, str) for name in removed):
         raise SceneError(f'reply: "remove" is {_shown(str(removed))}, expected a list of instances', "reply_malformed")
+    for key, entries in (("objects", data["objects"]), ("remove", removed)):
+        if len(entries) > MOST_ENTRIES:
+            raise SceneError(f'reply: "{key}" has {len(entries)} entries, expected at most {MOST_ENTRIES}', "reply_malformed")
     return Reply(tuple(_parse(entry, k) for k, entry in enumerate(data["objects"])), tuple(removed))
 
 
@@ -215,15 +231,17 @@ def _parse(entry: Any, k: int) -> LayoutObject:
         raise SceneError(f"reply: object {k} is {_shown(str(entry))}, expected a JSON object", "reply_malformed")
     instance, description = entry.get("instance"), entry.get("description")
     if not isinstance(instance, str) or not _INSTANCE.fullmatch(instance):
-        raise SceneError(f'reply: object {k} has "instance" {instance!r}, expected such as "mug_0"', "reply_malformed")
+        raise SceneError(
+            f'reply: object {k} has "instance" {_shown(str(instance))}, expected such as "mug_0"', "reply_malformed"
+        )
     if not isinstance(description, str) or not plain(description):
-        raise SceneError(f'reply: {instance} has "description" {description!r}, expected words', "reply_malformed")
+        raise SceneError(f'reply: {instance} has "description" {_shown(str(description))}, expected words', "reply_malformed")
     size, position = _vector(entry, "size", instance), _vector(entry, "position", instance)
     if min(size) < 10**-DECIMALS:
         raise SceneError(f"reply: {instance} has size {size}, expected three lengths of 0.1 cm or more", "reply_malformed")
     angle: Any = entry.get("z_rotation")
     if not _is_number(angle):
-        raise SceneError(f'reply: {instance} has "z_rotation" {angle!r}, expected degrees', "reply_malformed")
+        raise SceneError(f'reply: {instance} has "z_rotation" {_shown(str(angle))}, expected degrees', "reply_malformed")
     return LayoutObject(instance, plain(description), size, position, _whole_degrees(math.radians(float(angle))))
 
 

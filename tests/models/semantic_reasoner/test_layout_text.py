@@ -1,11 +1,15 @@
 import json
 import math
+import time
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from models.semantic_reasoner.layout_text import (
+    LONGEST_REPLY,
+    MOST_ENTRIES,
     LayoutObject,
     Reply,
     layout_names,
@@ -80,6 +84,12 @@ def test_names_that_are_taken_get_the_next_free_number(layout: list[LayoutObject
         ('{"objects":{}}', "reply_malformed"),
         ('{"objects":[1]}', "reply_malformed"),
         ('{"objects":[],"remove":[1]}', "reply_malformed"),
+        (json.dumps({"objects": [1] * (MOST_ENTRIES + 1)}), "reply_malformed"),
+        (json.dumps({"objects": [], "remove": ["a_1"] * (MOST_ENTRIES + 1)}), "reply_malformed"),
+        ('{"objects":[]}' + " " * LONGEST_REPLY, "reply_too_long"),
+        ("é" * (LONGEST_REPLY // 2 + 1), "reply_too_long"),
+        (json.dumps({"objects": [{"instance": "x" * 10_000}]}), "reply_malformed"),
+        (json.dumps({"objects": [{"instance": "x_1", "description": [0] * 10_000}]}), "reply_malformed"),
     ],
 )
 def test_what_is_no_reply_is_refused(text: str, code: str) -> None:
@@ -88,6 +98,38 @@ def test_what_is_no_reply_is_refused(text: str, code: str) -> None:
     assert caught.value.code == code
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 300
+
+
+MUG = LayoutObject("mug_0", "a mug", (1.0, 2.0, 3.0), (1.0, 2.0, 3.0), 0)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"objects":[' + "\n" * 60_000 + "x",
+        "```" + " " * 100_000 + "```",
+        "\n" * 100_000 + '{"objects":[]' + "\n" * 100_000,
+        '{"objects":[' + "[]," * 80_000,
+        render_objects([MUG] * 2_000),
+        render_objects([MUG] * 60_000),
+        render_objects([], ["mug_0", "mug_1"] * 10_000),
+    ],
+    ids=["lines", "fences", "blanks", "lists", "objects", "bytes", "removed"],
+)
+def test_a_hostile_reply_is_refused_at_once(text: str) -> None:
+    start = time.process_time()
+    with pytest.raises(SceneError):
+        parse_reply(text)
+    assert time.process_time() - start < 0.2
+
+
+def test_many_objects_of_one_name_are_renumbered_at_once() -> None:
+    count = 20_000
+    start = time.process_time()
+    found = renumbered([MUG] * count, ["mug_1"])
+    assert time.process_time() - start < 1
+    assert [o.instance for o in found] == [f"mug_{n}" for n in range(count + 1) if n != 1]
+    assert renumbered([MUG, replace(MUG, instance="mug_1"), MUG], ["mug_2"])[-1].instance == "mug_3"
 
 
 @pytest.mark.parametrize(
