@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from stable_data.errors import ConfigError, Notice, SceneError
+from stable_data.mesatask.document import json_value, shown
 
 KEYS = ("scene_id", "instruction", "edit_id", "reply")
 
@@ -65,10 +66,13 @@ def read_edits(path: Path, scene_ids: Container[str]) -> EditFile:
         ConfigError: It cannot be read, or holds nothing (``edits_invalid``).
     """
     try:
-        lines = path.read_bytes().decode("utf-8-sig").splitlines()
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "no UTF-8"
-        raise ConfigError(f"{path}: cannot be read ({reason}), expected one edit a line as JSON", "edits_invalid") from error
+        # Bytes that are no UTF-8 become halves of surrogate pairs, which their line is refused for.
+        with path.open(encoding="utf-8-sig", errors="surrogateescape") as stream:
+            lines = list(stream)
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: cannot be read ({error.strerror}), expected one edit a line as JSON", "edits_invalid"
+        ) from error
     edits: dict[str, WantedEdit] = {}
     failures: list[Notice] = []
     count: Counter[str] = Counter()
@@ -92,18 +96,18 @@ def read_edits(path: Path, scene_ids: Container[str]) -> EditFile:
 
 def _edit_of(line: str, count: Counter[str]) -> WantedEdit:
     try:
-        data = json.loads(line)
-    except (ValueError, RecursionError) as error:
+        data = json_value(line)
+    except ValueError as error:
         raise SceneError(f"no JSON ({error})", "edit_invalid") from error
     if not isinstance(data, dict):
         raise SceneError(f"is {type(data).__name__}, expected an object", "edit_invalid")
     if unknown := sorted(data.keys() - set(KEYS)):
-        raise SceneError(f"has {unknown[0]!r}, expected only {', '.join(KEYS)}", "edit_invalid")
+        raise SceneError(f"has {shown(unknown[0])}, expected only {', '.join(KEYS)}", "edit_invalid")
     scene_id, instruction = _words(data, "scene_id"), _words(data, "instruction")
     count[scene_id] += 1
     edit_id = _words(data, "edit_id") if "edit_id" in data else f"{scene_id}_edit{count[scene_id]}"
     if not _PLAIN.fullmatch(edit_id) or set(edit_id.split("/")) & {".", ".."}:
-        raise SceneError(f"edit_id is {edit_id!r}, expected a plain name", "edit_invalid")
+        raise SceneError(f"edit_id is {shown(edit_id)}, expected a plain name", "edit_invalid")
     reply = data.get("reply")
     if reply is not None and not isinstance(reply, str):
         reply = json.dumps(reply, ensure_ascii=False)
@@ -114,6 +118,6 @@ def _words(data: dict[str, Any], key: str) -> str:
     found = data.get(key)
     if not isinstance(found, str) or not found.strip():
         raise SceneError(
-            f"has {key} {found!r}, expected words", "instruction_invalid" if key == "instruction" else "edit_invalid"
+            f"has {key} {shown(found)}, expected words", "instruction_invalid" if key == "instruction" else "edit_invalid"
         )
     return found.strip()

@@ -1,10 +1,10 @@
 """What the propose job is asked: a file of tasks, read a row at a time, each of which becomes a task or says why not."""
 
 import csv
-import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from models.semantic_reasoner.staged import LayoutTask
 from stable_data.errors import ConfigError, Notice, SceneError
-from stable_data.mesatask.document import shown
+from stable_data.mesatask.document import is_unicode, json_value, shown
 from stable_data.scene import Tabletop
 
 KEYS = ("scene_id", "instruction", "table_type", "table_size_cm", "restricted_zone_cm")
@@ -24,6 +24,9 @@ STEP = "tasks"
 
 LONGEST_CM = 1000.0
 """No table is wider or deeper."""
+
+SHORTEST_CM = 1.0
+"""No table is narrower or less deep."""
 
 _PLAIN = re.compile(r"\w[\w.-]{0,119}")
 _BETWEEN = re.compile(r"[\s,;x×\[\]()]+")
@@ -47,9 +50,9 @@ def read_tasks(path: Path) -> Iterator[LayoutTask | Notice]:
     taken: set[str] = set()
     number = 0
     try:
-        for number, row in _rows(path):
+        for number, read in _rows(path):
             try:
-                task = task_of(row if isinstance(row, Mapping) else _parsed(row), f"task_{number:06d}")
+                task = task_of(read(), f"task_{number:06d}")
                 if task.scene_id in taken:
                     raise SceneError(
                         f"scene_id {task.scene_id} is taken, expected one of its own; choose another", "task_invalid"
@@ -59,7 +62,7 @@ def read_tasks(path: Path) -> Iterator[LayoutTask | Notice]:
             else:
                 taken.add(task.scene_id)
                 yield task
-    except (OSError, UnicodeDecodeError, csv.Error, pa.ArrowException) as error:
+    except (OSError, csv.Error, pa.ArrowException) as error:
         reason = (isinstance(error, OSError) and error.strerror) or str(error).strip().partition("\n")[0]
         raise _unreadable(path, f"cannot be read ({reason})") from error
     if not number:
@@ -84,6 +87,8 @@ def task_of(row: Mapping[str, Any], scene_id: str) -> LayoutTask:
         raise SceneError(
             f"instruction is {shown(row.get('instruction'))}, expected what is to be done on the table", "instruction_invalid"
         )
+    if not is_unicode(instruction):
+        raise SceneError("instruction is no UTF-8; save the file as UTF-8", "instruction_invalid")
     name = _name(values.get("scene_id", scene_id), "scene_id", "task_invalid")
     kind = _name("_".join(str(table_type or "").lower().split()), "table_type", "table_invalid")
     return LayoutTask(name, instruction.strip(), tabletop(kind, values.get("table_size_cm"), values.get("restricted_zone_cm")))
@@ -114,9 +119,9 @@ def tabletop(table_type: str, size_cm: object, restricted_cm: object = None) -> 
         SceneError: They are no such lengths (``table_invalid``).
     """
     size = _numbers(size_cm, 2)
-    if size is None or not all(0 < side <= LONGEST_CM for side in size):
+    if size is None or not all(SHORTEST_CM <= side <= LONGEST_CM for side in size):
         raise SceneError(
-            f"table_size_cm is {shown(size_cm)}, expected width and depth, each over 0 and at most {LONGEST_CM:g}",
+            f"table_size_cm is {shown(size_cm)}, expected width and depth, each from {SHORTEST_CM:g} to {LONGEST_CM:g}",
             "table_invalid",
         )
     zone = None
@@ -132,26 +137,52 @@ def tabletop(table_type: str, size_cm: object, restricted_cm: object = None) -> 
     return Tabletop(table_type, (width, depth), None if zone is None else (zone[0], zone[1], zone[2], zone[3]))
 
 
-def _rows(path: Path) -> Iterator[tuple[int, Mapping[str, Any] | str]]:
-    """Rows with their numbers, from 1 on: of JSONL as text."""
+def _rows(path: Path) -> Iterator[tuple[int, Callable[[], Mapping[str, Any]]]]:
+    """Rows with their numbers, from 1 on: each is what reads it, and may raise a SceneError.
+
+    Bytes that are no UTF-8 become halves of surrogate pairs, which the row is refused for.
+    """
     if path.suffix == ".jsonl":
-        with path.open(encoding="utf-8-sig") as lines:
-            yield from ((number, line) for number, line in enumerate(lines, 1) if line.strip())
+        with path.open(encoding="utf-8-sig", errors="surrogateescape") as lines:
+            yield from ((number, partial(_parsed, line)) for number, line in enumerate(lines, 1) if line.strip())
     elif path.suffix == ".csv":
-        with path.open(encoding="utf-8-sig", newline="") as stream:
+        with path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as stream:
             reader = csv.DictReader(stream, restkey="fields beyond the header")
             _check_columns(path, list(reader.fieldnames or ()))
-            yield from enumerate(reader, 1)
+            yield from enumerate(_csv_rows(reader), 1)
     elif path.suffix == ".parquet":
         with pq.ParquetFile(path) as file:
             _check_columns(path, list(file.schema_arrow.names))
             number = 0
             for batch in file.iter_batches(_ROWS):
-                for row in batch.to_pylist():
+                for index in range(batch.num_rows):
                     number += 1
-                    yield number, row
+                    yield number, partial(_parquet_row, batch, index)
     else:
         raise _unreadable(path, f"ends in {path.suffix or 'nothing'}")
+
+
+def _csv_rows(reader: Iterator[dict[str, Any]]) -> Iterator[Callable[[], Mapping[str, Any]]]:
+    while True:
+        try:
+            row = next(reader)
+        except StopIteration:
+            return
+        except csv.Error as error:  # of this row alone: the reader goes on with the next line
+            yield partial(_refused, str(error))
+        else:
+            yield partial(dict, row)
+
+
+def _refused(reason: str) -> Mapping[str, Any]:
+    raise SceneError(f"cannot be read ({reason})", "task_invalid")
+
+
+def _parquet_row(batch: pa.RecordBatch, index: int) -> Mapping[str, Any]:
+    try:
+        return {name: batch.column(name)[index].as_py() for name in batch.schema.names}
+    except (ValueError, OverflowError) as error:  # texts that are no UTF-8, times that Python does not have
+        return _refused(str(error))
 
 
 def _check_columns(path: Path, names: Sequence[str]) -> None:
@@ -167,8 +198,8 @@ def _unreadable(path: Path, found: str) -> ConfigError:
 
 def _parsed(line: str) -> Mapping[str, Any]:
     try:
-        found = json.loads(line)
-    except (ValueError, RecursionError) as error:
+        found = json_value(line)
+    except ValueError as error:
         raise SceneError(f"no JSON ({error})", "task_invalid") from error
     if not isinstance(found, dict):
         raise SceneError(f"is {type(found).__name__}, expected an object", "task_invalid")
@@ -177,7 +208,8 @@ def _parsed(line: str) -> Mapping[str, Any]:
 
 def _name(value: object, key: str, code: str) -> str:
     """A name that a folder may have."""
-    text = str(value) if isinstance(value, int | str) and not isinstance(value, bool) else ""
+    is_number = isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 10**120
+    text = str(value) if isinstance(value, str) or is_number else ""
     if not _PLAIN.fullmatch(text):
         raise SceneError(f"{key} is {shown(value)}, expected a plain name of letters, digits, _, - and .", code)
     return text
@@ -191,6 +223,6 @@ def _numbers(value: object, count: int) -> list[float] | None:
         return None
     try:
         found = [float(part) for part in value]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return None
     return found if all(map(math.isfinite, found)) else None

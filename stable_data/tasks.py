@@ -23,6 +23,7 @@ from stable_data.instructions.claims import OUTERMOST, Claim, emptied, mark, rea
 from stable_data.instructions.naming import Mention, Namer, involved, mentions
 from stable_data.instructions.situation import OPPOSITE
 from stable_data.instructions.words import singular
+from stable_data.mesatask.document import are_finite, is_unicode, numbers, shown
 from stable_data.relations import SceneGraph, relations_of
 from stable_data.scene import MAX_INSTRUCTION, TABLE, Relation, RelationKind, Scene, SceneObject, TaskInfo
 from stable_data.shards import unwritable
@@ -45,6 +46,12 @@ def validate_task_info(data: Mapping[str, Any]) -> None:
     Raises:
         SceneError: A key is missing or of the wrong type, or the task is longer than MAX_INSTRUCTION (``task_info_invalid``).
     """
+    try:
+        is_readable = is_unicode(dict(data))
+    except (TypeError, ValueError, RecursionError):
+        is_readable = False
+    if not is_readable:
+        raise SceneError("task info: holds what JSON in UTF-8 cannot hold; write it again", "task_info_invalid")
     for key in ("Environment", "Task"):
         if not isinstance(data.get(key), str) or not data[key].strip():
             raise _invalid(key, data.get(key), "a sentence")
@@ -54,18 +61,12 @@ def validate_task_info(data: Mapping[str, Any]) -> None:
         if not isinstance(data.get(key), list) or not all(isinstance(x, str) for x in data[key]):
             raise _invalid(key, data.get(key), "a list of strings")
     zone = data.get("item_placement_zone")
-    if not isinstance(zone, list) or len(zone) != 4 or not all(_is_number(x) for x in zone):
+    if not isinstance(zone, list) or not are_finite(numbers(zone, 4)):
         raise _invalid("item_placement_zone", zone, "[x_min, x_max, y_min, y_max] in centimetres")
 
 
-def _is_number(x: Any) -> bool:
-    return isinstance(x, int | float) and not isinstance(x, bool) and math.isfinite(x)
-
-
 def _invalid(key: str, found: Any, expected: str) -> SceneError:
-    return SceneError(
-        f"task info: {key!r} is {str(found)[:80]!r}, expected {expected}; write the key again", "task_info_invalid"
-    )
+    return SceneError(f"task info: {key!r} is {shown(found)}, expected {expected}; write the key again", "task_info_invalid")
 
 
 def task_info_of(data: Mapping[str, Any], origin: str = "file") -> TaskInfo:
@@ -324,7 +325,7 @@ def _plain(answer: Mapping[str, Any]) -> dict[str, Any]:
     """A model's answer as it will be read from the cache, so that a rerun gives the same rows."""
     try:
         plain: dict[str, Any] = json.loads(json.dumps(dict(answer), sort_keys=True))
-    except TypeError as error:
+    except (TypeError, RecursionError) as error:
         raise SceneError(f"task info: the answer is no JSON object ({error})", "task_info_invalid") from error
     return plain
 
@@ -340,7 +341,7 @@ def _kept(path: Path) -> dict[str, Any] | None:
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
         validate_task_info(data)
-    except (OSError, ValueError, AttributeError):
+    except (OSError, ValueError, AttributeError, RecursionError):
         return None
     return dict(data)
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from stable_data.errors import SceneError
+from stable_data.mesatask.document import json_value
 from stable_data.scene import SceneObject, Stage, Vec3
 
 DECIMALS = 1
@@ -208,8 +209,8 @@ def parse_reply(text: str) -> Reply:
         raise SceneError(f"reply has {num_bytes} bytes, expected at most {LONGEST_REPLY}; ask again", "reply_too_long")
     body = text[max(0, text.find("{")) :].rstrip().removesuffix("```")
     try:
-        data = json.loads(body, parse_constant=_refuse)
-    except (ValueError, RecursionError) as error:
+        data = json_value(body)
+    except ValueError as error:
         raise SceneError(f"reply is no JSON ({error}): {_shown(text)}; ask again", "reply_not_json") from error
     if not isinstance(data, dict) or not isinstance(data.get("objects"), list):
         raise SceneError(f'reply is {_shown(text)}, expected {{"objects":[...]}}', "reply_malformed")
@@ -220,10 +221,6 @@ def parse_reply(text: str) -> Reply:
         if len(entries) > MOST_ENTRIES:
             raise SceneError(f'reply: "{key}" has {len(entries)} entries, expected at most {MOST_ENTRIES}', "reply_malformed")
     return Reply(tuple(_parse(entry, k) for k, entry in enumerate(data["objects"])), tuple(removed))
-
-
-def _refuse(constant: str) -> float:
-    raise ValueError(f"{constant} is no number")
 
 
 def _parse(entry: Any, k: int) -> LayoutObject:

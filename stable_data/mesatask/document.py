@@ -39,7 +39,10 @@ class Log:
 
 def shown(value: object) -> str:
     """A value as a message may quote it: bounded, on one line."""
-    text = repr(value[:9] if isinstance(value, (list, str)) and len(value) > 99 else value)
+    try:
+        text = repr(value[:9] if isinstance(value, (list, str)) and len(value) > 99 else value)
+    except (ValueError, RecursionError):  # an integer of thousands of digits, or containers too deep
+        text = f"a huge {type(value).__name__}"
     return text if len(text) <= 99 else text[:96] + "..."
 
 
@@ -113,6 +116,41 @@ def parse_object(data: bytes | str, what: str, log: Log, *, repeated_code: str |
     return document
 
 
+def json_value(text: str) -> Any:
+    """The value of a JSON text that is one item of many, such as a line of a file.
+
+    Raises:
+        ValueError: It is no JSON, holds NaN, an integer of thousands of digits or text that is no UTF-8, or nests deeper than
+            MAX_DEPTH; the message is one line.
+    """
+    try:
+        value = json.loads(text, parse_constant=_refused_constant)
+        is_deep = _is_deep(value)
+    except RecursionError:
+        is_deep = True
+    if is_deep:
+        raise ValueError(f"nests deeper than {MAX_DEPTH} levels")
+    if not is_unicode(value):
+        raise ValueError("holds text that is no UTF-8")
+    return value
+
+
+def _refused_constant(constant: str) -> float:
+    raise ValueError(f"{constant} is no number")
+
+
+def is_unicode(value: object) -> bool:
+    """Whether all text of a string or of JSON content can be written as UTF-8: it holds no half of a surrogate pair.
+
+    Python reads such halves from escapes in JSON and from bytes that are no UTF-8, and every writer fails with them.
+    """
+    try:
+        json.dumps(value, ensure_ascii=False).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
 def _decoded(data: bytes | str, what: str, log: Log) -> str:
     """Text that can be encoded again."""
     try:
@@ -122,13 +160,13 @@ def _decoded(data: bytes | str, what: str, log: Log) -> str:
         raise log.error(
             "json_not_utf8", f"{what} is not UTF-8: byte 0x{byte:02x} at offset {error.start}; save it as UTF-8"
         ) from None
-    if "\\ud" in text.lower() or not text.isascii():  # half of a surrogate pair survives in Python and breaks every writer
+    if "\\ud" in text.lower() or not text.isascii():
         try:
-            json.dumps(json.loads(text), ensure_ascii=False).encode()
-        except UnicodeEncodeError:
-            raise log.error("json_not_utf8", f"{what} holds half of a surrogate pair, expected whole characters") from None
+            is_whole = is_unicode(json.loads(text))
         except (ValueError, RecursionError):
-            pass  # parse_object says what is wrong
+            is_whole = True  # parse_object says what is wrong
+        if not is_whole:
+            raise log.error("json_not_utf8", f"{what} holds half of a surrogate pair, expected whole characters")
     return text
 
 
@@ -155,7 +193,7 @@ def _finite(value: object) -> object:
 
 def _is_deep(document: object) -> bool:
     """Whether containers nest deeper than MAX_DEPTH."""
-    level: list[Any] = [document]
+    level: list[Any] = [document] if isinstance(document, (dict, list)) else []
     for _ in range(MAX_DEPTH):
         level = [
             child

@@ -300,3 +300,34 @@ def test_each_line_is_one_edit_or_one_failure_of_its_own_name(tmp_path: Path) ->
     ]
     found = read_edits(file_of(lines, tmp_path / "e.jsonl"), {"a"})
     assert found.ids == ["mine", "line_000005", "line 000001", "line 000004", "line 000005", "line 000006"]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        r'{"scene_id": "a", "instruction": "Do \ud800 it."}',
+        r'{"scene_id": "\udfff", "instruction": "Do it."}',
+        r'{"scene_id": "a", "instruction": "Do it.", "\ud800": 1}',
+        r'{"scene_id": "a", "instruction": "Do it.", "reply": "\ud800"}',
+        r'{"scene_id": "a", "instruction": "Do it.", "reply": {"objects": ["\ud800"]}}',
+        '{"scene_id": "a", "instruction": "Do it.", "reply": {"objects": [NaN]}}',
+        '{"scene_id": "a", "instruction": "Do it.", "reply": ' + "[" * 900 + "]" * 900 + "}",
+        '{"scene_id": "a", "instruction": "Do it.", "reply": ' + "1" * 5000 + "}",
+        '{"scene_id": ' + "1" * 4000 + ', "instruction": "Do it."}',
+        '{"scene_id": "a", "instruction": ["Do it."]}',
+        '{"scene_id": "a", "instruction": "Do it.", "edit_id": {}}',
+        "[]",
+        "[" * 100_000,
+        "\udcff",
+    ],
+    ids=range(14),
+)
+def test_a_bad_line_is_a_failure_of_its_own(line: str, tmp_path: Path) -> None:
+    good = json.dumps({"scene_id": "a", "instruction": "Do it\u2028now."}, ensure_ascii=False)
+    path = tmp_path / "e.jsonl"
+    path.write_bytes("\n".join([good, line, good]).encode("utf-8", "surrogateescape"))
+    found = read_edits(path, {"a"})
+    assert [edit.instruction for edit in found.edits] == ["Do it\u2028now."] * 2
+    (failure,) = found.failures
+    assert failure.item_id == "line 000002"
+    assert len(failure.message.encode()) < 300

@@ -1,6 +1,7 @@
 """What instructions mean, and tasks made up where there are none."""
 
 import json
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -233,6 +234,11 @@ def test_another_scene_graph_or_another_model_is_asked_again(tmp_path: Path) -> 
         None,
         "Done.",
         {**ANSWER, "Goal": {"Done."}},
+        {**ANSWER, "item_placement_zone": [10**400, 0, 0, 1]},
+        {**ANSWER, "item_placement_zone": [10**5000, 0, 0, 1]},
+        {**ANSWER, "Task": "Lift the mug \ud800."},
+        {**ANSWER, "Extra": {"more": ["\udfff"]}},
+        {**ANSWER, "Extra": reduce(lambda inner, _: [inner], range(3000), [])},
     ],
 )
 def test_an_answer_that_cannot_be_used_gives_a_templates_task_and_is_not_kept(tmp_path: Path, answer: Any) -> None:
@@ -272,6 +278,7 @@ def test_a_kept_answer_that_was_damaged_is_asked_for_again(tmp_path: Path) -> No
         ("item_placement_zone", [0, 1, 2]),
         ("item_placement_zone", [0, float("nan"), 0, 1]),
         ("item_placement_zone", [0, True, 0, 1]),
+        ("item_placement_zone", [0, 10**400, 0, 1]),
     ],
 )
 def test_a_task_info_of_the_wrong_form_is_refused_by_its_key(key: str, value: object) -> None:
