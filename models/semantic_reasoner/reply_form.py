@@ -19,6 +19,8 @@ from typing import Any
 
 from models.semantic_reasoner.layout_text import parse_reply
 from models.semantic_reasoner.required import Required
+from stable_data.errors import SceneError
+from stable_data.mesatask.document import is_unicode
 from stable_data.scene import Tabletop
 
 HIGHEST_CM = 200.0
@@ -26,6 +28,9 @@ HIGHEST_CM = 200.0
 
 MOST_OBJECTS = 60
 """Most objects of one reply."""
+
+MOST_NAMES = 1000
+"""Most instances that an edit may take away: with twice as many the grammar is beyond what llguidance follows."""
 
 MOST_LETTERS = 160
 """Longest description that endpoints are asked for, characters."""
@@ -44,7 +49,7 @@ class ReplyForm:
         width_cm: Extent of the table along x, centimetres.
         depth_cm: Along y.
         edits: Whether a reply may take objects away.
-        names: Instances of the layout, which an edit may change or take away.
+        names: Instances of the layout, which an edit may change or take away; :data:`MOST_NAMES` at most, of any characters.
         at_least: Fewest objects.
         at_most: Most objects.
         asks: What must be among the objects.
@@ -59,6 +64,16 @@ class ReplyForm:
     at_most: int = MOST_OBJECTS
     asks: tuple[Required, ...] = ()
     binds: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuses names that no grammar can hold."""
+        if len(self.names) > MOST_NAMES:
+            raise SceneError(
+                f"layout to be edited has {len(self.names)} objects, expected at most {MOST_NAMES}; edit a part",
+                "too_many_names",
+            )
+        if not is_unicode(self.names):
+            raise SceneError("layout to be edited has a name that is no UTF-8; rename the object", "name_invalid")
 
     @classmethod
     def of_table(cls, table: Tabletop, **more: Any) -> "ReplyForm":
@@ -144,7 +159,7 @@ def _grammar(form: ReplyForm) -> str:
     listed = some if form.at_least else f"({some})?"
     removed = ""
     if form.edits:
-        one_of = "|".join(f'"\\"{name}\\""' for name in form.names)
+        one_of = "|".join(_literal(_json(name)) for name in form.names)
         gone = f'(({one_of}) ("," ({one_of}))*)?' if form.names else ""
         removed = f'"\\"remove\\":[" {gone} "]," '
     return _with_entries(form, [f'start: "{{" {removed}"\\"objects\\":[" {listed} "]}}"'])
@@ -154,8 +169,19 @@ def _grammar_after(form: ReplyForm, start: str, categories: tuple[str, ...]) -> 
     more = f'("," entry){{0,{form.at_most - 1}}}' if form.at_most > 1 else ""
     first, names = "entry", []
     if categories:
-        first, names = "asked", [f"ASKED: /({'|'.join(categories)})_[0-9]{{1,2}}/", _entry("asked", "ASKED")]
-    return _with_entries(form, [f'start: {json.dumps(start)} {first} {more} "]}}"', *names])
+        one_of = "|".join(_literal(_json(category)[1:-1]) for category in categories)
+        first, names = "asked", [f"ASKED: ({one_of}) /_[0-9]{{1,2}}/", _entry("asked", "ASKED")]
+    return _with_entries(form, [f'start: {_literal(start)} {first} {more} "]}}"', *names])
+
+
+def _literal(text: str) -> str:
+    """A text as a string of the grammar, which has the escapes of JSON."""
+    return json.dumps(text)
+
+
+def _json(text: str) -> str:
+    """A text as replies have it, see :func:`models.semantic_reasoner.layout_text.render_objects`."""
+    return json.dumps(text, ensure_ascii=False)
 
 
 def _entry(rule: str, name: str) -> str:

@@ -198,7 +198,7 @@ def nested(width: int, depth: int) -> str:
     ],
 )
 def test_long_conditions_are_answered(text: str, numbers: list[int]) -> None:
-    rows = [
+    rows: list[dict[str, Any]] = [
         {"n": 0, "x": -0.0, "ok": True, "kind": "scene_00000"},
         {"n": 1, "x": None, "ok": True, "kind": "scene_09999"},
         {"n": 10_000, "x": 1.0, "ok": False, "kind": "desk"},

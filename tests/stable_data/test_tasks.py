@@ -1,7 +1,6 @@
 """What instructions mean, and tasks made up where there are none."""
 
 import json
-from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -194,6 +193,11 @@ class Model:
         return self.answer
 
 
+NESTED: list[Any] = []
+for _ in range(3000):
+    NESTED = [NESTED]
+
+
 def told(model: Model, folder: Path, graph: SceneGraph = GRAPH, writer_id: str = "") -> tuple[TaskInfo, list[str]]:
     task, notices = model_task(SCENE, graph, model, folder, writer_id)
     return task, [n.code for n in notices]
@@ -238,7 +242,7 @@ def test_another_scene_graph_or_another_model_is_asked_again(tmp_path: Path) -> 
         {**ANSWER, "item_placement_zone": [10**5000, 0, 0, 1]},
         {**ANSWER, "Task": "Lift the mug \ud800."},
         {**ANSWER, "Extra": {"more": ["\udfff"]}},
-        {**ANSWER, "Extra": reduce(lambda inner, _: [inner], range(3000), [])},
+        {**ANSWER, "Extra": NESTED},
     ],
 )
 def test_an_answer_that_cannot_be_used_gives_a_templates_task_and_is_not_kept(tmp_path: Path, answer: Any) -> None:

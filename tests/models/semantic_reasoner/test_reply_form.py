@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from llguidance import LLMatcher, LLTokenizer
 
 from models.semantic_reasoner.layout_text import LayoutObject, render_objects
-from models.semantic_reasoner.reply_form import MOST_OBJECTS, ReplyForm, _up_to
+from models.semantic_reasoner.reply_form import MOST_NAMES, MOST_OBJECTS, ReplyForm, _up_to
 from models.semantic_reasoner.required import Required
 from models.semantic_reasoner.tokenizer import train_tokenizer
+from stable_data.errors import SceneError
 
 FORM = ReplyForm(112.0, 59.3)
 MUG = LayoutObject("mug_0", "a red mug", (9.0, 8.0, 10.0), (20.0, 30.0, 5.0), -15)
@@ -79,6 +80,41 @@ def test_an_edit_takes_away_only_what_is_there(guide: LLTokenizer) -> None:
     assert accepts(guide, form, render_objects([], ["pen_1", "mug_0"]))
     assert not accepts(guide, form, render_objects([], ["pen_2"]))
     assert accepts(guide, ReplyForm(112.0, 59.3, edits=True), render_objects([MUG], []))
+
+
+NAMES = st.lists(
+    st.text(st.characters(codec="utf-8") | st.sampled_from('"\\\\\n\t|()[]{}.*+?/$^<>%\x00\x7f'), min_size=1),
+    min_size=2,
+    max_size=4,
+)
+
+
+@given(NAMES.filter(lambda names: len(set(names)) == len(names)))
+@settings(max_examples=60)
+def test_names_of_any_characters_are_taken_as_they_are(guide: LLTokenizer, names: list[str]) -> None:
+    *known, other = names
+    form = ReplyForm(112.0, 59.3, edits=True, names=tuple(known))
+    assert accepts(guide, form, render_objects([MUG], known))
+    assert not accepts(guide, form, render_objects([MUG], [other]))
+
+
+@given(NAMES.filter(lambda names: len(set(names)) == len(names)))
+@settings(max_examples=60)
+def test_categories_of_any_characters_are_taken_as_they_are(guide: LLTokenizer, categories: list[str]) -> None:
+    *known, other = categories
+    grammar = FORM.grammar_after("},", tuple(known), 9)
+    begun = render_objects([MUG])[:-3]
+    for category in (*known, other):
+        after = render_objects([MUG, replace(MUG, instance=f"{category}_0")]).removeprefix(begun)
+        assert accepts(guide, grammar, after) == (category != other)
+
+
+def test_names_are_limited_in_number(guide: LLTokenizer) -> None:
+    names = tuple(f"thing_{number}" for number in range(MOST_NAMES))
+    assert accepts(guide, ReplyForm(112.0, 59.3, edits=True, names=names), render_objects([], [names[0], names[-1]]))
+    for too_many in ((*names, "mug_0"), ("\ud800",)):
+        with pytest.raises(SceneError, match=r"expected at most 1000|no UTF-8"):
+            ReplyForm(112.0, 59.3, edits=True, names=too_many)
 
 
 def test_the_number_of_objects_can_be_bounded(guide: LLTokenizer) -> None:
