@@ -77,9 +77,6 @@ def parse_object(data: bytes | str, what: str, log: Log, *, repeated_code: str |
         SceneError: ``json_too_big``, ``json_not_utf8``, ``json_truncated``, ``json_invalid``, ``json_duplicate_key``,
             ``json_too_deep`` or ``json_not_object``.
     """
-    if sum(data.count(mark) for mark in ((b"{", b"[", b",") if isinstance(data, bytes) else ("{", "[", ","))) > MAX_VALUES:
-        # Of two bytes of JSON Python makes an object of 64: they are counted before it does.
-        raise log.error("json_too_big", f"{what} has more than {MAX_VALUES:,} brackets and commas, expected fewer; split it")
     text = _decoded(data, what, log)
 
     def without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -152,7 +149,7 @@ def is_unicode(value: object) -> bool:
 
 
 def _decoded(data: bytes | str, what: str, log: Log) -> str:
-    """Text that can be encoded again."""
+    """Text of no more values than MAX_VALUES that can be encoded again."""
     try:
         text = data.decode("utf-8-sig") if isinstance(data, bytes) else data
     except UnicodeDecodeError as error:
@@ -160,7 +157,9 @@ def _decoded(data: bytes | str, what: str, log: Log) -> str:
         raise log.error(
             "json_not_utf8", f"{what} is not UTF-8: byte 0x{byte:02x} at offset {error.start}; save it as UTF-8"
         ) from None
-    if "\\ud" in text.lower() or not text.isascii():
+    if text.count("{") + text.count("[") + text.count(",") > MAX_VALUES:  # of two bytes Python makes an object of 64
+        raise log.error("json_too_big", f"{what} has more than {MAX_VALUES:,} brackets and commas, expected fewer; split it")
+    if "\\ud" in text.lower() or not text.isascii():  # half of a surrogate pair survives in Python and breaks every writer
         try:
             is_whole = is_unicode(json.loads(text))
         except (ValueError, RecursionError):

@@ -309,8 +309,7 @@ def _size(shape: Any) -> int:
 
 def _from_bytes(data: bytes | _Bytes, dtype: _Dtype, shape: tuple[int, ...], is_fortran: bool) -> Any:
     """An array of floats, or a list of strings, from its bytes."""
-    if isinstance(data, _Bytes):
-        data = data.arguments[0].encode("latin-1")
+    content = data.arguments[0].encode("latin-1") if isinstance(data, _Bytes) else data
     name, size = dtype.arguments[0], _size(shape)
     if not isinstance(name, str):
         raise ValueError(f"a dtype that is {type(name).__name__}, expected its name")
@@ -320,6 +319,6 @@ def _from_bytes(data: bytes | _Bytes, dtype: _Dtype, shape: tuple[int, ...], is_
         raise ValueError(f"dtype {shown(kind)}, expected floats or strings")
     if kind[0] == "U" and size > _MAX_ROWS:
         raise ValueError(f"{size:,} strings, expected at most {_MAX_ROWS:,}")
-    array = np.frombuffer(data, np.dtype((">" if is_big else "<") + kind))
+    array = np.frombuffer(content, np.dtype((">" if is_big else "<") + kind))
     array = array.reshape(shape, order="F" if is_fortran else "C")
     return array.tolist() if kind[0] == "U" else array
