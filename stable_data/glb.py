@@ -179,7 +179,7 @@ class _GlbReader:
     limits: MeshLimits
     notices: list[Notice] = field(default_factory=list)
     document: dict[str, Any] = field(default_factory=dict)
-    binary: bytes = b""
+    binary: memoryview = field(default_factory=lambda: memoryview(b""))
     images: dict[int, bytes] = field(default_factory=dict)
 
     def fail(self, code: str, found: str, expected: str) -> NoReturn:
@@ -210,7 +210,7 @@ class _GlbReader:
             factor, texture = self._base_colour(primitive)
             attributes, colours, uv = primitive["attributes"], None, None
             if "COLOR_0" in attributes:
-                width = 4 if self.document["accessors"][attributes["COLOR_0"]]["type"] == "VEC4" else 3
+                width = 4 if self._entry("accessors", attributes["COLOR_0"])["type"] == "VEC4" else 3
                 colours = self._accessor(attributes["COLOR_0"], width)[triangles][..., :3].astype(np.float64)
             image = None if texture is None else self._image(texture)
             name = f"TEXCOORD_{(texture or {}).get('texCoord', 0)}"
@@ -223,7 +223,7 @@ class _GlbReader:
         """Factor and texture of a primitive's material; without a material no factor."""
         if "material" not in primitive:
             return None, None
-        material = self.document["materials"][primitive["material"]]
+        material = self._entry("materials", primitive["material"])
         older = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
         names = ("baseColorFactor", "baseColorTexture") if older is None else ("diffuseFactor", "diffuseTexture")
         found = material.get("pbrMetallicRoughness", {}) if older is None else older
@@ -232,13 +232,13 @@ class _GlbReader:
 
     def _image(self, texture: dict[str, Any]) -> bytes | None:
         """The content of a texture's picture; None where it is not in the file."""
-        entry = self.document["textures"][texture["index"]]
+        entry = self._entry("textures", texture["index"])
         source = entry.get("extensions", {}).get("EXT_texture_webp", {}).get("source", entry.get("source"))
-        image = {} if source is None else self.document["images"][source]
+        image = {} if source is None else self._entry("images", source)
         if "bufferView" not in image:
             return None
         if source not in self.images:  # many primitives may have one large texture
-            self.images[source] = self._view(image["bufferView"])
+            self.images[source] = bytes(self._view(image["bufferView"]))
         return self.images[source]
 
     def _placed(self) -> Iterator[tuple[dict[str, Any], FloatArray, IntArray]]:
@@ -247,7 +247,7 @@ class _GlbReader:
         num_faces = num_corners = 0
         for mesh_index, world_from_node in self._placed_meshes():
             if mesh_index not in primitives:
-                primitives[mesh_index] = list(self._primitives(self.document["meshes"][mesh_index]))
+                primitives[mesh_index] = list(self._primitives(self._entry("meshes", mesh_index)))
             is_mirrored = np.linalg.det(world_from_node[:3, :3]) < 0
             for primitive, corners, triangles in primitives[mesh_index]:
                 num_faces, num_corners = num_faces + len(triangles), num_corners + len(corners)
@@ -291,18 +291,18 @@ class _GlbReader:
                 "binary glTF 2.0 with its JSON chunk first",
             )
         document, end = self._chunk(content, 20, json_length)
-        self.document = json.loads(document)
+        self.document = json.loads(bytes(document))
         if end + 8 <= size and struct.unpack_from("<I", content, end + 4)[0] == _BIN_CHUNK:
             self.binary, end = self._chunk(content, end + 8, struct.unpack_from("<I", content, end)[0])
         if claimed != size:
             self.note("glb_length_mismatch", f"header claims {claimed} bytes, the file has {size}; read by its true length")
 
-    def _chunk(self, content: bytes, start: int, length: int) -> tuple[bytes, int]:
+    def _chunk(self, content: bytes, start: int, length: int) -> tuple[memoryview, int]:
         if start + length > len(content):
             self.fail(
                 "glb_truncated", f"a chunk ends at byte {start + length} of {len(content)}", "a whole file; copy it again"
             )
-        return content[start : start + length], start + length
+        return memoryview(content)[start : start + length], start + length
 
     def _refuse_unsupported(self) -> None:
         required = [e for e in self.document.get("extensionsRequired", []) if not e.startswith(_HARMLESS)]
@@ -319,7 +319,7 @@ class _GlbReader:
             if index in seen or len(seen) >= self.limits.max_nodes:
                 self.fail("glb_invalid", f"node {index} is one too many or has two parents", "a tree of nodes")
             seen.add(index)
-            node = nodes[index]
+            node = self._entry("nodes", index)
             world_from_node = world_from_parent @ _parent_from_node(node)
             if "mesh" in node:
                 yield node["mesh"], world_from_node
@@ -327,7 +327,7 @@ class _GlbReader:
 
     def _roots(self, nodes: list[dict[str, Any]]) -> list[int]:
         if self.document.get("scenes"):
-            return list(self.document["scenes"][self.document.get("scene", 0)].get("nodes", []))
+            return list(self._entry("scenes", self.document.get("scene", 0)).get("nodes", []))
         children = {child for node in nodes for child in node.get("children", [])}
         return [index for index in range(len(nodes)) if index not in children]
 
@@ -357,39 +357,57 @@ class _GlbReader:
         return indices.astype(np.int64)
 
     def _accessor(self, index: int, width: int) -> npt.NDArray[Any]:
-        """Values (count, width) of an accessor, a view of the file."""
-        accessor = self.document["accessors"][index]
+        """Values (count, width) of an accessor, a view of the file; all of them lie in its buffer view."""
+        accessor, name = self._entry("accessors", index), f"accessors[{index}]"
         if "sparse" in accessor or "bufferView" not in accessor:
-            self.fail(
-                "glb_unsupported",
-                f"accessor {index} is sparse or has no data",
-                "plain accessors; export it without compression",
-            )
+            self.fail("glb_unsupported", f"{name} is sparse or has no data", "plain accessors; export it without compression")
         if accessor["type"] != _TYPES[width]:
-            self.fail("glb_invalid", f"accessor {index} holds {accessor['type']}", f"{width} numbers an element")
-        view, content = self.document["bufferViews"][accessor["bufferView"]], self._view(accessor["bufferView"])
-        kind = np.dtype(_COMPONENTS[accessor["componentType"]])
-        stride, offset = view.get("byteStride") or kind.itemsize * width, accessor.get("byteOffset", 0)
-        if stride < kind.itemsize * width or min(offset, accessor["count"]) < 0:
-            self.fail("glb_invalid", f"accessor {index} has stride {stride}, offset {offset}", "elements that do not overlap")
-        values = np.ndarray((accessor["count"], width), kind, content, offset, (stride, kind.itemsize))
+            self.fail("glb_invalid", f"{name} holds {accessor['type']!r:.40}", f"{width} numbers an element")
+        kind, view = np.dtype(_COMPONENTS[accessor["componentType"]]), self._entry("bufferViews", accessor["bufferView"])
+        element = kind.itemsize * width
+        count, offset = self._size(accessor, name, "count"), self._size(accessor, name, "byteOffset", 0)
+        stride = self._size(view, f"the bufferView of {name}", "byteStride", 0) or element
+        if stride < element:
+            self.fail("glb_invalid", f"{name} has elements of {element} bytes every {stride}", "elements that do not overlap")
+        content, end = self._view(accessor["bufferView"]), offset + (count - 1) * stride + element if count else offset
+        if end > len(content):
+            self.fail("glb_truncated", f"{name} ends at byte {end} of the {len(content)} of its bufferView", "all its elements")
+        # numpy compares the size with that of the buffer only where the buffer is not empty.
+        values = np.ndarray((count, width), kind, content, offset, (stride, kind.itemsize))
         return values / np.iinfo(kind).max if accessor.get("normalized") and kind.kind != "f" else values
 
-    def _view(self, index: int) -> bytes:
+    def _view(self, index: int) -> memoryview:
         """The bytes of a buffer view."""
-        view = self.document["bufferViews"][index]
-        if view["buffer"] != 0 or "uri" in self.document["buffers"][view["buffer"]]:
+        view, name = self._entry("bufferViews", index), f"bufferViews[{index}]"
+        if "uri" in self._entry("buffers", view["buffer"]) or view["buffer"] != 0:
             self.fail(
                 "glb_unsupported",
                 "its content lies in a second file or a URI",
                 "one self-contained GLB; nothing outside is opened",
             )
-        start, length = view.get("byteOffset", 0), view["byteLength"]
-        if min(start, length) < 0 or start + length > len(self.binary):
+        start, length = self._size(view, name, "byteOffset", 0), self._size(view, name, "byteLength")
+        if start + length > len(self.binary):
             self.fail(
-                "glb_truncated", f"data end at byte {start + length} of {len(self.binary)}", "a whole file; copy it again"
+                "glb_truncated", f"{name} ends at byte {start + length} of {len(self.binary)}", "a whole file; copy it again"
             )
         return self.binary[start : start + length]
+
+    def _entry(self, kind: str, index: object) -> dict[str, Any]:
+        """One object of a list of the document; an index counts from its start, so it is never negative."""
+        entries = self.document[kind]
+        if not isinstance(entries, list) or type(index) is not int or not 0 <= index < len(entries):
+            self.fail("glb_invalid", f"refers to {kind}[{index!r:.40}]", f"an index into its list of {kind}; export it again")
+        entry = entries[index]
+        if not isinstance(entry, dict):
+            self.fail("glb_invalid", f"{kind}[{index}] is {entry!r:.40}", "an object; export it again")
+        return entry
+
+    def _size(self, owner: dict[str, Any], name: str, key: str, default: int | None = None) -> int:
+        """A count or a number of bytes."""
+        value = owner.get(key, default)
+        if type(value) is not int or value < 0:  # a bool is an int
+            self.fail("glb_invalid", f"{name} has {key} {value!r:.40}", "a whole number from 0; export it again")
+        return value
 
 
 def _parent_from_node(node: dict[str, Any]) -> FloatArray:

@@ -19,6 +19,7 @@ from stable_data.mass import mass_properties
 from stable_data.mesh import Mesh, is_closed, signed_volumes, unit_normals
 from stable_data.repair import repair
 from stable_data.scene import FloatArray
+from tests.stable_data.glb_files import document_of, glb_bytes, rebuilt
 
 
 def of(made: Any) -> Mesh:
@@ -34,40 +35,6 @@ def bowl(rings: int = 8, sides: int = 24) -> Mesh:
     ball = trimesh.creation.uv_sphere(count=[2 * rings + 1, sides])
     faces = ball.faces[ball.triangles_center[:, 2] < 0]
     return of(trimesh.Trimesh(ball.vertices, faces, process=True))
-
-
-def glb_bytes(mesh: Mesh) -> bytes:
-    """A plain GLB: accessor 0 holds the indices, accessor 1 the corners, y up."""
-    corners = (mesh.vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)).astype("<f4")
-    indices = mesh.faces.astype("<u4").tobytes()
-    document = {
-        "asset": {"version": "2.0"},
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 1}, "indices": 0}]}],
-        "accessors": [
-            {"bufferView": 0, "componentType": 5125, "count": mesh.faces.size, "type": "SCALAR"},
-            {"bufferView": 1, "componentType": 5126, "count": len(corners), "type": "VEC3"},
-        ],
-        "bufferViews": [
-            {"buffer": 0, "byteOffset": 0, "byteLength": len(indices)},
-            {"buffer": 0, "byteOffset": len(indices), "byteLength": corners.nbytes},
-        ],
-        "buffers": [{"byteLength": len(indices) + corners.nbytes}],
-    }
-    return rebuilt(document, indices + corners.tobytes())
-
-
-def document_of(data: bytes) -> tuple[dict[str, Any], bytes]:
-    length = struct.unpack_from("<I", data, 12)[0]
-    return json.loads(data[20 : 20 + length]), data[28 + length :]
-
-
-def rebuilt(document: dict[str, Any], binary: bytes) -> bytes:
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    head = struct.pack("<5I", 0x46546C67, 2, 28 + len(text) + len(binary), len(text), 0x4E4F534A)
-    return head + text + struct.pack("<2I", len(binary), 0x004E4942) + binary
 
 
 def changed(mesh: Mesh = BOX, **changes: Any) -> bytes:

@@ -1,8 +1,6 @@
 """Colours of meshes: those of the file, on the faces that have them, through repair, the tables of a run and the exports."""
 
 import io
-import json
-import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,6 +24,7 @@ from stable_data.repair import repair
 from stable_data.scene import FloatArray, Scene, SceneObject, Tabletop
 from stable_data.solid_scene import SolidScene
 from stable_data.synth.catalogue import asset
+from tests.stable_data.glb_files import edited
 
 pytestmark = pytest.mark.sim
 
@@ -51,17 +50,6 @@ def textured(image: Image.Image, uv: list[list[float]] | None = None) -> bytes:
     material = trimesh.visual.material.PBRMaterial(baseColorTexture=image)
     mesh.visual = trimesh.visual.TextureVisuals(uv=uv or [[0, 0], [1, 0], [1, 1], [0, 1]], material=material)
     return bytes(trimesh.Scene([mesh]).export(file_type="glb"))
-
-
-def changed(content: bytes, change: Callable[[dict[str, Any]], object]) -> bytes:
-    """A GLB with other JSON."""
-    length = struct.unpack_from("<I", content, 12)[0]
-    document = json.loads(content[20 : 20 + length])
-    change(document)
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    rest = content[20 + length :]
-    return struct.pack("<5I", 0x46546C67, 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A) + text + rest
 
 
 @pytest.mark.parametrize("key", ["mug/0", "banana/0", "laptop/0", "vase/0", "chess_piece/0"])
@@ -109,7 +97,7 @@ def test_a_picture_of_many_pieces_is_read_once(monkeypatch: pytest.MonkeyPatch) 
         return real(image)
 
     monkeypatch.setattr(paint, "_pixels", counted)
-    content = changed(
+    content = edited(
         textured(Image.new("RGB", (8, 8), "#f08020")),
         lambda d: d["meshes"][0]["primitives"].extend(8 * d["meshes"][0]["primitives"]),
     )
@@ -160,7 +148,7 @@ def test_a_texture_that_cannot_be_read_is_said_and_the_mesh_used(content: bytes,
     ],
 )
 def test_materials_that_break_the_format_are_an_error_of_ours(change: Callable[[dict[str, Any]], object]) -> None:
-    content = changed(asset("mug/0").glb, change)
+    content = edited(asset("mug/0").glb, change)
     mesh, _ = load_glb(content, "a")
     with pytest.raises(MeshError) as caught:
         load_paint(content, "a", mesh)
@@ -169,7 +157,7 @@ def test_materials_that_break_the_format_are_an_error_of_ours(change: Callable[[
 
 def test_a_texture_elsewhere_is_not_opened() -> None:
     content = textured(Image.new("RGB", (4, 4), "#20c040"))
-    outside = changed(content, lambda d: d["images"].__setitem__(0, {"uri": "file:///etc/passwd"}))
+    outside = edited(content, lambda d: d["images"].__setitem__(0, {"uri": "file:///etc/passwd"}))
     assert [colour for colour, _ in painted(outside)] == ["#ffffff"]
 
 
