@@ -2,7 +2,8 @@
 
 import json
 import struct
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
@@ -26,7 +27,7 @@ PART_FACES = "part_faces"
 _MAGIC, _JSON_CHUNK, _BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
-_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_SURFACES = _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 # Required extensions that change how a surface looks, or that the accessor reader covers, not where it is.
 _HARMLESS = (
     "KHR_materials_",
@@ -37,6 +38,9 @@ _HARMLESS = (
     "KHR_xmp",
     "KHR_mesh_quantization",
 )
+_LEVEL_STEPS = np.zeros(256, np.int8)  # by which a letter of a JSON text opens or closes a level
+_LEVEL_STEPS[list(b"[{")] = 1
+_LEVEL_STEPS[list(b"]}")] = -1
 # What json, struct, numpy and plain indexing raise on hostile content.
 _HOSTILE = (
     KeyError,
@@ -53,17 +57,27 @@ _HOSTILE = (
 
 @dataclass(frozen=True, slots=True)
 class MeshLimits:
-    """What a mesh file may cost.
+    """What a mesh file may cost. A file beyond one of these is refused before what is beyond it is made.
 
     Attributes:
         max_bytes: Size of the file.
-        max_faces: Triangles, instances of a mesh counted each.
-        max_nodes: Nodes of the file's scene.
+        max_json_bytes: Size of its JSON chunk.
+        max_json_levels: Lists and objects of the JSON inside one another.
+        max_nodes: Nodes of its scene.
+        max_primitives: Primitives, counted once for each node that shows their mesh.
+        max_corners: Vertices of those primitives, counted likewise.
+        max_faces: Triangles of those primitives, counted likewise.
+        max_colliders: Convex parts that the file brings with it.
     """
 
     max_bytes: int = 128 * 2**20
-    max_faces: int = 1_000_000
+    max_json_bytes: int = 4 * 2**20
+    max_json_levels: int = 64
     max_nodes: int = 10_000
+    max_primitives: int = 20_000
+    max_corners: int = 3_000_000
+    max_faces: int = 1_000_000
+    max_colliders: int = 1_000
 
 
 def load_glb(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits()) -> tuple[Mesh, tuple[Notice, ...]]:
@@ -185,6 +199,12 @@ class _GlbReader:
     def fail(self, code: str, found: str, expected: str) -> NoReturn:
         raise MeshError(f"asset {self.asset_id}: {found}, expected {expected}", code)
 
+    def check_limit(self, name: str, found: int) -> None:
+        """Refuses a file that has more of something than a field of :class:`MeshLimits` allows."""
+        if found > (most := getattr(self.limits, name)):
+            what = name.removeprefix("max_").replace("_", " ")
+            self.fail("glb_too_large", f"has {found} {what}", f"at most {most} ({name}); simplify it")
+
     def note(self, code: str, message: str) -> None:
         self.notices.append(Notice(self.asset_id, "mesh", code, f"asset {self.asset_id}: {message}"))
 
@@ -197,8 +217,6 @@ class _GlbReader:
             faces.append(triangles + num_vertices)
             vertices.append(corners)
             num_vertices += len(corners)
-        if not sum(map(len, faces)):
-            self.fail("glb_no_faces", "has no triangle", "at least one; is it a point cloud, a skeleton or an empty node?")
         return np.concatenate(vertices), np.concatenate(faces)
 
     def coats(self, content: bytes) -> list[Coat]:
@@ -211,11 +229,11 @@ class _GlbReader:
             attributes, colours, uv = primitive["attributes"], None, None
             if "COLOR_0" in attributes:
                 width = 4 if self._entry("accessors", attributes["COLOR_0"])["type"] == "VEC4" else 3
-                colours = self._accessor(attributes["COLOR_0"], width)[triangles][..., :3].astype(np.float64)
+                colours = self._accessor(attributes["COLOR_0"], width, triangles)[..., :3].astype(np.float64)
             image = None if texture is None else self._image(texture)
             name = f"TEXCOORD_{(texture or {}).get('texCoord', 0)}"
             if image is not None and name in attributes:
-                uv = self._accessor(attributes[name], 2)[triangles].astype(np.float64)
+                uv = self._accessor(attributes[name], 2, triangles).astype(np.float64)
             found.append(Coat(corners[triangles], factor, colours, image, uv))
         return found
 
@@ -237,35 +255,65 @@ class _GlbReader:
         image = {} if source is None else self._entry("images", source)
         if "bufferView" not in image:
             return None
-        if source not in self.images:  # many primitives may have one large texture
-            self.images[source] = bytes(self._view(image["bufferView"]))
-        return self.images[source]
+        index = image["bufferView"]
+        if index not in self.images:  # many primitives may have one large texture
+            self.images[index] = bytes(self._view(index))
+            if sum(map(len, self.images.values())) > len(self.binary):
+                self.fail("glb_invalid", "has textures that overlap", "a part of the file for each; export it again")
+        return self.images[index]
 
     def _placed(self) -> Iterator[tuple[dict[str, Any], FloatArray, IntArray]]:
         """Every primitive that the scene shows with its corners (V, 3), z up, where its node has them, and its triangles (F, 3)."""
+        placed = list(self._placed_meshes())
+        if not self._num_faces(mesh_index for mesh_index, _ in placed):
+            self.fail("glb_no_faces", "has no triangle", "at least one; is it a point cloud, a skeleton or an empty node?")
         primitives: dict[int, list[tuple[dict[str, Any], FloatArray, IntArray]]] = {}
-        num_faces = num_corners = 0
-        for mesh_index, world_from_node in self._placed_meshes():
+        for mesh_index, world_from_node in placed:
             if mesh_index not in primitives:
                 primitives[mesh_index] = list(self._primitives(self._entry("meshes", mesh_index)))
             is_mirrored = np.linalg.det(world_from_node[:3, :3]) < 0
             for primitive, corners, triangles in primitives[mesh_index]:
-                num_faces, num_corners = num_faces + len(triangles), num_corners + len(corners)
-                if num_faces > self.limits.max_faces or num_corners > 3 * self.limits.max_faces:
-                    self.fail("glb_too_large", "has too many faces", f"at most {self.limits.max_faces}; decimate it")
-                placed = corners @ world_from_node[:3, :3].T + world_from_node[:3, 3]
-                yield primitive, placed[:, [0, 2, 1]] * (1.0, -1.0, 1.0), triangles[:, ::-1] if is_mirrored else triangles
+                moved = corners @ world_from_node[:3, :3].T + world_from_node[:3, 3]
+                yield primitive, moved[:, [0, 2, 1]] * (1.0, -1.0, 1.0), triangles[:, ::-1] if is_mirrored else triangles
+
+    def _num_faces(self, mesh_indices: Iterable[int]) -> int:
+        """Counts the triangles of meshes, one of them as often as it is given, before any is read.
+
+        Primitives may share an accessor and nodes a mesh, so what a file asks for can be far larger than the file.
+        """
+        num_primitives = num_corners = num_faces = 0
+        for mesh_index, times in Counter(mesh_indices).items():
+            primitives = self._entry("meshes", mesh_index)["primitives"]
+            num_primitives += times * len(primitives)
+            self.check_limit("max_primitives", num_primitives)
+            for primitive in primitives:
+                if (mode := primitive.get("mode", _TRIANGLES)) in _SURFACES:
+                    corners = indices = self._count(primitive["attributes"]["POSITION"])
+                    if "indices" in primitive:
+                        indices = self._count(primitive["indices"])
+                    num_corners += times * corners
+                    num_faces += times * (indices // 3 if mode == _TRIANGLES else max(indices - 2, 0))
+        self.check_limit("max_corners", num_corners)
+        self.check_limit("max_faces", num_faces)
+        return num_faces
+
+    def _count(self, accessor: int) -> int:
+        return self._size(self._entry("accessors", accessor), f"accessors[{accessor}]", "count")
 
     def colliders(self, content: bytes) -> tuple[Mesh, ...]:
         """The convex parts of the mesh ``colliders``, centred on the box of all, placed as the one mesh that the scene shows."""
         self._open(content)
-        found = [mesh for mesh in self.document.get("meshes", []) if mesh.get("name") == COLLIDERS and "extras" in mesh]
+        meshes = self.document.get("meshes", [])
+        found = [k for k, mesh in enumerate(meshes) if mesh.get("name") == COLLIDERS and "extras" in mesh]
         placed = list(self._placed_meshes())
         if not found or len(placed) != 1:
             return ()
-        world_from_node = placed[0][1]
-        (_, corners, faces), counts = next(self._primitives(found[0])), np.array(found[0]["extras"][PART_FACES], np.int64)
-        if counts.sum() != len(faces) or (counts < 4).any() or len(faces) > self.limits.max_faces:
+        world_from_node, mesh = placed[0][1], meshes[found[0]]
+        counts = mesh["extras"][PART_FACES]
+        self.check_limit("max_colliders", len(counts))
+        self._num_faces(found[:1])
+        (_, corners, faces), counts = next(self._primitives(mesh)), np.array(counts, np.int64)
+        if counts.sum() != len(faces) or (counts < 4).any():
             self.fail("glb_invalid", f"{len(counts)} colliders have {counts.sum()} faces", f"the {len(faces)} that are there")
         corners = corners @ world_from_node[:3, :3].T + world_from_node[:3, 3]
         corners = corners[:, [0, 2, 1]] * (1.0, -1.0, 1.0)
@@ -279,8 +327,7 @@ class _GlbReader:
         size = len(content)
         if size == 0:
             self.fail("glb_zero_bytes", "file is empty", "a GLB; copy it again")
-        if size > self.limits.max_bytes:
-            self.fail("glb_too_large", f"file has {size} bytes", f"at most {self.limits.max_bytes}")
+        self.check_limit("max_bytes", size)
         if size < 20:
             self.fail("glb_truncated", f"file has {size} bytes", "a GLB header and a chunk; copy it again")
         magic, version, claimed, json_length, json_type = struct.unpack_from("<5I", content)
@@ -290,8 +337,11 @@ class _GlbReader:
                 f"starts with {content[:8]!r} and chunk {json_type:#x}",
                 "binary glTF 2.0 with its JSON chunk first",
             )
-        document, end = self._chunk(content, 20, json_length)
-        self.document = json.loads(bytes(document))
+        self.check_limit("max_json_bytes", json_length)
+        chunk, end = self._chunk(content, 20, json_length)
+        text = bytes(chunk)
+        self.check_limit("max_json_levels", _num_levels(text))
+        self.document = json.loads(text.decode())  # which could guess another encoding of bytes
         if end + 8 <= size and struct.unpack_from("<I", content, end + 4)[0] == _BIN_CHUNK:
             self.binary, end = self._chunk(content, end + 8, struct.unpack_from("<I", content, end)[0])
         if claimed != size:
@@ -307,23 +357,29 @@ class _GlbReader:
     def _refuse_unsupported(self) -> None:
         required = [e for e in self.document.get("extensionsRequired", []) if not e.startswith(_HARMLESS)]
         if required:
-            self.fail("glb_unsupported", f"requires {required}", "plain accessors; export it without compression or instancing")
+            self.fail(
+                "glb_unsupported", f"requires {required!r:.200}", "plain accessors; export it without compression or instancing"
+            )
 
     def _placed_meshes(self) -> Iterator[tuple[int, FloatArray]]:
         """(mesh index, world_from_node (4, 4)) of every mesh in the scene, in file order."""
-        nodes = self.document.get("nodes", [])
-        stack = [(root, np.eye(4)) for root in reversed(self._roots(nodes))]
+        roots = self._roots(self.document.get("nodes", []))
+        self.check_limit("max_nodes", len(roots))
+        stack = [(root, np.eye(4)) for root in reversed(roots)]
         seen: set[int] = set()
         while stack:
             index, world_from_parent = stack.pop()
-            if index in seen or len(seen) >= self.limits.max_nodes:
-                self.fail("glb_invalid", f"node {index} is one too many or has two parents", "a tree of nodes")
-            seen.add(index)
             node = self._entry("nodes", index)
+            if index in seen:
+                self.fail("glb_invalid", f"node {index} has two parents", "a tree of nodes; export it again")
+            seen.add(index)
             world_from_node = world_from_parent @ _parent_from_node(node)
             if "mesh" in node:
+                self._entry("meshes", node["mesh"])
                 yield node["mesh"], world_from_node
-            stack.extend((child, world_from_node) for child in reversed(node.get("children", [])))
+            children = node.get("children", [])
+            self.check_limit("max_nodes", len(seen) + len(stack) + len(children))
+            stack.extend((child, world_from_node) for child in reversed(children))
 
     def _roots(self, nodes: list[dict[str, Any]]) -> list[int]:
         if self.document.get("scenes"):
@@ -335,9 +391,10 @@ class _GlbReader:
         """Every primitive that has triangles with its corners (V, 3) float64 and triangles (F, 3) int64."""
         for primitive in mesh["primitives"]:
             mode = primitive.get("mode", _TRIANGLES)
-            if mode not in (_TRIANGLES, _STRIP, _FAN):
+            if mode not in _SURFACES:
                 self.note(
-                    "glb_primitive_skipped", f"a primitive of points or lines (mode {mode}) has no surface and is left out"
+                    "glb_primitive_skipped",
+                    f"a primitive of points or lines (mode {mode!r:.40}) has no surface and is left out",
                 )
                 continue
             corners = self._accessor(primitive["attributes"]["POSITION"], 3).astype(np.float64)
@@ -356,8 +413,8 @@ class _GlbReader:
             )
         return indices.astype(np.int64)
 
-    def _accessor(self, index: int, width: int) -> npt.NDArray[Any]:
-        """Values (count, width) of an accessor, a view of the file; all of them lie in its buffer view."""
+    def _accessor(self, index: int, width: int, rows: IntArray | slice = slice(None)) -> npt.NDArray[Any]:
+        """Values (count, width) of an accessor, or some rows of them; all of them lie in its buffer view."""
         accessor, name = self._entry("accessors", index), f"accessors[{index}]"
         if "sparse" in accessor or "bufferView" not in accessor:
             self.fail("glb_unsupported", f"{name} is sparse or has no data", "plain accessors; export it without compression")
@@ -373,7 +430,7 @@ class _GlbReader:
         if end > len(content):
             self.fail("glb_truncated", f"{name} ends at byte {end} of the {len(content)} of its bufferView", "all its elements")
         # numpy compares the size with that of the buffer only where the buffer is not empty.
-        values = np.ndarray((count, width), kind, content, offset, (stride, kind.itemsize))
+        values = np.ndarray((count, width), kind, content, offset, (stride, kind.itemsize))[rows]
         return values / np.iinfo(kind).max if accessor.get("normalized") and kind.kind != "f" else values
 
     def _view(self, index: int) -> memoryview:
@@ -408,6 +465,13 @@ class _GlbReader:
         if type(value) is not int or value < 0:  # a bool is an int
             self.fail("glb_invalid", f"{name} has {key} {value!r:.40}", "a whole number from 0; export it again")
         return value
+
+
+def _num_levels(text: bytes) -> int:
+    """Lists and objects of a JSON text inside one another; counted before parsing, for the parser calls itself for each."""
+    letters = np.frombuffer(text.replace(b"\\\\", b"").replace(b'\\"', b""), np.uint8)
+    is_outside = np.cumsum(letters == ord('"')) % 2 == 0  # of strings
+    return int(np.cumsum(_LEVEL_STEPS[letters] * is_outside).max(initial=0))
 
 
 def _parent_from_node(node: dict[str, Any]) -> FloatArray:

@@ -1,14 +1,19 @@
 """Hostile GLB files: whatever is in one, reading it ends soon, in bounds, with a mesh or a MeshError."""
 
+import json
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import pytest
 import trimesh
 
 from stable_data.errors import MeshError
-from stable_data.glb import load_coats, load_glb
+from stable_data.glb import COLLIDERS, PART_FACES, MeshLimits, load_coats, load_colliders, load_glb
 from stable_data.mesh import Mesh
-from tests.stable_data.glb_files import edited, glb_bytes
+from tests.stable_data.glb_files import document_of, edited, glb_bytes, rebuilt
 
 BOX = Mesh(trimesh.creation.box().vertices, trimesh.creation.box().faces)
 HUGE = (2**31, 2**32, 2**63 - 1, 2**63, 2**64, 10**400)
@@ -31,16 +36,17 @@ def box_with(entry: str, number: int, **changes: Any) -> bytes:
     return edited(glb_bytes(BOX), lambda document: document[entry][number].update(changes))
 
 
-@pytest.mark.parametrize("count", [1, 8, 3000, *HUGE])
-def test_an_accessor_of_an_empty_view_is_refused(count: int) -> None:
+def test_an_accessor_of_an_empty_view_is_refused() -> None:
     """For an empty buffer numpy does not check the size: the values would be those of foreign memory."""
 
-    def edit(document: dict[str, Any]) -> None:
+    def edit(document: dict[str, Any], count: int) -> None:
         document["bufferViews"][1]["byteLength"] = 0
         document["accessors"][1].update(componentType=5121, count=count)
         document["meshes"][0]["primitives"] = [{"attributes": {"POSITION": 1}}]
 
-    assert refused(edited(glb_bytes(BOX), edit)) == "glb_truncated"
+    for count in (3, 8, 3000, 3_000_000, *HUGE):
+        code = refused(edited(glb_bytes(BOX), partial(edit, count=count)))
+        assert code == ("glb_too_large" if count in HUGE else "glb_truncated")
 
 
 @pytest.mark.parametrize("number", [0, 1])
@@ -58,7 +64,8 @@ def test_a_size_that_is_none_or_reaches_beyond_its_view_is_refused(entry: str, k
     for value in NO_SIZE:
         assert refused(box_with(entry, number, **{key: value})) == "glb_invalid", value
     for value in HUGE:
-        assert refused(box_with(entry, number, **{key: value})) == "glb_truncated", value
+        code = "glb_too_large" if key == "count" else "glb_truncated"
+        assert refused(box_with(entry, number, **{key: value})) == code, value
 
 
 def test_the_last_element_ends_where_its_view_does() -> None:
@@ -85,3 +92,123 @@ def test_an_index_that_is_none_of_its_list_is_refused(index: object) -> None:
     assert refused(box_with("meshes", 0, primitives=[{"attributes": {"POSITION": index}}])) == "glb_invalid"
     with pytest.raises(MeshError):
         load_coats(box_with("meshes", 0, primitives=[{"attributes": {"POSITION": 1, "COLOR_0": index}}]), "thing")
+
+
+@contextmanager
+def soon(seconds: float = 1.0) -> Iterator[None]:
+    """Asserts that its body takes little time of this process's processor."""
+    start = time.process_time()
+    yield
+    assert time.process_time() - start < seconds
+
+
+def json_bomb(letters: bytes) -> bytes:
+    """The box, its JSON ended by a list of letters."""
+    document, binary = document_of(glb_bytes(BOX))
+    return rebuilt(json.dumps(document).encode()[:-1] + b',"extras":[' + letters + b"]}", binary)
+
+
+def with_primitives(document: dict[str, Any], count: int) -> None:
+    document["meshes"][0]["primitives"] *= count
+
+
+def with_nodes(document: dict[str, Any], count: int, num_primitives: int = 1) -> None:
+    document["nodes"] *= count
+    document["scenes"][0]["nodes"] = list(range(count))
+    document["meshes"][0]["primitives"] = [{"attributes": {}, "mode": 0}] * num_primitives
+
+
+BOMBS: dict[str, tuple[str, Callable[[], bytes]]] = {
+    "20,000 primitives of one accessor": ("max_corners", lambda: edited(large(), partial(with_primitives, count=20_000))),
+    "300 primitives of one accessor": ("max_corners", lambda: edited(large(), partial(with_primitives, count=300))),
+    "faces without many corners": ("max_faces", lambda: edited(glb_bytes(MANY), partial(with_primitives, count=101))),
+    "primitives": ("max_primitives", lambda: edited(glb_bytes(BOX), partial(with_primitives, count=20_001))),
+    "empty primitives at 10,000 nodes": (
+        "max_primitives",
+        lambda: edited(glb_bytes(BOX), partial(with_nodes, count=10_000, num_primitives=20_000)),
+    ),
+    "nodes": ("max_nodes", lambda: edited(glb_bytes(BOX), partial(with_nodes, count=10_001))),
+    "children": ("max_nodes", lambda: box_with("nodes", 0, children=[0] * 1_000_000)),
+    "a scene of one node many times": ("max_nodes", lambda: box_with("scenes", 0, nodes=[0] * 1_000_000)),
+    "JSON that is large": ("max_json_bytes", lambda: json_bomb(b"[]," * 2_000_000 + b"0")),
+    "JSON that is deep": ("max_json_levels", lambda: json_bomb(b"[" * 100_000 + b"]" * 100_000)),
+    "JSON that hides its depth in strings": (
+        "max_json_levels",
+        lambda: json_bomb(b'["]]\\\\",["\\"]",' * 70 + b"0" + b"]" * 140),
+    ),
+}
+MANY = Mesh(BOX.vertices, BOX.faces.repeat(1_000, axis=0)[:10_000])
+
+
+def large() -> bytes:
+    """A mesh of 30,000 vertices and three faces."""
+    return glb_bytes(Mesh(BOX.vertices.repeat(3_750, axis=0), BOX.faces[:3] * 3_750))
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_bomb_is_refused_soon_and_the_limit_named(name: str) -> None:
+    limit, made = BOMBS[name]
+    content = made()
+    for load in (load_glb, load_coats):
+        with soon(), pytest.raises(MeshError, match=rf"expected at most {getattr(MeshLimits(), limit)} \({limit}\)") as caught:
+            load(content, "thing")
+        assert caught.value.code == "glb_too_large"
+
+
+def test_json_as_large_as_it_may_be_is_read_soon() -> None:
+    content = json_bomb(b"[]," * 1_350_000 + b"0")
+    with soon(3.0):
+        load_glb(content, "thing")
+
+
+def test_brackets_in_strings_are_no_levels() -> None:
+    load_glb(json_bomb(json.dumps(["[" * 100, '\\"[[{{' * 100, "\\"]).encode()), "thing")
+
+
+def test_many_textures_are_no_more_than_the_file() -> None:
+    """Each of 2,000 views is nearly the whole file."""
+
+    def edit(document: dict[str, Any]) -> None:
+        size, count = document["buffers"][0]["byteLength"], 2_000
+        document["bufferViews"] += [{"buffer": 0, "byteLength": size - k} for k in range(count)]
+        document["images"] = [{"bufferView": 2 + k} for k in range(count)]
+        document["textures"] = [{"source": k} for k in range(count)]
+        document["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": k}}} for k in range(count)]
+        document["meshes"][0]["primitives"] = [{"attributes": {"POSITION": 1}, "material": k} for k in range(count)]
+
+    with soon(), pytest.raises(MeshError, match="textures that overlap"):
+        load_coats(edited(glb_bytes(BOX), edit), "thing")
+
+
+def test_a_colour_of_a_large_accessor_costs_what_the_primitive_has() -> None:
+    """Each of 10,000 primitives names the same million colours, and has one triangle."""
+
+    def edit(document: dict[str, Any]) -> None:
+        document["accessors"][0]["count"] = 3
+        document["accessors"].append(
+            {"bufferView": 2, "componentType": 5121, "normalized": True, "count": 10**6, "type": "VEC3"}
+        )
+        document["bufferViews"].append({"buffer": 0, "byteOffset": 240, "byteLength": 3 * 10**6})
+        primitives = [{"attributes": {"POSITION": 1, "COLOR_0": 2}, "indices": 0}]
+        document["meshes"][0]["primitives"] = primitives * 10_000
+
+    document, binary = document_of(glb_bytes(BOX))
+    edit(document)
+    with soon(2.0):
+        load_coats(rebuilt(document, binary + bytes(3 * 10**6)), "thing")
+
+
+def colliders_with(part_faces: Any, **primitive: Any) -> bytes:
+    """The box with colliders: the box again, as parts of some faces."""
+
+    def edit(document: dict[str, Any]) -> None:
+        again = document["meshes"][0]["primitives"][0] | primitive
+        document["meshes"].append({"name": COLLIDERS, "primitives": [again], "extras": {PART_FACES: part_faces}})
+
+    return edited(glb_bytes(BOX), edit)
+
+
+def test_there_may_not_be_many_colliders() -> None:
+    assert len(load_colliders(colliders_with([4, 8]), "thing")) == 2
+    with soon(), pytest.raises(MeshError, match=r"at most 1000 \(max_colliders\)"):
+        load_colliders(colliders_with([4] * 1_001), "thing")
