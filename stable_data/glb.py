@@ -3,10 +3,10 @@
 import json
 import struct
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -42,17 +42,8 @@ _LEVEL_STEPS = np.zeros(256, np.int8)  # by which a letter of a JSON text opens 
 _LEVEL_STEPS[list(b"[{")] = 1
 _LEVEL_STEPS[list(b"]}")] = -1
 # What json, struct, numpy and plain indexing raise on hostile content.
-_HOSTILE = (
-    KeyError,
-    IndexError,
-    TypeError,
-    ValueError,
-    AttributeError,
-    OverflowError,
-    RecursionError,
-    MemoryError,
-    struct.error,
-)
+_HOSTILE = (ArithmeticError, AttributeError, LookupError, MemoryError, RecursionError, TypeError, ValueError, struct.error)
+_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,18 +86,7 @@ def load_glb(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimi
         MeshError: It cannot be used; ``code`` is ``glb_truncated``, ``glb_zero_bytes``, ``glb_nan_vertices``, ``glb_no_faces``,
             ``glb_degenerate_only``, ``glb_too_large``, ``glb_unsupported``, ``glb_unreadable`` or ``glb_invalid``.
     """
-    content = _read_bytes(data, asset_id, limits) if isinstance(data, Path) else data
-    reader = _GlbReader(asset_id, limits)
-    try:
-        # Huge numbers and a quaternion of zeros end as a MeshError below, not as a warning.
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            return _welded(*reader.read(content), reader), tuple(reader.notices)
-    except MeshError:
-        raise
-    except _HOSTILE as error:
-        reader.fail(
-            "glb_invalid", f"breaks the glTF 2.0 format ({type(error).__name__}: {error})", "a valid GLB; export it again"
-        )
+    return _read(data, _GlbReader(asset_id, limits), lambda reader: (_welded(*reader.soup(), reader), tuple(reader.notices)))
 
 
 def load_colliders(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits()) -> tuple[Mesh, ...]:
@@ -121,16 +101,9 @@ def load_colliders(data: bytes | Path, asset_id: str, *, limits: MeshLimits = Me
         Closed convex meshes, in the frame and unit of :func:`load_glb`'s mesh; none where the file has no ``colliders``.
 
     Raises:
-        MeshError: They are there and cannot be used (``glb_invalid`` and the codes of :func:`load_glb`).
+        MeshError: The file or the parts cannot be used; the codes are those of :func:`load_glb`.
     """
-    content = _read_bytes(data, asset_id, limits) if isinstance(data, Path) else data
-    reader = _GlbReader(asset_id, limits)
-    try:
-        return reader.colliders(content)
-    except MeshError:
-        raise
-    except _HOSTILE as error:
-        reader.fail("glb_invalid", f"its colliders break the format ({type(error).__name__}: {error})", "convex parts")
+    return _read(data, _GlbReader(asset_id, limits), _GlbReader.colliders)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,26 +136,20 @@ def load_coats(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLi
     Raises:
         MeshError: It breaks the format; the codes are those of :func:`load_glb`.
     """
-    content = _read_bytes(data, asset_id, limits) if isinstance(data, Path) else data
-    reader = _GlbReader(asset_id, limits)
+    return _read(data, _GlbReader(asset_id, limits), _GlbReader.coats)
+
+
+def _read(data: bytes | Path, reader: "_GlbReader", wanted: Callable[["_GlbReader"], _Result]) -> _Result:
+    """What is wanted of a file. Every failure is a MeshError, and no content of a file gives a warning of numpy."""
     try:
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            return reader.coats(content)
+        with np.errstate(all="ignore"):
+            reader.open(reader.content(data) if isinstance(data, Path) else data)
+            return wanted(reader)
     except MeshError:
         raise
     except _HOSTILE as error:
-        reader.fail("glb_invalid", f"its materials break the format ({type(error).__name__}: {error})", "valid ones")
-
-
-def _read_bytes(path: Path, asset_id: str, limits: MeshLimits) -> bytes:
-    try:
-        size = path.stat().st_size
-        if size > limits.max_bytes:
-            raise MeshError(f"asset {asset_id}: file has {size} bytes, expected at most {limits.max_bytes}", "glb_too_large")
-        return path.read_bytes()
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
-        raise MeshError(f"asset {asset_id}: {path} cannot be read: {reason}", "glb_unreadable") from error
+        found = f"breaks the glTF 2.0 format ({type(error).__name__}: {error})"
+        reader.fail("glb_invalid", found, "a valid GLB; export it again")
 
 
 @dataclass(slots=True)
@@ -197,7 +164,7 @@ class _GlbReader:
     images: dict[int, bytes] = field(default_factory=dict)
 
     def fail(self, code: str, found: str, expected: str) -> NoReturn:
-        raise MeshError(f"asset {self.asset_id}: {found}, expected {expected}", code)
+        raise MeshError(f"asset {self.asset_id}: {found:.300}, expected {expected}", code)
 
     def check_limit(self, name: str, found: int) -> None:
         """Refuses a file that has more of something than a field of :class:`MeshLimits` allows."""
@@ -208,9 +175,17 @@ class _GlbReader:
     def note(self, code: str, message: str) -> None:
         self.notices.append(Notice(self.asset_id, "mesh", code, f"asset {self.asset_id}: {message}"))
 
-    def read(self, content: bytes) -> tuple[FloatArray, IntArray]:
+    def content(self, path: Path) -> bytes:
+        """The content of a file."""
+        try:
+            self.check_limit("max_bytes", path.stat().st_size)
+            return path.read_bytes()
+        except OSError as error:
+            reason = error.strerror or type(error).__name__
+            raise MeshError(f"asset {self.asset_id}: {path} cannot be read: {reason}", "glb_unreadable") from error
+
+    def soup(self) -> tuple[FloatArray, IntArray]:
         """Corners (V, 3) in the file's frame, z up, and faces (F, 3), instances placed; nothing welded yet."""
-        self._open(content)
         self._refuse_unsupported()
         vertices, faces, num_vertices = [], [], 0
         for _, corners, triangles in self._placed():
@@ -219,9 +194,8 @@ class _GlbReader:
             num_vertices += len(corners)
         return np.concatenate(vertices), np.concatenate(faces)
 
-    def coats(self, content: bytes) -> list[Coat]:
+    def coats(self) -> list[Coat]:
         """What the scene shows, by material; see :func:`load_coats`."""
-        self._open(content)
         self._refuse_unsupported()
         found = []
         for primitive, corners, triangles in self._placed():
@@ -300,9 +274,8 @@ class _GlbReader:
     def _count(self, accessor: int) -> int:
         return self._size(self._entry("accessors", accessor), f"accessors[{accessor}]", "count")
 
-    def colliders(self, content: bytes) -> tuple[Mesh, ...]:
+    def colliders(self) -> tuple[Mesh, ...]:
         """The convex parts of the mesh ``colliders``, centred on the box of all, placed as the one mesh that the scene shows."""
-        self._open(content)
         meshes = self.document.get("meshes", [])
         found = [k for k, mesh in enumerate(meshes) if mesh.get("name") == COLLIDERS and "extras" in mesh]
         placed = list(self._placed_meshes())
@@ -312,17 +285,19 @@ class _GlbReader:
         counts = mesh["extras"][PART_FACES]
         self.check_limit("max_colliders", len(counts))
         self._num_faces(found[:1])
-        (_, corners, faces), counts = next(self._primitives(mesh)), np.array(counts, np.int64)
-        if counts.sum() != len(faces) or (counts < 4).any():
-            self.fail("glb_invalid", f"{len(counts)} colliders have {counts.sum()} faces", f"the {len(faces)} that are there")
+        surfaces = list(self._primitives(mesh))
+        num_faces = len(surfaces[0][2]) if surfaces else 0
+        if not counts or not all(type(count) is int and count >= 4 for count in counts) or sum(counts) != num_faces:
+            self.fail("glb_invalid", f"colliders have {counts!r:.80} faces", f"numbers from 4 that add up to {num_faces}")
+        _, corners, faces = surfaces[0]
         corners = corners @ world_from_node[:3, :3].T + world_from_node[:3, 3]
         corners = corners[:, [0, 2, 1]] * (1.0, -1.0, 1.0)
+        corners = corners - (corners.min(axis=0) + corners.max(axis=0)) / 2
         if not np.isfinite(corners).all():
             self.fail("glb_nan_vertices", "a collider has a corner that is not finite", "finite coordinates")
-        corners = corners - (corners.min(axis=0) + corners.max(axis=0)) / 2
         return tuple(Mesh(*compact(corners, part)) for part in np.split(faces, np.cumsum(counts)[:-1]))
 
-    def _open(self, content: bytes) -> None:
+    def open(self, content: bytes) -> None:
         """Splits the file into its two chunks."""
         size = len(content)
         if size == 0:

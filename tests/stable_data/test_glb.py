@@ -1,14 +1,21 @@
 """Hostile GLB files: whatever is in one, reading it ends soon, in bounds, with a mesh or a MeshError."""
 
+import io
 import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from copy import deepcopy
 from functools import partial
+from random import Random
 from typing import Any
 
+import numpy as np
 import pytest
 import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
 
 from stable_data.errors import MeshError
 from stable_data.glb import COLLIDERS, PART_FACES, MeshLimits, load_coats, load_colliders, load_glb
@@ -212,3 +219,130 @@ def test_there_may_not_be_many_colliders() -> None:
     assert len(load_colliders(colliders_with([4, 8]), "thing")) == 2
     with soon(), pytest.raises(MeshError, match=r"at most 1000 \(max_colliders\)"):
         load_colliders(colliders_with([4] * 1_001), "thing")
+
+
+def test_colliders_that_cannot_be_are_refused() -> None:
+    lines = colliders_with([4, 8], mode=1)
+    assert len(load_glb(lines, "thing")[0].faces) == 12
+    wrong = [[], [0, 12], [4, 7], [-4, 16], [4.0, 8], [2**63, 4], [True] * 12, "4", None, 12, [[4, 8]], {"4": 8}]
+    for content in (lines, colliders_with([4, 8], indices=1), *map(colliders_with, wrong)):
+        with pytest.raises(MeshError) as caught:
+            load_colliders(content, "thing")
+        assert caught.value.code == "glb_invalid"
+    with pytest.raises(MeshError) as caught:
+        load_colliders(edited(colliders_with([12]), lambda d: d["nodes"][0].update(translation=[1.7e308] * 3)), "thing")
+    assert caught.value.code == "glb_nan_vertices"
+
+
+def rich_glb() -> bytes:
+    """Two nodes, colours of a material, of corners and of a texture, colliders, and a view with a stride."""
+    binary = document_of(glb_bytes(BOX))[1]
+    corners, indices = np.frombuffer(binary[144:], "<f4").reshape(8, 3), binary[:144]
+    picture = io.BytesIO()
+    Image.new("RGB", (4, 4), "#f08020").save(picture, "png")
+    wide = np.concatenate([corners, corners[:, :2]], axis=1).tobytes()  # corners and texture coordinates, 20 bytes a vertex
+    chunks = [indices, wide, bytes(range(24)), picture.getvalue()]
+    starts = np.cumsum([0, *map(len, chunks)]).tolist()
+    primitive = {"attributes": {"POSITION": 1, "TEXCOORD_0": 2, "COLOR_0": 3}, "indices": 0, "material": 0}
+    document = {
+        "asset": {"version": "2.0"},
+        "extensionsUsed": ["KHR_materials_unlit"],
+        "extensionsRequired": ["KHR_materials_unlit"],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [
+            {"children": [1], "rotation": [0.0, 0.0, 0.6, 0.8], "scale": [1.0, -2.0, 1.0], "translation": [0.0, 0.5, 3.0]},
+            {"mesh": 0, "matrix": np.eye(4).ravel().tolist()},
+        ],
+        "meshes": [
+            {"primitives": [primitive, {"attributes": {"POSITION": 1}, "mode": 5}, {"attributes": {"POSITION": 1}, "mode": 0}]},
+            {"name": COLLIDERS, "primitives": [{"attributes": {"POSITION": 1}, "indices": 0}], "extras": {PART_FACES: [4, 8]}},
+        ],
+        "materials": [
+            {"pbrMetallicRoughness": {"baseColorFactor": [1.0, 0.5, 0.5, 1.0], "baseColorTexture": {"index": 0, "texCoord": 0}}}
+        ],
+        "textures": [{"source": 0}],
+        "images": [{"bufferView": 3, "mimeType": "image/png"}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5125, "count": 36, "type": "SCALAR"},
+            {"bufferView": 1, "componentType": 5126, "count": 8, "type": "VEC3"},
+            {"bufferView": 1, "byteOffset": 12, "componentType": 5126, "count": 8, "type": "VEC2"},
+            {"bufferView": 2, "componentType": 5121, "normalized": True, "count": 8, "type": "VEC3"},
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": start, "byteLength": len(chunk)} for start, chunk in zip(starts, chunks, strict=False)
+        ],
+        "buffers": [{"byteLength": starts[-1]}],
+    }
+    document["bufferViews"][1]["byteStride"] = 20  # type: ignore[index]
+    return rebuilt(document, b"".join(chunks))
+
+
+RICH = rich_glb()
+NESTED: list[Any] = []
+for _ in range(100):
+    NESTED = [NESTED]
+NUMBERS = [-1, 0, 1, 2, 3, 7, 36, 144, 5121, 5123, 5126, *HUGE, 0.5, -0.0, 1e-300, 1e308, float("inf"), float("nan")]
+OTHERS = [None, True, False, "", "x", "VEC4", "SCALAR", "\ud800", [], {}, [0], [0, 0], [[]], [[1.0] * 4] * 4, {"x": 0}, NESTED]
+
+
+def places(value: Any) -> Iterator[tuple[Any, Any]]:
+    """Every list or object of a JSON value with each of its indices or keys."""
+    keys = list(value) if isinstance(value, dict) else list(range(len(value))) if isinstance(value, list) else []
+    for key in keys:
+        yield value, key
+        yield from places(value[key])
+
+
+def mutated(content: bytes, random: Random) -> bytes:
+    """A GLB with some fields, or some bytes, that are others."""
+    document, binary = document_of(content)
+    for _ in range(random.randint(0, 3)):
+        owner, key = random.choice(list(places(document)))
+        action = random.randrange(5)
+        if action == 0:
+            del owner[key]
+        elif action == 1:
+            owner[key] = [owner[key]] * random.choice((2, 20))
+        elif action == 2 and isinstance(owner[key], int | float):
+            owner[key] += random.choice((-1, 1))
+        else:
+            owner[key] = deepcopy(random.choice(random.choice((NUMBERS, OTHERS))))  # later mutations are in place
+    damaged = bytearray(rebuilt(document, binary))
+    for _ in range(random.choice((0, 0, 1, 20))):
+        damaged[random.randrange(len(damaged))] = random.choice((0, 255, random.randrange(256)))
+    return bytes(damaged[: len(damaged) - random.choice((0, 0, 0, 1, random.randrange(len(damaged))))])
+
+
+@settings(max_examples=400, deadline=None)
+@given(st.randoms(use_true_random=False))
+def test_of_a_damaged_file_only_meshes_and_mesh_errors_come(random: Random) -> None:
+    content = mutated(RICH, random)
+    found: list[Mesh] = []
+    errors: list[MeshError] = []
+    for load in (lambda data: load_glb(data, "thing")[:1], lambda data: load_colliders(data, "thing")):
+        try:
+            found += load(content)
+        except MeshError as error:
+            errors.append(error)
+    try:
+        load_coats(content, "thing")
+    except MeshError as error:
+        errors.append(error)
+    for error in errors:
+        assert error.code.startswith("glb_")
+        assert len(str(error)) < 500
+        assert str(error).isprintable()
+    for mesh in found:
+        assert np.isfinite(mesh.vertices).all()
+        assert 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices)
+
+
+def test_the_file_that_is_damaged_is_whole() -> None:
+    assert len(load_glb(RICH, "thing")[0].faces) == 12 + 6
+    assert [len(part.faces) for part in load_colliders(RICH, "thing")] == [4, 8]
+    textured, plain = load_coats(RICH, "thing")
+    assert textured.image is not None
+    assert textured.corner_uv is not None
+    assert textured.corner_colours is not None
+    assert plain.factor is None
