@@ -65,11 +65,19 @@ def signed_volumes(triangles: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Edges:
-    """Undirected edges (E, 2), low corner first; how many faces use each; how many more run it upwards than downwards."""
+    """Undirected edges of faces.
+
+    Attributes:
+        corners: (E, 2), low corner first.
+        count: How many faces use each, (E,).
+        balance: How many more run it upwards than downwards, (E,).
+        of_faces: The three edges of every face, (F, 3).
+    """
 
     corners: IntArray
     count: IntArray
     balance: IntArray
+    of_faces: IntArray
 
     @classmethod
     def of(cls, faces: IntArray) -> "Edges":
@@ -78,7 +86,7 @@ class Edges:
         low, high, num = directed.min(axis=1), directed.max(axis=1), faces.max() + 1
         key, index, count = np.unique(low * num + high, return_inverse=True, return_counts=True)
         balance = np.bincount(index, np.where(directed[:, 0] == low, 1, -1)).astype(np.int64)
-        return cls(np.stack([key // num, key % num], axis=1), count, balance)
+        return cls(np.stack([key // num, key % num], axis=1), count, balance, index.reshape(-1, 3))
 
     @property
     def is_watertight(self) -> bool:

@@ -2,6 +2,8 @@
 
 import json
 import struct
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +15,9 @@ from scipy.spatial import cKDTree
 from stable_data.errors import MeshError
 from stable_data.glb import MeshLimits, load_glb
 from stable_data.mass import mass_properties
-from stable_data.mesh import Mesh, is_closed, signed_volumes, unit_normals
+from stable_data.mesh import Edges, Mesh, is_closed, signed_volumes, unit_normals
 from stable_data.repair import repair
-from stable_data.scene import FloatArray
+from stable_data.scene import FloatArray, IntArray
 from tests.stable_data.glb_files import document_of, glb_bytes, rebuilt
 
 
@@ -268,6 +270,87 @@ def test_a_flat_sheet_encloses_nothing() -> None:
     _, report, _ = repair(square, "paper")
     assert report.is_sheet
     assert report.volume == 0
+
+
+TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+TETRAHEDRON_CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+
+
+def copies(corners: FloatArray, faces: IntArray, places: FloatArray) -> Mesh:
+    """The same part at many places (N, 3), with corners of its own at each; corners (C, 3) or (N, C, 3)."""
+    vertices = corners + places[:, None]
+    return Mesh(vertices.reshape(-1, 3), (faces + vertices.shape[1] * np.arange(len(places))[:, None, None]).reshape(-1, 3))
+
+
+def lattice(side: int) -> FloatArray:
+    """Places two units apart, (side^3, 3)."""
+    return 2.0 * np.stack(np.meshgrid(*3 * [np.arange(float(side))]), axis=-1).reshape(-1, 3)
+
+
+def test_many_loose_triangles_take_little_time() -> None:
+    mesh = copies(TETRAHEDRON_CORNERS[:3], TETRAHEDRON[:1], lattice(28)[:20_000])
+    begun = time.process_time()
+    _, report, _ = repair(mesh, "leaves")
+    assert time.process_time() - begun < 10  # seconds; one, unless the machine is busy
+    assert report.num_components == 20_000
+    assert report.actions == ("closed 20000 of 20000 holes",)
+
+
+def test_many_parts_that_look_inwards_take_little_time() -> None:
+    mesh = copies(TETRAHEDRON_CORNERS, TETRAHEDRON, lattice(22)[:10_000])
+    faces = mesh.faces.copy()
+    faces[20_004:] = faces[20_004:, ::-1]  # 4999 of 10,000
+    begun = time.process_time()
+    repaired, report, _ = repair(Mesh(mesh.vertices, faces), "gravel")
+    assert time.process_time() - begun < 10
+    assert np.array_equal(repaired.faces, mesh.faces)
+    assert report.num_flipped_faces == 4 * 4999
+
+
+def test_many_faces_on_one_edge_take_little_time() -> None:
+    angles = np.linspace(0, np.pi, 20_000)
+    rim = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=1)
+    corners = np.concatenate([[[0.0, 0, 0], [0, 0, 1]], rim])
+    faces = np.stack([np.zeros(len(rim)), np.ones(len(rim)), np.arange(len(rim)) + 2], axis=1)
+    begun = time.process_time()
+    _, report, _ = repair(Mesh(corners, faces), "book")
+    assert time.process_time() - begun < 10
+    assert report.num_components == 1
+
+
+@pytest.mark.parametrize(
+    ("mesh", "found"),
+    [
+        (lambda: copies(TETRAHEDRON_CORNERS, TETRAHEDRON, lattice(37)[:50_001]), "50001 parts"),
+        (
+            lambda: copies(
+                (np.arange(3000) + 9)[:, None, None] * (TETRAHEDRON_CORNERS - 0.2), TETRAHEDRON[:, ::-1], np.zeros((3000, 3))
+            ),
+            "pairs of parts",
+        ),
+    ],
+)
+def test_what_would_take_too_long_is_refused_with_the_limit(mesh: Callable[[], Mesh], found: str) -> None:
+    shells = mesh()
+    shells.faces[: len(shells.faces) // 2] = shells.faces[: len(shells.faces) // 2, ::-1].copy()
+    with pytest.raises(MeshError, match=f"asset dust: repair meets .*{found}.* at most .*; simplify the mesh") as caught:
+        repair(shells, "dust")
+    assert caught.value.code == "mesh_too_complex"
+
+
+def test_a_moebius_strip_is_one_part_that_repair_bears() -> None:
+    around = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    radius = 1 + np.array([[-0.2], [0.2]]) * np.cos(around / 2)
+    height = np.array([[-0.2], [0.2]]) * np.sin(around / 2)
+    vertices = np.stack([radius * np.cos(around), radius * np.sin(around), height], axis=-1).reshape(-1, 3)
+    low, high = np.arange(24), np.arange(24) + 24
+    after, above = np.append(low[1:], 24), np.append(high[1:], 0)  # the far end meets the near one upside down
+    faces = np.concatenate([np.stack([low, after, high], axis=1), np.stack([after, above, high], axis=1)])
+    mesh, report, _ = repair(Mesh(vertices, faces), "strip")
+    assert report.num_components == 1
+    assert report.is_sheet
+    edges = Edges.of(mesh.faces)
+    assert (edges.balance[edges.count == 2] != 0).sum() == 1  # one side only: somewhere neighbours must clash, once
 
 
 def test_repairing_twice_changes_nothing() -> None:
