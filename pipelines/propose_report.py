@@ -66,7 +66,7 @@ def _scene(folder: Path, stages: Iterable[dict[str, Any]]) -> Iterator[str]:
     yield f"<h3>{escape(task['Task'])}</h3><div class=grid>"
     picture, name = folder / "front.png", escape(folder.name)
     if picture.is_file():
-        yield f'<figure><img alt="{name}" src="{image_uri(np.asarray(Image.open(picture)))}">'
+        yield f'<figure><img alt="{name}" src="{image_uri(np.asarray(Image.open(picture, formats=("PNG",))))}">'
         yield f"<figcaption><b>{name}</b> {escape(folder.parent.name)}</figcaption></figure>"
     said = [(row["stage"], _objects(row["reply"])) for row in stages]
     yield table(("stage", "objects"), said) + "</div>"

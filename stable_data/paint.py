@@ -4,6 +4,7 @@ Instructions name colours ("the yellow block"), so what a camera sees must have 
 """
 
 import io
+import warnings
 from pathlib import Path
 from typing import TypeAlias
 
@@ -22,12 +23,14 @@ Paint: TypeAlias = tuple[tuple[str, IntArray], ...]
 MOST_COLOURS = 8
 """Of a mesh: more than an instruction names, and few enough pieces to draw."""
 
+_FORMATS = ("PNG", "JPEG", "WEBP")  # of textures in glTF; Pillow starts Ghostscript for others
 _PIXELS = 512  # to which a texture is brought down along each side
-_MOST_PIXELS = 2**26  # of a texture as it comes
+_MOST_PIXELS = 2**27  # of all textures of a file as they come
 _FEW = 20_000  # faces up to which many points of each are looked up
 _STEP = 16  # of 256: colours of a mesh with many that fall into one such cell are one
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what is not finite is checked for
 def load_paint(data: bytes | Path, asset_id: str, mesh: Mesh) -> Paint:
     """The colours of the faces of a mesh.
 
@@ -40,25 +43,21 @@ def load_paint(data: bytes | Path, asset_id: str, mesh: Mesh) -> Paint:
         The colours, that of the largest surface first; none where the file says nothing of them.
 
     Raises:
-        MeshError: What it says cannot be read.
+        MeshError: What it says cannot be read; ``code`` is ``texture_invalid`` or one of :func:`stable_data.glb.load_glb`.
     """
     coats = load_coats(data, asset_id)
     if all(coat.factor is None and coat.corner_colours is None for coat in coats):
         return ()
-    try:
-        textures: dict[int, FloatArray] = {}  # many coats may have one large picture
-        for coat in coats:
-            if coat.image is not None and coat.corner_uv is not None and id(coat.image) not in textures:
-                textures[id(coat.image)] = _pixels(coat.image)
-        colours = np.concatenate([_colours(coat, textures.get(id(coat.image))) for coat in coats])
-    except (OSError, ValueError, SyntaxError, MemoryError) as error:  # as PIL raises them
-        message = f"asset {asset_id}: a texture cannot be read ({error}), expected a picture; export it again"
-        raise MeshError(message, "texture_invalid") from error
+    images = {id(coat.image): coat.image for coat in coats if coat.image is not None and coat.corner_uv is not None}
+    textures = _textures(images, asset_id) if images else {}
+    colours = np.concatenate([_colours(coat, textures.get(id(coat.image))) for coat in coats])
     triangles = np.concatenate([coat.triangles for coat in coats])
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     middles = triangles.mean(axis=1) - (low + high) / 2
-    if not np.isfinite(middles).all():
-        raise MeshError(f"asset {asset_id}: a vertex is not finite, expected finite coordinates", "glb_nan_vertices")
+    if not np.isfinite(np.square(4 * middles)).all():  # nor would the squares of distances be
+        raise MeshError(
+            f"asset {asset_id}: a vertex is not finite or too far, expected a mesh of usual size", "glb_nan_vertices"
+        )
     nearest: IntArray = np.asarray(cKDTree(middles).query(mesh.triangles.mean(axis=1))[1])
     return _grouped(colours[nearest], double_areas(mesh))
 
@@ -68,7 +67,10 @@ def to_linear(on_screen: FloatArray) -> FloatArray:
     return np.asarray(np.where(on_screen <= 0.04045, on_screen / 12.92, ((on_screen + 0.055) / 1.055) ** 2.4))
 
 
-def _colours(coat: Coat, texture: FloatArray | None) -> npt.NDArray[np.uint8]:
+_LINEAR = to_linear(np.arange(256) / 255)
+
+
+def _colours(coat: Coat, texture: npt.NDArray[np.uint8] | None) -> npt.NDArray[np.uint8]:
     """Colour of each face, (F, 3), as seen on a screen."""
     linear = np.tile(np.array(coat.factor or (1.0, 1.0, 1.0)), (len(coat.triangles), 1))
     if coat.corner_colours is not None:
@@ -80,29 +82,36 @@ def _colours(coat: Coat, texture: FloatArray | None) -> npt.NDArray[np.uint8]:
     return np.asarray(np.rint(255 * on_screen), np.uint8)
 
 
-def _pixels(image: bytes) -> FloatArray:
-    """A texture, not too large, (H, W, 3), linear."""
-    from PIL import Image  # only few files have textures, and not every installation has it
+def _textures(images: dict[int, bytes], asset_id: str) -> dict[int, npt.NDArray[np.uint8]]:
+    """Pictures of a file, not too large, (H, W, 3), as seen on a screen; by the keys of their contents."""
+    from PIL import Image, UnidentifiedImageError  # only few files have textures, and not every installation has it
 
+    textures, num_pixels = {}, 0
     try:
-        opened = Image.open(io.BytesIO(image))  # reads the head alone
-    except Image.DecompressionBombError as error:
-        raise ValueError(str(error)) from error
-    with opened as picture:
-        if picture.width * picture.height > _MOST_PIXELS:
-            raise ValueError(f"it has {picture.width} x {picture.height} pixels")
-        picture.thumbnail((_PIXELS, _PIXELS))
-        pixels = np.asarray(picture.convert("RGB"), np.float64) / 255
-    return to_linear(pixels)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            for key, image in images.items():
+                with Image.open(io.BytesIO(image), formats=_FORMATS) as picture:  # reads the head alone
+                    num_pixels += picture.width * picture.height
+                    if num_pixels > _MOST_PIXELS:
+                        raise ValueError(f"{num_pixels} pixels in all textures, of at most {_MOST_PIXELS}")
+                    picture.thumbnail((_PIXELS, _PIXELS))
+                    textures[key] = np.asarray(picture.convert("RGB"))
+    except Exception as error:  # each of Pillow's decoders raises others
+        found = "another format" if isinstance(error, UnidentifiedImageError) else f"{type(error).__name__}: {error}"
+        message = f"asset {asset_id}: a texture cannot be read ({found:.200}), expected PNG, JPEG or WEBP; export it again"
+        raise MeshError(message, "texture_invalid") from error
+    return textures
 
 
-def _looked_up(texture: FloatArray, corner_uv: FloatArray) -> FloatArray:
+def _looked_up(texture: npt.NDArray[np.uint8], corner_uv: FloatArray) -> FloatArray:
     """Mean colour of a texture over each face, (F, 3), linear."""
     height, width, _ = texture.shape
     uv = np.einsum("kc,fcd->fkd", _SPREAD if len(corner_uv) <= _FEW else _SPREAD.mean(axis=0, keepdims=True), corner_uv)
     uv = np.nan_to_num(uv) % 1.0
     column, row = (uv[..., 0] * width).astype(int) % width, (uv[..., 1] * height).astype(int) % height
-    return np.asarray(texture[row, column].mean(axis=1))
+    return np.asarray(_LINEAR[texture[row, column]].mean(axis=1))
 
 
 def _spread(steps: int) -> FloatArray:

@@ -203,7 +203,7 @@ def _write_sheet(out: Path) -> bool:
     """Draws an even choice of the pictures on one sheet; gives whether there are any."""
     paths = sorted((out / LAYOUT_FOLDER).glob("*/*/front.png"))
     chosen = paths[:: -(-len(paths) // _NUM_ON_SHEET)] if paths else []
-    images = [np.asarray(Image.open(path).convert("RGB").resize(_SHEET_PICTURE)) for path in chosen]
+    images = [np.asarray(Image.open(path, formats=("PNG",)).convert("RGB").resize(_SHEET_PICTURE)) for path in chosen]
     if images:
         Image.fromarray(contact_sheet(images, [path.parent.name for path in chosen], columns=6)).save(out / SHEET_FILE)
     return bool(images)

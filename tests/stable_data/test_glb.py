@@ -20,11 +20,13 @@ from PIL import Image
 from stable_data.errors import MeshError
 from stable_data.glb import COLLIDERS, PART_FACES, MeshLimits, load_coats, load_colliders, load_glb
 from stable_data.mesh import Mesh
+from stable_data.paint import load_paint
 from tests.stable_data.glb_files import document_of, edited, glb_bytes, rebuilt
 
 BOX = Mesh(trimesh.creation.box().vertices, trimesh.creation.box().faces)
+MANY = Mesh(BOX.vertices, BOX.faces.repeat(1_000, axis=0)[:10_000])
 HUGE = (2**31, 2**32, 2**63 - 1, 2**63, 2**64, 10**400)
-NO_SIZE = (-1, -(2**63), 0.0, 3.5, True, False, None, "8", [8], {})
+NO_SIZE: tuple[Any, ...] = (-1, -(2**63), 0.0, 3.5, True, False, None, "8", [8], {})
 
 
 def refused(content: bytes) -> str:
@@ -144,7 +146,6 @@ BOMBS: dict[str, tuple[str, Callable[[], bytes]]] = {
         lambda: json_bomb(b'["]]\\\\",["\\"]",' * 70 + b"0" + b"]" * 140),
     ),
 }
-MANY = Mesh(BOX.vertices, BOX.faces.repeat(1_000, axis=0)[:10_000])
 
 
 def large() -> bytes:
@@ -283,7 +284,24 @@ NESTED: list[Any] = []
 for _ in range(100):
     NESTED = [NESTED]
 NUMBERS = [-1, 0, 1, 2, 3, 7, 36, 144, 5121, 5123, 5126, *HUGE, 0.5, -0.0, 1e-300, 1e308, float("inf"), float("nan")]
-OTHERS = [None, True, False, "", "x", "VEC4", "SCALAR", "\ud800", [], {}, [0], [0, 0], [[]], [[1.0] * 4] * 4, {"x": 0}, NESTED]
+OTHERS: list[Any] = [
+    None,
+    True,
+    False,
+    "",
+    "x",
+    "VEC4",
+    "SCALAR",
+    "\ud800",
+    [],
+    {},
+    [0],
+    [0, 0],
+    [[]],
+    [[1.0] * 4] * 4,
+    {"x": 0},
+    NESTED,
+]
 
 
 def places(value: Any) -> Iterator[tuple[Any, Any]]:
@@ -314,25 +332,34 @@ def mutated(content: bytes, random: Random) -> bytes:
     return bytes(damaged[: len(damaged) - random.choice((0, 0, 0, 1, random.randrange(len(damaged))))])
 
 
+def surfaces(content: bytes) -> list[Mesh]:
+    return [load_glb(content, "thing")[0]]
+
+
+def colliders(content: bytes) -> list[Mesh]:
+    return list(load_colliders(content, "thing"))
+
+
+def colours(content: bytes) -> list[Mesh]:
+    """No mesh, but all that is read for colours."""
+    load_coats(content, "thing")
+    load_paint(content, "thing", BOX)
+    return []
+
+
 @settings(max_examples=400, deadline=None)
 @given(st.randoms(use_true_random=False))
 def test_of_a_damaged_file_only_meshes_and_mesh_errors_come(random: Random) -> None:
     content = mutated(RICH, random)
     found: list[Mesh] = []
-    errors: list[MeshError] = []
-    for load in (lambda data: load_glb(data, "thing")[:1], lambda data: load_colliders(data, "thing")):
+    for load in (surfaces, colliders, colours):
         try:
             found += load(content)
         except MeshError as error:
-            errors.append(error)
-    try:
-        load_coats(content, "thing")
-    except MeshError as error:
-        errors.append(error)
-    for error in errors:
-        assert error.code.startswith("glb_")
-        assert len(str(error)) < 500
-        assert str(error).isprintable()
+            code, message = error.code, str(error)
+            assert code.startswith(("glb_", "texture_"))
+            assert len(message) < 500
+            assert message.isprintable()
     for mesh in found:
         assert np.isfinite(mesh.vertices).all()
         assert 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices)

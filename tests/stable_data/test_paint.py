@@ -1,13 +1,18 @@
 """Colours of meshes: those of the file, on the faces that have them, through repair, the tables of a run and the exports."""
 
 import io
+import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from PIL import Image
 
 from stable_data import paint
@@ -21,10 +26,10 @@ from stable_data.glb import load_glb
 from stable_data.mesh import double_areas
 from stable_data.paint import MOST_COLOURS, Paint, load_paint
 from stable_data.repair import repair
-from stable_data.scene import FloatArray, Scene, SceneObject, Tabletop
+from stable_data.scene import Scene, SceneObject, Tabletop
 from stable_data.solid_scene import SolidScene
 from stable_data.synth.catalogue import asset
-from tests.stable_data.glb_files import edited
+from tests.stable_data.glb_files import document_of, edited, rebuilt
 
 pytestmark = pytest.mark.sim
 
@@ -89,20 +94,88 @@ def test_a_texture_gives_each_face_its_mean_colour() -> None:
 
 
 def test_a_picture_of_many_pieces_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    read = list[int]()
-    real = paint._pixels
-
-    def counted(image: bytes) -> FloatArray:
-        read.append(len(image))
-        return real(image)
-
-    monkeypatch.setattr(paint, "_pixels", counted)
     content = edited(
         textured(Image.new("RGB", (8, 8), "#f08020")),
         lambda d: d["meshes"][0]["primitives"].extend(8 * d["meshes"][0]["primitives"]),
     )
+    monkeypatch.setattr(paint, "_MOST_PIXELS", 64)
     assert [colour for colour, _ in painted(content)] == ["#f08020"]
-    assert len(read) == 1
+
+
+def with_pictures(*pictures: bytes) -> bytes:
+    """A square for each of some textures, whatever they are."""
+    document, binary = document_of(textured(Image.new("RGB", (8, 8))))
+    views, (primitive,) = document["bufferViews"], document["meshes"][0]["primitives"]
+    document["images"], document["textures"], document["materials"], document["meshes"][0]["primitives"] = [], [], [], []
+    for k, picture in enumerate(pictures):
+        document["images"].append({"bufferView": len(views)})
+        document["textures"].append({"source": k})
+        document["materials"].append({"pbrMetallicRoughness": {"baseColorTexture": {"index": k}}})
+        document["meshes"][0]["primitives"].append({**primitive, "material": k})
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(picture)})
+        binary += picture
+    return rebuilt(document, binary)
+
+
+def encoded(image: Image.Image, file_format: str) -> bytes:
+    stream = io.BytesIO()
+    image.save(stream, file_format)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("file_format", ["PNG", "JPEG", "WEBP"])
+def test_textures_of_the_formats_of_gltf_are_read(file_format: str) -> None:
+    ((colour, _),) = painted(with_pictures(encoded(Image.new("RGB", (16, 16), "#808080"), file_format)))
+    assert colour == "#808080"
+
+
+@pytest.mark.parametrize("file_format", ["EPS", "BMP", "GIF", "TIFF", "PPM", "ICO", "PDF", "JPEG2000"])
+def test_a_texture_of_another_format_is_not_opened(file_format: str) -> None:
+    """Pillow starts a program, Ghostscript, to read EPS."""
+    with pytest.raises(MeshError, match=r"another format.*expected PNG, JPEG or WEBP") as caught:
+        painted(with_pictures(encoded(Image.new("RGB", (16, 16)), file_format)))
+    assert caught.value.code == "texture_invalid"
+
+
+def png_of(width: int, height: int) -> bytes:
+    """A PNG that claims a size and has no pixels."""
+    chunks = [(b"IHDR", struct.pack(">2I5B", width, height, 8, 2, 0, 0, 0)), (b"IDAT", b""), (b"IEND", b"")]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
+        for name, content in chunks
+    )
+
+
+@pytest.mark.parametrize("size", [(10_000, 9_000), (20_000, 20_000), (2**31 - 1, 2**31 - 1)])
+def test_a_texture_of_too_many_pixels_is_not_decoded(size: tuple[int, int]) -> None:
+    with pytest.raises(MeshError, match="DecompressionBomb") as caught:
+        painted(with_pictures(png_of(*size)))
+    assert caught.value.code == "texture_invalid"
+
+
+def test_the_pixels_of_all_textures_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    picture = encoded(Image.new("RGB", (8, 8), "#f08020"), "PNG")
+    monkeypatch.setattr(paint, "_MOST_PIXELS", 128)
+    assert [colour for colour, _ in painted(with_pictures(picture, picture))] == ["#f08020"]
+    with pytest.raises(MeshError, match="192 pixels in all textures, of at most 128"):
+        painted(with_pictures(picture, picture, picture))
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.sampled_from(["PNG", "JPEG", "WEBP"]), st.randoms(use_true_random=False))
+def test_of_a_damaged_texture_only_colours_and_mesh_errors_come(file_format: str, random: Random) -> None:
+    num_faces = len(repair(load_glb(with_pictures(b""), "a")[0], "a")[0].faces)
+    picture = bytearray(
+        encoded(Image.linear_gradient("L").resize((16, 16)).convert("P" if file_format == "PNG" else "RGB"), file_format)
+    )
+    for _ in range(random.choice((1, 3, 30))):
+        picture[random.randrange(len(picture))] = random.choice((0, 255, random.randrange(256)))
+    try:
+        found = painted(with_pictures(bytes(picture[: len(picture) - random.choice((0, 0, random.randrange(len(picture))))])))
+    except MeshError as error:
+        assert error.code == "texture_invalid"  # noqa: PT017 - not every damage is an error
+    else:
+        assert sum(len(rows) for _, rows in found) == num_faces
 
 
 def test_vertices_may_have_colours() -> None:
