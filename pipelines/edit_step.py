@@ -117,6 +117,7 @@ class EditWork(SceneWork[EditSettings, WantedEdit, Replied]):
         progress.step = "audit"
         posed = PosedScene(scene, shapes)
         audit = audit_posed(posed)
+        notices += audit.notices
         card: MetricCard | None = audit.card()
         rows: Rows = {}
         if self.settings.correct and replied.kind != "none":

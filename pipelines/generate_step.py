@@ -246,7 +246,7 @@ class GenerateWork:
             "duplicate_group": group,
         }
         row = {**tables.scene_row(scene), **tables.card_row(card), **audit.rows(), **origin}
-        told = [Notice(name, n.step, n.code, n.message) for n in notices]
+        told = [Notice(name, n.step, n.code, n.message) for n in (*notices, *audit.notices)]
         if not_as_said:
             lost = ", ".join(map(str, not_as_said))
             told.append(Notice(name, "card", "not_as_said", f"{name}: the instruction says what does not hold: {lost}"))

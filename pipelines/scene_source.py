@@ -199,7 +199,7 @@ class TableSource:
         progress.step = "audit"
         audit = audit_scene(scene, shapes)
         origin = {column: row[column] for column in ORIGIN_COLUMNS}
-        return Taken(scene, shapes, audit, self.containers(scene), origin, notices)
+        return Taken(scene, shapes, audit, self.containers(scene), origin, notices + audit.notices)
 
     def containers(self, scene: Scene) -> Containers:
         """As the table ``assets`` has it."""

@@ -152,7 +152,7 @@ def understand(
         task = derive_task(scene, graph, task_rng(scene.scene_id, settings.seed))
     progress.step = "stage"
     scene = stage_scene(replace(scene, task=task), settings.important_threshold)
-    return Understood(scene, other_tasks(scene, graph, settings), posed, audit, (*read, *meshed, *notices))
+    return Understood(scene, other_tasks(scene, graph, settings), posed, audit, (*read, *meshed, *audit.notices, *notices))
 
 
 def origin_of(dataset: MesaTaskDataset, scene: Scene, settings: SceneSettings) -> tables.Row:

@@ -194,7 +194,7 @@ def notices_of(done: Correction, scene_id: str) -> list[Notice]:
         notices.append(Notice(scene_id, "certify", "unsteady", message))
     if done.status is Status.UNKNOWN:
         notices.append(Notice(scene_id, "certify", "unknown", f"{scene_id}: {done.reason}"))
-    return notices
+    return notices + ([] if done.audit is None else list(done.audit.notices))
 
 
 def _add(rows: dict[str, list[tables.Row]], new: Rows) -> None:

@@ -132,4 +132,4 @@ def _lint_scene(
         message = f"{scene_id}: {type(error).__name__}: {error}; please report this with the file"
         return None, (Notice(scene_id, step, "unexpected", message),)
     row = {"scene_id": scene_id, "table_type": scene.table.table_type, **asdict(audit.card()), **audit.rows()}
-    return row, (*read, *meshed)
+    return row, (*read, *meshed, *audit.notices)

@@ -273,7 +273,9 @@ def _is_back_of_sheet(vertices: FloatArray, faces: IntArray, part: IntArray, cap
     area = np.maximum(np.bincount(caps.hole, double_areas(Mesh(vertices, caps.faces))), 1e-300)
     face, hole = _beneath(len(vertices), faces, caps, asset_id)
     ratios = np.stack([np.bincount(part, surface)[caps.part], np.bincount(hole, surface[face], len(area))]) / area
-    return ((ratios > 0.95) & (ratios < 1.05)).any(axis=0)
+    own, beneath = (ratios > 0.95) & (ratios < 1.05)
+    is_back: BoolArray = own | beneath
+    return is_back
 
 
 def _beneath(num_vertices: int, faces: IntArray, caps: _Caps, asset_id: str) -> tuple[IntArray, IntArray]:
@@ -301,7 +303,7 @@ def _is_safe_to_fill(vertices: FloatArray, faces: IntArray, caps: _Caps, is_aske
     area, surface = np.linalg.norm(normal, axis=1), double_areas(Mesh(vertices, faces)).sum() / 2
     width = (np.maximum.reduceat(rim, caps.start) - np.minimum.reduceat(rim, caps.start)).max(axis=1)
     is_slit = (area <= _SLIVER * surface) & (fan_area <= 10 * _SLIVER * surface)
-    is_safe = is_slit | (width <= _CRACK * np.ptp(vertices, axis=0).max())
+    is_safe: BoolArray = is_slit | (width <= _CRACK * np.ptp(vertices, axis=0).max())
     is_cut_end = area >= 0.9 * fan_area  # what is far from planar is none
     is_safe |= is_cut_end & (area <= _SMALL_MOUTH * surface) & (normal[:, 2] <= 0.5 * area)
     is_safe &= is_asked

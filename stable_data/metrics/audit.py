@@ -1,10 +1,13 @@
 """The audit of a scene: every verdict on collision, support and bounds, pair by pair and object by object.
 
 Definitions are those of docs/audit.md, against the scaled, tilted triangle meshes. An object whose mesh is missing is a
-box: what its box rules out is known (boxes that do not meet do not collide), the rest is unknown and never a pass.
+box: what its box rules out is known (boxes that do not meet do not collide), the rest is unknown and never a pass. So is what
+is left when a scene's budget of work is used up. Objects of the same triangles in the same place are judged once.
 """
 
+import hashlib
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,10 +16,11 @@ from typing import Any
 import networkx as nx
 import numpy as np
 
+from stable_data.errors import Notice
 from stable_data.metrics.bounds import enters_zone, leaves_table
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.collision import NEAR, ROUNDING, TOLERANCE, penetration
-from stable_data.metrics.crossing import MeshPair, Surface
+from stable_data.metrics.crossing import MeshPair, Surface, WorkBudget, WorkLimitError
 from stable_data.metrics.support import carries, distance_to_surface
 from stable_data.points import bottom_points
 from stable_data.scene import TABLE, FloatArray, Scene
@@ -25,6 +29,11 @@ from stable_data.shape import Shape
 BOUNDS_SLACK = 1e-3
 """How far a footprint may reach over an edge, metres: the format's own rounding."""
 
+MAX_WORK = 300_000_000
+"""What a scene's exact tests may cost, in triangles that they look at: some 25 s; the fullest tables take 40 million."""
+
+_GAP_WORK = 4  # triangles that are tested in the time of one whose distance is asked
+_MAX_KEPT = 2_000_000  # triangles of pairs that are kept for the next question
 _GAP_RANGE = 0.1  # supports farther than this are not looked for by the paper's gap, metres
 
 
@@ -35,7 +44,7 @@ class PairVerdict:
     Attributes:
         first: Instance.
         second: Instance.
-        penetration: Metres; None where a mesh is missing and the boxes meet.
+        penetration: Metres; None where the boxes meet and a mesh is missing or the audit was cut short.
     """
 
     first: str
@@ -50,7 +59,7 @@ class ObjectVerdict:
     Attributes:
         instance: Its name.
         floats: Lowered by the tolerance it meets nothing that carries, or only what it carries itself; None where a missing
-            mesh leaves it open.
+            mesh, or an audit that was cut short, leaves it open.
         supports: What it meets then: instances, or ``table``.
         gap: The paper's smallest distance of the bottom region to a support, metres; None where unknown.
         table_penetration: How far it reaches below the table top, metres.
@@ -86,6 +95,7 @@ class Audit:
         objects: One verdict an object, in the scene's order.
         num_tilted: Objects tilted by more than 5 degrees.
         tolerance: What floating and the card's headline were judged at, metres.
+        is_cut_short: Whether the scene's budget of work was used up, so that verdicts are unknown.
     """
 
     scene_id: str
@@ -93,6 +103,19 @@ class Audit:
     objects: tuple[ObjectVerdict, ...]
     num_tilted: int
     tolerance: float = TOLERANCE
+    is_cut_short: bool = False
+
+    @property
+    def notices(self) -> tuple[Notice, ...]:
+        """What about the audit itself deserves a look."""
+        if not self.is_cut_short:
+            return ()
+        unknown = sum(p.penetration is None for p in self.pairs)
+        message = (
+            f"{self.scene_id}: the audit was cut short with {unknown} pairs of objects unknown, expected at most {MAX_WORK} triangles "
+            "to test; part the objects that lie in each other, or take simpler meshes"
+        )
+        return (Notice(self.scene_id, "audit", "audit_cut_short", message),)
 
     def share_deeper(self, depth: float) -> float | None:
         """Pairs that collide deeper than a depth in metres, as a share of all; None where a pair is unknown."""
@@ -176,12 +199,28 @@ class PosedScene:
         # Column by column: reducing along the long axis of (V, 3) is slow.
         self.low = np.array([[v[:, axis].min() for axis in range(3)] for v in self.vertices]).reshape(-1, 3)
         self.high = np.array([[v[:, axis].max() for axis in range(3)] for v in self.vertices]).reshape(-1, 3)
+        self.budget = WorkBudget(MAX_WORK)
         self._surfaces: dict[int, Surface] = {}
         self._pairs: dict[tuple[int, int], MeshPair] = {}
+        self._num_kept = 0
+        self._depths: dict[tuple[int, int], float | None] = {}
+        self._carries: dict[tuple[int, int, float], bool] = {}
+        self._gaps: dict[int, float | None] = {}
         self._bottoms: dict[int, FloatArray] = {}
+
+    @cached_property
+    def first_alike(self) -> list[int]:
+        """For each object the first one of the same triangles in the same place: itself, unless objects coincide."""
+        boxes = [low.tobytes() + high.tobytes() for low, high in zip(self.low, self.high, strict=True)]
+        count, first = Counter(boxes), dict[bytes, int]()
+        return [k if count[box] == 1 else first.setdefault(self._content(k), k) for k, box in enumerate(boxes)]
+
+    def _content(self, index: int) -> bytes:
+        return hashlib.sha256(self.vertices[index].tobytes() + self.shapes[index].faces.tobytes()).digest()
 
     def surface(self, index: int) -> Surface:
         """Triangles of one object with their boxes, metres, world frame."""
+        index = self.first_alike[index]
         if index not in self._surfaces:
             self._surfaces[index] = Surface(self.vertices[index][self.shapes[index].faces])
         return self._surfaces[index]
@@ -191,16 +230,33 @@ class PosedScene:
         return self.surface(index).triangles
 
     def pair(self, first: int, second: int, margin: float) -> MeshPair:
-        """Two objects of the scene, first < second, that may be moved by a margin; kept where that is NEAR."""
+        """Two objects of the scene, first <= second, that may be moved by a margin; kept for a while where that is NEAR.
+
+        Raises:
+            WorkLimitError: The scene's budget is used up.
+        """
+        one, other = self.surface(first), self.surface(second)
         if margin > NEAR:
-            return MeshPair(self.surface(first), self.surface(second), margin)
+            return MeshPair(one, other, margin, self.budget)
         if (first, second) not in self._pairs:
-            self._pairs[first, second] = MeshPair(self.surface(first), self.surface(second), NEAR)
+            self._pairs[first, second] = pair = MeshPair(one, other, NEAR, self.budget)
+            self._num_kept += pair.num_triangles
+            while self._num_kept > _MAX_KEPT and len(self._pairs) > 1:
+                self._num_kept -= self._pairs.pop(next(iter(self._pairs))).num_triangles
         return self._pairs[first, second]
 
-    def penetration(self, first: int, second: int) -> float:
-        """How deep two objects are in each other, metres."""
-        return penetration(self.surface(first), self.surface(second), self.pair(first, second, NEAR))
+    def penetration(self, first: int, second: int) -> float | None:
+        """How deep two objects are in each other, metres; None where that is unknown."""
+        if not (self.shapes[first].is_exact and self.shapes[second].is_exact):
+            return None
+        one, other = self.first_alike[first], self.first_alike[second]
+        i, j = min(one, other), max(one, other)
+        if (i, j) not in self._depths:
+            try:
+                self._depths[i, j] = penetration(self.surface(i), self.surface(j), self.pair(i, j, NEAR))
+            except WorkLimitError:
+                self._depths[i, j] = None
+        return self._depths[i, j]
 
     @cached_property
     def meeting_boxes(self) -> list[tuple[int, int]]:
@@ -237,33 +293,56 @@ class PosedScene:
             gap: Metres.
 
         Returns:
-            Instances and ``table``; None where nothing known carries it and a missing mesh might.
+            Instances and ``table``; None where nothing known carries it and something unknown might.
         """
         found, is_open = self._supports(index, gap)
         return None if is_open and not found else found
 
     def _supports(self, index: int, gap: float) -> tuple[tuple[str, ...], bool]:
-        """What is known to carry an object, and whether a missing mesh might besides."""
+        """What is known to carry an object, and whether what is unknown might besides."""
         found, is_open = [TABLE] if self.stands_on_table(index, gap) else [], False
         reach = gap + ROUNDING
         for other in self.below(index, reach):
             if not (self.shapes[index].is_exact and self.shapes[other].is_exact):
                 is_open = True
-            elif carries(self.pair(min(index, other), max(index, other), reach), reach, upper_is_first=index < other):
-                found.append(self.instances[other])
+                continue
+            try:
+                if self._is_carried(self.first_alike[index], self.first_alike[other], reach):
+                    found.append(self.instances[other])
+            except WorkLimitError:
+                is_open = True
         return tuple(found), is_open
+
+    def _is_carried(self, upper: int, lower: int, reach: float) -> bool:
+        key = upper, lower, reach
+        if key not in self._carries:
+            pair = self.pair(min(upper, lower), max(upper, lower), reach)
+            self._carries[key] = carries(pair, reach, upper_is_first=upper <= lower)
+        return self._carries[key]
 
     def gap(self, index: int) -> float | None:
         """The paper's distance of the bottom region to the nearest support (L_sup, delta), metres; None where unknown."""
+        same = self.first_alike[index]  # it has the same neighbours, but for the name
+        if same not in self._gaps:
+            try:
+                self._gaps[same] = self._gap(index)
+            except WorkLimitError:
+                self._gaps[same] = None
+        return self._gaps[same]
+
+    def _gap(self, index: int) -> float | None:
         best, lowest = _GAP_RANGE, float(self.low[index, 2])
         if self.stands_on_table(index, _GAP_RANGE):
             if abs(lowest) <= TOLERANCE + ROUNDING:
                 return max(0.0, lowest)  # the region is higher than that, so it meets the table top where it reaches below
             best = min(best, lowest) if lowest > 0 else float(min(best, np.abs(self._bottom(index)[:, 2]).min()))
-        for other in self.below(index, best):
-            if not (self.shapes[index].is_exact and self.shapes[other].is_exact):
-                return None
-            best = distance_to_surface(self._bottom(index), self.surface(other), best)
+        others = list(self.below(index, best))
+        if others and not all(self.shapes[k].is_exact for k in (index, *others)):
+            return None
+        for other in dict.fromkeys(self.first_alike[k] for k in others):
+            bottom, surface = self._bottom(index), self.surface(other)
+            self.budget.spend(_GAP_WORK * (len(bottom) + len(surface.triangles)))
+            best = distance_to_surface(bottom, surface, best)
         return best
 
     def _bottom(self, index: int) -> FloatArray:
@@ -291,18 +370,17 @@ def audit_posed(posed: PosedScene, tolerance: float = TOLERANCE) -> Audit:
     """Judges a scene whose meshes are posed already; see :func:`audit_scene`."""
     pairs = []
     for i, j in posed.meeting_boxes:
-        known = posed.shapes[i].is_exact and posed.shapes[j].is_exact
-        depth = posed.penetration(i, j) if known else None
+        depth = posed.penetration(i, j)
         if depth != 0.0:
             pairs.append(PairVerdict(posed.instances[i], posed.instances[j], depth))
     judged = [_judge_object(posed, index, tolerance) for index in range(len(posed.instances))]
     objects = _without_circles(tuple(o for o, _ in judged), {o.instance for o, is_open in judged if is_open})
     num_tilted = sum(o.tilt_angle > math.radians(5) for o in posed.scene.objects)
-    return Audit(posed.scene.scene_id, tuple(pairs), objects, num_tilted, tolerance)
+    return Audit(posed.scene.scene_id, tuple(pairs), objects, num_tilted, tolerance, posed.budget.is_spent)
 
 
 def _judge_object(posed: PosedScene, index: int, tolerance: float) -> tuple[ObjectVerdict, bool]:
-    """The verdict on an object, and whether a missing mesh might carry it besides what does."""
+    """The verdict on an object, and whether something unknown might carry it besides what does."""
     supports, is_open = posed._supports(index, tolerance)
     table, slack, is_exact = posed.scene.table, BOUNDS_SLACK + ROUNDING, posed.shapes[index].is_exact
     leaves = leaves_table(posed.low[index], posed.high[index], table, slack)
@@ -325,7 +403,7 @@ def _without_circles(objects: tuple[ObjectVerdict, ...], is_open: Set[str] = fro
 
     Args:
         objects: The verdicts on them alone.
-        is_open: Instances that a missing mesh might carry besides: whether a circle with one of them floats is unknown.
+        is_open: Instances that something unknown might carry besides: whether a circle with one of them floats is unknown.
     """
     carriers: nx.DiGraph[str] = nx.DiGraph((o.instance, below) for o in objects for below in o.supports)
     hovering = {

@@ -31,6 +31,7 @@ NEAR = TOLERANCE + ROUNDING
 
 _RESOLUTION = 0.02  # of the depth itself
 _PROBES, _PROMISING = 1000, 8  # corners that rank directions; directions of which the bound is taken exactly
+_NESTING_WORK = 4  # triangles that take as long as one whose mesh may be nested
 _ALIKE = 0.1  # normals that differ by less, about 6 degrees, part a pair at depths that differ by less than the resolution
 
 
@@ -43,21 +44,25 @@ def penetration(a: FloatArray | Surface, b: FloatArray | Surface, pair: MeshPair
     Args:
         a: Triangles of one object, (F, 3, 3) float64, metres, world frame.
         b: Triangles of the other, (G, 3, 3).
-        pair: The two as a pair with a margin of NEAR, where there is one already.
+        pair: The two as a pair with a margin of NEAR, where there is one already. All work is counted against its budget.
 
     Returns:
         Depth, metres; DEEPEST where nothing up to 50 mm parts them, and for a mesh inside a solid.
+
+    Raises:
+        WorkLimitError: The pair's budget is used up.
     """
     first, second = as_surface(a), as_surface(b)
     pair = pair or MeshPair(first, second, NEAR)
     contact = pair.contact()
     if contact is None:
+        pair.budget.spend(_NESTING_WORK * (len(first.triangles) + len(second.triangles)))
         return DEEPEST if nested(first, second) or nested(second, first) else 0.0
     directions = _directions(contact.normals)
     below, bound = 0.0, np.inf
     for level in LEVELS:
         if below == TOLERANCE:  # as far as the pair's margin goes
-            pair = MeshPair(first, second, LEVELS[-1] + ROUNDING)
+            pair = MeshPair(first, second, LEVELS[-1] + ROUNDING, pair.budget)
             directions, bound = _parted_surely(first, second, directions)
         depth = _parting(pair, directions, below, level, bound)
         if depth is not None:

@@ -6,6 +6,7 @@ no voxel with any triangle of the other mesh). What is left is cut into clusters
 asked: a pair that crosses shows it in the first cluster or two, a pair that does not is mostly told apart by boxes.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,6 +27,8 @@ _FEW = 64  # triangles for which thinning costs more than a tree
 _USELESS_MARGIN = 5e-3  # metres; voxels as wide as this tell too little apart to pay
 _CLUSTER = 256  # triangles of one tree
 _ANY_CONTACT = fcl.CollisionRequest()
+_CONTACT_WORK = 50  # triangles that take as long as one contact that is listed
+_BOX_PAIRS = 4  # pairs of boxes that are compared in the time of one triangle
 _MORTON = np.array([sum((n >> bit & 1) << 3 * bit for bit in range(5)) for n in range(32)], np.uint16)
 
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
@@ -42,6 +45,38 @@ def boxes(triangles: FloatArray) -> tuple[FloatArray, FloatArray]:
     """
     a, b, c = (np.ascontiguousarray(triangles[:, k].T) for k in range(3))
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+
+
+class WorkLimitError(Exception):
+    """A budget is used up: what was asked stays unknown."""
+
+
+class WorkBudget:
+    """How much exact tests may cost together, counted in triangles that they look at (about 80 ns each).
+
+    Work is counted, not timed: the same question is answered, or not, on whatever machine.
+
+    Args:
+        limit: Triangles.
+    """
+
+    def __init__(self, limit: float = math.inf) -> None:
+        self.limit, self.spent = limit, 0
+
+    @property
+    def is_spent(self) -> bool:
+        """Whether something was not done because of it."""
+        return self.spent > self.limit
+
+    def spend(self, num_triangles: int) -> None:
+        """Counts work that is about to be done.
+
+        Raises:
+            WorkLimitError: That is more than is left.
+        """
+        self.spent += num_triangles
+        if self.is_spent:
+            raise WorkLimitError
 
 
 class Surface:
@@ -217,14 +252,27 @@ class MeshPair:
         a: Triangles of the first, (F, 3, 3) float64, metres, world frame.
         b: Triangles of the second, (G, 3, 3).
         margin: The farthest that the first will be moved, metres.
+        budget: What every question is counted against; none by default.
+
+    Raises:
+        WorkLimitError: From here and from every question, where the budget is used up.
     """
 
-    def __init__(self, a: FloatArray | Surface, b: FloatArray | Surface, margin: float) -> None:
+    def __init__(
+        self, a: FloatArray | Surface, b: FloatArray | Surface, margin: float, budget: WorkBudget | None = None
+    ) -> None:
         first, second = as_surface(a), as_surface(b)
+        self.budget = budget or WorkBudget()
+        self.budget.spend(len(first.triangles) + len(second.triangles))
         index_a, index_b = near_triangles(first, second, margin)
         self._a, self._b = _Clusters(first, index_a), _Clusters(second, index_b)
         self._witnesses: dict[int, tuple[int, int]] = {}
         self._latest: tuple[int, int] | None = None
+
+    @property
+    def num_triangles(self) -> int:
+        """Triangles of both that are near the other, which are what the pair holds in memory."""
+        return self._a.num_triangles + self._b.num_triangles
 
     def cross(self, shift: tuple[float, float, float] | FloatArray = (0.0, 0.0, 0.0), direction: int = 0) -> bool:
         """Do they touch when the first is moved by a vector (3,), metres?
@@ -256,10 +304,12 @@ class MeshPair:
         moved, left = np.asarray(shift, np.float64), _EVERY_CONTACT if every else _MAX_CONTACTS
         for first, second in self._meeting(moved):
             result = fcl.CollisionResult()
+            self.budget.spend(self._a.size(first) + self._b.size(second))
             request = fcl.CollisionRequest(num_max_contacts=left, enable_contact=True)
             if fcl.collide(self._a.body(first, moved), self._b.body(second), request, result) == 0:
                 continue
             contacts = result.contacts
+            self.budget.spend(_CONTACT_WORK * len(contacts))
             normals += [c.normal for c in contacts]
             of_a.append(self._a.members(first)[[c.b1 for c in contacts]])
             of_b.append(self._b.members(second)[[c.b2 for c in contacts]])
@@ -277,6 +327,7 @@ class MeshPair:
     def _meeting(self, shift: FloatArray) -> Iterator[tuple[int, int]]:
         """Pairs of clusters whose boxes meet when the first mesh is moved, those that share most first."""
         (low, high), (other_low, other_high) = self._a.boxes, self._b.boxes
+        self.budget.spend(low.shape[1] * other_low.shape[1] // _BOX_PAIRS)
         shared = np.ones((low.shape[1], other_low.shape[1]))
         for axis in range(3):
             lowest = np.maximum((low[axis] + shift[axis])[:, None], other_low[axis])
@@ -287,6 +338,7 @@ class MeshPair:
         return zip(first[order].tolist(), second[order].tolist(), strict=True)
 
     def _clusters_cross(self, first: int, second: int, shift: FloatArray, result: fcl.CollisionResult) -> bool:
+        self.budget.spend(self._a.size(first) + self._b.size(second))
         return bool(fcl.collide(self._a.body(first, shift), self._b.body(second), _ANY_CONTACT, result) > 0)
 
 
@@ -307,6 +359,15 @@ class _Clusters:
             f.reduceat(x, starts, axis=1) if len(index) else x for f, x in ((np.minimum, low), (np.maximum, high))
         )
         self._bodies: dict[int, fcl.CollisionObject] = {}
+
+    @property
+    def num_triangles(self) -> int:
+        """Triangles of all clusters."""
+        return len(self._triangles)
+
+    def size(self, cluster: int) -> int:
+        """Triangles of a cluster."""
+        return min(_CLUSTER, len(self._triangles) - cluster * _CLUSTER)
 
     def members(self, cluster: int) -> FloatArray:
         """Triangles of a cluster, (F, 3, 3)."""

@@ -115,7 +115,7 @@ def _touching(scene: Scene, shapes: Sequence[Shape]) -> tuple[dict[str, tuple[st
 
     def stuck(one: str, other: str) -> bool:
         i, j = sorted((number[one], number[other]))
-        return posed.shapes[i].is_exact and posed.shapes[j].is_exact and posed.penetration(i, j) > TOLERANCE + ROUNDING
+        return (posed.penetration(i, j) or 0.0) > TOLERANCE + ROUNDING
 
     return {name: posed.supports(k, TOLERANCE) or () for k, name in enumerate(posed.instances)}, stuck
 

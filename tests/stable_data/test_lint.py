@@ -91,6 +91,14 @@ def test_an_error_that_nobody_foresaw_is_one_scene_lost(tmp_path: Path, monkeypa
     assert f"not usable: {first}: IndexError: index 3 is out of bounds" in str(result)
 
 
+def test_an_audit_that_was_cut_short_is_a_warning_and_no_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_world(tmp_path, 1, World(pictures=False))
+    monkeypatch.setattr("stable_data.metrics.audit.MAX_WORK", 0)
+    result = lint_folder(tmp_path)
+    assert [n.code for n in result.warnings] == ["audit_cut_short"]
+    assert result.rows[0]["clean"] is not True
+
+
 def test_a_folder_that_is_no_dataset_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="Layout_info"):
         lint_folder(tmp_path)

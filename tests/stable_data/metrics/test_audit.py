@@ -1,14 +1,15 @@
 """The audit of whole scenes: every verdict, and what becomes of what is not known."""
 
+import time
 from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
-from stable_data.metrics.audit import Audit, ObjectVerdict, PairVerdict, _without_circles, audit_scene
+from stable_data.metrics.audit import Audit, ObjectVerdict, PairVerdict, PosedScene, _without_circles, audit_posed, audit_scene
 from stable_data.scene import Scene
 from stable_data.shape import Shape
-from tests.scenes import Placed, ball, ball_in_bowl, box, box_on_table, leaning_plate, overlapping_balls, scene_of
+from tests.scenes import Placed, ball, ball_in_bowl, bowl, box, box_on_table, leaning_plate, overlapping_balls, scene_of
 
 CUBE = box(0.1, 0.1, 0.1)
 UNKNOWN = Shape.box((0.1, 0.1, 0.1))
@@ -234,3 +235,77 @@ def test_a_circle_that_a_missing_mesh_might_carry_is_unknown() -> None:
 def test_a_circle_that_stands_on_something_does_not_float() -> None:
     objects = (_verdict("cup", "toy", "table"), _verdict("toy", "cup"))
     assert [o.floats for o in _without_circles(objects)] == [False, False]
+
+
+def copies(num: int) -> tuple[Scene, list[Shape]]:
+    """Twelve balls and bowls in a row, each in its neighbours, and each so many times in the same place."""
+    kinds = [ball(0.05), bowl(0.06, 0.004)]
+    row = [(kinds[k % 2], (0.1 + 0.07 * k, 0.5, kinds[k % 2].size[2] / 2, 0.3 * k)) for k in range(12)]
+    return scene_of([(f"{k}_{copy}", *placed) for copy in range(num) for k, placed in enumerate(row)])
+
+
+def test_objects_in_the_same_place_are_judged_once() -> None:
+    begun = time.process_time()
+    many = audit_scene(*copies(20))
+    assert time.process_time() - begun < 10  # seconds; each pair on its own takes minutes
+    few = audit_scene(*copies(2))
+    assert not many.notices
+
+    def depths(audit: Audit) -> dict[tuple[str, str], set[float | None]]:
+        found: dict[tuple[str, str], set[float | None]] = {}
+        for pair in audit.pairs:
+            first, second = sorted(name.split("_")[0] for name in (pair.first, pair.second))
+            found.setdefault((first, second), set()).add(pair.penetration)
+        return found
+
+    assert depths(many) == depths(few)
+    assert all(len(same) == 1 for same in depths(many).values())
+    assert len(many.pairs) == 400 * 11 + 190 * 12
+    for ours, theirs in zip(many.objects[:24], few.objects, strict=True):
+        assert replace(ours, supports=()) == replace(theirs, supports=())
+        assert set(theirs.supports) <= set(ours.supports)
+
+
+def test_a_mesh_is_in_its_copy_as_deep_as_the_two_would_be_told_apart() -> None:
+    placed: list[Placed] = [("a", CUBE, (0.5, 0.5, 0.05, 0.3)), ("b", CUBE, (0.5, 0.5, 0.05, 0.3))]
+    nearly = [placed[0], ("b", CUBE, (0.5 + 1e-7, 0.5, 0.05, 0.3))]
+    for built in (placed, nearly):
+        [pair] = audit_scene(*scene_of(built)).pairs
+        assert pair.penetration == pytest.approx(0.1)
+
+
+def cut_short(built: tuple[Scene, list[Shape]], limit: int) -> Audit:
+    posed = PosedScene(*built)
+    posed.budget.limit = limit
+    return audit_posed(posed)
+
+
+def test_what_is_beyond_the_budget_of_work_is_unknown_and_said() -> None:
+    scene, shapes = copies(2)
+    objects = tuple(replace(o, yaw=o.yaw + 1e-4 * k) for k, o in enumerate(scene.objects[:16]))
+    scene, shapes = replace(scene, objects=objects), shapes[:16]
+    posed = PosedScene(scene, shapes)
+    whole, half = audit_posed(posed), posed.budget.spent // 2
+    part = cut_short((scene, shapes), half)
+    assert part == cut_short((scene, shapes), half)
+    assert not whole.is_cut_short
+    assert whole.notices == ()
+    assert part.is_cut_short
+    known = {(p.first, p.second): p.penetration for p in whole.pairs}
+    found = {(p.first, p.second): p.penetration for p in part.pairs}
+    assert known.keys() <= found.keys()
+    assert None in found.values()
+    assert any(found.values())
+    assert all(depth is None or depth == known[pair] for pair, depth in found.items())
+    [notice] = part.notices
+    assert (notice.step, notice.code) == ("audit", "audit_cut_short")
+    assert f"{sum(depth is None for depth in found.values())} pairs of objects unknown" in notice.message
+
+
+def test_an_audit_that_was_cut_short_passes_nothing() -> None:
+    placed: list[Placed] = [("lower", CUBE, (0.5, 0.5, 0.05, 0.0)), ("upper", CUBE, (0.5, 0.5, 0.15, 0.0))]
+    assert audit_scene(*scene_of(placed)).card().clean is True
+    audit = cut_short(scene_of(placed), 0)
+    assert audit.card().clean is None
+    assert audit.card().num_unknown_pairs == 1
+    assert (audit.objects[1].floats, audit.objects[1].gap) == (None, None)
