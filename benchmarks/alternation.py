@@ -1,7 +1,7 @@
 """What it gains that the two systems take turns: the same tasks by Algorithm 1, corrected once at the end, never, and asked for at once.
 
-``python -m benchmarks.alternation RUN [--where "split == 'test'"] [--scenes 200] [--workers 2] [--weights auto] [--json FILE]``: RUN
-is a run with tasks. Every scene that was made counts, whether it would be accepted or not.
+``python -m benchmarks.alternation RUN [--where "split == 'test'"] [--scenes 200] [--workers 2] [--weights auto] [--json
+FILE]``: RUN is a run with tasks. Every scene that was made counts, whether it would be accepted or not.
 
 - OC, float, out: of the finished scenes, exact. AwT, AwS: things and relations that the instruction asks for.
 - rest: share of scenes that MuJoCo leaves where they are. moved: by the corrections, mean of a scene's objects.
@@ -18,11 +18,11 @@ from typing import Any
 
 import polars as pl
 
-from pipelines.generate import generate
-from pipelines.generate_settings import GenerateSettings
-from pipelines.generate_tasks import Tasks, of_scenes
-from pipelines.runner import Workers
-from stable_data.shards import RunFolder
+from pipelines.execution.ray_executor import Workers
+from pipelines.generate.job import generate
+from pipelines.generate.settings import GenerateSettings
+from pipelines.sources.generation_tasks import Tasks, of_scenes
+from stable_data.storage.run_folder import RunFolder
 
 _MEASURES = ("clean", "oc", "float_rate", "out_of_bounds_rate", "stable", "awt", "aws", "num_objects", "move_mean_mm")
 _HEAD = ("clean %", "OC %", "float %", "out %", "rest %", "AwT %", "AwS %", "objects", "moved mm")

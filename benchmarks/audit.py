@@ -3,8 +3,10 @@
 ``python -m benchmarks.audit DATASET [--scenes N] [--json FILE]``. Over scenes of 14 to 16 objects, each as written and with its
 objects shifted by 2 cm and turned by 0.1 rad (standard deviations):
 
-- trimesh: ``CollisionManager`` filled with the posed meshes, then ``in_collision_internal(return_names=True)``: which pairs cross;
-- ours: ``audit_scene`` on loaded meshes with nothing cached: which pairs cross, and how deep, what floats, what is out of bounds.
+- trimesh: ``CollisionManager`` filled with the posed meshes, then ``in_collision_internal(return_names=True)``: which pairs
+cross;
+- ours: ``audit_scene`` on loaded meshes with nothing cached: which pairs cross, and how deep, what floats, what is out of
+bounds.
 
 Run with ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``.
 """
@@ -22,13 +24,13 @@ import numpy as np
 import trimesh
 import typer
 
-from stable_data.assets import AssetStore
+from stable_data.assets.store import AssetStore
 from stable_data.errors import SceneError
-from stable_data.lint import lint_folder
+from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset
+from stable_data.mesatask.lint import lint_folder
 from stable_data.metrics.audit import audit_scene
 from stable_data.scene import Scene
-from stable_data.shape import Shape
 
 _NUM_OBJECTS = range(14, 17)
 _SHIFT, _TURN = 0.02, 0.1  # standard deviations of the noise, metres and radians

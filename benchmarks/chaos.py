@@ -1,8 +1,8 @@
 """Whether a run loses anything while its driver, its workers and whole nodes are killed at random.
 
-``python -m benchmarks.chaos [--scenes 64] [--kills 6] [--seed 0] [--engine embedded] [--per-shard 8] [--json FILE]``: the generate job
-on a Ray cluster of a head and three nodes of one core each, all on this machine, first left alone, then disturbed. Compared are the
-two runs' tables, row for row. A long run is ``--scenes 1000 --kills 20 --per-shard 16``.
+``python -m benchmarks.chaos [--scenes 64] [--kills 6] [--seed 0] [--engine embedded] [--per-shard 8] [--json FILE]``: the
+generate job on a Ray cluster of a head and three nodes of one core each, all on this machine, first left alone, then
+disturbed. Compared are the two runs' tables, row for row. A long run is ``--scenes 1000 --kills 20 --per-shard 16``.
 
 - A killed driver is started again at once with the same command, as a batch system does with a job that is requeued.
 - A killed worker is one that is busy with a shard.
@@ -27,13 +27,13 @@ from typing import Any
 import numpy as np
 from ray.cluster_utils import Cluster
 
-from models.semantic_reasoner.staged import of_scene
-from pipelines.generate_step import GenerateWork
+from models.semantic_reasoner.staged_layout import of_scene
+from pipelines.generate.shard import GenerateWork
 from stable_data.cli import DONE, SOME_FAILED
+from stable_data.embedded_world import World, write_world
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.shards import RunFolder
-from stable_data.synth import World, write_world
-from stable_data.tables import SCHEMAS
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import SCHEMAS
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -258,9 +258,9 @@ def compared(clean: RunFolder, other: RunFolder) -> dict[str, Any]:
     """What of a run is not as in one that was left alone, in all tables of that one.
 
     Returns:
-        ``rows`` of the clean run; ``lost``, those of them that the other lacks; ``added``, those that it alone has; ``duplicates``,
-        scenes that are more than one row of its scenes and failures; ``columns_that_differ``, in any value or in their order, as
-        ``table.column``.
+        ``rows`` of the clean run; ``lost``, those of them that the other lacks; ``added``, those that it alone has;
+        ``duplicates``, scenes that are more than one row of its scenes and failures; ``columns_that_differ``, in any value or
+        in their order, as ``table.column``.
     """
     figures, differ = Counter(rows=0, lost=0, added=0), []
     for table in (table for table in SCHEMAS if clean.files(table)):

@@ -4,17 +4,19 @@
 [--settle] [--json FILE]``. Without a file of layouts, scenes of the dataset are shaken until their collisions fill the buckets.
 Every verdict is the exact audit's, at 0.5 mm, of what a method gives back; a method's own opinion is the column ``done``.
 ``start`` is the layout itself, ``flow`` the raw result of the learned flow, ``certify`` certification without it, ``corrector``
-the two together as the toolkit uses them; ``given`` means that they are told the layout's own scene graph and restore what of it
-is broken, ``settled`` that MuJoCo is asked what stays. Where Drake is installed, Steerable's projection runs in it too.
+the two together as the toolkit uses them; ``given`` means that they are told the layout's own scene graph and restore what of
+it is broken, ``settled`` that MuJoCo is asked what stays. Where Drake is installed, Steerable's projection runs in it too.
 
 - clean: scenes without collision, floating, sinking or out of bounds; drop: objects left out;
 - free: scenes without collision; pairs: colliding pairs left, median; oc: their share; unknown counts as colliding;
 - float, out: objects that float, that are out of bounds or in the table, of all;
 - move: mean distance by which objects were moved, millimetres, identical ones matched; farthest: the largest, unmatched;
 - emd: earth mover's distance to where everything belongs, millimetres, where that is known;
-- on/in, dir: relations to other objects that held at the start and still hold, of those that held; back: on and in relations that
+- on/in, dir: relations to other objects that held at the start and still hold, of those that held; back: on and in relations
+that
   the layout means and the noise broke, of which hold now;
-- rest: objects that MuJoCo leaves where they are, of all; lie: the same of whole layouts (``--settle``), once more without those that
+- rest: objects that MuJoCo leaves where they are, of all; lie: the same of whole layouts (``--settle``), once more without
+those that
   hold an obliquely tilted object shifted out of its carrier, which no yaw can right;
 - done: scenes that the method itself counts as solved; s: seconds a scene, median, without the preparation of assets.
 
@@ -36,26 +38,26 @@ import typer
 from tqdm import tqdm
 
 from benchmarks.audit import readable_scenes
+from benchmarks.baselines.methods import METHODS
+from benchmarks.baselines.outcome import Method, Outcome
 from benchmarks.layouts import Layout, read_layouts, shaken_layouts
 from benchmarks.steerable_drake import in_drake
-from models.baselines.methods import METHODS
-from models.baselines.outcome import Method, Outcome
 from models.physics_corrector.certify import Status
-from models.physics_corrector.checkpoint import DEFAULT_WEIGHTS
 from models.physics_corrector.corrector import Flow, PhysicsCorrector, certified_from
-from models.physics_corrector.learned import AUTO, load_flow
-from pipelines.scene_step import related
-from stable_data.assets import AssetStore
-from stable_data.colliders import bodies_of
+from models.physics_corrector.flow.checkpoint import DEFAULT_WEIGHTS
+from models.physics_corrector.learned_flow import AUTO, load_flow
+from pipelines.preprocess.scene import related
+from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError, StableDataError
+from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.audit import PosedScene, audit_posed
 from stable_data.metrics.collision import ROUNDING
-from stable_data.metrics.kept import RelationsKept, relations_kept
 from stable_data.metrics.rearrangement import distance_moved, emd_to_truth
-from stable_data.physics import MOVE_LIMIT, TURN_LIMIT, settle
+from stable_data.metrics.relations_kept import RelationsKept, relations_kept
 from stable_data.scene import Scene, SceneObject
-from stable_data.shape import Shape
+from stable_data.simulation.collision_bodies import bodies_of
+from stable_data.simulation.settling import MOVE_LIMIT, TURN_LIMIT, settle
 
 _START = "start"
 _TIMED = ("certify", "corrector")

@@ -3,9 +3,10 @@
 ``python -m benchmarks.correction_cost DATASET [--scenes N] [--rounds N] [--workers N] [--json FILE]``:
 
 - throughput: the scenes of the dataset that are nearest to 15 objects, made coarse by the kind ``jitter`` of the corrector's
-  training, several times over; one process a core, which corrects its share scene after scene. Scenes that came out clean, by the
-  clock on the wall of all processes together, and by processor time as if no one else used the cores;
-- growth: layouts of 5 to 60 objects, three of each number: things of those scenes with all that they carry, on a square table of
+  training, several times over; one process a core, which corrects its share scene after scene. Scenes that came out clean, by
+  the clock on the wall of all processes together, and by processor time as if no one else used the cores;
+- growth: layouts of 5 to 60 objects, three of each number: things of those scenes with all that they carry, on a square table
+of
   which their footprints take 30 %, shaken by 4 cm and 0.2 rad (standard deviations). Processor seconds of one core, and the
   exponent of seconds against objects, by least squares of the logarithms over all layouts.
 
@@ -31,13 +32,13 @@ import typer
 from tqdm import tqdm
 
 from benchmarks.audit import readable_scenes
+from benchmarks.baselines.outcome import Method
 from benchmarks.correction import ours
 from benchmarks.layouts import shaken
-from models.baselines.outcome import Method
-from models.physics_corrector.batch import SceneBatch, padded
-from models.physics_corrector.perturbation import PerturbationSettings, perturb
-from pipelines.scene_step import related
-from stable_data.assets import AssetStore
+from models.physics_corrector.geometry.scene_batch import SceneBatch, padded
+from models.physics_corrector.training.perturbation import PerturbationSettings, perturb
+from pipelines.preprocess.scene import related
+from stable_data.assets.store import AssetStore
 from stable_data.errors import SceneError, StableDataError
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.audit import PosedScene, audit_posed

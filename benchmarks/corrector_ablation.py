@@ -1,8 +1,8 @@
 """What each part of the corrector's training is worth: short equal trainings that leave one out, judged by raw samples.
 
-``python -m benchmarks.corrector_ablation RUN --out OUT [--arm NAME ...] [--steps N] [--json FILE]``, where RUN is the folder of a
-preprocess run. Every arm trains on the same scenes with the same seed for the same number of steps, and differs from ``full`` in
-one thing:
+``python -m benchmarks.corrector_ablation RUN --out OUT [--arm NAME ...] [--steps N] [--json FILE]``, where RUN is the folder
+of a preprocess run. Every arm trains on the same scenes with the same seed for the same number of steps, and differs from
+``full`` in one thing:
 
 - ``full``: the preset ``embedded_set`` with point features;
 - ``no support``, ``no table``, ``no objects``: without L_sup, L_obj-table, L_obj-obj, as in the paper's ablation;
@@ -10,9 +10,10 @@ one thing:
 - ``box features``: no point features; what is left of a shape are the extents of its box, which every network reads;
 - ``unet``: the paper's U-Net over the objects (preset ``embedded``) instead of the set transformer.
 
-Judged are raw samples of the flow on held-out scenes, nothing certified, by the training's own validation card (docs/corrector.md):
-mean over the scenes of all its rows. An arm that is done is not trained again and one that was stopped goes on; OUT holds them.
-Trainings this short say which way a part pulls, not where a long one ends. Run with ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``.
+Judged are raw samples of the flow on held-out scenes, nothing certified, by the training's own validation card
+(docs/corrector.md): mean over the scenes of all its rows. An arm that is done is not trained again and one that was stopped
+goes on; OUT holds them. Trainings this short say which way a part pulls, not where a long one ends. Run with
+``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``.
 """
 
 import json
@@ -26,9 +27,9 @@ from typing import Annotated, Any, TypeAlias
 import torch
 import typer
 
-from models.physics_corrector.training_settings import TrainingSettings, training_preset
-from models.physics_corrector.validation import Card
-from pipelines.train_corrector import TrainCorrector, Watch
+from models.physics_corrector.training.settings import TrainingSettings, training_preset
+from models.physics_corrector.training.validation import Card
+from pipelines.train.corrector import TrainCorrector, Watch
 from stable_data.errors import StableDataError
 
 FULL = "full"

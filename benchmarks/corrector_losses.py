@@ -21,15 +21,15 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from models.physics_corrector.atlas import SdfAtlas
-from models.physics_corrector.batch import SceneBatch
-from models.physics_corrector.broad_phase import Pairs, near_pairs
-from models.physics_corrector.closest import Queries
-from models.physics_corrector.geometry import Geometry, ShapeTable, grids_from_rows
-from models.physics_corrector.losses import LossSettings, colliding_pairs, object_object, support, support_candidates
-from stable_data.assets import AssetStore
-from stable_data.loader import TableDataset
+from models.physics_corrector.geometry.broad_phase import Pairs, near_pairs
+from models.physics_corrector.geometry.closest_point import Queries
+from models.physics_corrector.geometry.scene_batch import SceneBatch
+from models.physics_corrector.geometry.sdf_atlas import SdfAtlas
+from models.physics_corrector.geometry.shape_tensors import Geometry, ShapeTable, grids_from_rows
+from models.physics_corrector.training.losses import LossSettings, colliding_pairs, object_object, support, support_candidates
+from stable_data.assets.store import AssetStore
 from stable_data.mesatask import MesaTaskDataset
+from stable_data.storage.torch_dataset import TableDataset
 
 NUM_NODES = 32
 _SHAKEN = (0.02, 0.02, 0.005, 0.3)  # standard deviations of x, y, z in metres and of yaw in radians

@@ -1,7 +1,7 @@
 """How well the reasoner does edits: ``python -m benchmarks.edits RUN [--engine embedded] [--split test] [--edits N] [--json FILE]``.
 
-RUN is a preprocess run; where it has no table ``edits``, edits are drafted as ``stable-data draft-edits`` does, which it can for
-scenes of the embedded world alone. Each edit's instruction and layout are asked for; what
+RUN is a preprocess run; where it has no table ``edits``, edits are drafted as ``stable-data draft-edits`` does, which it can
+for scenes of the embedded world alone. Each edit's instruction and layout are asked for; what
 comes back is held against the edit as it was drafted:
 
 - answered: an answer passed the checks;
@@ -19,14 +19,14 @@ from typing import Annotated, Any
 
 import typer
 
-from models.semantic_reasoner.assembly import ReasonerSettings, load_reasoner
-from models.semantic_reasoner.engines import EngineSettings
-from models.semantic_reasoner.examples import Example, edit_example_of
-from models.semantic_reasoner.layout_text import LayoutObject, Reply
-from stable_data.shards import RunFolder
-from stable_data.synth.edit_table import write_edits
-from stable_data.table_files import TableFiles, rows_from_table
-from stable_data.tables import Row
+from models.semantic_reasoner.engines.registry import EngineSettings
+from models.semantic_reasoner.factory import ReasonerSettings, load_reasoner
+from models.semantic_reasoner.text.reply_json import LayoutObject, Reply
+from models.semantic_reasoner.training.examples import Example, edit_example_of
+from stable_data.embedded_world.edit_table import write_edits
+from stable_data.storage.row_groups import TableFiles, rows_from_table
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import Row
 
 
 def held_out_edits(run: str, split: str, most: int) -> list[Row]:
@@ -61,7 +61,7 @@ def verdict(example: Example, reply: Reply | None) -> dict[str, bool]:
 
 def main(
     run: Annotated[str, typer.Argument(help="Folder of a preprocess run.")],
-    engine: Annotated[str, typer.Option(help="Which engine; see models/semantic_reasoner/engines.py.")] = "embedded",
+    engine: Annotated[str, typer.Option(help="Which engine; see models/semantic_reasoner/engines/registry.py.")] = "embedded",
     split: Annotated[str, typer.Option(help="Which split.")] = "test",
     edits: Annotated[int, typer.Option(help="How many at most.")] = 500,
     json_file: Annotated[Path | None, typer.Option("--json", help="Where the figures go.")] = None,

@@ -1,7 +1,7 @@
 """How fast the environment is: ``python -m benchmarks.env RUN [--scenes 12] [--steps 100] [--json FILE]``.
 
-The hand makes the same random steps in each of the first scenes: with poses alone, and with two pictures of 128 x 128. Beside it
-MuJoCo alone makes as many steps of the same scene at rest. Run with ``OMP_NUM_THREADS=1``.
+The hand makes the same random steps in each of the first scenes: with poses alone, and with two pictures of 128 x 128. Beside
+it MuJoCo alone makes as many steps of the same scene at rest. Run with ``OMP_NUM_THREADS=1``.
 """
 
 import argparse
@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from stable_data.engine import mujoco
-from stable_data.engine_scene import CAMERAS, HOME, engine_spec
-from stable_data.env import STEP_SECONDS, TabletopEnv
-from stable_data.physics import compile_spec
-from stable_data.run_scenes import Choice, RunScenes
-from stable_data.shards import RunFolder
-from stable_data.solid_scene import SolidScene
+from stable_data.simulation.gym_env import STEP_SECONDS, TabletopEnv
+from stable_data.simulation.mujoco_import import mujoco
+from stable_data.simulation.mujoco_model import CAMERAS, HOME, engine_spec
+from stable_data.simulation.run_reader import Choice, RunScenes
+from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.simulation.settling import compile_spec
+from stable_data.storage.run_folder import RunFolder
 
 _SIZE = (128, 128)
 

@@ -1,8 +1,8 @@
 """Exports of a run: how fast each format is written, and whether MuJoCo alone leaves the scenes where they are.
 
-``python -m benchmarks.export RUN [--scenes N] [--json FILE]``. The MJCF files are opened in a process that imports mujoco and numpy
-and nothing of ours. A scene is at rest by DESIGN section 7: in 4 s nothing moved more than 10 mm or turned more than 5 degrees. Run
-with ``OMP_NUM_THREADS=1``.
+``python -m benchmarks.export RUN [--scenes N] [--json FILE]``. The MJCF files are opened in a process that imports mujoco and
+numpy and nothing of ours. A scene is at rest by DESIGN section 7: in 4 s nothing moved more than 10 mm or turned more than 5
+degrees. Run with ``OMP_NUM_THREADS=1``.
 """
 
 import argparse
@@ -15,11 +15,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from stable_data.export.exporting import export_run
+from stable_data.export.exporter import export_run
 from stable_data.export.formats import FORMATS
-from stable_data.physics import settle
-from stable_data.run_scenes import Choice, RunScenes
-from stable_data.shards import RunFolder
+from stable_data.simulation.run_reader import Choice, RunScenes
+from stable_data.simulation.settling import settle
+from stable_data.storage.run_folder import RunFolder
 
 ALONE = """
 import json, sys

@@ -6,7 +6,8 @@ coarse in every way that training knows. DATASET is a folder in the MesaTask-10K
 names; without a file its own scenes are shaken. Every method sees the scene graph that the layout itself shows.
 
 - clean: layouts made exactly clean, of all; drop: objects left out to get there;
-- move, turn: how far objects were moved from the layout and turned, mean over objects, then over layouts, millimetres and degrees;
+- move, turn: how far objects were moved from the layout and turned, mean over objects, then over layouts, millimetres and
+degrees;
 - farthest: the largest move of a layout, mean over layouts;
 - on/in, dir: relations to other objects that held before and still hold, of those that held, over all layouts;
 - flow, certify: milliseconds a layout of one core, mean. The flow takes them together, as the pipeline does; the features of
@@ -30,20 +31,20 @@ import typer
 from tqdm import tqdm
 
 from benchmarks.correction import chosen_layouts
-from models.physics_corrector.batch import SceneBatch, padded
 from models.physics_corrector.certify import Status
 from models.physics_corrector.corrector import Flow, certified_from, movement
-from models.physics_corrector.learned import AUTO, load_flow
-from models.physics_corrector.perturbation import KINDS, PerturbationSettings, perturb
-from models.physics_corrector.training_set import RunScenes, clean_targets
-from pipelines.scene_step import related
-from stable_data.assets import AssetStore
+from models.physics_corrector.geometry.scene_batch import SceneBatch, padded
+from models.physics_corrector.learned_flow import AUTO, load_flow
+from models.physics_corrector.training.dataset import RunScenes, clean_targets
+from models.physics_corrector.training.perturbation import KINDS, PerturbationSettings, perturb
+from pipelines.preprocess.scene import related
+from stable_data.assets.store import AssetStore
 from stable_data.errors import StableDataError
+from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.audit import PosedScene, audit_posed
-from stable_data.metrics.kept import RelationsKept, relations_kept
+from stable_data.metrics.relations_kept import RelationsKept, relations_kept
 from stable_data.scene import Scene
-from stable_data.shape import Shape
 
 ALONE = "certify"
 """The method without a flow."""

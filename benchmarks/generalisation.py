@@ -1,12 +1,13 @@
 """How mass generation does on what it was not made for: other tables, other assets, instructions that contradict themselves.
 
-``python -m benchmarks.generalisation DATA [--scenes 100] [--workers 2] [--json FILE]``: DATA is a dataset in the MesaTask-10K format,
-best of real meshes. Nothing is left out of the figures because it was not accepted.
+``python -m benchmarks.generalisation DATA [--scenes 100] [--workers 2] [--json FILE]``: DATA is a dataset in the MesaTask-10K
+format, best of real meshes. Nothing is left out of the figures because it was not accepted.
 
 - usual tables: drawn tasks of the embedded world's kinds of table, which the networks were trained on, beside
 - unseen tables: of kinds that no training has met, and
 - other assets: of the usual kinds, furnished from DATA's library first, from the embedded one where it has nothing that fits;
-- contradictory: the instructions of contradictory.jsonl, of which physics lets 8 of 20 be as they say. A claim is followed where the
+- contradictory: the instructions of contradictory.jsonl, of which physics lets 8 of 20 be as they say. A claim is followed
+where the
   finished scene holds it; where it does not, a warning or a failure has to say so, else it is silent.
 """
 
@@ -19,16 +20,16 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.alternation import figures_of
-from pipelines.generate import generate
-from pipelines.generate_settings import GenerateSettings
-from pipelines.generate_tasks import Tasks, of_file, sampled
-from pipelines.runner import Workers
-from stable_data.asset_library import library_of_folder
+from pipelines.execution.ray_executor import Workers
+from pipelines.generate.job import generate
+from pipelines.generate.settings import GenerateSettings
+from pipelines.sources.generation_tasks import Tasks, of_file, sampled
+from stable_data.assets.catalog import library_of_folder
+from stable_data.embedded_world.library import NAME as EMBEDDED
+from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES
 from stable_data.scene import Relation, Scene
-from stable_data.shards import RunFolder
-from stable_data.synth.library import NAME as EMBEDDED
-from stable_data.synth.plans import TABLES, UNSEEN_TABLES
-from stable_data.tables import scene_from_row
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import scene_from_row
 
 CASES = Path(__file__).with_name("contradictory.jsonl")
 
@@ -72,7 +73,8 @@ def outcome(case: Mapping[str, Any], scene: Scene | None, notices: Sequence[tupl
     Args:
         case: A line of contradictory.jsonl.
         scene: The finished scene with its relations; None where there is none.
-        notices: Codes and messages of the warnings and failures about it; they count where they name what is not as it was asked for.
+        notices: Codes and messages of the warnings and failures about it; they count where they name what is not as it was
+            asked for.
     """
     category = {} if scene is None else {o.instance: o.category for o in scene.objects}
     relations = frozenset[Relation]() if scene is None else frozenset(scene.relations)

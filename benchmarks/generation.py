@@ -2,20 +2,24 @@
 
 ``python -m benchmarks.generation [--scenes 128] [--serial-scenes 24] [--scripted 100 1000] [--weights auto] [--json FILE]``
 
-Every run is the command ``python -m pipelines generate`` in processes of its own, on tasks that were drawn before. Its time is that of its
-shards, with the start of Ray and of its workers, which opens models and libraries; assets are cut up and words encoded once a process, so
-more scenes are faster.
+Every run is the command ``python -m pipelines generate`` in processes of its own, on tasks that were drawn before. Its time is
+that of its shards, with the start of Ray and of its workers, which opens models and libraries; assets are cut up and words
+encoded once a process, so more scenes are faster.
 
 - pipelined: two workers, a quarter of the scenes (up to 128) side by side in each, those that are corrected while others are
   proposed.
-- serial: Algorithm 1 with M = 1, one scene after the other in one process, with as many threads as the machine has cores and with
+- serial: Algorithm 1 with M = 1, one scene after the other in one process, with as many threads as the machine has cores and
+with
   one; the faster of both is compared with.
 - in process, and on Ray with one worker: the same shards on one core; what Ray costs.
 - two plain processes: half of the same tasks each, without Ray; what two workers lose.
-- scripted: a reasoner that answers at once, tables of three things: what memory grows with, and what the driver and Ray's object store
+- scripted: a reasoner that answers at once, tables of three things: what memory grows with, and what the driver and Ray's
+object store
   spend.
-- elsewhere: the same reasoner behind an endpoint, one batch of up to 64 at a time and some seconds each, as a GPU that the workers
-  share would take; asked by the worker itself, which waits, and by an engine beside it, so that it corrects another shard meanwhile.
+- elsewhere: the same reasoner behind an endpoint, one batch of up to 64 at a time and some seconds each, as a GPU that the
+workers
+  share would take; asked by the worker itself, which waits, and by an engine beside it, so that it corrects another shard
+  meanwhile.
 
 Each figure is printed, and written, when it is there.
 """
@@ -41,18 +45,18 @@ from typing import Any
 
 import ray
 
-from models.semantic_reasoner.chat_server import serve
-from models.semantic_reasoner.engine import Completion, Request
-from models.semantic_reasoner.prompt import WANTED
-from models.semantic_reasoner.scripted_engine import ScriptedEngine
-from models.semantic_reasoner.staged import LayoutTask
-from pipelines.asset_shelf import AssetShelf
-from pipelines.generate_settings import GenerateSettings
-from pipelines.generate_step import TIMING_FOLDER
-from pipelines.generate_tasks import sampled
+from models.semantic_reasoner.engines.chat_server import serve
+from models.semantic_reasoner.engines.protocol import Completion, Request
+from models.semantic_reasoner.engines.scripted_engine import ScriptedEngine
+from models.semantic_reasoner.staged_layout import LayoutTask
+from models.semantic_reasoner.text.prompt import WANTED
+from pipelines.generate.settings import GenerateSettings
+from pipelines.generate.shard import TIMING_FOLDER
+from pipelines.sources.assets import AssetShelf
+from pipelines.sources.generation_tasks import sampled
 from stable_data.cli import DONE, SOME_FAILED
 from stable_data.scene import Stage
-from stable_data.shards import RunFolder
+from stable_data.storage.run_folder import RunFolder
 
 _ONE_CORE = {"OMP_NUM_THREADS": "1", "IGL_NUM_THREADS": "1"}
 _SHARDS_OF_A_MILLION = 7_813
@@ -184,8 +188,8 @@ def driver_of(place: Path, script: Path, count: int) -> dict[str, float]:
 def driven() -> None:
     """Runs the command line that it reads, and prints what this process and Ray's object store have spent on it.
 
-    Seconds of the processor, megabytes of largest resident memory, and megabytes that Ray reckons its objects to take, looked at twice
-    a second; those of its workers are not among them.
+    Seconds of the processor, megabytes of largest resident memory, and megabytes that Ray reckons its objects to take, looked
+    at twice a second; those of its workers are not among them.
     """
     words, end = json.loads(sys.stdin.read()), threading.Event()
     stored: list[float] = []

@@ -1,7 +1,8 @@
 """What the Semantic Reasoner makes of instructions as people would say them: forty, written by hand.
 
-``python -m benchmarks.handwritten [--engine embedded] [--cases N] [--one-shot] [--json FILE]``. The instructions and what they ask
-for are those of tests/models/semantic_reasoner/handwritten.jsonl; nothing is corrected, and objects are judged by their boxes.
+``python -m benchmarks.handwritten [--engine embedded] [--cases N] [--one-shot] [--json FILE]``. The instructions and what they
+ask for are those of tests/models/semantic_reasoner/handwritten.jsonl; nothing is corrected, and objects are judged by their
+boxes.
 
 - right: every object that the instruction names is there, and all that it says of the start holds;
 - failed: no answer could be used, which is said;
@@ -21,10 +22,10 @@ from typing import Annotated, Any
 
 import typer
 
-from models.semantic_reasoner.assembly import ReasonerSettings, load_reasoner
-from models.semantic_reasoner.engines import EngineSettings
-from models.semantic_reasoner.http_settings import HttpSettings
-from models.semantic_reasoner.staged import ONE_SHOT, PROGRESSIVE, LayoutTask, StagedLayout, staged_layouts
+from models.semantic_reasoner.engines.http_settings import HttpSettings
+from models.semantic_reasoner.engines.registry import EngineSettings
+from models.semantic_reasoner.factory import ReasonerSettings, load_reasoner
+from models.semantic_reasoner.staged_layout import ONE_SHOT, PROGRESSIVE, LayoutTask, StagedLayout, staged_layouts
 from stable_data.metrics.alignment import Alignment, align
 from tests.models.semantic_reasoner.handwritten import Handwritten, read_handwritten
 
@@ -116,7 +117,7 @@ def summary_of(verdicts: Sequence[Verdict]) -> dict[str, Any]:
 
 
 def main(
-    engine: Annotated[str, typer.Option(help="Which engine; see models/semantic_reasoner/engines.py.")] = "embedded",
+    engine: Annotated[str, typer.Option(help="Which engine; see models/semantic_reasoner/engines/registry.py.")] = "embedded",
     base_url: Annotated[str, typer.Option(help="Of the endpoint of openai:MODEL.")] = "",
     key_variable: Annotated[str, typer.Option(help="Environment variable with its key.")] = "",
     statistics: Annotated[str, typer.Option(help="What is known of categories, for engines without their own.")] = "",

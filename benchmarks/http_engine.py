@@ -1,9 +1,10 @@
 """The openai engine against a server that takes its time: ``python -m benchmarks.http_engine [--requests N] [--json FILE]``.
 
-Answers of 50 ms show what the engine itself can do, those of 500 ms what is left of a server that is as fast as a language model.
+Answers of 50 ms show what the engine itself can do, those of 500 ms what is left of a server that is as fast as a language
+model.
 
-The server is a process of its own on this machine; it knows of every request how often it came and was answered. Its own limit is
-what a client reaches that does nothing but write the same bytes to as many sockets and read what comes, in the same run.
+The server is a process of its own on this machine; it knows of every request how often it came and was answered. Its own limit
+is what a client reaches that does nothing but write the same bytes to as many sockets and read what comes, in the same run.
 """
 
 import argparse
@@ -19,12 +20,12 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from models.semantic_reasoner.chat_protocol import SPELLINGS, request_body
-from models.semantic_reasoner.engine import Request, Sampling
-from models.semantic_reasoner.http_engine import HttpEngine
-from models.semantic_reasoner.http_settings import HttpSettings
-from models.semantic_reasoner.prompt import Ask, messages
-from models.semantic_reasoner.reply_form import ReplyForm
+from models.semantic_reasoner.engines.chat_protocol import SPELLINGS, request_body
+from models.semantic_reasoner.engines.http_engine import HttpEngine
+from models.semantic_reasoner.engines.http_settings import HttpSettings
+from models.semantic_reasoner.engines.protocol import Request, Sampling
+from models.semantic_reasoner.replies.grammar import ReplyForm
+from models.semantic_reasoner.text.prompt import Ask, messages
 from stable_data.scene import Stage, Tabletop, TaskInfo
 
 ANSWERS_S = (0.05, 0.5)

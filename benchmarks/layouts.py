@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from stable_data.assets import AssetStore
+from stable_data.assets.store import AssetStore
 from stable_data.errors import SceneError
+from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import audit_scene
 from stable_data.scene import FloatArray, QuatXyzw, Relation, RelationKind, Scene, SceneObject, Tabletop, Vec3
-from stable_data.shape import Shape
 
 BUCKETS = ("0-10", "10-20", "20-30", "30-40")
 """By colliding pairs: from the first number (at least one) to below the second."""

@@ -2,8 +2,8 @@
 
 ``python -m benchmarks.loader RUN DATASET [--json FILE]``, where RUN was preprocessed from DATASET. Every way of loading is
 measured in the same run on the same scenes, and compared by its ratio to the first: what a job without the tables does for
-every scene, parse its layout and load the meshes that it names. A training loop takes padded tensors and makes a step of a small
-network with every batch.
+every scene, parse its layout and load the meshes that it names. A training loop takes padded tensors and makes a step of a
+small network with every batch.
 
 Warm: what is read was read before, and the start of workers is not timed. Cold: the system has forgotten the files (as far as
 ``posix_fadvise`` is obeyed), and all is timed from opening the folder to the end of the first epoch, workers included.
@@ -24,10 +24,10 @@ import torch
 from torch.utils.data import DataLoader, Dataset
 
 from stable_data.errors import MeshError
-from stable_data.glb import load_glb
-from stable_data.loader import SceneBatch, TableDataset, TableStream, collate_scenes
+from stable_data.geometry.gltf_reader import load_glb
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import Scene
+from stable_data.storage.torch_dataset import SceneBatch, TableDataset, TableStream, collate_scenes
 
 BATCH_SIZE = 64
 _PARSED_AT_ONCE = 8  # parsing is slow: a figure of a few seconds must hold several batches

@@ -7,9 +7,9 @@ import numpy as np
 from tqdm import tqdm
 
 from stable_data.errors import MeshError
-from stable_data.glb import load_glb
-from stable_data.mesh import Mesh
-from stable_data.repair import MeshReport, repair
+from stable_data.geometry.gltf_reader import load_glb
+from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.mesh_repair import MeshReport, repair
 
 
 def repaired_meshes(folder: Path, limit: int) -> Iterator[tuple[str, Mesh, MeshReport]]:

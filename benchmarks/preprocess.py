@@ -1,7 +1,7 @@
 """How well the job uses its workers, and whether its memory stays flat.
 
-``python -m benchmarks.preprocess DATASET [--scenes 1000] [--json FILE]``: the dataset's scenes are repeated under new names until
-there are enough. Compared are two plain processes that share the scene shards, and a local Ray with two workers.
+``python -m benchmarks.preprocess DATASET [--scenes 1000] [--json FILE]``: the dataset's scenes are repeated under new names
+until there are enough. Compared are two plain processes that share the scene shards, and a local Ray with two workers.
 """
 
 import argparse
@@ -16,9 +16,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipelines.plan import PreprocessSettings, Shard, plan_run
-from pipelines.preprocess import PreprocessShard
-from pipelines.runner import Workers
+from pipelines.execution.ray_executor import Workers
+from pipelines.preprocess.plan import PreprocessSettings, Shard, plan_run
+from pipelines.preprocess.shard import PreprocessShard
 from stable_data.mesatask import MesaTaskDataset
 
 SETTINGS = PreprocessSettings(num_pictures=0, all_assets=False, position_convention="box_centre")

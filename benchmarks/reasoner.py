@@ -1,12 +1,16 @@
 """What the Semantic Reasoner lays out, before any correction, beside the data itself.
 
-``python -m benchmarks.reasoner RUN [--engine embedded] [--split test,unseen] [--scenes N] [--one-shot] [--json FILE]``. RUN is the
-folder of a preprocess run with scenes of splits that training never saw; the reasoner is told their instructions and tables alone.
+``python -m benchmarks.reasoner RUN [--engine embedded] [--split test,unseen] [--scenes N] [--one-shot] [--json FILE]``. RUN is
+the folder of a preprocess run with scenes of splits that training never saw; the reasoner is told their instructions and
+tables alone.
 
-- answered: layouts all of whose stages have an answer without a hard fault, of all; at once: of the questions, those whose first
+- answered: layouts all of whose stages have an answer without a hard fault, of all; at once: of the questions, those whose
+first
   answer had no fault at all. An answer that cannot be read or used counts as none; ``left`` counts the soft faults that stayed.
-- parsed, valid: of all answers, those that were asked for again included: they are layouts in form; they pass the checks as well;
-- AwT, AwS: required objects present, and entailed relations that hold, by boxes; a layout without an answer has none of its own;
+- parsed, valid: of all answers, those that were asked for again included: they are layouts in form; they pass the checks as
+well;
+- AwT, AwS: required objects present, and entailed relations that hold, by boxes; a layout without an answer has none of its
+own;
 - distractors: objects that are no task objects; objects: number of them, on and in: carried by another. Each beside the data's;
 - OC, floats, off table: of raw layouts after each stage, by their meshes: what the corrector has to do;
 - unmatched: objects for which retrieval found no asset; they are left out of OC, with what rests on them.
@@ -28,22 +32,22 @@ import polars as pl
 import typer
 from tqdm import tqdm
 
-from models.semantic_reasoner.assembly import ReasonerSettings, load_reasoner
-from models.semantic_reasoner.engines import EngineSettings
+from models.semantic_reasoner.engines.registry import EngineSettings
+from models.semantic_reasoner.factory import ReasonerSettings, load_reasoner
 from models.semantic_reasoner.reasoner import Proposal
-from models.semantic_reasoner.staged import ONE_SHOT, PROGRESSIVE, StagedLayout, of_scene, staged_layouts
-from pipelines.asset_shelf import AssetShelf
-from stable_data.assets import AssetStore
-from stable_data.furnishing import furnish
+from models.semantic_reasoner.staged_layout import ONE_SHOT, PROGRESSIVE, StagedLayout, of_scene, staged_layouts
+from pipelines.sources.assets import AssetShelf
+from stable_data.assets.assignment import furnish
+from stable_data.assets.run_assets import TableAssets
+from stable_data.assets.store import AssetStore
 from stable_data.metrics.alignment import align, reference_of
 from stable_data.metrics.alignment_summary import AlignmentSummary, summarise_alignment
 from stable_data.metrics.audit import PosedScene, audit_posed
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.reply_validity import ReplyTally
 from stable_data.scene import Scene, SceneObject, Stage
-from stable_data.shards import RunFolder
-from stable_data.table_assets import TableAssets
-from stable_data.tables import scene_from_row
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import scene_from_row
 
 ORDER = {stage: n for n, stage in enumerate(Stage)}
 
@@ -161,7 +165,7 @@ def _percent(part: int, whole: int) -> float | None:
 
 def main(
     run: Annotated[str, typer.Argument(help="Folder of a preprocess run.")],
-    engine: Annotated[str, typer.Option(help="Which engine; see models/semantic_reasoner/engines.py.")] = "embedded",
+    engine: Annotated[str, typer.Option(help="Which engine; see models/semantic_reasoner/engines/registry.py.")] = "embedded",
     split: Annotated[str, typer.Option(help="Splits, joined by commas.")] = "test,unseen",
     scenes: Annotated[int, typer.Option(help="Scenes of each split.")] = 200,
     one_shot: Annotated[bool, typer.Option("--one-shot", help="Ask for the whole layout at once.")] = False,

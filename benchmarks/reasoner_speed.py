@@ -4,10 +4,12 @@
 test scenes' instructions and tables are laid out in three stages. The model's folder is the embedded one by default.
 
 - scenes: staged layouts a minute with so many at a time, checks and retries left out;
-- generate: the same questions to the same model by the library's own ``generate``, one after the other, unbound, against the engine
+- generate: the same questions to the same model by the library's own ``generate``, one after the other, unbound, against the
+engine
   with all of them at once; requests a second, and tokens a second, since replies differ in length;
 - grammar: seconds a token bound to the form of the replies, over those unbound, reading the questions left out;
-- served: 200 questions at once to the same model behind ``chat_server``, another process, by the openai engine, over the engine here:
+- served: 200 questions at once to the same model behind ``chat_server``, another process, by the openai engine, over the
+engine here:
   the share of the server's own speed that is left.
 
 Run with ``OMP_NUM_THREADS`` as many as there are cores.
@@ -29,17 +31,17 @@ import typer
 from transformers import AutoModelForCausalLM, AutoTokenizer
 
 from benchmarks.reasoner import held_out
-from models.semantic_reasoner.engine import Request, Sampling
-from models.semantic_reasoner.engines import EMBEDDED
-from models.semantic_reasoner.http_engine import HttpEngine
-from models.semantic_reasoner.http_settings import HttpSettings
-from models.semantic_reasoner.layout_text import layout_objects
-from models.semantic_reasoner.local_engine import LocalEngine
-from models.semantic_reasoner.prompt import Ask, messages
+from models.semantic_reasoner.engines.http_engine import HttpEngine
+from models.semantic_reasoner.engines.http_settings import HttpSettings
+from models.semantic_reasoner.engines.local_engine import LocalEngine
+from models.semantic_reasoner.engines.protocol import Request, Sampling
+from models.semantic_reasoner.engines.registry import EMBEDDED
 from models.semantic_reasoner.reasoner import SemanticReasoner
-from models.semantic_reasoner.reply_form import ReplyForm
-from models.semantic_reasoner.staged import of_scene, staged_layouts
-from models.semantic_reasoner.tokenizer import chat_text
+from models.semantic_reasoner.replies.grammar import ReplyForm
+from models.semantic_reasoner.staged_layout import of_scene, staged_layouts
+from models.semantic_reasoner.text.prompt import Ask, messages
+from models.semantic_reasoner.text.reply_json import layout_objects
+from models.semantic_reasoner.text.tokenizer import chat_text
 from stable_data.scene import Scene, Stage
 
 SAMPLING = Sampling(max_tokens=1024)
@@ -88,7 +90,8 @@ def by_generate(folder: Path, asked: Sequence[Request]) -> tuple[float, int]:
 def grammar_share(engine: LocalEngine, free: LocalEngine, asked: Sequence[Request], rounds: int) -> float:
     """What a token costs under the grammar, over what it costs without, less 1; reading the questions left out.
 
-    Replies differ, so both are asked as much as keeps every slot busy, and the time of one token after each question is taken off.
+    Replies differ, so both are asked as much as keeps every slot busy, and the time of one token after each question is taken
+    off.
     """
     many = [replace(r, seed=1000 * k + r.seed) for k in range(4) for r in asked]
 
@@ -113,7 +116,7 @@ def served_share(folder: Path, engine: LocalEngine, asked: Sequence[Request], at
     command = [
         sys.executable,
         "-m",
-        "models.semantic_reasoner.chat_server",
+        "models.semantic_reasoner.engines.chat_server",
         "--engine",
         f"transformers:{folder}",
         "--port",

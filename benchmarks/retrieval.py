@@ -2,11 +2,12 @@
 
 ``python -m benchmarks.retrieval DATASET [--assets 12000] [--queries 1000] [--json FILE]``. The library is the dataset's own,
 repeated with a little noise on features and boxes until it is as large as MesaTask-10K's. The queries are the words of assets
-drawn from it, with noise of the same kind and boxes up to a fifth off. Both sides get the same encoded queries; what the encoding
-takes is measured apart. Run with ``OMP_NUM_THREADS=1``.
+drawn from it, with noise of the same kind and boxes up to a fifth off. Both sides get the same encoded queries; what the
+encoding takes is measured apart. Run with ``OMP_NUM_THREADS=1``.
 
-Then objects of the dataset's scenes are looked for in its library by their words and boxes, by other words where the annotations
-have some (``captions``), and things that stand on no table: how often the same is found, and what the floor keeps out.
+Then objects of the dataset's scenes are looked for in its library by their words and boxes, by other words where the
+annotations have some (``captions``), and things that stand on no table: how often the same is found, and what the floor keeps
+out.
 """
 
 import argparse
@@ -19,13 +20,13 @@ from pathlib import Path
 import numpy as np
 
 from models.text_encoder import load_default
-from stable_data.asset_library import Asset, AssetLibrary, RestingTilt, library_of_folder
-from stable_data.asset_scoring import RetrievalSettings
+from stable_data.assets.catalog import Asset, AssetLibrary, RestingTilt, library_of_folder
+from stable_data.assets.ranking import RetrievalSettings
+from stable_data.assets.retrieval import Match, Query, Retriever
+from stable_data.assets.text_embeddings import Rows
 from stable_data.errors import SceneError
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.retrieval import Match, Query, Retriever
 from stable_data.scene import Scene, SceneObject, Vec3
-from stable_data.text_features import Rows
 
 _NOISE = 0.005  # of each feature's components, before it is of unit length again: copies agree by 0.99
 _ROUNDS = 5

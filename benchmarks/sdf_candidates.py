@@ -25,12 +25,12 @@ import typer
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from benchmarks.meshes import repaired_meshes
-from stable_data.mesh import Mesh
-from stable_data.repair import repair
+from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.mesh_repair import repair
+from stable_data.geometry.sdf.build import probe_points, unit_mesh
+from stable_data.geometry.sdf.exact import SignedDistance
+from stable_data.geometry.sdf.narrow_band import distance_to_faces
 from stable_data.scene import FloatArray
-from stable_data.sdf_band import distance_to_faces
-from stable_data.sdf_build import probe_points, unit_mesh
-from stable_data.signed_distance import SignedDistance
 
 Candidate: TypeAlias = Callable[[Mesh, FloatArray], FloatArray]
 Row: TypeAlias = dict[str, list[float]]

@@ -21,13 +21,13 @@ import typer
 from tqdm import tqdm
 
 from benchmarks.meshes import repaired_meshes
-from stable_data.mesh import Mesh
-from stable_data.repair import MeshReport
+from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.mesh_repair import MeshReport
+from stable_data.geometry.sdf.build import build_grid, unit_mesh, with_errors
+from stable_data.geometry.sdf.exact import SignedDistance
+from stable_data.geometry.sdf.grid import SdfGrid
+from stable_data.geometry.sdf.narrow_band import Lattice
 from stable_data.scene import FloatArray
-from stable_data.sdf_band import Lattice
-from stable_data.sdf_build import build_grid, unit_mesh, with_errors
-from stable_data.sdf_grid import SdfGrid
-from stable_data.signed_distance import SignedDistance
 
 _NUM_NEAR, _NUM_FAR = 4096, 2048
 

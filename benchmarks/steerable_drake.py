@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from models.baselines.hulls import solid_hull, table_box
-from models.baselines.outcome import Outcome
-from models.baselines.steerable import turned_parts
-from stable_data.assets import AssetStore
+from benchmarks.baselines.hulls import solid_hull, table_box
+from benchmarks.baselines.outcome import Outcome
+from benchmarks.baselines.steerable import turned_parts
+from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError
+from stable_data.geometry.shape import Shape
 from stable_data.scene import FloatArray, Scene
-from stable_data.shape import Shape
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class SteerableInDrake:
     max_seconds: float = 60.0
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
-        """Moves objects apart; see :class:`~models.baselines.outcome.Method`. Not converged: Steerable throws the scene away."""
+        """Moves objects apart; see :class:`~benchmarks.baselines.outcome.Method`. Not converged: Steerable throws the scene away."""
         try:
             bodies = [
                 [solid_hull(points) for points in parts]

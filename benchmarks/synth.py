@@ -25,13 +25,13 @@ import typer
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
+from stable_data.embedded_world import scenes as making
+from stable_data.embedded_world.families.catalogue import asset
+from stable_data.embedded_world.scenes import RECORD, make_scene
+from stable_data.geometry.mesh import Mesh
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.mesh import Mesh
-from stable_data.physics import Body, EngineOptions, settle
 from stable_data.scene import Scene
-from stable_data.synth import scenes as making
-from stable_data.synth.catalogue import asset
-from stable_data.synth.scenes import RECORD, make_scene
+from stable_data.simulation.settling import Body, EngineOptions, settle
 
 _STEPS = {
     "composing": "compose",

@@ -76,10 +76,10 @@ def preprocess(
 
     Status 0: done. 1: some scenes or assets could not be used; the table failures says which and why. 2: could not start.
     """
-    from pipelines.plan import PreprocessSettings
-    from pipelines.preprocess import describe_plan
-    from pipelines.preprocess import preprocess as run
-    from pipelines.runner import Workers
+    from pipelines.execution.ray_executor import Workers
+    from pipelines.preprocess.plan import PreprocessSettings
+    from pipelines.preprocess.shard import describe_plan
+    from pipelines.preprocess.shard import preprocess as run
     from pipelines.settings import resolve
 
     count = _count(workers, address)
@@ -115,10 +115,10 @@ def correct(
     OUT/dataset is the corrected folder. Status 0: done. 1: some scenes could not be corrected; the table failures says which
     and why. 2: could not start.
     """
-    from pipelines.correct import correct as run
-    from pipelines.correct import describe_correction
-    from pipelines.correct_settings import CorrectSettings
-    from pipelines.runner import Workers
+    from pipelines.correct.job import correct as run
+    from pipelines.correct.job import describe_correction
+    from pipelines.correct.settings import CorrectSettings
+    from pipelines.execution.ray_executor import Workers
     from pipelines.settings import resolve
 
     count = _count(workers, address)
@@ -164,14 +164,14 @@ def edit(
 ) -> None:
     """Change scenes as instructions say, and nothing else. Run again to go on where it was stopped.
 
-    Edited scenes are in the table scenes, what was changed in the table edits; of a folder in the MesaTask-10K format OUT/dataset
-    is the folder of edited scenes. Status 0: done. 1: some edits could not be done; the table failures says which and why. 2: could
-    not start.
+    Edited scenes are in the table scenes, what was changed in the table edits; of a folder in the MesaTask-10K format
+    OUT/dataset is the folder of edited scenes. Status 0: done. 1: some edits could not be done; the table failures says which
+    and why. 2: could not start.
     """
-    from pipelines.edit import describe_edits
-    from pipelines.edit import edit as run
-    from pipelines.edit_settings import EditSettings
-    from pipelines.runner import Workers
+    from pipelines.edit.job import describe_edits
+    from pipelines.edit.job import edit as run
+    from pipelines.edit.settings import EditSettings
+    from pipelines.execution.ray_executor import Workers
     from pipelines.settings import resolve
 
     count = _count(workers, address)
@@ -223,10 +223,10 @@ def propose(
 
     Status 0: done. 1: some tasks could not be laid out; the table failures says which and why. 2: could not start.
     """
-    from pipelines.propose import propose as run
-    from pipelines.propose_settings import ProposeSettings
+    from pipelines.propose.job import propose as run
+    from pipelines.propose.settings import ProposeSettings
     from pipelines.settings import resolve
-    from pipelines.task_file import one_task
+    from pipelines.sources.tasks import one_task
 
     one = (instruction, table, size)
     if (tasks is None) == (instruction is None) or (tasks is None) != all(x is not None for x in one):
@@ -278,16 +278,16 @@ def generate(
 ) -> None:
     """Make simulation-ready scenes: the two systems in turns, every scene proven clean and settled. Run again to go on.
 
-    Accepted scenes are in the table scenes, what was made and not accepted in rejected, every turn of the two systems in turns, the
-    assets in assets and meshes. Status 0: done. 1: some tasks have no accepted scene; the table failures says which and why. 2: could
-    not start.
+    Accepted scenes are in the table scenes, what was made and not accepted in rejected, every turn of the two systems in
+    turns, the assets in assets and meshes. Status 0: done. 1: some tasks have no accepted scene; the table failures says which
+    and why. 2: could not start.
     """
-    from pipelines.generate import describe_generation
-    from pipelines.generate import generate as run
-    from pipelines.generate_settings import GenerateSettings
-    from pipelines.generate_tasks import of_file, of_scenes, sampled
-    from pipelines.runner import Workers
+    from pipelines.execution.ray_executor import Workers
+    from pipelines.generate.job import describe_generation
+    from pipelines.generate.job import generate as run
+    from pipelines.generate.settings import GenerateSettings
     from pipelines.settings import resolve
+    from pipelines.sources.generation_tasks import of_file, of_scenes, sampled
 
     if sum(source is not None for source in (tasks, scenes, count)) != 1:
         raise ConfigError("expected one of --tasks FILE, --scenes DATA and --count N", "usage")
@@ -333,9 +333,9 @@ def synth(
 
     Status 0: done. 1: some scenes could not be made; synth_failures says why. 2: could not start.
     """
-    from pipelines.runner import Workers
-    from pipelines.synth import synth as run
-    from stable_data.synth import World
+    from pipelines.execution.ray_executor import Workers
+    from pipelines.synth.job import synth as run
+    from stable_data.embedded_world import World
 
     world = World(seed, tuple(table or ()), pictures, edits, whole_library)
     with tqdm_bar(scenes) as bar:
@@ -370,9 +370,9 @@ def train_corrector(
 
     Status 0: done, or stopped with its checkpoint kept. 2: could not start or go on.
     """
-    from models.physics_corrector.training_settings import TrainingSettings, training_preset
+    from models.physics_corrector.training.settings import TrainingSettings, training_preset
     from pipelines.settings import resolve
-    from pipelines.train_corrector import TrainCorrector
+    from pipelines.train.corrector import TrainCorrector
 
     settings = resolve(TrainingSettings, "train_corrector", config, set_ or [], training_preset(preset))
     job = TrainCorrector(data, out, settings, minutes=minutes)
@@ -403,11 +403,12 @@ def train_reasoner(
 ) -> None:
     """Train the Semantic Reasoner on the samples and edits of a run. Run again to go on where it was stopped.
 
-    OUT/weights is a plain Hugging Face folder. Status 0: done, or stopped with its checkpoint kept. 2: could not start or go on.
+    OUT/weights is a plain Hugging Face folder. Status 0: done, or stopped with its checkpoint kept. 2: could not start or go
+    on.
     """
-    from models.semantic_reasoner.training_settings import ReasonerTraining, training_preset
+    from models.semantic_reasoner.training.settings import ReasonerTraining, training_preset
     from pipelines.settings import resolve
-    from pipelines.train_reasoner import TrainReasoner
+    from pipelines.train.reasoner import TrainReasoner
 
     settings = resolve(ReasonerTraining, "train_reasoner", config, set_ or [], training_preset(preset))
     if preset == "paper" and not settings.base:
@@ -415,7 +416,7 @@ def train_reasoner(
     job = TrainReasoner(data, out, settings, minutes=minutes)
     count = _count(workers, address) if address or workers else 0
     if dry_run or as_json:
-        from pipelines.reasoner_plan import page_of, plan_of
+        from pipelines.train.estimate import page_of, plan_of
 
         plan = plan_of(job, count)
         typer.echo(json.dumps(plan, indent=2) if as_json else page_of(plan))

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from stable_data.dotted import flat
+from stable_data.config_diff import flat
 from stable_data.errors import ConfigError
 
 C = TypeVar("C")
@@ -22,8 +22,8 @@ def resolve(kind: type[C], section: str, file: Path | None, overrides: Iterable[
     """The settings of one job.
 
     Args:
-        kind: A frozen dataclass whose fields are str, one of several words, int, float, bool, a frozenset of str (given as a list),
-            one of these or None, or such dataclasses again, all with defaults.
+        kind: A frozen dataclass whose fields are str, one of several words, int, float, bool, a frozenset of str (given as a
+            list), one of these or None, or such dataclasses again, all with defaults.
         section: Its table in the file; nested settings are tables in it.
         file: A TOML file, or None.
         overrides: ``key=value`` or ``section.key=value``, stronger than the file; ``outer.inner=value`` for nested settings.

@@ -15,7 +15,7 @@ from stable_data.errors import ConfigError, SceneError, StableDataError
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-    from stable_data.synth import World
+    from stable_data.embedded_world import World
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -107,7 +107,7 @@ def synth(
 
     Status 0: done. 1: some scenes could not be made; synth_failures says why. 2: could not start.
     """
-    from stable_data.synth import World, write_world
+    from stable_data.embedded_world import World, write_world
 
     world = World(seed, tuple(table or ()), pictures, edits, whole_library)
     if workers or address:
@@ -163,11 +163,11 @@ def draft_edits(
 ) -> None:
     """Draft edits of the scenes of a run, to train on: the table edits; run again to go on.
 
-    Nothing is settled or judged: synth --edits makes edits that are. Status 0: done. 1: some scenes are not of the embedded world;
-    they are listed. 2: could not start.
+    Nothing is settled or judged: synth --edits makes edits that are. Status 0: done. 1: some scenes are not of the embedded
+    world; they are listed. 2: could not start.
     """
-    from stable_data.shards import RunFolder
-    from stable_data.synth.edit_table import write_edits
+    from stable_data.embedded_world.edit_table import write_edits
+    from stable_data.storage.run_folder import RunFolder
 
     source, target = RunFolder(run), RunFolder(out or run)
     num_edits, failures = 0, []
@@ -194,7 +194,7 @@ def lint(
     Runs in this process: a file that crashes its parser ends it. Status 0: every scene could be read and judged. 1: some could
     not; they are listed.
     """
-    from stable_data.lint import lint_folder, prepare_place
+    from stable_data.mesatask.lint import lint_folder, prepare_place
 
     if table is not None:
         prepare_place(table)
@@ -210,8 +210,8 @@ def lint(
 @with_clear_errors
 def inspect(run: Annotated[str, typer.Argument(help="A run folder or its URI.")]) -> None:
     """Say what a run folder holds: its tables, rows, settings and failures."""
-    from stable_data.shards import RunFolder
-    from stable_data.tables import SCHEMAS
+    from stable_data.storage.run_folder import RunFolder
+    from stable_data.storage.schemas import SCHEMAS
 
     folder = RunFolder(run)
     content = folder.read_bytes("manifest.json")
@@ -233,11 +233,11 @@ def query(
 ) -> None:
     """Count the scenes of a run that a condition takes, or write them to a run of their own.
 
-    Conditions compare columns of the table scenes with constants and are joined by and, or and not. What is unknown passes none,
-    unless it is asked for: "aws is None or aws >= 1".
+    Conditions compare columns of the table scenes with constants and are joined by and, or and not. What is unknown passes
+    none, unless it is asked for: "aws is None or aws >= 1".
     """
-    from stable_data.selection import count_selected, select
-    from stable_data.shards import RunFolder
+    from stable_data.storage.run_folder import RunFolder
+    from stable_data.storage.subset import count_selected, select
 
     folder = RunFolder(run)
     if to is None:
@@ -268,9 +268,9 @@ def export(
     """
     from tqdm import tqdm
 
-    from stable_data.export.exporting import export_run
-    from stable_data.run_scenes import Choice
-    from stable_data.shards import RunFolder
+    from stable_data.export.exporter import export_run
+    from stable_data.simulation.run_reader import Choice
+    from stable_data.storage.run_folder import RunFolder
 
     with tqdm(desc="export", unit="scene", disable=None) as bar:
 
@@ -294,6 +294,6 @@ def export(
 @with_clear_errors
 def schemas(folder: Annotated[Path, typer.Argument(help="Where to write them.")] = Path("schemas")) -> None:
     """Write the contracts: JSON Schemas and the columns of every table."""
-    from stable_data.contracts import write_contracts
+    from stable_data.storage.json_schemas import write_contracts
 
     write_contracts(folder)

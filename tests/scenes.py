@@ -7,9 +7,9 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from stable_data.mesh import Mesh
+from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.shape import Shape
 from stable_data.scene import FloatArray, Rectangle, Scene, SceneObject, Tabletop, Vec3
-from stable_data.shape import Shape
 
 Pose = tuple[float, float, float, float]
 """x, y, z in metres, yaw in radians."""

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from models.semantic_reasoner.engines import EMBEDDED
-from stable_data.synth import World, write_world
+from models.semantic_reasoner.engines.registry import EMBEDDED
+from stable_data.embedded_world import World, write_world
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text("utf-8")

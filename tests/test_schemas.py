@@ -5,8 +5,8 @@ from pathlib import Path
 
 import jsonschema
 
-from stable_data.contracts import contract_files, scene_schema
-from stable_data.tables import SCHEMAS
+from stable_data.storage.json_schemas import contract_files, scene_schema
+from stable_data.storage.schemas import SCHEMAS
 
 FOLDER = Path(__file__).resolve().parents[1] / "schemas"
 

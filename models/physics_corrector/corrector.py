@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from models.physics_corrector.certify import Certified, Certifier, CertifyOptions, Dropped, Status
+from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.metrics.card import MetricCard
-from stable_data.metrics.kept import DIRECTIONAL, RelationsKept, relations_kept
-from stable_data.relations import scene_graph
+from stable_data.metrics.relations_kept import DIRECTIONAL, RelationsKept, relations_kept
 from stable_data.scene import FloatArray, IntArray, Scene
-from stable_data.shape import Shape
+from stable_data.scene_graph.relations import scene_graph
 
 if TYPE_CHECKING:  # the engine takes long to import
-    from stable_data.physics import Body, SettleResult
+    from stable_data.simulation.settling import Body, SettleResult
 
 Fixed: TypeAlias = frozenset[str]
 """Instances of a scene that must stay where they are."""
@@ -69,7 +69,7 @@ class PhysicsCorrector:
     """Corrects scenes.
 
     Attributes:
-        flow: The learned part, such as :class:`~models.physics_corrector.learned.LearnedFlow`; None certifies alone.
+        flow: The learned part, such as :class:`~models.physics_corrector.learned_flow.LearnedFlow`; None certifies alone.
         options: What `certify` may do.
         judges_raw: Whether the raw result of the flow is audited too, which costs as much as any audit.
     """
@@ -119,8 +119,8 @@ class PhysicsCorrector:
             audit: The verdicts on it.
             raw: What the flow made of it.
             fixed: What must stay.
-            bodies: The objects as the physics engine sees them (``stable_data.colliders.bodies_of``): with them it is asked what
-                stays at rest, and what does not is put where it does, if that is found.
+            bodies: The objects as the physics engine sees them (``stable_data.simulation.collision_bodies.bodies_of``): with
+                them it is asked what stays at rest, and what does not is put where it does, if that is found.
         """
         options = replace(self.options, fixed=self.options.fixed | fixed)
         done = certified_from(scene, raw, shapes, options, bodies)

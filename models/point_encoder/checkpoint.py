@@ -22,8 +22,8 @@ from models.point_encoder.cloud import Preprocessing
 from models.point_encoder.encoder import PointEncoder
 from models.point_encoder.serialization import CURVES
 from models.point_encoder.transformer import TransformerConfig
+from stable_data.atomic_files import put_file
 from stable_data.errors import ConfigError
-from stable_data.files import put_file
 
 FORMAT = "stable-data point encoder 1"
 

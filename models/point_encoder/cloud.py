@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from stable_data.errors import ConfigError, MeshError
-from stable_data.mesh import Mesh
-from stable_data.points import surface_points
-from stable_data.shape import Shape
+from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.shape import Shape
+from stable_data.geometry.surface_sampling import surface_points
 
 NORMALISATIONS, CHANNELS = ("extent", "sphere", "centre"), ("coord", "colour", "normal")
 

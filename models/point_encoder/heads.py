@@ -8,7 +8,7 @@ from torch.nn import functional
 
 from models.point_encoder.cloud import Preprocessing
 from models.point_encoder.encoder import FEATURE_CHANNELS, PointEncoder
-from models.point_encoder.questions import Questions
+from models.point_encoder.pretraining_targets import Questions
 from models.point_encoder.transformer import TransformerConfig
 
 _FREQUENCIES, _PAIR_FREQUENCIES = 5, 3
@@ -173,8 +173,8 @@ class Pretraining(nn.Module):
 def spread_loss(codes: Tensor) -> Tensor:
     """How far codes (B, 64) are from unit deviation and from no correlation.
 
-    The variance term of VICReg (Bardes et al., ICLR 2022, eq. 1), and its covariance term (eq. 4) of levelled codes, so that one
-    is not bought with the other.
+    The variance term of VICReg (Bardes et al., ICLR 2022, eq. 1), and its covariance term (eq. 4) of levelled codes, so that
+    one is not bought with the other.
     """
     centred = codes - codes.mean(0)
     deviation = (centred.square().sum(0) / (len(codes) - 1) + 1e-4).sqrt()

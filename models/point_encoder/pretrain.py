@@ -21,10 +21,10 @@ from tqdm import tqdm
 
 from models.point_encoder.checkpoint import save
 from models.point_encoder.cloud import Preprocessing
-from models.point_encoder.corpus import TrainingShape, corpus
+from models.point_encoder.evaluation import evaluate
 from models.point_encoder.heads import Pretraining
-from models.point_encoder.judging import evaluate
-from models.point_encoder.questions import Questions, questions
+from models.point_encoder.pretraining_data import TrainingShape, corpus
+from models.point_encoder.pretraining_targets import Questions, questions
 from models.point_encoder.transformer import BASE, EMBEDDED
 from stable_data.errors import ConfigError
 

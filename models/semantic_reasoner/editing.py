@@ -1,8 +1,8 @@
 """Edits of a layout: how one is asked for, and what a reply makes of the scene.
 
-What a reply does not name keeps its pose to the last digit. What it names under the instance that it has keeps every number that
-the reply repeats, and its asset unless its words are others. What rests on a thing goes along with it, through stacks of any height;
-what rested on a thing that goes comes down to where that one stood.
+What a reply does not name keeps its pose to the last digit. What it names under the instance that it has keeps every number
+that the reply repeats, and its asset unless its words are others. What rests on a thing goes along with it, through stacks of
+any height; what rested on a thing that goes comes down to where that one stood.
 """
 
 import math
@@ -11,14 +11,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from models.semantic_reasoner.checks import name_faults
-from models.semantic_reasoner.layout_text import LayoutObject, Reply, layout_names, layout_objects
-from models.semantic_reasoner.prompt import Ask
+from models.semantic_reasoner.replies.checks import name_faults
+from models.semantic_reasoner.text.prompt import Ask
+from models.semantic_reasoner.text.reply_json import LayoutObject, Reply, layout_names, layout_objects
+from stable_data.assets.substitution import underside
 from stable_data.errors import SceneError
-from stable_data.relations import supports
 from stable_data.scene import TABLE, Relation, Scene, SceneObject, Vec3
-from stable_data.staging import generation_order
-from stable_data.substitution import underside
+from stable_data.scene_graph.relations import supports
+from stable_data.scene_graph.staging import generation_order
 
 _ARTICLES = frozenset(("a", "an", "the", "some"))
 
@@ -58,7 +58,8 @@ class EditedScene:
     """What became of a scene.
 
     Attributes:
-        scene: The scene after the edit; objects that are new, or whose words or size are others, have no asset, or no scale, yet.
+        scene: The scene after the edit; objects that are new, or whose words or size are others, have no asset, or no scale,
+            yet.
         added: Instances that are new.
         changed: Instances that the reply changes.
         carried: Instances that moved with what carries them.
@@ -96,8 +97,8 @@ def apply_edit(edited: Editing | Scene, reply: Reply) -> EditedScene:
         reply: The reply, in the names of the layout.
 
     Returns:
-        The scene as the reply wants it, neither checked for collisions nor corrected. A reply that changes nothing gives the scene
-        itself.
+        The scene as the reply wants it, neither checked for collisions nor corrected. A reply that changes nothing gives the
+        scene itself.
 
     Raises:
         SceneError: The reply cannot be meant (``edit_refused``); the message says why, for a model or a person to act on.

@@ -4,17 +4,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
-from models.conversation import Conversation, converse
-from models.semantic_reasoner.checks import Fault
-from models.semantic_reasoner.dialect import Dialect, StagedDialect
-from models.semantic_reasoner.engine import Completion, Engine, Request, conversation
-from models.semantic_reasoner.grounding import Grounding
-from models.semantic_reasoner.layout_text import LayoutObject, Reply, renumbered
-from models.semantic_reasoner.prompt import Ask
-from models.semantic_reasoner.putting_right import put_right
+from models.semantic_reasoner.engines.incremental_batches import Conversation, converse
+from models.semantic_reasoner.engines.protocol import Completion, Engine, Request, conversation
+from models.semantic_reasoner.language.word_grounding import Grounding
+from models.semantic_reasoner.prompt_styles import Dialect, StagedDialect
+from models.semantic_reasoner.replies.checks import Fault
+from models.semantic_reasoner.replies.relation_repair import put_right
+from models.semantic_reasoner.text.prompt import Ask
+from models.semantic_reasoner.text.reply_json import LayoutObject, Reply, renumbered
 from stable_data.errors import ConfigError, Notice, SceneError
+from stable_data.random_seeds import named_seed
 from stable_data.scene import MAX_INSTRUCTION, Stage
-from stable_data.seeds import named_seed
 
 _LEFT_OUT = "left_out"
 _FEW = 1 / 8  # of a long list: it is not asked for again for their sake
@@ -138,10 +138,10 @@ class SemanticReasoner:
     Args:
         engine: Answers.
         check: Finds faults in a reply; None takes whatever can be read.
-        tries: How often a question is asked at most, or that and how often the first stage's is. Where no answer would do, things
-            that are not where the instruction says are put there in one that has no other fault; else the one is taken of which
-            the least has to be left out to pass the checks, if there is one. Its faults say what was moved or left out. After the
-            first stage an answer of which an eighth at most has to be left out is taken without that at once.
+        tries: How often a question is asked at most, or that and how often the first stage's is. Where no answer would do,
+            things that are not where the instruction says are put there in one that has no other fault; else the one is taken
+            of which the least has to be left out to pass the checks, if there is one. Its faults say what was moved or left
+            out. After the first stage an answer of which an eighth at most has to be left out is taken without that at once.
         tells_reasons: Whether a refused answer and its reason are shown when it is asked again, as a large model can use; else
             the same question is asked with other draws.
         grounding: Puts an instruction into words that the engine knows; None for an engine that knows them all.
@@ -183,8 +183,8 @@ class SemanticReasoner:
     def converse(self, questions: Sequence[tuple[Ask, int]]) -> Conversation[Proposal, tuple[Ask, int]]:
         """Proposals, and the questions that come of them, such as for a scene's next stage.
 
-        Proposals are given when they are a third of what is open, or more: what comes of them is then worth a batch, and those that
-        are still being answered are enough to go on with.
+        Proposals are given when they are a third of what is open, or more: what comes of them is then worth a batch, and those
+        that are still being answered are enough to go on with.
 
         Args:
             questions: What is asked, each with its seed.

@@ -17,8 +17,8 @@ from tokenizers import Tokenizer
 from torch import Tensor
 
 from models.text_encoder.folder import Pooling, SentenceModel, packaged_folder, read_folder
+from stable_data.assets.text_embeddings import Rows
 from stable_data.errors import ConfigError
-from stable_data.text_features import Rows
 
 _BATCH = 8  # sentences: a single one costs as much as eight
 _LENGTH_STEP = 8  # tokens

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Protocol
 
 from stable_data.errors import ConfigError
-from stable_data.export import mesatask, mjcf, scene_glb
+from stable_data.export import glb, mesatask, mjcf
 from stable_data.scene import Scene
-from stable_data.solid_scene import SolidScene
+from stable_data.simulation.scene_geometry import SolidScene
 
 
 class Format(Protocol):
@@ -31,7 +31,7 @@ class Format(Protocol):
         ...
 
 
-FORMATS: Mapping[str, Format] = {"glb": scene_glb, "mesatask": mesatask, "mjcf": mjcf}
+FORMATS: Mapping[str, Format] = {"glb": glb, "mesatask": mesatask, "mjcf": mjcf}
 
 
 def format_named(name: str) -> Format:

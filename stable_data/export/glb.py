@@ -1,103 +1,125 @@
-"""Binary glTF: geometry, colours, convex parts; the same bytes every time."""
+"""A whole scene as binary glTF: one node an object, named by its instance, with its pose; objects of one asset share its mesh."""
 
-import json
-import struct
-from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from stable_data.glb import COLLIDERS, PART_FACES
-from stable_data.mesh import Mesh
-from stable_data.paint import to_linear
-from stable_data.scene import FloatArray, IntArray
+from stable_data.atomic_files import plain_name, put_file
+from stable_data.geometry.gltf_writer import material, pack
+from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.mesh_colors import Paint
+from stable_data.geometry.shape import Shape
+from stable_data.scene import TABLE, FloatArray, IntArray, QuatXyzw, Scene, Tabletop, Vec3
+from stable_data.simulation.render import SINK_COLOUR, SINK_RISE, TABLE_COLOUR, TABLE_THICKNESS, object_colour
+from stable_data.simulation.scene_geometry import SolidScene
 
-_FLOAT, _UINT, _VERTICES, _INDICES = 5126, 5125, 34962, 34963  # of the glTF 2.0 specification
+ABOUT = """Binary glTF, one file a scene: `<scene>.glb`, metres. As the format demands, y is up and -z is away from the viewer; below
+the node `scene`, which turns them, all coordinates are those of stable-data. Nodes have the names of the instances, and
+`extras` say category, asset and description."""
+
+_Y_UP = (-float(np.sqrt(0.5)), 0.0, 0.0, float(np.sqrt(0.5)))  # turns z up into y up
 
 
-def write_glb(
-    mesh: Mesh,
-    *,
-    unit: float = 1.0,
-    is_z_up: bool = False,
-    paint: Sequence[tuple[str, IntArray]] = (),
-    parts: Sequence[Mesh] = (),
-) -> bytes:
-    """A mesh as binary glTF: geometry and colours, the same bytes every time.
+def place(scene: Scene, out: Path) -> Path:
+    """Where a scene's file is: once it is there, the scene is exported."""
+    return out / f"{plain_name(scene.scene_id)}.glb"
+
+
+def write(solid: SolidScene, out: Path) -> None:
+    """Writes a scene.
 
     Args:
-        mesh: Any unit, z up.
-        unit: Mesh units in one unit of the file.
-        is_z_up: Keep the coordinates z up, under a node that turns, scales and moves them.
-        paint: Colours, as seen on a screen, with the faces that they are on, each face once: (``#rrggbb``, indices).
-        parts: Convex parts whose union is the mesh, in its frame. They become a second mesh, ``colliders``, that no node shows;
-            its ``extras.part_faces`` lists the faces of each part.
+        solid: The scene with its geometry.
+        out: The folder of the export.
 
-    Returns:
-        The file. What it shows is y up, as glTF demands.
+    Raises:
+        OSError: The folder cannot be written.
     """
-    node: dict[str, object] = {"mesh": 0, "name": "asset"}
-    if is_z_up:
-        shift = mesh.extents[2] / unit / 2  # stands on its node's origin
-        half = np.sqrt(0.5)
-        node |= {"rotation": [-half, 0.0, 0.0, half], "scale": [2.0, 2.0, 2.0], "translation": [0.0, shift, 0.0]}
-
-    def stored(vertices: FloatArray) -> FloatArray:
-        if is_z_up:
-            return vertices / unit / 2
-        return np.stack([vertices[:, 0], vertices[:, 2], -vertices[:, 1]], axis=1) / unit
-
-    coats = [mesh.faces[rows] for _, rows in paint] or [mesh.faces]
-    primitives = [{"attributes": {"POSITION": 0}, "indices": 1 + k} for k in range(len(coats))]
-    meshes: list[dict[str, Any]] = [{"primitives": primitives}]
-    document: dict[str, Any] = {"scene": 0, "scenes": [{"nodes": [0]}], "nodes": [node], "meshes": meshes}
-    arrays: list[FloatArray | IntArray] = [stored(mesh.vertices), *coats]
-    if paint:
-        document["materials"] = [material(color) for color, _ in paint]
-        meshes[0]["primitives"] = [{**primitive, "material": k} for k, primitive in enumerate(primitives)]
-    if parts:
-        starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-        primitive = {"attributes": {"POSITION": len(arrays)}, "indices": len(arrays) + 1}
-        meshes.append({"name": COLLIDERS, "primitives": [primitive], "extras": {PART_FACES: [len(p.faces) for p in parts]}})
-        arrays.append(stored(np.concatenate([part.vertices for part in parts])))
-        arrays.append(np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]))
-    return pack(document, arrays)
+    put_file(place(solid.scene, out), scene_glb(solid))
 
 
-def material(color: str) -> dict[str, Any]:
-    """GlTF's material of a colour, ``#rrggbb`` as seen on a screen."""
-    return {"pbrMetallicRoughness": {"baseColorFactor": _linear(color), "metallicFactor": 0.0}}
+def scene_glb(solid: SolidScene) -> bytes:
+    """The content of a scene's file."""
+    document = _Document()
+    unit = Shape.box((1.0, 1.0, 1.0))
+    box = Mesh(unit.vertices, unit.faces)
+    for name, colour, position, size in _table_boxes(solid.scene.table):
+        document.add(name, document.mesh(name, box, _all_of(box, colour)), position, (0.0, 0.0, 0.0, 1.0), size)
+    for k, (o, mesh) in enumerate(zip(solid.scene.objects, solid.meshes, strict=True)):
+        turn = Rotation.from_euler("z", o.yaw)
+        extras = {"category": o.category, "description": o.description, "asset_id": o.asset_id}
+        if mesh is None or o.scale is None:  # its box stands in
+            number = document.mesh("box", box, _all_of(box, object_colour(o)))
+            document.add(o.instance, number, o.position, _quat(turn), o.size, extras)
+            continue
+        x, y, z = (o.position + turn.apply(solid.offset(k))).tolist()
+        number = document.mesh(str(o.asset_id), mesh, solid.paint(k))
+        document.add(o.instance, number, (x, y, z), _quat(turn * Rotation.from_quat(o.tilt_quat_xyzw)), o.scale, extras)
+    return document.content(solid.scene.scene_id)
 
 
-def _linear(color: str) -> list[float]:
-    """GlTF's linear RGBA of a colour as it is seen on a screen (sRGB)."""
-    seen = np.array([int(color[k : k + 2], 16) / 255 for k in (1, 3, 5)])
-    return [*(round(channel, 5) for channel in to_linear(seen).tolist()), 1.0]
+class _Document:
+    """A glTF document that grows."""
+
+    def __init__(self) -> None:
+        self._nodes: list[dict[str, Any]] = []
+        self._meshes: list[dict[str, Any]] = []
+        self._materials: list[dict[str, Any]] = []
+        self._arrays: list[FloatArray | IntArray] = []
+        self._numbers: dict[tuple[str, ...], int] = {}
+
+    def mesh(self, name: str, mesh: Mesh, paint: Paint) -> int:
+        """Number of a mesh in its colours; one that is there already is used again."""
+        key = (name, *(colour for colour, _ in paint))
+        if key not in self._numbers:
+            self._numbers[key] = len(self._meshes)
+            corners, first = len(self._arrays), len(self._materials)
+            primitives = [
+                {"attributes": {"POSITION": corners}, "indices": corners + 1 + n, "material": first + n}
+                for n in range(len(paint))
+            ]
+            self._meshes.append({"name": name, "primitives": primitives})
+            self._materials += [material(colour) for colour, _ in paint]
+            self._arrays += [mesh.vertices, *(mesh.faces[rows] for _, rows in paint)]
+        return self._numbers[key]
+
+    def add(
+        self, name: str, mesh: int, position: Vec3, quat_xyzw: QuatXyzw, scale: Vec3, extras: dict[str, Any] | None = None
+    ) -> None:
+        """Adds a node that shows a mesh."""
+        node = {"name": name, "mesh": mesh, "translation": position, "rotation": quat_xyzw, "scale": scale}
+        self._nodes.append(node | ({"extras": extras} if extras else {}))
+
+    def content(self, name: str) -> bytes:
+        """The file."""
+        root = {"name": "scene", "rotation": _Y_UP, "children": list(range(1, len(self._nodes) + 1))}
+        document = {
+            "scene": 0,
+            "scenes": [{"name": name, "nodes": [0]}],
+            "nodes": [root, *self._nodes],
+            "meshes": self._meshes,
+            "materials": self._materials,
+        }
+        return pack(document, self._arrays)
 
 
-def pack(document: dict[str, Any], arrays: Sequence[FloatArray | IntArray]) -> bytes:
-    """The file of a glTF document whose accessor k is ``arrays[k]``: corners where they are floats, else faces."""
-    accessors: list[dict[str, Any]] = []
-    views: list[dict[str, Any]] = []
-    chunks: list[bytes] = []
-    for k, array in enumerate(arrays):
-        is_corners = array.dtype.kind == "f"
-        stored = array.astype("<f4" if is_corners else "<u4")
-        start = sum(map(len, chunks))
-        chunks.append(stored.tobytes())
-        target = _VERTICES if is_corners else _INDICES
-        views.append({"buffer": 0, "byteOffset": start, "byteLength": len(chunks[-1]), "target": target})
-        accessor: dict[str, Any] = {"bufferView": k, "componentType": _FLOAT if is_corners else _UINT}
-        if is_corners:
-            box = {"min": stored.min(axis=0).tolist(), "max": stored.max(axis=0).tolist()}
-            accessors.append(accessor | {"count": len(stored), "type": "VEC3", **box})
-        else:
-            accessors.append(accessor | {"count": stored.size, "type": "SCALAR"})
-    binary = b"".join(chunks)
-    document = {"asset": {"version": "2.0", "generator": "stable-data"}, **document}
-    document |= {"accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": len(binary)}]}
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    size = 12 + 8 + len(text) + 8 + len(binary)
-    header = struct.pack("<4sII", b"glTF", 2, size)
-    return b"".join((header, struct.pack("<I4s", len(text), b"JSON"), text, struct.pack("<I4s", len(binary), b"BIN\0"), binary))
+def _all_of(mesh: Mesh, colour: str) -> Paint:
+    return ((colour, np.arange(len(mesh.faces))),)
+
+
+def _table_boxes(table: Tabletop) -> list[tuple[str, str, Vec3, Vec3]]:
+    """Name, colour, centre and size of the table and of what may not be stood on."""
+    x, y = table.size_xy
+    boxes = [(TABLE, TABLE_COLOUR, (x / 2, y / 2, -TABLE_THICKNESS / 2), (x, y, TABLE_THICKNESS))]
+    if table.restricted_zone is not None:
+        x_min, x_max, y_min, y_max = table.restricted_zone
+        size = (x_max - x_min, y_max - y_min, 2 * SINK_RISE)
+        boxes.append(("restricted_zone", SINK_COLOUR, ((x_min + x_max) / 2, (y_min + y_max) / 2, 0.0), size))
+    return boxes
+
+
+def _quat(rotation: Rotation) -> QuatXyzw:
+    x, y, z, w = rotation.as_quat().tolist()
+    return x, y, z, w

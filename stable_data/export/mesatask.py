@@ -2,16 +2,16 @@
 
 from pathlib import Path
 
-from stable_data.export.glb import write_glb
+from stable_data.geometry.gltf_writer import write_glb
 from stable_data.mesatask.layout import LAYOUT_FILE
 from stable_data.mesatask.library import LIBRARY_FOLDER
 from stable_data.mesatask.writing import scene_folder, write_asset, write_scene
 from stable_data.scene import Scene
-from stable_data.solid_scene import SolidScene
+from stable_data.simulation.scene_geometry import SolidScene
 
 ABOUT = """A dataset in the MesaTask-10K format: `Layout_info/<table type>/<scene>/layout.json` with its `task_info.json`, centimetres,
-quaternions xyzw; `Assets_library/<uid>.glb`, y up, with the convex parts as a second mesh that no node shows. `stable-data lint`
-and `python -m pipelines preprocess` take it. Meshes are the repaired ones of the run, in up to eight colours each."""
+quaternions xyzw; `Assets_library/<uid>.glb`, y up, with the convex parts as a second mesh that no node shows. `stable-data
+lint` and `python -m pipelines preprocess` take it. Meshes are the repaired ones of the run, in up to eight colours each."""
 
 
 def place(scene: Scene, out: Path) -> Path:

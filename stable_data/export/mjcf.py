@@ -5,8 +5,8 @@ An export::
     assets/<2 digits>/<content>.obj    a convex part, metres; or what an asset looks like, mesh units
     <scene>/scene.xml
 
-The file says what the stability verdict was given (:mod:`stable_data.engine_scene`): MuJoCo reads the same model from it, number
-for number. Its own writer is not used, for it rounds to six digits.
+The file says what the stability verdict was given (:mod:`stable_data.simulation.mujoco_model`): MuJoCo reads the same model
+from it, number for number. Its own writer is not used, for it rounds to six digits.
 """
 
 import hashlib
@@ -16,17 +16,17 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from stable_data.engine import mujoco
-from stable_data.engine_scene import VISUAL, engine_spec
-from stable_data.files import plain_name, put_file
-from stable_data.physics import COLLIDER
+from stable_data.atomic_files import plain_name, put_file
 from stable_data.scene import Scene
-from stable_data.solid_scene import SolidScene
+from stable_data.simulation.mujoco_import import mujoco
+from stable_data.simulation.mujoco_model import VISUAL, engine_spec
+from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.simulation.settling import COLLIDER
 
 ABOUT = """MuJoCo models (MJCF): `<scene>/scene.xml`, which `mujoco.MjModel.from_xml_path` and `python -m mujoco.viewer --mjcf=` open.
-Bodies have the names of the instances; the keyframe `home` holds the poses. Geoms of group 3 collide and are the convex parts of
-the objects, geoms of group 2 are seen. Masses, inertias, friction and contact settings are those that the stability verdict was
-given. Scenes share the folder `assets`: copy it with them, or export a scene alone with `--scene`."""
+Bodies have the names of the instances; the keyframe `home` holds the poses. Geoms of group 3 collide and are the convex parts
+of the objects, geoms of group 2 are seen. Masses, inertias, friction and contact settings are those that the stability verdict
+was given. Scenes share the folder `assets`: copy it with them, or export a scene alone with `--scene`."""
 
 MESH_FOLDER = "assets"
 

@@ -12,8 +12,8 @@ from stable_data.instructions.paraphrase import request
 from stable_data.instructions.situation import Situation
 from stable_data.instructions.steps import Steps, steps_of
 from stable_data.instructions.words import is_plural, sentences, type_name
-from stable_data.relations import SceneGraph
 from stable_data.scene import Scene, TaskInfo
+from stable_data.scene_graph.relations import SceneGraph
 
 SIMPLE_KINDS: tuple[Kind, ...] = (
     *picking.KINDS,

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from stable_data.atomic_files import put_file
 from stable_data.errors import ConfigError, SceneError
-from stable_data.files import put_file
 from stable_data.mesatask.document import Log, inverse, json_text
 from stable_data.mesatask.entry import BOX_YAW, POSE_KEYS, Border, LayoutLimits, is_upright, read_object, scaled_extents
 from stable_data.mesatask.frame import is_yaw_of, normalised, quat_product, yaw_quat
@@ -44,8 +44,8 @@ def write_layout(
         extents: Box of each asset's mesh by uid, mesh units, z up: becomes ``original_size`` where an object has none.
         decimals: Round the positions and sizes that are written anew to so many decimals of a centimetre; the format's own
             files have 1. None: full precision.
-        annotations: Those that the scene was read with. An object's words are written where they are not the annotation's; None:
-            where they are not the ones in its source.
+        annotations: Those that the scene was read with. An object's words are written where they are not the annotation's;
+            None: where they are not the ones in its source.
     """
     source = copy.deepcopy(dict(scene.source or {}))
     is_dataset_form = any(_has_pose(o) for o in scene.objects)

@@ -11,18 +11,21 @@ figure beside the entailed relations: an instruction rarely asks for all of it.
 
 When a relation holds:
 
-* ``in`` and ``on``: in the scene graph's own sense, directly or through what lies in between; what shall be on a thing may be in
+* ``in`` and ``on``: in the scene graph's own sense, directly or through what lies in between; what shall be on a thing may be
+in
   it, not the other way round. The same rule judges what a correction keeps.
-* ``left of``, ``right of``, ``in front of``, ``behind``: geometrically, within 45 degrees of that direction seen from the target,
-  however far and whatever else is near; ``above`` and ``below`` by heights and outlines. An edge of the scene graph is not asked
+* ``left of``, ``right of``, ``in front of``, ``behind``: geometrically, within 45 degrees of that direction seen from the
+target,
+  however far and whatever else is near; ``above`` and ``below`` by heights and outlines. An edge of the scene graph is not
+  asked
   for: it links nearest neighbours alone, so that one more distractor would break it.
 * ``is at``: the ninth of the table that the centre is in. ``face to``: to 45 degrees. ``are equally spaced along``: one of the
   scene graph's rows along that axis has all of them.
 
 Unknown is never a pass: without relations AwS is None, not 1, and likewise where the search for the best matching was given up.
 
-What an instruction speaks of by its place alone (``take everything out of the tray``) may be anything there, and one will do: the
-instruction says neither what nor how many.
+What an instruction speaks of by its place alone (``take everything out of the tray``) may be anything there, and one will do:
+the instruction says neither what nor how many.
 
 A request that gave no scene is aligned as one without objects: its AwT is 0.
 """
@@ -34,7 +37,8 @@ from itertools import product
 from stable_data.errors import SceneError
 from stable_data.instructions.claims import is_named, speaks_of_all
 from stable_data.metrics.matching import Matching, Option, Required, Wish, candidates, match
-from stable_data.relations import (
+from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, Scene, TaskInfo
+from stable_data.scene_graph.relations import (
     Contacts,
     cell_of,
     direction_of,
@@ -44,7 +48,6 @@ from stable_data.relations import (
     scene_graph,
     vertical_relation,
 )
-from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, Scene, TaskInfo
 
 _ON_IN = frozenset({RelationKind.ON, RelationKind.IN})
 _VERTICAL = frozenset({RelationKind.ABOVE, RelationKind.BELOW})
@@ -208,7 +211,8 @@ def align(
     Args:
         scene: The generated scene; its own task and relations are not looked at, so a raw layout will do.
         reference: What was asked.
-        contacts: What each object rests on; None: not known, judged by boxes as :func:`~stable_data.relations.scene_graph` does.
+        contacts: What each object rests on; None: not known, judged by boxes as
+            :func:`~stable_data.scene_graph.relations.scene_graph` does.
         footprints: As for ``scene_graph``.
         containers: As for ``scene_graph``.
 

@@ -17,14 +17,14 @@ import networkx as nx
 import numpy as np
 
 from stable_data.errors import Notice
+from stable_data.geometry.shape import Shape
+from stable_data.geometry.surface_sampling import bottom_points
 from stable_data.metrics.bounds import enters_zone, leaves_table
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.collision import NEAR, ROUNDING, TOLERANCE, penetration
-from stable_data.metrics.crossing import MeshPair, Surface, WorkBudget, WorkLimitError
 from stable_data.metrics.support import carries, distance_to_surface
-from stable_data.points import bottom_points
+from stable_data.metrics.triangle_intersection import MeshPair, Surface, WorkBudget, WorkLimitError
 from stable_data.scene import TABLE, FloatArray, Scene
-from stable_data.shape import Shape
 
 BOUNDS_SLACK = 1e-3
 """How far a footprint may reach over an edge, metres: the format's own rounding."""

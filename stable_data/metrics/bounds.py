@@ -3,7 +3,7 @@
 import numpy as np
 import shapely
 
-from stable_data.metrics.crossing import boxes
+from stable_data.metrics.triangle_intersection import boxes
 from stable_data.scene import FloatArray, Rectangle, Tabletop
 
 

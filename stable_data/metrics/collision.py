@@ -4,10 +4,10 @@ import itertools
 
 import numpy as np
 
-from stable_data.mesh import Mesh, is_closed
-from stable_data.metrics.crossing import MeshPair, Surface, as_surface
+from stable_data.geometry.mesh import Mesh, is_closed
+from stable_data.geometry.shape import winding_number
+from stable_data.metrics.triangle_intersection import MeshPair, Surface, as_surface
 from stable_data.scene import FloatArray
-from stable_data.shape import winding_number
 
 _axes = np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
 DIRECTIONS: FloatArray = _axes / np.linalg.norm(_axes, axis=1, keepdims=True)

@@ -4,7 +4,7 @@ import igl
 import numpy as np
 
 from stable_data.metrics.collision import DIRECTIONS
-from stable_data.metrics.crossing import MeshPair, Surface, as_surface, near_triangles
+from stable_data.metrics.triangle_intersection import MeshPair, Surface, as_surface, near_triangles
 from stable_data.scene import FloatArray
 
 _UPWARD = 0.01
@@ -18,8 +18,8 @@ def carries(pair: MeshPair, gap: float, upper_is_first: bool = True) -> bool:
     """Does one object of a pair rest on the other one: does it meet it from above when lowered?
 
     It does where a face of the lower looks up. A face of the upper that looks down shows it too (a plate on a narrow post meets
-    the post's sides alone), unless it merely scratches a wall: then a step aside frees it and lifting does not. And what lifting
-    frees was carried, whichever way the faces of an open sheet are wound. Two vertical walls that touch never carry.
+    the post's sides alone), unless it merely scratches a wall: then a step aside frees it and lifting does not. And what
+    lifting frees was carried, whichever way the faces of an open sheet are wound. Two vertical walls that touch never carry.
 
     Args:
         pair: The two meshes, with a margin of at least the gap.

@@ -9,17 +9,17 @@ from typing import Any
 
 import pytest
 
-from models.semantic_reasoner.examples import edit_example_of
-from pipelines.edit import edit
-from pipelines.preprocess import preprocess
-from pipelines.runner import Workers
-from stable_data.synth import World, write_world
-from stable_data.synth.drafting import KINDS
-from stable_data.synth.edit_table import edit_rows
-from stable_data.tables import Row
-from tests.pipelines import edit_runs
+from models.semantic_reasoner.training.examples import edit_example_of
+from pipelines.edit.job import edit
+from pipelines.execution.ray_executor import Workers
+from pipelines.preprocess.shard import preprocess
+from stable_data.embedded_world import World, write_world
+from stable_data.embedded_world.drafting import KINDS
+from stable_data.embedded_world.edit_table import edit_rows
+from stable_data.storage.schemas import Row
+from tests.pipelines.edit import edit_runs
 from tests.pipelines.runs import SMALL, used_assets
-from tests.stable_data.synth.edit_scenes import made_scenes, row_of
+from tests.stable_data.embedded_world.edit_scenes import made_scenes, row_of
 
 
 @pytest.fixture(scope="session")

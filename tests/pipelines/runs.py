@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from pipelines.plan import PreprocessSettings
+from pipelines.preprocess.plan import PreprocessSettings
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = PreprocessSettings(

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
-from models.semantic_reasoner.prompt import WANTED
-from stable_data.asset_library import Asset
+from models.semantic_reasoner.text.prompt import WANTED
+from stable_data.assets.catalog import Asset
 from stable_data.scene import Stage
 
 

@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import pytest
 
-from pipelines.plan import PreprocessSettings
+from pipelines.preprocess.plan import PreprocessSettings
 from pipelines.settings import resolve
-from stable_data.dotted import differences
+from stable_data.config_diff import differences
 from stable_data.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -5,7 +5,7 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
-from stable_data.mesh import Mesh
+from stable_data.geometry.mesh import Mesh
 
 
 def glb_bytes(mesh: Mesh) -> bytes:

@@ -10,10 +10,10 @@ import pytest
 import typer
 from typer.testing import CliRunner, Result
 
-import stable_data.lint
+import stable_data.mesatask.lint
 from stable_data.cli import DEBUG, EXTRA_OF_MODULE, INTERRUPTED, NOT_STARTED, app, with_clear_errors
-from stable_data.lint import LintResult
-from stable_data.shards import RunFolder
+from stable_data.mesatask.lint import LintResult
+from stable_data.storage.run_folder import RunFolder
 
 ROOT = Path(__file__).parents[2]
 
@@ -45,7 +45,7 @@ def test_the_line_says_what_and_how_to_see_more(monkeypatch: pytest.MonkeyPatch)
         raise IndexError("list index\nout of range")
 
     monkeypatch.delenv(DEBUG, raising=False)
-    monkeypatch.setattr(stable_data.lint, "lint_folder", fail)
+    monkeypatch.setattr(stable_data.mesatask.lint, "lint_folder", fail)
     result = run("lint", "anywhere")
     assert (result.exit_code, result.stdout) == (NOT_STARTED, "")
     assert result.stderr == f"error: unexpected IndexError: list index; please report it with what {DEBUG}=1 shows\n"
@@ -66,7 +66,7 @@ def test_ctrl_c_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     def stop(root: Path, *, progress: bool) -> LintResult:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(stable_data.lint, "lint_folder", stop)
+    monkeypatch.setattr(stable_data.mesatask.lint, "lint_folder", stop)
     result = run("lint", "anywhere")
     assert (result.exit_code, result.stderr) == (INTERRUPTED, "interrupted; what is in place stays\n")
 
@@ -95,7 +95,7 @@ def test_every_module_of_an_extra_is_known() -> None:
 
 def test_a_place_that_cannot_be_written_is_refused_before_the_audit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     audited: list[Path] = []
-    monkeypatch.setattr(stable_data.lint, "lint_folder", lambda root, progress: audited.append(root))
+    monkeypatch.setattr(stable_data.mesatask.lint, "lint_folder", lambda root, progress: audited.append(root))
     (tmp_path / "file").touch()
     for table in (tmp_path / "file" / "lint.parquet", tmp_path):
         result = run("lint", "anywhere", "--table", table)
@@ -110,7 +110,7 @@ def test_a_table_that_cannot_be_written_leaves_the_page(tmp_path: Path, monkeypa
         return nothing_found(root, progress=progress)
 
     table = tmp_path / "out" / "lint.parquet"
-    monkeypatch.setattr(stable_data.lint, "lint_folder", fill_the_place)
+    monkeypatch.setattr(stable_data.mesatask.lint, "lint_folder", fill_the_place)
     result = run("lint", "anywhere", "--table", table)
     assert result.exit_code == NOT_STARTED
     assert "anywhere: 0 scenes" in result.stdout

@@ -40,13 +40,18 @@ def test_another_process_with_the_same_files_elsewhere_says_the_same(copied: Pat
 @pytest.mark.parametrize(
     ("change", "is_other"),
     [
-        (lambda root: (root / "models" / "scheduler.py").write_text("a = 1\n"), True),
-        (lambda root: (root / "models" / "scheduler.py").rename(root / "models" / "schedule.py"), True),
+        (lambda root: (root / "models" / "dual_system" / "batching.py").write_text("a = 1\n"), True),
+        (
+            lambda root: (root / "models" / "dual_system" / "batching.py").rename(
+                root / "models" / "dual_system" / "schedule.py"
+            ),
+            True,
+        ),
         (lambda root: (root / "pipelines" / "new.py").write_text(""), True),
-        (lambda root: (root / "stable_data" / "synth" / "solids.py").unlink(), True),
+        (lambda root: (root / "stable_data" / "embedded_world" / "modelling" / "solids.py").unlink(), True),
         (lambda root: (root / "pipelines" / "notes.md").write_text("a"), False),
         (lambda root: (root / "new.py").write_text("a = 1\n"), False),
-        (lambda root: (root / "models" / ".#scheduler.py").symlink_to("user@host.1234"), False),  # an editor's lock
+        (lambda root: (root / "models" / ".#batching.py").symlink_to("user@host.1234"), False),  # an editor's lock
         (lambda root: (root / "models" / "notes.py").mkdir(), False),
     ],
 )

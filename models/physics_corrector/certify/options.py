@@ -10,7 +10,7 @@ from stable_data.metrics.collision import TOLERANCE
 from stable_data.scene import Scene
 
 if TYPE_CHECKING:
-    from stable_data.physics import SettleResult  # the engine takes long to import
+    from stable_data.simulation.settling import SettleResult  # the engine takes long to import
 
 
 class Status(StrEnum):
@@ -53,10 +53,10 @@ class CertifyOptions:
         clearance: Air between things that stand side by side, metres.
         tries: How many times a body may be put elsewhere to win back a directional relation.
         rounds: How many times the exact check may send the layout back.
-        depth: How deep things may be in each other, metres: the audit's tolerance, or less for a layout that is clean for coarser
-            judges too, which try fewer ways to part them.
-        places: At how many places at most a thing that the physics engine moves, where it is asked, is tried until it stays; 0: it
-            is left where it moves, and looked at no longer than that takes.
+        depth: How deep things may be in each other, metres: the audit's tolerance, or less for a layout that is clean for
+            coarser judges too, which try fewer ways to part them.
+        places: At how many places at most a thing that the physics engine moves, where it is asked, is tried until it stays;
+            0: it is left where it moves, and looked at no longer than that takes.
         twice: Whether a layout that begins elsewhere than it came, where the flow put it, and loses relations is certified from
             where it came too, and the better taken; where it loses objects it always is.
     """
@@ -95,8 +95,9 @@ class Certified:
         dropped: What was given up.
         audit: The exact audit of ``scene``; None where there is none.
         rest: The physics engine's verdict on ``scene``; None where it was not asked or could not be.
-        num_broken: Relations of the original layout that no longer hold, as `certify` reads them: left of, right of, in front of,
-            behind; and what is no longer carried by what carried it. A figure to choose by; the audit's own are `relations_kept`.
+        num_broken: Relations of the original layout that no longer hold, as `certify` reads them: left of, right of, in front
+            of, behind; and what is no longer carried by what carried it. A figure to choose by; the audit's own are
+            `relations_kept`.
     """
 
     scene: Scene | None

@@ -9,7 +9,7 @@ from models.point_encoder.encoder import PointEncoder
 from models.point_encoder.level import Level
 from models.point_encoder.serialization import CURVES
 from models.point_encoder.transformer import TransformerConfig
-from stable_data.shape import Shape
+from stable_data.geometry.shape import Shape
 
 TINY = TransformerConfig(
     norm="ln",

@@ -8,15 +8,15 @@ import torch
 from models.point_encoder import checkpoint
 from models.point_encoder.boxes import box_clearance
 from models.point_encoder.cloud import Cloud, Preprocessing
-from models.point_encoder.corpus import Pair, Posed, TrainingShape, corpus, training_shape
+from models.point_encoder.evaluation import effective_rank
 from models.point_encoder.heads import ClearanceHead, Pretraining, spread_loss
-from models.point_encoder.judging import effective_rank
 from models.point_encoder.pretrain import CONFIGS, ENCODER, STATE, PretrainSettings, pretrain
-from models.point_encoder.questions import questions
+from models.point_encoder.pretraining_data import Pair, Posed, TrainingShape, corpus, training_shape
+from models.point_encoder.pretraining_targets import questions
+from stable_data.embedded_world.families.catalogue import KEYS
 from stable_data.errors import ConfigError
-from stable_data.mesh import Mesh
-from stable_data.shape import Shape
-from stable_data.synth.catalogue import KEYS
+from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.shape import Shape
 from tests.models.point_encoder.clouds import TINY
 
 

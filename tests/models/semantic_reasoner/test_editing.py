@@ -11,16 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from models.semantic_reasoner.editing import EditedScene, Editing, apply_edit, editing
-from models.semantic_reasoner.examples import edit_example_of
-from models.semantic_reasoner.layout_text import LayoutObject, Reply, parse_reply
-from models.semantic_reasoner.prompt import messages
+from models.semantic_reasoner.text.prompt import messages
+from models.semantic_reasoner.text.reply_json import LayoutObject, Reply, parse_reply
+from models.semantic_reasoner.training.examples import edit_example_of
+from stable_data.embedded_world.edit_table import edit_rows
 from stable_data.errors import SceneError
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.relations import supports
 from stable_data.scene import TABLE, Relation, RelationKind, Scene, SceneObject, Tabletop, Vec3
-from stable_data.synth.edit_table import edit_rows
-from stable_data.tables import object_from_row, scene_from_row
-from tests.stable_data.synth.edit_scenes import made_scenes, row_of
+from stable_data.scene_graph.relations import supports
+from stable_data.storage.schemas import object_from_row, scene_from_row
+from tests.stable_data.embedded_world.edit_scenes import made_scenes, row_of
 
 
 def thing(name: str, category: str, x: float, y: float, low: float, size: Vec3, support: str | None = TABLE) -> SceneObject:

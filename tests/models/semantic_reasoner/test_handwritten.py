@@ -2,9 +2,9 @@
 
 from collections import Counter
 
+from stable_data.embedded_world.families.catalogue import BY_CATEGORY
 from stable_data.metrics.matching import closeness
 from stable_data.scene import RelationKind
-from stable_data.synth.catalogue import BY_CATEGORY
 from tests.models.semantic_reasoner.handwritten import read_handwritten
 
 TABLES = {"office_table", "dining_table", "kitchen_counter", "coffee_table", "bathroom_vanity", "dressing_table"}

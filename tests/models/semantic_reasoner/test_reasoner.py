@@ -1,11 +1,11 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from models.semantic_reasoner.checks import Fault, form_check
-from models.semantic_reasoner.engine import Completion, Request
-from models.semantic_reasoner.layout_text import LayoutObject, Reply, render_objects
-from models.semantic_reasoner.prompt import Ask
+from models.semantic_reasoner.engines.protocol import Completion, Request
 from models.semantic_reasoner.reasoner import SemanticReasoner
+from models.semantic_reasoner.replies.checks import Fault, form_check
+from models.semantic_reasoner.text.prompt import Ask
+from models.semantic_reasoner.text.reply_json import LayoutObject, Reply, render_objects
 from stable_data.scene import Stage, Tabletop
 
 TABLE = Tabletop("office_table", (1.12, 0.593))

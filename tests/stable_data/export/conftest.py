@@ -2,9 +2,9 @@
 
 import pytest
 
-from stable_data.assets import AssetStore
-from stable_data.shards import RunFolder
-from stable_data.table_assets import TableAssets
+from stable_data.assets.run_assets import TableAssets
+from stable_data.assets.store import AssetStore
+from stable_data.storage.run_folder import RunFolder
 from tests.stable_data.export.runs import write_run
 
 

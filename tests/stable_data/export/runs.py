@@ -5,19 +5,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from stable_data.assets import AssetStore
-from stable_data.convex import convex_parts
-from stable_data.export.glb import write_glb
-from stable_data.mesh import Mesh
+from stable_data.assets.run_assets import TableAssets
+from stable_data.assets.store import AssetStore
+from stable_data.embedded_world.families.catalogue import asset
+from stable_data.geometry.convex_decomposition import convex_parts
+from stable_data.geometry.gltf_writer import write_glb
+from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.shape import Shape
 from stable_data.metrics.card import MetricCard
-from stable_data.physics import settle
 from stable_data.scene import QuatXyzw, Scene, SceneObject, Tabletop, TaskInfo, Vec3
-from stable_data.shape import Shape
-from stable_data.shards import RunFolder
-from stable_data.solid_scene import SolidScene
-from stable_data.synth.catalogue import asset
-from stable_data.table_assets import TableAssets
-from stable_data.tables import SCHEMAS, Row, card_row, scene_row
+from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.simulation.settling import settle
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import SCHEMAS, Row, card_row, scene_row
 
 KEYS = ("can/0", "cereal_box/0", "mug/0", "plate/0")
 LYING: QuatXyzw = (0.5**0.5, 0.0, 0.0, 0.5**0.5)

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from stable_data.cli import DONE, app
-from stable_data.shards import RunFolder
+from stable_data.storage.run_folder import RunFolder
 
 pytestmark = pytest.mark.sim
 

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stable_data.assets import AssetStore
-from stable_data.colliders import asset_parts
-from stable_data.export.exporting import export_run
+from stable_data.assets.store import AssetStore
+from stable_data.export.exporter import export_run
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.run_scenes import Choice
 from stable_data.scene import Scene
-from stable_data.shards import RunFolder
-from stable_data.solid_scene import SolidScene
+from stable_data.simulation.collision_bodies import asset_parts
+from stable_data.simulation.run_reader import Choice
+from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.storage.run_folder import RunFolder
 from tests.stable_data.export.runs import at_rest, falling, write_run
 
 PLAIN = replace(

@@ -11,14 +11,14 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from stable_data.assets import AssetStore
-from stable_data.engine import mujoco
-from stable_data.engine_scene import CAMERAS, VISUAL_GROUP, body_name
+from stable_data.assets.store import AssetStore
 from stable_data.export import mjcf
-from stable_data.physics import compile_bodies, hull_volume, settle
+from stable_data.geometry.shape import Shape
 from stable_data.scene import FloatArray, Scene
-from stable_data.shape import Shape
-from stable_data.solid_scene import SolidScene
+from stable_data.simulation.mujoco_import import mujoco
+from stable_data.simulation.mujoco_model import CAMERAS, VISUAL_GROUP, body_name
+from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.simulation.settling import compile_bodies, hull_volume, settle
 from tests.stable_data.export.runs import EMPTY, SCENES, at_rest, falling
 
 pytestmark = pytest.mark.sim

@@ -9,8 +9,8 @@ import numpy as np
 from stable_data.instructions.kind import Told
 from stable_data.instructions.naming import Namer
 from stable_data.instructions.situation import Situation
-from stable_data.relations import SceneGraph, scene_graph
 from stable_data.scene import UPRIGHT, QuatXyzw, Scene, SceneObject, Tabletop, Vec3
+from stable_data.scene_graph.relations import SceneGraph, scene_graph
 
 LYING: QuatXyzw = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 

@@ -11,8 +11,8 @@ from stable_data.instructions.deriving import SIMPLE_KINDS
 from stable_data.instructions.kind import SEVERAL, SINGLE, Kind, members
 from stable_data.instructions.naming import mentions
 from stable_data.instructions.situation import Situation
-from stable_data.relations import relations_of
 from stable_data.scene import RelationKind
+from stable_data.scene_graph.relations import relations_of
 from tests.stable_data.instructions.tables import DESK, DINING, SHELF, STACKS, TABLES, Table, Thing, table, told_somewhere
 
 PRIMITIVES = {"Pick", "PlaceOn", "PlaceAt", "Push", "RevoluteJointOpen", "RevoluteJointClose", "Press"}

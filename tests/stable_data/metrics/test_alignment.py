@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stable_data.embedded_world.scenes import make_scene
 from stable_data.errors import SceneError
 from stable_data.instructions import derive_task
 from stable_data.metrics import alignment
@@ -17,9 +18,8 @@ from stable_data.metrics.alignment_summary import summarise_alignment
 from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.matching import Matching, Required
 from stable_data.metrics.reply_validity import ReplyTally
-from stable_data.relations import direction_of, relations_of, scene_graph
 from stable_data.scene import TABLE, Relation, RelationKind, Scene, SceneObject, Tabletop, TaskInfo, Vec3
-from stable_data.synth.scenes import make_scene
+from stable_data.scene_graph.relations import direction_of, relations_of, scene_graph
 from tests.stable_data.instructions.tables import TABLES, Table
 
 LEFT, RIGHT, FRONT, BEHIND = RelationKind.LEFT_OF, RelationKind.RIGHT_OF, RelationKind.IN_FRONT_OF, RelationKind.BEHIND

@@ -6,9 +6,9 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
+from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import Audit, ObjectVerdict, PairVerdict, PosedScene, _without_circles, audit_posed, audit_scene
 from stable_data.scene import Scene
-from stable_data.shape import Shape
 from tests.scenes import Placed, ball, ball_in_bowl, bowl, box, box_on_table, leaning_plate, overlapping_balls, scene_of
 
 CUBE = box(0.1, 0.1, 0.1)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.bounds import enters_zone, leaves_table
 from stable_data.scene import Rectangle, Tabletop
-from stable_data.shape import Shape
 from tests.scenes import Pose, ball, box, hollow, scene_of, sheet, triangles
 
 ZONE: Rectangle = (0.4, 0.6, 0.4, 0.6)

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stable_data.geometry.shape import Shape
 from stable_data.metrics.collision import DEEPEST, LEVELS, nested, penetration
-from stable_data.metrics.crossing import MeshPair
-from stable_data.shape import Shape
+from stable_data.metrics.triangle_intersection import MeshPair
 from tests.scenes import ball, bowl, box, hollow, sheet, triangles
 
 CUBE = box(0.1, 0.1, 0.1)

@@ -8,12 +8,12 @@ import polars as pl
 import pyarrow as pa
 import pytest
 
-from stable_data import tables
+from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.summary import Line, Summary, summarise
 from stable_data.scene import Scene
-from stable_data.shape import Shape
+from stable_data.storage import schemas
 from tests.scenes import Placed, ball_in_bowl, box, box_on_table, overlapping_balls, scene_of
 
 UNKNOWN = scene_of(
@@ -38,7 +38,7 @@ def framed(built: Mapping[str, tuple[Scene, list[Shape]]]) -> pl.DataFrame:
     for name, scene in built.items():
         audit = audit_scene(*scene)
         rows.append({"scene_id": name, **asdict(audit.card()), **audit.rows()})
-    schema = tables.SCHEMAS["scenes"]
+    schema = schemas.SCHEMAS["scenes"]
     names = ["scene_id", *MetricCard.__dataclass_fields__, "pairs", "verdicts"]
     table = pa.Table.from_pylist(rows, schema=pa.schema([schema.field(n) for n in names]))
     return pl.DataFrame(pl.from_arrow(table))

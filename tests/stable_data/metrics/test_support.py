@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import PosedScene, audit_scene
-from stable_data.metrics.crossing import MeshPair
 from stable_data.metrics.support import carries, distance_to_surface
-from stable_data.shape import Shape
+from stable_data.metrics.triangle_intersection import MeshPair
 from tests.scenes import Placed, ball, ball_in_bowl, box, box_on_table, leaning_plate, scene_of, sheet, triangles
 
 CUBE = box(0.1, 0.1, 0.1)

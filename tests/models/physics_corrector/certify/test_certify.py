@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from models.physics_corrector.certify import CertifyOptions, Status, certify
 from stable_data.errors import ConfigError, SceneError
+from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import audit_scene
-from stable_data.metrics.kept import relations_kept
+from stable_data.metrics.relations_kept import relations_kept
 from stable_data.scene import RelationKind, Scene, Stage
-from stable_data.shape import Shape
 from tests.models.physics_corrector.certify.things import ball, bowl, box, cylinder, laid
 
 CUP, BOOK, PLATE = cylinder(0.04, 0.1), box(0.15, 0.2, 0.03), cylinder(0.1, 0.012)

@@ -3,8 +3,8 @@
 import numpy as np
 import trimesh
 
+from stable_data.geometry.shape import Shape
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Stage, Tabletop
-from stable_data.shape import Shape
 
 
 def mesh_shape(mesh: trimesh.Trimesh) -> Shape:

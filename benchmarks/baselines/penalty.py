@@ -1,0 +1,94 @@
+"""Plain penalty descent: Adam on the poses, against sampled signed distances of the meshes, with a weak pull to the start.
+
+    Σ_{i≠j} Σ_q∈Q_i max(0, −D_j(q))² + anchor · |p − p⁰|² + what reaches over the table's edge
+
+No learning and no search: what gradients do by themselves. Every sample counts, not the deepest alone as in the corrector's
+losses: the deepest one of a flat thing points up, where nothing may go. Heights stay.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from benchmarks.baselines.outcome import Outcome
+from models.physics_corrector.geometry.closest_point import Queries, posed_distance
+from models.physics_corrector.geometry.scene_batch import SceneBatch
+from models.physics_corrector.geometry.shape_tensors import Geometry, ShapeTable
+from models.physics_corrector.training.losses import bounds, colliding_pairs
+from stable_data.assets.store import AssetStore
+from stable_data.geometry.shape import Shape
+from stable_data.scene import Scene
+
+_YAW_ARM = 0.1  # metres a radian, of the pull to the start
+
+
+@dataclass(frozen=True, slots=True)
+class PenaltyDescent:
+    """Adam on x, y and yaw.
+
+    Attributes:
+        num_steps: Steps; the rate falls to 0 over them along a cosine.
+        learning_rate: Metres and radians: about how far the first step goes.
+        anchor_weight: Of the squared distance to the start, beside squared depths.
+        bounds_weight: Of what reaches over the table's edge or into the restricted zone, beside squared depths.
+        num_samples: Surface samples of a shape.
+        tolerance: Deepest sampled overlap that counts as none, metres.
+    """
+
+    num_steps: int = 300
+    learning_rate: float = 2e-3
+    anchor_weight: float = 1e-3
+    bounds_weight: float = 1.0
+    num_samples: int = 256
+    tolerance: float = 5e-4
+
+    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
+        """Descends; see :class:`~benchmarks.baselines.outcome.Method`. Converged: no sample is deeper than the tolerance."""
+        table = ShapeTable(store, num_surface=self.num_samples)
+        batch = SceneBatch.from_scenes([scene], table)
+        geometry = table.geometry()
+        begin = time.process_time()
+        end = self._descended(torch.from_numpy(scene.poses())[None], batch, geometry)
+        depth = float(depths(end, batch, geometry).amax())
+        seconds = time.process_time() - begin
+        reason = "" if depth <= self.tolerance else f"a sample remains {1e3 * depth:.2f} mm deep"
+        return Outcome(scene.with_poses(end[0].numpy()), not reason, seconds, reason)
+
+    def _descended(self, start: Tensor, batch: SceneBatch, geometry: Geometry) -> Tensor:
+        """Poses (1, N, 4) after all steps."""
+        origin, height = start[..., [0, 1, 3]], start[..., 2:3]
+        moving = origin.clone().requires_grad_()
+        adam = torch.optim.Adam([moving], lr=self.learning_rate)
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, self.num_steps)
+        pull = self.anchor_weight * start.new_tensor([1.0, 1.0, _YAW_ARM**2])
+        for _ in range(self.num_steps):
+            adam.zero_grad()
+            poses = torch.cat([moving[..., :2], height, moving[..., 2:]], dim=-1)
+            loss = depths(poses, batch, geometry).square().sum() + (pull * (moving - origin).square()).sum()
+            if self.bounds_weight:
+                loss = loss + self.bounds_weight * bounds(poses, batch, geometry).sum()
+            loss.backward()  # type: ignore[no-untyped-call]
+            adam.step()
+            schedule.step()
+        end = moving.detach()
+        return torch.cat([end[..., :2], height, end[..., 2:]], dim=-1)
+
+
+def depths(poses: Tensor, batch: SceneBatch, geometry: Geometry) -> Tensor:
+    """How deep every sample of every near object is in every other, (1 + M,), metres, 0 outside; the first is a 0.
+
+    Args:
+        poses: (B, N, 4), metres and radians.
+        batch: The scenes.
+        geometry: Their shapes.
+    """
+    ways = colliding_pairs(poses.detach(), batch, geometry).both_ways()
+    num_samples = geometry.surface.shape[1]
+    each = torch.arange(len(ways)).repeat_interleave(num_samples)
+    points = geometry.surface[batch.shape_index[ways.scene, ways.first]].reshape(-1, 3)
+    queries = Queries(ways.scene, ways.first, ways.second).take(each)
+    depth = (-posed_distance(poses, batch, geometry, queries, points)).clamp_min(0)
+    return torch.cat([poses.new_zeros(1), depth])

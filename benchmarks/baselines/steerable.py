@@ -1,0 +1,83 @@
+"""Steerable Scene Generation's projection, re-implemented from its description: not their code, and not their solver.
+
+Pfaff et al., "Steerable Scene Generation with Post Training and Inference-Time Search", 2025. Theirs is an inverse-kinematics
+programme in Drake, solved by SNOPT; ``benchmarks/steerable_drake.py`` runs that. Here is the same programme with the released
+settings, solved as ``projection`` does, which does not fail where SNOPT does: take its figures for what the formulation can do
+at best. Theirs: positions alone, the sum of their squared changes, every pair of bodies not nearer than 0, one convex hull a
+mesh (which is what Drake makes of a mesh), the table as a fixed box, and a scene that the solver does not solve is thrown away.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.baselines.hulls import ConvexBodies, table_box
+from benchmarks.baselines.outcome import Outcome
+from benchmarks.baselines.projection import Freedom, ProjectionSettings, project
+from stable_data.assets.store import AssetStore
+from stable_data.errors import MeshError
+from stable_data.geometry.shape import Shape
+from stable_data.scene import FloatArray, Scene
+from stable_data.simulation.collision_bodies import parts_of
+
+
+@dataclass(frozen=True, slots=True)
+class Steerable:
+    """The projection with its released settings.
+
+    Attributes:
+        with_parts: Take the convex parts of the meshes instead of one hull each: hollows stay hollow.
+        influence: Pairs farther apart than this do not count, metres.
+        tolerance: Of the solver, as a share of the influence distance, which its constraint is scaled by.
+        max_iterations: Of the solver.
+        max_seconds: Of the solver.
+    """
+
+    with_parts: bool = False
+    influence: float = 0.03
+    tolerance: float = 1e-3
+    max_iterations: int = 5000
+    max_seconds: float = 60.0
+
+    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
+        """Moves objects apart, up and down too; see :class:`~benchmarks.baselines.outcome.Method`.
+
+        A scene that did not converge is one that Steerable would throw away; it comes back as far as it got.
+        """
+        poses = scene.poses()
+        box, middle = table_box(scene.table)
+        try:
+            bodies = ConvexBodies([*turned_parts(scene, shapes, store, with_parts=self.with_parts), [box]])
+        except MeshError as error:
+            return Outcome(scene, False, 0.0, str(error))
+        start = np.concatenate([poses[:, :3], middle[None]])
+        is_free = np.ones(start.shape, np.bool_)
+        is_free[-1] = False
+        anywhere = np.full(start.shape, np.inf)
+        settings = ProjectionSettings(
+            0.0, self.influence, self.tolerance * self.influence, self.max_iterations, self.max_seconds
+        )
+        begin = time.process_time()
+        found = project(bodies, start, Freedom(is_free, -anywhere, anywhere), settings)
+        seconds = time.process_time() - begin
+        poses[:, :3] = found.positions[:-1]
+        return Outcome(scene.with_poses(poses), found.converged, seconds, found.reason)
+
+
+def turned_parts(
+    scene: Scene, shapes: Sequence[Shape], store: AssetStore, *, with_parts: bool = False
+) -> list[list[FloatArray]]:
+    """Points of the convex parts of every object, turned by its yaw, around its position; its whole shape where not ``with_parts``.
+
+    Raises:
+        MeshError: A mesh has no convex parts.
+    """
+    bodies = []
+    for o, shape in zip(store.resolved(scene)[0].objects if with_parts else scene.objects, shapes, strict=True):
+        points = [part.vertices for part in parts_of(o, shape, store)] if with_parts else [shape.vertices]
+        c, s = np.cos(o.yaw), np.sin(o.yaw)
+        turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        bodies.append([p @ turn for p in points])
+    return bodies

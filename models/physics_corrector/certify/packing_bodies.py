@@ -1,0 +1,158 @@
+"""The trees of a layout as bodies on the table."""
+
+import itertools
+from collections.abc import Sequence, Set
+
+import numpy as np
+
+from models.physics_corrector.certify.layout_state import Layout
+from models.physics_corrector.certify.mesh_queries import Meshes
+from models.physics_corrector.certify.no_fit_polygon import NoFit, Part, no_fit
+from models.physics_corrector.certify.packing_problem import AXES, Bodies, Crowd, Order
+from models.physics_corrector.certify.slab_outline import Slabs, joined, rectangle, slabs_of
+from models.physics_corrector.certify.support_inference import TABLE_TOP
+from stable_data.metrics.audit import BOUNDS_SLACK
+from stable_data.scene import TABLE, FloatArray, Relation, RelationKind
+from stable_data.scene_graph.relations import scene_graph
+
+_OVERHANG = 0.9 * BOUNDS_SLACK  # how far an outline may reach over the edge, metres
+_DEEP = 3e-3  # outlines deeper in each other than this, whose meshes are apart, keep their places to each other, metres
+
+
+class Standing:
+    """What stands on the table of a layout, ready to be parted.
+
+    Args:
+        layout: The layout.
+        meshes: Its objects.
+        original: Poses that movement is measured from, (N, 4).
+        orders: Directional relations to keep.
+        clearance: Air between things that stand side by side, metres.
+    """
+
+    def __init__(
+        self, layout: Layout, meshes: Meshes, original: FloatArray, orders: Sequence[Relation], clearance: float
+    ) -> None:
+        self._layout, self._meshes, self._original = layout, meshes, original
+        self._orders, self._clearance = orders, clearance
+        self._stacks: dict[tuple[int, ...], tuple[FloatArray, Slabs]] = {}
+
+    def crowd(self, strict: Set[frozenset[int]]) -> tuple[Crowd, list[list[int]]]:
+        """The trees as bodies.
+
+        Args:
+            strict: Pairs of roots whose outlines have to be apart, though their meshes are.
+
+        Returns:
+            The crowd, and the roots of each of its bodies.
+        """
+        layout, size = self._layout, np.array(self._layout.scene.table.size_xy)
+        roots = layout.roots()
+        parts = [Part(self._slabs(r), layout.poses[r, :2].copy()) for r in roots]
+        zone = layout.scene.table.restricted_zone
+        if zone is not None:
+            corners = np.array([[zone[0], zone[2]], [zone[1], zone[3]]])
+            parts.append(Part(rectangle(corners[0], corners[1]), np.zeros(2)))
+        pairs = no_fit(parts)
+        groups, relaxed = self._groups(roots, pairs, strict)
+        number = {r: b for b, group in enumerate(groups) for r in group}
+        body = np.array([number[r] for r in roots] + [len(groups)] * (zone is not None), np.int64)
+        num = len(groups) + (zone is not None)
+        stiffness = np.full(num, np.inf)
+        aims, low, high = np.zeros((num, 2)), np.full((num, 2), -np.inf), np.full((num, 2), np.inf)
+        for b, group in enumerate(groups):
+            stiffness[b] = sum(layout.stiffness(r) for r in group)
+            if np.isfinite(stiffness[b]):
+                aims[b] = self._original[group[0], :2] - layout.poses[group[0], :2]
+        for b, p in zip(body[: len(roots)], parts, strict=False):
+            least, most = p.slabs.box
+            low[b] = np.maximum(low[b], -_OVERHANG - least - p.anchor)
+            high[b] = np.minimum(high[b], size + _OVERHANG - most - p.anchor)
+        bodies = Bodies(stiffness, aims, low, high)
+        return Crowd(pairs, body, bodies, self._orders_between(number), self._clearance, relaxed), groups
+
+    def covered(self, roots: Sequence[int]) -> float:
+        """Area of the table top that trees cover, square metres."""
+        areas = []
+        for r in roots:
+            x, y = self._slabs(r).corners[0].T
+            areas.append(0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))))
+        return sum(areas)
+
+    def _slabs(self, root: int) -> Slabs:
+        """Slabs of a tree around its root's anchor; those of a tree that has not changed but for its place are kept."""
+        layout = self._layout
+        tree = tuple(layout.tree(root))
+        anchor = np.append(layout.poses[root, :2], 0.0)
+        offsets = layout.poses[list(tree), :3] - anchor
+        inner = np.concatenate([offsets, layout.poses[list(tree), 3:]], axis=1)
+        if tree not in self._stacks or not np.allclose(self._stacks[tree][0], inner, rtol=0, atol=1e-9):
+            stacks = []
+            for m, offset in zip(tree, offsets, strict=True):
+                at = np.append(offset[:2], layout.low(m))
+                stacks.append(slabs_of(layout.shapes[m]).placed(layout.poses[m, 3], at))
+            self._stacks[tree] = inner, joined(stacks)
+        return self._stacks[tree][1]
+
+    def _orders_between(self, number: dict[int, int]) -> list[Order]:
+        layout = self._layout
+        index = {o.instance: k for k, o in enumerate(layout.scene.objects)}
+        found = []
+        for r in self._orders:
+            i, j = index[r.subject], index[r.target]
+            if layout.is_there[i] and layout.is_there[j]:
+                first, second = number[layout.root_of(i)], number[layout.root_of(j)]
+                if first != second:
+                    offset = layout.poses[i, :2] - layout.poses[j, :2]
+                    found.append(Order(first, second, np.array(AXES[r.kind]), offset))
+        return found
+
+    def _groups(
+        self, roots: Sequence[int], pairs: NoFit, strict: Set[frozenset[int]]
+    ) -> tuple[list[list[int]], dict[tuple[int, int], float]]:
+        """Trees that keep their places to each other, because their meshes are apart though their outlines are not.
+
+        Returns:
+            The roots of each group; and, for pairs of parts that are only just so near, the clearance that their outlines have.
+        """
+        free: dict[tuple[int, int], float] = {}
+        enemies: set[frozenset[int]] = set()
+        for (i, j), clear in pairs.clearances().items():
+            if clear >= self._clearance or j >= len(roots):
+                continue
+            both = frozenset((roots[i], roots[j]))
+            if both in strict or self._collide(roots[i], roots[j]):
+                enemies.add(both)
+            else:
+                free[i, j] = clear
+        group = {r: [r] for r in roots}
+        for (i, j), clear in sorted(free.items(), key=lambda item: (item[1], item[0])):
+            one, other = group[roots[i]], group[roots[j]]
+            if clear > -_DEEP or one is other:
+                continue
+            if any(frozenset(pair) in enemies for pair in itertools.product(one, other)):
+                continue
+            both_groups = one + other
+            for r in both_groups:
+                group[r] = both_groups
+        groups = sorted({id(members): sorted(members) for members in group.values()}.values())
+        return groups, {pair: clear for pair, clear in free.items() if clear > -_DEEP}
+
+    def _collide(self, one: int, other: int) -> bool:
+        layout = self._layout
+        theirs = layout.tree(other)
+        return any(
+            self._meshes.penetrates(a, layout.poses[a], b, layout.poses[b])
+            for a in layout.tree(one)
+            for b in self._meshes.near(a, layout.poses[a], theirs, layout.poses)
+        )
+
+
+def directional(layout: Layout, original: FloatArray) -> list[Relation]:
+    """The directional relations that a scene graph finds where objects are at poses (N, 4)."""
+    objects = [o.moved((p[0], p[1], p[2]), p[3]) for o, p in zip(layout.scene.objects, original.tolist(), strict=True)]
+    names = [o.instance for o in objects]
+    above = {n: (TABLE if c.parent == TABLE_TOP else names[c.parent],) for n, c in zip(names, layout.carried, strict=True)}
+    scene = type(layout.scene)(layout.scene.scene_id, layout.scene.table, tuple(objects))
+    edges = scene_graph(scene, above).edges(keys=True)
+    return sorted(Relation(s, RelationKind(kind), t) for s, t, kind in edges if RelationKind(kind) in AXES)

@@ -1,0 +1,49 @@
+"""Parts a crowd: projection first, then growth, then by leaving bodies out and putting them back; at last what was lost is repaired."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from models.physics_corrector.certify.inflation import grown
+from models.physics_corrector.certify.packing_problem import Crowd
+from models.physics_corrector.certify.projection import project
+from models.physics_corrector.certify.relation_recovery import polished, repaired
+from models.physics_corrector.certify.subset_packing import fitted
+from stable_data.scene import FloatArray
+
+_STEPS = 16
+_GROWTH_STEPS = (3, 6)  # at each size, until it parts
+
+
+def part(crowd: Crowd, aims: FloatArray, spare: Sequence[int], tries: int) -> tuple[FloatArray, list[int]] | None:
+    """Finds shifts at which nothing meets, near the aims and true to the directional relations as far as that goes.
+
+    Args:
+        crowd: The bodies.
+        aims: Where they want to be, (B, 2), metres.
+        spare: Bodies that may be left out where not all find a place, those that should go first, first.
+        tries: How many times a body may be put elsewhere to mend what parting has lost.
+
+    Returns:
+        The shifts, (B, 2), and the bodies that have to be left out; None where not even that does.
+    """
+    here, out = np.zeros_like(aims), list[int]()
+    parted = []
+    found, is_parted = project(crowd, here, aims, _STEPS)
+    if is_parted:
+        parted.append(polished(crowd, found, aims))
+    if not parted or crowd.broken(parted[0]).sum() > crowd.broken(here).sum():
+        for steps in _GROWTH_STEPS:
+            found, is_parted = grown(crowd, here, aims, steps)
+            if is_parted:
+                parted.append(polished(crowd, found, aims))
+                break
+    if not parted:
+        fit = fitted(crowd, aims, spare)
+        if fit is None:
+            return None
+        found, out = fit
+        crowd = crowd.without(out)
+        parted.append(polished(crowd, found, aims))
+    best = min(parted, key=lambda shifts: int(crowd.broken(shifts).sum()))
+    return repaired(crowd, best, aims, tries), out

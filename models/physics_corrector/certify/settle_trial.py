@@ -1,0 +1,112 @@
+"""Objects of a layout let go in the physics engine, some of them free, the others held: do they stay?"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from models.physics_corrector.certify.slab_outline import BoolArray
+from stable_data.scene import FloatArray, Tabletop
+from stable_data.simulation.mujoco_import import mujoco
+from stable_data.simulation.settling import Body, EngineOptions, compile_bodies, let_sleep, without_log_file
+
+_OPTIONS = EngineOptions()  # as for the verdict of stability
+_SAMPLE = 0.02  # seconds between looks
+_STILL, _PATIENCE = 2e-4, 15  # what is slower than this, metres a second, for so many looks has come to rest
+_ARM = 0.05  # metres from the centre at which turning counts as speed
+
+
+class Trial:
+    """Some objects of a layout in the engine.
+
+    Args:
+        bodies: Every object of the layout; where they say to be does not count.
+        poses: Where they are, (N, 4), metres and radians.
+        free: Those that are let go.
+        held: Those that are there but cannot move.
+        table: The table.
+
+    Raises:
+        MeshError: A body has no solid part, or the engine refuses it.
+    """
+
+    def __init__(
+        self,
+        bodies: Sequence[Body],
+        poses: FloatArray,
+        free: Sequence[int],
+        held: Sequence[int],
+        table: Tabletop,
+    ) -> None:
+        self.free = list(free)
+        self._stride = max(1, round(_SAMPLE / _OPTIONS.timestep))
+
+        def at(k: int, *, movable: bool) -> Body:
+            x, y, z, yaw = poses[k].tolist()
+            return replace(bodies[k], position=(x, y, z), yaw=yaw, movable=movable)
+
+        placed = [at(k, movable=True) for k in free] + [at(k, movable=False) for k in held]
+        self._model = compile_bodies(placed, table, _OPTIONS)
+        self._data = mujoco.MjData(self._model)
+
+    def stays(self, poses: FloatArray, seconds: float, move: float, turn: float) -> BoolArray:
+        """Which of the free objects never go farther or turn more than a limit, (F,).
+
+        Args:
+            poses: Where all objects of the layout start, (N, 4); those that are held are where they were first said to be.
+            seconds: How long they are let go; less where everything has come to rest or nothing has stayed.
+            move: The limit, metres.
+            turn: The limit, degrees.
+        """
+        _, moves, turns = self._run(poses, seconds, move, turn)
+        return np.asarray((moves <= move) & (turns <= turn))
+
+    def all_stay(self, poses: FloatArray, seconds: float, move: float, turn: float) -> bool:
+        """Do all free objects stay? As :meth:`stays`, but it ends with the first that does not."""
+        _, moves, turns = self._run(poses, seconds, move, turn, ends_at_first=True)
+        return bool((moves <= move).all() and (turns <= turn).all())
+
+    def outcome(self, poses: FloatArray, seconds: float) -> FloatArray:
+        """Where the free objects come to, poses (F, 4) with what they turned about the vertical.
+
+        Args:
+            poses: Where all objects of the layout start, (N, 4).
+            seconds: How long they are let go.
+        """
+        state = self._run(poses, seconds, np.inf, np.inf)[0]
+        yaws = 2 * np.arctan2(state[:, 6], state[:, 3])
+        return np.column_stack([state[:, :3], yaws])
+
+    def _run(
+        self, poses: FloatArray, seconds: float, move: float, turn: float, *, ends_at_first: bool = False
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Last poses (F, 7) with quaternions wxyz, farthest moves (F,) in metres and turns (F,) in degrees."""
+        model, data = self._model, self._data
+        mujoco.mj_resetData(model, data)
+        model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+        settling = round(_OPTIONS.settle_seconds / _SAMPLE)
+        start = np.zeros((len(self.free), 7))
+        start[:, :3] = poses[self.free, :3]
+        start[:, 3], start[:, 6] = np.cos(poses[self.free, 3] / 2), np.sin(poses[self.free, 3] / 2)
+        data.qpos[:] = start.ravel()
+        moves, turns = np.zeros(len(start)), np.zeros(len(start))
+        still, now = 0, start
+        with without_log_file():
+            for number in range(round(seconds / _OPTIONS.timestep / self._stride)):
+                if number == settling:
+                    let_sleep(model, _OPTIONS)
+                mujoco.mj_step(model, data, nstep=self._stride)
+                now = np.array(data.qpos).reshape(-1, 7)
+                if not np.isfinite(now).all():
+                    return start, np.full(len(start), np.inf), np.full(len(start), np.inf)
+                moves = np.maximum(moves, np.linalg.norm(now[:, :3] - start[:, :3], axis=1))
+                cosine = np.abs((now[:, 3:] * start[:, 3:]).sum(axis=1))
+                turns = np.maximum(turns, np.degrees(2 * np.arccos(np.minimum(cosine, 1.0))))
+                gone = (moves > move) | (turns > turn)
+                if gone.all() or (ends_at_first and gone.any()):
+                    break
+                speed = np.abs(np.array(data.qvel).reshape(-1, 6) * ([1.0] * 3 + [_ARM] * 3)).max(initial=0.0)
+                still = still + 1 if speed < _STILL else 0
+                if still >= _PATIENCE:
+                    break
+        return now, moves, turns

@@ -1,0 +1,1 @@
+"""Conditional flow matching on poses, and the networks that learn it."""

@@ -1,0 +1,114 @@
+"""Which network and flow: the settings of a corrector, the named ones, and their way to JSON and back."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, get_args, get_origin, get_type_hints
+
+from models.physics_corrector.flow.flow_matching import Flow, FlowSettings
+from models.physics_corrector.flow.pose_coordinates import Coordinates
+from models.physics_corrector.flow.velocity_network import NetworkSettings, VelocityNetwork
+from stable_data.config_diff import differences, flat
+from stable_data.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectorSettings:
+    """What a corrector's weights mean something together with.
+
+    Attributes:
+        network: The shape of its network.
+        flow: How paths are drawn and followed.
+    """
+
+    network: NetworkSettings = field(default_factory=NetworkSettings)
+    flow: FlowSettings = field(default_factory=FlowSettings)
+
+    def build(self) -> tuple[VelocityNetwork, Flow]:
+        """An untrained network, and the flow that trains and samples it."""
+        return VelocityNetwork(self.network, self.flow.coordinates), Flow(self.flow)
+
+    def to_json(self) -> str:
+        """As JSON, keys sorted."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+    @classmethod
+    def from_json(cls, text: str) -> "CorrectorSettings":
+        """From JSON, such as a checkpoint's.
+
+        Raises:
+            ConfigError: It is no JSON object, or a key is missing, not known or of the wrong type.
+        """
+        try:
+            values = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise ConfigError(f"settings of a corrector: not JSON ({error})", "config_invalid") from error
+        settings: CorrectorSettings = _filled(cls, values, "settings")
+        return settings
+
+    def differences(self, other: "CorrectorSettings") -> list[str]:
+        """``key: was -> now`` for every setting in which another differs from these."""
+        return differences(flat(asdict(self)), flat(asdict(other)))
+
+
+PRESETS: Mapping[str, CorrectorSettings] = {
+    # The paper's width and self-conditioning; what it leaves open (levels, heads, widths of context and time) as its ancestors.
+    "paper": CorrectorSettings(),
+    # Its smaller sibling: what the weights in the repository are.
+    "embedded": CorrectorSettings(
+        NetworkSettings(channels=96, levels=3, heads=4, context_channels=96, time_channels=192, code_channels=32)
+    ),
+    # The set transformer at about the same cost as each.
+    "paper_set": CorrectorSettings(NetworkSettings("set_transformer", levels=8, heads=8, time_channels=512)),
+    "embedded_set": CorrectorSettings(
+        NetworkSettings(
+            "set_transformer",
+            channels=128,
+            levels=5,
+            heads=4,
+            context_channels=128,
+            time_channels=128,
+            pair_channels=32,
+            code_channels=32,
+        )
+    ),
+}
+"""Named settings. The paper's absolute coordinates: ``replace(flow, coordinates=Coordinates("absolute", 1.0, 1.0))``."""
+
+
+def preset(name: str) -> CorrectorSettings:
+    """Named settings.
+
+    Raises:
+        ConfigError: There are none of that name.
+    """
+    if name not in PRESETS:
+        raise ConfigError(f"corrector preset {name!r} is not known, expected one of {', '.join(PRESETS)}", "config_invalid")
+    return PRESETS[name]
+
+
+def absolute(settings: CorrectorSettings) -> CorrectorSettings:
+    """The same in the paper's absolute coordinates: metres and radians as they are."""
+    flow = asdict(settings.flow) | {"coordinates": Coordinates("absolute", 1.0, 1.0)}
+    return CorrectorSettings(settings.network, FlowSettings(**flow))
+
+
+def _filled(kind: type[Any], values: Any, name: str) -> Any:
+    """A frozen dataclass from a JSON object that names all of its fields and no other."""
+    hints = get_type_hints(kind)
+    if not isinstance(values, dict) or values.keys() != hints.keys():
+        found = sorted(values) if isinstance(values, dict) else values
+        raise ConfigError(f"{name} of a corrector: found {found}, expected the keys {sorted(hints)}", "config_invalid")
+    filled: dict[str, Any] = {}
+    for entry in fields(kind):
+        value, wanted = values[entry.name], hints[entry.name]
+        where = f"{name}.{entry.name}"
+        if isinstance(wanted, type) and hasattr(wanted, "__dataclass_fields__"):
+            filled[entry.name] = _filled(wanted, value, where)
+            continue
+        kinds = (str,) if get_origin(wanted) is not None else (float, int) if wanted is float else (wanted,)
+        if type(value) not in kinds:
+            expected = " or ".join(map(str, get_args(wanted))) or wanted.__name__
+            raise ConfigError(f"{where} of a corrector is {value!r}, expected {expected}", "config_invalid")
+        filled[entry.name] = float(value) if wanted is float else value
+    return kind(**filled)

@@ -1,0 +1,167 @@
+"""The velocity field v_θ(x_t, t, C) of the corrector: from coordinates now and condition to a rate of x, y, z and yaw.
+
+One interface for two backbones. Around them: what the objects are and where they are now
+(:mod:`~models.physics_corrector.flow.object_encoding`), instance codes, the estimate of the clean pose fed back
+(self-conditioning), the embedding of flow time, and a head that starts at zero, so that an untrained network leaves everything
+where it is. Padding and fixed objects get exactly zero.
+
+Instance codes tell equal objects apart. The caller gives each object a rank; the code is a row of a learned table, taken round
+and round. In training ranks are drawn anew at every call (``Condition.random_ranks``), so that no rank means anything; at
+inference they follow from what the objects are (``Condition.content_ranks``), so that permuting them changes nothing.
+"""
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Literal, TypeAlias
+
+import torch
+from torch import Tensor, nn
+
+from models.physics_corrector.flow import object_encoding
+from models.physics_corrector.flow.condition import Condition
+from models.physics_corrector.flow.pose_coordinates import Coordinates
+from models.physics_corrector.flow.set_transformer import SetTransformer
+from models.physics_corrector.flow.unet import UNet1d
+from stable_data.errors import ConfigError
+
+Backbone: TypeAlias = Literal["unet1d", "set_transformer"]
+
+_TIME_SCALE = 1000.0  # flow time runs over [0, 1]; the sinusoids are made for hundreds of steps and hardly move over one
+_STATE_CHANNELS = 5 + 6 + object_encoding.PLACE_CHANNELS
+_LIMITS = {"channels": 4096, "levels": 64, "heads": 64, "num_features": 4096, "num_codes": 65536}  # files are not trusted
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkSettings:
+    """The shape of a velocity network.
+
+    Attributes:
+        backbone: ``unet1d``, the paper's, or ``set_transformer``.
+        channels: Hidden width, a multiple of 8.
+        levels: Levels of the U-Net, or blocks of the transformer.
+        heads: Attention heads: of 32 channels in the U-Net, sharing the width in the transformer.
+        context_channels: Width of the context of an object.
+        time_channels: Width of the embedded time.
+        pair_channels: Width of an embedded pair; the transformer's alone.
+        num_features: Point features of an object, 64 in the paper; 0 makes a network without any, for ablation.
+        num_codes: Instance codes; 0 makes the network exactly permutation-equivariant and blind to which of two equal objects
+            is which.
+        code_channels: Width of an instance code.
+    """
+
+    backbone: Backbone = "unet1d"
+    channels: int = 512
+    levels: int = 4
+    heads: int = 4
+    context_channels: int = 512
+    time_channels: int = 2048
+    pair_channels: int = 64
+    num_features: int = 64
+    num_codes: int = 64
+    code_channels: int = 128
+
+    def __post_init__(self) -> None:
+        """Refuses shapes that cannot be built."""
+        if self.backbone not in ("unet1d", "set_transformer"):
+            raise ConfigError(f"network.backbone is {self.backbone!r}, expected unet1d or set_transformer", "config_invalid")
+        for name, value in asdict(self).items():
+            least, most = 0 if name.startswith("num_") else 1, _LIMITS.get(name, 4096)
+            if name != "backbone" and not (type(value) is int and least <= value <= most):
+                raise ConfigError(
+                    f"network.{name} is {value!r}, expected a whole number in {least} .. {most}", "config_invalid"
+                )
+        if self.channels % math.lcm(8, self.heads if self.backbone == "set_transformer" else 1):
+            raise ConfigError(
+                f"network.channels is {self.channels}, expected a multiple of 8 (and of the transformer's {self.heads} heads)",
+                "config_invalid",
+            )
+
+
+class VelocityNetwork(nn.Module):
+    """v_θ(y_t, t, C) in the coordinates of the flow.
+
+    Args:
+        settings: Its shape.
+        coordinates: The coordinates that it reads and writes.
+    """
+
+    def __init__(self, settings: NetworkSettings, coordinates: Coordinates) -> None:
+        super().__init__()
+        self.settings, self.coordinates = settings, coordinates
+        width, context, time = settings.channels, settings.context_channels, settings.time_channels
+        self.state = nn.Linear(_STATE_CHANNELS, width)
+        self.features = nn.LayerNorm(settings.num_features) if settings.num_features else None
+        self.codes = nn.Embedding(settings.num_codes, settings.code_channels) if settings.num_codes else None
+        known = object_encoding.CONTEXT_CHANNELS + settings.num_features + (settings.code_channels if settings.num_codes else 0)
+        self.context = nn.Sequential(nn.Linear(known, context), nn.SiLU(), nn.Linear(context, context))
+        self.time = nn.Sequential(nn.Linear(width, time), nn.SiLU(), nn.Linear(time, time))
+        shape = {"channels": width, "levels": settings.levels, "heads": settings.heads}
+        inputs = {"context_channels": context, "time_channels": time}
+        self.backbone: UNet1d | SetTransformer
+        if settings.backbone == "unet1d":
+            self.backbone = UNet1d(**shape, **inputs)
+        else:
+            pair = {"pair_channels": settings.pair_channels, "pair_inputs": object_encoding.PAIR_CHANNELS}
+            self.backbone = SetTransformer(**shape, **inputs, **pair)
+        last = nn.Linear(width, 4)
+        nn.init.zeros_(last.weight)
+        nn.init.zeros_(last.bias)
+        self.head = nn.Sequential(nn.LayerNorm(width), last)
+
+    def forward(self, y: Tensor, t: Tensor, condition: Condition, ranks: Tensor, y1_hat: Tensor | None = None) -> Tensor:
+        """The velocity of every object.
+
+        Args:
+            y: Coordinates y_t, (B, N, 4) float32.
+            t: Flow time in [0, 1], (B,) float32.
+            condition: The scenes.
+            ranks: Which instance code each object gets, taken modulo their number, (B, N) int64.
+            y1_hat: An earlier estimate of the clean coordinates, (B, N, 4) float32, or None.
+
+        Returns:
+            dy/dt, (B, N, 4) float32: position and yaw in coordinate units; 0 for padding and fixed objects.
+
+        Raises:
+            ConfigError: The condition's features are not those that the network reads.
+        """
+        there = condition.mask[..., None]
+        y = torch.where(there, y, 0)
+        now = torch.where(there, self.coordinates.decode(y, condition.poses), 0)
+        x = self.state(self._state(y, now, condition, y1_hat))
+        pairs = object_encoding.pairs(now, condition) if self.backbone.needs_pairs else None
+        time = self.time(sinusoids(t, self.settings.channels))
+        x = self.backbone(x, self._context(condition, ranks), time, condition.mask, pairs)
+        velocity: Tensor = self.head(x)
+        return torch.where(condition.is_movable[..., None], velocity.float(), 0)
+
+    def _state(self, y: Tensor, now: Tensor, condition: Condition, y1_hat: Tensor | None) -> Tensor:
+        if y1_hat is None:
+            fed_back = y.new_zeros((*y.shape[:2], 6))
+        else:
+            y1_hat = torch.where(condition.mask[..., None], y1_hat, 0)
+            fed_back = torch.cat([self.coordinates.on_circle(y1_hat), torch.ones_like(y[..., :1])], -1)
+        return torch.cat([self.coordinates.on_circle(y), fed_back, object_encoding.place(now, condition)], -1)
+
+    def _context(self, condition: Condition, ranks: Tensor) -> Tensor:
+        known = [object_encoding.context(condition)]
+        if self.features is not None:
+            found = 0 if condition.features is None else condition.features.shape[-1]
+            if condition.features is None or found != self.settings.num_features:
+                raise ConfigError(
+                    f"the scenes have {found} point features an object, the corrector reads {self.settings.num_features}; "
+                    "are they from the encoder that it was trained with?",
+                    "features_mismatch",
+                )
+            known.append(self.features(condition.features))
+        if self.codes is not None:
+            known.append(self.codes(ranks % self.settings.num_codes))
+        embedded: Tensor = self.context(torch.cat(known, -1))
+        return embedded
+
+
+def sinusoids(t: Tensor, channels: int) -> Tensor:
+    """Sines and cosines of 1000 t over wavelengths from 2π to 20000π, (B,) → (B, channels)."""
+    half = channels // 2
+    rates = torch.exp(-math.log(10_000.0) / max(half - 1, 1) * torch.arange(half, device=t.device, dtype=torch.float32))
+    phase = _TIME_SCALE * t.float()[:, None] * rates
+    return torch.cat([phase.sin(), phase.cos()], -1)

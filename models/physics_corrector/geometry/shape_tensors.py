@@ -1,0 +1,230 @@
+"""What the losses and `certify` know of each shape: samples in its yaw frame, and a way into its signed-distance grid.
+
+A *shape* is an asset at a scale and tilt, or the box that stands in for a missing mesh. Scenes point to shapes by index, so
+that what is large lies once in memory, whatever the number of scenes.
+
+The grid belongs to the mesh at its aspect snapped to 5 %. What snapping left over (at most 2.5 % an axis) is undone in the map
+from the yaw frame to the grid, not in the distance: the surface read is exactly where the mesh is, so that what touches still
+touches, and a distance is off by at most 2.5 % of itself. Without it a plate's rim would stand millimetres off.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from models.physics_corrector.geometry.sdf_atlas import SdfAtlas
+from stable_data.assets.store import AssetStore, aspect_of, aspect_steps
+from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.sdf.build import build_grid
+from stable_data.geometry.sdf.grid import SdfGrid
+from stable_data.geometry.shape import Shape
+from stable_data.geometry.surface_sampling import bottom_points, surface_points
+from stable_data.scene import FloatArray, SceneObject, Vec3
+
+GridKey: TypeAlias = tuple[str, tuple[int, int, int]]
+"""Asset and its aspect in steps of 5 % (``stable_data.assets.store.aspect_steps``)."""
+
+STRETCH = 1.03
+"""A length in a grid's frame may differ from the true one by at most this factor: half a step of the aspect."""
+
+_STAND_IN = ""  # the asset that boxes are
+_FLATTEST = 1e-3  # least extent of a stand-in's box, as a share of its largest
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Geometry:
+    """The shapes that scenes point to, K of them.
+
+    Attributes:
+        atlas: Signed-distance grids, G of them.
+        grid_index: Grid of each shape, (K,) int64.
+        unit_from_yaw: Linear part and offset of the map into the grid's frame: tilt, scale and centre undone, (K, 3, 4)
+            float32.
+        metres_per_unit: What a grid's distance is multiplied with, (K,) float32.
+        reach: Farther outside its box than this no shape's grid reads negative, (K,) float32, metres.
+        surface: Q_i, samples of the surface, farthest-point ordered, (K, P, 3) float32, metres, yaw frame.
+        bottom: B_i, samples of the bottom region, the lowest first, (K, Q, 3) float32, metres, yaw frame.
+    """
+
+    atlas: SdfAtlas
+    grid_index: Tensor
+    unit_from_yaw: Tensor
+    metres_per_unit: Tensor
+    reach: Tensor
+    surface: Tensor
+    bottom: Tensor
+
+    def to(self, device: torch.device | str) -> "Geometry":
+        """The same on a device."""
+        return Geometry(*(getattr(self, name).to(device) for name in self.__slots__))
+
+    def __len__(self) -> int:
+        """Number of shapes."""
+        return len(self.grid_index)
+
+    def signed_distance(self, shape_index: Tensor, points: Tensor) -> Tensor:
+        """D_s, each point read in its own shape; differentiable once with respect to the points.
+
+        Args:
+            shape_index: Shape of each point, (M,) int64.
+            points: (M, 3) float32 or float64, metres, yaw frame of that shape.
+
+        Returns:
+            Distances, (M,), dtype of the points, negative inside, metres.
+        """
+        affine = self.unit_from_yaw[shape_index].to(points.dtype)
+        places = (affine[:, :, :3] * points[:, None]).sum(dim=2) + affine[:, :, 3]
+        distance = self.atlas.sample(self.grid_index[shape_index], places)
+        return self.metres_per_unit[shape_index] * distance
+
+    def signed_distance_with_gradient(self, shape_index: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+        """As `signed_distance`, and the derivative with respect to the points, (M, 3); neither is part of an autograd graph."""
+        affine = self.unit_from_yaw[shape_index].to(points.dtype)
+        places = (affine[:, :, :3] * points[:, None]).sum(dim=2) + affine[:, :, 3]
+        distance, slope = self.atlas.sample_with_gradient(self.grid_index[shape_index], places)
+        factor = self.metres_per_unit[shape_index]
+        return factor * distance, factor[:, None] * (affine[:, :, :3] * slope[:, :, None]).sum(dim=1)
+
+
+class ShapeTable:
+    """Collects the shapes of scenes, each once, and makes a :class:`Geometry` of them.
+
+    Args:
+        store: Meshes of the assets.
+        num_surface: P, samples of a surface.
+        num_bottom: Q, samples of a bottom region.
+        grids: Grids that are there already, such as :func:`grids_from_rows` gives; any other is built when first needed, which
+            takes about a second.
+        points: Surface samples that are there already, by asset, farthest-point ordered, (P, 3), mesh units, such as the table
+            ``assets`` has; where they are fewer than ``num_surface`` they are drawn anew.
+    """
+
+    def __init__(
+        self,
+        store: AssetStore,
+        *,
+        num_surface: int = 256,
+        num_bottom: int = 64,
+        grids: Mapping[GridKey, SdfGrid] | None = None,
+        points: Mapping[str, FloatArray] | None = None,
+    ) -> None:
+        self.store = store
+        self._num_surface, self._num_bottom = num_surface, num_bottom
+        self._grids = dict(grids or {})
+        self._points = {asset_id: found for asset_id, found in (points or {}).items() if len(found) >= num_surface}
+        self._grid_order: dict[GridKey, int] = {}
+        self._shape_order: dict[tuple[Any, ...], int] = {}
+        self._shapes: list[_Shape] = []
+
+    def __len__(self) -> int:
+        """Number of shapes so far."""
+        return len(self._shapes)
+
+    def index(self, o: SceneObject, shape: Shape) -> int:
+        """Place of an object's shape in the geometry; a new shape is appended.
+
+        Args:
+            o: The object, resolved: its scale is the one its mesh has (``AssetStore.resolved``).
+            shape: Its geometry, from the same call.
+        """
+        key = (o.asset_id, o.scale, o.tilt_quat_xyzw) if shape.is_exact else (_STAND_IN, tuple(shape.size.tolist()))
+        if key not in self._shape_order:
+            self._shapes.append(self._made(o, shape))
+            self._shape_order[key] = len(self._shapes) - 1
+        return self._shape_order[key]
+
+    def geometry(self) -> Geometry:
+        """All shapes so far; indices given before stay right in a later one."""
+        grids = [self._grids[key] for key in self._grid_order]
+        shapes = self._shapes
+        return Geometry(
+            atlas=SdfAtlas.from_grids(grids),
+            grid_index=torch.tensor([s.grid_index for s in shapes], dtype=torch.int64),
+            unit_from_yaw=_stacked([s.unit_from_yaw for s in shapes], (3, 4)),
+            metres_per_unit=torch.tensor([s.metres_per_unit for s in shapes], dtype=torch.float32),
+            reach=torch.tensor([s.reach for s in shapes], dtype=torch.float32),
+            surface=_stacked([s.surface for s in shapes], (self._num_surface, 3)),
+            bottom=_stacked([s.bottom for s in shapes], (self._num_bottom, 3)),
+        )
+
+    def _made(self, o: SceneObject, shape: Shape) -> "_Shape":
+        asset_id, mesh, scale, tilt = self._source(o, shape)
+        steps = aspect_steps(scale)
+        grid = self._grid(asset_id, mesh, scale, steps)
+        rotation = Rotation.from_quat(tilt).as_matrix()
+        unit_per_mesh = np.array(aspect_of(steps)) / grid.extent
+        linear = (unit_per_mesh / np.array(scale))[:, None] * rotation.T
+        centre = rotation @ (mesh.vertices[0] * scale) - shape.vertices[0]  # of the tilted box, which the yaw frame lies at
+        if asset_id not in self._points:
+            self._points[asset_id] = surface_points(mesh, max(1024, self._num_surface))[0].astype(np.float64)
+        surface = (self._points[asset_id][: self._num_surface] * scale) @ rotation.T - centre
+        metres_per_unit = grid.extent * max(scale)
+        # The shell, and a cell with a negative corner: as long as its diagonal; a little more where snapping left a stretch.
+        reach = STRETCH * metres_per_unit * (grid.shell_thickness / 2 + math.sqrt(3) * grid.spacing)
+        return _Shape(
+            grid_index=self._grid_order.setdefault((asset_id, steps), len(self._grid_order)),
+            unit_from_yaw=np.concatenate([linear, (linear @ centre)[:, None]], axis=1),
+            metres_per_unit=metres_per_unit,
+            reach=reach,
+            surface=surface.astype(np.float32),
+            bottom=bottom_points(shape.vertices, shape.faces, self._num_bottom),
+        )
+
+    def _source(self, o: SceneObject, shape: Shape) -> tuple[str, Mesh, Vec3, tuple[float, float, float, float]]:
+        """What a shape was made of: asset, mesh, scale and tilt."""
+        mesh = self.store.mesh_of(o) if shape.is_exact else None
+        if mesh is not None and o.asset_id is not None and o.scale is not None:
+            return o.asset_id, mesh, o.scale, o.tilt_quat_xyzw
+        cube = Shape.box((1.0, 1.0, 1.0))
+        x, y, z = np.maximum(shape.size, _FLATTEST * shape.size.max()).tolist()
+        return _STAND_IN, Mesh(cube.vertices, cube.faces), (x, y, z), (0.0, 0.0, 0.0, 1.0)
+
+    def _grid(self, asset_id: str, mesh: Mesh, scale: Vec3, steps: tuple[int, int, int]) -> SdfGrid:
+        if (asset_id, steps) not in self._grids:
+            is_box = asset_id == _STAND_IN
+            grid = build_grid(mesh, aspect=aspect_of(steps)) if is_box else self.store.grid(asset_id, scale)
+            self._grids[asset_id, steps] = grid
+        return self._grids[asset_id, steps]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shape:
+    """One shape's entries of :class:`Geometry`."""
+
+    grid_index: int
+    unit_from_yaw: FloatArray
+    metres_per_unit: float
+    reach: float
+    surface: npt.NDArray[np.float32]
+    bottom: npt.NDArray[np.float32]
+
+
+def grids_from_rows(rows: Iterable[Mapping[str, Any]]) -> dict[GridKey, SdfGrid]:
+    """Grids of rows of the ``sdf`` table, by asset and aspect."""
+    return {
+        (row["asset_id"], aspect_steps(tuple(row["aspect"]))): SdfGrid(
+            values=np.asarray(row["values"], np.float16).reshape(tuple(row["shape"])),
+            origin=np.asarray(row["origin"], np.float64),
+            spacing=row["spacing"],
+            extent=row["extent"],
+            shell_thickness=row["shell_thickness"],
+            wall_thickness=row["wall_thickness"],
+            mean_error=row["mean_error"],
+            max_error=row["max_error"],
+            far_error=row["far_error"],
+            sign_error=row["sign_error"],
+        )
+        for row in rows
+    }
+
+
+def _stacked(arrays: Sequence[npt.NDArray[np.floating]], shape: tuple[int, ...]) -> Tensor:
+    """Arrays of one shape as a float32 tensor, (K, *shape)."""
+    return torch.from_numpy(np.array(arrays, np.float32).reshape(-1, *shape))

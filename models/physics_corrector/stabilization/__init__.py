@@ -1,0 +1,1 @@
+"""Corrections that MuJoCo proves stable."""

@@ -1,0 +1,301 @@
+"""The training of the corrector, step by step: L_PC on coarse layouts made from clean ones.
+
+A step is a function of the weights and of its number alone: its scenes, their prefixes, their perturbations and every draw of
+the flow come from streams named by (seed, step, chunk). So a run that was stopped and resumed is the run that was not, and the
+same chunks are drawn however many processes share them. Processes share a step by its chunks; their gradients are added up in
+one call, which the network's double pass under self-conditioning and the chunks would make awkward for DDP's hooks.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from models.physics_corrector.flow.checkpoint import load_corrector
+from models.physics_corrector.flow.condition import Condition
+from models.physics_corrector.flow.flow_matching import Velocity
+from models.physics_corrector.geometry.scene_batch import SceneBatch
+from models.physics_corrector.training.dataset import TrainingSet
+from models.physics_corrector.training.losses import flow_loss, physics_losses
+from models.physics_corrector.training.movement_losses import movement, order
+from models.physics_corrector.training.perturbation import perturb, reassign
+from models.physics_corrector.training.settings import TrainingSettings
+from models.physics_corrector.training.stage_prefixes import compact, cut
+from models.training.checkpoint import keep, kept
+from models.training.distributed import CPU, Place
+from stable_data.errors import ConfigError
+
+LOGGED = ("flow", "physics", "object_object", "object_table", "support", "unrolled", "moved", "total")
+"""The figures of a step: the terms of the loss as they count, those of physics also per scene and unweighted, and by how much
+sampled poses moved, metres a scene."""
+
+
+class Training:
+    """A corrector being trained.
+
+    Args:
+        data: The scenes; moved to the device.
+        settings: What shapes the weights, resolved.
+        place: Where it is trained.
+
+    Attributes:
+        data: The scenes, on the device.
+        step: Steps done.
+        network: The network as it is.
+        average: The exponential average of its weights, by name.
+    """
+
+    def __init__(self, data: TrainingSet, settings: TrainingSettings, place: Place = CPU) -> None:
+        self.settings, self.place = settings, place
+        self.data, self._train = data.to(place.device), data.of_split(0)
+        with torch.random.fork_rng():
+            torch.manual_seed(settings.seed)
+            network, self.flow = settings.corrector.build()
+        if settings.initial:
+            network.load_state_dict(_initial_state(settings, data.encoder))
+        self.network = network.to(place.device)
+        self._optimizer = torch.optim.Adam(self.network.parameters(), settings.learning_rate)
+        self.average = {name: value.detach().clone() for name, value in self.network.state_dict().items()}
+        self.step = 0
+
+    def advance(self, wants_stop: bool = False) -> tuple[dict[str, float], bool]:
+        """One step.
+
+        Args:
+            wants_stop: Whether this process wants to stop after it.
+
+        Returns:
+            The figures of the step, over all processes; and whether any of them wants to stop.
+        """
+        for group in self._optimizer.param_groups:
+            group["lr"] = self.settings.learning_rate_at(self.step)
+        self._optimizer.zero_grad(set_to_none=False)
+        figures = torch.zeros(len(LOGGED) + 1, device=self.place.device)
+        figures[-1] = wants_stop
+        for batch, share, generator in self._chunks():
+            loss, terms = self._loss(batch, share, generator)
+            loss.backward()  # type: ignore[no-untyped-call]
+            figures[:-1] += terms
+        self._add_up(figures)
+        nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.clip)
+        self._optimizer.step()
+        self._average()
+        self.step += 1
+        *terms_of_step, stops = figures.tolist()
+        return dict(zip(LOGGED, terms_of_step, strict=True)), stops > 0
+
+    def _chunks(self) -> Iterator[tuple[SceneBatch, float, torch.Generator]]:
+        """This process's chunks: their scenes, the share of the step's movable objects that is theirs, and their stream."""
+        scenes = torch.from_numpy(self._drawn()).to(self.place.device)
+        generator = self._generator(0)
+        batch = cut(self.data.batch.take(scenes), self.data.stage[scenes], self.settings.prefixes, generator)
+        order = torch.argsort(batch.mask.sum(1), stable=True)
+        total = batch.is_movable.sum().clamp_min(1)
+        for number, chunk in enumerate(torch.split(order, self.settings.chunk)):
+            if number % self.place.world_size == self.place.rank:
+                part = compact(batch.take(chunk))
+                yield part, float(part.is_movable.sum() / total), self._generator(1 + number)
+
+    def _drawn(self) -> Any:
+        """The scenes of this step, (batch_size,) int64: shuffled passes over the training split, one after another."""
+        places, size = self._train.numpy(), self.settings.batch_size
+        start, stop = self.step * size, (self.step + 1) * size
+        passes = range(start // len(places), (stop - 1) // len(places) + 1)
+        order = np.concatenate([np.random.default_rng([self.settings.seed, p]).permutation(places) for p in passes])
+        return order[start - passes[0] * len(places) :][:size]
+
+    def _generator(self, number: int) -> torch.Generator:
+        words = np.random.SeedSequence([self.settings.seed, self.step, number]).generate_state(1, np.uint64)
+        return torch.Generator(self.place.device).manual_seed(int(words[0] >> np.uint64(1)))
+
+    def _loss(self, batch: SceneBatch, share: float, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """What a chunk adds to the loss of the step, and its figures, (len(LOGGED),)."""
+        settings = self.settings
+        coarse, _ = perturb(batch, settings.perturbation, generator)
+        strength = settings.physics_at(self.step)
+        zero = torch.zeros((), device=self.place.device)
+        flow, estimate = zero, None
+        if settings.losses.flow_weight or settings.physics.share:
+            condition = Condition.of(replace(batch, poses=coarse))
+            path = self.flow.path(condition, reassign(coarse, batch), generator)
+            predicted = self.flow.predict(self.velocity(), path, condition, generator)
+            flow = settings.losses.flow_weight * share * flow_loss(predicted.velocity, path.velocity, condition.is_movable)
+            estimate = predicted.poses, path.t
+        lots = torch.rand((2, len(batch)), generator=generator, device=coarse.device)
+        physics = zero
+        terms: tuple[Tensor, ...] = (zero, zero, zero)
+        if strength and settings.physics.share and estimate is not None:
+            poses, t = estimate
+            chosen = (lots[0] < settings.physics.share) & (t > settings.physics.from_time)
+            weight = strength * t[chosen] ** settings.physics.power
+            physics, terms = self._physics(poses[chosen], batch.take(chosen), weight, settings.physics.share)
+        unrolled = moved = zero
+        if strength and settings.is_unrolled_at(self.step):
+            sampled = lots[1] < settings.physics.unroll_scenes
+            unrolled, moved = self._unrolled(batch.take(sampled), coarse[sampled], generator)
+        total = flow + physics + unrolled
+        return total, torch.stack([flow, physics, *terms, unrolled, moved, total]).detach()
+
+    def _unrolled(self, batch: SceneBatch, coarse: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """What sampled poses add to the loss of the step, and by how much they moved, metres a scene."""
+        settings, share = self.settings.losses, self.settings.physics.unroll_scenes
+        poses = self._sampled(batch, coarse, generator)
+        weight = poses.new_full((len(poses),), self.settings.physics.unroll_weight)
+        moved = movement(poses, coarse, batch)
+        near = settings.move_weight * moved / settings.length_unit
+        if settings.order_weight:
+            near = near + settings.order_weight * order(poses, coarse, batch) / settings.length_unit**2
+        unrolled, _ = self._physics(poses, batch, weight, share, near)
+        return unrolled, moved.sum() / (share * self.settings.batch_size)
+
+    def _physics(
+        self, poses: Tensor, batch: SceneBatch, weight: Tensor, share: float, near: Tensor | None = None
+    ) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """Mean over the step's scenes of the weighted physical loss, and of its terms, from a share of the scenes.
+
+        Args:
+            poses: Estimates or samples of clean poses, (S, N, 4).
+            batch: Their scenes.
+            weight: What each counts, (S,).
+            share: Which share of the step's scenes they stand for.
+            near: What is added to each scene's loss, (S,).
+        """
+        scale = 1 / (share * self.settings.batch_size)
+        losses = physics_losses(poses, batch, self.data.geometry, self.settings.losses)
+        of_scene, limit = losses.weighted(self.settings.losses), self.settings.physics.limit
+        of_scene = of_scene if near is None else of_scene + near
+        of_scene = limit * torch.log1p(of_scene / limit) if limit else of_scene
+        terms = (losses.object_object, losses.object_table, losses.support)
+        return scale * (weight * of_scene).sum(), tuple(scale * term.sum() for term in terms)
+
+    def _sampled(self, batch: SceneBatch, coarse: Tensor, generator: torch.Generator) -> Tensor:
+        """Poses as inference samples them, (S, N, 4), with the gradient of the last steps."""
+        condition = Condition.of(replace(batch, poses=coarse))
+        start = generator if self.settings.corrector.flow.source == "gaussian" else None
+        return self.flow.sample(
+            self.velocity(), condition, generator=start, gradient_steps=self.settings.physics.unroll_gradient
+        )
+
+    def velocity(self, network: nn.Module | None = None) -> Velocity:
+        """A network as the flow asks it: in bfloat16 on CUDA, where poses and distances stay float32."""
+        asked = self.network if network is None else network
+        if self.place.device.type != "cuda":
+            return asked
+
+        def ask(y: Tensor, t: Tensor, condition: Condition, ranks: Tensor, y1_hat: Tensor | None) -> Tensor:
+            with torch.autocast("cuda", torch.bfloat16):
+                velocity: Tensor = asked(y, t, condition, ranks, y1_hat)
+            return velocity.float()
+
+        return ask
+
+    def averaged(self) -> nn.Module:
+        """A network with the averaged weights, in evaluation mode."""
+        network, _ = self.settings.corrector.build()
+        network.load_state_dict(self.average)
+        return network.to(self.place.device).eval()
+
+    def _add_up(self, figures: Tensor) -> None:
+        """Gradients and figures summed over the processes."""
+        if self.place.world_size == 1:
+            return
+        gradients = [p.grad for p in self.network.parameters() if p.grad is not None]
+        flat = torch.cat([*(g.flatten() for g in gradients), figures])
+        torch.distributed.all_reduce(flat)
+        *parts, summed = torch.split(flat, [*(g.numel() for g in gradients), len(figures)])
+        for gradient, part in zip(gradients, parts, strict=True):
+            gradient.copy_(part.view_as(gradient))
+        figures.copy_(summed)
+
+    @torch.no_grad()
+    def _average(self) -> None:
+        decay = min(self.settings.ema, (1 + self.step) / (10 + self.step))  # the first weights are soon forgotten
+        for name, value in self.network.state_dict().items():
+            if value.is_floating_point():
+                self.average[name].lerp_(value, 1 - decay)
+            else:
+                self.average[name].copy_(value)
+
+    def save(self, path: Path) -> None:
+        """Keeps the training where another process can go on with it, in one step."""
+        state = {
+            "step": self.step,
+            "network": self.network.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "average": self.average,
+        }
+        keep(path, state, self._about())
+
+    def resume(self, path: Path) -> bool:
+        """Goes on where :meth:`save` was called; False where nothing was kept.
+
+        Raises:
+            ConfigError: What is there cannot be read, or is of other settings or data.
+        """
+        state = kept(path, self._about(), "step", "network", "optimizer", "average")
+        if state is None:
+            return False
+        self.network.load_state_dict(state["network"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self.average = {name: value.to(self.place.device) for name, value in state["average"].items()}
+        self.step = state["step"]
+        return True
+
+    def _about(self) -> dict[str, Any]:
+        return self.settings.flat() | {"data": self.data.fingerprint, "encoder": self.data.encoder}
+
+
+def _initial_state(settings: TrainingSettings, encoder: str) -> dict[str, Any]:
+    """The weights that a training starts from.
+
+    Raises:
+        ConfigError: They cannot be read, or are of another network or other features.
+    """
+    path = Path(settings.initial).expanduser()
+    found = load_corrector(path)
+    wanted = replace(found.settings, network=settings.corrector.network)  # the flow may be followed in another way
+    if changed := found.settings.differences(wanted):
+        raise ConfigError(
+            f"initial: {path} holds another network ({'; '.join(changed)}), expected the one that is trained",
+            "checkpoint_mismatch",
+        )
+    was = found.notes.get("encoder_fingerprint", "")
+    if was != encoder:
+        raise ConfigError(
+            f"initial: {path} reads the features of encoder {was or 'none'}, the run has those of {encoder or 'none'}; "
+            "preprocess it with the same encoder",
+            "encoder_mismatch",
+        )
+    return dict(found.network.state_dict())
+
+
+def train(
+    training: Training,
+    *,
+    wants_stop: Callable[[], bool],
+    after: Callable[[Training, dict[str, float]], None],
+) -> bool:
+    """Steps until the run is as long as its settings say, or a process wants to stop.
+
+    Args:
+        training: What is trained.
+        wants_stop: Asked before each step.
+        after: Called after each step with its figures.
+
+    Returns:
+        Whether it is done.
+    """
+    stops = False
+    while not stops and training.step < training.settings.steps:
+        figures, stops = training.advance(wants_stop())
+        if not all(map(np.isfinite, figures.values())):
+            raise ConfigError(
+                f"step {training.step}: the loss is not finite ({figures}); lower learning_rate, or the weights of the losses",
+                "training_diverged",
+            )
+        after(training, figures)
+    return training.step >= training.settings.steps

@@ -1,0 +1,231 @@
+"""The validation card: raw samples of the flow on held-out scenes, beside the coarse layouts that they came from.
+
+Each row is a kind of perturbation at a fixed seed; ``jitter_fixed`` is ``jitter`` with the objects of earlier stages fixed. The
+figures from the grids are cheap; those of the exact audit (docs/audit.md) and of the scene graph take longer and are made of
+fewer scenes. What the exact audit cannot judge is left out and counted, never taken for good.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from models.physics_corrector.flow.condition import Condition
+from models.physics_corrector.flow.flow_matching import Flow, Velocity
+from models.physics_corrector.flow.pose_coordinates import wrap
+from models.physics_corrector.geometry.closest_point import Queries, closest_sample
+from models.physics_corrector.geometry.scene_batch import SceneBatch
+from models.physics_corrector.geometry.shape_tensors import Geometry
+from models.physics_corrector.training.dataset import TrainingSet
+from models.physics_corrector.training.losses import colliding_pairs
+from models.physics_corrector.training.perturbation import KINDS, Kind, PerturbationSettings, perturb, reassign
+from models.physics_corrector.training.stage_prefixes import compact, prefix
+from stable_data.assets.store import AssetStore
+from stable_data.geometry.shape import Shape
+from stable_data.metrics.audit import PosedScene, audit_posed
+from stable_data.metrics.collision import TOLERANCE
+from stable_data.metrics.relations_kept import DIRECTIONAL
+from stable_data.scene import FloatArray, Relation, RelationKind, Scene
+from stable_data.scene_graph.relations import relations_of, scene_graph
+
+Figures: TypeAlias = dict[str, float | None]
+"""Figure -> mean over the scenes; None where no scene could be judged."""
+
+Card: TypeAlias = dict[str, dict[str, Figures]]
+"""Row -> ``coarse`` and ``raw`` -> figures."""
+
+ROWS = (*KINDS, "jitter_fixed")
+_SUPPORTED = (RelationKind.ON, RelationKind.IN)
+_YAW_ARM = 0.1  # metres that a radian counts in the distance to the target
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Scenes of a validation card.
+
+    Attributes:
+        data: The set that they are of.
+        places: Their places in it, (S,) int64.
+        scenes: The first of them as scenes, for the exact figures.
+        store: Their meshes.
+    """
+
+    data: TrainingSet
+    places: Tensor
+    scenes: Sequence[Scene] = ()
+    store: AssetStore | None = None
+
+
+def validation_card(
+    velocity: Velocity, flow: Flow, held_out: HeldOut, settings: PerturbationSettings, seed: int, rows: Sequence[str] = ROWS
+) -> Card:
+    """Judges a corrector.
+
+    Args:
+        velocity: Its network.
+        flow: Its flow, of which the settings' steps are taken.
+        held_out: The scenes.
+        settings: How they are made coarse.
+        seed: Of the perturbations: the same scenes and seed give the same coarse layouts.
+        rows: Some of ROWS.
+
+    Returns:
+        The card.
+    """
+    shapes = [] if held_out.store is None else [held_out.store.shapes(scene)[0] for scene in held_out.scenes]
+    return {row: _row(row, velocity, flow, held_out, shapes, settings, seed) for row in rows}
+
+
+@torch.no_grad()
+def _row(
+    row: str,
+    velocity: Velocity,
+    flow: Flow,
+    held_out: HeldOut,
+    shapes: Sequence[Sequence[Shape]],
+    settings: PerturbationSettings,
+    seed: int,
+) -> dict[str, Figures]:
+    data, places = held_out.data, held_out.places
+    device = data.batch.poses.device
+    generator = torch.Generator(device).manual_seed(seed + ROWS.index(row))
+    batch = data.batch.take(places.to(device))
+    if row.endswith("_fixed"):
+        last = torch.full((len(batch),), 2, device=device)
+        batch = prefix(batch, data.stage[places.to(device)], last, torch.ones_like(batch.has_zone))
+    batch = compact(batch)  # whole scenes: their objects keep their order
+    kind: Kind = next(k for k in KINDS if row.removesuffix("_fixed") == k)
+    coarse, _ = perturb(batch, settings, generator, kind)
+    condition = Condition.of(replace(batch, poses=coarse))
+    start = generator if flow.settings.source == "gaussian" else None
+    raw = flow.sample(velocity, condition, generator=start)
+    figures = {name: grid_figures(poses, coarse, batch, data.geometry) for name, poses in (("coarse", coarse), ("raw", raw))}
+    for name, poses in (("coarse", coarse), ("raw", raw)):
+        figures[name] |= _exact(held_out.scenes, shapes, poses.cpu().numpy(), coarse.cpu().numpy())
+    return figures
+
+
+def grid_figures(poses: Tensor, coarse: Tensor, batch: SceneBatch, geometry: Geometry) -> Figures:
+    """What grids and poses tell of layouts: each figure per scene, then the mean over scenes.
+
+    ``grid_oc`` and ``grid_oc_10mm`` are the shares of pairs whose samples reach deeper into each other than 0.5 and 10 mm;
+    moves are from the coarse layout, distances to the nearest assignment of the target.
+
+    Args:
+        poses: (B, N, 4), metres and radians.
+        coarse: The coarse poses, the same.
+        batch: The scenes with their clean poses.
+        geometry: Their shapes.
+    """
+    pairs = colliding_pairs(poses, batch, geometry)
+    ways = pairs.both_ways()
+    queries = Queries(ways.scene, ways.first, ways.second)
+    limit = poses.new_zeros(len(queries))
+    _, distance = closest_sample(poses, batch, geometry, queries, geometry.surface, limit)
+    depth = torch.where(distance.isinf(), 0.0, -distance).reshape(2, -1).amax(0) if len(pairs) else poses.new_zeros(0)
+    count = batch.mask.sum(1)
+    num_pairs = (count * (count - 1) / 2).clamp_min(1)
+
+    def share(tolerance: float) -> float:
+        deeper = torch.zeros_like(num_pairs).index_add(0, pairs.scene, (depth > tolerance).to(num_pairs.dtype))
+        return float((deeper / num_pairs).mean())
+
+    movable = batch.is_movable
+    moved = torch.linalg.vector_norm(poses[..., :3] - coarse[..., :3], dim=-1)
+    offset = poses - reassign(poses, batch)
+    turned = wrap(offset[..., 3]).abs()
+    length = torch.linalg.vector_norm(offset[..., :3], dim=-1)
+    return {
+        "grid_oc": share(TOLERANCE),
+        "grid_oc_10mm": share(0.01),
+        "move_mean_mm": 1e3 * _mean(moved, movable),
+        "target_distance_mm": 1e3 * _mean((length.square() + (_YAW_ARM * turned).square()).sqrt(), movable),
+        "target_move_mm": 1e3 * _mean(length, movable),
+        "target_yaw_deg": float(np.degrees(_mean(turned, movable))),
+    }
+
+
+def _mean(values: Tensor, mask: Tensor) -> float:
+    """Mean over the objects of a scene, then over scenes."""
+    of_scene = torch.where(mask, values, 0).sum(1) / mask.sum(1).clamp_min(1)
+    return float(of_scene.mean())
+
+
+def _exact(scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], poses: FloatArray, coarse: FloatArray) -> Figures:
+    """The figures of the exact audit and the scene graph, mean over scenes; none where there are no scenes."""
+    found: dict[str, list[float | None]] = {}
+    for n, (scene, of_scene) in enumerate(zip(scenes, shapes, strict=True)):
+        figures, held = _judged(_posed(scene, poses[n]), of_scene)
+        _, at_first = _judged(_posed(scene, coarse[n]), of_scene, is_card_wanted=False)
+        _, wanted = _judged(scene, of_scene, is_card_wanted=False)
+        for name, kinds in (("on_in", _SUPPORTED), ("directional", DIRECTIONAL)):
+            figures[f"relations_kept_{name}"] = _kept(at_first, held, kinds)
+            figures[f"relations_of_target_{name}"] = _kept(wanted, held, kinds)
+        for name, value in figures.items():
+            found.setdefault(name, []).append(value)
+    means: Figures = {}
+    for name, values in found.items():
+        known = [value for value in values if value is not None]
+        means[name] = float(np.mean(known)) if known else None
+        if name == "oc":
+            means["num_judged"] = float(len(known))
+    return means
+
+
+def _posed(scene: Scene, poses: FloatArray) -> Scene:
+    objects = tuple(
+        o.moved((float(x), float(y), float(z)), float(yaw)) for o, (x, y, z, yaw) in zip(scene.objects, poses, strict=False)
+    )
+    return replace(scene, objects=objects)
+
+
+def _judged(
+    scene: Scene, shapes: Sequence[Shape], *, is_card_wanted: bool = True
+) -> tuple[dict[str, float | None], frozenset[Relation]]:
+    """The card's figures of a layout, where they are wanted, and its relations.
+
+    Relations are judged by boxes and outlines alone, gaps of millimetres allowed: a contact that is exact to 3 mm would call a
+    cup that hangs 4 mm over its saucer lost.
+    """
+    footprints = {
+        o.instance: shape.posed_footprint(pose) for o, shape, pose in zip(scene.objects, shapes, scene.poses(), strict=True)
+    }
+    relations = frozenset(relations_of(scene_graph(scene, {}, footprints)))
+    if not is_card_wanted:
+        return {}, relations
+    card = audit_posed(PosedScene(scene, shapes)).card()
+    figures: dict[str, float | None] = {
+        name: getattr(card, name)
+        for name in (
+            "oc",
+            "oc_1mm",
+            "oc_10mm",
+            "max_penetration_mm",
+            "table_penetration_mm",
+            "float_rate",
+            "out_of_bounds_rate",
+        )
+    }
+    figures["max_gap_mm"] = card.max_gap_mm
+    figures["clean"] = None if card.clean is None else float(card.clean)
+    return figures, relations
+
+
+def _kept(before: frozenset[Relation], after: frozenset[Relation], kinds: Collection[RelationKind]) -> float | None:
+    """Share of the relations of some kinds that still hold; None where there were none."""
+    wanted = {relation for relation in before if relation.kind in kinds}
+    return len(wanted & after) / len(wanted) if wanted else None
+
+
+def scalars(card: Mapping[str, Mapping[str, Mapping[str, float | None]]]) -> dict[str, float]:
+    """The card as ``row/figure/coarse`` -> number, for logs; unknown figures are left out."""
+    return {
+        f"{row}/{figure}/{of}": value
+        for row, sides in card.items()
+        for of, figures in sides.items()
+        for figure, value in figures.items()
+        if value is not None
+    }

@@ -1,0 +1,67 @@
+"""What pre-trained codes know: errors on shapes and pairs that were never trained on, beside baselines, and their rank."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from models.point_encoder.heads import Pretraining
+from models.point_encoder.pretraining_data import TrainingShape
+from models.point_encoder.pretraining_targets import CLEARANCE_LIMIT, DISTANCE_LIMIT, questions
+
+
+@torch.no_grad()
+def evaluate(model: Pretraining, shapes: Sequence[TrainingShape], batch_size: int = 16, seed: int = 1) -> dict[str, float]:
+    """Errors on shapes, always the same questions.
+
+    Returns:
+        ``distance_error``: mean error of the signed distance, share of the largest extent, and ``distance_error_of_mean`` of
+        who always answers the mean; ``iou`` of inside and outside over the boxes; ``clearance_mm`` and ``overlap_accuracy`` of
+        pairs, and of the two baselines: ``box_head_`` learned from boxes alone, ``box_`` the distance of the boxes itself;
+        ``effective_rank`` of the codes, 64 at most.
+    """
+    model.eval()
+    found: dict[str, list[Tensor]] = {}
+    for start in range(0, len(shapes), batch_size):
+        chosen = list(shapes[start : start + batch_size])
+        num_queries = len(chosen[0].queries)
+        x = questions(chosen, num_queries, min(4, max(1, len(chosen) - 1)), np.random.default_rng([seed, start])).to(
+            model.encoder.device
+        )
+        codes, distances, clearances, of_boxes = model(x)
+        inside, is_in_box = x.distances < 0, (x.places.abs() <= x.proportions.exp()[:, None] / 2).all(-1)
+        answers = {
+            "codes": codes,
+            "distance": (distances - x.distances).abs().mean(1),
+            "distances": x.distances.flatten(),
+            "common": (inside & (distances < 0) & is_in_box).sum(1),
+            "either": ((inside | (distances < 0)) & is_in_box).sum(1),
+            "truth": x.clearances * x.units,
+            "head": clearances.clamp(-1, 1) * x.units,
+            "box_head": of_boxes.clamp(-1, 1) * x.units,
+            "box": x.box_clearances * x.units,
+        }
+        for name, value in answers.items():
+            found.setdefault(name, []).append(value)
+    model.train()
+    v = {name: torch.cat(parts).cpu() for name, parts in found.items()}
+    extent = DISTANCE_LIMIT / 2  # of the largest extent
+    result = {
+        "distance_error": extent * float(v["distance"].mean()),
+        "distance_error_of_mean": extent * float((v["distances"] - v["distances"].mean()).abs().mean()),
+        "iou": float((v["common"] / v["either"].clamp(min=1)).mean()),
+        "effective_rank": effective_rank(v["codes"]),
+        "num_pairs": len(v["truth"]),
+    }
+    for name, prefix in (("head", ""), ("box_head", "box_head_"), ("box", "box_")):
+        result[f"{prefix}clearance_mm"] = 1000 * CLEARANCE_LIMIT * float((v[name] - v["truth"]).abs().mean())
+        result[f"{prefix}overlap_accuracy"] = float(((v[name] < 0) == (v["truth"] < 0)).float().mean())
+    return result
+
+
+def effective_rank(codes: Tensor) -> float:
+    """How many dimensions codes (B, C) use: the exponential of the entropy of their covariance's spectrum (Roy and Vetterli)."""
+    variance = torch.linalg.svdvals((codes - codes.mean(0)).double()).square()
+    share = variance / variance.sum()
+    return float(torch.exp(-(share * share.clamp(min=1e-30).log()).sum()))

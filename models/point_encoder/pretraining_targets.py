@@ -1,0 +1,98 @@
+"""What is asked in one step of pre-training: distances around shapes, clearances of pairs, and the true answers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from models.point_encoder.boxes import box_clearance
+from models.point_encoder.pretraining_data import Pair, Posed, TrainingShape
+
+DISTANCE_LIMIT = 0.25
+"""Distances are asked up to this, in half the largest extent."""
+
+CLEARANCE_LIMIT = 0.4
+"""Clearances are asked up to this, in a pair's unit: the mean of the two objects' half largest extents."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Questions:
+    """Shapes and pairs of a batch, with what is true of them.
+
+    Attributes:
+        posed: The shapes, B of them.
+        proportions: Logarithm of the box over half its largest side, (B, 3).
+        places: Queries in half the largest extent, (B, Q, 3).
+        distances: There, in units of ``DISTANCE_LIMIT``, within [-1, 1], (B, Q).
+        first: First of each pair, (R,) int64.
+        second: Second of each pair, (R,) int64.
+        boxes: Logarithm of both boxes in the pair's unit, (R, 6).
+        poses: Of the second in the frame of the first, (R, 5).
+        clearances: In units of ``CLEARANCE_LIMIT``, within [-1, 1], (R,).
+        box_clearances: The same of their boxes, (R,).
+        units: Metres in a pair's unit, (R,).
+    """
+
+    posed: Sequence[Posed]
+    proportions: Tensor
+    places: Tensor
+    distances: Tensor
+    first: Tensor
+    second: Tensor
+    boxes: Tensor
+    poses: Tensor
+    clearances: Tensor
+    box_clearances: Tensor
+    units: Tensor
+
+    def to(self, device: torch.device | str) -> "Questions":
+        """The same where a network is."""
+        moved = {f.name: getattr(self, f.name).to(device) for f in fields(self) if f.name != "posed"}
+        return replace(self, **moved)
+
+
+def questions(shapes: Sequence[TrainingShape], num_queries: int, pairs_a_shape: int, rng: np.random.Generator) -> Questions:
+    """Draws a pose for each shape, queries around it, and pairs among them: each shape with the next few in the list."""
+    posed = [Posed.drawn(shape, rng) for shape in shapes]
+    sizes = np.stack([p.cloud.size for p in posed]).astype(np.float64)
+    half = sizes.max(axis=1) / 2
+    places, distances = [], []
+    for p, h in zip(posed, half, strict=True):
+        chosen = rng.choice(len(p.shape.queries), num_queries, replace=False)
+        places.append(p.shown(p.shape.queries[chosen]) / h)
+        distances.append(p.shape.distances[chosen] / h)
+    first = np.tile(np.arange(len(posed)), pairs_a_shape)
+    second = (first + np.repeat(np.arange(1, pairs_a_shape + 1), len(posed))) % len(posed)
+    pairs = [Pair.drawn(posed[i], posed[j], rng) for i, j in zip(first, second, strict=True)]
+    units = (half[first] + half[second]) / 2
+    offsets = np.stack([pair.offset for pair in pairs]) / units[:, None]
+    yaws = np.array([pair.yaw for pair in pairs])
+    clearances = np.array([pair.clearance for pair in pairs]) / units / CLEARANCE_LIMIT
+    boxes = _tensor(_log(np.concatenate([sizes[first], sizes[second]], axis=1) / units[:, None]))
+    poses = _tensor(np.concatenate([offsets, np.cos(yaws)[:, None], np.sin(yaws)[:, None]], axis=1))
+    return Questions(
+        posed,
+        proportions=_tensor(_log(sizes / half[:, None])),
+        places=_tensor(np.stack(places)),
+        distances=_tensor(np.clip(np.stack(distances) / DISTANCE_LIMIT, -1, 1)),
+        first=torch.from_numpy(first),
+        second=torch.from_numpy(second),
+        boxes=boxes,
+        poses=poses,
+        clearances=_tensor(np.clip(clearances, -1, 1)),
+        box_clearances=(box_clearance(boxes.exp(), poses) / CLEARANCE_LIMIT).clamp(-1, 1),
+        units=_tensor(units),
+    )
+
+
+def _tensor(values: np.ndarray[Any, Any]) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(values, np.float32))
+
+
+def _log(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Logarithms; a sheet has one too."""
+    logs: np.ndarray[Any, Any] = np.log(np.maximum(values, 1e-3))
+    return logs

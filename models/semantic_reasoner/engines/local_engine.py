@@ -1,0 +1,281 @@
+"""Engines that run here: the embedded small Qwen3, or any causal language model in a Hugging Face folder, decoded under a grammar."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import llguidance.hf
+import llguidance.numpy
+import numpy as np
+import torch
+from llguidance import LLExecutor, LLMatcher
+from torch import Tensor
+from transformers import AutoModelForCausalLM, AutoTokenizer, PreTrainedModel, PreTrainedTokenizerFast
+
+from models.semantic_reasoner.engines.batched_decoding import ATTENTION, Decoder
+from models.semantic_reasoner.engines.incremental_batches import Conversation, converse
+from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling, too_long
+from models.semantic_reasoner.replies.grammar import ReplyForm
+from models.semantic_reasoner.text.reply_json import parse_reply
+from models.semantic_reasoner.text.tokenizer import chat_text
+from stable_data.errors import ConfigError
+
+_DEFAULT = Sampling()
+_CLOSING = "]}"
+"""What a reply ends with."""
+
+
+@dataclass(slots=True, eq=False)
+class _Sequence:
+    """A request that is being answered."""
+
+    index: int
+    prompt: list[int]
+    form: ReplyForm
+    matcher: LLMatcher | None
+    draws: np.random.Generator
+    reply: list[int]
+
+
+class LocalEngine:
+    """A language model in this process: batched, seeded, and bound to the form of the replies.
+
+    Sequences are decoded ``num_slots`` at a time, and a finished one makes room for the next. Each draws from its own stream,
+    named by its seed, so its reply does not depend on what it is decoded beside, but for the rounding of batched products.
+
+    Whether a list of objects ends is drawn at the model's own odds, whatever the temperature is: it decides once an object, so
+    a temperature under 1 and the cut at ``top_p`` make lists longer than the model has learned. A reply that would end without
+    what its form asks for goes on with that instead.
+
+    Args:
+        model: A causal language model.
+        tokenizer: Its tokenizer, with a chat template.
+        name: Names the engine.
+        sampling: How tokens are drawn.
+        num_slots: Most sequences at a time.
+        is_constrained: Whether replies are bound to their form; off, the model writes what it likes.
+    """
+
+    repeats = True
+
+    def __init__(
+        self,
+        model: PreTrainedModel,
+        tokenizer: PreTrainedTokenizerFast,
+        name: str,
+        sampling: Sampling = _DEFAULT,
+        num_slots: int = 64,
+        is_constrained: bool = True,
+    ) -> None:
+        model.set_attn_implementation(ATTENTION)
+        self.name, self.sampling = name, sampling
+        self._model, self._tokenizer = model.eval(), tokenizer
+        self._num_slots, self._is_constrained = num_slots, is_constrained
+        self._vocabulary = model.get_output_embeddings().weight.shape[0]
+        self._end = {model.config.eos_token_id, tokenizer.eos_token_id} - {None}
+        words = tokenizer.convert_ids_to_tokens(range(len(tokenizer)))
+        self._closing = torch.tensor([k for k, word in enumerate(words) if word.endswith(_CLOSING)], dtype=torch.long)
+        self._guide = llguidance.hf.from_tokenizer(tokenizer, n_vocab=self._vocabulary)
+        self._executor = LLExecutor()
+
+    @classmethod
+    def load(
+        cls, folder: Path, name: str = "", sampling: Sampling = _DEFAULT, num_slots: int = 64, is_constrained: bool = True
+    ) -> "LocalEngine":
+        """An engine from a Hugging Face folder.
+
+        Args:
+            folder: With config.json, weights in safetensors and a tokenizer.
+            name: Names the engine; by default its folder.
+            sampling: How tokens are drawn.
+            num_slots: Most sequences at a time.
+            is_constrained: Whether replies are bound to their form.
+
+        Raises:
+            ConfigError: It is no folder of a causal language model, or its tokenizer has no chat template.
+        """
+        try:
+            tokenizer = AutoTokenizer.from_pretrained(folder, local_files_only=True, trust_remote_code=False)
+            loaded: Any = AutoModelForCausalLM.from_pretrained(
+                folder,
+                local_files_only=True,
+                trust_remote_code=False,
+                use_safetensors=True,
+                dtype="auto",
+                output_loading_info=True,
+            )
+        except (OSError, ValueError, KeyError, RuntimeError) as error:
+            found = str(error).strip().partition("\n")[0]
+            raise ConfigError(
+                f"{folder}: no causal language model ({found}); expected a Hugging Face folder with config.json, "
+                "model.safetensors and a tokenizer",
+                "model_invalid",
+            ) from error
+        if not isinstance(tokenizer, PreTrainedTokenizerFast) or not tokenizer.chat_template:
+            raise ConfigError(
+                f"{folder}: its tokenizer is slow or has no chat template, expected that of an instruction-tuned model",
+                "model_invalid",
+            )
+        model, told = loaded
+        # transformers draws what the file lacks at random, and says so in its log alone.
+        if lacking := sorted({*told["missing_keys"], *(str(k) for k in told["mismatched_keys"])}):
+            raise ConfigError(
+                f"{folder}: {lacking[0]} and {len(lacking) - 1} more tensors are missing or of another shape, expected the whole "
+                "model",
+                "model_invalid",
+            )
+        if torch.cuda.is_available():
+            model.to(device="cuda")
+        else:
+            model.to(dtype=torch.float32)  # half precision is slower than single on most CPUs
+        return cls(model, tokenizer, name or f"transformers:{folder.name}", sampling, num_slots, is_constrained)
+
+    def complete(self, requests: Sequence[Request]) -> list[Completion]:
+        """One completion for each request, in their order."""
+        done: dict[int, Completion] = {}
+
+        def keep(found: list[tuple[int, Completion]]) -> Sequence[Request]:
+            done.update(found)
+            return ()
+
+        converse(self.converse(requests), keep)
+        return [done[k] for k in range(len(requests))]
+
+    def converse(self, requests: Sequence[Request]) -> Conversation[Completion, Request]:
+        """Completions as they come; what comes of them takes their places, so that no batch ends with its slowest."""
+        asked = 0
+        done: list[tuple[int, Completion]] = []
+        waiting: list[_Sequence] = []
+
+        def take(more: Sequence[Request]) -> None:
+            nonlocal asked
+            for index, request in enumerate(more, asked):
+                sequence = self._begun(index, request)
+                if isinstance(sequence, Completion):
+                    done.append((index, sequence))
+                else:
+                    waiting.append(sequence)
+            asked += len(more)
+            waiting.sort(key=lambda s: len(s.prompt))  # like lengths are read together; ties keep the order
+
+        take(requests)
+        decoder = Decoder(self._model, min(self._num_slots, max(1, len(waiting))), self._tokenizer.pad_token_id or 0)
+        active: list[_Sequence] = []
+        logits = torch.zeros(0, self._vocabulary)
+        while True:
+            while done:
+                found, done = done, []
+                take((yield found))
+            if not (waiting or active):
+                return
+            free = decoder.num_slots - len(active)
+            if waiting and (not active or free >= max(1, decoder.num_slots // 8)):
+                admitted, waiting = waiting[:free], waiting[free:]
+                logits = torch.cat([logits, decoder.admit([s.prompt for s in admitted]).cpu()])
+                active += admitted
+            tokens = self._drawn(logits, active)
+            done = self._gone_on(tokens, active, decoder)
+            logits = decoder.step(tokens).cpu() if active else logits[:0]
+
+    def _begun(self, index: int, request: Request) -> _Sequence | Completion:
+        chat = chat_text(self._tokenizer, request.messages, thinks=not request.form.binds)
+        prompt: list[int] = self._tokenizer(chat, add_special_tokens=False)["input_ids"]
+        longest = self._model.config.get_text_config().max_position_embeddings
+        if len(prompt) + 16 > longest:
+            return too_long(len(prompt), longest)
+        matcher = None
+        if self._is_constrained and request.form.binds:
+            matcher = self._matcher(request.form.grammar())
+            if matcher.is_error():
+                return Completion("", len(prompt), failure=f"grammar: {matcher.get_error()}", code="grammar_invalid")
+        return _Sequence(index, prompt, request.form, matcher, np.random.default_rng(request.seed), [])
+
+    def _matcher(self, grammar: str) -> LLMatcher:
+        return LLMatcher(self._guide, LLMatcher.grammar_from_lark(grammar))
+
+    def _gone_on(self, tokens: list[int], active: list[_Sequence], decoder: Decoder) -> list[tuple[int, Completion]]:
+        """Adds a token to each sequence, and gives what is complete with it; that leaves ``tokens`` and ``active``."""
+        done = []
+        longest = self._model.config.get_text_config().max_position_embeddings
+        for slot in reversed(range(len(active))):
+            sequence, token = active[slot], tokens[slot]
+            ended = token in self._end
+            if not ended:
+                sequence.reply.append(token)
+                if sequence.matcher is not None:
+                    sequence.matcher.consume_token(token)
+                    ended = sequence.matcher.is_stopped()
+            if ended and self._goes_on(sequence):
+                ended = False
+                so_far = sequence.prompt + sequence.reply
+                decoder.rewind(slot, len(so_far) - 1)
+                tokens[slot] = so_far[-1]
+            room = min(self.sampling.max_tokens, longest - len(sequence.prompt))
+            if ended or len(sequence.reply) >= room:
+                done.append((sequence.index, self._completion(sequence, ended)))
+                last = decoder.release(slot)
+                if last is not None:
+                    active[slot], tokens[slot] = active[last], tokens[last]
+                active.pop()
+                tokens.pop()
+        return done
+
+    def _goes_on(self, sequence: _Sequence) -> bool:
+        """Where a whole reply lacks what it must have, its end is taken back, and what is lacking has to come next."""
+        if sequence.matcher is None or not sequence.form.asks:
+            return False
+        whole = self._text(sequence.reply)
+        lacking = sequence.form.lacking(whole)
+        if lacking is None:
+            return False
+        objects = whole.removesuffix(_CLOSING)
+        count = len(parse_reply(whole).objects)
+        while len(kept := self._text(sequence.reply)) > len(objects):
+            sequence.reply.pop()
+        start = objects[len(kept) :] + ("," if count else "")
+        sequence.matcher = self._matcher(sequence.form.grammar_after(start, lacking, sequence.form.at_most - count))
+        return True
+
+    def _drawn(self, logits: Tensor, active: list[_Sequence]) -> list[int]:
+        """A token for each sequence."""
+        matchers = [(s.matcher, row) for row, s in enumerate(active) if s.matcher is not None]
+        if matchers:
+            mask = llguidance.numpy.allocate_token_bitmask(len(active), self._vocabulary)
+            llguidance.numpy.fill_next_token_bitmask_par(self._executor, matchers, mask)
+            allowed = np.unpackbits(mask.view(np.uint8), axis=1, bitorder="little")[:, : self._vocabulary]
+            logits = logits.masked_fill(torch.from_numpy(allowed == 0), -torch.inf)
+        sampling = self.sampling
+        if sampling.temperature == 0:
+            return logits.argmax(1).tolist()
+        if matchers:
+            self._settle_ends(logits, active)
+        best, tokens = torch.topk(logits, min(sampling.top_k or self._vocabulary, self._vocabulary))
+        share = torch.softmax(best / sampling.temperature, 1)
+        before = torch.cumsum(share, 1) - share
+        share = share * (before < sampling.top_p)  # the likeliest always stays
+        draws = torch.tensor([s.draws.random() for s in active])[:, None]
+        place = (torch.cumsum(share, 1) <= draws * share.sum(1, keepdim=True)).sum(1, keepdim=True)
+        return tokens.gather(1, place.clamp_max(share.shape[1] - 1))[:, 0].tolist()
+
+    def _settle_ends(self, logits: Tensor, active: list[_Sequence]) -> None:
+        """Draws which of the lists that may end here do, and leaves the others, or the end, no chance."""
+        for row in torch.isfinite(logits[:, self._closing]).any(1).nonzero()[:, 0].tolist():
+            if active[row].matcher is None:
+                continue
+            odds = torch.softmax(logits[row], 0)[self._closing].sum()
+            ends = active[row].draws.random() < float(odds)
+            closing = logits[row, self._closing] if ends else -torch.inf
+            if ends:
+                logits[row] = -torch.inf
+            logits[row, self._closing] = closing
+
+    def _text(self, tokens: list[int]) -> str:
+        return str(self._tokenizer.decode(tokens, skip_special_tokens=True, clean_up_tokenization_spaces=False))
+
+    def _completion(self, sequence: _Sequence, ended: bool) -> Completion:
+        text = self._text(sequence.reply)
+        read, written = len(sequence.prompt), len(sequence.reply)
+        if not ended:
+            return Completion("", read, written, f"the reply was cut off after {written:,} tokens", "reply_cut")
+        return Completion(text, read, written)

@@ -1,0 +1,166 @@
+"""Which engine answers: named in a word, made in one place."""
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from models.semantic_reasoner.engines.http_settings import HttpSettings
+from models.semantic_reasoner.engines.protocol import Engine, Sampling
+from stable_data.errors import ConfigError
+from stable_data.storage.run_folder import content_id
+
+EMBEDDED = Path(__file__).resolve().parents[2] / "weights" / "semantic_reasoner"
+"""Our own small reasoner; models/weights/README.md says how it was made and what it does."""
+
+KINDS = ("embedded", "transformers", "vllm", "openai", "scripted")
+"""Kinds of engines."""
+
+_MODEL_FILES = ("*.json", "*.safetensors", "*.jinja", "*.model")
+
+
+@dataclass(frozen=True, slots=True)
+class EngineSettings:
+    """An engine.
+
+    Attributes:
+        engine: ``embedded`` (our own small model), ``transformers:FOLDER`` (a Hugging Face folder), ``vllm:FOLDER``,
+            ``openai:MODEL`` (the endpoint ``http.base_url``) or ``scripted:FILE``.
+        sampling: How tokens are drawn.
+        num_slots: Most sequences that a model in this process decodes at a time.
+        cache: Folder that keeps completions, so that a run that is taken up again replays them; empty keeps none. For engines
+            that cannot repeat themselves (``openai``, ``vllm``).
+        num_gpus: That share a model in vLLM.
+        vllm: More arguments of ``vllm.LLM``, a JSON object.
+        http: Of the endpoint.
+    """
+
+    engine: str = "embedded"
+    sampling: Sampling = field(default_factory=Sampling)
+    num_slots: int = 64
+    cache: str = ""
+    num_gpus: int = 1
+    vllm: str = "{}"
+    http: HttpSettings = field(default_factory=lambda: HttpSettings("http://127.0.0.1:8000/v1", "default"))
+
+    def __post_init__(self) -> None:
+        """Refuses what names no engine."""
+        kind, _, what = self.engine.partition(":")
+        if kind not in KINDS or bool(what) != (kind != "embedded"):
+            raise ConfigError(
+                f"engine is {self.engine!r}, expected embedded, transformers:FOLDER, vllm:FOLDER, openai:MODEL or scripted:FILE",
+                "config_invalid",
+            )
+        if self.num_slots < 1 or self.num_gpus < 1:
+            raise ConfigError(f"num_slots is {self.num_slots}, num_gpus {self.num_gpus}, expected at least 1", "config_invalid")
+
+    @property
+    def kind(self) -> str:
+        """One of :data:`KINDS`."""
+        return self.engine.partition(":")[0]
+
+    @property
+    def reads_reasons(self) -> bool:
+        """Whether the engine can use the reason why an answer was refused: the embedded model has seen none."""
+        return self.kind != "embedded"
+
+    def settled(self) -> "EngineSettings":
+        """The same for any working directory: its paths are absolute."""
+        kind, _, what = self.engine.partition(":")
+        engine = f"{kind}:{_absolute(what)}" if kind in ("transformers", "vllm", "scripted") else self.engine
+        return replace(self, engine=engine, cache=_absolute(self.cache) if self.cache else "")
+
+    def shaping(self) -> dict[str, Any]:
+        """All that replies depend on, the content of files included; what is asked of whom, and how patiently, is not.
+
+        Raises:
+            ConfigError: The engine is not there (``engine_missing``): no model in the folder, no script, no key.
+        """
+        kind, _, what = self.engine.partition(":")
+        found: dict[str, Any] = {"engine": kind, "sampling": asdict(self.sampling)}
+        if kind == "openai":
+            self.http.read_key()
+            return found | {"model": what, "extra": self.http.extra_fields()}
+        if kind == "scripted":
+            return found | {"model": _content(Path(what), "a script")}
+        assert self.folder is not None
+        _content(self.folder / "config.json", "a Hugging Face folder")
+        files = sorted(path for pattern in _MODEL_FILES for path in self.folder.glob(pattern))
+        found["model"] = content_id({path.name: _content(path, "a file of a model") for path in files})
+        return found | ({"vllm": _options(self.vllm)} if kind == "vllm" else {})
+
+    @property
+    def folder(self) -> Path | None:
+        """The model's folder, where it is one here."""
+        if self.kind == "embedded":
+            return EMBEDDED
+        return Path(self.engine.partition(":")[2]) if self.kind in ("transformers", "vllm") else None
+
+
+_MOST_TOKENS = 1280
+"""Of the embedded model's replies: the longest that it was trained on has 711, and what is much longer goes round in circles."""
+
+
+def load_engine(settings: EngineSettings) -> Engine:
+    """The engine that the settings name.
+
+    Raises:
+        ConfigError: It cannot be made: no such folder, an extra that is missing, a key that is not set.
+    """
+    engine = _bare(settings)
+    if not settings.cache:
+        return engine
+    from models.semantic_reasoner.engines.response_cache import CachedEngine, ResponseCache
+
+    return CachedEngine(engine, ResponseCache(settings.cache), settings.sampling)
+
+
+def _bare(settings: EngineSettings) -> Engine:
+    # Imported where they are asked for: torch, transformers and vLLM take seconds to load.
+    what = settings.engine.partition(":")[2]
+    if settings.kind == "openai":
+        from models.semantic_reasoner.engines.http_engine import HttpEngine
+
+        return HttpEngine(replace(settings.http, model=what), settings.sampling)
+    if settings.kind == "vllm":
+        from models.semantic_reasoner.engines.vllm_engine import VllmEngine
+
+        return VllmEngine(what, settings.sampling, settings.num_gpus, **_options(settings.vllm))
+    if settings.kind == "scripted":
+        from models.semantic_reasoner.engines.scripted_engine import ScriptedEngine
+
+        return ScriptedEngine.from_file(Path(what))
+    from models.semantic_reasoner.engines.local_engine import LocalEngine
+
+    assert settings.folder is not None
+    name = "embedded" if settings.kind == "embedded" else ""
+    sampling = settings.sampling
+    if settings.kind == "embedded":
+        sampling = replace(sampling, max_tokens=min(sampling.max_tokens, _MOST_TOKENS))
+    return LocalEngine.load(settings.folder, name, sampling, settings.num_slots)
+
+
+def _absolute(path: str) -> str:
+    return str(Path(path).expanduser().resolve())
+
+
+def _content(path: Path, expected: str) -> str:
+    """Hash of a file."""
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()[:16]
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: cannot be read ({error.strerror or error}), expected {expected}; name another engine", "engine_missing"
+        ) from error
+
+
+def _options(text: str) -> dict[str, object]:
+    try:
+        options = json.loads(text)
+    except ValueError:
+        options = None
+    if not isinstance(options, dict):
+        raise ConfigError(f"vllm is {text!r:.80}, expected a JSON object such as {{}}", "config_invalid")
+    return options

@@ -1,0 +1,129 @@
+"""A reasoner from its settings: engine, checks, and what a closed vocabulary needs."""
+
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from models.semantic_reasoner.engines.protocol import Engine
+from models.semantic_reasoner.engines.registry import EngineSettings, load_engine
+from models.semantic_reasoner.language.category_statistics import CategoryStatistics
+from models.semantic_reasoner.language.word_grounding import Grounding
+from models.semantic_reasoner.prompt_styles import dialect_of
+from models.semantic_reasoner.reasoner import SemanticReasoner
+from models.semantic_reasoner.replies.checks import CheckSettings, ReplyCheck, form_check
+from models.semantic_reasoner.text.prompt import PROMPT_VERSION
+from stable_data.errors import ConfigError
+from stable_data.storage.run_folder import content_id
+
+
+@dataclass(frozen=True, slots=True)
+class ReasonerSettings:
+    """How the reasoner asks.
+
+    Attributes:
+        tries: How often a question is asked at most.
+        task_tries: The same of the first stage, which decides what a scene is about; 0 is ``tries``, and four times that with
+            the embedded model, whose first answers are short and cost little.
+        statistics: What is known of categories, for the checks: a model's folder with ``categories.json``, or a preprocess run
+            with the table ``samples``; empty takes that of the engine's own folder, and without any only form is checked.
+        checks: How strict the checks are.
+        dialect: How the engine is spoken to: ``stages``, our own words, or ``mesatask``, as MesaTask's released model was
+            trained.
+        wording: File with the text of MesaTask's question; empty takes ours, which says the same in other words.
+    """
+
+    tries: int = 4
+    task_tries: int = 0
+    statistics: str = ""
+    checks: CheckSettings = field(default_factory=CheckSettings)
+    dialect: Literal["stages", "mesatask"] = "stages"
+    wording: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuses what never asks."""
+        if self.tries < 1 or self.task_tries < 0:
+            found = f"tries is {self.tries} and task_tries {self.task_tries}"
+            raise ConfigError(f"{found}, expected at least 1 and at least 0", "config_invalid")
+
+    def tries_with(self, engine: EngineSettings) -> tuple[int, int]:
+        """How often a question is asked, and how often that of the first stage."""
+        return self.tries, self.task_tries or self.tries * (4 if engine.kind == "embedded" else 1)
+
+    def settled(self) -> "ReasonerSettings":
+        """The same for any working directory: its paths are absolute."""
+        return replace(self, statistics=_absolute(self.statistics), wording=_absolute(self.wording))
+
+
+def load_reasoner(
+    engine: EngineSettings, settings: ReasonerSettings | None = None, loaded: Engine | None = None
+) -> tuple[SemanticReasoner, CategoryStatistics | None]:
+    """A reasoner, and what it knows of categories.
+
+    Args:
+        engine: Who answers.
+        settings: How it is asked.
+        loaded: The engine where it is loaded already, such as in another process.
+
+    Raises:
+        ConfigError: The engine or the statistics cannot be loaded.
+    """
+    settings = settings or ReasonerSettings()
+    statistics = _statistics(engine, settings)
+    check = form_check if statistics is None else ReplyCheck(statistics, settings.checks)
+    grounding = None
+    if engine.kind == "embedded" and statistics is not None:
+        from models.text_encoder import load_default
+
+        grounding = Grounding(statistics, load_default())
+    asks = check.asks if isinstance(check, ReplyCheck) else None
+    dialect = dialect_of(settings.dialect, _text(settings.wording), asks)
+    tries = settings.tries_with(engine)
+    return SemanticReasoner(loaded or load_engine(engine), check, tries, engine.reads_reasons, grounding, dialect), statistics
+
+
+def _absolute(path: str) -> str:
+    return path if not path or "://" in path else str(Path(path).expanduser().resolve())
+
+
+def _text(file: str) -> str:
+    try:
+        return Path(file).read_text("utf-8") if file else ""
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file}: cannot be read as text ({error})", "config_invalid") from error
+
+
+def shaping_of_proposals(engine: EngineSettings, settings: ReasonerSettings | None = None) -> dict[str, Any]:
+    """All that a reasoner's proposals depend on beside questions and seeds, as JSON takes it.
+
+    A job that is resumed compares it: rows of two reasoners are not to be mixed. Nothing is opened.
+
+    Args:
+        engine: Who answers.
+        settings: How it is asked.
+
+    Raises:
+        ConfigError: The engine or the statistics are not there.
+    """
+    settings = settings or ReasonerSettings()
+    tries, task_tries = settings.tries_with(engine)
+    found = engine.shaping() | {
+        "tries": tries,
+        "task_tries": task_tries,
+        "checks": asdict(settings.checks),
+        "prompt_version": PROMPT_VERSION,
+    }
+    if settings.dialect != "stages":
+        found |= {"dialect": settings.dialect, "wording": content_id(_text(settings.wording))}
+    if settings.statistics:  # those of the engine's own folder are a file of its model
+        statistics = _statistics(engine, settings)
+        found["statistics"] = content_id(None if statistics is None else asdict(statistics))
+    return found
+
+
+def _statistics(engine: EngineSettings, settings: ReasonerSettings) -> CategoryStatistics | None:
+    if settings.statistics:
+        folder = Path(settings.statistics)
+        is_model = "://" not in settings.statistics and (folder / "categories.json").is_file()
+        return CategoryStatistics.load(folder) if is_model else CategoryStatistics.of_run(settings.statistics)
+    own = engine.folder
+    return CategoryStatistics.load(own) if own is not None and (own / "categories.json").is_file() else None

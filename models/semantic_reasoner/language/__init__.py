@@ -1,0 +1,1 @@
+"""Reading of instructions: nouns, phrases, required objects, relations."""

@@ -1,0 +1,265 @@
+"""What is known of categories and words from the split train: sizes, what carries things, which words speak of what.
+
+It is measured once, beside the training, and kept beside the model as ``categories.json``.
+"""
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from models.semantic_reasoner.language.noun_lookup import Nouns, words_of
+from models.semantic_reasoner.language.noun_phrases import Phrase, phrases
+from models.semantic_reasoner.text.reply_json import layout_names
+from stable_data.errors import ConfigError
+from stable_data.scene import SceneObject, Stage, Vec3
+from stable_data.storage.row_groups import TableFiles, rows_from_table
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import Row
+
+FILE = "categories.json"
+"""Name of the statistics in a model's folder."""
+
+VERSION = 1
+
+LEVELS = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
+"""Levels of the size quantiles."""
+
+_MOST_WORDS = 64  # description words kept of a category
+_LEAST_SEEN = 10  # a word seen less often is judged by its noun, and a noun seen less often is believed
+_LEAST_RIGHT = 0.98  # share of its mentions in which a word must have meant a thing on the table to be believed
+
+Quantiles: TypeAlias = tuple[Vec3, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Category:
+    """What is known of a category.
+
+    Attributes:
+        count: Objects that it was measured on.
+        extents: Quantiles, at :data:`LEVELS`, of the shortest, middle and longest side of the box, metres.
+        sizes: The same of width, depth and height.
+        carrying: Share of the objects on or in which something stands.
+        words: How often each word is in its descriptions, the most frequent ones.
+    """
+
+    count: int
+    extents: Quantiles
+    sizes: Quantiles
+    carrying: float
+    words: Mapping[str, int]
+
+    @property
+    def least(self) -> Vec3:
+        """Sides that hardly any such thing is below, shortest first, metres."""
+        return self.extents[1]
+
+    @property
+    def most(self) -> Vec3:
+        """Sides that hardly any such thing is above, shortest first, metres."""
+        return self.extents[-2]
+
+
+@dataclass(frozen=True)
+class CategoryStatistics:
+    """What is known of all categories.
+
+    Attributes:
+        categories: By name, as layouts write it.
+        words: How often each word is in the instructions.
+        doubts: Of nouns that often speak of something else (``up to the camera``): whether they do, by the word before their
+            phrase; under ``*`` for other words.
+        tables: How many scenes there are of each kind of table.
+    """
+
+    categories: Mapping[str, Category]
+    words: Mapping[str, int]
+    doubts: Mapping[str, Mapping[str, bool]] = field(default_factory=dict)
+    tables: Mapping[str, int] = field(default_factory=dict)
+
+    @cached_property
+    def nouns(self) -> Nouns:
+        """What the categories may be called."""
+        return Nouns(self.categories)
+
+    def is_doubtful(self, phrase: Phrase) -> bool:
+        """Do such words often speak of something that is not on the table?"""
+        doubts = self.doubts.get(phrase.mention.noun, {})
+        return doubts.get(phrase.before, doubts.get("*", False))
+
+    @classmethod
+    def of_names(cls, categories: Iterable[str]) -> "CategoryStatistics":
+        """Categories of which nothing but the names is known, so that no size of theirs is judged."""
+        nothing = Category(0, (), (), 0.0, {})
+        return cls(dict.fromkeys(categories, nothing), {})
+
+    # --- files ---
+
+    def save(self, folder: Path) -> None:
+        """Puts the statistics beside a model.
+
+        Args:
+            folder: The model's folder; made where it is missing.
+
+        Raises:
+            ConfigError: It cannot be written.
+        """
+        content = {"version": VERSION, "levels": LEVELS, **asdict(self)}
+        text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        RunFolder(str(folder)).write_bytes(FILE, text.encode())
+
+    @classmethod
+    def load(cls, folder: Path) -> "CategoryStatistics":
+        """The statistics beside a model.
+
+        Args:
+            folder: The model's folder.
+
+        Raises:
+            ConfigError: They are not there (``statistics_missing``), or are not what :meth:`save` writes
+                (``statistics_invalid``).
+        """
+        path = folder / FILE
+        try:
+            data = json.loads(path.read_text("utf-8"))
+        except OSError as error:
+            raise ConfigError(
+                f"{path}: cannot be read ({error.strerror or error}), expected the statistics of categories; "
+                "make them with the reasoner's training",
+                "statistics_missing",
+            ) from error
+        except ValueError as error:
+            raise ConfigError(f"{path}: no JSON ({error}); make the statistics again", "statistics_invalid") from error
+        if not isinstance(data, dict) or (data.get("version"), tuple(data.get("levels", ()))) != (VERSION, LEVELS):
+            raise ConfigError(f"{path}: expected statistics of version {VERSION}; make them again", "statistics_invalid")
+        try:
+            categories = {name: _category(entry) for name, entry in data["categories"].items()}
+            doubts = {n: dict(d) for n, d in data["doubts"].items()}
+            return cls(categories, dict(data["words"]), doubts, dict(data["tables"]))
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise ConfigError(f"{path}: {error!r}; make the statistics again", "statistics_invalid") from error
+
+    # --- measuring ---
+
+    @classmethod
+    def of_run(cls, uri: str) -> "CategoryStatistics":
+        """The statistics of the split train of a preprocess run.
+
+        Args:
+            uri: The run folder, with the table ``samples``.
+
+        Raises:
+            ConfigError: The table cannot be read, or has no rows of the split train (``split_empty``).
+        """
+        files = TableFiles(uri, "samples", None, "train")
+        if not len(files):
+            raise ConfigError(f"{uri}: table samples has no rows of the split train, expected some", "split_empty")
+        seen: set[str] = set()
+        return cls.of_rows(row for group in range(len(files.groups)) for row in _rows(files, group, seen))
+
+    @classmethod
+    def of_rows(cls, rows: Iterable[Row]) -> "CategoryStatistics":
+        """The statistics of rows of ``samples``; those of the stage ``important`` add nothing."""
+        found = _Counting()
+        for row in rows:
+            found.add(row)
+        return found.statistics()
+
+
+def _rows(files: TableFiles, group: int, seen: set[str]) -> list[Row]:
+    """Rows of a group that the statistics look at: every first stage, and of each scene one last stage."""
+    table = files.read([group])
+    stages = zip(table["scene_id"].to_pylist(), table["stage"].to_pylist(), strict=True)
+    chosen = []
+    for k, (scene_id, stage) in enumerate(stages):
+        if stage == Stage.TASK or (stage == Stage.SECONDARY and scene_id not in seen):
+            chosen.append(k)
+        if stage == Stage.SECONDARY:
+            seen.add(scene_id)
+    return rows_from_table(table.take(chosen))
+
+
+def _category(entry: Mapping[str, Any]) -> Category:
+    extents, sizes = (tuple(_vec3(v) for v in entry[key]) for key in ("extents", "sizes"))
+    if len(extents) != len(LEVELS) or len(sizes) != len(LEVELS):
+        raise ValueError(f"{len(extents)} quantiles, expected {len(LEVELS)}")
+    return Category(int(entry["count"]), extents, sizes, float(entry["carrying"]), dict(entry["words"]))
+
+
+def _vec3(values: Iterable[float]) -> Vec3:
+    x, y, z = map(float, values)
+    return x, y, z
+
+
+@cache
+def _as_written(category: str) -> str:
+    """A category as the instances of layouts have it."""
+    thing = SceneObject("thing", category, (0.0, 0.0, 0.0), 0.0, (1.0, 1.0, 1.0))
+    return layout_names([thing])["thing"].rpartition("_")[0]
+
+
+class _Counting:
+    """What has been seen of the rows so far."""
+
+    def __init__(self) -> None:
+        self._scenes: set[str] = set()
+        self._sizes: dict[str, list[list[float]]] = {}
+        self._carrying: Counter[str] = Counter()
+        self._described: dict[str, Counter[str]] = {}
+        self._words: Counter[str] = Counter()
+        self._told: Counter[tuple[str, frozenset[str]]] = Counter()
+        self._tables: Counter[str] = Counter()
+
+    def add(self, row: Row) -> None:
+        """Counts a row: the instruction of a first stage, the whole layout of a last one."""
+        if row["stage"] == Stage.TASK:
+            text = row["task"]["task"]
+            self._words.update(w.text for w in words_of(text))
+            self._told[text, frozenset(_as_written(o["category"]) for o in row["objects_out"])] += 1
+        elif row["stage"] == Stage.SECONDARY and row["scene_id"] not in self._scenes:
+            self._scenes.add(row["scene_id"])  # its other tasks have the same layout
+            self._tables[row["table_type"]] += 1
+            self._add_layout([*row["objects_in"], *row["objects_out"]])
+
+    def _add_layout(self, objects: list[Row]) -> None:
+        carriers = {o["support"] for o in objects}
+        for o in objects:
+            category = _as_written(o["category"])
+            self._sizes.setdefault(category, []).append(o["size"])
+            self._carrying[category] += o["instance"] in carriers
+            self._described.setdefault(category, Counter()).update(w.text for w in words_of(o["description"]))
+
+    def statistics(self) -> CategoryStatistics:
+        categories = {name: self._category(name) for name in sorted(self._sizes)}
+        return CategoryStatistics(categories, dict(self._words), self._doubts(Nouns(categories)), dict(self._tables))
+
+    def _category(self, name: str) -> Category:
+        sizes = np.array(self._sizes[name], np.float64)
+        extents, sides = (
+            tuple(_vec3(row) for row in np.quantile(values, LEVELS, axis=0).round(5).tolist())
+            for values in (np.sort(sizes, axis=1), sizes)
+        )
+        words = dict(self._described[name].most_common(_MOST_WORDS))
+        return Category(len(sizes), extents, sides, round(self._carrying[name] / len(sizes), 4), words)
+
+    def _doubts(self, nouns: Nouns) -> dict[str, dict[str, bool]]:
+        """Which words were said of things that were not there."""
+        seen: dict[str, Counter[str]] = {}
+        right: dict[str, Counter[str]] = {}
+        for (text, there), count in self._told.items():
+            for phrase in phrases(words_of(text), nouns):
+                noun = phrase.mention.noun
+                for context in (phrase.before, "*"):
+                    seen.setdefault(noun, Counter())[context] += count
+                    right.setdefault(noun, Counter())[context] += count * bool(there & set(nouns.categories_of(noun)))
+        doubts = {
+            noun: {c: right[noun][c] < _LEAST_RIGHT * n for c, n in contexts.items() if n >= _LEAST_SEEN}
+            for noun, contexts in sorted(seen.items())
+        }
+        return {noun: dict(sorted(of_noun.items())) for noun, of_noun in doubts.items() if any(of_noun.values())}

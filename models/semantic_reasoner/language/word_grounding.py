@@ -1,0 +1,277 @@
+"""Words that a model with a closed vocabulary does not know, read as what it knows, and said so.
+
+The embedded reasoner has learned the words of its training instructions. A thing that it never heard of is found by its place
+in the sentence, and replaced by the nearest noun of a known category where a text encoder finds one near enough. Nothing but
+things is looked for: unknown adjectives, names, people and places are left as they are.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from models.semantic_reasoner.language.category_statistics import CategoryStatistics
+from models.semantic_reasoner.language.noun_lookup import Mention, Word, words_of
+from models.semantic_reasoner.language.stop_words import (
+    COUNTS,
+    DETERMINERS,
+    FUNCTION_WORDS,
+    OFF_THE_TABLE,
+    PREPOSITIONS,
+    is_verb,
+)
+from models.semantic_reasoner.text.prompt import ANY_TABLE
+from stable_data.errors import Notice
+from stable_data.instructions.vocabulary import classes_of
+from stable_data.instructions.words import is_plural, plural, singular
+
+TextEncoder: TypeAlias = Callable[[Sequence[str]], npt.NDArray[np.float32]]
+"""Texts to unit rows, (N, D)."""
+
+STEP = "grounding"
+"""The step that this module's notices name."""
+
+NEAR = 0.7
+"""Least cosine similarity at which an unknown thing is read as a known one (all-MiniLM-L6-v2, ``a doughnut`` with ``a donut``)."""
+
+NEAR_IN_CLASS = 0.4
+"""The same where the vocabulary says that both are of one kind."""
+
+LANGUAGE = 0.5
+"""From this share of unknown words on, a text is taken for another language."""
+
+_FEWEST = 3  # unknown words of another language
+
+_KINDS = frozenset(
+    {
+        "drinkware", "saucer", "plate", "bowl", "fork", "knife", "spoon", "cutlery", "pourer", "waterer", "plant", "fruit",
+        "blade", "board", "pot", "lid", "writing", "writing_place", "book", "toothbrush", "toothbrush_place", "soap", "soap_place",
+        "cosmetics", "laptop", "rubbish_place",
+    }
+)  # fmt: skip
+"""Classes of the vocabulary that say what a thing is, not what shape it has or what can be done with it."""
+
+_ALSO_CALLED = MappingProxyType(
+    {
+        "biro": "pen", "ballpoint": "pen", "rollerball": "pen", "felt tip": "marker", "rubber": "eraser", "wok": "frying pan",
+        "serviette": "napkin", "flacon": "perfume", "lippy": "lipstick", "gamepad": "game controller", "spud": "potato",
+        "post its": "sticky notes", "wristwatch": "watch", "specs": "glasses", "eyeglasses": "sunglasses", "biscuit": "cookie",
+        "goblet": "wine glass", "carafe": "pitcher",
+        "aubergine": "eggplant", "courgette": "cucumber", "clementine": "orange", "mandarin": "orange", "tangerine": "orange",
+        "diary": "notebook", "statue": "figurine", "timer": "hourglass", "ramekin": "bowl", "platter": "plate", "flask": "thermos",
+        "cellphone": "phone", "bagel": "bun", "hamper": "basket", "teddy": "teddy bear", "telly": "monitor", "couch pillow": "cushion",
+        "sofa pillow": "cushion",
+    }
+)  # fmt: skip
+"""Everyday names that a small encoder does not know."""
+
+
+@dataclass(frozen=True, slots=True)
+class Grounded:
+    """An instruction in words that are known.
+
+    Attributes:
+        instruction: The instruction.
+        notices: ``word_read_as``, ``word_unknown`` or ``language_unknown``.
+    """
+
+    instruction: str
+    notices: tuple[Notice, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Words of an instruction that name something unknown.
+
+    Attributes:
+        first: Index of the first word.
+        last: Index of the last one.
+        is_opened: Whether a determiner or a number opens the phrase, so that it is a thing for sure.
+    """
+
+    first: int
+    last: int
+    is_opened: bool
+
+
+@dataclass(eq=False)
+class Grounding:
+    """Reads instructions for an engine with a closed vocabulary.
+
+    Args:
+        statistics: What is known of categories and words.
+        encode: Texts to unit rows; None reads nothing, so that every unknown thing stays unknown.
+        near: See :data:`NEAR`.
+        near_in_class: See :data:`NEAR_IN_CLASS`.
+    """
+
+    statistics: CategoryStatistics
+    encode: TextEncoder | None = None
+    near: float = NEAR
+    near_in_class: float = NEAR_IN_CLASS
+    _rows: npt.NDArray[np.float32] | None = field(default=None, init=False, repr=False)
+
+    def ground(self, instruction: str, item_id: str = "instruction") -> Grounded:
+        """An instruction with what is unknown read as what is known.
+
+        Args:
+            instruction: The instruction.
+            item_id: Under which its notices go.
+
+        Returns:
+            The instruction, changed only where a thing was read as another, and what there is to say.
+        """
+        words = words_of(instruction)
+        if self._is_foreign(words):
+            message = f"{item_id}: most words of {_shown(instruction)} are unknown, expected English; say it in English"
+            return Grounded(instruction, (Notice(item_id, STEP, "language_unknown", message),))
+        notices, changes = [], []
+        for span in self.unknown(words):
+            start, end = words[span.first].start, words[span.last].end
+            phrase = " ".join(w.text for w in words[span.first : span.last + 1])
+            noun = self.nearest(phrase)
+            said = instruction[start:end]
+            if noun is not None:
+                is_many = words[span.last].text.endswith("s") and not words[span.last].text.endswith("ss")
+                changes.append((start, end, plural(noun) if is_many and not is_plural(noun) else noun))
+                notices.append(Notice(item_id, STEP, "word_read_as", f"{item_id}: {_shown(said)} is unknown, read as {noun}"))
+            elif span.is_opened:
+                message = f"{item_id}: {_shown(said)} is unknown, nothing like it can be laid out; name a known thing"
+                notices.append(Notice(item_id, STEP, "word_unknown", message))
+        for start, end, noun in reversed(changes):
+            instruction = f"{instruction[:start]}{noun}{instruction[end:]}"
+        return Grounded(instruction, tuple(dict.fromkeys(notices)))
+
+    def table_type(self, table_type: str, item_id: str = "table") -> tuple[str, tuple[Notice, ...]]:
+        """A kind of table as it is to be said: itself where it is known, else none, so that its size alone tells.
+
+        Args:
+            table_type: The kind of table.
+            item_id: Under which a notice goes.
+
+        Returns:
+            The kind, and the notice ``table_unknown`` where it is unknown.
+        """
+        known = self.statistics.tables
+        if not known or table_type in (*known, ANY_TABLE):
+            return table_type, ()
+        message = f"{item_id}: {_shown(table_type)} is an unknown kind of table, its size alone is gone by; known are "
+        return ANY_TABLE, (Notice(item_id, STEP, "table_unknown", message + ", ".join(sorted(known))),)
+
+    # --- what is unknown ---
+
+    def _is_foreign(self, words: Sequence[Word]) -> bool:
+        unknown = [w.text for w in words if not self._is_known(w) and not w.is_name]
+        if 0 < len(unknown) == len(words) and not all(map(str.isascii, unknown)):
+            return True  # a text without spaces between its words is one
+        return len(unknown) >= _FEWEST and len(unknown) > LANGUAGE * len(words)
+
+    def _is_known(self, word: Word) -> bool:
+        text = word.text
+        return (
+            text in FUNCTION_WORDS
+            or text in self.statistics.words
+            or text in self.statistics.nouns.words
+            or text in OFF_THE_TABLE
+            or text.isdecimal()
+            or len(text) == 1
+            or is_verb(text)
+        )
+
+    def unknown(self, words: Sequence[Word]) -> Iterator[Span]:
+        """The phrases of a text that name a thing that nobody knows, in its order."""
+        mentions = self.statistics.nouns.read(words)
+        heads = {m.last: m for m in mentions}
+        k = 0
+        while k < len(words):
+            if self._is_known(words[k]) or words[k].is_name or words[k].text.endswith("ly"):
+                k += 1
+                continue
+            first, last = self._chunk(words, k)
+            span = self._thing(words, k, first, last, heads)
+            if span is not None:
+                yield span
+            k = last + 1
+
+    def _chunk(self, words: Sequence[Word], k: int) -> tuple[int, int]:
+        """The words around an unknown one that no word of grammar interrupts."""
+        first = last = k
+        while first > 0 and not words[first].is_first and _is_content(words[first - 1]):
+            first -= 1
+        while last + 1 < len(words) and not words[last + 1].is_first and _is_content(words[last + 1], after=True):
+            last += 1
+        return first, last
+
+    def _thing(self, words: Sequence[Word], k: int, first: int, last: int, heads: dict[int, Mention]) -> Span | None:
+        """What of a chunk names an unknown thing, if anything does."""
+        head, following = words[last].text, words[last + 1].text if last + 1 < len(words) else ""
+        known = heads.get(last)
+        if known is not None and (known.noun in self.statistics.nouns.names or known.first <= k):
+            return None  # an adjective of a known thing
+        is_adjective = head.endswith(("est", "ing", "ed", "ly")) or (
+            following in ("one", "ones") and not words[last + 1].is_first
+        )
+        if head in OFF_THE_TABLE or singular((head,))[0] in OFF_THE_TABLE or is_adjective or words[last].is_name:
+            return None
+        if any(first <= m.first and m.last < k for m in heads.values()):
+            return None  # "the mug wobbles": the unknown word may be a verb
+        begin = next((j for j in range(first, last + 1) if not self._only_describes(words[j])), k)
+        before = words[first - 1].text if first > 0 and not words[first].is_first else ""
+        is_opened = before in DETERMINERS or before in COUNTS or before.isdecimal() or before in _ORDINALS
+        if not is_opened and before == "to":
+            is_near = first > 1 and words[first - 2].text in _NEXT
+            return Span(begin, last, is_opened=False) if is_near else None
+        if is_opened or before in PREPOSITIONS or before == "and" or is_verb(before):
+            return Span(begin, last, is_opened)
+        return None
+
+    def _only_describes(self, word: Word) -> bool:
+        """Is it a word of the training instructions that is part of no noun, such as ``red``?"""
+        return (word.text in self.statistics.words or is_verb(word.text)) and word.text not in self.statistics.nouns.words
+
+    # --- what it is like ---
+
+    def nearest(self, phrase: str) -> str | None:
+        """The known noun that is most like a thing, or None where none is near enough.
+
+        Args:
+            phrase: Its words, in lower case.
+        """
+        names = sorted(self.statistics.nouns.names)
+        one = " ".join(singular(tuple(phrase.split(" "))))
+        for spelt in (phrase, one):
+            if _ALSO_CALLED.get(spelt) in self.statistics.nouns.names:
+                return _ALSO_CALLED[spelt]
+        if self.encode is None or not names:
+            return None
+        if self._rows is None:
+            self._rows = np.asarray(self.encode([f"a {name}" for name in names]))
+        likeness = self._rows @ np.asarray(self.encode([f"a {one}"]))[0]
+        kinds = classes_of(one) & _KINDS
+        if kinds:
+            shared = [len(kinds & classes_of(name)) for name in names]
+            of_kind = max((k for k, n in enumerate(shared) if n == max(shared) > 0), key=lambda k: likeness[k], default=None)
+            if of_kind is not None and likeness[of_kind] >= self.near_in_class:
+                return names[of_kind]
+        best = int(likeness.argmax())
+        return names[best] if likeness[best] >= self.near else None
+
+
+_ORDINALS = frozenset({"other", "another", "first", "second", "third", "last", "next", "left", "right"})
+_NEXT = frozenset({"next", "close", "on", "in", "closer", "nearer", "nearest", "closest", "over", "up"})
+
+
+def _is_content(word: Word, after: bool = False) -> bool:
+    """Could it be part of a noun phrase? Before its noun ``chipped`` is, after it no form of a verb."""
+    if word.text in FUNCTION_WORDS or word.text.isdecimal() or word.text.endswith("ly"):
+        return False
+    is_participle = word.text.endswith(("ed", "ing"))
+    return not (is_verb(word.text) or is_participle) if after else not is_verb(word.text) or is_participle
+
+
+def _shown(text: str) -> str:
+    words = " ".join(text.split())
+    return repr(words if len(words) <= 60 else f"{words[:57]}...")

@@ -1,0 +1,1 @@
+"""Replies: their grammar, their checks, their way into a scene."""

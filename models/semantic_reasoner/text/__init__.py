@@ -1,0 +1,1 @@
+"""The words and tokens that a language model reads and writes."""

@@ -1,0 +1,143 @@
+"""The loss of the reasoner's training: the negative log-likelihood of the replies, nothing for the prompts.
+
+Over several processes the weights, their gradients and the optimizer's averages are sharded (FSDP). PyTorch's own
+``fully_shard`` does it: parameters keep their names and modules their classes, trained and frozen ones may lie side by side as
+under LoRA, and Ray Train has already started the processes, which is what accelerate would add.
+"""
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.distributed.device_mesh import init_device_mesh
+from torch.distributed.fsdp import fully_shard
+from torch.distributed.tensor import DTensor, distribute_tensor
+from torch.nn import functional
+from torch.utils.checkpoint import checkpoint
+from transformers import AttentionInterface, PreTrainedModel
+from transformers.masking_utils import AttentionMaskInterface, sdpa_mask
+
+from models.semantic_reasoner.training.batch_sampler import IGNORED, TokenBatch
+from models.semantic_reasoner.training.settings import ReasonerTraining
+from models.training.distributed import Place
+
+_HEAD_AT_ONCE = 1024  # tokens whose logits are there together where activations are not kept
+
+
+class ReplyLoss(nn.Module):
+    """A network as it is trained.
+
+    A module of its own, since sharded weights are gathered when a module is called.
+
+    Args:
+        network: A causal language model with ``model`` (the decoder) and ``lm_head``.
+        settings: Precision, packing, and what is computed again.
+
+    Attributes:
+        network: The network.
+    """
+
+    def __init__(self, network: PreTrainedModel, settings: ReasonerTraining) -> None:
+        super().__init__()
+        self.network = network
+        self._settings = settings
+        if settings.recomputes:
+            network.activation_checkpointing_enable({"use_reentrant": False})
+        self._head_loss = _head_loss
+        if settings.compiles:
+            decoder: Any = network.model
+            decoder.compile(dynamic=True)  # batches are of ever new shapes
+            self._head_loss = torch.compile(_head_loss, dynamic=True)
+
+    def forward(self, tokens: Tensor, target: Tensor, position: Tensor | None = None) -> Tensor:
+        """Sum over the replies' tokens, nats.
+
+        Args:
+            tokens: (B, T) int64.
+            target: (B, T) int64; see :class:`TokenBatch`.
+            position: (B, T) int64 where rows have several examples: transformers keeps those apart whose positions start anew.
+                None where they have one: nothing comes after what counts but padding, which a causal model does not see.
+        """
+        is_low = self._settings.precision == "bfloat16"
+        # Each weight is multiplied with once: a cache of their bfloat16 copies would only hold memory.
+        with torch.autocast(tokens.device.type, torch.bfloat16, enabled=is_low, cache_enabled=False):
+            known: dict[str, Any] = {} if position is None else {"position_ids": position}
+            hidden = self.network.model(input_ids=tokens, use_cache=False, **known).last_hidden_state
+            counts = target != IGNORED
+            hidden, target = hidden[counts], target[counts]  # (R, C), (R,): the vocabulary is wide, and prompts are long
+            if not self._settings.recomputes:
+                return self._head(hidden, target)
+            parts = zip(torch.split(hidden, _HEAD_AT_ONCE), torch.split(target, _HEAD_AT_ONCE), strict=True)
+            losses = [checkpoint(self._head, h, t, use_reentrant=False) for h, t in parts]
+        return torch.stack(losses).sum()
+
+    def _head(self, hidden: Tensor, target: Tensor) -> Tensor:
+        return self._head_loss(self.network.lm_head, hidden, target)
+
+    def of_batch(self, batch: TokenBatch, place: Place) -> Tensor:
+        """The same of a batch."""
+        position = torch.from_numpy(batch.position).to(place.device) if self._settings.packs else None
+        loss: Tensor = self(*(torch.from_numpy(v).to(place.device) for v in (batch.tokens, batch.target)), position)
+        return loss
+
+
+def _head_loss(head: nn.Module, hidden: Tensor, target: Tensor) -> Tensor:
+    return functional.cross_entropy(head(hidden).float(), target, reduction="sum")
+
+
+def _attention_in_float32(
+    module: nn.Module,
+    query: Tensor,
+    key: Tensor,
+    value: Tensor,
+    attention_mask: Tensor | None,
+    scaling: float | None = None,
+    **_: Any,
+) -> tuple[Tensor, None]:
+    """Attention as transformers calls it: PyTorch's kernel for CPUs is far slower in bfloat16 than in float32, most so backward."""
+    with torch.autocast("cpu", enabled=False):
+        found = functional.scaled_dot_product_attention(
+            query.float(),
+            key.float(),
+            value.float(),
+            attn_mask=attention_mask,
+            is_causal=attention_mask is None and query.shape[2] > 1,  # a token that is generated sees all before it
+            scale=scaling,
+            enable_gqa=True,
+        )
+    return found.transpose(1, 2).contiguous().to(value.dtype), None
+
+
+_ON_CPU = "float32_on_cpu"
+AttentionInterface.register(_ON_CPU, _attention_in_float32)
+AttentionMaskInterface.register(_ON_CPU, sdpa_mask)
+
+
+def put_in_place(loss: ReplyLoss, place: Place) -> None:
+    """Moves a network to where it is trained, in float32: whole, or this process's shard of each layer."""
+    network: Any = loss.network
+    if place.device.type == "cpu":
+        network.set_attn_implementation(_ON_CPU)
+    if place.world_size == 1:
+        network.to(place.device, torch.float32)
+        return
+    mesh = init_device_mesh(place.device.type, (place.world_size,))
+    layers = network.model.layers
+    rest = [module for module in network.model.children() if module is not layers]
+    for module in (*rest, network.lm_head):
+        module.to(place.device, torch.float32)
+    for layer in layers:  # one after another, so that none but one is whole there
+        fully_shard(layer.to(place.device, torch.float32), mesh=mesh)
+    fully_shard(loss, mesh=mesh)
+
+
+def gathered(value: Tensor) -> Tensor:
+    """A tensor whole, on every process."""
+    return value.full_tensor() if isinstance(value, DTensor) else value
+
+
+def sharded_as(value: Tensor, like: Tensor) -> Tensor:
+    """A whole tensor, which every process has, as another one lies."""
+    if not isinstance(like, DTensor):
+        return value.to(like.device)
+    return distribute_tensor(value.to(like.device), like.device_mesh, like.placements, src_data_rank=None)

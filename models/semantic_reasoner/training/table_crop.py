@@ -1,0 +1,91 @@
+"""A part of a table as a table of its own, so that a model that has seen large tables alone can lay out a small one."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from stable_data.scene import FloatArray, RelationKind, Stage
+from stable_data.storage.schemas import Row
+
+_LEAST = 0.35
+"""Sides of a part, metres; shorter only where the table is."""
+
+
+def part_of_table(row: Row, rng: np.random.Generator) -> Row | None:
+    """A row of ``samples`` seen through a window: what stands in it whole stays, its task objects among it.
+
+    Args:
+        row: The row.
+        rng: Where the window is; the same draws give the same window to all stages of a scene.
+
+    Returns:
+        A row whose table is the window, small ones as likely as large ones; None where the instruction speaks of a part of the
+        whole table, or nothing of the stage would be left.
+    """
+    task: Mapping[str, Any] = row["task"] or {}
+    if "corner" in task.get("task", "") or any(r["kind"] == RelationKind.IS_AT for r in task.get("relations") or ()):
+        return None
+    objects = [*row["objects_in"], *row["objects_out"]]
+    outline = _outlines(objects)
+    needed = [outline[o["instance"]] for o in objects if o["stage"] == Stage.TASK]
+    table = np.array(row["table_size"], np.float64)
+    if not needed:
+        return None
+    low, high = np.min([low for low, _ in needed], 0), np.max([high for _, high in needed], 0)
+    low, high = np.clip(low, 0, table), np.clip(high, 0, table)  # what leans over the edge does so afterwards
+    size = rng.uniform(np.minimum(np.maximum(high - low, _LEAST), table), table)
+    start = rng.uniform(np.maximum(0, high - size), np.minimum(low, table - size) + 1e-9)
+    inside = {
+        name
+        for name, (a, b) in outline.items()
+        if np.all(np.maximum(a, 0) >= start) and np.all(np.minimum(b, table) <= start + size)
+    }
+    kept = {
+        key: [_moved(o, start) for o in row[key] if o["instance"] in inside or o["stage"] == Stage.TASK]
+        for key in ("objects_in", "objects_out")
+    }
+    if not kept["objects_out"] and row["stage"] != Stage.IMPORTANT:
+        return None
+    return {**row, **kept, "table_size": tuple(size.tolist()), "restricted_zone": _zone(row["restricted_zone"], start, size)}
+
+
+def _outlines(objects: Sequence[Mapping[str, Any]]) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Least and greatest x and y of each object with all that stands on the table with it: what carries it and what that carries."""
+    support = {o["instance"]: o["support"] for o in objects}
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    root = {}
+    for o in objects:
+        name = o["instance"]
+        for _ in objects:  # as many steps as there can be
+            if support[name] not in support:
+                break
+            name = support[name]
+        root[o["instance"]] = name
+        groups.setdefault(name, []).append(o)
+    extents = {name: _extent(group) for name, group in groups.items()}
+    return {o["instance"]: extents[root[o["instance"]]] for o in objects}
+
+
+def _extent(group: Sequence[Mapping[str, Any]]) -> tuple[FloatArray, FloatArray]:
+    low, high = [], []
+    for o in group:
+        c, s = abs(np.cos(o["yaw"])), abs(np.sin(o["yaw"]))
+        width, depth, _ = o["size"]
+        half = np.array([c * width + s * depth, s * width + c * depth]) / 2
+        low.append(np.array(o["position"][:2]) - half)
+        high.append(np.array(o["position"][:2]) + half)
+    return np.min(low, 0), np.max(high, 0)
+
+
+def _moved(o: Mapping[str, Any], start: FloatArray) -> dict[str, Any]:
+    x, y, z = o["position"]
+    return {**o, "position": (x - start[0], y - start[1], z)}
+
+
+def _zone(zone: Sequence[float] | None, start: FloatArray, size: FloatArray) -> tuple[float, ...] | None:
+    """The restricted zone's part in the window, (x_min, x_max, y_min, y_max)."""
+    if not zone:
+        return None
+    ends = np.clip(np.array(zone).reshape(2, 2) - start[:, None], 0, size[:, None])
+    return None if np.any(ends[:, 1] - ends[:, 0] <= 1e-3) else tuple(ends.reshape(-1).tolist())

@@ -1,0 +1,1 @@
+"""Job correct: scenes become exactly clean scenes."""

@@ -1,0 +1,129 @@
+"""The report page of a correct run: what the scenes were, what the flow made of them, what they are; with pictures."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import partial
+from html import escape
+from typing import Any
+
+import polars as pl
+import pyarrow.compute as pc
+
+from pipelines.reports.html import bars, head, histogram, notices, page, table, tiles
+from pipelines.reports.scene_pictures import Shown, drawn, figures
+from stable_data.assets.store import AssetStore
+from stable_data.scene import Scene
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import scene_from_row
+
+_CARDS = (("card_before", "before"), ("card_raw", "flow alone"), ("card_after", "corrected"))
+
+
+def write_correct_report(folder: RunFolder, manifest: dict[str, Any], store: AssetStore, num_pictures: int) -> None:
+    """Writes ``report/index.html``.
+
+    Args:
+        folder: The run; its tables are complete.
+        manifest: Its manifest, with counts.
+        store: Geometry of the assets, for the pictures.
+        num_pictures: Scenes that are drawn before and after: those with the most collisions before.
+    """
+    corrections = pl.from_arrow(folder.table("corrections"))
+    assert isinstance(corrections, pl.DataFrame)
+    counts = manifest["counts"]
+    by_status = counts["by_status"]
+    figures = [
+        (f"{by_status.get('certified', 0)} / {manifest['num_scenes']}", "scenes certified clean"),
+        (str(by_status.get("dropped", 0)), "clean after dropping objects"),
+        (str(by_status.get("infeasible", 0)), "infeasible"),
+        (str(by_status.get("unknown", 0)), "not proven: a mesh is missing"),
+        (str(counts["failures"]), "rows in failures"),
+        (str(counts["warnings"]), "warnings"),
+    ]
+    body = [
+        head(manifest),
+        tiles(figures),
+        *_before_and_after(corrections),
+        *_pictures(folder, corrections, store, num_pictures),
+        *notices(folder),
+    ]
+    folder.write_bytes("report/index.html", page(f"{manifest['dataset']}: correct", body))
+
+
+def _before_and_after(corrections: pl.DataFrame) -> Iterable[str]:
+    if not corrections.height:
+        return
+    cards = [(title, corrections[column].drop_nulls()) for column, title in _CARDS]
+    frames = [(title, column.struct.unnest()) for title, column in cards if len(column)]
+    rows = [
+        ("scenes", *(str(f.height) for _, f in frames)),
+        ("clean", *(_share(f["clean"]) for _, f in frames)),
+        ("colliding pairs", *(str(f["num_collisions"].sum()) for _, f in frames)),
+        ("mean share of colliding pairs (OC)", *(_percent(f["oc"].mean()) for _, f in frames)),
+        ("mean share of floating objects", *(_percent(f["float_rate"].mean()) for _, f in frames)),
+        ("mean share of objects out of bounds", *(_percent(f["out_of_bounds_rate"].mean()) for _, f in frames)),
+        ("deepest penetration, mm", *(_number(f["max_penetration_mm"].max()) for _, f in frames)),
+        ("deepest in the table, mm", *(_number(f["table_penetration_mm"].max()) for _, f in frames)),
+    ]
+    yield "<h2>Before and after</h2><p class=note>Exact, against the triangle meshes, at 0.5 mm.</p>"
+    yield table(("", *(title for title, _ in frames)), rows)
+    sums = corrections.select(pl.col("^(on_in|asked|directional)_.*$").sum()).row(0, named=True)
+    kept = [
+        ("on and in, that held before", _of(sums["on_in_kept"], sums["on_in_held"])),
+        ("directional, that held before", _of(sums["directional_kept"], sums["directional_held"])),
+        (
+            "on and in, that the scene graph asks for and the layout broke: restored",
+            _of(sums["asked_restored"], sums["asked_broken"]),
+        ),
+        ("objects left out", str(int(corrections["dropped"].list.len().sum()))),
+    ]
+    yield "<h2>Relations kept</h2>" + table(("", ""), kept)
+    after = dict(frames).get("corrected")
+    if after is not None:
+        yield "<h2>Movement</h2><div class=grid>"
+        yield histogram("Mean move of a scene, mm", after["move_mean_mm"], [0, 1e-9, 1, 3, 10, 30, 100, 10_000])
+        yield histogram("Largest move of a scene, mm", after["move_max_mm"], [0, 1e-9, 1, 3, 10, 30, 100, 10_000])
+        yield bars("Status", corrections["status"])
+        yield "</div>"
+
+
+def _pictures(folder: RunFolder, corrections: pl.DataFrame, store: AssetStore, count: int) -> Iterable[str]:
+    done = corrections.filter(pl.col("card_after").is_not_null())
+    if not done.height or count <= 0:
+        return
+    worst_first = done.with_columns(pl.col("card_before").struct.field("num_collisions").alias("n"))
+    chosen = worst_first.sort(["n", "scene_id"], descending=[True, False])["scene_id"].to_list()[:count]
+    starts = {row["scene_id"]: row["start"] for row in done.filter(pl.col("scene_id").is_in(chosen)).iter_rows(named=True)}
+    rows = {row["scene_id"]: row for row in folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()}
+    yield "<h2>Pictures</h2><p class=note>Left before, right corrected.</p>"
+    yield from figures((name, partial(_shown, rows[name], starts[name], store)) for name in chosen)
+
+
+def _shown(row: dict[str, Any], start: list[dict[str, Any]], store: AssetStore) -> Shown:
+    after = scene_from_row(row)
+    both = ((_before(after, start), "before"), (after, "corrected"))
+    return [(drawn(scene, store), f"<b>{escape(after.scene_id)}</b> {title}") for scene, title in both]
+
+
+def _before(after: Scene, start: list[dict[str, Any]]) -> Scene:
+    """The scene as it came, without what was left out of it since."""
+    poses = {row["instance"]: row for row in start}
+    objects = (o.moved(tuple(poses[o.instance]["position"]), poses[o.instance]["yaw"]) for o in after.objects)
+    return replace(after, objects=tuple(objects))
+
+
+def _share(values: pl.Series) -> str:
+    unknown = values.null_count()
+    return f"{int(values.sum())} of {len(values)}" + (f", {unknown} unknown" if unknown else "")
+
+
+def _percent(value: Any) -> str:
+    return "unknown" if value is None else f"{100 * value:.2f} %"
+
+
+def _number(value: Any) -> str:
+    return "unknown" if value is None else f"{value:.2f}"
+
+
+def _of(count: Any, total: Any) -> str:
+    return f"{count or 0} of {total or 0}" + (f" ({100 * count / total:.1f} %)" if total else "")

@@ -1,0 +1,202 @@
+"""A shard of a job over scenes that asks one costly question for all of them: the flow of correct, the reasoner of edit.
+
+Each item is looked at alone, all that stand are asked about at once, each is finished alone; so a bad one costs no other.
+"""
+
+from abc import ABC, abstractmethod
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar, Generic, Literal, TypeAlias, TypeVar
+
+from models.physics_corrector.certify import CertifyOptions, Dropped, Status
+from models.physics_corrector.corrector import Correction, PhysicsCorrector
+from models.physics_corrector.learned_flow import load_flow
+from pipelines.correct.settings import CorrectSettings
+from pipelines.execution.item_progress import Progress
+from pipelines.execution.ray_executor import Loss, alone, limited
+from pipelines.execution.shard_job import Rows, rows_alone, rows_or_failure
+from pipelines.sources.scenes import SceneSource, Taken
+from stable_data.errors import ConfigError, Notice
+from stable_data.storage import schemas
+from stable_data.storage.run_folder import RunFolder
+
+S = TypeVar("S", bound=CorrectSettings)
+I = TypeVar("I")  # noqa: E741 - an item
+A = TypeVar("A")  # an answer
+X = TypeVar("X")
+
+WhenFull: TypeAlias = Literal["drop", "infeasible"]
+
+
+@dataclass(frozen=True, slots=True)
+class SceneShard(Generic[I]):
+    """Items that are done together.
+
+    Attributes:
+        shard_id: Content of its inputs and of the settings that shape it.
+        items: The items.
+    """
+
+    shard_id: str
+    items: tuple[I, ...]
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    def __str__(self) -> str:
+        return f"shard {self.shard_id} ({len(self.items)} items)"
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """What a process keeps of its work.
+
+    Attributes:
+        source: Where the scenes are.
+        corrector: Corrects them.
+        taken: The scenes of the shard, each of which is asked for several times.
+    """
+
+    source: SceneSource
+    corrector: PhysicsCorrector
+    taken: dict[str, Taken] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class SceneWork(ABC, Generic[S, I, A]):
+    """The work of one shard; sent to the workers.
+
+    Attributes:
+        TABLES: Of a shard, in the order in which they are put in place.
+        scenes: Where the scenes are: an absolute path or a URI that every worker can read.
+        out: The run's folder, which every worker can write, likewise.
+        settings: The job's settings.
+        fingerprint: Content of the inputs: what a process keeps of one is not used for another in the same place.
+    """
+
+    TABLES: ClassVar[tuple[str, ...]]
+
+    scenes: str
+    out: str
+    settings: S
+    fingerprint: str = ""
+
+    def __call__(self, shard: SceneShard[I], *, isolated: bool = False) -> tuple[int, int]:
+        """Does the shard and puts its tables in place; gives its items and how many of them failed."""
+        rows: dict[str, list[schemas.Row]] = defaultdict(list)
+        usable = []
+        for item in shard.items:
+            failed = self._limited(self._look, item, self.item_id(item), isolated)
+            _add(rows, failed)
+            if not failed:
+                usable.append(item)
+        for pair in zip(usable, self._answers(usable, isolated), strict=True):
+            _add(rows, self._limited(self._finish, pair, self.item_id(pair[0]), isolated))
+        if not isolated:  # else nothing was opened here
+            self.opened().taken.clear()
+        out = RunFolder(self.out)
+        for table in self.TABLES:
+            out.write_shard(table, shard.shard_id, rows[table])
+        return len(shard), len(rows["failures"])
+
+    @abstractmethod
+    def item_id(self, item: I) -> str:
+        """What the rows of an item are named by."""
+
+    @abstractmethod
+    def opened(self) -> Opened:
+        """What this process keeps, opened when it is first asked for."""
+
+    @abstractmethod
+    def look(self, item: I, progress: Progress) -> None:
+        """Takes an item from its source, and raises where it cannot be used."""
+
+    @abstractmethod
+    def answers(self, items: Sequence[I]) -> list[A]:
+        """The costly question, for all items of a shard."""
+
+    @abstractmethod
+    def unanswered(self, loss: Loss, items: Sequence[I]) -> ConfigError:
+        """What to say where the process that asked it was lost."""
+
+    @abstractmethod
+    def finished(self, item: I, answer: A) -> Rows:
+        """Rows of an item, from its answer; what cannot be done is a row of ``failures``."""
+
+    def prepare_to_ask(self) -> None:
+        """Opens what the question needs, outside of its time."""
+        self._prepare()
+
+    def take(self, scene_id: str, progress: Progress) -> Taken:
+        """A scene of the source, as it was first taken for this shard."""
+        opened = self.opened()
+        if scene_id not in opened.taken:
+            opened.taken[scene_id] = opened.source.take(scene_id, self.settings.scene_settings(), progress)
+        return opened.taken[scene_id]
+
+    def _look(self, item: I) -> Rows:
+        progress = Progress("read")
+
+        def look() -> Rows:
+            self.look(item, progress)
+            return {}
+
+        return rows_or_failure(self.item_id(item), progress, look)
+
+    def _finish(self, pair: tuple[I, A]) -> Rows:
+        return self.finished(*pair)
+
+    def _answers(self, items: Sequence[I], isolated: bool) -> list[A]:
+        if not isolated:
+            return self.answers(items)
+        seconds = self.settings.seconds_per_item * max(1, len(items))
+        found = alone(self.answers, items, seconds=seconds, prepare=self.prepare_to_ask)
+        if isinstance(found, Loss):
+            raise self.unanswered(found, items)
+        return found
+
+    def _limited(self, make: Callable[[X], Rows], item: X, item_id: str, isolated: bool) -> Rows:
+        seconds = self.settings.seconds_per_item
+        if isolated:
+            return rows_alone(make, item, item_id, seconds=seconds, prepare=self._prepare)
+        self._prepare()
+        with limited(seconds):
+            return make(item)
+
+    def _prepare(self) -> None:
+        """Opens what items need, outside of the time of the first one."""
+        self.opened()
+
+
+def corrector_of(settings: CorrectSettings, *, flows: bool = True) -> PhysicsCorrector:
+    """The corrector of some settings.
+
+    Args:
+        settings: Of the job.
+        flows: Whether the flow moves objects before they are certified, where there are weights.
+    """
+    when_full: WhenFull = "infeasible" if settings.when_full == "infeasible" else "drop"
+    options = CertifyOptions(when_full=when_full, restore=settings.restore)
+    return PhysicsCorrector(load_flow(settings.weights, settings.steps) if flows else None, options, settings.judge_raw)
+
+
+def dropped_notice(dropped: Dropped, scene_id: str) -> Notice:
+    """Says what was left out, and why."""
+    return Notice(scene_id, "certify", "dropped", f"{scene_id}: {dropped.instance} is left out: {dropped.reason}")
+
+
+def notices_of(done: Correction, scene_id: str) -> list[Notice]:
+    """What of a correction deserves a look."""
+    notices = [dropped_notice(d, scene_id) for d in done.dropped]
+    if done.rest is not None and done.rest.unsteady:
+        message = f"{scene_id}: {', '.join(done.rest.unsteady)} would not stay in the physics engine"
+        notices.append(Notice(scene_id, "certify", "unsteady", message))
+    if done.status is Status.UNKNOWN:
+        notices.append(Notice(scene_id, "certify", "unknown", f"{scene_id}: {done.reason}"))
+    return notices + ([] if done.audit is None else list(done.audit.notices))
+
+
+def _add(rows: dict[str, list[schemas.Row]], new: Rows) -> None:
+    for table, found in new.items():
+        rows[table] += found

@@ -1,0 +1,114 @@
+"""One shard of the correct job: scenes taken, sent through the flow as one batch, certified; their rows.
+
+A shard's rows depend on nothing but the shard.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from typing import ClassVar
+
+from models.physics_corrector.corrector import Correction
+from pipelines.correct.scene_shard import Opened, SceneWork, corrector_of, notices_of
+from pipelines.correct.settings import CorrectSettings
+from pipelines.execution.item_progress import Progress
+from pipelines.execution.ray_executor import Loss
+from pipelines.execution.shard_job import Rows, rows_or_failure
+from pipelines.preprocess.scene import related, with_counts
+from pipelines.sources.scenes import scene_source
+from stable_data.errors import ConfigError, MeshError, Notice
+from stable_data.metrics.audit import PosedScene
+from stable_data.scene import FloatArray, Scene
+from stable_data.simulation.collision_bodies import bodies_of
+from stable_data.storage import schemas
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectWork(SceneWork[CorrectSettings, str, FloatArray | None]):
+    """The work of one shard: an item is a scene's id, and its answer where the flow puts its objects, (N, 4) float64."""
+
+    TABLES: ClassVar = ("warnings", "failures", "corrections", "scenes")
+
+    def item_id(self, item: str) -> str:
+        """The scene's id."""
+        return item
+
+    def opened(self) -> Opened:
+        """What this process keeps."""
+        return _opened(self)
+
+    def look(self, item: str, progress: Progress) -> None:
+        """Takes a scene."""
+        self.take(item, progress)
+
+    def answers(self, items: Sequence[str]) -> list[FloatArray | None]:
+        """What the flow makes of scenes; None without a flow."""
+        taken = [self.take(scene_id, Progress("read")) for scene_id in items]
+        fixed = [self.settings.fixed_in(t.scene) for t in taken]
+        raws = self.opened().corrector.raw([t.scene for t in taken], [t.shapes for t in taken], fixed)
+        return [None if raw is None else raw.poses() for raw in raws]
+
+    def unanswered(self, loss: Loss, items: Sequence[str]) -> ConfigError:
+        """What to do where the flow was lost."""
+        found = f"the flow {str(loss).replace('_', ' ')} over {len(items)} scenes such as {items[0]}"
+        return ConfigError(f"{found}; free memory, take smaller shards, or set weights to none", "flow_failed")
+
+    def finished(self, item: str, answer: FloatArray | None) -> Rows:
+        """Rows of one scene, from where the flow put its objects."""
+        progress = Progress("certify")
+        return rows_or_failure(item, progress, lambda: self._rows(item, answer, progress))
+
+    def _rows(self, scene_id: str, raw_poses: FloatArray | None, progress: Progress) -> Rows:
+        taken = self.take(scene_id, progress)
+        progress.step = "certify"
+        raw = None if raw_poses is None else taken.scene.with_poses(raw_poses)
+        opened, fixed, notices = self.opened(), self.settings.fixed_in(taken.scene), list(taken.notices)
+        bodies = None
+        if self.settings.settle:
+            progress.step = "convex parts"
+            try:
+                bodies = bodies_of(taken.scene, taken.shapes, opened.source.store)
+            except MeshError as error:
+                notices.append(Notice(scene_id, "certify", "not_settled", f"{scene_id}: the engine was not asked: {error}"))
+            progress.step = "certify"
+        done = opened.corrector.certified(taken.scene, taken.shapes, taken.audit, raw, fixed, bodies)
+        found: Rows = {"corrections": [correction_row(done)]}
+        if done.certified is None or done.audit is None or done.card_after is None:
+            message = f"{scene_id}: {done.reason}"
+            found["failures"] = [schemas.notice_row(Notice(scene_id, "certify", str(done.status), message))]
+        else:
+            progress.step = "relations"
+            shape_of = {o.instance: shape for o, shape in zip(taken.scene.objects, taken.shapes, strict=True)}
+            posed = PosedScene(done.certified, [shape_of[o.instance] for o in done.certified.objects])
+            scene = related(posed, done.audit, taken.containers).scene
+            card = with_counts(done.card_after, scene)
+            found["scenes"] = [{**schemas.scene_row(scene), **schemas.card_row(card), **done.audit.rows(), **taken.origin}]
+            notices += notices_of(done, scene_id)
+        return found | {"warnings": [schemas.notice_row(n) for n in notices]}
+
+
+@lru_cache(maxsize=1)
+def _opened(work: CorrectWork) -> Opened:
+    return Opened(scene_source(work.scenes), corrector_of(work.settings))
+
+
+def correction_row(done: Correction) -> schemas.Row:
+    """A correction as a row of ``corrections``."""
+    kept = done.kept
+    counted = ("on_in_held", "on_in_kept", "asked_broken", "asked_restored", "directional_held", "directional_kept")
+    return {
+        "scene_id": done.start.scene_id,
+        "status": str(done.status),
+        "reason": done.reason,
+        "dropped": [{"instance": d.instance, "reason": d.reason} for d in done.dropped],
+        "start": _pose_rows(done.start),
+        "raw": None if done.raw is None else _pose_rows(done.raw),
+        "card_before": None if done.card_before is None else asdict(done.card_before),
+        "card_raw": None if done.card_raw is None else asdict(done.card_raw),
+        "card_after": None if done.card_after is None else asdict(done.card_after),
+        **{name: None if kept is None else getattr(kept, name) for name in counted},
+    }
+
+
+def _pose_rows(scene: Scene) -> list[schemas.Row]:
+    return [{"instance": o.instance, "position": o.position, "yaw": o.yaw} for o in scene.objects]

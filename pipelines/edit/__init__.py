@@ -1,0 +1,1 @@
+"""Job edit: instructions change scenes."""

@@ -1,0 +1,135 @@
+"""Assets for what an edit adds or changes, from the library that the scene's own assets are of."""
+
+import os
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from models.semantic_reasoner.editing import EditedScene
+from models.text_encoder import load_default
+from pipelines.sources.scenes import SceneSource
+from stable_data.assets.box_fitting import proportions, size_score, stretched_scale, uniform_factor
+from stable_data.assets.catalog import Asset, AssetLibrary
+from stable_data.assets.retrieval import Match, Query, Retriever
+from stable_data.assets.substitution import with_assets
+from stable_data.errors import Notice, SceneError
+from stable_data.mesatask.frame import rotation_matrix
+from stable_data.scene import UPRIGHT, FloatArray, Scene, SceneObject, Vec3
+
+_AS_GOOD = 0.01  # a thing of another size keeps its tilt where no other fits better by this cosine
+_EVEN, _MOST_UNEVEN = 1.03, 1.6  # between these distortions it is stretched, below and above scaled evenly
+
+
+@dataclass(frozen=True, slots=True)
+class WithAssets:
+    """An edited scene whose new things have assets.
+
+    Attributes:
+        scene: The scene.
+        kept: Instances that are where they were before assets were found.
+        notices: What about the choice deserves a look.
+    """
+
+    scene: Scene
+    kept: frozenset[str]
+    notices: tuple[Notice, ...] = ()
+
+
+class AssetFinder:
+    """Finds assets; the library is read and encoded when the first is wanted.
+
+    Args:
+        source: Where the scenes, and so their assets, are.
+    """
+
+    def __init__(self, source: SceneSource) -> None:
+        self._source = source
+
+    @cached_property
+    def _retriever(self) -> Retriever:
+        encoder = load_default()
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "stable-data" / "text"
+        return Retriever([self._library.embedded(encoder, cache / f"{encoder.fingerprint}.parquet")], encoder)
+
+    def with_assets(self, edited: EditedScene, edit_id: str, seed: int) -> WithAssets:
+        """The scene with an asset for each thing that wants one, and its own for each that is of another size.
+
+        Equal words get equal assets within an edit. The underside of a thing stays at its height; what rests on it comes with
+        it.
+
+        Args:
+            edited: The scene after the reply.
+            edit_id: Together with the seed, what decides among assets that are as good.
+            seed: Likewise.
+
+        Raises:
+            SceneError: The library has nothing like it (``asset_unmatched``).
+        """
+        scene, wanting = edited.scene, set(edited.wanting)
+        resized = [o for o in scene.objects if o.instance in edited.changed and o.scale is None and o.asset_id is not None]
+        if not (wanting or resized):
+            return WithAssets(scene, frozenset(o.instance for o in scene.objects))
+        asked = [o for o in scene.objects if o.instance in wanting]
+        queries = [Query(o.description, o.size, o.category, edit_id) for o in asked]
+        answers = self._retriever.retrieve(queries, seed) if queries else []
+        matches: dict[str, Match] = {}
+        for o, answer in zip(asked, answers, strict=True):
+            if not isinstance(answer, Match):
+                raise SceneError(f"{edit_id}: no asset for {o.instance}: {answer.reason}", "asset_unmatched")
+            matches[o.instance] = answer
+        matches |= {o.instance: match for o in resized if (match := self._fitted(o)) is not None}
+        wanting = set(matches)
+        members = scene.resting_on(wanting)
+        done = {o.instance: o for o in with_assets([o for o in scene.objects if o.instance in members], matches)}
+        objects = tuple(_named_so(done.get(o.instance, o), o) for o in scene.objects)
+        kept = frozenset(
+            o.instance
+            for o, now in zip(scene.objects, objects, strict=True)
+            if o.instance not in wanting and now.position == o.position
+        )
+        notes = tuple(
+            Notice(edit_id, "assets", "not_stretched", f"{edit_id}: {name} {match.note}")
+            for name, match in matches.items()
+            if match.note
+        )
+        return WithAssets(replace(scene, objects=objects), kept, notes)
+
+    def _fitted(self, o: SceneObject) -> Match | None:
+        """An object's own asset at the tilt and scale that come nearest to its size; None where it has no mesh."""
+        mesh = self._source.store.mesh_of(o)
+        if mesh is None or o.asset_id is None:
+            return None
+        known = self._library_assets.get(o.asset_id)
+        tilts = (o.tilt_quat_xyzw, *((UPRIGHT,) if known is None else (tilt.quat_xyzw for tilt in known.tilts)))
+        boxes = np.array([np.ptp(mesh.vertices @ rotation_matrix(tilt).T, axis=0) for tilt in tilts])
+        scores = size_score(proportions(o.size), proportions(boxes))
+        k = 0 if scores[0] >= scores.max() - _AS_GOOD else int(scores.argmax())
+        box = _triple(boxes[k])
+        stretched, distortion = stretched_scale(o.size, box, tilts[k])
+        if stretched is not None and _EVEN < distortion <= _MOST_UNEVEN:
+            scale, size = stretched, o.size
+        else:
+            factor = float(uniform_factor(o.size, box))
+            scale, size = (factor, factor, factor), _triple(factor * boxes[k])
+        score = float(scores[k])
+        return Match(o.asset_id, self._source.name, o.category, score, 1.0, score, tilts[k], scale, size)
+
+    @cached_property
+    def _library(self) -> AssetLibrary:
+        return self._source.library()
+
+    @cached_property
+    def _library_assets(self) -> dict[str, Asset]:
+        return {asset.asset_id: asset for asset in self._library.assets}
+
+
+def _triple(values: FloatArray) -> Vec3:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def _named_so(now: SceneObject, wanted: SceneObject) -> SceneObject:
+    """The object under the category that its instance names."""
+    return now if now.category == wanted.category else replace(now, category=wanted.category)

@@ -1,0 +1,92 @@
+"""The report page of an edit run: what was asked, what was done, and pictures before and after."""
+
+from collections.abc import Iterable
+from functools import partial
+from html import escape
+from typing import Any
+
+import polars as pl
+import pyarrow.compute as pc
+
+from pipelines.reports.html import bars, head, histogram, notices, page, tiles
+from pipelines.reports.scene_pictures import Shown, drawn, figures
+from stable_data.assets.store import AssetStore
+from stable_data.scene import Scene
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import Row, object_from_row, scene_from_row
+
+
+def write_edit_report(folder: RunFolder, manifest: dict[str, Any], store: AssetStore, num_pictures: int) -> None:
+    """Writes ``report/index.html``.
+
+    Args:
+        folder: The run; its tables are complete.
+        manifest: Its manifest, with counts.
+        store: Geometry of the assets, for the pictures.
+        num_pictures: Edits that are drawn before and after, the first of each kind in turn.
+    """
+    counts = manifest["counts"]
+    edits = folder.table("edits", ["edit_id", "kind", "instruction"]).to_pylist()
+    cards = pl.from_arrow(folder.table("scenes", ["scene_id", "clean", "move_max_mm"]))
+    assert isinstance(cards, pl.DataFrame)
+    figures = [
+        (f"{counts['scenes']} / {manifest['num_edits']}", "edits done"),
+        (str(int(cards["clean"].sum())), "scenes clean afterwards"),
+        (str(counts["warnings_by_code"].get("others_moved", 0)), "edits for which other things moved too"),
+        (str(counts["warnings_by_code"].get("nothing_changed", 0)), "replies that changed nothing"),
+        (str(counts["failures"]), "rows in failures"),
+        (str(counts["warnings"]), "warnings"),
+    ]
+    body = [
+        head(manifest),
+        f'<p class="note">Reasoner: {escape(manifest["engine"])}</p>',
+        tiles(figures),
+        '<div class="grid">',
+        bars("What the replies do", pl.Series([row["kind"] for row in edits], dtype=pl.String)),
+        histogram(
+            "Largest move in correction, mm (unknown: not corrected)",
+            cards["move_max_mm"],
+            [0, 1e-9, 1, 3, 10, 30, 100, 10_000],
+        ),
+        "</div>",
+        *_pictures(folder, edits, store, num_pictures),
+        *notices(folder),
+    ]
+    folder.write_bytes("report/index.html", page(f"{manifest['dataset']}: edit", body))
+
+
+def _pictures(folder: RunFolder, edits: list[Row], store: AssetStore, count: int) -> Iterable[str]:
+    chosen = [row["edit_id"] for row in _in_turn(edits)[: max(count, 0)]]
+    if not chosen:
+        return
+    befores = {row["edit_id"]: row for row in folder.table("edits", where=pc.field("edit_id").isin(chosen)).to_pylist()}
+    afters = {row["scene_id"]: row for row in folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()}
+    yield "<h2>Pictures</h2><p class=note>Left before, right after.</p>"
+    yield from figures((name, partial(_shown, befores[name], afters[name], store)) for name in chosen)
+
+
+def _shown(was: Row, row: Row, store: AssetStore) -> Shown:
+    now, name = scene_from_row(row), escape(was["edit_id"])
+    goes = f"<br>goes: {escape(', '.join(was['removed']))}" if was["removed"] else ""
+    return [
+        (drawn(_before(was, now), store), f"<b>{name}</b> before<br>{escape(was['instruction'])}"),
+        (drawn(now, store), f"<b>{name}</b> after{goes}<br>new or changed: {escape(_names(was))}"),
+    ]
+
+
+def _in_turn(edits: list[Row]) -> list[Row]:
+    """Edits with the kinds taking turns."""
+    seen: dict[str, int] = {}
+    rank = []
+    for k, row in enumerate(edits):
+        seen[row["kind"]] = seen.get(row["kind"], 0) + 1
+        rank.append((seen[row["kind"]], k))
+    return [edits[k] for _, k in sorted(rank)]
+
+
+def _before(row: Row, after: Scene) -> Scene:
+    return Scene(row["scene_id"], after.table, tuple(object_from_row(o) for o in row["objects_in"]))
+
+
+def _names(row: Row) -> str:
+    return ", ".join(f"{o['instance']} ({o['description']})" for o in row["objects_out"])

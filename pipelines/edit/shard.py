@@ -1,0 +1,280 @@
+"""One shard of the edit job: scenes taken, the reasoner asked for all of them at once, each reply carried out; their rows.
+
+A shard's rows depend on nothing but the shard.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import ClassVar
+
+from models.physics_corrector.corrector import Correction
+from models.semantic_reasoner.editing import EditedScene, Editing, apply_edit, editing
+from models.semantic_reasoner.engines.protocol import OFF
+from models.semantic_reasoner.factory import load_reasoner
+from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
+from models.semantic_reasoner.text.reply_json import parse_reply
+from pipelines.correct.scene_shard import Opened, SceneWork, corrector_of, notices_of
+from pipelines.correct.shard import correction_row
+from pipelines.edit.assets import AssetFinder
+from pipelines.edit.settings import EditSettings
+from pipelines.execution.item_progress import Progress
+from pipelines.execution.ray_executor import Loss
+from pipelines.execution.shard_job import Rows, engine_off, rows_or_failure
+from pipelines.preprocess.scene import related, with_counts
+from pipelines.sources.edits import WantedEdit
+from pipelines.sources.scenes import Taken, scene_source
+from stable_data.errors import ConfigError, Notice, SceneError
+from stable_data.geometry.shape import Shape
+from stable_data.metrics.audit import Audit, PosedScene, audit_posed
+from stable_data.metrics.card import MetricCard
+from stable_data.metrics.collision import ROUNDING
+from stable_data.scene import Scene, SceneObject
+from stable_data.scene_graph.staging import stage_scene
+from stable_data.storage import schemas
+from stable_data.storage.run_folder import content_id
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Replied:
+    """What a reply makes of a scene.
+
+    Attributes:
+        edited: The scene, or why there is none.
+        notices: What about the question or the reply deserves a look.
+    """
+
+    edited: EditedScene | Notice
+    notices: tuple[Notice, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class EditWork(SceneWork[EditSettings, WantedEdit, Replied]):
+    """The work of one shard: an item is an edit, and its answer what its reply makes of the scene."""
+
+    TABLES: ClassVar = ("warnings", "failures", "corrections", "edits", "scenes")
+
+    def item_id(self, item: WantedEdit) -> str:
+        """The edit's id."""
+        return item.edit_id
+
+    def opened(self) -> "_Opened":
+        """What this process keeps."""
+        return _opened(self)
+
+    def prepare_to_ask(self) -> None:
+        """Opens the reasoner."""
+        _ = self.opened().reasoner
+
+    def look(self, item: WantedEdit, progress: Progress) -> None:
+        """Takes an edit's scene."""
+        editing(self.take(item.scene_id, progress).scene)
+
+    def answers(self, items: Sequence[WantedEdit]) -> list[Replied]:
+        """What the replies make of the scenes; the reasoner is asked for all that have none at once.
+
+        Raises:
+            ConfigError: The engine answers nothing any more (``engine_off``).
+        """
+        shown = [editing(self.take(edit.scene_id, Progress("read")).scene) for edit in items]
+        waiting = [k for k, edit in enumerate(items) if edit.reply is None]
+        proposals: dict[int, Proposal] = {}
+        if waiting:
+            asks = [shown[k].ask(items[k].instruction) for k in waiting]
+            seeds = [seed_of(items[k], self.settings.seed) for k in waiting]
+            proposals = dict(zip(waiting, self.opened().reasoner.propose(asks, seeds), strict=True))
+            for k, proposal in proposals.items():
+                if proposal.code in OFF:
+                    raise engine_off(f"{items[k].edit_id}: {proposal.failure}")
+        return [_replied(edit, own, proposals.get(k)) for k, (edit, own) in enumerate(zip(items, shown, strict=True))]
+
+    def unanswered(self, loss: Loss, items: Sequence[WantedEdit]) -> ConfigError:
+        """What to do where the reasoner was lost."""
+        found = f"the reasoner {str(loss).replace('_', ' ')} over {len(items)} edits such as {items[0].edit_id}"
+        return ConfigError(f"{found}; free memory, or set scenes_per_shard lower", "engine_failed")
+
+    def finished(self, item: WantedEdit, answer: Replied) -> Rows:
+        """Rows of one edit, from its reply."""
+        edited = answer.edited
+        if isinstance(edited, Notice):
+            return {"failures": [schemas.notice_row(edited)], "warnings": _notice_rows(item, answer.notices)}
+        progress = Progress("assets")
+        rows = rows_or_failure(item.edit_id, progress, lambda: self._rows(item, edited, answer.notices, progress))
+        return {"warnings": _notice_rows(item, answer.notices)} | rows
+
+    def _rows(self, edit: WantedEdit, replied: EditedScene, said: Sequence[Notice], progress: Progress) -> Rows:
+        taken, opened = self.take(edit.scene_id, progress), self.opened()
+        notices = [*taken.notices, *said]
+        progress.step = "assets"
+        found = opened.finder.with_assets(replied, edit.edit_id, self.settings.seed)
+        notices += found.notices
+        progress.step = "mesh"
+        scene, shapes, odd = opened.source.store.resolved(replace(found.scene, scene_id=edit.edit_id))
+        notices += [n for n in odd if n.message not in {known.message for known in taken.notices}]
+        progress.step = "stage"
+        scene, gone = _staged(scene, self.settings.important_threshold)
+        notices += gone
+        progress.step = "audit"
+        posed = PosedScene(scene, shapes)
+        audit = audit_posed(posed)
+        notices += audit.notices
+        card: MetricCard | None = audit.card()
+        rows: Rows = {}
+        if self.settings.correct and replied.kind != "none":
+            progress.step = "certify"
+            done, noted = self._corrected(scene, shapes, audit, replied.untouched & found.kept)
+            notices += noted
+            rows["corrections"] = [correction_row(done)]
+            if done.certified is None or done.audit is None:
+                message = f"{edit.edit_id}: {done.reason}"
+                failure = Notice(edit.edit_id, "certify", str(done.status), message)
+                return rows | {"failures": [schemas.notice_row(failure)], "warnings": _notice_rows(edit, notices)}
+            shape_of = {o.instance: shape for o, shape in zip(scene.objects, shapes, strict=True)}
+            posed = PosedScene(done.certified, [shape_of[o.instance] for o in done.certified.objects])
+            audit, card = done.audit, done.card_after
+        progress.step = "relations"
+        scene = related(posed, audit, opened.source.containers(posed.scene)).scene
+        assert card is not None  # a certified scene has one
+        card = with_counts(card, scene)
+        if replied.kind == "none":
+            notices.append(Notice(edit.edit_id, "reply", "nothing_changed", f"{edit.edit_id}: the reply changes nothing"))
+        rows["scenes"] = [{**schemas.scene_row(scene), **schemas.card_row(card), **audit.rows(), **taken.origin}]
+        rows["edits"] = [_edit_row(edit, replied.kind, taken, scene)]
+        return rows | {"warnings": _notice_rows(edit, notices)}
+
+    def _corrected(
+        self, scene: Scene, shapes: Sequence[Shape], audit: Audit, untouched: frozenset[str]
+    ) -> tuple[Correction, list[Notice]]:
+        """The scene corrected, with what the edit does not name fixed as the settings say."""
+        always = self.settings.fixed_in(scene)
+        wished = [always | untouched, always | (untouched - _at_fault(scene, audit)), always]
+        allowed = {"fixed": wished[:1], "free": wished[2:], "fixed_first": wished}[self.settings.others]
+        for fixed in dict.fromkeys(allowed):
+            tried = self._certified(scene, shapes, audit, fixed)
+            if fixed == allowed[0] or not _is_poor(tried):
+                done = tried
+            if not _is_poor(tried):
+                break
+        notices = notices_of(done, scene.scene_id)
+        if done.certified is not None:
+            was = {o.instance: (o.position, o.yaw) for o in scene.objects if o.instance in untouched}
+            moved = [o.instance for o in done.certified.objects if was.get(o.instance, ()) not in ((), (o.position, o.yaw))]
+            if moved:
+                message = f"{scene.scene_id}: {', '.join(moved)} moved too, for there was no clean layout otherwise"
+                notices.append(Notice(scene.scene_id, "certify", "others_moved", message))
+        return done, notices
+
+    def _certified(self, scene: Scene, shapes: Sequence[Shape], audit: Audit, fixed: frozenset[str]) -> Correction:
+        corrector = self.opened().corrector
+        (raw,) = corrector.raw([scene], [shapes], [fixed])
+        return corrector.certified(scene, shapes, audit, raw, fixed)
+
+
+def seed_of(edit: WantedEdit, seed: int) -> int:
+    """The seed of an edit's draws: of the edit and the job's seed, whichever shard it is in."""
+    return int(content_id(seed, edit.edit_id, edit.scene_id, edit.instruction), 16)
+
+
+def _replied(edit: WantedEdit, shown: Editing, proposal: Proposal | None) -> Replied:
+    """What the reply of an edit, or what was proposed where it has none, makes of its scene."""
+    notices = []
+    if proposal is not None:
+        told = [(n.step, n.code, n.message) for n in proposal.notices]
+        told += [("reply", f.code, f.message) for f in proposal.faults if f.code != "nothing_changed"]  # which is seen later
+        notices = [Notice(edit.edit_id, step, code, f"{edit.edit_id}: {message}") for step, code, message in told]
+    try:
+        reply = parse_reply(edit.reply or "") if proposal is None else proposal.reply
+        if reply is not None:
+            return Replied(apply_edit(shown, reply), tuple(notices))
+        assert proposal is not None
+        code, reason = proposal.code, proposal.failure
+    except SceneError as error:
+        code, reason = error.code, str(error)
+    return Replied(Notice(edit.edit_id, "reply", code or "no_reply", f"{edit.edit_id}: {reason}"), tuple(notices))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Opened(Opened):
+    """What a process keeps of its work.
+
+    Attributes:
+        settings: Of the job.
+        finder: Finds assets for what is new.
+    """
+
+    settings: EditSettings
+    finder: AssetFinder
+
+    @cached_property
+    def reasoner(self) -> SemanticReasoner:
+        """The reasoner, opened when the first edit without a reply comes."""
+        reasoner, _ = load_reasoner(self.settings.engine, self.settings.reasoner)
+        return reasoner
+
+
+@lru_cache(maxsize=1)
+def _opened(work: EditWork) -> _Opened:
+    settings, source = work.settings, scene_source(work.scenes)
+    corrector = corrector_of(settings, flows=settings.correct)
+    return _Opened(source, corrector, settings=settings, finder=AssetFinder(source))
+
+
+def _is_poor(done: Correction) -> bool:
+    """Whether something was not found a place."""
+    return done.certified is None or bool(done.dropped)
+
+
+def _at_fault(scene: Scene, audit: Audit) -> frozenset[str]:
+    """What keeps a scene from being clean, with all that rests on it."""
+    deep = audit.tolerance + ROUNDING
+    found = {
+        o.instance for o in audit.objects if o.floats is not False or o.is_outside is not False or o.table_penetration > deep
+    }
+    for pair in audit.pairs:
+        if pair.penetration is None or pair.penetration > audit.tolerance:
+            found |= {pair.first, pair.second}
+    return frozenset(scene.resting_on(found))
+
+
+def _staged(scene: Scene, threshold: float) -> tuple[Scene, list[Notice]]:
+    """The scene with stages as they are now, and its task without objects that are gone."""
+    task = scene.task
+    if task is None:
+        return scene, []
+    names = {o.instance for o in scene.objects}
+    gone = [name for name in task.task_objects if name not in names]
+    notices = []
+    if gone:
+        relations = tuple(r for r in task.relations if names >= {r.subject} and r.target not in gone)
+        there = tuple(name for name in task.task_objects if name in names)
+        scene = replace(scene, task=replace(task, task_objects=there, relations=relations))
+        message = f"{scene.scene_id}: the task {task.task!r} speaks of {', '.join(gone)}, which the edit took away"
+        notices = [Notice(scene.scene_id, "stage", "task_object_removed", message)]
+    return stage_scene(scene, threshold), notices
+
+
+def _edit_row(edit: WantedEdit, kind: str, taken: Taken, after: Scene) -> schemas.Row:
+    """What was done in all, correction and others that moved included."""
+    before = {o.instance: o for o in taken.scene.objects}
+    names = {o.instance for o in after.objects}
+    changed = [o for o in after.objects if o.instance not in before or _is_other(o, before[o.instance])]
+    head = schemas.scene_row(taken.scene)
+    return {
+        "edit_id": edit.edit_id,
+        **{name: head[name] for name in ("scene_id", "table_type", "table_size", "restricted_zone")},
+        "split": taken.origin["split"],
+        "kind": kind,
+        "instruction": edit.instruction,
+        "objects_in": [schemas.object_row(o, with_source=False) for o in taken.scene.objects],
+        "objects_out": [schemas.object_row(o, with_source=False) for o in changed],
+        "removed": [name for name in before if name not in names],
+    }
+
+
+def _is_other(o: SceneObject, was: SceneObject) -> bool:
+    """Whether it is elsewhere or another thing, whatever its stage and support."""
+    return replace(o, stage=was.stage, support=was.support) != was
+
+
+def _notice_rows(edit: WantedEdit, notices: Sequence[Notice]) -> list[schemas.Row]:
+    return [schemas.notice_row(replace(n, item_id=edit.edit_id)) for n in notices]

@@ -1,0 +1,1 @@
+"""How jobs run: shards, workers, progress, resume."""

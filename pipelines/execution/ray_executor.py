@@ -1,0 +1,330 @@
+"""Runs shards: in this process, or on Ray. What a shard does, and where its rows go, is the caller's."""
+
+import faulthandler
+import logging
+import os
+import socket
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import TimeoutError as FutureTimeoutError
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import StrEnum
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
+
+import ray
+from tqdm import tqdm
+
+from stable_data.errors import ConfigError, StableDataError
+
+T = TypeVar("T")
+R = TypeVar("R")
+R_co = TypeVar("R_co", covariant=True)
+T_contra = TypeVar("T_contra", contravariant=True)
+
+_AHEAD = 2  # shards in flight for each worker: the next one is there when one ends, and memory stays flat
+_ALONE_FROM = 2  # deaths of workers over a shard from which it runs isolated: the first may have come from outside
+_MAX_DEATHS = 4  # of workers over one shard, before it is left to a later run
+_MAX_NODES = 8  # lost under one shard before it is left to a later run: it is hardly ever at fault, but nothing loops forever
+_LOOK_SECONDS = 10.0  # between looks at a cluster on which no shard ends
+_PATIENCE_SECONDS = 1800.0  # with a cluster that has no core at all, as between two spot machines
+_START_SECONDS = 600.0  # in which a process of its own is there and ready
+_CHECKOUT = Path(__file__).resolve().parents[2]
+_NOT_SHIPPED = ["/.git", "/.venv", "/data", "/out", "/runs"]
+_WORKER_LOST = (ray.exceptions.WorkerCrashedError, ray.exceptions.TaskCancelledError, ray.exceptions.OutOfMemoryError)
+_NODE_LOST = (
+    ray.exceptions.NodeDiedError,
+    ray.exceptions.LocalRayletDiedError,
+    ray.exceptions.ObjectLostError,
+    ray.exceptions.RaySystemError,  # in a worker: what it stands on is gone
+    ray.exceptions.RuntimeEnvSetupError,  # also where a node goes while it is prepared
+)
+
+
+class Work(Protocol[T_contra, R_co]):
+    """What is done with one shard. It must give the same rows each time, in whatever process."""
+
+    def __call__(self, shard: T_contra, *, isolated: bool = False) -> R_co:
+        """Does it.
+
+        Args:
+            shard: The shard.
+            isolated: Workers died over this shard: do what may end a process in one of its own, item by item.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Workers:
+    """Who runs the shards.
+
+    Attributes:
+        count: Worker processes of a local Ray, or how many shards an existing cluster does at once, where 0 is one for each
+            of its cores. 0 without a cluster runs in this process, without Ray.
+        address: An existing Ray cluster; None starts a local one.
+    """
+
+    count: int = 0
+    address: str | None = None
+
+    @property
+    def are_this_process(self) -> bool:
+        """Whether shards run here, where what kills the process ends the run."""
+        return self.count == 0 and self.address is None
+
+    def run(self, work: Work[T, R], shards: Sequence[T]) -> Iterator[R]:
+        """Does the work for every shard, in whatever order they end.
+
+        Raises:
+            ConfigError: The work cannot go on at all, such as when the disk is full, Ray cannot be reached or a cluster stays
+                without nodes; or, once all others are done, some shards were lost with their workers or nodes again and again.
+        """
+        if self.are_this_process:
+            return (work(shard) for shard in shards)
+        return _RayRun(self, work, shards).results()
+
+
+@dataclass
+class _Attempt(Generic[T]):
+    """A shard, and what was lost over it."""
+
+    shard: T
+    deaths: int = 0
+    nodes: int = 0
+
+    def is_given_up(self, error: ray.exceptions.RayError) -> bool:
+        """Counts a loss; gives whether it was the last one that is borne."""
+        if isinstance(error, _NODE_LOST):
+            self.nodes += 1
+        else:
+            self.deaths += 1
+        return self.deaths >= _MAX_DEATHS or self.nodes >= _MAX_NODES
+
+
+class _RayRun(Generic[T, R]):
+    """Shards on a Ray cluster, a few in flight for each worker."""
+
+    def __init__(self, workers: Workers, work: Work[T, R], shards: Sequence[T]) -> None:
+        self._workers, self._shards = workers, shards
+        self._empty_since: float | None = None
+        self._started_ray = connect(workers)
+        self._work = ray.put(work)
+        self._task = ray.remote(num_cpus=1, max_retries=0)(_call)  # a lost worker is counted here
+
+    def results(self) -> Iterator[R]:
+        waiting = deque(_Attempt(shard) for shard in self._shards)
+        in_flight: dict[Any, _Attempt[T]] = {}
+        lost: list[str] = []
+        try:
+            while waiting or in_flight:
+                width = self._width()
+                while waiting and len(in_flight) < width:
+                    attempt = waiting.popleft()
+                    in_flight[self._task.remote(self._work, attempt.shard, attempt.deaths >= _ALONE_FROM)] = attempt
+                ended, _ = ray.wait(list(in_flight), timeout=_LOOK_SECONDS)
+                if not ended:
+                    self._look_for_nodes()
+                    continue
+                self._empty_since, attempt = None, in_flight.pop(ended[0])
+                try:
+                    result = ray.get(ended[0])
+                except (*_WORKER_LOST, *_NODE_LOST) as error:
+                    if attempt.is_given_up(error):
+                        lost.append(f"{attempt.shard} ({type(error).__name__})")
+                    else:
+                        waiting.append(attempt)  # behind the rest, so that it holds up nothing
+                    continue
+                yield result
+        except ray.exceptions.RayTaskError as error:
+            raise _cause(error, attempt.shard) from error
+        except ray.exceptions.RayError as error:
+            raise ConfigError(
+                f"Ray stopped ({type(error).__name__}: {_first_line(error)}); run again: finished shards are kept", "ray_failed"
+            ) from error
+        finally:
+            if self._started_ray:
+                ray.shutdown()
+        if lost:
+            raise ConfigError(
+                f"{len(lost)} of {len(self._shards)} shards were lost, each with {_MAX_DEATHS} workers although what may end one had a "
+                f"process of its own at last, or with {_MAX_NODES} nodes: {', '.join(lost[:3])}{', …' if len(lost) > 3 else ''}; free "
+                "memory or take fewer workers and run again: finished shards are kept",
+                "worker_lost",
+            )
+
+    def _look_for_nodes(self) -> None:
+        """Says once that the cluster has no core, as when all its spot machines were taken at once; waits for new ones.
+
+        Raises:
+            ConfigError: None has come for too long.
+        """
+        if ray.cluster_resources().get("CPU", 0) >= 1:
+            self._empty_since = None
+            return
+        minutes = f"{_PATIENCE_SECONDS / 60:g} min"
+        if self._empty_since is None:
+            self._empty_since = time.monotonic()
+            tqdm.write(f"the cluster has no core at the moment; waiting for a node, up to {minutes}", file=sys.stderr)
+        elif time.monotonic() - self._empty_since > _PATIENCE_SECONDS:
+            raise ConfigError(
+                f"the cluster at {self._workers.address} had no core for {minutes}, expected one at least; see that it gets "
+                "nodes and run again: finished shards are kept",
+                "cluster_empty",
+            )
+
+    def _width(self) -> int:
+        """How many shards may be in flight; asked each time, for a cluster may grow."""
+        if self._workers.address is None:
+            return _AHEAD * self._workers.count
+        return self._workers.count or max(1, _AHEAD * int(ray.cluster_resources().get("CPU", 0)))
+
+
+def connect(workers: Workers) -> bool:
+    """Starts a local Ray or connects to the cluster, where this process has none yet; gives whether it started one.
+
+    Raises:
+        ConfigError: Ray cannot be reached.
+    """
+    if ray.is_initialized():
+        return False
+    address = workers.address
+    try:
+        if address not in (None, "auto", "local"):
+            _knock(address)  # Ray itself waits for minutes before it says that nobody is there
+        if address is not None:
+            ray.init(address=address, runtime_env=_checkout(), log_to_driver=False, logging_level=logging.ERROR)
+            return False
+        own = {"address": "local", "num_cpus": workers.count}  # without the word Ray joins any cluster of this machine
+        ray.init(**own, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
+    except (OSError, ValueError, RuntimeError) as error:
+        hint = "start it, or leave out --address"
+        if "AuthToken" in str(error.__cause__):
+            hint = "it wants a token: set RAY_AUTH_MODE=token, and RAY_AUTH_TOKEN where ~/.ray/auth_token is not its token"
+        raise ConfigError(
+            f"Ray at {address or 'this machine'} cannot be reached ({error}); {hint}", "ray_unreachable"
+        ) from error
+    return True
+
+
+def _checkout() -> dict[str, Any] | None:
+    """The runtime environment that ships this checkout to the nodes; None in a Ray job, which was submitted with one."""
+    if "RAY_JOB_CONFIG_JSON_ENV_VAR" in os.environ:
+        return None
+    return {"working_dir": str(_CHECKOUT), "excludes": _NOT_SHIPPED}
+
+
+def _knock(address: str) -> None:
+    """Opens and closes a connection to ``host:port`` or ``ray://host:port``."""
+    host, _, port = address.rpartition("://")[2].rpartition(":")
+    socket.create_connection((host, int(port)), timeout=10).close()
+
+
+def _call(work: Work[T, R], shard: T, isolated: bool) -> R:
+    return work(shard, isolated=isolated)
+
+
+def _cause(error: ray.exceptions.RayTaskError, shard: object) -> StableDataError:
+    """What a task raised, without the worker's traceback in its message."""
+    if isinstance(error.cause, StableDataError):
+        return error.cause
+    found = f"{type(error.cause).__name__}: {_first_line(error.cause)}"
+    return ConfigError(f"{shard}: {found}; please report this, and run again: finished shards are kept", "unexpected")
+
+
+def _first_line(error: BaseException) -> str:
+    return str(error).strip().partition("\n")[0]
+
+
+@contextmanager
+def limited(seconds: float) -> Iterator[None]:
+    """Ends this process where it is a worker of Ray and the body takes longer; its shard is then run item by item.
+
+    Nothing gentler stops a parser that hangs in C code. In any other process the body takes as long as it takes.
+
+    Args:
+        seconds: How long it may take.
+    """
+    if not (ray.is_initialized() and ray.get_runtime_context().worker.mode == ray.WORKER_MODE):
+        yield
+        return
+    faulthandler.dump_traceback_later(seconds, exit=True)
+    try:
+        yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+
+
+class Loss(StrEnum):
+    """How a process of its own ended without a result."""
+
+    CRASHED = "crashed"
+    TIMED_OUT = "timed_out"
+
+
+class Apart:
+    """A process of its own for calls that may end it; where one does, the next call has another. Used in a ``with`` statement.
+
+    Args:
+        prepare: Called first in each process, such as to open what the functions need.
+    """
+
+    def __init__(self, prepare: Callable[[], object] | None = None) -> None:
+        self._prepare = prepare or _nothing
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> "Apart":
+        """Starts nothing yet."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Ends the process."""
+        self._end()
+
+    def call(self, function: Callable[..., R], *arguments: object, seconds: float) -> R | Loss:
+        """Calls a function there.
+
+        Args:
+            function: A function that can be pickled.
+            arguments: What it is called with.
+            seconds: How long it may take, once the process is there and prepared.
+
+        Returns:
+            What it returned, or how the process ended: it died twice, or took too long.
+        """
+        for _ in range(2):  # the first death may have come from outside
+            try:
+                if self._pool is None:
+                    self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+                    self._pool.submit(self._prepare).result(timeout=_START_SECONDS)
+                return self._pool.submit(function, *arguments).result(timeout=seconds)
+            except BrokenProcessPool:
+                self._end()
+            except FutureTimeoutError:
+                self._end(kill=True)
+                return Loss.TIMED_OUT
+        return Loss.CRASHED
+
+    def _end(self, *, kill: bool = False) -> None:
+        if self._pool is not None:
+            for process in list(self._pool._processes.values()) if kill else ():
+                process.kill()
+            self._pool.shutdown()
+            self._pool = None
+
+
+def alone(
+    function: Callable[..., R], *arguments: object, seconds: float, prepare: Callable[[], object] | None = None
+) -> R | Loss:
+    """Calls a function in a process of its own, see :meth:`Apart.call`."""
+    with Apart(prepare) as apart:
+        return apart.call(function, *arguments, seconds=seconds)
+
+
+def _nothing() -> None:
+    """Takes as long as the process takes to start."""

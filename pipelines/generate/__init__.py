@@ -1,0 +1,1 @@
+"""Job generate: tasks become simulation-ready scenes."""

@@ -1,0 +1,219 @@
+"""The report page of a generate run: what was accepted and what was not, how good it is, what it took; with pictures."""
+
+import io
+import json
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from html import escape
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pyarrow.compute as pc
+from PIL import Image
+
+from pipelines.generate.settings import GenerateSettings
+from pipelines.generate.shard import TIMING_FOLDER
+from pipelines.reports.html import bars, head, histogram, notices, page, table, tiles
+from pipelines.reports.scene_pictures import Shown, drawn, figures
+from pipelines.sources.scenes import mesh_cache
+from stable_data.assets.run_assets import TableAssets
+from stable_data.assets.store import AssetStore
+from stable_data.errors import ConfigError
+from stable_data.simulation.render import contact_sheet
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import scene_from_row
+
+SHEET = "report/contact_sheet.png"
+"""The pictures on one sheet."""
+
+_AT_ONCE = 16  # small files that are fetched side by side: on an object store each has to be waited for
+_COLUMNS = 5
+_SMALL = (384, 240)
+_MEASURES = (
+    ("objects", "num_objects", 1.0, ""),
+    ("stacked", "num_stacked", 1.0, ""),
+    ("contained", "num_contained", 1.0, ""),
+    ("task objects that the instruction asks for (AwT)", "awt", 100.0, " %"),
+    ("relations that the instruction says (AwS)", "aws", 100.0, " %"),
+    ("objects that are not the task's", "distractor_rate", 100.0, " %"),
+    ("object collision (OC)", "oc", 100.0, " %"),
+    ("floating", "float_rate", 100.0, " %"),
+    ("moved by the corrections, mean", "move_mean_mm", 1.0, " mm"),
+    ("moved by the engine, most", "settle_move_max_mm", 1.0, " mm"),
+)
+
+
+def write_generate_report(folder: RunFolder, manifest: dict[str, Any], settings: GenerateSettings) -> None:
+    """Writes ``report/index.html`` and the sheet of its pictures.
+
+    Args:
+        folder: The run; its tables are complete.
+        manifest: Its manifest, with counts.
+        settings: The job's settings.
+    """
+    columns = [column for _, column, _, _ in _MEASURES] + ["scene_id", "clean", "stable", "table_type", "move_max_mm"]
+    scenes, rejected = (_frame(folder, name, columns) for name in ("scenes", "rejected"))
+    spent, turns = _spent(folder), _frame(folder, "turns", ["stage", "tries", "prompt_tokens", "reply_tokens", "cost", "code"])
+    store = AssetStore(TableAssets(folder, mesh_cache()))
+    body = [
+        head(manifest),
+        f'<p class="note">Reasoner: {escape(manifest["engine"])}. Corrector: {escape(settings.weights)}. '
+        f"Accepted: {escape(settings.accept or 'all')}.</p>",
+        _tiles(manifest, scenes, turns, spent, settings),
+        *_quality(scenes, rejected),
+        *_stages(folder, turns),
+        *_time(spent),
+        *_pictures(folder, scenes, "scenes", "Pictures", store, settings.num_pictures),
+        *_pictures(folder, rejected, "rejected", "Rejected", store, settings.num_pictures // 4),
+        *notices(folder),
+    ]
+    folder.write_bytes("report/index.html", page(f"{manifest['dataset']}: generate", body))
+    _write_sheet(folder, scenes, store, settings.num_pictures)
+
+
+def _frame(folder: RunFolder, name: str, columns: Sequence[str]) -> pl.DataFrame:
+    frame = pl.from_arrow(folder.table(name, columns))
+    assert isinstance(frame, pl.DataFrame)
+    return frame
+
+
+def _spent(folder: RunFolder) -> Counter[str]:
+    """Seconds of single processes by what they were spent on, and the scenes that they were spent for."""
+    spent: Counter[str] = Counter()
+    files = [f"{TIMING_FOLDER}/{shard_id}.json" for shard_id in folder.shard_ids("scenes")]
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        for content in pool.map(folder.read_bytes, files):
+            spent.update(json.loads(content) if content is not None else {})
+    return spent
+
+
+def _tiles(
+    manifest: dict[str, Any], scenes: pl.DataFrame, turns: pl.DataFrame, spent: Counter[str], settings: GenerateSettings
+) -> str:
+    counts, num_scenes = manifest["counts"], max(1, spent["scenes"])
+    at_work = sum(work["seconds"] for work in manifest["work"])
+    pace = f"{60 * sum(work['scenes'] for work in manifest['work']) / at_work:.0f}" if at_work else "unknown"
+    seconds = sum(spent.values()) - spent["scenes"]
+    accepted = max(1, scenes.height)
+    asked = float(turns["cost"].sum() or 0.0) / accepted
+    machine = seconds / 3600 / accepted * settings.core_hour_price
+    cost = f"{1000 * (asked + machine):.2f}" if asked + machine else "no price given"
+    return tiles(
+        [
+            (f"{scenes.height} / {manifest['num_tasks']}", "scenes accepted"),
+            (f"{counts['rejected']}", "made, and rejected"),
+            (f"{counts['failed_scenes'] - counts['rejected']}", "not made"),
+            (pace, "scenes a minute"),
+            (f"{seconds / num_scenes:.2f}", "core seconds a scene"),
+            (f"{1000 * seconds / 3600 / accepted:.2f}", "core hours a thousand accepted"),
+            (cost, "cost a thousand accepted"),
+            (f"{int((turns['prompt_tokens'] + turns['reply_tokens']).sum() or 0):,}", "tokens read and written"),
+            (str(counts["assets"]), "assets used"),
+        ]
+    )
+
+
+def _quality(scenes: pl.DataFrame, rejected: pl.DataFrame) -> Iterable[str]:
+    made = pl.concat([scenes, rejected])
+    yield "<h2>Quality</h2><p class=note>Means; collisions, floating and bounds exact, against the triangle meshes.</p>"
+    rows = [
+        (label, *(_mean(frame[column], factor, unit) for frame in (scenes, made))) for label, column, factor, unit in _MEASURES
+    ]
+    rows += [
+        (label, *(_share(frame[column]) for frame in (scenes, made)))
+        for label, column in (("clean", "clean"), ("stays in the engine", "stable"))
+    ]
+    yield table(("", f"accepted, {scenes.height}", f"all that were made, {made.height}"), rows)
+    yield "<h2>Distributions of the accepted</h2><div class=grid>"
+    yield histogram("Objects a scene", scenes["num_objects"], [0, 4, 8, 12, 16, 20, 25, 30, 1000])
+    yield histogram("Stacked objects a scene", scenes["num_stacked"], [0, 1, 2, 3, 5, 8, 1000])
+    yield histogram("Contained objects a scene", scenes["num_contained"], [0, 1, 2, 3, 5, 8, 1000])
+    yield histogram("Largest move by the corrections, mm", scenes["move_max_mm"], [0, 1e-9, 1, 3, 10, 30, 100, 10_000])
+    yield histogram("Largest move in the engine, mm", scenes["settle_move_max_mm"], [0, 0.1, 0.5, 1, 3, 10, 1000])
+    yield bars("Table type", scenes["table_type"])
+    yield "</div>"
+
+
+def _stages(folder: RunFolder, turns: pl.DataFrame) -> Iterable[str]:
+    """What each stage was when it was proposed, and what became of it."""
+    cards = [_cards(folder, column) for column in ("card_before", "card_after")]
+    rows = []
+    for stage in turns["stage"].unique(maintain_order=True).to_list():
+        own = turns.filter(pl.col("stage") == stage)
+        before_after = [card.filter(pl.col("stage") == stage) for card in cards]
+        rows.append(
+            (
+                stage,
+                str(own.height),
+                _mean(own["tries"], 1.0, ""),
+                *(_mean(card["oc"], 100.0, " %") if card.height else "unknown" for card in before_after),
+                *(_share(card["clean"]) if card.height else "unknown" for card in before_after),
+            )
+        )
+    yield "<h2>Stages</h2>"
+    yield table(("stage", "turns", "answers a turn", "OC proposed", "OC corrected", "clean proposed", "clean corrected"), rows)
+    if (codes := turns["code"].filter(turns["code"] != "")).len():
+        yield bars("Why turns were not taken", codes)
+
+
+def _cards(folder: RunFolder, column: str) -> pl.DataFrame:
+    """What the page says of the cards of the turns that have one: two of their many columns, for turns are many."""
+    wanted = {"stage": pc.field("stage")} | {key: pc.field(column, key) for key in ("num_objects", "oc", "clean")}
+    frame = pl.from_arrow(folder.table("turns", wanted))
+    assert isinstance(frame, pl.DataFrame)
+    return frame.filter(pl.col("num_objects").is_not_null())  # always known where there is a card
+
+
+def _time(spent: Counter[str]) -> Iterable[str]:
+    scenes = spent["scenes"]
+    if scenes:
+        steps = [(name, f"{seconds / scenes:.3f}") for name, seconds in spent.items() if name != "scenes"]
+        yield "<h2>Time</h2>" + table(("step", "seconds of one process a scene"), steps)
+
+
+def _chosen(scenes: pl.DataFrame, count: int) -> list[str]:
+    """An even choice."""
+    names = sorted(scenes["scene_id"].to_list())
+    return [names[k] for k in np.unique(np.linspace(0, len(names) - 1, min(count, len(names))).astype(int))] if names else []
+
+
+def _pictures(folder: RunFolder, scenes: pl.DataFrame, name: str, title: str, store: AssetStore, count: int) -> Iterable[str]:
+    if not (chosen := _chosen(scenes, count)):
+        return
+    rows = {row["scene_id"]: row for row in folder.table(name, where=pc.field("scene_id").isin(chosen)).to_pylist()}
+    yield f"<h2>{title}</h2>"
+    yield from figures((scene_id, partial(_shown, rows[scene_id], store)) for scene_id in chosen)
+
+
+def _shown(row: dict[str, Any], store: AssetStore) -> Shown:
+    said = escape(row["task"]["task"]) if row["task"] else ""
+    why = f'<br><span class="bad">{escape(row["reason"])}</span>' if row.get("reason") else ""
+    return [(drawn(scene_from_row(row), store), f"<b>{escape(row['scene_id'])}</b><br>{said}{why}")]
+
+
+def _write_sheet(folder: RunFolder, scenes: pl.DataFrame, store: AssetStore, count: int) -> None:
+    if not (chosen := _chosen(scenes, count)):
+        return
+    rows = {row["scene_id"]: row for row in folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()}
+    try:
+        images = [np.asarray(Image.fromarray(drawn(scene_from_row(rows[name]), store)).resize(_SMALL)) for name in chosen]
+    except ConfigError:  # this machine draws nothing, as the page says
+        return
+    stream = io.BytesIO()
+    Image.fromarray(contact_sheet(images, chosen, _COLUMNS)).save(stream, "png")
+    folder.write_bytes(SHEET, stream.getvalue())
+
+
+def _mean(values: pl.Series, factor: float, unit: str) -> str:
+    known = values.drop_nulls()
+    unknown = f" ({values.null_count()} unknown)" if values.null_count() else ""
+    return f"{factor * float(known.mean()):.2f}{unit}{unknown}" if len(known) else "unknown"  # type: ignore[arg-type]
+
+
+def _share(values: pl.Series) -> str:
+    unknown = values.null_count()
+    share = f"{100 * values.sum() / len(values):.1f} %" if len(values) else "none"
+    return share + (f", {unknown} unknown" if unknown else "")

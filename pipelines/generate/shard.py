@@ -1,0 +1,403 @@
+"""One shard of the generate job: scenes made side by side by Algorithm 1, then judged one by one; their rows.
+
+A shard's rows depend on nothing but the shard: batches form from the order of its tasks, and a correction that is given up is
+given up in whatever process it runs.
+"""
+
+import json
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache, partial
+from time import perf_counter
+from typing import ClassVar
+
+import ray
+
+from models.dual_system.algorithm1 import Generated, Turn, dual_system
+from models.dual_system.batching import Queues, together
+from models.physics_corrector.certify import CertifyOptions
+from models.physics_corrector.corrector import Correction, PhysicsCorrector, with_movement
+from models.physics_corrector.learned_flow import load_flow
+from models.semantic_reasoner.engines.protocol import OFF
+from models.semantic_reasoner.factory import load_reasoner
+from models.semantic_reasoner.language.category_statistics import CategoryStatistics
+from models.semantic_reasoner.language.required_objects import required
+from models.semantic_reasoner.language.stated_relations import relations_not_held
+from models.semantic_reasoner.staged_layout import LayoutTask
+from models.semantic_reasoner.text.prompt import answer
+from pipelines.correct.scene_shard import SceneShard, dropped_notice, notices_of
+from pipelines.execution.engine_pool import PooledEngine
+from pipelines.execution.item_progress import Progress
+from pipelines.execution.progress_bar import Tally, Telling
+from pipelines.execution.ray_executor import Apart, Loss, limited
+from pipelines.execution.shard_job import Rows, engine_off, rows_or_failure, unexpected
+from pipelines.generate.answers import NOT_OF_A_SCENE, Certifier, Certifying, OwnAnswers, unanswered
+from pipelines.generate.settings import GenerateSettings
+from pipelines.preprocess.scene import Related, SceneSettings, duplicate_group, related, split_of, with_counts
+from pipelines.sources.assets import AssetShelf
+from pipelines.sources.generation_tasks import Task
+from stable_data.assets.store import AssetStore
+from stable_data.errors import MeshError, Notice, SceneError
+from stable_data.geometry.shape import Shape
+from stable_data.metrics.alignment import align, reference_of
+from stable_data.metrics.audit import Audit, PosedScene, audit_posed
+from stable_data.metrics.card import MetricCard
+from stable_data.metrics.collision import TOLERANCE
+from stable_data.metrics.relations_kept import relations_kept
+from stable_data.random_seeds import named_seed
+from stable_data.scene import Relation, RelationKind, Scene
+from stable_data.simulation.collision_bodies import bodies_of
+from stable_data.simulation.settling import SettleResult, settle
+from stable_data.storage import schemas
+from stable_data.storage.run_folder import RunFolder
+
+SOURCE = "generated"
+"""The ``source`` of rows of ``scenes``."""
+
+TIMING_FOLDER = "timing"
+"""In the run's folder: what each shard spent on what, seconds of one process. No table, for it is another each time."""
+
+_DEPTH = 0.8 * TOLERANCE
+"""How deep things may be in each other, metres: judges that try fewer directions than the audit measure up to an eighth more."""
+
+_PLACES = 6
+"""Where a thing that does not stay is tried: with more, half of that time goes into what is left out in the end all the same."""
+
+_NOT_OF_A_SCENE = (*NOT_OF_A_SCENE, ray.exceptions.RayError)  # the engines may be elsewhere
+
+REJECTED = "rejected"
+"""Code of a scene that breaks the rule of acceptance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """What a process keeps of its work.
+
+    Attributes:
+        answers: Proposes, retrieves and corrects.
+        shelf: Where assets come from.
+        statistics: What is known of categories.
+    """
+
+    answers: OwnAnswers
+    shelf: AssetShelf
+    statistics: CategoryStatistics | None
+
+
+@dataclass(frozen=True, slots=True)
+class GenerateWork:
+    """The work of one shard; sent to the workers.
+
+    Attributes:
+        TABLES: Of a shard, in the order in which they are put in place.
+        out: The run's folder, which every worker can write.
+        assets: Where assets are taken from, see :class:`~pipelines.sources.assets.AssetShelf`.
+        settings: The job's settings.
+        fingerprint: Content of the inputs: what a process keeps of one is not used for another in the same place.
+        pool: Engines that are shared; None: a process has its own.
+        tally: Told where the scenes of a shard are; None: nobody looks.
+    """
+
+    TABLES: ClassVar = ("warnings", "failures", "turns", "settled", "rejected", "scenes")
+
+    out: str
+    assets: tuple[str, ...]
+    settings: GenerateSettings
+    fingerprint: str = ""
+    pool: PooledEngine | None = field(default=None, compare=False)
+    tally: Tally | None = field(default=None, compare=False)
+
+    def __call__(self, shard: SceneShard[Task], *, isolated: bool = False) -> tuple[int, int]:
+        """Makes the scenes of a shard and puts its tables in place; gives how many there are and how many of them failed.
+
+        Raises:
+            ConfigError: The engine answers nothing any more (``engine_off``).
+        """
+        with Apart(partial(_prepare, self._physics())) as apart, Telling(self.tally, shard.shard_id, begin=len(shard)) as tell:
+            return self._made(shard, apart if isolated else None, tell)
+
+    def _made(self, shard: SceneShard[Task], apart: Apart | None, tell: Telling) -> tuple[int, int]:
+        began, opened = perf_counter(), _opened(self)
+        seconds = opened.answers.seconds
+        seconds.update(dict.fromkeys(seconds, 0.0))
+        opened.answers.certify = partial(self._certified, apart=apart)
+        opened.answers.fault_of = lru_cache(maxsize=None)(partial(self._fault_of, apart=apart))
+        rows: dict[str, list[schemas.Row]] = defaultdict(list)
+        tasks = list(self._tasks(shard, rows))
+        for made in self._generated(tasks, opened, tell):
+            if off := next((turn.proposal for turn in made.turns if turn.proposal.code in OFF), None):
+                raise engine_off(f"{made.task.scene_id}: {off.failure}")
+            for table, found in self._rows(made).items():
+                rows[table] += found
+        folder = RunFolder(self.out)
+        spent = {**seconds, "judge": perf_counter() - began - sum(seconds.values()), "scenes": len(shard)}
+        folder.write_bytes(f"{TIMING_FOLDER}/{shard.shard_id}.json", json.dumps(spent).encode())
+        for table in self.TABLES:
+            folder.write_shard(table, shard.shard_id, rows[table])
+        return len(shard), len(rows["failures"])
+
+    def _tasks(self, shard: SceneShard[Task], rows: dict[str, list[schemas.Row]]) -> Iterator[LayoutTask]:
+        """The tasks of a shard; one that cannot be drawn is a failure."""
+        for task in shard.items:
+            try:
+                yield task if isinstance(task, LayoutTask) else task.drawn()
+            except SceneError as error:
+                rows["failures"].append(schemas.notice_row(Notice(task.scene_id, "tasks", error.code, str(error))))
+
+    def _generated(self, tasks: Sequence[LayoutTask], opened: Opened, tell: Telling) -> Iterator[Generated]:
+        """What becomes of tasks: made side by side, or one by one where something unforeseen ends that, which costs its scene."""
+
+        def made(some: Sequence[LayoutTask], watch: Callable[[Queues], None] | None = None) -> list[Generated]:
+            loops = [dual_system(t, named_seed(seed, t.scene_id), settings, opened.statistics) for t in some]
+            return together(loops, opened.answers, watch)
+
+        def watch(queues: Queues) -> None:
+            tell(propose=queues.reasoner, correct=queues.corrector, judge=queues.made)
+
+        settings, seed = self.settings.loop, self.settings.seed
+        try:
+            for number, found in enumerate(made(tasks, watch)):
+                tell(judge=len(tasks) - number)
+                yield found
+        except _NOT_OF_A_SCENE:
+            raise
+        except Exception:  # noqa: BLE001 - which scene it was is found out below
+            for number, task in enumerate(tasks):
+                tell(propose=len(tasks) - number)
+                try:
+                    found = made([task])[0]
+                except _NOT_OF_A_SCENE:
+                    raise
+                except Exception as error:  # noqa: BLE001 - what nobody foresaw becomes a row
+                    message = f"{task.scene_id}: {unexpected(error)}"
+                    blank = Scene(task.scene_id, task.table, ())
+                    found = Generated(task, None, blank, (), failure=Notice(task.scene_id, "generate", "unexpected", message))
+                yield found
+
+    def _certified(self, asked: Certifying, *, apart: Apart | None) -> Correction:
+        """One scene certified; in a process of its own where workers died over its shard."""
+        seconds = self.settings.seconds_per_item
+        if apart is None:
+            with limited(seconds):
+                return _opened(self).answers.certifier(asked)
+        found = apart.call(partial(_certify, self._physics()), asked, seconds=seconds)
+        if isinstance(found, Loss):
+            return unanswered(asked, f"the correction {str(found).replace('_', ' ')} ({seconds:g} s are allowed)")
+        return found
+
+    def _fault_of(self, asset_id: str, *, apart: Apart | None) -> str | None:
+        """Why an asset cannot be used; where workers died over the shard it is read in a process of its own first."""
+        seconds, store = self.settings.seconds_per_item, _opened(self).answers.certifier.store
+        if apart is not None:
+            found = apart.call(partial(_read, self._physics()), asset_id, seconds=seconds)
+            if isinstance(found, Loss):
+                return f"asset {asset_id}: reading it {str(found).replace('_', ' ')} ({seconds:g} s are allowed)"
+        with limited(seconds):
+            return store.fault_of(asset_id)
+
+    def _physics(self) -> "GenerateWork":
+        """The work for a process that corrects alone: it is no worker of Ray, and reaches none of what the workers share."""
+        return replace(self, pool=None, tally=None)
+
+    def _rows(self, made: Generated) -> Rows:
+        """All rows of one scene."""
+        name = made.task.scene_id
+        rows: Rows = {
+            "turns": [_turn_row(name, number, turn) for number, turn in enumerate(made.turns)],
+            "warnings": [schemas.notice_row(n) for n in made.warnings],
+        }
+        if made.scene is None:
+            assert made.failure is not None
+            return rows | {"failures": [schemas.notice_row(made.failure)]}
+        progress = Progress("judge")
+        with limited(self.settings.seconds_per_item):
+            make = partial(self._judged, made, made.scene, progress)
+            judged = rows_or_failure(name, progress, make, of_the_run=_NOT_OF_A_SCENE)
+        return rows | judged | {"warnings": [*rows["warnings"], *judged.get("warnings", [])]}
+
+    def _judged(self, made: Generated, scene: Scene, progress: Progress) -> Rows:
+        """The rows of a scene that was made: accepted, or rejected and said why."""
+        opened, name = _opened(self), scene.scene_id
+        progress.step = "mesh"
+        scene, shapes, notices = opened.answers.certifier.store.resolved(scene)
+        progress.step = "audit"
+        posed = PosedScene(scene, shapes)
+        audit = audit_posed(posed) if made.correction is None else made.correction.audit or audit_posed(posed)
+        progress.step = "relations"
+        containers = {
+            o.instance: opened.shelf.annotation(o.asset_id).is_container if o.asset_id else None for o in scene.objects
+        }
+        seen = related(posed, audit, containers)
+        scene = seen.scene
+        progress.step = "settle"
+        rest, why_not = self._settled(made.correction, scene, shapes)
+        progress.step = "card"
+        card = _with_movement(with_counts(audit.card(), scene), made.start, scene, posed, audit, opened.answers.certifier.store)
+        card, not_as_said = _with_alignment(card, seen, containers, opened.statistics)
+        if rest is not None:
+            card = _with_rest(card, rest)
+        group = duplicate_group(scene)
+        origin = {
+            "source": SOURCE,
+            "split": split_of(group, scene.table.table_type, SceneSettings()),
+            "layout_path": None,
+            "layout_sha256": None,
+            "duplicate_group": group,
+        }
+        row = {**schemas.scene_row(scene), **schemas.card_row(card), **audit.rows(), **origin}
+        told = [Notice(name, n.step, n.code, n.message) for n in (*notices, *audit.notices)]
+        if not_as_said:
+            lost = ", ".join(map(str, not_as_said))
+            told.append(Notice(name, "card", "not_as_said", f"{name}: the instruction says what does not hold: {lost}"))
+        told += [dropped_notice(d, name) for d in made.dropped]
+        if made.correction is not None:
+            told += notices_of(made.correction, name)
+        if why_not:
+            told.append(Notice(name, "settle", "not_settled", f"{name}: the engine was not asked: {why_not}"))
+        found: Rows = {"warnings": [schemas.notice_row(n) for n in dict.fromkeys(told)]}
+        if rest is not None and self.settings.keep_settled:
+            found["settled"] = [_settled_row(name, rest)]
+        query = self.settings.accepting
+        if query is None or query.passes(row, schemas.SCHEMAS["scenes"]):
+            return found | {"scenes": [row]}
+        reason = _why_rejected(query.text, {column: row[column] for column in query.columns}, rest)
+        failure = Notice(name, "accept", REJECTED, f"{name}: {reason}")
+        return found | {"rejected": [row | {"code": REJECTED, "reason": reason}], "failures": [schemas.notice_row(failure)]}
+
+    def _settled(self, correction: Correction | None, scene: Scene, shapes: Sequence[Shape]) -> tuple[SettleResult | None, str]:
+        """What the physics engine makes of a scene, and why it was not asked."""
+        if correction is not None and correction.rest is not None:
+            return correction.rest, ""  # it was asked of this very scene
+        try:
+            return settle(bodies_of(scene, shapes, _opened(self).answers.certifier.store), scene.table), ""
+        except MeshError as error:
+            return None, str(error)
+
+
+def _prepare(work: GenerateWork) -> None:
+    """Opens what a correction needs, outside of its time."""
+    _apart(work)
+
+
+def _certify(work: GenerateWork, asked: Certifying) -> Correction:
+    return _apart(work)(asked)
+
+
+def _read(work: GenerateWork, asset_id: str) -> None:
+    _apart(work).store.fault_of(asset_id)
+
+
+@lru_cache(maxsize=1)
+def _apart(work: GenerateWork) -> Certifier:
+    return _certifier(work.settings, AssetShelf(work.assets))
+
+
+def _certifier(settings: GenerateSettings, shelf: AssetShelf) -> Certifier:
+    options = CertifyOptions(depth=_DEPTH, places=_PLACES, twice=False)
+    return Certifier(
+        PhysicsCorrector(load_flow(settings.weights, settings.steps), options, judges_raw=False), AssetStore(shelf)
+    )
+
+
+@lru_cache(maxsize=1)
+def _opened(work: GenerateWork) -> Opened:
+    settings = work.settings
+    shelf = AssetShelf(work.assets)
+    reasoner, statistics = load_reasoner(settings.engine, settings.reasoner, work.pool)
+    retriever, certifier = shelf.retriever(settings.retrieval), _certifier(settings, shelf)
+    answers = OwnAnswers(reasoner, retriever, certifier, settings.seed, settings.settle)
+    return Opened(answers, shelf, statistics)
+
+
+# --- the card -----------------------------------------------------------------------------------------------------------------
+
+
+def _with_movement(
+    card: MetricCard, start: Scene, scene: Scene, posed: PosedScene, audit: Audit, store: AssetStore
+) -> MetricCard:
+    """How far the corrections have moved what was proposed, and what of its relations they have kept."""
+    there = {o.instance for o in start.objects}
+    if there != {o.instance for o in scene.objects}:
+        return card
+    order = {o.instance: k for k, o in enumerate(scene.objects)}
+    start = replace(start, objects=tuple(sorted(start.objects, key=lambda o: order[o.instance])))
+    start, shapes, _ = store.resolved(start)  # at the tilts that were proposed
+    kept = relations_kept(start, scene, shapes, posed.shapes, audits=(None, audit))
+    return with_movement(card, start, scene, kept)
+
+
+def _with_alignment(
+    card: MetricCard, seen: Related, containers: Mapping[str, bool | None], statistics: CategoryStatistics | None
+) -> tuple[MetricCard, tuple[Relation, ...]]:
+    """What of the instruction the scene has: the things that it asks for, and what it says of the start; what of that is not so."""
+    scene = seen.scene
+    if scene.task is None or statistics is None:
+        return card, ()
+    categories = [o.category for o in scene.objects]
+    asked = required(scene.task.task, statistics)
+    card = replace(card, awt=sum(one.is_met_by(categories) for one in asked) / len(asked) if asked else None)
+    named = [o for o in scene.objects if o.instance in scene.task.task_objects]
+    on_in = {r for r in scene.relations if r.kind in (RelationKind.ON, RelationKind.IN)}
+    # What contradicts itself, or could be read of no such things, is among no task's relations.
+    broken = relations_not_held(named, scene.table, scene.task.task, statistics, on_in)
+    if not (scene.task.relations and named):
+        return replace(card, aws=0.0 if broken else None), broken
+    reference = reference_of(scene)
+    known = align(scene, reference, contacts=seen.contacts, footprints=seen.footprints, containers=containers)
+    lost = tuple(dict.fromkeys((*(known.broken or ()), *broken)))
+    said = len({*reference.entailed, *broken})
+    return replace(card, aws=None if known.broken is None or not said else 1 - len(lost) / said), lost
+
+
+def _with_rest(card: MetricCard, rest: SettleResult) -> MetricCard:
+    return replace(
+        card,
+        engine_penetration_mm=rest.engine_penetration_mm,
+        settle_move_max_mm=rest.settle_move_max_mm,
+        settle_turn_max_deg=rest.settle_turn_max_deg,
+        drift_mm=rest.drift_mm,
+        jitter_mm=rest.jitter_mm,
+        stable=rest.stable,
+    )
+
+
+def _why_rejected(rule: str, values: dict[str, object], rest: SettleResult | None) -> str:
+    said = ", ".join(f"{column} is {'unknown' if value is None else value}" for column, value in values.items())
+    reason = f"; {rest.reason}" if rest is not None and rest.reason else ""
+    return f"not accepted by {rule!r}: {said}{reason}"
+
+
+# --- rows ---------------------------------------------------------------------------------------------------------------------
+
+
+def _turn_row(name: str, number: int, turn: Turn) -> schemas.Row:
+    p, done = turn.proposal, turn.corrections[-1] if turn.corrections else None
+    return {
+        "scene_id": name,
+        "turn": number,
+        "stage": str(turn.wanted),
+        "tries": p.tries,
+        "refused": [[f.code for f in r.faults] for r in p.refused],
+        "reply": None if p.reply is None else answer(p.reply.objects),
+        "prompt_tokens": p.prompt_tokens,
+        "reply_tokens": p.reply_tokens,
+        "cost": p.cost,
+        "unmatched": [] if turn.furnished is None else sorted(turn.furnished.unmatched),
+        "coarse": None if done is None else _poses(done.start),
+        "corrected": None if done is None or done.certified is None else _poses(done.certified),
+        "card_before": None if done is None or done.card_before is None else asdict(done.card_before),
+        "card_after": None if done is None or done.card_after is None else asdict(done.card_after),
+        "dropped": [] if done is None else [asdict(d) for d in done.dropped],
+        "code": turn.code,
+        "reason": turn.rejected,
+    }
+
+
+def _poses(scene: Scene) -> list[schemas.Row]:
+    return [{"instance": o.instance, "position": o.position, "yaw": o.yaw} for o in scene.objects]
+
+
+def _settled_row(name: str, rest: SettleResult) -> schemas.Row:
+    poses = zip(rest.names, rest.positions.tolist(), rest.quats_xyzw.tolist(), strict=True)
+    return {"scene_id": name, "poses": [{"instance": n, "position": p, "quat_xyzw": q} for n, p, q in poses]}

@@ -1,0 +1,1 @@
+"""Job preprocess: a folder of scenes becomes tables."""

@@ -1,0 +1,167 @@
+"""One asset: repaired, weighed, sampled, split into convex parts, its signed distance on grids; its rows."""
+
+import hashlib
+from dataclasses import asdict, dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from pipelines.execution.item_progress import Progress
+from stable_data.assets.store import AssetMesh, AssetStore, aspect_of
+from stable_data.errors import Notice
+from stable_data.geometry.convex_decomposition import convex_parts
+from stable_data.geometry.gltf_writer import write_glb
+from stable_data.geometry.mass_properties import mass_properties
+from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.mesh_colors import Paint
+from stable_data.geometry.surface_sampling import surface_points
+from stable_data.mesatask import AssetAnnotation
+from stable_data.scene import QuatXyzw, Vec3
+from stable_data.storage import schemas
+
+TextFeature: TypeAlias = npt.NDArray[np.float32]
+"""An asset's row of the library's text features, (D,) float32."""
+
+
+@dataclass(frozen=True, slots=True)
+class AssetUse:
+    """How the scenes of a dataset use an asset.
+
+    Attributes:
+        asset_id: The asset.
+        mesh_sha256: Content of its mesh file.
+        typical_scale: Median scale, metres per mesh unit, or None where no scene uses it.
+        aspects: Aspects that grids are made for, in steps of 5 % (``stable_data.assets.store.aspect_steps``).
+        tilts: Tilts seen with how often, most frequent first.
+    """
+
+    asset_id: str
+    mesh_sha256: str
+    typical_scale: Vec3 | None
+    aspects: tuple[tuple[int, int, int], ...]
+    tilts: tuple[tuple[QuatXyzw, int], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class AssetSettings:
+    """What shapes the rows of an asset.
+
+    Attributes:
+        num_points: Surface points of an asset.
+    """
+
+    num_points: int = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class AssetRows:
+    """Rows of one asset, by table."""
+
+    asset: schemas.Row
+    mesh: schemas.Row
+    grids: tuple[schemas.Row, ...]
+    notices: tuple[Notice, ...]
+
+
+def preprocess_asset(
+    use: AssetUse,
+    annotation: AssetAnnotation,
+    store: AssetStore,
+    settings: AssetSettings,
+    progress: Progress,
+    embedding: TextFeature | None = None,
+) -> AssetRows:
+    """Everything that preprocess makes of one asset.
+
+    Args:
+        use: How the scenes use it.
+        annotation: What the library says of it.
+        store: Where its mesh is.
+        settings: What shapes the rows.
+        progress: Is told of each step.
+        embedding: Its row of the library's text features.
+
+    Raises:
+        MeshError: The mesh cannot be used.
+    """
+    progress.step = "mesh"
+    asset = store.asset(use.asset_id)
+    progress.step = "sdf"
+    grids = tuple(_grid_row(use.asset_id, steps, store) for steps in use.aspects)
+    progress.step = "points"
+    row = _asset_row(use, annotation, asset, settings, embedding)
+    progress.step = "parts"
+    paint, odd = store.paint(use.asset_id)
+    return AssetRows(row, _mesh_row(use.asset_id, asset, store, paint), grids, asset.notices + odd)
+
+
+def _asset_row(
+    use: AssetUse, annotation: AssetAnnotation, asset: AssetMesh, settings: AssetSettings, embedding: TextFeature | None
+) -> schemas.Row:
+    scale = use.typical_scale or (1.0, 1.0, 1.0)
+    weighed = mass_properties(Mesh(asset.mesh.vertices * scale, asset.mesh.faces), mass=1.0, is_sheet=not asset.report.is_solid)
+    seed = int(hashlib.sha256(use.asset_id.encode()).hexdigest()[:8], 16)
+    points, normals = surface_points(asset.mesh, settings.num_points, np.random.default_rng(seed))
+    return {
+        "asset_id": use.asset_id,
+        "category": annotation.category,
+        "description": annotation.description,
+        "caption": annotation.caption,
+        "licence": annotation.licence,
+        "source": annotation.source,
+        "extents": asset.mesh.extents.tolist(),
+        "typical_scale": use.typical_scale,
+        "resting_tilts": [{"tilt_quat_xyzw": tilt, "count": count} for tilt, count in use.tilts],
+        "is_container": annotation.is_container,
+        "on_table": annotation.on_table,
+        "mark_deletion": annotation.mark_deletion,
+        "is_composite": annotation.is_composite,
+        "report": asdict(asset.report),
+        "mass": annotation.mass,
+        "volume": asset.report.volume * scale[0] * scale[1] * scale[2] if use.typical_scale else None,
+        "center_of_mass": weighed.center_of_mass.tolist() if use.typical_scale else None,
+        "inertia_per_mass": weighed.inertia.ravel().tolist() if use.typical_scale else None,
+        "points": points.ravel(),
+        "normals": normals.ravel(),
+        "text_embedding": embedding,
+        "mesh_sha256": use.mesh_sha256,
+    }
+
+
+def _mesh_row(asset_id: str, asset: AssetMesh, store: AssetStore, paint: Paint) -> schemas.Row:
+    kept = store.kept_parts(asset_id)
+    parts = convex_parts(asset.mesh, given=kept or store.colliders(asset_id), kept=bool(kept))
+    glb = write_glb(asset.mesh, paint=paint)
+    return {
+        "asset_id": asset_id,
+        "glb": glb,
+        "parts": [{"vertices": p.vertices.ravel(), "faces": p.faces.ravel()} for p in parts.parts],
+        "parts_method": parts.method,
+        "parts_overfill_max": parts.overfill_max,
+        "parts_overfill_mean": parts.overfill_mean,
+        "parts_uncovered_max": parts.uncovered_max,
+        "parts_uncovered_mean": parts.uncovered_mean,
+        "hull_distance": parts.hull_distance,
+        "sha256": hashlib.sha256(glb).hexdigest(),
+    }
+
+
+def _grid_row(asset_id: str, steps: tuple[int, int, int], store: AssetStore) -> schemas.Row:
+    aspect = aspect_of(steps)
+    grid = store.grid(asset_id, aspect)
+    return {
+        "asset_id": asset_id,
+        "aspect": aspect,
+        "values": grid.values.ravel(),
+        "shape": grid.values.shape,
+        "origin": grid.origin.tolist(),
+        "spacing": grid.spacing,
+        "extent": grid.extent,
+        "shell_thickness": grid.shell_thickness,
+        "wall_thickness": grid.wall_thickness,
+        "mean_error": grid.mean_error,
+        "max_error": grid.max_error,
+        "far_error": grid.far_error,
+        "sign_error": grid.sign_error,
+    }

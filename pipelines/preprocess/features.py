@@ -1,0 +1,159 @@
+"""Point features of one asset, at every aspect and tilt in which the scenes use it; its rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pipelines.execution.item_progress import Progress
+from stable_data.assets.store import AssetStore, aspect_of
+from stable_data.errors import ConfigError, MeshError
+from stable_data.geometry.shape import Shape
+from stable_data.scene import QuatXyzw
+from stable_data.storage import schemas
+
+if TYPE_CHECKING:  # torch is loaded where features are made, and there alone
+    from models.point_encoder import PointEncoder
+
+AUTO, NONE = "auto", "none"
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeUse:
+    """An aspect and tilt in which scenes use an asset.
+
+    Attributes:
+        steps: Aspect, in steps of 5 % (``stable_data.assets.store.aspect_steps``).
+        tilt_quat_xyzw: Rotation before yaw.
+        scale: Median of the scales' largest components, metres per mesh unit.
+    """
+
+    steps: tuple[int, int, int]
+    tilt_quat_xyzw: QuatXyzw
+    scale: float
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureUse:
+    """An asset and the shapes whose features are made.
+
+    Attributes:
+        asset_id: The asset.
+        mesh_sha256: Content of its mesh file.
+        shapes: At least one.
+    """
+
+    asset_id: str
+    mesh_sha256: str
+    shapes: tuple[ShapeUse, ...]
+
+
+def feature_rows(use: FeatureUse, store: AssetStore, encoder: PointEncoder, progress: Progress) -> list[schemas.Row]:
+    """Features of an asset, one row a shape; none where its mesh cannot be used, which the asset's own row of failures says.
+
+    Args:
+        use: How the scenes use it.
+        store: Where its mesh is.
+        encoder: What makes them.
+        progress: Is told of each step.
+
+    Raises:
+        MeshError: A shape has no cloud that the encoder takes.
+    """
+    from models.point_encoder import Cloud, one_thread
+
+    progress.step = "features"
+    try:
+        mesh = store.asset(use.asset_id).mesh
+    except MeshError:
+        return []
+    clouds = []
+    for shape_use in use.shapes:
+        x, y, z = (shape_use.scale * a for a in aspect_of(shape_use.steps))
+        shape = Shape.from_mesh(mesh, (x, y, z), shape_use.tilt_quat_xyzw)
+        clouds.append(Cloud.of_shape(shape, encoder.preprocessing.num_points))
+    with one_thread():
+        # One by one: in a batch, the last bits of a feature would depend on the others.
+        found = encoder.encode(clouds, batch_size=1)
+    return [
+        {
+            "asset_id": use.asset_id,
+            "aspect": aspect_of(shape_use.steps),
+            "tilt_quat_xyzw": shape_use.tilt_quat_xyzw,
+            "feature": code,
+            "log_extents": log_extents.tolist(),
+            "encoder_fingerprint": found.fingerprint,
+        }
+        for shape_use, code, log_extents in zip(use.shapes, found.codes, found.log_extents, strict=True)
+    ]
+
+
+def fingerprint_of(setting: str) -> str | None:
+    """Fingerprint of the encoder that the setting ``features`` names; None where no features are made.
+
+    Raises:
+        ConfigError: It cannot be used.
+    """
+    encoder = _opened(setting)
+    return None if encoder is None else encoder.fingerprint()
+
+
+def encoder_of(setting: str, fingerprint: str) -> PointEncoder:
+    """The encoder that the setting ``features`` names; each process opens it once.
+
+    Raises:
+        ConfigError: It cannot be used, or it is another here than where the run was planned.
+    """
+    encoder = _opened(setting)
+    if encoder is None or encoder.fingerprint() != fingerprint:
+        found = "none" if encoder is None else encoder.fingerprint()
+        raise ConfigError(
+            f"setting preprocess.features is {setting}: here it is encoder {found}, expected {fingerprint} as on the driver; "
+            "give a file that every node sees",
+            "encoder_differs",
+        )
+    return encoder
+
+
+def _opened(setting: str) -> PointEncoder | None:
+    if setting == NONE:
+        return None
+    try:
+        from models.point_encoder import DEFAULT_WEIGHTS, PUBLISHED
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            f"setting preprocess.features is {setting}, but {error.name} is not installed; install it or set features=none",
+            "encoder_missing",
+        ) from error
+    kind, colon, file = setting.partition(":")
+    kind = kind if colon and kind in PUBLISHED else ""
+    path = DEFAULT_WEIGHTS if setting == AUTO else Path(file if kind else setting)
+    if setting == AUTO and not path.is_file():
+        return None
+    try:
+        changed = path.stat().st_mtime_ns
+    except OSError as error:
+        message = (
+            f"setting preprocess.features is {setting}: {path} cannot be read ({error.strerror}), expected an encoder's weights"
+        )
+        raise ConfigError(message, "weights_invalid") from error
+    return _loaded(path, kind, changed)
+
+
+@lru_cache(maxsize=1)
+def _loaded(path: Path, kind: str, changed: int) -> PointEncoder:
+    """An encoder; another file of that name is another one."""
+    from models.point_encoder import PUBLISHED, load, load_published
+
+    if not kind:
+        return load(path)
+    encoder = load_published(path, PUBLISHED[kind])
+    if encoder.needs_projection:
+        raise ConfigError(
+            f"{path} gives {encoder.config.out_channels} channels, expected 64; fit a projection on your assets "
+            "(PointEncoder.fit_projection), save it (models.point_encoder.save) and give that file",
+            "encoder_unprojected",
+        )
+    return encoder

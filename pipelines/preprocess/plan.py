@@ -1,0 +1,351 @@
+"""The plan of a preprocess run: settings, and the shards that a dataset is cut into.
+
+Assets and scenes are cut by a fixed rule, and each shard is named by the content of its inputs and the settings that shape it:
+the plan of the same dataset and settings is the same, whoever makes it.
+"""
+
+import hashlib
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from tqdm import tqdm
+
+import stable_data
+from pipelines.preprocess.asset import AssetUse, TextFeature
+from pipelines.preprocess.features import FeatureUse, ShapeUse
+from pipelines.preprocess.scene import SceneSettings
+from stable_data.assets.store import AssetStore, aspect_steps, tilt_key, with_one_sign
+from stable_data.errors import ConfigError, Notice
+from stable_data.mesatask import MesaTaskDataset, PositionConvention, read_text_features
+from stable_data.mesatask.position_convention import position_convention
+from stable_data.scene import QuatXyzw, Vec3
+from stable_data.storage import schemas
+from stable_data.storage.run_folder import content_id
+
+T = TypeVar("T")
+
+_MAX_SCALES = 1001  # of one asset that its typical scale is taken from
+_MAX_TILTS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class PreprocessSettings:
+    """Settings of the job; ``--set key=value`` or the table ``[preprocess]`` of a TOML file.
+
+    Attributes:
+        important_threshold: Objects nearer than this to a task object are O^B, metres.
+        seed: For task templates and splits.
+        train_share: Share of near-duplicate groups in the training split.
+        validation_share: Share in the validation split; the rest is the test split.
+        position_convention: ``box_centre``, ``mesh_centre``, or ``auto``: judged on the dataset.
+        tasks_per_scene: Tasks that ``samples`` has of a scene: its own, then others by template. (MesaTask trains on five.)
+        num_points: Surface points of an asset.
+        all_assets: Process every annotated asset with a mesh, not only those that a scene uses.
+        scenes_per_shard: Scenes of one shard.
+        assets_per_shard: Assets of one shard.
+        task_writer: ``module:function`` that writes task infos for scenes without one; empty: templates.
+        task_cache: Folder that keeps its answers; on a cluster one that every node sees.
+        features: Encoder of the point features: ``auto`` (that of models/weights, where it is there), ``none``, the file of one
+            that ``models.point_encoder.save`` wrote, or a published one as ``scannet:FILE``, ``modelnet:FILE``,
+            ``sonata:FILE``, by what it was trained on; on a cluster a file that every node sees. With our own, a feature takes
+            a core about 30 ms, and torch takes 200 MB of each worker; with ``none`` it is not loaded.
+        num_pictures: Scenes drawn in the report.
+        seconds_per_item: A scene or asset that takes longer is a failure; not watched without worker processes.
+    """
+
+    important_threshold: float = 0.02
+    seed: int = 0
+    train_share: float = 0.9
+    validation_share: float = 0.05
+    position_convention: str = "auto"
+    tasks_per_scene: int = 1
+    num_points: int = 1024
+    all_assets: bool = True
+    scenes_per_shard: int = 32
+    assets_per_shard: int = 8
+    task_writer: str = ""
+    task_cache: str = "data/task_cache"
+    features: str = "auto"
+    num_pictures: int = 12
+    seconds_per_item: float = 600.0
+
+    def __post_init__(self) -> None:
+        """Refuses settings that no run can follow."""
+        positive = (
+            "important_threshold",
+            "tasks_per_scene",
+            "num_points",
+            "scenes_per_shard",
+            "assets_per_shard",
+            "seconds_per_item",
+        )
+        for key in positive:
+            if not 0 < getattr(self, key) < math.inf:
+                raise ConfigError(
+                    f"setting preprocess.{key} is {getattr(self, key)}, expected a positive number", "config_invalid"
+                )
+        if self.position_convention not in ("auto", *PositionConvention):
+            raise ConfigError(
+                f"setting preprocess.position_convention is {self.position_convention}, expected auto, box_centre or mesh_centre",
+                "config_invalid",
+            )
+        if "://" in self.task_cache:
+            raise ConfigError(f"setting preprocess.task_cache is {self.task_cache}, expected a folder", "config_invalid")
+        shares = (self.train_share, self.validation_share)
+        if not (min(shares) >= 0 and sum(shares) <= 1):
+            raise ConfigError(f"splits are {shares}, expected shares that add up to at most 1", "config_invalid")
+
+    def shaping(self) -> dict[str, Any]:
+        """The settings that shape rows: a run is resumed only under the same. Of the encoder, its fingerprint counts."""
+        aside = ("features", "num_pictures", "seconds_per_item", "task_cache")
+        return {k: v for k, v in asdict(self).items() if k not in aside}
+
+    def scene_settings(self) -> SceneSettings:
+        """Those of the scene step."""
+        convention = PositionConvention(self.position_convention)  # settled() has replaced auto
+        return SceneSettings(
+            self.important_threshold, self.seed, self.train_share, self.validation_share, convention, self.tasks_per_scene
+        )
+
+    def settled(self, dataset: MesaTaskDataset) -> "PreprocessSettings":
+        """The settings with ``auto`` replaced by what the dataset shows."""
+        if self.position_convention != "auto":
+            return self
+        return replace(self, position_convention=str(position_convention(dataset, AssetStore(dataset))))
+
+
+@dataclass(frozen=True, slots=True)
+class Shard:
+    """Scenes, assets or features of assets that are done together.
+
+    Attributes:
+        shard_id: Content of its inputs and of the settings that shape it.
+        scenes: Scene ids; empty for a shard of assets.
+        assets: Assets with their use.
+        features: Assets with the shapes whose features are made.
+    """
+
+    shard_id: str
+    scenes: tuple[str, ...] = ()
+    assets: tuple[AssetUse, ...] = ()
+    features: tuple[FeatureUse, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.scenes) + len(self.assets) + len(self.features)
+
+    def __str__(self) -> str:
+        of = f"{len(self.scenes)} scenes, {len(self.assets)} assets, features of {len(self.features)}"
+        return f"shard {self.shard_id} ({of})"
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a run has to do.
+
+    Attributes:
+        shards: All shards, assets first.
+        encoder: Fingerprint of the encoder of the point features, or None: none are made.
+        inputs: Content of all inputs, by their kind.
+        scene_ids: Scenes of the dataset, with those whose layout is missing.
+        asset_ids: Assets that are processed.
+        notices: What is odd about the dataset as a whole: scene folders without a layout (``layout_missing``, failures),
+            assets that are wanted but have no mesh file (``glb_missing``), and what its reader noticed.
+    """
+
+    shards: tuple[Shard, ...]
+    inputs: Mapping[str, str]
+    scene_ids: tuple[str, ...]
+    asset_ids: tuple[str, ...]
+    notices: tuple[Notice, ...]
+    encoder: str | None = None
+
+    @property
+    def fingerprint(self) -> str:
+        """Content of all inputs."""
+        return content_id(dict(self.inputs))
+
+    def counts(self) -> dict[str, int]:
+        """How much there is to do."""
+        return {
+            "num_scenes": len(self.scene_ids),
+            "num_assets": len(self.asset_ids),
+            "num_assets_without_mesh": sum(n.code == "glb_missing" for n in self.notices),
+            "num_features": sum(len(use.shapes) for shard in self.shards for use in shard.features),
+        }
+
+
+@dataclass
+class UseCount:
+    """How scenes use an asset, being counted."""
+
+    scales: list[Vec3] = field(default_factory=list)
+    tilts: dict[QuatXyzw, tuple[QuatXyzw, int]] = field(default_factory=dict)
+    shapes: dict[tuple[tuple[int, int, int], QuatXyzw], list[float]] = field(default_factory=dict)
+
+    def add(self, scale: Vec3 | None, tilt: QuatXyzw) -> None:
+        """Counts an object."""
+        key = tilt_key(tilt)  # of tilts that count as one: the first that was seen
+        first, count = self.tilts.get(key, (with_one_sign(tilt), 0))
+        self.tilts[key] = (first, count + 1)
+        if scale is not None:
+            self.shapes.setdefault((aspect_steps(scale), key), []).append(max(scale))
+            if len(self.scales) < _MAX_SCALES:
+                self.scales.append(scale)
+
+    def typical_scale(self) -> Vec3 | None:
+        """The median scale, metres per mesh unit; None where no scale is known."""
+        if not self.scales:
+            return None
+        x, y, z = np.median(np.array(self.scales), axis=0).tolist()
+        return x, y, z
+
+    def aspects(self) -> set[tuple[int, int, int]]:
+        """Aspects in which it is used, in steps."""
+        return {steps for steps, _ in self.shapes}
+
+    def most_tilts(self) -> list[tuple[QuatXyzw, int]]:
+        """Tilts with how often, most frequent first."""
+        return sorted(self.tilts.values(), key=lambda item: (-item[1], item[0]))[:_MAX_TILTS]
+
+    def shape_uses(self) -> tuple[ShapeUse, ...]:
+        """Every aspect and tilt in which it is used; and evenly scaled, as it is generated, at the tilts it has most."""
+        scales = {key: float(np.median(found)) for key, found in self.shapes.items()}
+        if (typical := self.typical_scale()) is not None:
+            for tilt, _ in self.most_tilts():
+                scales.setdefault(((0, 0, 0), tilt_key(tilt)), max(typical))
+        return tuple(ShapeUse(steps, self.tilts[key][0], scales[steps, key]) for steps, key in sorted(scales))
+
+
+@dataclass
+class _Content:
+    """Hashes of what a dataset holds, by scene and by asset."""
+
+    layouts: dict[str, str]
+    task_infos: dict[str, str | None]
+    meshes: dict[str, str]
+    annotations: dict[str, str]
+    text_features: dict[str, str]
+
+    def of_scene(self, scene_id: str) -> tuple[str, str, str | None]:
+        return scene_id, self.layouts[scene_id], self.task_infos[scene_id]
+
+    def of_asset(self, asset_id: str) -> tuple[str, str | None, str | None]:
+        return asset_id, self.meshes.get(asset_id), self.annotations.get(asset_id)
+
+
+def plan_run(dataset: MesaTaskDataset, settings: PreprocessSettings, encoder: str | None = None) -> Plan:
+    """Cuts a dataset into shards.
+
+    Args:
+        dataset: The dataset; every layout and mesh file is read once for its content.
+        settings: What shapes the rows.
+        encoder: Fingerprint of the encoder of the point features, or None: none are made.
+
+    Raises:
+        ConfigError: The text features cannot be used.
+    """
+    # Of the code the version alone: where sources change, check_resume tells, and what is in place stays.
+    versions = {"table_version": schemas.TABLE_VERSION, "code": stable_data.__version__}
+    shaping = settings.shaping() | versions
+    uses: dict[str, UseCount] = defaultdict(UseCount)
+    used_by_scene: dict[str, list[str]] = {}
+    for scene_id in tqdm(dataset.scene_ids, desc="plan", unit="scene", leave=False):
+        used_by_scene[scene_id] = _count_uses(dataset, scene_id, uses)
+    wanted = sorted(set(uses) | (set(dataset.annotations) if settings.all_assets else set()))
+    content = _content(dataset, wanted)
+    asset_uses = [_asset_use(a, content.meshes[a], uses.get(a, UseCount())) for a in wanted if a in content.meshes]
+    asset_shards = []
+    for uses_of_shard in groups(asset_uses, settings.assets_per_shard):
+        of_assets = [(asdict(u), content.annotations[u.asset_id], content.text_features.get(u.asset_id)) for u in uses_of_shard]
+        asset_shards.append(Shard(content_id("assets", shaping, of_assets), assets=tuple(uses_of_shard)))
+    feature_uses = [
+        FeatureUse(a.asset_id, a.mesh_sha256, shapes)
+        for a in asset_uses
+        if (shapes := uses.get(a.asset_id, UseCount()).shape_uses())
+    ]
+    feature_shards = [
+        Shard(content_id("features", versions, encoder, [asdict(u) for u in of_shard]), features=tuple(of_shard))
+        for of_shard in (groups(feature_uses, settings.assets_per_shard) if encoder is not None else ())
+    ]
+    scene_shards = []
+    for scenes in groups(list(dataset.scene_ids), settings.scenes_per_shard):
+        used = sorted({a for scene_id in scenes for a in used_by_scene[scene_id]})
+        of_scenes = [content.of_scene(s) for s in scenes], [content.of_asset(a) for a in used]
+        scene_shards.append(Shard(content_id("scenes", shaping, dataset.root.name, *of_scenes), scenes=tuple(scenes)))
+    notices = (*dataset.notices, *(_without_mesh(a, a in uses) for a in wanted if a not in content.meshes))
+    return Plan(
+        (*asset_shards, *feature_shards, *scene_shards),
+        {kind: content_id(digests) for kind, digests in vars(content).items()}
+        | {"folder": content_id(sorted((n.item_id, n.code) for n in notices))},
+        (*dataset.scene_ids, *(n.item_id for n in notices if n.code == "layout_missing")),
+        tuple(use.asset_id for use in asset_uses),
+        notices,
+        encoder,
+    )
+
+
+def text_features(root: Path) -> dict[str, TextFeature]:
+    """The library's text features by asset; empty where there are none.
+
+    Raises:
+        ConfigError: The file cannot be used.
+    """
+    path = root / "sbert_text_features.pkl"
+    if not path.is_file():
+        return {}
+    asset_ids, features = read_text_features(path)
+    return dict(zip(asset_ids, features, strict=True))
+
+
+def _content(dataset: MesaTaskDataset, wanted: Sequence[str]) -> _Content:
+    layouts = {s: dataset.layout_path(s) for s in dataset.scene_ids}
+    task_infos = {s: path.with_name("task_info.json") for s, path in layouts.items()}
+    features = text_features(dataset.root)
+    return _Content(
+        layouts={s: file_digest(path) for s, path in layouts.items()},
+        task_infos={s: file_digest(path) if path.is_file() else None for s, path in task_infos.items()},
+        meshes={a: file_digest(path) for a in wanted if (path := dataset.asset_path(a)) is not None},
+        annotations={a: content_id(dict(dataset.annotation(a).raw)) for a in wanted},
+        text_features={a: hashlib.sha256(features[a].tobytes()).hexdigest() for a in wanted if a in features},
+    )
+
+
+def _count_uses(dataset: MesaTaskDataset, scene_id: str, uses: dict[str, UseCount]) -> list[str]:
+    try:
+        scene, _ = dataset.read(scene_id)
+    except Exception:  # noqa: BLE001 - its own step will say why, whatever it is
+        return []
+    for o in scene.objects:
+        if o.asset_id is not None:
+            uses[o.asset_id].add(o.scale, o.tilt_quat_xyzw)
+    return [o.asset_id for o in scene.objects if o.asset_id is not None]
+
+
+def _asset_use(asset_id: str, digest: str, use: UseCount) -> AssetUse:
+    aspects = tuple(sorted(use.aspects() | {(0, 0, 0)}))
+    return AssetUse(asset_id, digest, use.typical_scale(), aspects, tuple(use.most_tilts()))
+
+
+def _without_mesh(asset_id: str, is_used: bool) -> Notice:
+    consequence = "objects of it are kept as boxes" if is_used else "it is left out"
+    message = f"{asset_id}: is {'used' if is_used else 'annotated'} but has no GLB in the library; {consequence}; add the file"
+    return Notice(asset_id, "plan", "glb_missing", message)
+
+
+def groups(items: Sequence[T], size: int) -> Iterator[Sequence[T]]:
+    """Items in their order, so many at a time."""
+    return (items[start : start + size] for start in range(0, len(items), size))
+
+
+def file_digest(path: Path) -> str:
+    """Hash of a file's content; of one that cannot be read, the reason: whoever needs it will report that."""
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        return f"unreadable: {error.strerror}"

@@ -1,0 +1,1 @@
+"""Job propose: tasks become raw layouts."""

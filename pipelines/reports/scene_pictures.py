@@ -1,0 +1,54 @@
+"""Pictures of scenes on a report page; one that cannot be drawn is no reason to be without the page."""
+
+from collections.abc import Callable, Iterable, Sequence
+from html import escape
+from typing import Any, TypeAlias
+
+from pipelines.reports.html import image_uri
+from stable_data.assets.store import AssetStore
+from stable_data.errors import ConfigError
+from stable_data.geometry.mesh import Mesh
+from stable_data.scene import Scene
+from stable_data.simulation.render import object_colour, render_scene
+
+Shown: TypeAlias = Sequence[tuple[Any, str]]
+"""Pictures, (H, W, 3) uint8, each with its caption in HTML."""
+
+_SIZE = (512, 320)  # of pictures on a page, pixels: tables are wide
+
+
+def drawn(scene: Scene, store: AssetStore, size: tuple[int, int] = _SIZE) -> Any:
+    """A picture of a scene, (H, W, 3) uint8, in the colours of its assets where they are known.
+
+    Args:
+        scene: The scene.
+        store: Its assets.
+        size: Width and height, pixels.
+
+    Raises:
+        ConfigError: The machine cannot draw (``no_gl``).
+    """
+    shapes, _ = store.shapes(scene)
+    meshes = [Mesh(s.vertices, s.faces) if s.is_exact else None for s in shapes]
+    return render_scene(scene, meshes, size=size, colors=[store.paint_of(o) or object_colour(o) for o in scene.objects])
+
+
+def figures(scenes: Iterable[tuple[str, Callable[[], Shown]]]) -> Iterable[str]:
+    """A grid of pictures.
+
+    Args:
+        scenes: A scene's name, and what draws its pictures.
+    """
+    yield "<div class=grid>"
+    for name, draw in scenes:
+        try:
+            shown = draw()
+        except ConfigError as error:  # this machine draws nothing at all
+            yield f'</div><p class="note">{escape(str(error))}</p>'
+            return
+        except Exception as error:  # noqa: BLE001 - see the module
+            yield f'<p class="note">{escape(name)} cannot be drawn: {escape(f"{type(error).__name__}: {error}")}</p>'
+            continue
+        for picture, caption in shown:
+            yield f'<figure><img alt="{escape(name)}" src="{image_uri(picture)}"><figcaption>{caption}</figcaption></figure>'
+    yield "</div>"

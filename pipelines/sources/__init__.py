@@ -1,0 +1,1 @@
+"""Where jobs take scenes, tasks, edits and assets from."""

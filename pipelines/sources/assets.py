@@ -1,0 +1,163 @@
+"""The libraries that assets are taken from, in order, with the meshes behind them."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+
+from tqdm import tqdm
+
+from models.text_encoder import load_default
+from pipelines.preprocess.plan import file_digest
+from pipelines.sources.scenes import FolderSource, mesh_cache
+from stable_data.assets.catalog import AssetLibrary, library_of_folder, library_of_run
+from stable_data.assets.ranking import RetrievalSettings
+from stable_data.assets.retrieval import Retriever
+from stable_data.assets.run_assets import TableAssets, run_annotations
+from stable_data.assets.store import colliders_of
+from stable_data.embedded_world.library import NAME as EMBEDDED
+from stable_data.embedded_world.library import embedded_library
+from stable_data.geometry.mesh import Mesh
+from stable_data.mesatask.library import AssetAnnotation, AssetFolder
+from stable_data.mesatask.writing import LAYOUT_FOLDER
+from stable_data.storage.run_folder import RunFolder, content_id
+from stable_data.storage.schemas import SCHEMAS
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """A library and what lies behind it.
+
+    Attributes:
+        library: Its catalogue.
+        meshes: Its meshes.
+        annotation: What is known of an asset of it.
+        contents: What the meshes of all its assets are, by their content; of an asset without one nothing.
+        parts: Convex parts that it keeps of an asset; none where it keeps none.
+    """
+
+    library: AssetLibrary
+    meshes: Callable[[str], Path | None]
+    annotation: Callable[[str], AssetAnnotation]
+    contents: Callable[[], Mapping[str, object]]
+    parts: Callable[[str], tuple[Mesh, ...]] = lambda _: ()
+
+
+class AssetShelf:
+    """Libraries in order, with their meshes; an asset that two have is the earlier one's.
+
+    Args:
+        places: Folders in the MesaTask-10K format (layouts may be missing), or runs with the tables ``assets`` and ``meshes``;
+            ``embedded`` is the embedded world's library, made where it is missing, and all that there is where nothing is
+            named.
+
+    Attributes:
+        libraries: The catalogues, not encoded.
+
+    Raises:
+        ConfigError: One cannot be read, or holds nothing that can be used.
+    """
+
+    def __init__(self, places: Sequence[str] = ()) -> None:
+        places = places or (EMBEDDED,)
+        twice = {name for name, count in Counter(map(_name, places)).items() if count > 1}
+        opened = [_opened(place, place if _name(place) in twice else _name(place)) for place in places]
+        self._of: dict[str, _Place] = {}
+        libraries = []
+        for place in opened:
+            own = tuple(a for a in place.library.assets if a.asset_id not in self._of)
+            self._of |= dict.fromkeys((a.asset_id for a in own), place)
+            if own:
+                libraries.append(replace(place.library, assets=own))
+        self.libraries = tuple(libraries)
+        self._extents = {a.asset_id: a.extents for library in libraries for a in library.assets}
+
+    @cached_property
+    def fingerprints(self) -> dict[str, str]:
+        """What each library says of its assets, and what their meshes are, by its name: a run goes on with the same alone.
+
+        Every GLB of a folder is read whole, when this is first asked for: names, sizes and times of files are no content. On
+        two cores 12,000 files of 1 MB take 14 s, or 52 s where the disk is asked for all of them; of a run its own hashes are
+        read.
+        """
+        found = {}
+        for library in self.libraries:
+            place = self._of[library.assets[0].asset_id]
+            contents = place.contents()
+            said = [(str(a), str(place.annotation(a.asset_id)), contents.get(a.asset_id)) for a in library.assets]
+            found[library.name] = content_id(said)
+        return found
+
+    def retriever(self, settings: RetrievalSettings | None = None) -> Retriever:
+        """Finds assets in the libraries, whose words are encoded where they were not before."""
+        encoder = load_default()
+        cache = _cache() / "text" / f"{encoder.fingerprint}.parquet"
+        return Retriever([library.embedded(encoder, cache) for library in self.libraries], encoder, settings)
+
+    def asset_path(self, asset_id: str) -> Path | None:
+        """The asset's GLB, or None where there is none."""
+        place = self._of.get(asset_id)
+        return None if place is None else place.meshes(asset_id)
+
+    def parts(self, asset_id: str) -> tuple[Mesh, ...]:
+        """The convex parts that a run or the embedded world keeps of its asset; none of other libraries' assets."""
+        place = self._of.get(asset_id)
+        return () if place is None else place.parts(asset_id)
+
+    def annotation(self, asset_id: str) -> AssetAnnotation:
+        """What is known of an asset of the libraries, its box included."""
+        found = self._of[asset_id].annotation(asset_id)
+        return found if found.extents_z_up is not None else replace(found, extents_z_up=self._extents[asset_id])
+
+
+def _cache() -> Path:
+    return mesh_cache().parent
+
+
+def _name(place: str) -> str:
+    return Path(place).name or place
+
+
+def _opened(place: str, name: str) -> _Place:
+    if place == EMBEDDED:
+        root, library = embedded_library(_cache())
+        made = _of_folder(root, library)
+        # The folder is named by what made it; parts are true by their making, and need no measuring.
+        of_all = dict.fromkeys((a.asset_id for a in library.assets), root.name)
+        return replace(made, contents=lambda: of_all, parts=partial(_parts_of_file, made.meshes))
+    if "://" in place or RunFolder(place).files("assets"):
+        run = RunFolder(place)
+        kept = TableAssets(run, mesh_cache())
+        annotation = run_annotations(run).__getitem__
+        return _Place(library_of_run(run, name), kept.asset_path, annotation, partial(_contents_of_run, run), kept.parts)
+    root = Path(place).expanduser().resolve()
+    shown = FolderSource(root).first_scenes() if (root / LAYOUT_FOLDER).is_dir() else ()
+    return _of_folder(root, library_of_folder(root, name, scenes=shown))
+
+
+def _parts_of_file(meshes: Callable[[str], Path | None], asset_id: str) -> tuple[Mesh, ...]:
+    path = meshes(asset_id)
+    return () if path is None else colliders_of(path, asset_id)
+
+
+def _of_folder(root: Path, library: AssetLibrary) -> _Place:
+    folder = AssetFolder(root)
+    return _Place(library, folder.path, folder.annotation, partial(_contents_of_folder, folder, library))
+
+
+def _contents_of_run(run: RunFolder) -> dict[str, object]:
+    """Of each mesh of a run all that the table says but the mesh itself: the hash of it, and measures of its convex parts."""
+    rows = run.table("meshes", [name for name in SCHEMAS["meshes"].names if name not in ("glb", "parts")]).to_pylist()
+    return {row["asset_id"]: row for row in rows}
+
+
+def _contents_of_folder(folder: AssetFolder, library: AssetLibrary) -> dict[str, object]:
+    """The hash of each mesh of a folder; one file may serve several assets, and is read once."""
+    path_of = {a.asset_id: path for a in library.assets if (path := folder.path(a.asset_id)) is not None}
+    paths = sorted(set(path_of.values()))
+    with ThreadPoolExecutor() as pool:  # hashing lets go of the interpreter, and so does a disk
+        digests = tqdm(pool.map(file_digest, paths), "meshes", len(paths), unit="file", leave=False)
+        digest_of = dict(zip(paths, digests, strict=True))
+    return {asset_id: digest_of[path] for asset_id, path in path_of.items()}

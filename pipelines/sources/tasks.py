@@ -1,0 +1,228 @@
+"""What the propose job is asked: a file of tasks, read a row at a time, each of which becomes a task or says why not."""
+
+import csv
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from models.semantic_reasoner.staged_layout import LayoutTask
+from stable_data.errors import ConfigError, Notice, SceneError
+from stable_data.mesatask.document import is_unicode, json_value, shown
+from stable_data.scene import Tabletop
+
+KEYS = ("scene_id", "instruction", "table_type", "table_size_cm", "restricted_zone_cm")
+"""Columns of the file; the first and the last may be left out."""
+
+STEP = "tasks"
+"""The step that a row's failure names."""
+
+LONGEST_CM = 1000.0
+"""No table is wider or deeper."""
+
+SHORTEST_CM = 1.0
+"""No table is narrower or less deep."""
+
+_PLAIN = re.compile(r"\w[\w.-]{0,119}")
+_BETWEEN = re.compile(r"[\s,;x×\[\]()]+")
+_ROWS = 1024  # of a Parquet file that are held at a time
+
+
+def read_tasks(path: Path) -> Iterator[LayoutTask | Notice]:
+    """Reads tasks, one a row, as they are asked for.
+
+    Args:
+        path: JSONL, CSV or Parquet by its ending, with the columns KEYS. Lengths are in centimetres: lists, or such as ``120 x
+            60`` in CSV. The restricted zone is x_min, x_max, y_min, y_max. Empty lines are passed over.
+
+    Yields:
+        A task, or what keeps a row from being one, in the file's order. A task without ``scene_id`` is called by the number of
+        its row, ``task_000002``; a row that is none likewise, but with a space, so that no task has its name.
+
+    Raises:
+        ConfigError: It cannot be read, is of another kind, or holds nothing (``tasks_invalid``).
+    """
+    taken: set[str] = set()
+    number = 0
+    try:
+        for number, read in _rows(path):
+            try:
+                task = task_of(read(), f"task_{number:06d}")
+                if task.scene_id in taken:
+                    raise SceneError(
+                        f"scene_id {task.scene_id} is taken, expected one of its own; choose another", "task_invalid"
+                    )
+            except SceneError as error:
+                yield Notice(f"row {number:06d}", STEP, error.code, f"{path.name}, row {number}: {error}")
+            else:
+                taken.add(task.scene_id)
+                yield task
+    except (OSError, csv.Error, pa.ArrowException) as error:
+        reason = (isinstance(error, OSError) and error.strerror) or str(error).strip().partition("\n")[0]
+        raise _unreadable(path, f"cannot be read ({reason})") from error
+    if not number:
+        raise _unreadable(path, "holds no tasks")
+
+
+def task_of(row: Mapping[str, Any], scene_id: str) -> LayoutTask:
+    """The task of a row.
+
+    Args:
+        row: By the names KEYS; values that are None or empty count as left out.
+        scene_id: What it is called where the row does not say.
+
+    Raises:
+        SceneError: ``instruction_invalid``, ``table_invalid`` or ``task_invalid``.
+    """
+    values = {key: value for key, value in row.items() if value is not None and value != ""}
+    if unknown := [key for key in values if key not in KEYS]:
+        raise SceneError(f"has {shown(unknown[0])}, expected only {', '.join(KEYS)}", "task_invalid")
+    instruction, table_type = values.get("instruction"), values.get("table_type")
+    if not isinstance(instruction, str) or not instruction.strip():
+        raise SceneError(
+            f"instruction is {shown(row.get('instruction'))}, expected what is to be done on the table", "instruction_invalid"
+        )
+    if not is_unicode(instruction):
+        raise SceneError("instruction is no UTF-8; save the file as UTF-8", "instruction_invalid")
+    name = _name(values.get("scene_id", scene_id), "scene_id", "task_invalid")
+    kind = _name("_".join(str(table_type or "").lower().split()), "table_type", "table_invalid")
+    return LayoutTask(name, instruction.strip(), tabletop(kind, values.get("table_size_cm"), values.get("restricted_zone_cm")))
+
+
+def one_task(instruction: str | None, table_type: str | None, size_cm: object, restricted_cm: object = None) -> LayoutTask:
+    """The task of a command line.
+
+    Raises:
+        ConfigError: It is none (``tasks_invalid``).
+    """
+    row = {"instruction": instruction, "table_type": table_type, "table_size_cm": size_cm, "restricted_zone_cm": restricted_cm}
+    try:
+        return task_of(row, "task")
+    except SceneError as error:
+        raise ConfigError(f"the task's {error}", "tasks_invalid") from error
+
+
+def tabletop(table_type: str, size_cm: object, restricted_cm: object = None) -> Tabletop:
+    """A table from its lengths in centimetres.
+
+    Args:
+        table_type: Its kind.
+        size_cm: Width and depth.
+        restricted_cm: x_min, x_max, y_min, y_max where nothing may stand, or None.
+
+    Raises:
+        SceneError: They are no such lengths (``table_invalid``).
+    """
+    size = _numbers(size_cm, 2)
+    if size is None or not all(SHORTEST_CM <= side <= LONGEST_CM for side in size):
+        raise SceneError(
+            f"table_size_cm is {shown(size_cm)}, expected width and depth, each from {SHORTEST_CM:g} to {LONGEST_CM:g}",
+            "table_invalid",
+        )
+    zone = None
+    if restricted_cm is not None:
+        zone = _numbers(restricted_cm, 4)
+        if zone is None or not (0 <= zone[0] < zone[1] <= size[0] and 0 <= zone[2] < zone[3] <= size[1]):
+            raise SceneError(
+                f"restricted_zone_cm is {shown(restricted_cm)}, expected x_min, x_max, y_min, y_max on the table",
+                "table_invalid",
+            )
+        zone = [side / 100 for side in zone]
+    width, depth = (side / 100 for side in size)
+    return Tabletop(table_type, (width, depth), None if zone is None else (zone[0], zone[1], zone[2], zone[3]))
+
+
+def _rows(path: Path) -> Iterator[tuple[int, Callable[[], Mapping[str, Any]]]]:
+    """Rows with their numbers, from 1 on: each is what reads it, and may raise a SceneError.
+
+    Bytes that are no UTF-8 become halves of surrogate pairs, which the row is refused for.
+    """
+    if path.suffix == ".jsonl":
+        with path.open(encoding="utf-8-sig", errors="surrogateescape") as lines:
+            yield from ((number, partial(_parsed, line)) for number, line in enumerate(lines, 1) if line.strip())
+    elif path.suffix == ".csv":
+        with path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as stream:
+            reader = csv.DictReader(stream, restkey="fields beyond the header")
+            _check_columns(path, list(reader.fieldnames or ()))
+            yield from enumerate(_csv_rows(reader), 1)
+    elif path.suffix == ".parquet":
+        with pq.ParquetFile(path) as file:
+            _check_columns(path, list(file.schema_arrow.names))
+            number = 0
+            for batch in file.iter_batches(_ROWS):
+                for index in range(batch.num_rows):
+                    number += 1
+                    yield number, partial(_parquet_row, batch, index)
+    else:
+        raise _unreadable(path, f"ends in {path.suffix or 'nothing'}")
+
+
+def _csv_rows(reader: Iterator[dict[str, Any]]) -> Iterator[Callable[[], Mapping[str, Any]]]:
+    while True:
+        try:
+            row = next(reader)
+        except StopIteration:
+            return
+        except csv.Error as error:  # of this row alone: the reader goes on with the next line
+            yield partial(_refused, str(error))
+        else:
+            yield partial(dict, row)
+
+
+def _refused(reason: str) -> Mapping[str, Any]:
+    raise SceneError(f"cannot be read ({reason})", "task_invalid")
+
+
+def _parquet_row(batch: pa.RecordBatch, index: int) -> Mapping[str, Any]:
+    try:
+        return {name: batch.column(name)[index].as_py() for name in batch.schema.names}
+    except (ValueError, OverflowError) as error:  # texts that are no UTF-8, times that Python does not have
+        return _refused(str(error))
+
+
+def _check_columns(path: Path, names: Sequence[str]) -> None:
+    if missing := [key for key in KEYS[1:4] if key not in names]:
+        raise _unreadable(path, f"has no column {missing[0]}")
+    if unknown := [name for name in names if name not in KEYS]:  # else the rows alone would be lost that fill it
+        raise _unreadable(path, f"has a column {shown(unknown[0])}")
+
+
+def _unreadable(path: Path, found: str) -> ConfigError:
+    return ConfigError(f"{path}: {found}, expected tasks as .jsonl, .csv or .parquet with {', '.join(KEYS)}", "tasks_invalid")
+
+
+def _parsed(line: str) -> Mapping[str, Any]:
+    try:
+        found = json_value(line)
+    except ValueError as error:
+        raise SceneError(f"no JSON ({error})", "task_invalid") from error
+    if not isinstance(found, dict):
+        raise SceneError(f"is {type(found).__name__}, expected an object", "task_invalid")
+    return found
+
+
+def _name(value: object, key: str, code: str) -> str:
+    """A name that a folder may have."""
+    is_number = isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 10**120
+    text = str(value) if isinstance(value, str) or is_number else ""
+    if not _PLAIN.fullmatch(text):
+        raise SceneError(f"{key} is {shown(value)}, expected a plain name of letters, digits, _, - and .", code)
+    return text
+
+
+def _numbers(value: object, count: int) -> list[float] | None:
+    """So many finite numbers, given as a list or as text; None where they are not."""
+    if isinstance(value, str):
+        value = [part for part in _BETWEEN.split(value) if part]
+    if not isinstance(value, list | tuple) or len(value) != count or any(isinstance(part, bool) for part in value):
+        return None
+    try:
+        found = [float(part) for part in value]
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return found if all(map(math.isfinite, found)) else None

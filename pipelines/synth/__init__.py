@@ -1,0 +1,1 @@
+"""Job synth: the embedded world, made by many workers."""

@@ -1,0 +1,71 @@
+"""The embedded world made by many workers: scenes in shards, each scene by its seed and number alone."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipelines.execution.ray_executor import Workers
+from stable_data.embedded_world.world import World, close_world, open_world, write_scenes
+from stable_data.errors import SceneError
+
+_SCENES_PER_SHARD = 20
+
+Progress = Callable[[int, int], None]
+"""Told after every shard how many scenes are done, and how many failed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Numbers:
+    """Scenes that are made together: ``first`` and those up to before ``end``."""
+
+    first: int
+    end: int
+
+    def __str__(self) -> str:
+        return f"scenes {self.first} to {self.end - 1}"
+
+
+@dataclass(frozen=True, slots=True)
+class WriteShard:
+    """The work of a shard.
+
+    Attributes:
+        out: The folder, as every worker sees it.
+        world: What the scenes depend on.
+    """
+
+    out: str
+    world: World
+
+    def __call__(self, shard: Numbers, *, isolated: bool = False) -> tuple[int, list[SceneError]]:
+        """Writes the scenes of a shard that are missing; gives their number and those that could not be made."""
+        failures = write_scenes(Path(self.out), range(shard.first, shard.end), self.world)
+        return shard.end - shard.first, failures
+
+
+def synth(out: Path, num_scenes: int, world: World, workers: Workers, progress: Progress | None = None) -> list[SceneError]:
+    """Writes a set of the embedded world, or what is missing of it, with many workers.
+
+    Args:
+        out: The folder; on a cluster one that every node sees under this name.
+        num_scenes: How many scenes.
+        world: What they depend on.
+        workers: Who makes them.
+        progress: Called after every shard.
+
+    Returns:
+        The scenes that could not be made.
+
+    Raises:
+        ConfigError: As for :func:`stable_data.embedded_world.world.write_world`, or Ray cannot be reached.
+    """
+    open_world(out, num_scenes, world)
+    shards = [Numbers(k, min(k + _SCENES_PER_SHARD, num_scenes)) for k in range(0, num_scenes, _SCENES_PER_SHARD)]
+    done, failures = 0, []
+    for count, failed in workers.run(WriteShard(str(out.resolve()), world), shards):
+        done += count
+        failures += failed
+        if progress is not None:
+            progress(done, len(failures))
+    close_world(out, world)
+    return failures

@@ -1,0 +1,260 @@
+"""Trains the Physics Corrector: in this process, or in the processes of Ray Train, with the same loop.
+
+OUT/weights/physics_corrector.safetensors   the averaged weights, with how they were made
+OUT/checkpoint/state.pt                     where a run that was stopped goes on
+OUT/logs/events.out.tfevents.*              losses and validation cards, for TensorBoard
+OUT/card.json                               the validation card of the weights
+OUT/manifest.json                           settings, data and encoder
+OUT/cache/                                  what was computed of the run's tables; may be deleted
+"""
+
+import json
+import signal
+import sys
+import threading
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from models.physics_corrector.flow.checkpoint import save_corrector
+from models.physics_corrector.training.dataset import RunScenes, TrainingSet
+from models.physics_corrector.training.settings import TrainingSettings
+from models.physics_corrector.training.trainer import Training, train
+from models.physics_corrector.training.validation import Card, HeldOut, scalars, validation_card
+from models.training.distributed import Place
+from pipelines.train.run import as_json, event_log, here, on_signals, refuse_changes
+from stable_data.code_version import code_version
+from stable_data.errors import ConfigError
+from stable_data.storage.run_folder import RunFolder
+
+WEIGHTS = "weights/physics_corrector.safetensors"
+STATE = "checkpoint/state.pt"
+
+_FAST_ROWS = ("small", "jitter", "pile")
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """How a run is watched; none of it shapes the weights.
+
+    Attributes:
+        log_every: Steps between the losses that are logged, each a mean over them.
+        card_every: Steps between validation cards.
+        card_scenes: Held-out scenes of those, without the exact figures.
+        final_scenes: Held-out scenes of the card at the end.
+        exact_scenes: How many of them are also judged exactly.
+        save_minutes: Between checkpoints.
+    """
+
+    log_every: int = 20
+    card_every: int = 1000
+    card_scenes: int = 32
+    final_scenes: int = 128
+    exact_scenes: int = 32
+    save_minutes: float = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class TrainCorrector:
+    """The job; sent to the workers.
+
+    Attributes:
+        data: Folder of a preprocess run.
+        out: Folder of the training.
+        settings: What shapes the weights.
+        watch: How it is watched.
+        minutes: After which it stops and keeps its checkpoint; 0 is no limit.
+    """
+
+    data: str
+    out: Path
+    settings: TrainingSettings
+    watch: Watch = Watch()
+    minutes: float = 0.0
+
+    def source(self) -> RunScenes:
+        """Where the scenes come from."""
+        data = self.data if "://" in self.data else str(Path(self.data).expanduser().resolve())
+        return RunScenes(data, self._folder() / "cache", self.settings.num_surface, self.settings.num_bottom)
+
+    def describe(self) -> dict[str, Any]:
+        """What a run would do, for ``--dry-run``; the tables are looked for and none is read whole."""
+        fingerprint = self.source().fingerprint()
+        network, _ = self.settings.resolved(1).corrector.build()
+        return {
+            "settings": asdict(self.settings),
+            "data_fingerprint": fingerprint,
+            "num_scenes": RunFolder(self.source().uri).num_rows("scenes"),
+            "num_parameters": sum(p.numel() for p in network.parameters()),
+        }
+
+    def run(self, workers: int = 0, address: str | None = None) -> str:
+        """Trains, or goes on.
+
+        Args:
+            workers: Processes of Ray Train; 0 trains in this one.
+            address: An existing Ray cluster; None starts a local one.
+
+        Returns:
+            One line on what was done.
+
+        Raises:
+            ConfigError: The run cannot start or go on; the checkpoint stays.
+        """
+        folder = RunFolder(str(self._folder()))
+        with folder.locked():
+            data = self.source().load(self.settings.features)
+            settings = self.settings.resolved(len(data.of_split(0)))
+            job = replace(self, settings=settings, out=self._folder())
+            manifest = _manifest(job, data)
+            refuse_changes(folder, manifest, ("job", "code_version", "data_fingerprint", "encoder_fingerprint"))
+            folder.write_bytes("manifest.json", as_json(manifest))
+            if workers:
+                from pipelines.train.ray_train import run_on_ray  # Ray Train takes seconds to import
+
+                del data  # each process reads its own
+                run_on_ray(job, workers, address)
+            else:
+                job.work(Place(here()), data)
+            return _finish(folder, manifest)
+
+    def work(self, place: Place, data: TrainingSet | None = None) -> None:
+        """The part of one process."""
+        source = self.source()
+        data = source.load(self.settings.features) if data is None else data
+        training = Training(data, self.settings, place)
+        training.resume(self.out / STATE)
+        with _Watcher(self, source, data, training) as watcher:
+            is_done = train(training, wants_stop=watcher.wants_stop, after=watcher.after)
+            watcher.close(is_done)
+
+    def _folder(self) -> Path:
+        if "://" in str(self.out):
+            raise ConfigError(f"--out is {self.out}, expected a local folder", "output_invalid")
+        return self.out.expanduser().resolve()
+
+
+class _Watcher:
+    """Logs, cards, checkpoints and the end of one process's part; all but the end are the first process's."""
+
+    def __init__(self, job: TrainCorrector, source: RunScenes, data: TrainingSet, training: Training) -> None:
+        self._job, self._source, self._data, self._training = job, source, data, training
+        self._is_first = training.place.rank == 0
+        self._began = self._saved = time.monotonic()
+        self._sums: dict[str, float] = {}
+        self._stopped = threading.Event()
+        self._log = event_log(job.out / "logs", training.step) if self._is_first else None
+        self._bar = tqdm(total=job.settings.steps, initial=training.step, desc="train", unit="step", disable=not self._is_first)
+
+    def __enter__(self) -> "_Watcher":
+        self._restored = on_signals(self._stopped)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._restored.items():
+            signal.signal(number, handler)
+        self._bar.close()
+        if self._log is not None:
+            self._log.close()
+
+    def wants_stop(self) -> bool:
+        """Whether a signal came or the time is over."""
+        is_late = self._job.minutes > 0 and time.monotonic() - self._began > 60 * self._job.minutes
+        return is_late or self._stopped.is_set()
+
+    def after(self, training: Training, figures: dict[str, float]) -> None:
+        """What is done after a step."""
+        watch, step = self._job.watch, training.step
+        self._bar.update(1)
+        if self._log is None:
+            return
+        for name, value in figures.items():
+            self._sums[name] = self._sums.get(name, 0.0) + value / watch.log_every
+        if step % watch.log_every == 0:
+            for name, value in self._sums.items():
+                self._log.add_scalar(f"loss/{name}", value, step)
+            self._log.add_scalar("learning_rate", training.settings.learning_rate_at(step - 1), step)
+            self._bar.set_postfix({name: f"{self._sums[name]:.3f}" for name in ("flow", "physics")}, refresh=False)
+            self._sums = {}
+        if step % watch.card_every == 0 and step < training.settings.steps:
+            self._add_card(self._card(watch.card_scenes, 0, _FAST_ROWS), step)
+        if time.monotonic() - self._saved > 60 * watch.save_minutes:
+            training.save(self._job.out / STATE)
+            self._saved = time.monotonic()
+
+    def close(self, is_done: bool) -> None:
+        """Keeps the checkpoint, and the weights with their card where the run is done."""
+        if not self._is_first:
+            return
+        training, job = self._training, self._job
+        training.save(job.out / STATE)
+        notes = {
+            "steps": str(training.step),
+            "seed": str(job.settings.seed),
+            "data_fingerprint": self._data.fingerprint,
+            "encoder_fingerprint": self._data.encoder,
+            "features": job.settings.features,
+            "training": json.dumps(asdict(job.settings), sort_keys=True),
+            "code_version": code_version(),
+        }
+        save_corrector(job.out / WEIGHTS, job.settings.corrector, training.average, notes)
+        if is_done:
+            card = self._card(job.watch.final_scenes, job.watch.exact_scenes)
+            self._add_card(card, training.step)
+            document = {"steps": training.step, "seed": job.settings.seed, "rows": card}
+            RunFolder(str(job.out)).write_bytes("card.json", as_json(document))
+
+    def _card(self, num_scenes: int, num_exact: int, rows: tuple[str, ...] | None = None) -> Card:
+        training, data = self._training, self._data
+        places = data.of_split(1)
+        places = (places if len(places) else data.of_split(2))[:num_scenes]
+        if not len(places):
+            return {}
+        scenes = self._source.scenes([data.scene_ids[n] for n in places[:num_exact].tolist()]) if num_exact else []
+        held_out = HeldOut(training.data, places, scenes, self._source.store() if scenes else None)
+        velocity = training.velocity(training.averaged())
+        chosen = {} if rows is None else {"rows": rows}
+        return validation_card(velocity, training.flow, held_out, training.settings.perturbation, 0, **chosen)
+
+    def _add_card(self, card: Card, step: int) -> None:
+        for name, value in scalars(card).items():
+            if self._log is not None:
+                self._log.add_scalar(f"card/{name}", value, step)
+
+
+def _manifest(job: TrainCorrector, data: TrainingSet) -> dict[str, Any]:
+    return {
+        "job": "train_corrector",
+        "status": "running",
+        "code_version": code_version(),
+        "code_versions": [code_version()],
+        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "data_fingerprint": data.fingerprint,
+        "encoder_fingerprint": data.encoder,
+        "targets": dict(data.counts),
+        "num_train": len(data.of_split(0)),
+        "num_validation": len(data.of_split(1)),
+        "settings": asdict(job.settings),
+    }
+
+
+def _finish(folder: RunFolder, manifest: dict[str, Any]) -> str:
+    """Closes the manifest; one line on what was done."""
+    from safetensors import safe_open
+
+    with safe_open(Path(folder.root) / WEIGHTS, framework="pt") as file:
+        step = int(file.metadata()["steps"])
+    steps = manifest["settings"]["steps"]
+    is_done = step >= steps
+    folder.write_bytes(
+        "manifest.json", as_json(manifest | {"status": "complete" if is_done else "stopped", "steps_done": step})
+    )
+    left_out = {k.removeprefix("left_out_"): v for k, v in manifest["targets"].items() if k.startswith("left_out_") and v}
+    without = (
+        f", {sum(left_out.values())} scenes left out ({', '.join(f'{k} {v}' for k, v in left_out.items())})" if left_out else ""
+    )
+    rest = "; card.json" if is_done else "; run again to go on"
+    return f"{folder.uri}: {step} of {steps} steps on {manifest['num_train']} scenes{without}; {WEIGHTS}{rest}"

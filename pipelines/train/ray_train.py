@@ -1,0 +1,83 @@
+"""A training on Ray Train: so many processes, each with a GPU where there are any, run the job's own loop.
+
+What a process needs lies in the job's folder: the checkpoint to go on from, the cached data. So Ray moves no data, and a
+training goes on with another number of processes than it was begun with.
+"""
+
+import os
+from pathlib import Path
+from typing import Any, Protocol
+
+import ray
+import torch
+from ray.train import RunConfig, ScalingConfig, TrainingFailedError, WorkerGroupError, get_context
+from ray.train.torch import TorchTrainer, get_device
+
+from models.training.distributed import Place
+from pipelines.execution.ray_executor import Workers, connect
+from stable_data.errors import ConfigError, StableDataError
+
+
+class Job(Protocol):
+    """A training that several processes can share."""
+
+    @property
+    def out(self) -> Path:
+        """Its folder, which every process sees."""
+        ...
+
+    def work(self, place: Place) -> None:
+        """The part of one process."""
+        ...
+
+
+def run_on_ray(job: Job, workers: int, address: str | None) -> None:
+    """Trains in the processes of Ray Train.
+
+    Args:
+        job: The job, its settings resolved and its data cached.
+        workers: How many processes.
+        address: An existing Ray cluster; None starts a local one.
+
+    Raises:
+        ConfigError: Ray cannot be reached, or a process ended with an error; the checkpoint stays.
+    """
+    started = connect(Workers(workers, address))
+    num_gpus = int(ray.cluster_resources().get("GPU", 0))
+    trainer = TorchTrainer(
+        _work,
+        train_loop_config={"job": job, "threads": torch.get_num_threads()},
+        scaling_config=ScalingConfig(num_workers=workers, use_gpu=num_gpus >= workers),
+        run_config=RunConfig(name="ray", storage_path=str(job.out)),
+    )
+    try:
+        trainer.fit()
+    except WorkerGroupError as error:
+        raise _cause(next(iter(error.worker_failures.values()), error)) from error
+    except (TrainingFailedError, ray.exceptions.RayError) as error:
+        raise _cause(error) from error
+    finally:
+        if started:
+            ray.shutdown()
+
+
+def _cause(error: BaseException) -> StableDataError:
+    """What a process said, or what became of it."""
+    found: BaseException | None = error
+    while found is not None:
+        if isinstance(found, StableDataError):
+            return found
+        found = getattr(found, "cause", None) or found.__cause__
+    line = str(error).strip().rpartition("\n")[2]
+    return ConfigError(
+        f"the training on Ray ended ({type(error).__name__}: {line}); run again to go on from its checkpoint", "ray_failed"
+    )
+
+
+def _work(config: dict[str, Any]) -> None:
+    """One process's part."""
+    job: Job = config["job"]
+    context = get_context()
+    if os.environ.get("OMP_NUM_THREADS") is None:
+        torch.set_num_threads(config["threads"])
+    job.work(Place(get_device(), context.get_world_rank(), context.get_world_size()))

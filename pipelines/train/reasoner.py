@@ -1,0 +1,286 @@
+"""Trains the Semantic Reasoner: in this process, or in the processes of Ray Train with its weights sharded, with the same loop.
+
+OUT/weights/                     a plain Hugging Face folder; reasoner.json, which says how it was made; and categories.json,
+what
+                                 the checks of its replies know of the run's categories
+OUT/checkpoint/state.pt          where a run that was stopped goes on
+OUT/logs/events.out.tfevents.*   losses, for TensorBoard
+OUT/manifest.json                settings, data and models
+OUT/cache/                       tokens and tokenizer; may be deleted
+"""
+
+import json
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from tqdm import tqdm
+from transformers import PreTrainedTokenizerBase
+
+from models.semantic_reasoner.language.category_statistics import CategoryStatistics
+from models.semantic_reasoner.text.prompt import PROMPT_VERSION
+from models.semantic_reasoner.training.batch_sampler import batches_of_pass
+from models.semantic_reasoner.training.dataset import RunExamples, fingerprint_of
+from models.semantic_reasoner.training.hf_folder import NOTES, model_fingerprint, read_config, write_model
+from models.semantic_reasoner.training.network import TrainedNetwork
+from models.semantic_reasoner.training.settings import ReasonerTraining
+from models.semantic_reasoner.training.token_dataset import TokenSet
+from models.semantic_reasoner.training.trainer import Identity, Step, Training, train
+from models.training.distributed import Place
+from pipelines.train.run import as_json, event_log, here, on_signals, refuse_changes
+from stable_data.code_version import code_version
+from stable_data.errors import ConfigError
+from stable_data.storage.run_folder import RunFolder
+
+WEIGHTS = "weights"
+STATE = "checkpoint/state.pt"
+
+Judge: TypeAlias = Callable[[Any, PreTrainedTokenizerBase], Mapping[str, float]]
+"""Figures of a model by what it generates, by name; the model is whole and of transformers or peft."""
+
+_COSTLY = 20  # a checkpoint is kept no more often than this many times what keeping it takes
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """How a run is watched; none of it shapes the weights.
+
+    Attributes:
+        log_every: Steps between the losses that are logged, each a mean over them.
+        validate_every: Steps between evaluations on the split ``validation``.
+        validate_examples: Examples of each kind of those.
+        save_minutes: Between checkpoints.
+        judge: More figures for each evaluation, of what the model generates; while it is trained only where one process has it
+            whole, in the end always. A function of a module, since it is sent to the workers.
+    """
+
+    log_every: int = 20
+    validate_every: int = 500
+    validate_examples: int = 600
+    save_minutes: float = 5.0
+    judge: Judge | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TrainReasoner:
+    """The job; sent to the workers.
+
+    Attributes:
+        data: Folder of a preprocess run.
+        out: Folder of the training.
+        settings: What shapes the weights.
+        watch: How it is watched.
+        minutes: After which it stops and keeps its checkpoint; 0 is no limit.
+    """
+
+    data: str
+    out: Path
+    settings: ReasonerTraining
+    watch: Watch = Watch()
+    minutes: float = 0.0
+
+    def source(self) -> RunExamples:
+        """Where the examples come from."""
+        data = self.data if "://" in self.data else str(Path(self.data).expanduser().resolve())
+        return RunExamples(data, self._folder() / "cache", self.settings)
+
+    def run(self, workers: int = 0, address: str | None = None) -> str:
+        """Trains, or goes on.
+
+        Args:
+            workers: Processes of Ray Train; 0 trains in this one.
+            address: An existing Ray cluster; None starts a local one.
+
+        Returns:
+            One line on what was done.
+
+        Raises:
+            ConfigError: The run cannot start or go on; the checkpoint stays.
+        """
+        base = self.settings.base
+        if base:
+            read_config(Path(base).expanduser(), self.settings.max_tokens)  # before anything takes long
+        if workers and self.settings.accumulate % workers:
+            raise ConfigError(
+                f"accumulate is {self.settings.accumulate}, expected a multiple of --workers {workers}: they share its batches",
+                "config_invalid",
+            )
+        self.source().fingerprint()
+        folder = RunFolder(str(self._folder()))
+        with folder.locked():
+            tokenizer, data, held_out = self._read()
+            num_batches = len(batches_of_pass(data, self.settings, 0))
+            if not num_batches:
+                raise ConfigError("shares leave no example of those that there are, expected some", "config_invalid")
+            job = replace(self, settings=self.settings.resolved(num_batches), out=self._folder())
+            manifest = _manifest(job, tokenizer, data, held_out)
+            refuse_changes(folder, manifest, ("job", "code_version", *asdict(Identity())))
+            folder.write_bytes("manifest.json", as_json(manifest))
+            if workers:
+                from pipelines.train.ray_train import run_on_ray  # Ray Train takes seconds to import
+
+                run_on_ray(job, workers, address)
+            else:
+                job.work(Place(here()))
+            return _finish(folder, manifest, self.source().uri)
+
+    def work(self, place: Place) -> None:
+        """The part of one process."""
+        tokenizer, data, held_out = self._read()  # kept already: it is mapped
+        training = Training(data, self.settings, tokenizer, place, self.identity(tokenizer))
+        training.resume(self.out / STATE)
+        with _Watcher(self, training, held_out) as watcher:
+            train(training, wants_stop=watcher.wants_stop, wants_save=watcher.wants_save, after=watcher.after)
+            watcher.close()
+
+    def identity(self, tokenizer: PreTrainedTokenizerBase) -> Identity:
+        """What a checkpoint goes with."""
+        base = self.settings.base
+        of_base = model_fingerprint(Path(base).expanduser()) if base else ""
+        return Identity(self.source().fingerprint(), fingerprint_of(tokenizer), of_base)
+
+    def _read(self) -> tuple[PreTrainedTokenizerBase, TokenSet, TokenSet]:
+        source = self.source()
+        tokenizer = source.tokenizer()
+        return tokenizer, source.load("train", tokenizer), source.load("validation", tokenizer)
+
+    def _folder(self) -> Path:
+        if "://" in str(self.out):
+            raise ConfigError(f"--out is {self.out}, expected a local folder", "output_invalid")
+        return self.out.expanduser().resolve()
+
+
+class _Watcher:
+    """Logs, evaluations, checkpoints and the end of one process's part; files are the first process's."""
+
+    def __init__(self, job: TrainReasoner, training: Training, held_out: TokenSet) -> None:
+        self._job, self._training, self._held_out = job, training, held_out
+        self._is_first = training.place.rank == 0
+        self._began = self._saved = time.monotonic()
+        self._save_took = 0.0
+        self._sum = 0.0
+        self._figures: dict[str, float] = {}
+        self._stopped = threading.Event()
+        self._log = event_log(job.out / "logs", training.step) if self._is_first else None
+        self._bar = tqdm(total=job.settings.steps, initial=training.step, desc="train", unit="step", disable=not self._is_first)
+
+    def __enter__(self) -> "_Watcher":
+        self._restored = on_signals(self._stopped)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._restored.items():
+            signal.signal(number, handler)
+        self._bar.close()
+        if self._log is not None:
+            self._log.close()
+
+    def wants_stop(self) -> bool:
+        """Whether a signal came or the time is over."""
+        is_late = self._job.minutes > 0 and time.monotonic() - self._began > 60 * self._job.minutes
+        return is_late or self._stopped.is_set()
+
+    def wants_save(self) -> bool:
+        """Whether it is time for a checkpoint."""
+        pause = max(60 * self._job.watch.save_minutes, _COSTLY * self._save_took)
+        return self._is_first and time.monotonic() - self._saved > pause
+
+    def after(self, training: Training, step: Step) -> None:
+        """What is done after a step."""
+        watch, number = self._job.watch, training.step
+        self._bar.update(1)
+        self._sum += step.loss
+        if number % watch.log_every == 0:
+            mean = self._sum / watch.log_every
+            self._sum = 0.0
+            self._add({"loss/train": mean, "gradient_norm": step.norm, "tokens": training.tokens})
+            self._add({"learning_rate": training.settings.learning_rate_at(number - 1)})
+            self._bar.set_postfix(loss=f"{mean:.3f}", refresh=False)
+        if number % watch.validate_every == 0 and number < training.settings.steps:
+            figures = self._validate()
+            if watch.judge is not None and training.place.world_size == 1:
+                figures |= watch.judge(training.loss.network, training.tokenizer)
+            self._add(figures)
+        if step.saves and not step.stops:  # in the end it is kept anyway
+            self._save()
+
+    def close(self) -> None:
+        """Keeps the checkpoint and the weights with their figures."""
+        training, job = self._training, self._job
+        self._save()
+        figures = self._validate()
+        values = training.values()
+        if not self._is_first:
+            return
+        model = TrainedNetwork(job.settings, training.tokenizer).with_values(values).to_keep(job.settings)
+        if job.watch.judge is not None:
+            figures |= job.watch.judge(model, training.tokenizer)
+        self._add(figures)
+        notes = {
+            "prompt_version": PROMPT_VERSION,
+            "code_version": code_version(),
+            "settings": asdict(job.settings),
+            **asdict(job.identity(training.tokenizer)),
+            "steps": training.step,
+            "is_done": training.step >= job.settings.steps,
+            "tokens": training.tokens,
+            "figures": figures,
+        }
+        write_model(job.out / WEIGHTS, model, training.tokenizer, notes)
+
+    def _validate(self) -> dict[str, float]:
+        found = self._training.validate(self._held_out, self._job.watch.validate_examples)
+        return {f"validation/{kind}": value for kind, value in found.items()}
+
+    def _save(self) -> None:
+        began = time.monotonic()
+        self._training.save(self._job.out / STATE)
+        self._saved = time.monotonic()
+        self._save_took = self._saved - began
+
+    def _add(self, figures: Mapping[str, float]) -> None:
+        if self._log is not None:
+            for name, value in figures.items():
+                self._log.add_scalar(name, value, self._training.step)
+
+
+def _manifest(job: TrainReasoner, tokenizer: PreTrainedTokenizerBase, data: TokenSet, held_out: TokenSet) -> dict[str, Any]:
+    return {
+        "job": "train_reasoner",
+        "status": "running",
+        "code_version": code_version(),
+        "code_versions": [code_version()],
+        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        **asdict(job.identity(tokenizer)),
+        "examples": {"train": _counts(data), "validation": _counts(held_out)},
+        "settings": asdict(job.settings),
+    }
+
+
+def _counts(data: TokenSet) -> dict[str, int]:
+    counts = {"used": len(data), "left_out_too_long": int(data.too_long.sum()), "left_out_unasked": int(data.unasked.sum())}
+    return counts | {"tokens": int(data.start[-1]), "reply_tokens": int(data.reply_length.sum())}
+
+
+def _finish(folder: RunFolder, manifest: dict[str, Any], run: str) -> str:
+    """Closes the manifest; one line on what was done. Finished weights get what the checks know of the run's categories."""
+    weights = Path(folder.root) / WEIGHTS
+    notes = json.loads((weights / NOTES).read_text("utf-8"))
+    if notes["is_done"]:
+        CategoryStatistics.of_run(run).save(weights)
+    status = "complete" if notes["is_done"] else "stopped"
+    folder.write_bytes("manifest.json", as_json(manifest | {"status": status, "steps_done": notes["steps"]}))
+    of_train = manifest["examples"]["train"]
+    left_out = {k.removeprefix("left_out_"): v for k, v in of_train.items() if k.startswith("left_out_") and v}
+    without = f", {sum(left_out.values())} left out ({', '.join(f'{k} {v}' for k, v in left_out.items())})" if left_out else ""
+    nats = ", ".join(f"{k.partition('/')[2]} {v:.3f}" for k, v in notes["figures"].items() if k.startswith("validation/"))
+    rest = "" if notes["is_done"] else "; run again to go on"
+    return (
+        f"{folder.uri}: {notes['steps']} of {manifest['settings']['steps']} steps on {of_train['used']} examples{without}"
+        f"{f'; nats a token {nats}' if nats else ''}; {WEIGHTS}{rest}"
+    )

@@ -1,0 +1,308 @@
+"""Scores of one library's assets for many queries at once, and the choice among those that are as good as the best.
+
+Matrix products in float32 say which assets can matter; those few are then scored in one fixed order of operations, so that what
+is chosen for a query does not depend on what else is asked.
+"""
+
+import hashlib
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from stable_data.assets.box_fitting import proportions, size_score
+from stable_data.assets.catalog import Asset, AssetLibrary
+from stable_data.assets.text_embeddings import Rows
+from stable_data.errors import ConfigError
+from stable_data.mesatask.library import category_of
+from stable_data.scene import FloatArray, IntArray
+
+Tickets = npt.NDArray[np.uint64]
+BoolArray = npt.NDArray[np.bool_]
+
+_BLOCK, _MAX_SCORES = 128, 1 << 24  # queries whose scores stay in the processor's cache; scores that are held at a time
+_FITTING = math.radians(5.0)  # boxes whose edge vectors are no further apart have the same proportions
+_NOT_MUCH = math.radians(10.0)  # a tilt that fits so much worse than the best is not taken, however usual it is
+_BARRED = -2.0  # instead of the dot product of unit rows, which is never less than -1
+_DECIMALS = 9  # scores that agree so far are equal
+_MIX = ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB))  # the finaliser of splitmix64 (Steele, Lea and Flood 2014)
+
+
+@dataclass(frozen=True, slots=True)
+class RetrievalSettings:
+    """How assets are chosen.
+
+    Attributes:
+        text_weight: Weight of the text score.
+        size_weight: Weight of the size score.
+        floor: Smallest text score of a match. The default is measured with all-MiniLM-L6-v2 (docs/retrieval.md).
+        margin: Scores this close to the best are as good: among them the same category is preferred, then the seed decides.
+        top_k_text: Look at so many assets by text score alone, as MesaTask does with 20; None: at all of them. Assets that are
+            not offered take no place among them.
+        tilt_patience: The most usual resting tilt is taken whose misfit (the angle of which the size score is the cosine) is at
+            most so many times that of the tilt that fits best and ten degrees more, or five degrees.
+        licences: Licences that are allowed, or None: all. An unknown licence is in no list.
+        stretch: Scale along each axis to the wanted size, as the paper does; else by one factor.
+        max_distortion: Largest factor over the smallest up to which an asset is stretched; infinite as in the paper.
+    """
+
+    text_weight: float = 0.9
+    size_weight: float = 0.1
+    floor: float = 0.55
+    margin: float = 0.02
+    top_k_text: int | None = None
+    tilt_patience: float = 2.0
+    licences: frozenset[str] | None = None
+    stretch: bool = False
+    max_distortion: float = 2.0
+
+    def __post_init__(self) -> None:
+        """Refuses numbers that give no order."""
+        bounds = {
+            "text_weight": (self.text_weight, 1e-6, math.inf),
+            "size_weight": (self.size_weight, 0.0, math.inf),
+            "floor": (self.floor, -1.0, 1.0),
+            "margin": (self.margin, 0.0, math.inf),
+            "top_k_text": (1 if self.top_k_text is None else self.top_k_text, 1, math.inf),
+            "tilt_patience": (self.tilt_patience, 1.0, math.inf),
+            "max_distortion": (self.max_distortion, 1.0, math.inf),
+        }
+        for name, (value, low, high) in bounds.items():
+            if not low <= value <= high:
+                raise ConfigError(f"{name} is {value}, expected {low:g} to {high:g}", "setting_invalid")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choices:
+    """What one library offers for B queries.
+
+    Attributes:
+        asset: Index of the asset, (B,) int64; -1 where no text score reaches the floor.
+        tilt: Index of its resting tilt, (B,) int64.
+        text: Its text score, (B,) float64; where there is no match, the nearest asset's.
+        size: Its size score at the tilt that fits best, (B,) float64; 0 where there is no match.
+        nearest: The asset with the highest text score where there is no match, (B,) int64; else -1.
+    """
+
+    asset: IntArray
+    tilt: IntArray
+    text: FloatArray
+    size: FloatArray
+    nearest: IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Boxes:
+    """What boxes are wanted.
+
+    Attributes:
+        shapes: Their proportions, (B, 3).
+        leans: Whether what is in each may lean on what carries it, (B,).
+    """
+
+    shapes: FloatArray
+    leans: BoolArray
+
+    def of(self, rows: IntArray) -> "Boxes":
+        """Those of some queries, one after the other."""
+        return Boxes(self.shapes[rows], self.leans[rows])
+
+
+class AssetScores:
+    """One library, laid out for scoring: the assets that are offered and allowed.
+
+    Args:
+        library: The library, with features.
+        settings: How to choose.
+
+    Attributes:
+        assets: The assets that may be chosen.
+        features: Their rows, (N, D) float32.
+        names_category: What they are of, see :class:`~stable_data.assets.catalog.AssetLibrary`.
+    """
+
+    def __init__(self, library: AssetLibrary, settings: RetrievalSettings) -> None:
+        assert library.features is not None
+        self._settings = settings
+        allowed = [k for k, asset in enumerate(library.assets) if _may_be_used(asset, settings)]
+        self.assets: tuple[Asset, ...] = tuple(library.assets[k] for k in allowed)
+        self.features: Rows = library.features if len(allowed) == len(library) else library.features[allowed]
+        self.names_category = library.names_category
+        self._boxes = proportions([t.extents for a in self.assets for t in a.tilts] or np.ones((0, 3)))
+        # How a thing would lean in a cup; upright where nothing is known comes first.
+        self._only_leaning = np.array([k > 0 and t.count == 0 for a in self.assets for k, t in enumerate(a.tilts)], np.bool_)
+        self._num_tilts = np.array([len(a.tilts) for a in self.assets], np.int64)
+        self._first_tilt = np.cumsum(self._num_tilts) - self._num_tilts
+        self._codes = {name: k for k, name in enumerate(sorted({_kind(a.category) for a in self.assets} - {""}))}
+        self._category = np.array([self._codes.get(_kind(a.category), -2) for a in self.assets], np.int64)
+        self._tickets = np.array([ticket(a.asset_id) for a in self.assets], np.uint64)
+        self._slack = 2.0 * self.features.shape[1] * 2.0**-24  # what a float32 product of unit rows may be off
+
+    def choose(
+        self,
+        features: Rows,
+        wanted: FloatArray,
+        categories: Sequence[str | None],
+        tickets: Tickets,
+        leans: BoolArray,
+        without: Sequence[Collection[str]],
+    ) -> Choices:
+        """The best asset for each query, and how it lies.
+
+        Args:
+            features: Unit rows of the queries' texts, (B, D) float32.
+            wanted: Wanted boxes in the yaw frame, (B, 3) float64, metres.
+            categories: What each is to be, where known.
+            tickets: What decides among equals, (B,) uint64.
+            leans: Whether each may lean on what carries it, (B,).
+            without: Ids of assets that are not to be chosen, for each query.
+        """
+        shapes, barred = proportions(wanted), self._barred(without)
+        codes = np.array([self._codes.get(_kind(name or ""), -1) for name in categories], np.int64)
+        parts = []
+        size = max(1, min(_BLOCK, _MAX_SCORES // len(self.assets)))
+        for start in range(0, len(features), size):
+            block = slice(start, start + size)
+            boxes, own = Boxes(shapes[block], leans[block]), [(k - start, n) for k, n in barred if start <= k < start + size]
+            parts.append(self._choose(features[block], boxes, codes[block], tickets[block], own))
+        columns = zip(*((p.asset, p.tilt, p.text, p.size, p.nearest) for p in parts), strict=True)
+        return Choices(*(np.concatenate(column) for column in columns))
+
+    def _barred(self, without: Sequence[Collection[str]]) -> list[tuple[int, int]]:
+        """Queries and assets, by number, that are not to come together."""
+        if not any(without):
+            return []
+        number = {asset.asset_id: n for n, asset in enumerate(self.assets)}
+        return [(k, number[name]) for k, names in enumerate(without) for name in sorted(names) if name in number]
+
+    def _choose(
+        self, features: Rows, boxes: Boxes, codes: IntArray, tickets: Tickets, barred: Sequence[tuple[int, int]]
+    ) -> Choices:
+        """The same for a block of queries."""
+        rough = features @ self.features.T  # (B, N)
+        for k, n in barred:
+            rough[k, n] = _BARRED
+        rows, cols, text = self._candidates(rough, features, boxes)
+        size, rows, cols, text = self._best(rows, cols, text, features, boxes)
+        same = self._category[cols] == codes[rows]
+        has_same = np.zeros(len(features), np.bool_)
+        has_same[rows[same]] = True
+        keep = same | ~has_same[rows]
+        rows, cols, text, size = rows[keep], cols[keep], text[keep], size[keep]
+        order = np.lexsort((_mixed(self._tickets[cols] ^ tickets[rows]), rows))
+        last = order[np.flatnonzero(np.diff(rows[order], append=-1))]
+        asset, nearest = np.full(len(features), -1), np.full(len(features), -1)
+        texts, sizes = np.zeros(len(features)), np.zeros(len(features))
+        asset[rows[last]], texts[rows[last]], sizes[rows[last]] = cols[last], text[last], size[last]
+        lost = np.flatnonzero(asset < 0)
+        nearest[lost], texts[lost] = self._nearest(rough, features, lost)
+        tilt = np.zeros(len(features), np.int64)
+        tilt[rows[last]] = self._tilt(cols[last], boxes.of(rows[last]))
+        return Choices(asset, tilt, texts, sizes, nearest)
+
+    def _candidates(self, rough: Rows, features: Rows, boxes: Boxes) -> tuple[IntArray, IntArray, FloatArray]:
+        """Pairs of query and asset that can be the best or as good, by query, and their text scores to within the slack."""
+        s, slack = self._settings, self._slack
+        best = rough.argmax(axis=1)
+        # One asset's whole score bounds the text score of all that are to matter beside it.
+        known = s.text_weight * rough[np.arange(len(rough)), best] + s.size_weight * self._sizes(best, boxes)
+        bar = np.maximum((known - s.margin - s.size_weight) / s.text_weight, s.floor) - 2 * slack
+        edge = np.full(len(rough), s.floor + 2 * slack)
+        k = s.top_k_text if s.top_k_text is not None and s.top_k_text < rough.shape[1] else None
+        if k is not None:
+            kth = np.partition(rough, -k, axis=1)[:, -k]
+            bar, edge = np.maximum(bar, kth - 2 * slack), np.maximum(edge, kth + 2 * slack)
+        rows, cols = np.nonzero(rough >= bar[:, None].astype(np.float32))
+        text = rough[rows, cols].astype(np.float64)
+        close = np.flatnonzero(text < edge[rows])
+        text[close] = self._text(rows[close], cols[close], features)
+        keep = text >= s.floor
+        if k is not None:
+            order = np.lexsort((cols, -text, rows))
+            rank = np.empty(len(rows), np.int64)
+            rank[order] = np.arange(len(rows)) - np.searchsorted(rows, rows)[order]
+            keep &= rank < k
+        return rows[keep], cols[keep], text[keep]
+
+    def _best(
+        self, rows: IntArray, cols: IntArray, text: FloatArray, features: Rows, boxes: Boxes
+    ) -> tuple[FloatArray, IntArray, IntArray, FloatArray]:
+        """Of candidates those as good as each query's best: size scores, queries, assets and exact text scores."""
+        s = self._settings
+        size = self._sizes(cols, boxes.of(rows))
+        for slack in (2 * self._slack, 0.0):
+            score = np.round(s.text_weight * text + s.size_weight * size, _DECIMALS)
+            best = np.full(len(features), -np.inf)
+            np.maximum.at(best, rows, score)
+            keep = score >= np.round(best[rows] - s.margin - s.text_weight * slack, _DECIMALS)
+            rows, cols, size, text = rows[keep], cols[keep], size[keep], text[keep]
+            if slack:
+                text = self._text(rows, cols, features)
+        return size, rows, cols, text
+
+    def _text(self, rows: IntArray, cols: IntArray, features: Rows) -> FloatArray:
+        """Text scores of pairs, (P,) float64, always added up in the same order."""
+        scores: FloatArray = (features[rows] * self.features[cols]).sum(axis=1).astype(np.float64)
+        return scores
+
+    def _nearest(self, rough: Rows, features: Rows, lost: IntArray) -> tuple[IntArray, FloatArray]:
+        """The asset with the highest text score for some queries, and that score."""
+        rows, cols = np.nonzero(rough[lost] >= rough[lost].max(axis=1, keepdims=True) - 2 * np.float32(self._slack))
+        text = self._text(lost[rows], cols, features)
+        order = np.lexsort((-cols, np.round(text, _DECIMALS), rows))
+        last = order[np.flatnonzero(np.diff(rows[order], append=-1))]
+        return cols[last], text[last]
+
+    def _sizes(self, cols: IntArray, boxes: Boxes) -> FloatArray:
+        """Size scores of pairs at the tilt that fits best, (P,) float64."""
+        if not len(cols):
+            return np.zeros(0)
+        scores, starts = self._tilt_scores(cols, boxes)
+        best: FloatArray = np.maximum.reduceat(scores, starts)
+        return best
+
+    def _tilt(self, cols: IntArray, boxes: Boxes) -> IntArray:
+        """The resting tilt of each pair: the most usual one that fits as well as the best, or nearly, (P,) int64."""
+        if not len(cols):
+            return np.zeros(0, np.int64)
+        scores, starts = self._tilt_scores(cols, boxes)
+        counts = self._num_tilts[cols]
+        misfits = np.arccos(scores)
+        least = np.minimum.reduceat(misfits, starts)
+        most = np.maximum(np.minimum(self._settings.tilt_patience * least, least + _NOT_MUCH), _FITTING)
+        fits = misfits <= np.repeat(most, counts)
+        number = np.arange(len(scores)) - np.repeat(starts, counts)  # tilts are sorted, the most usual first
+        chosen: IntArray = np.minimum.reduceat(np.where(fits, number, len(scores)), starts)
+        return chosen
+
+    def _tilt_scores(self, cols: IntArray, boxes: Boxes) -> tuple[FloatArray, IntArray]:
+        """Size scores of pairs at each of the asset's tilts, one after the other, and where each pair's begin, (P,) int64."""
+        counts = self._num_tilts[cols]
+        starts = np.cumsum(counts) - counts
+        tilts = np.arange(counts.sum()) + np.repeat(self._first_tilt[cols] - starts, counts)
+        scores = size_score(self._boxes[tilts], np.repeat(boxes.shapes, counts, axis=0))
+        return np.where(self._only_leaning[tilts] & ~np.repeat(boxes.leans, counts), 0.0, scores), starts
+
+
+def ticket(*parts: str | int) -> int:
+    """Sixty-four bits of a hash of some words and numbers: what lots are drawn with."""
+    text = "\x00".join(map(str, parts))
+    return int.from_bytes(hashlib.blake2b(text.encode("utf-8", "surrogatepass"), digest_size=8).digest(), "little")
+
+
+def _mixed(bits: Tickets) -> Tickets:
+    """The lots of pairs: bits of asset and query, mixed so that each asset is as likely."""
+    for shift, factor in _MIX:
+        bits = (bits ^ (bits >> np.uint64(shift))) * np.uint64(factor)
+    return bits ^ (bits >> np.uint64(31))
+
+
+def _may_be_used(asset: Asset, settings: RetrievalSettings) -> bool:
+    return asset.is_offered and (settings.licences is None or asset.licence in settings.licences)
+
+
+def _kind(category: str) -> str:
+    """A category as it is compared; empty for none."""
+    return category_of(category) if category.strip() else ""

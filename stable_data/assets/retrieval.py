@@ -1,0 +1,279 @@
+"""From words and a wanted box to an asset, its resting tilt and its scale.
+
+``score = 0.9 · text + 0.1 · size``: the dot product of unit text features, and the cosine of the proportions of the wanted box
+and the asset's box at the resting tilt that fits best. Below a floor of the text score nothing matches: the object is reported,
+with the nearest asset, and not forced. A choice depends on the query, the seed and the libraries alone, never on what else is
+asked in the same call.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from stable_data.assets.box_fitting import stretched_scale, uniform_factor
+from stable_data.assets.catalog import Asset, AssetLibrary, sentence
+from stable_data.assets.ranking import AssetScores, Choices, RetrievalSettings, ticket
+from stable_data.assets.text_embeddings import Rows, TextEncoder, checked_rows
+from stable_data.errors import ConfigError, SceneError
+from stable_data.mesatask.document import shown
+from stable_data.scene import QuatXyzw, Vec3
+
+_PROBED = 32  # assets whose words are encoded again to see whether features of unknown origin are this encoder's
+_MOST_TEXTS = 20_000  # whose features are kept: 31 MB of 384 numbers
+_RELATED = 0.5  # how near they must be on average: those of another encoder are at about 0
+
+
+@dataclass(frozen=True, slots=True)
+class Query:
+    """An object that wants an asset.
+
+    Attributes:
+        text: Words for it. Where there are none, its category says what it is.
+        size: Box in the yaw frame, metres.
+        category: What kind of thing it is, if known: encoded with the words, and preferred among assets that are as good; never
+            demanded.
+        key: What it is drawn by beside the seed, such as ``scene_id/instance``: with a key of its own each of several equal
+            queries may get another asset, and with their scene's key all get the same.
+        leans: Whether it is carried by another thing, on which it may lean; else it has the tilts that it was seen at.
+        without: Ids of assets that it is not to get.
+    """
+
+    text: str
+    size: Vec3
+    category: str | None = None
+    key: str = ""
+    leans: bool = False
+    without: frozenset[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        """Refuses a box without extent."""
+        if len(self.size) != 3 or not all(map(math.isfinite, self.size)) or min(self.size) < 0 or max(self.size) <= 0:
+            found = f"query {shown(self.text)} has size {self.size}"
+            raise SceneError(f"{found}, expected width, depth and height in metres", "size_invalid")
+
+    def sentence(self, *, names_category: bool = True) -> str:
+        """What is encoded of it: its category and its words, or its words alone where it has any."""
+        is_named = names_category or not self.text.strip()
+        return sentence(self.text, (self.category or "") if is_named else "")
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """The asset for a query.
+
+    Attributes:
+        asset_id: Its uid.
+        library: The library that serves it.
+        category: Its category; empty where unknown.
+        score: What it was chosen by.
+        text_score: Dot product of the text features.
+        size_score: Cosine of the proportions, at the resting tilt that fits best.
+        tilt_quat_xyzw: Its resting tilt.
+        scale: Metres per mesh unit along the mesh's own axes.
+        size: Its box at that tilt and scale, metres, yaw frame.
+        note: Why it is scaled evenly although it was to be stretched; else empty.
+    """
+
+    asset_id: str
+    library: str
+    category: str
+    score: float
+    text_score: float
+    size_score: float
+    tilt_quat_xyzw: QuatXyzw
+    scale: Vec3
+    size: Vec3
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Unmatched:
+    """A query that no library has an asset for.
+
+    Attributes:
+        reason: One line for a person.
+        nearest: The asset whose words come nearest; empty where the query has none.
+        library: Its library.
+        text_score: How near.
+    """
+
+    reason: str
+    nearest: str = ""
+    library: str = ""
+    text_score: float = 0.0
+
+
+Answer: TypeAlias = Match | Unmatched
+
+
+class Retriever:
+    """Finds assets in libraries, the first that has a match serving.
+
+    Args:
+        libraries: In order of preference, with features of the same encoder.
+        encoder: The text encoder.
+        settings: How assets are chosen.
+
+    Raises:
+        ConfigError: There is no library, one has no features or those of another encoder, two have one name, or the licences
+            leave none an asset.
+    """
+
+    def __init__(
+        self, libraries: Sequence[AssetLibrary], encoder: TextEncoder, settings: RetrievalSettings | None = None
+    ) -> None:
+        self.settings = settings or RetrievalSettings()
+        self._encoder = encoder
+        if not libraries:
+            raise ConfigError("no asset library, expected at least one to retrieve from", "library_empty")
+        names = [library.name for library in libraries]
+        if len(set(names)) < len(names):
+            raise ConfigError(f"libraries are called {', '.join(names)}, expected one name each; pass name=", "library_name")
+        for library in libraries:
+            _check_encoder(library, encoder)
+        found = ((library.name, AssetScores(library, self.settings)) for library in libraries)
+        self._libraries = [(name, scores) for name, scores in found if scores.assets]
+        if not self._libraries:
+            licences = "any" if self.settings.licences is None else ", ".join(sorted(self.settings.licences)) or "none"
+            message = f"libraries {', '.join(names)} offer no asset under the licences {licences}"
+            raise ConfigError(f"{message}, expected some; allow more licences or add a library", "library_unusable")
+        self._known: dict[str, Rows] = {}
+
+    def retrieve(self, queries: Sequence[Query], seed: int = 0) -> list[Answer]:
+        """An asset for each query, or why there is none.
+
+        Args:
+            queries: The queries; each is answered as if it were asked alone.
+            seed: Decides among assets that are as good: with the same seed a query always gets the same one.
+
+        Returns:
+            One answer a query.
+
+        Raises:
+            ConfigError: The encoder gives anything but unit rows of the libraries' length.
+        """
+        kinds = {scores.names_category for _, scores in self._libraries}
+        texts = list(dict.fromkeys(q.sentence(names_category=kind) for kind in sorted(kinds) for q in queries if q.sentence()))
+        if not texts:
+            return [_wordless() for _ in queries]
+        return self._answers(queries, self._encoded(texts), seed)
+
+    def _encoded(self, texts: Sequence[str]) -> dict[str, Rows]:
+        """The row (D,) of each text; scenes say the same of their things again and again, so it is kept."""
+        found = {text: self._known[text] for text in texts if text in self._known}
+        if unknown := [text for text in texts if text not in found]:
+            rows = checked_rows(self._encoder(unknown), len(unknown), "the text encoder")
+            if rows.shape[1] != (wanted := self._libraries[0][1].features.shape[1]):
+                message = f"the text encoder gives {rows.shape[1]} numbers, but the libraries have {wanted}"
+                raise ConfigError(f"{message}; embed them with it", "features_of_another_encoder")
+            new = {text: row.copy() for text, row in zip(unknown, rows, strict=True)}
+            found |= new
+            self._known |= new
+            for text in list(self._known)[: max(0, len(self._known) - _MOST_TEXTS)]:
+                del self._known[text]
+        return found
+
+    def _answers(self, queries: Sequence[Query], rows: dict[str, Rows], seed: int) -> list[Answer]:
+        answers: list[Answer] = [_wordless() for _ in queries]
+        waiting = [k for k, query in enumerate(queries) if query.sentence()]
+        for name, scores in self._libraries:
+            if not waiting:
+                break
+            asked = [queries[k] for k in waiting]
+            choices = scores.choose(
+                np.stack([rows[query.sentence(names_category=scores.names_category)] for query in asked]),
+                np.array([query.size for query in asked], np.float64),
+                [query.category for query in asked],
+                np.array([ticket(seed, query.key, query.sentence()) for query in asked], np.uint64),
+                np.array([query.leans for query in asked], np.bool_),
+                [query.without for query in asked],
+            )
+            for k, answer in zip(waiting, self._read(name, scores, choices, asked), strict=True):
+                previous = answers[k]
+                is_nearer = not isinstance(previous, Unmatched) or not previous.nearest
+                if isinstance(answer, Match) or is_nearer or answer.text_score > previous.text_score:
+                    answers[k] = answer
+            waiting = [k for k in waiting if isinstance(answers[k], Unmatched)]
+        return answers
+
+    def _read(self, name: str, scores: AssetScores, choices: Choices, queries: Sequence[Query]) -> list[Answer]:
+        """What one library answers."""
+        columns = zip(
+            *(c.tolist() for c in (choices.asset, choices.tilt, choices.text, choices.size, choices.nearest)), strict=True
+        )
+        boxes = np.array([scores.assets[a].tilts[t].extents for a, t in zip(choices.asset, choices.tilt, strict=True)])
+        factors = uniform_factor([query.size for query in queries], boxes).tolist()
+        answers: list[Answer] = []
+        for query, factor, (index, tilt, text, size, nearest) in zip(queries, factors, columns, strict=True):
+            if index < 0 and scores.assets[nearest].asset_id in query.without:
+                answers.append(Unmatched("it is to go without all that the libraries have"))
+            elif index < 0:
+                answers.append(self._unmatched(name, scores.assets[nearest], text, query))
+            else:
+                answers.append(self._match(name, scores.assets[index], tilt, factor, (text, size), query))
+        return answers
+
+    def _match(self, name: str, asset: Asset, tilt: int, factor: float, scored: tuple[float, float], query: Query) -> Match:
+        text, size = scored
+        rest, note = asset.tilts[tilt], ""
+        x, y, z = rest.extents
+        scale, box = (factor, factor, factor), (factor * x, factor * y, factor * z)
+        if self.settings.stretch:
+            stretched, distortion = stretched_scale(query.size, rest.extents, rest.quat_xyzw)
+            if stretched is not None and distortion <= self.settings.max_distortion:
+                scale, box = stretched, query.size
+            elif stretched is None:
+                note = "scaled evenly: it is flat or leans, and cannot be stretched to a box"
+            else:
+                note = f"scaled evenly: to be stretched, it would be distorted {distortion:.2g} times, at most " + (
+                    f"{self.settings.max_distortion:g} allowed"
+                )
+        return Match(
+            asset.asset_id,
+            name,
+            asset.category,
+            self.settings.text_weight * text + self.settings.size_weight * size,
+            text,
+            size,
+            rest.quat_xyzw,
+            scale,
+            box,
+            note,
+        )
+
+    def _unmatched(self, name: str, nearest: Asset, text: float, query: Query) -> Unmatched:
+        found = f"{shown(nearest.words)} of library {name} at {text:.2f}"
+        reason = f"nothing like {shown(query.sentence())}: nearest is {found}, expected at least {self.settings.floor:g}"
+        return Unmatched(reason, nearest.asset_id, name, text)
+
+
+def _wordless() -> Unmatched:
+    return Unmatched("the query has neither words nor a category, expected some to search by")
+
+
+def _check_encoder(library: AssetLibrary, encoder: TextEncoder) -> None:
+    """Refuses a library whose features are not this encoder's; where it does not say, they are tried."""
+    if library.features is None:
+        message = f"library {library.name} has no text features; call embedded(encoder) on it first"
+        raise ConfigError(message, "features_missing")
+    if library.encoder_fingerprint == encoder.fingerprint:
+        return
+    what = f"library {library.name}: its features"
+    hint = "call embedded(encoder) on it, or take the encoder that made them"
+    if library.encoder_fingerprint:
+        found = f"{what} are of encoder {library.encoder_fingerprint}, expected {encoder.fingerprint}"
+        raise ConfigError(f"{found}; {hint}", "features_of_another_encoder")
+    step = math.ceil(len(library) / _PROBED)
+    probed = list(range(0, len(library), step))
+    words = [library.assets[k].words for k in probed]
+    rows = checked_rows(encoder(words), len(words), "the text encoder")
+    if rows.shape[1] != library.features.shape[1]:
+        found = f"{what} have {library.features.shape[1]} numbers, but the encoder gives {rows.shape[1]}"
+        raise ConfigError(f"{found}; {hint}", "features_of_another_encoder")
+    likeness = float((rows * library.features[probed]).sum(axis=1).mean())
+    if likeness < _RELATED:
+        found = f"{what} and the encoder's of the same words agree by {likeness:.2f}, expected at least {_RELATED}"
+        raise ConfigError(f"{found}; {hint}", "features_of_another_encoder")

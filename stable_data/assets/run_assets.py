@@ -1,0 +1,160 @@
+"""Assets of a run's own tables, for jobs that see the run folder and not the dataset that it was made of."""
+
+import hashlib
+import weakref
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pyarrow as pa
+
+from stable_data.assets.store import AssetStore
+from stable_data.atomic_files import put_file
+from stable_data.errors import ConfigError, MeshError
+from stable_data.geometry.mesh import Mesh
+from stable_data.mesatask.document import shown
+from stable_data.mesatask.library import AssetAnnotation
+from stable_data.storage.row_groups import TableFiles
+from stable_data.storage.run_folder import RunFolder, Uri, unwritable
+
+
+class TableAssets:
+    """An :class:`~stable_data.assets.store.AssetSource` over the table ``meshes``: its GLBs as files, named by their content.
+
+    The files of a row group are written when the first of them is asked for; those that are there already, such as another
+    process's, are used. A file is served once its content has been hashed, and a GLB that has another hash than its row states
+    is never written: runs of any origin may share the folder. Of the table no more than a row group is held at a time. It is a
+    :class:`~stable_data.assets.store.PartSource` too: the convex parts are those of the table.
+
+    Args:
+        run: The run folder.
+        files: Local folder for the files.
+
+    Raises:
+        ConfigError: The run has no table ``meshes``, it cannot be read, or the files cannot be written.
+    """
+
+    def __init__(self, run: RunFolder, files: Path) -> None:
+        self._files = files
+        self._names = TableFiles(run.uri, "meshes", ["asset_id", "sha256"])
+        self._meshes = TableFiles(run.uri, "meshes", ["asset_id", "glb", "sha256"])
+        self._parts = TableFiles(run.uri, "meshes", ["asset_id", "parts"])
+        self._group_of: dict[str, int] = {}
+        self._content_of: dict[str, str] = {}
+        self._hashed: set[str] = set()
+        self._read: tuple[int, pa.Table] | None = None
+        for group in range(len(self._names.groups)):
+            rows = self._names.read([group])
+            for asset_id, sha256 in zip(rows["asset_id"].to_pylist(), rows["sha256"].to_pylist(), strict=True):
+                if not (len(sha256) == 64 and sha256.isalnum()):
+                    raise ConfigError(
+                        f"meshes: sha256 is {sha256!r}, expected 64 hex digits; preprocess the dataset again", "table_invalid"
+                    )
+                self._group_of[asset_id], self._content_of[asset_id] = group, sha256
+        try:
+            files.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise unwritable(str(files), error) from error
+
+    def asset_path(self, asset_id: str) -> Path | None:
+        """The asset's repaired mesh as a GLB file, or None where the run has none.
+
+        Raises:
+            ConfigError: The table cannot be read any more, or the file cannot be written.
+            MeshError: The hash of the row's GLB is not the one that the row states (``mesh_differs``).
+        """
+        if asset_id not in self._content_of:
+            return None
+        sha256 = self._content_of[asset_id]
+        path = self._path(sha256)
+        if sha256 not in self._hashed:
+            if _digest(path) != sha256:
+                self._place(self._group_of[asset_id], sha256)
+            if _digest(path) != sha256:
+                found = f"the glb in table meshes does not have the hash {shown(sha256)} that its row states"
+                raise MeshError(f"asset {asset_id}: {found}; preprocess the dataset again", "mesh_differs")
+            self._hashed.add(sha256)
+        return path
+
+    def parts(self, asset_id: str) -> tuple[Mesh, ...]:
+        """The asset's convex parts as the run has them, in the frame and unit of its mesh; none where it has none.
+
+        Raises:
+            ConfigError: The table cannot be read any more.
+        """
+        if asset_id not in self._group_of:
+            return ()
+        group = self._group_of[asset_id]
+        if self._read is None or self._read[0] != group:
+            self._read = group, self._parts.read([group])
+        table = self._read[1]
+        row = table["asset_id"].to_pylist().index(asset_id)
+        return tuple(
+            Mesh(np.reshape(part["vertices"], (-1, 3)), np.reshape(part["faces"], (-1, 3)))
+            for part in table["parts"][row].as_py() or ()
+        )
+
+    def _path(self, sha256: str) -> Path:
+        return self._files / f"{sha256}.glb"
+
+    def _place(self, group: int, wanted: str) -> None:
+        """Writes the files of a row group that have the stated content, each in one step: ``wanted``, and those not there yet."""
+        rows = self._meshes.read([group])
+        try:
+            for glb, sha256 in zip(rows["glb"], rows["sha256"].to_pylist(), strict=True):
+                content = glb.as_buffer()
+                is_due = content is not None and (sha256 == wanted or not self._path(sha256).exists())
+                if is_due and hashlib.sha256(content).hexdigest() == sha256:
+                    put_file(self._path(sha256), content)
+        except OSError as error:
+            raise unwritable(str(self._files), error) from error
+
+
+def _digest(path: Path) -> str | None:
+    """Hash of a file's content; None where there is none that can be read."""
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError:
+        return None
+
+
+def run_store(run: Uri) -> AssetStore:
+    """The assets of a run, their files in a folder of their own that goes when the store does.
+
+    Args:
+        run: The run's folder or URI.
+
+    Raises:
+        ConfigError: As :class:`TableAssets`.
+    """
+    files = TemporaryDirectory(prefix="stable-data-")
+    store = AssetStore(TableAssets(RunFolder(run), Path(files.name)))
+    weakref.finalize(store, files.cleanup)
+    return store
+
+
+def run_annotations(run: RunFolder) -> dict[str, AssetAnnotation]:
+    """What a run's table ``assets`` says of its assets, as annotations, by id.
+
+    Raises:
+        ConfigError: The run has no such table, or it cannot be read.
+    """
+    columns = ["asset_id", "category", "description", "caption", "licence", "source", "extents", "mass", "is_container"]
+    return {row["asset_id"]: _annotation(row) for row in run.table("assets", columns).to_pylist()}
+
+
+def _annotation(row: dict[str, object]) -> AssetAnnotation:
+    extents, mass = row["extents"], row["mass"]
+    x, y, z = extents if isinstance(extents, list) else (None, None, None)
+    return AssetAnnotation(
+        str(row["asset_id"]),
+        category=str(row["category"] or ""),
+        description=str(row["description"] or ""),
+        caption=str(row["caption"] or ""),
+        source=str(row["source"] or ""),
+        mass=mass if isinstance(mass, float) else None,
+        is_container=row["is_container"] if isinstance(row["is_container"], bool) else None,
+        extents_z_up=None if x is None or y is None or z is None else (x, y, z),
+        raw={"licence": row["licence"]} if row["licence"] else {},
+    )

@@ -1,0 +1,91 @@
+"""Wanted objects become objects with assets: where they were, what they are called, standing on what they stood on.
+
+An asset is seldom as high as the box that was wanted. So the underside is what stays: at its height where the object stands on
+the table or on something that is not replaced, and on its carrier where that one changes.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from stable_data.assets.retrieval import Match
+from stable_data.errors import SceneError
+from stable_data.scene import SceneObject
+
+
+def underside(o: SceneObject) -> float:
+    """Height of the lowest point of an object's box above the table top, metres."""
+    return o.position[2] - o.size[2] / 2
+
+
+def with_asset(wanted: SceneObject, match: Match) -> SceneObject:
+    """The object as a match makes it.
+
+    Its instance, x, y, yaw, description, stage and support stay, and so does the height of its underside. Asset, category
+    (where the asset has one), tilt, scale and size are the match's. What rests on it is not looked at: see :func:`with_assets`.
+
+    Args:
+        wanted: The object; ``position`` is the centre of its box in the yaw frame, metres, world frame.
+        match: What was found for it.
+    """
+    x, y, _ = wanted.position
+    return replace(
+        wanted,
+        position=(x, y, underside(wanted) + match.size[2] / 2),
+        category=match.category or wanted.category,
+        asset_id=match.asset_id,
+        tilt_quat_xyzw=match.tilt_quat_xyzw,
+        scale=match.scale,
+        size=match.size,
+    )
+
+
+def with_assets(objects: Sequence[SceneObject], matches: Mapping[str, Match]) -> tuple[SceneObject, ...]:
+    """A layout with assets in place of wanted objects, what they carry moved with them.
+
+    What stands on a carrier (``support``) is lifted or lowered by as much as the carrier's top moves; what lies within the
+    carrier's height, as in a bowl, keeps its place between the carrier's underside and top. Both hold through stacks of any
+    height. x and y stay: whether everything still has room is for the corrector to see to.
+
+    Args:
+        objects: The layout. A support that is not among them, such as ``table`` or an object of an earlier stage, stays as it
+            is.
+        matches: instance -> match, for those that get an asset; the others are only moved with their carriers.
+
+    Returns:
+        The objects, in their order.
+
+    Raises:
+        SceneError: Supports form a circle (``support_circle``).
+    """
+    wanted = {o.instance: o for o in objects}
+    done: dict[str, SceneObject] = {}
+    for o in objects:
+        chain = [o]
+        while (carrier := wanted.get(chain[-1].support or "")) is not None and carrier.instance not in done:
+            if carrier in chain:
+                found = " -> ".join(link.instance for link in [*chain, carrier])
+                raise SceneError(f"{found} form a circle of supports; derive supports anew", "support_circle")
+            chain.append(carrier)
+        for link in reversed(chain):  # carriers first
+            if link.instance not in done:
+                done[link.instance] = _placed(link, matches.get(link.instance), wanted, done)
+    return tuple(done[o.instance] for o in objects)
+
+
+def _placed(
+    o: SceneObject, match: Match | None, wanted: Mapping[str, SceneObject], done: Mapping[str, SceneObject]
+) -> SceneObject:
+    """An object with its asset, on its carrier as that one is now."""
+    low = underside(o)
+    if o.support in done and o.support is not None:
+        before, after = wanted[o.support], done[o.support]
+        above = low - underside(before)
+        if above >= before.size[2] > 0:
+            low = underside(after) + after.size[2] + (above - before.size[2])
+        elif above > 0:
+            low = underside(after) + above / before.size[2] * after.size[2]
+        else:
+            low = underside(after) + above
+    x, y, _ = o.position
+    moved = replace(o, position=(x, y, low + o.size[2] / 2))
+    return moved if match is None else with_asset(moved, match)

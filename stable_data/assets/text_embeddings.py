@@ -1,0 +1,130 @@
+"""Unit rows for words: what a text encoder is, and a file that keeps what it said.
+
+The library knows no model: whoever has one hands it in. Rows of two encoders are never compared, so each names itself by the
+fingerprint of its weights.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from stable_data.atomic_files import put_file
+from stable_data.errors import ConfigError
+from stable_data.storage.run_folder import unwritable
+
+Rows: TypeAlias = npt.NDArray[np.float32]
+"""One unit row a text, (N, D) float32: compared by dot product."""
+
+_UNIT_TOLERANCE = 1e-3
+_FINGERPRINT = b"stable_data.encoder_fingerprint"
+
+
+class TextEncoder(Protocol):
+    """Turns sentences into unit rows; the row of a sentence depends on that sentence alone."""
+
+    @property
+    def fingerprint(self) -> str:
+        """Which weights it has: encoders with the same fingerprint give the same rows."""
+        ...
+
+    def __call__(self, texts: Sequence[str], /) -> Rows:
+        """Unit rows, (N, D) float32."""
+        ...
+
+
+def checked_rows(rows: npt.ArrayLike, num: int, where: str) -> Rows:
+    """Rows as they must be to be compared.
+
+    Args:
+        rows: What is to be (N, D), finite, of unit length.
+        num: N.
+        where: What they are of, for the message.
+
+    Raises:
+        ConfigError: They are not (``features_invalid``).
+    """
+    found = np.ascontiguousarray(rows, np.float32)
+    if found.ndim != 2 or len(found) != num or (num > 0 and found.shape[1] == 0) or not np.isfinite(found).all():
+        message = f"{where}: features have shape {found.shape} or are not finite, expected finite ({num}, D)"
+        raise ConfigError(f"{message}; encode the texts again", "features_invalid")
+    norms = np.sqrt((found.astype(np.float64) ** 2).sum(axis=1))
+    if num and np.abs(norms - 1).max() > _UNIT_TOLERANCE:
+        worst = norms[np.abs(norms - 1).argmax()]
+        raise ConfigError(f"{where}: a feature has length {worst:.4g}, expected unit rows; normalise them", "features_invalid")
+    return found
+
+
+def text_rows(texts: Sequence[str], encoder: TextEncoder, cache: Path | None = None) -> Rows:
+    """The encoder's rows for texts; each different text is encoded once.
+
+    Args:
+        texts: N sentences.
+        encoder: The encoder.
+        cache: A Parquet file of texts and their rows by this encoder. What it holds is not encoded again; what it lacks is
+            added, in one step.
+
+    Returns:
+        (N, D) float32.
+
+    Raises:
+        ConfigError: The file is of another encoder (``features_of_another_encoder``), cannot be used or written; or the encoder
+            gives anything but unit rows.
+    """
+    distinct = list(dict.fromkeys(texts))
+    if not distinct:
+        return np.zeros((0, 0), np.float32)
+    kept, known = ([], np.zeros((0, 0), np.float32)) if cache is None else _read(cache, encoder.fingerprint)
+    place = {text: k for k, text in enumerate(kept)}
+    missing = [text for text in distinct if text not in place]
+    if missing:
+        new = checked_rows(encoder(missing), len(missing), "the text encoder")
+        if kept and known.shape[1] != new.shape[1]:
+            message = f"{cache} holds features of {known.shape[1]} numbers, but the encoder gives {new.shape[1]}"
+            raise ConfigError(f"{message}; delete the file or choose another", "features_of_another_encoder")
+        known = np.concatenate([known, new]) if kept else new
+        kept = [*kept, *missing]
+        place = {text: k for k, text in enumerate(kept)}
+        if cache is not None:
+            _write(cache, kept, known, encoder.fingerprint)
+    return np.ascontiguousarray(known[[place[text] for text in texts]])
+
+
+def _read(cache: Path, fingerprint: str) -> tuple[list[str], Rows]:
+    """Texts and rows of a file; none where it is not there."""
+    if not cache.exists():
+        return [], np.zeros((0, 0), np.float32)
+    try:
+        with pq.ParquetFile(cache) as file:  # opened once: another writer may put a newer file in its place meanwhile
+            table = file.read()
+        found = (table.schema.metadata or {}).get(_FINGERPRINT, b"").decode()
+        texts = table["text"].to_pylist()
+        values = table["feature"].combine_chunks()
+        rows = values.flatten().to_numpy(zero_copy_only=False).reshape(len(texts), -1)
+    except (pa.ArrowException, OSError, KeyError, ValueError, AttributeError) as error:
+        reason = str(error).strip().partition("\n")[0]
+        message = (
+            f"{cache} cannot be read ({reason}), expected a Parquet file of text features; delete it, and it is made again"
+        )
+        raise ConfigError(message, "features_invalid") from error
+    if found != fingerprint:
+        message = f"{cache} holds features of encoder {found or 'unknown'}, expected {fingerprint}"
+        raise ConfigError(f"{message}; delete the file or choose another", "features_of_another_encoder")
+    return texts, checked_rows(rows, len(texts), str(cache))
+
+
+def _write(cache: Path, texts: Sequence[str], rows: Rows, fingerprint: str) -> None:
+    """Puts a file in place in one step."""
+    features = pa.FixedSizeListArray.from_arrays(pa.array(rows.ravel()), rows.shape[1]).cast(pa.list_(pa.float32()))
+    table = pa.table({"text": pa.array(texts, pa.string()), "feature": features})
+    sink = pa.BufferOutputStream()
+    pq.write_table(table.replace_schema_metadata({_FINGERPRINT: fingerprint}), sink)
+    try:
+        cache.parent.mkdir(parents=True, exist_ok=True)
+        put_file(cache, sink.getvalue().to_pybytes())
+    except OSError as error:
+        raise unwritable(str(cache), error) from error

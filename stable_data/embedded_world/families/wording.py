@@ -1,0 +1,45 @@
+"""Words of captions: articles, names of colours, options written as text."""
+
+import re
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from stable_data.embedded_world.modelling.family import Draw
+
+_NAMES: Mapping[str, str] = MappingProxyType(
+    {
+        "#c23a2e": "red", "#7fb0a8": "mint green", "#5f7f8c": "grey-blue", "#4a4e54": "dark grey", "#8fb0a2": "sage green",
+        "#c39a6b": "light brown", "#a9cfe0": "light blue", "#cfe3c4": "light green", "#d9b878": "amber", "#c9c3d6": "smoky",
+        "#b9a88c": "linen", "#d8653f": "terracotta", "#b7d8e2": "clear", "#8fb7d6": "light blue", "navy": "dark blue",
+    }
+)  # fmt: skip
+
+
+def an(words: str) -> str:
+    """Words with their article."""
+    return f"{'an' if words[0] in 'aeiou' else 'a'} {words}"
+
+
+def worded(*captions: str) -> tuple[str, ...]:
+    """Captions, every article in them made the one that fits the next word."""
+    return tuple(re.sub(r"\ba (?=[aeiou])", "an ", caption) for caption in captions)
+
+
+def called(color: str) -> str:
+    """What people call a colour."""
+    return _NAMES.get(color, color)
+
+
+def bare(color: str) -> str:
+    """What people call a kitchen thing of that colour: by its material where that is bare."""
+    return {"silver": "stainless steel", "clear": "glass"}.get(color, color)
+
+
+def pick_words(draw: Draw, *options: str) -> list[str]:
+    """The words of one of several options.
+
+    Args:
+        draw: The chance behind the variant.
+        options: Parted by commas, in one text or in several; ``_`` stands for a blank within a word.
+    """
+    return [word.replace("_", " ") for word in draw.pick(*", ".join(options).split(", ")).split()]

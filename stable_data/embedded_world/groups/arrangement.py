@@ -1,0 +1,289 @@
+"""Things that belong together: items in the yaw frame of their group, before anything has settled.
+
+A group lists what carries before what is carried; heights are found later, by lowering each thing onto what lies under it.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, lru_cache
+from typing import TypeAlias
+
+import numpy as np
+import shapely
+import shapely.affinity
+from scipy.spatial.transform import Rotation
+
+from stable_data.embedded_world.families.catalogue import NUM_VARIANTS, asset
+from stable_data.embedded_world.modelling.family import Space
+from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Vec3
+
+_TRIES = 40
+_UNEVEN = 0.12  # share of upright single things that may be stretched, as assets of the format are
+_STRETCH = 0.15  # at most, along an axis
+_STICKS_OUT = 1.15  # what leans in a cup is longer than the cup is deep by this factor
+_FOOT_SHARE = 0.25  # of a long thing's length is its foot
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One thing of a group.
+
+    Attributes:
+        key: Which asset.
+        x: Of its box's centre, metres, group frame.
+        y: Likewise.
+        yaw: Radians, group frame.
+        tilt_quat_xyzw: Its tilt.
+        scale: Factors on its size, along the axes of its mesh.
+    """
+
+    key: str
+    x: float = 0.0
+    y: float = 0.0
+    yaw: float = 0.0
+    tilt_quat_xyzw: QuatXyzw = UPRIGHT
+    scale: Vec3 = (1.0, 1.0, 1.0)
+
+    def moved(self, x: float, y: float, yaw: float = 0.0) -> "Item":
+        """The item of a group that is turned by ``yaw`` and then moved."""
+        c, s = math.cos(yaw), math.sin(yaw)
+        return replace(self, x=x + c * self.x - s * self.y, y=y + s * self.x + c * self.y, yaw=self.yaw + yaw)
+
+    @property
+    def size(self) -> Vec3:
+        """Its box in its yaw frame, metres."""
+        x, y, z = _extents(self.key, self.tilt_quat_xyzw)
+        if self.scale == (1.0, 1.0, 1.0):
+            return x, y, z
+        # Stretched things stand upright, so that the axes of the mesh are those of the box; others keep their proportions.
+        return x * self.scale[0], y * self.scale[1], z * self.scale[2]
+
+    def outline(self, margin: float = 0.0) -> shapely.Polygon:
+        """Its box on the table, metres, group frame, wider by ``margin`` on each side."""
+        width, depth, _ = self.size
+        x, y = width / 2 + margin, depth / 2 + margin
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        corners = ((x, -y), (x, y), (-x, y), (-x, -y))
+        return shapely.Polygon([(self.x + c * u - s * v, self.y + s * u + c * v) for u, v in corners])
+
+
+@lru_cache(maxsize=4096)
+def _extents(key: str, tilt_quat_xyzw: QuatXyzw) -> Vec3:
+    turned = Rotation.from_quat(tilt_quat_xyzw).apply(asset(key).mesh.vertices)
+    x, y, z = (turned.max(axis=0) - turned.min(axis=0)).tolist()
+    return (x, y, z)
+
+
+Group: TypeAlias = list[Item]
+
+
+@dataclass(eq=False)
+class Kit:
+    """The chance behind one scene, and the household that its things come from: cups of one scene are alike.
+
+    Attributes:
+        rng: Draws.
+    """
+
+    rng: np.random.Generator
+    _owned: dict[str, int] = field(default_factory=dict)
+    _decided: dict[str, bool] = field(default_factory=dict)
+
+    def chance(self, probability: float) -> bool:
+        """Whether something happens."""
+        return bool(self.rng.random() < probability)
+
+    def decided(self, what: str, probability: float) -> bool:
+        """Whether something happens, the same answer each time in this scene."""
+        if what not in self._decided:
+            self._decided[what] = self.chance(probability)
+        return self._decided[what]
+
+    def between(self, low: float, high: float) -> float:
+        """A number between two."""
+        return float(self.rng.uniform(low, high))
+
+    def around(self, most: float) -> float:
+        """A number between ``-most`` and ``most``."""
+        return self.between(-most, most)
+
+    def count(self, low: int, high: int) -> int:
+        """A whole number from ``low`` to ``high``, both included."""
+        return int(self.rng.integers(low, high + 1))
+
+    def pick(self, *options: str) -> str:
+        """One of several."""
+        return options[self.rng.integers(len(options))]
+
+    def some(self, count: int, *options: str) -> list[str]:
+        """Several of several, none twice."""
+        return [options[k] for k in self.rng.permutation(len(options))[:count]]
+
+    def key(self, *categories: str) -> str:
+        """Any asset of one of some categories."""
+        return f"{self.pick(*categories)}/{self.rng.integers(NUM_VARIANTS)}"
+
+    def own(self, *categories: str) -> str:
+        """An asset of one of some categories, the same variant for all of a category in this scene."""
+        category = self.pick(*categories)
+        variant = self._owned.setdefault(category, int(self.rng.integers(NUM_VARIANTS)))
+        return f"{category}/{variant}"
+
+    def item(self, key: str, x: float = 0.0, y: float = 0.0, yaw: float = 0.0, *, wobble: float = 0.0) -> Item:
+        """A thing in its most usual resting tilt, a little larger or smaller than the catalogue's, turned by up to ``wobble``."""
+        return Item(key, x, y, yaw + self.around(wobble), asset(key).tilts[0], self.scale())
+
+    def single(self, *categories: str, wobble: float = 0.3) -> Item:
+        """A thing by itself, in any of its usual tilts, sometimes stretched along some axes."""
+        key = self.key(*categories)
+        tilts = asset(key).tilts
+        tilt = tilts[0] if self.chance(0.7) else tilts[self.rng.integers(len(tilts))]
+        scale = self.scale()
+        if tilt == UPRIGHT and self.chance(_UNEVEN):
+            x, y, z = (s * (1 + self.around(_STRETCH) * (k == self.rng.integers(3))) for k, s in enumerate(scale))
+            scale = (round(x, 3), round(y, 3), round(z, 3))
+        return Item(key, 0.0, 0.0, self.around(wobble), tilt, scale)
+
+    def scale(self, spread: float = 0.06) -> Vec3:
+        """A uniform scale near 1."""
+        factor = round(self.between(1 - spread, 1 + spread), 3)
+        return (factor, factor, factor)
+
+
+Arrange: TypeAlias = Callable[[Kit], Group]
+"""Draws a group."""
+
+
+def row(items: Sequence[Item], gap: float) -> Group:
+    """Things side by side along x, ``gap`` metres apart, around the origin; each keeps its y and yaw."""
+    widths = [np.ptp(item.outline().bounds[0::2]) for item in items]
+    start = -(sum(widths) + gap * (len(items) - 1)) / 2
+    placed = []
+    for item, width in zip(items, widths, strict=True):
+        placed.append(replace(item, x=start + float(width) / 2))
+        start += float(width) + gap
+    return placed
+
+
+def stack(items: Sequence[Item], kit: Kit, *, shift: float = 0.006, turn: float = 0.15) -> Group:
+    """Things on one another, each a little askew, the first at the bottom."""
+    first, *rest = items
+    return [first, *(replace(o, x=first.x + kit.around(shift), y=first.y + kit.around(shift), yaw=o.yaw + kit.around(turn))
+                     for o in rest)]  # fmt: skip
+
+
+def floor_of(item: Item, space: Space, margin: float = 0.0) -> shapely.Polygon:
+    """A top or a hollow of an upright item as an area, metres, group frame, narrower by ``margin`` on each side."""
+    x, y = (max(side / 2 * s - margin, 1e-4) for side, s in zip((space.width, space.depth), item.scale, strict=False))
+    if space.is_round:
+        angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+        corners: FloatArray = np.stack([x * np.cos(angle), y * np.sin(angle)], axis=1)
+    else:
+        corners = np.array([(x, -y), (x, y), (-x, y), (-x, -y)], np.float64)
+    corners += (space.x * item.scale[0], space.y * item.scale[1])
+    c, s = math.cos(item.yaw), math.sin(item.yaw)
+    return shapely.Polygon(corners @ np.array([[c, s], [-s, c]]) + (item.x, item.y))
+
+
+def scattered(area: shapely.Polygon, items: Sequence[Item], kit: Kit, *, gap: float = 0.004, overhang: float = 0.0) -> Group:
+    """Things that lie side by side in an area, in any order, each with its own yaw; those that find no place are left out.
+
+    Args:
+        area: Where, metres, group frame.
+        items: The things.
+        kit: Draws.
+        gap: Between any two, metres.
+        overhang: How much of a thing may reach out of the area, as a share of its sides.
+    """
+    x_min, y_min, x_max, y_max = area.bounds
+    outlines: list[shapely.Polygon] = []
+    placed: Group = []
+    for item in items:
+        for _ in range(_TRIES):
+            there = replace(item, x=kit.between(x_min, x_max), y=kit.between(y_min, y_max))
+            outline = there.outline(gap / 2)
+            kept = shapely.affinity.scale(outline, 1 - overhang, 1 - overhang) if overhang else outline
+            if area.contains(kept) and not any(outline.intersects(other) for other in outlines):
+                outlines.append(outline)
+                placed.append(there)
+                break
+    return placed
+
+
+def filled(container: Item, contents: Sequence[Item], kit: Kit, *, gap: float = 0.004) -> Group:
+    """A container and what lies in it, side by side; what finds no room is left out."""
+    hollow = asset(container.key).hollow
+    if hollow is None:
+        return [container]
+    return [container, *scattered(floor_of(container, hollow, 0.002), contents, kit, gap=gap)]
+
+
+def carrying(carrier: Item, things: Sequence[Item], kit: Kit, *, gap: float = 0.008, overhang: float = 0.0) -> Group:
+    """A thing and what stands on its top or, where it has none, in it; what finds no room is left out."""
+    top = asset(carrier.key).top
+    if top is None:
+        return filled(carrier, things, kit, gap=gap)
+    return [carrier, *scattered(floor_of(carrier, top), things, kit, gap=gap, overhang=overhang)]
+
+
+def heaped(bowl: Item, things: Sequence[Item], kit: Kit) -> Group:
+    """A bowl and round things in a ring in it, as many as have room side by side; they roll together."""
+    width, depth, _ = bowl.size
+    widest = max((max(o.size[:2]) for o in things), default=0.0)
+    reach = 0.43 * min(width, depth) - widest / 2
+    count = len(things)
+    while count > 1 and 2 * reach * math.sin(math.pi / count) < 1.06 * widest:
+        count -= 1
+    if not things or reach < -0.1 * widest:
+        return [bowl]
+    first, radius = kit.between(0, 2 * math.pi), 0.0 if count == 1 else max(reach, 0.0)
+    angles = [first + 2 * math.pi * k / count for k in range(count)]
+    ring = [
+        replace(o, x=bowl.x + radius * math.cos(a), y=bowl.y + radius * math.sin(a), yaw=kit.around(3))
+        for o, a in zip(things, angles, strict=False)
+    ]
+    return [bowl, *ring]
+
+
+def leaning(cup: Item, keys: Sequence[str], kit: Kit) -> Group:
+    """A cup and long things that lean in it, each outwards to its own side, its foot near the middle."""
+    hollow = asset(cup.key).hollow
+    if hollow is None:
+        return [cup]
+    group, first = [cup], kit.between(0, 2 * math.pi)
+    radius, height = min(hollow.width, hollow.depth) / 2 * cup.scale[0], hollow.height * cup.scale[2]
+    fitting = [key for key in keys if _extents(key, UPRIGHT)[2] > _STICKS_OUT * height]
+    for k, key in enumerate(fitting):
+        centre, half = _foot(key)
+        foot = 0.0 if len(fitting) == 1 else (half + 0.0007) / math.sin(math.pi / len(fitting))
+        room = radius - half - foot
+        if room <= 0.001:
+            break
+        lean = 0.8 * math.atan(room / height)
+        heading = first + 2 * math.pi * k / len(fitting)
+        tilt = (math.sin(lean / 2), 0.0, 0.0, math.cos(lean / 2))  # its top towards -y of its own yaw frame
+        x, y = _below(key, tilt, centre)
+        c, s = math.cos(heading), math.sin(heading)
+        there = (cup.x + foot * s - (c * x - s * y), cup.y - foot * c - (s * x + c * y))
+        group.append(Item(key, *there, heading, tilt))
+    return group
+
+
+@cache
+def _foot(key: str) -> tuple[Vec3, float]:
+    """Middle of a long thing's lower end, in the frame of its mesh, and how wide it is there: a radius, metres."""
+    vertices = asset(key).mesh.vertices
+    low = vertices[:, 2].min()
+    end = vertices[vertices[:, 2] < low + _FOOT_SHARE * np.ptp(vertices[:, 2])]
+    middle = (end.min(axis=0) + end.max(axis=0)) / 2
+    x, y = middle[:2].tolist()
+    return (x, y, float(low)), float(np.linalg.norm(end[:, :2] - middle[:2], axis=1).max())
+
+
+def _below(key: str, tilt_quat_xyzw: QuatXyzw, point: Vec3) -> tuple[float, float]:
+    """Where a point of a mesh is once it is tilted, from the middle of its box in the yaw frame, metres."""
+    rotation = Rotation.from_quat(tilt_quat_xyzw)
+    tilted = rotation.apply(asset(key).mesh.vertices)
+    x, y, _ = (rotation.apply(point) - (tilted.min(axis=0) + tilted.max(axis=0)) / 2).tolist()
+    return x, y

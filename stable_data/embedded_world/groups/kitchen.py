@@ -1,0 +1,178 @@
+"""Cooking and keeping food. Lengths in metres."""
+
+import math
+from dataclasses import replace
+
+from stable_data.embedded_world.groups.arrangement import (
+    Group,
+    Item,
+    Kit,
+    carrying,
+    filled,
+    heaped,
+    leaning,
+    row,
+    scattered,
+    stack,
+)
+
+VEGETABLES = ("carrot", "cucumber", "onion", "potato", "tomato", "bell_pepper", "eggplant", "lemon", "avocado")
+STANDING = ("jar", "can", "bottle", "spice_jar", "sauce_bottle", "milk_carton", "soda_can")
+
+
+def chopping(kit: Kit) -> Group:
+    """A board with a knife and vegetables on it, more beside it."""
+    board = kit.item(kit.key("cutting_board"), wobble=0.1)
+    knife = kit.item(kit.key("kitchen_knife"))
+    width, depth, _ = knife.size
+    knife = replace(knife, yaw=(math.pi / 2 if width > depth else 0.0) + kit.around(0.25))
+    kinds = kit.some(kit.count(1, 3), *VEGETABLES)
+    on_board = [kit.item(kit.key(kind), yaw=kit.around(3)) for kind in kinds]
+    group = carrying(board, [knife, *on_board], kit, overhang=0.3)
+    if kit.chance(0.6):
+        other = kit.item(kit.key(*VEGETABLES), yaw=kit.around(3))
+        reach = max(board.size[:2]) / 2 + max(other.size[:2]) / 2 + 0.02
+        group.append(other.moved(reach * kit.between(0.7, 1.0) * (1 if kit.chance(0.5) else -1), kit.around(0.08)))
+    return group
+
+
+def bread_board(kit: Kit) -> Group:
+    """A board with a loaf and a knife or cheese."""
+    board = kit.item(kit.key("cutting_board"), wobble=0.1)
+    things = [
+        kit.item(kit.key("bread", "baguette", "cheese"), wobble=0.3),
+        kit.item(kit.key("cheese", "kitchen_knife", "tomato")),
+    ]
+    return carrying(board, things, kit, overhang=0.3)
+
+
+def pan_with_spatula(kit: Kit) -> Group:
+    """A pan, with something in it or a spatula beside it."""
+    pan = kit.item(kit.key("frying_pan"), wobble=0.6)
+    if kit.chance(0.5):
+        return filled(
+            pan, [kit.item(kit.key("egg", "tomato", "onion"), yaw=kit.around(3)) for _ in range(kit.count(1, 2))], kit
+        )
+    return [pan]
+
+
+def pot(kit: Kit) -> Group:
+    """A pot, open, with food in it, or with a ladle that leans in it."""
+    vessel = kit.item(kit.key("cooking_pot", "saucepan"), wobble=0.5)
+    choice = kit.pick("ladle", "food", "none")
+    if choice == "ladle":
+        return leaning(vessel, [kit.key("ladle", "wooden_spoon")], kit)
+    if choice == "food":
+        return filled(
+            vessel, [kit.item(kit.key("potato", "egg", "carrot"), yaw=kit.around(3)) for _ in range(kit.count(2, 3))], kit
+        )
+    return [vessel]
+
+
+def pot_and_lid(kit: Kit) -> Group:
+    """A pot with its lid beside it."""
+    return row([kit.item(kit.key("cooking_pot", "saucepan")), kit.item(kit.key("pot_lid"))], kit.between(0.02, 0.05))
+
+
+def mixing(kit: Kit) -> Group:
+    """A mixing bowl with a spatula that leans in it or eggs, and what goes into it beside it."""
+    bowl = kit.item(kit.key("mixing_bowl"), yaw=kit.around(3))
+    group = leaning(bowl, [kit.key("spatula", "wooden_spoon")], kit) if kit.chance(0.4) else heaped(bowl, _eggs(kit), kit)
+    beside = kit.item(kit.key("milk_carton", "measuring_cup", "jar"), wobble=0.6)
+    reach = bowl.size[0] / 2 + max(beside.size[:2]) / 2 + kit.between(0.01, 0.04)
+    return [*group, beside.moved(reach, kit.around(0.05))]
+
+
+def _eggs(kit: Kit) -> list[Item]:
+    return [kit.item(kit.key("egg")) for _ in range(kit.count(2, 3))]
+
+
+def jars(kit: Kit) -> Group:
+    """Jars, tins and bottles in a row against the wall, some alike."""
+    keys = [kit.key(*STANDING) if kit.chance(0.6) else kit.own("spice_jar", "jar") for _ in range(kit.count(3, 5))]
+    return row([Item(key, 0.0, kit.around(0.008), kit.around(0.4)) for key in keys], kit.between(0.008, 0.025))
+
+
+def tray_of_bottles(kit: Kit) -> Group:
+    """A tray with oil, sauce and spices."""
+    kinds = ("sauce_bottle", "bottle", "spice_jar", "salt_shaker", "pepper_mill", "jar")
+    things = [kit.item(kit.key(*kinds), yaw=kit.around(3)) for _ in range(kit.count(3, 5))]
+    return carrying(kit.item(kit.key("serving_tray", "decor_tray")), things, kit, gap=0.012)
+
+
+def crate(kit: Kit) -> Group:
+    """A crate with jars, tins and bottles, or with fruit."""
+    if kit.chance(0.5):
+        things = [kit.item(kit.key("jar", "can", "bottle", "sauce_bottle", "soda_can"), yaw=kit.around(3)) for _ in range(5)]
+    else:
+        things = [kit.item(kit.key(kit.pick("apple", "orange", "potato", "onion")), yaw=kit.around(3)) for _ in range(4)]
+    return filled(kit.item(kit.key("crate")), things[: kit.count(2, 5)], kit, gap=0.012)
+
+
+def bowl_in_crate(kit: Kit) -> Group:
+    """A crate or tray that holds a bowl, which holds a fruit: nested three deep."""
+    outer = kit.item(kit.key("crate", "serving_tray", "oven_dish"))
+    bowl = kit.item(kit.key("bowl"), yaw=kit.around(3))
+    group = filled(outer, [bowl], kit) if kit.chance(0.5) else carrying(outer, [bowl], kit)
+    if len(group) == 2:
+        inner = kit.key("apple", "orange", "lemon", "egg", "tomato", "muffin")
+        group.append(kit.item(inner, group[1].x + kit.around(0.004), group[1].y + kit.around(0.004), kit.around(3)))
+    return group
+
+
+def utensils(kit: Kit) -> Group:
+    """A holder with spoons and spatulas that lean in it."""
+    keys = [kit.key("wooden_spoon", "spatula", "ladle") for _ in range(kit.count(2, 3))]
+    return leaning(kit.item(kit.key("utensil_holder")), keys, kit)
+
+
+def appliance(kit: Kit) -> Group:
+    """A toaster, kettle, blender, coffee maker or scale, sometimes with what goes with it."""
+    kind = kit.pick("toaster", "kettle", "blender", "coffee_maker", "kitchen_scale")
+    machine = kit.item(kit.key(kind), wobble=0.12)
+    company = {"toaster": ("bread", "bun"), "kettle": ("mug", "teapot"), "coffee_maker": ("mug", "teacup")}.get(kind)
+    if kind == "kitchen_scale" and kit.chance(0.7):
+        return carrying(machine, [kit.item(kit.key("bowl", "onion", "apple", "potato"), yaw=kit.around(3))], kit)
+    if company is None or kit.chance(0.4):
+        return [machine]
+    return row([machine, kit.item(kit.key(*company), wobble=0.5)], kit.between(0.03, 0.07))
+
+
+def vegetables(kit: Kit) -> Group:
+    """Vegetables in a colander, a basket or a baking dish."""
+    dish = kit.item(kit.key("colander", "basket", "oven_dish"), wobble=0.4)
+    return filled(dish, [kit.item(kit.key(*VEGETABLES), yaw=kit.around(3)) for _ in range(kit.count(2, 4))], kit)
+
+
+def loose_food(kit: Kit) -> Group:
+    """Two or three fruits or vegetables that lie about together."""
+    kind = kit.pick("apple", "orange", "lemon", "potato", "onion", "tomato", "pear", "egg", "banana")
+    items = [kit.item(kit.key(kind), yaw=kit.around(3)) for _ in range(kit.count(2, 3))]
+    area = items[0].outline().buffer(1.3 * max(items[0].size[:2]))
+    return scattered(area, items, kit, gap=0.006)
+
+
+def shopping(kit: Kit) -> Group:
+    """A paper bag or a box with things beside it."""
+    bag = kit.item(kit.key("paper_bag", "cereal_box", "storage_box"), wobble=0.2)
+    things = [kit.item(kit.key("milk_carton", "can", "bread", "cereal_box", "watermelon"), wobble=0.5)]
+    return row([bag, *things], kit.between(0.02, 0.05))
+
+
+def mortar(kit: Kit) -> Group:
+    """A mortar with spices beside it."""
+    return row([kit.item(kit.key("mortar"), yaw=kit.around(3)), kit.item(kit.key("spice_jar"))], kit.between(0.02, 0.04))
+
+
+def bowls(kit: Kit) -> Group:
+    """Equal bowls in one another."""
+    key = kit.own("bowl")
+    return stack([Item(key, yaw=kit.around(3)) for _ in range(kit.count(2, 4))], kit, shift=0.001, turn=3)
+
+
+def cans(kit: Kit) -> Group:
+    """Tins on one another and beside each other."""
+    key = kit.own("can")
+    width = Item(key).size[0]
+    group = [Item(key), Item(key, width + kit.between(0.004, 0.02), kit.around(0.01))]
+    return [*group, Item(key, kit.around(0.004), kit.around(0.004), kit.around(3))] if kit.chance(0.6) else group

@@ -1,0 +1,1 @@
+"""Parametric solids, of which the families of the embedded world are built."""

@@ -1,0 +1,309 @@
+"""Solids as unions of convex parts: lofts, vessels, bars. The parts that make a solid are also its colliders.
+
+Frame: z up, metres. Round things have 48 corners around, and a hollow has 16, so that each part of a wall is convex.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from itertools import pairwise
+from operator import add
+from typing import Any, TypeAlias
+
+import manifold3d
+import numpy as np
+
+from stable_data.errors import MeshError
+from stable_data.geometry.mesh import Mesh
+from stable_data.scene import FloatArray, IntArray
+
+NUM_AROUND = 48
+"""Corners of a circle seen from outside."""
+
+NUM_INSIDE = 16
+"""Corners of a round hollow: one for each part of its wall."""
+
+Ring: TypeAlias = FloatArray  # (M, 3), counter-clockwise seen from where the loft goes to
+Profile: TypeAlias = Sequence[tuple[float, float]]  # (radius, z) from the bottom up, metres
+
+_CONVEX = 1e-9  # share of the volume by which the hull of a convex stack may exceed it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solid:
+    """A closed solid and the convex parts that tile or cover it.
+
+    Attributes:
+        body: The solid, a ``manifold3d.Manifold``.
+        parts: Corners of every convex part, each (P, 3) float64, metres.
+        paints: Colours of the surfaces that have one of their own: (manifold's number of the original, colour).
+    """
+
+    body: Any
+    parts: tuple[FloatArray, ...]
+    paints: tuple[tuple[int, str], ...] = ()
+
+    def __add__(self, other: "Solid") -> "Solid":
+        """The union."""
+        return Solid(self.body + other.body, self.parts + other.parts, self.paints + other.paints)
+
+    def painted(self, color: str) -> "Solid":
+        """The same solid in one colour, which its surface keeps in unions."""
+        body = self.body.as_original()
+        return Solid(body, self.parts, ((body.original_id(), color),))
+
+    def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> "Solid":
+        """The same solid elsewhere, metres."""
+        return Solid(self.body.translate((x, y, z)), tuple(part + np.array([x, y, z]) for part in self.parts), self.paints)
+
+    def turned(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> "Solid":
+        """The same solid turned about x, then y, then z, degrees."""
+        rotation = _rotation(x, y, z)
+        body = self.body.transform(np.c_[rotation, np.zeros(3)])
+        return Solid(body, tuple(part @ rotation.T for part in self.parts), self.paints)
+
+    def resized(self, share: float) -> "Solid":
+        """The same solid, larger or smaller about the origin."""
+        return Solid(self.body.scale((share, share, share)), tuple(part * share for part in self.parts), self.paints)
+
+    def leaned(self, slope: float) -> "Solid":
+        """The same solid sheared backwards by ``slope`` metres in a metre, so that its foot stays level."""
+        shear = np.eye(3)
+        shear[1, 2] = slope
+        body = self.body.transform(np.c_[shear, np.zeros(3)])
+        return Solid(body, tuple(part @ shear.T for part in self.parts), self.paints)
+
+    def grounded(self) -> "Solid":
+        """The same solid with its lowest point at z = 0."""
+        return self.moved(z=-self.body.bounding_box()[2])
+
+
+def join(solids: Iterable[Solid]) -> Solid:
+    """The union of solids that overlap or touch."""
+    return reduce(add, solids)
+
+
+def circle(radius: float, z: float, corners: int = NUM_AROUND) -> Ring:
+    """A regular ring around the z axis, (corners, 3), metres."""
+    angle = 2 * np.pi * np.arange(corners) / corners
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(corners, z)], axis=1)
+
+
+def rectangle(width: float, depth: float, z: float, bevel: float = 0.0) -> Ring:
+    """A ring of four corners, or of eight where they are cut off at 45 degrees, metres. Begins in the middle of no edge."""
+    x, y, b = width / 2, depth / 2, bevel
+    if not b:
+        outline = [(x, -y), (x, y), (-x, y), (-x, -y)]
+    else:
+        outline = [(x, b - y), (x, y - b), (x - b, y), (b - x, y), (-x, y - b), (-x, b - y), (b - x, -y), (x - b, -y)]
+    return np.array([(*xy, z) for xy in outline])
+
+
+def loft(rings: Sequence[Ring]) -> Solid:
+    """The tube through rings of equally many corners, closed at both ends.
+
+    Args:
+        rings: Flat convex rings, so that each four-cornered side between two of them is flat.
+
+    Returns:
+        The solid; its parts are the longest runs of layers that are convex.
+    """
+    return Solid(_tube(rings), tuple(_convex_runs(rings)))
+
+
+def chain(rings: Sequence[Ring]) -> Solid:
+    """The union of the hulls of each ring with the next: a loft whose sides need not be flat."""
+    parts = []
+    for k in range(len(rings) - 1):
+        # A tip inside the next part keeps two parts from meeting face to face, where rounding would leave slivers.
+        ends = rings[k + 1 : k + 3]
+        tip = ends[0].mean(axis=0) * 0.9 + ends[-1].mean(axis=0) * 0.1
+        parts.append(np.vstack([rings[k], rings[k + 1], tip]))
+    hulls = [manifold3d.Manifold.hull_points(part) for part in parts]
+    return Solid(manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add), tuple(parts))
+
+
+def hull(points: FloatArray) -> Solid:
+    """The convex solid around points, (N, 3), metres."""
+    return Solid(manifold3d.Manifold.hull_points(points), (points,))
+
+
+def lathe(profile: Profile, corners: int = NUM_AROUND) -> Solid:
+    """A solid of revolution.
+
+    Args:
+        profile: Of its outside.
+        corners: Of its section.
+    """
+    return loft([circle(r, z, corners) for r, z in profile])
+
+
+def vessel(outer: Sequence[Ring], inner: Sequence[Ring]) -> Solid:
+    """A solid with a hollow that is open at the top.
+
+    Args:
+        outer: Rings of the outside from the bottom up; as many corners as ``inner`` has, or a multiple.
+        inner: Rings of the hollow from its floor up; the last one is at the height of the rim.
+
+    Returns:
+        The solid. Its parts are the floor and, for each layer of the hollow, one part of the wall for each corner of it.
+    """
+    mouth = inner[-1] + (inner[-1] - inner[-2]) * 0.25  # goes on above the rim, so that no two faces coincide
+    body = _tube(outer) - _tube([*inner, mouth])
+    cuts = [_cut(outer, ring[0, 2]) for ring in inner]
+    parts = list(_convex_runs([*_between(outer, -np.inf, inner[0][0, 2]), cuts[0]]))
+    for k in range(len(inner) - 1):
+        walls = [cuts[k], *_between(outer, inner[k][0, 2], inner[k + 1][0, 2]), cuts[k + 1]]
+        parts.extend(_sectors(walls, inner[k : k + 2]))
+    return Solid(body, tuple(parts))
+
+
+def turned_vessel(outer: Profile, inner: Profile) -> Solid:
+    """A vessel of revolution, from the profiles of its outside and of its hollow."""
+    return vessel([circle(r, z) for r, z in outer], [circle(r, z, NUM_INSIDE) for r, z in inner])
+
+
+def box(width: float, depth: float, height: float, bevel: float = 0.0) -> Solid:
+    """A box that stands on z = 0, its upright edges cut by ``bevel``, metres."""
+    return loft([rectangle(width, depth, 0.0, bevel), rectangle(width, depth, height, bevel)])
+
+
+def slab(width: float, depth: float, height: float, bevel: float) -> Solid:
+    """A box that stands on z = 0 with all its edges cut by ``bevel``, metres."""
+    b = bevel
+    rings = [rectangle(width - 2 * b, depth - 2 * b, 0, b), rectangle(width, depth, b, 2 * b)]
+    return loft([*rings, rectangle(width, depth, height - b, 2 * b), rectangle(width - 2 * b, depth - 2 * b, height, b)])
+
+
+def bar(path: Sequence[tuple[float, float]], width: float, thickness: float, corners: int = 12) -> Solid:
+    """A bent bar of elliptic section along a path in the plane y = 0, mitred at the bends.
+
+    Args:
+        path: (x, z) of its axis, metres.
+        width: Across the plane, along y, metres.
+        thickness: In the plane, metres.
+        corners: Of the section.
+    """
+    points = np.array(path, np.float64)
+    steps = np.diff(points, axis=0)
+    steps /= np.linalg.norm(steps, axis=1)[:, None]
+    before, after = np.vstack([steps[:1], steps]), np.vstack([steps, steps[-1:]])
+    mitre = before + after
+    mitre /= np.linalg.norm(mitre, axis=1)[:, None]
+    stretch = 1 / (mitre * after).sum(axis=1)
+    angle = 2 * np.pi * np.arange(corners) / corners
+    rings = []
+    for point, (along_x, along_z), scale in zip(points, mitre, stretch, strict=True):
+        aside = np.array([along_z, 0.0, -along_x]) * scale * thickness / 2
+        offset = np.cos(angle)[:, None] * aside + np.sin(angle)[:, None] * np.array([0.0, width / 2, 0.0])
+        rings.append(np.array([point[0], 0.0, point[1]]) + offset)
+    return loft(rings)
+
+
+def mesh_of(solid: Solid) -> tuple[Mesh, tuple[Mesh, ...], FloatArray]:
+    """The triangle mesh and its convex parts, both moved so that the mesh is centred on its box.
+
+    Returns:
+        The closed mesh and the hull of every part, metres, and where the centre was before, (3,) float64.
+
+    Raises:
+        MeshError: The union failed.
+    """
+    if solid.body.status() != manifold3d.Error.NoError or solid.body.num_tri() == 0:
+        raise MeshError(f"a union of {len(solid.parts)} parts has status {solid.body.status()}; do its parts fit?", "union")
+    mesh = _mesh(solid.body)
+    centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+    parts = (_mesh(manifold3d.Manifold.hull_points(part - centre)) for part in solid.parts)
+    return Mesh(mesh.vertices - centre, mesh.faces), tuple(parts), centre
+
+
+def coats(solid: Solid) -> dict[str | None, IntArray]:
+    """Which faces of :func:`mesh_of` have which colour: indices by colour, None for those that nobody painted."""
+    raw, color_of = solid.body.to_mesh64(), dict(solid.paints)
+    bounds = np.asarray(raw.run_index, np.int64) // 3
+    found: dict[str | None, list[IntArray]] = {}
+    for original, first, last in zip(raw.run_original_id, bounds[:-1], bounds[1:], strict=True):
+        found.setdefault(color_of.get(int(original)), []).append(np.arange(first, last))
+    return {color: np.concatenate(rows) for color, rows in found.items()}
+
+
+def volume(mesh: Mesh) -> float:
+    """Volume that a closed mesh encloses, cubic mesh units."""
+    a, b, c = (mesh.triangles[:, n] for n in range(3))
+    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6
+
+
+def _mesh(body: Any) -> Mesh:
+    raw = body.to_mesh64()
+    return Mesh(np.asarray(raw.vert_properties, np.float64)[:, :3], np.asarray(raw.tri_verts).astype(np.int64))
+
+
+def _tube(rings: Sequence[Ring]) -> Any:
+    vertices, faces = np.concatenate(rings), _tube_faces(len(rings), len(rings[0]))
+    body = manifold3d.Manifold(manifold3d.Mesh64(vertices, faces.astype(np.uint64)))
+    if body.status() != manifold3d.Error.NoError:
+        raise MeshError(f"a loft of {len(rings)} rings has status {body.status()}, expected a closed tube", "loft")
+    return body if body.volume() > 0 else _tube([ring[::-1] for ring in rings])
+
+
+def _tube_faces(num_rings: int, num_corners: int) -> IntArray:
+    corner = np.arange(num_corners)
+    following = (corner + 1) % num_corners
+    faces = []
+    for k in range(num_rings - 1):
+        low, high = k * num_corners, (k + 1) * num_corners
+        faces.append(np.stack([low + corner, low + following, high + following], axis=1))
+        faces.append(np.stack([low + corner, high + following, high + corner], axis=1))
+    fan = np.stack([np.zeros(num_corners - 2, np.int64), corner[1:-1], corner[2:]], axis=1)
+    faces += [fan[:, ::-1], fan + (num_rings - 1) * num_corners]
+    return np.concatenate(faces)
+
+
+def _convex_runs(rings: Sequence[Ring]) -> Iterable[FloatArray]:
+    """Corners of the longest stacks of layers that are convex, greedily from the first."""
+    layers = [_hull_volume(rings[k : k + 2]) for k in range(len(rings) - 1)]
+    start = 0
+    while start < len(layers):
+        end = start + 1
+        while end < len(layers) and _hull_volume(rings[start : end + 2]) <= sum(layers[start : end + 1]) * (1 + _CONVEX):
+            end += 1
+        yield np.concatenate(rings[start : end + 1])
+        start = end
+
+
+def _hull_volume(rings: Sequence[Ring]) -> float:
+    return float(manifold3d.Manifold.hull_points(np.concatenate(rings)).volume())
+
+
+def _between(rings: Sequence[Ring], low: float, high: float) -> list[Ring]:
+    return [ring for ring in rings if low + 1e-12 < ring[0, 2] < high - 1e-12]
+
+
+def _cut(rings: Sequence[Ring], z: float) -> Ring:
+    """The outside at one height: the ring there, or the one between its neighbours."""
+    for low, high in pairwise(rings):
+        if low[0, 2] - 1e-12 <= z <= high[0, 2] + 1e-12:
+            share = (z - low[0, 2]) / (high[0, 2] - low[0, 2])
+            return np.asarray(low + share * (high - low))
+    raise MeshError(f"the hollow reaches z = {z}, outside of the vessel", "vessel")
+
+
+def _sectors(walls: Sequence[Ring], hollow: Sequence[Ring]) -> Iterable[FloatArray]:
+    """One convex piece of the wall for each corner of the hollow's rings."""
+    num_inside = len(hollow[0])
+    share = len(walls[0]) // num_inside
+    for k in range(num_inside):
+        outside = [ring[np.arange(k * share, (k + 1) * share + 1) % len(ring)] for ring in walls]
+        inside = [ring[[k, (k + 1) % num_inside]] for ring in hollow]
+        yield np.concatenate([*outside, *inside])
+
+
+def _rotation(x: float, y: float, z: float) -> FloatArray:
+    """Rz(z) · Ry(y) · Rx(x), degrees, (3, 3)."""
+    rotation = np.eye(3)
+    for axis, angle in enumerate(np.radians([x, y, z])):
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        turn = np.eye(3)
+        turn[[i, i, j, j], [i, j, i, j]] = np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)
+        rotation = turn @ rotation
+    return rotation

@@ -1,0 +1,170 @@
+"""What a set looks like in figures: objects, sizes, tilts, stacking, near-duplicates; beside those known of MesaTask-10K."""
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from stable_data.embedded_world.scenes import RECORD
+from stable_data.scene import FloatArray, Scene
+
+_TILTED = 1.0  # degrees
+_UNEVEN = 1.02  # largest factor of a scale over the smallest
+_SAME = 0.02  # positions nearer than this are the same place, metres
+
+MESATASK: Mapping[str, str] = MappingProxyType(
+    {
+        "scenes": "about 10,700",
+        "assets in use": "over 12,000",
+        "objects a scene, mean": "about 15",
+        "objects a scene, fewest to most": "4 to 28 ¹",
+        "table width, cm": "49 to 160, median 103 ¹",
+        "table depth, cm": "42 to 102, median 66 ¹",
+        "objects tilted by more than 1°": "20 % ¹",
+        "objects scaled unevenly by more than 2 %": "16 % ¹",
+    }
+)
+"""What is known of MesaTask-10K, from its paper; ¹: office tables alone, a sample of 162."""
+
+
+@dataclass(frozen=True, slots=True)
+class Counted:
+    """What one scene adds to the figures.
+
+    Attributes:
+        scene_id: The scene.
+        table_type: Its kind of table.
+        table_size: Width and depth, metres.
+        categories: Of its objects, sorted.
+        positions: Of its objects in the order of ``categories``, (N, 3) float64, metres.
+        longest: Longest side of each object, metres.
+        assets: Asset ids.
+        num_tilted: Objects tilted by more than 1 degree.
+        num_uneven: Objects whose scale differs between axes by more than 2 %.
+        num_stacked: Objects on another one, as recorded.
+        num_contained: Objects in another one, as recorded.
+        depth: Longest chain of things in or on things, as recorded.
+    """
+
+    scene_id: str
+    table_type: str
+    table_size: tuple[float, float]
+    categories: tuple[str, ...]
+    positions: FloatArray
+    longest: tuple[float, ...]
+    assets: tuple[str, ...]
+    num_tilted: int
+    num_uneven: int
+    num_stacked: int
+    num_contained: int
+    depth: int
+
+
+def counted(scene: Scene) -> Counted:
+    """What a scene of the embedded world adds to the figures."""
+    objects = sorted(scene.objects, key=lambda o: (o.category, o.position))
+    record = (scene.source or {}).get(RECORD, {})
+    return Counted(
+        scene.scene_id,
+        scene.table.table_type,
+        scene.table.size_xy,
+        tuple(o.category for o in objects),
+        np.array([o.position for o in objects]),
+        tuple(max(o.size) for o in objects),
+        tuple(o.asset_id or "" for o in objects),
+        sum(bool(np.degrees(o.tilt_angle) > _TILTED) for o in objects),
+        sum(o.scale is not None and max(o.scale) > _UNEVEN * min(o.scale) for o in objects),
+        int(record.get("stacked", 0)),
+        int(record.get("contained", 0)),
+        int(record.get("depth", 0)),
+    )
+
+
+def figures(scenes: Sequence[Counted]) -> dict[str, str]:
+    """The figures of a set, by name."""
+    count = np.array([len(s.categories) for s in scenes])
+    num_objects = int(count.sum())
+    width, depth = 100 * np.array([s.table_size for s in scenes]).T
+    longest = 100 * np.concatenate([s.longest for s in scenes])
+    categories = Counter(c for s in scenes for c in s.categories)
+    twins = near_duplicates(scenes)
+    return {
+        "scenes": f"{len(scenes):,}",
+        "assets in use": f"{len({a for s in scenes for a in s.assets}):,}",
+        "categories in use": f"{len(categories)}",
+        "objects a scene, mean": f"{count.mean():.1f}",
+        "objects a scene, fewest to most": f"{count.min()} to {count.max()}",
+        "table width, cm": _range(width),
+        "table depth, cm": _range(depth),
+        "longest side of an object, cm": _range(longest),
+        "objects tilted by more than 1°": f"{100 * sum(s.num_tilted for s in scenes) / num_objects:.0f} %",
+        "objects scaled unevenly by more than 2 %": f"{100 * sum(s.num_uneven for s in scenes) / num_objects:.0f} %",
+        "scenes with something on something": _share(s.num_stacked > 0 for s in scenes),
+        "scenes with something in something": _share(s.num_contained > 0 for s in scenes),
+        "scenes nested three deep or deeper": _share(s.depth >= 3 for s in scenes),
+        "objects on or in another": f"{100 * sum(s.num_stacked + s.num_contained for s in scenes) / num_objects:.0f} %",
+        "scenes with a near-duplicate": _share(s.scene_id in twins for s in scenes),
+    }
+
+
+def _range(values: FloatArray) -> str:
+    return f"{values.min():.0f} to {values.max():.0f}, median {np.median(values):.0f}"
+
+
+def _share(flags: Iterable[bool]) -> str:
+    told = list(flags)
+    share = 100 * sum(told) / len(told)
+    return f"{share:.0f} %" if share >= 10 or share == 0 else f"{share:.2g} %"
+
+
+def near_duplicates(scenes: Sequence[Counted]) -> frozenset[str]:
+    """Scenes that have a twin: the same categories, each object within 2 cm of its counterpart."""
+    alike: dict[tuple[str, tuple[str, ...]], list[Counted]] = defaultdict(list)
+    for scene in scenes:
+        alike[scene.table_type, scene.categories].append(scene)
+    found = set()
+    for group in alike.values():
+        for k, one in enumerate(group):
+            for other in group[k + 1 :]:
+                if _is_same(one, other):
+                    found |= {one.scene_id, other.scene_id}
+    return frozenset(found)
+
+
+def _is_same(one: Counted, other: Counted) -> bool:
+    distance = np.linalg.norm(one.positions[:, None] - other.positions[None], axis=2)
+    differs = np.array(one.categories)[:, None] != np.array(other.categories)[None]
+    rows, columns = linear_sum_assignment(np.where(differs, 1e3, distance))
+    return bool(distance[rows, columns].max(initial=0.0) < _SAME and not differs[rows, columns].any())
+
+
+def card(scenes: Sequence[Counted], sheet: str | None = None) -> str:
+    """The dataset card, Markdown: the figures beside MesaTask-10K's, tables, categories, and a link to a sheet of pictures."""
+    lines = ["# A set of the embedded world", "", "Made by `stable-data synth`; every scene is at rest and clean. CC0.", ""]
+    lines += ["| | this set | MesaTask-10K |", "|---|---|---|"]
+    lines += [f"| {name} | {value} | {MESATASK.get(name, 'not known')} |" for name, value in figures(scenes).items()]
+    lines += [
+        "",
+        "¹ Office tables alone: a sample of 162.",
+        "",
+        "## Kinds of table",
+        "",
+        "| table | scenes | objects a scene |",
+    ]
+    lines += ["|---|---|---|"]
+    for table_type, found in sorted(_by_table(scenes).items()):
+        lines.append(f"| {table_type} | {len(found)} | {np.mean([len(s.categories) for s in found]):.1f} |")
+    lines += ["", f"![scenes of the set]({sheet})"] if sheet else []
+    uses = Counter(c for s in scenes for c in s.categories)
+    lines += ["", "## Categories", "", ", ".join(f"{category} {count}" for category, count in uses.most_common()), ""]
+    return "\n".join(lines)
+
+
+def _by_table(scenes: Sequence[Counted]) -> dict[str, list[Counted]]:
+    found: dict[str, list[Counted]] = defaultdict(list)
+    for scene in scenes:
+        found[scene.table_type].append(scene)
+    return found

@@ -1,0 +1,328 @@
+"""The embedded world as a folder in the MesaTask-10K format: its library, its scenes, and what it was made with."""
+
+import json
+import shutil
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from stable_data import __version__
+from stable_data.embedded_world.drafting import KINDS
+from stable_data.embedded_world.edits import Edit, make_edit
+from stable_data.embedded_world.families.catalogue import KEYS, LICENCE, asset, unit_cube
+from stable_data.embedded_world.scenes import RECORD, MadeScene, make_scene, plan_of, scene_id_of, table_type_of
+from stable_data.embedded_world.statistics import card, counted
+from stable_data.errors import ConfigError, SceneError
+from stable_data.geometry.gltf_writer import write_glb
+from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.shape import Shape
+from stable_data.mesatask import MesaTaskDataset
+from stable_data.mesatask.layout import LAYOUT_FILE
+from stable_data.mesatask.library import ANNOTATION_FILE, LIBRARY_FOLDER, AssetAnnotation
+from stable_data.mesatask.writing import LAYOUT_FOLDER, write_annotations, write_asset, write_scene
+from stable_data.simulation.render import FRONT_SIZE, contact_sheet, render_scene
+
+TABLE_UID = "3cc47c3f78d34985bf4314de2f8196dd"
+"""What the format calls its table top: a unit cube."""
+
+SINK_UID = "sink_cube"
+"""What the format calls its sink: a unit cube."""
+
+MANIFEST_FILE = "synth.json"
+FAILURES_FOLDER = "synth_failures"
+EDIT_FOLDER, EDIT_FILE, EDITS_FILE = "Edit_info", "edit.json", "edits.jsonl"
+
+SHEET_FILE = "sheet.png"
+
+_NUM_ON_SHEET, _SHEET_PICTURE = 60, (256, 256)
+_EDIT_STREAM = 1_000_003  # no scene is drawn from this attempt
+
+Progress = Callable[[int], None]
+"""Told after every scene how many are done."""
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """What scenes of the embedded world depend on, beside their number.
+
+    Attributes:
+        seed: Any whole number from 0 on.
+        tables: Kinds of table to take in turn; all of them where empty.
+        pictures: Draw front.png.
+        edits: Write an edit of every scene, where one can be made.
+        whole_library: Write every asset of the catalogue; else only those that the scenes use.
+    """
+
+    seed: int = 0
+    tables: tuple[str, ...] = ()
+    pictures: bool = True
+    edits: bool = False
+    whole_library: bool = False
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise ConfigError(f"seed is {self.seed}, expected at least 0", "invalid_count")
+        for table_type in self.tables:
+            plan_of(table_type)
+
+    def scene_folder(self, out: Path, number: int) -> Path:
+        """Where a scene lies."""
+        return out / LAYOUT_FOLDER / table_type_of(number, self.tables) / scene_id_of(number, self.tables)
+
+
+def write_world(out: Path, num_scenes: int = 24, world: World = World(), progress: Progress | None = None) -> list[SceneError]:
+    """Writes a set of the embedded world, or what is missing of it.
+
+    Scene k depends on the world and k alone. A folder appears whole or not at all, and one that exists is left alone.
+
+    Args:
+        out: The folder, in the MesaTask-10K format once written.
+        num_scenes: How many scenes.
+        world: What they depend on.
+        progress: Called after every scene.
+
+    Returns:
+        The scenes that could not be made, with the reason; each is also a file in ``synth_failures``.
+
+    Raises:
+        ConfigError: The folder cannot be written (``out_not_writable``), holds something else (``not_a_world``), or the set was
+            begun with another seed or other tables (``config_changed``); or the numbers make no sense (``invalid_count``).
+    """
+    open_world(out, num_scenes, world)
+    failures = write_scenes(out, range(num_scenes), world, progress)
+    close_world(out, world)
+    return failures
+
+
+def open_world(out: Path, num_scenes: int, world: World) -> None:
+    """Makes a folder ready for scenes: checks what it holds, writes the library and what the set is made with."""
+    if num_scenes < 1:
+        raise ConfigError(f"the number of scenes is {num_scenes}, expected at least 1", "invalid_count")
+    wanted = _manifest(world)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        path = out / MANIFEST_FILE
+        if path.is_file():
+            _compare(out, _read(path), wanted)
+        elif any(out.iterdir()):
+            raise ConfigError(f"{out} holds something else (no {MANIFEST_FILE}), expected a new or empty folder", "not_a_world")
+        else:
+            path.write_text(json.dumps(wanted, indent=2) + "\n", "utf-8")
+        if not (out / ANNOTATION_FILE).is_file():
+            write_library(out, KEYS if world.whole_library else ())
+    except OSError as error:
+        raise _unwritable(out, error) from error
+
+
+def write_scenes(out: Path, numbers: Iterable[int], world: World, progress: Progress | None = None) -> list[SceneError]:
+    """Writes some scenes of a set that :func:`open_world` made ready; those that are there are left alone.
+
+    Returns:
+        The scenes that could not be made.
+
+    Raises:
+        ConfigError: The folder cannot be written (``out_not_writable``).
+    """
+    failures = []
+    try:
+        for done, number in enumerate(numbers, 1):
+            error = _write_one(out, number, world)
+            if error is not None:
+                failures.append(error)
+            if progress is not None:
+                progress(done)
+    except OSError as error:
+        raise _unwritable(out, error) from error
+    return failures
+
+
+def _write_one(out: Path, number: int, world: World) -> SceneError | None:
+    """Writes a scene and its edit, unless they are there; the edit first, so that a scene that is there has one."""
+    folder = world.scene_folder(out, number)
+    if (folder / LAYOUT_FILE).is_file():
+        return None
+    try:
+        made = make_scene(number, world.seed, world.tables)
+    except SceneError as error:
+        _keep_failure(out, folder.name, error)
+        return error
+    if world.edits:
+        edit = make_edit(made, np.random.default_rng([world.seed, number, _EDIT_STREAM]), _kinds_of(number))
+        if edit is not None:
+            _write_edit(out, edit, pictures=world.pictures)
+    _write_whole(out, folder, made, pictures=world.pictures)
+    return None
+
+
+def _kinds_of(number: int) -> tuple[str, ...]:
+    """Scenes take the kinds of edit in turn; where one cannot be made, the next."""
+    first = number % len(KINDS)
+    return (*KINDS[first:], *KINDS[:first])
+
+
+def _write_edit(out: Path, edit: Edit, *, pictures: bool) -> None:
+    """Writes the edited scene into ``Edit_info``, with ``edit.json`` beside its layout."""
+    table_type = edit.before.table.table_type
+    told = {
+        "scene_id": edit.before.scene_id,
+        "edited": edit.after.scene_id,
+        "kind": edit.kind,
+        "instruction": edit.instruction,
+        "added": edit.added,
+        "removed": edit.removed,
+        "moved": edit.moved,
+    }
+    made = MadeScene(edit.after, edit.placed)
+    _write_whole(out, out / EDIT_FOLDER / table_type / edit.after.scene_id, made, pictures=pictures, beside={EDIT_FILE: told})
+
+
+def close_world(out: Path, world: World) -> None:
+    """Writes what is said of the whole set: its card (``README.md``), a sheet of pictures, the annotations, ``edits.jsonl``."""
+    dataset = MesaTaskDataset(out)
+    scenes = [counted(dataset.read(scene_id)[0]) for scene_id in dataset.scene_ids]
+    edits = sorted((out / EDIT_FOLDER).glob(f"*/*/{EDIT_FILE}"))
+    try:
+        if not world.whole_library:
+            write_library(out, sorted(used_keys(out)))
+        has_sheet = _write_sheet(out)
+        if scenes:
+            (out / "README.md").write_text(card(scenes, SHEET_FILE if has_sheet else None), "utf-8")
+        if edits:
+            (out / EDITS_FILE).write_text("".join(json.dumps(json.loads(p.read_text("utf-8"))) + "\n" for p in edits), "utf-8")
+    except OSError as error:
+        raise _unwritable(out, error) from error
+
+
+def _write_sheet(out: Path) -> bool:
+    """Draws an even choice of the pictures on one sheet; gives whether there are any."""
+    paths = sorted((out / LAYOUT_FOLDER).glob("*/*/front.png"))
+    chosen = paths[:: -(-len(paths) // _NUM_ON_SHEET)] if paths else []
+    images = [np.asarray(Image.open(path, formats=("PNG",)).convert("RGB").resize(_SHEET_PICTURE)) for path in chosen]
+    if images:
+        Image.fromarray(contact_sheet(images, [path.parent.name for path in chosen], columns=6)).save(out / SHEET_FILE)
+    return bool(images)
+
+
+def used_keys(out: Path) -> set[str]:
+    """Assets that the scenes and edits of a set use, by their keys, from their records."""
+    found: set[str] = set()
+    for folder in (LAYOUT_FOLDER, EDIT_FOLDER):
+        for path in (out / folder).glob(f"*/*/{LAYOUT_FILE}"):
+            found.update(json.loads(path.read_text("utf-8"))[RECORD]["keys"])
+    return found
+
+
+def _manifest(world: World) -> dict[str, Any]:
+    settings = asdict(world)
+    settings.pop("pictures")  # shapes no scene
+    return {"made_by": f"stable-data {__version__}", "num_assets": len(KEYS), **settings, "tables": list(world.tables)}
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text("utf-8"))
+    except ValueError as error:
+        raise ConfigError(f"{path} is not JSON ({error}), expected what a set was made with; name another folder", "not_a_world")\
+            from error  # fmt: skip
+    if not isinstance(found, dict):
+        raise ConfigError(f"{path} holds {type(found).__name__}, expected an object; name another folder", "not_a_world")
+    return found
+
+
+def _compare(out: Path, found: dict[str, Any], wanted: dict[str, Any]) -> None:
+    changes = [f"{key}: {found.get(key)!r} -> {value!r}" for key, value in wanted.items() if found.get(key) != value]
+    if changes:
+        raise ConfigError(f"{out} was begun otherwise ({'; '.join(changes)}); name another folder", "config_changed")
+
+
+def _unwritable(out: Path, error: OSError) -> ConfigError:
+    return ConfigError(f"{out} cannot be written: {error.strerror or error}; name another folder", "out_not_writable")
+
+
+def _keep_failure(out: Path, name: str, error: SceneError) -> None:
+    folder = out / FAILURES_FOLDER
+    folder.mkdir(exist_ok=True)
+    (folder / f"{name}.json").write_text(json.dumps({"code": error.code, "message": str(error)}, indent=2) + "\n", "utf-8")
+
+
+def write_library(out: Path, keys: Iterable[str]) -> None:
+    """Writes assets of the catalogue, where they are missing, then the annotations of all that are there."""
+    cube = write_glb(unit_cube())
+    annotations = dict(_cube_annotations())
+    for uid in annotations:
+        write_asset(out, uid, cube)
+    for key in keys:
+        found = asset(key)
+        if not (out / LIBRARY_FOLDER / f"{found.uid}.glb").is_file():
+            write_asset(out, found.uid, found.glb)
+        annotations[found.uid] = found.annotation
+    write_annotations(out, annotations)
+
+
+def _cube_annotations() -> list[tuple[str, AssetAnnotation]]:
+    """The table top and the sink are no objects: they are marked as not standing on a table."""
+    words = ((TABLE_UID, "table", "A table top."), (SINK_UID, "sink", "A sink."))
+    return [
+        (
+            uid,
+            AssetAnnotation(
+                uid,
+                category,
+                text.rstrip(".").lower(),
+                text,
+                "synth",
+                on_table=False,
+                extents_z_up=(1.0, 1.0, 1.0),
+                raw={"licence": LICENCE},
+            ),
+        )
+        for uid, category, text in words
+    ]
+
+
+def _write_whole(
+    out: Path, folder: Path, made: MadeScene, *, pictures: bool, beside: Mapping[str, Mapping[str, Any]] | None = None
+) -> None:
+    """Writes a scene's folder aside, with other JSON files beside its layout, and puts it in place in one step."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    for thing in made.placed:
+        if not (out / LIBRARY_FOLDER / f"{thing.asset.uid}.glb").is_file():
+            write_asset(out, thing.asset.uid, thing.asset.glb)
+    aside = Path(tempfile.mkdtemp(prefix=".scene_", dir=out))
+    try:
+        extents = {thing.asset.uid: thing.asset.file_extents for thing in made.placed}
+        written = write_scene(aside, made.scene, picture(made) if pictures else None, extents=extents)
+        for name, content in (beside or {}).items():
+            (written / name).write_text(json.dumps(content, indent=2) + "\n", "utf-8")
+        if folder.exists():  # left by a hand, without a layout
+            shutil.rmtree(folder)
+        written.replace(folder)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def picture(made: MadeScene, size: tuple[int, int] = FRONT_SIZE) -> bytes | None:
+    """The front view as PNG, in the colours of its things; None where the machine cannot draw."""
+    paints = [thing.asset.paint for thing in made.placed]
+    try:
+        image = render_scene(made.scene, yaw_frame_meshes(made), size=size, colors=paints)
+    except ConfigError as error:
+        if error.code != "no_gl":
+            raise
+        return None
+    stream = BytesIO()
+    Image.fromarray(image).save(stream, "png", optimize=False, compress_level=6)
+    return stream.getvalue()
+
+
+def yaw_frame_meshes(made: MadeScene) -> Sequence[Mesh | None]:
+    """The mesh of every object, metres, yaw frame, centred on its box."""
+    pairs = zip(made.scene.objects, made.placed, strict=True)
+    shapes = [Shape.from_mesh(thing.asset.mesh, thing.item.scale, o.tilt_quat_xyzw) for o, thing in pairs]
+    return [Mesh(shape.vertices, shape.faces) for shape in shapes]

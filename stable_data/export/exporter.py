@@ -1,0 +1,173 @@
+"""The scenes of a run in another format, in a folder of their own that can be stopped and gone on with."""
+
+import json
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from stable_data.assets.run_assets import run_annotations
+from stable_data.atomic_files import put_file
+from stable_data.code_version import code_version
+from stable_data.errors import ConfigError, StableDataError
+from stable_data.export.formats import Format, format_named
+from stable_data.mesatask import write_annotations
+from stable_data.mesatask.library import ANNOTATION_FILE, AssetAnnotation
+from stable_data.simulation.run_reader import NEEDED, Choice, RunScenes
+from stable_data.storage.run_folder import RunFolder, content_id, unwritable
+
+MANIFEST_FILE = "export.json"
+Progress: TypeAlias = Callable[[int, int, int], None]
+"""Told after every scene how many are done, of how many, and how many of them could not be exported."""
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What became of an export.
+
+    Attributes:
+        made: Scenes that were written.
+        there: Scenes that were there already.
+        boxes: Objects of the written scenes for which a box stands in.
+        failures: A line for each scene that could not be exported.
+    """
+
+    made: int
+    there: int
+    boxes: int
+    failures: tuple[str, ...]
+
+    @property
+    def total(self) -> int:
+        """All scenes that were asked for."""
+        return self.made + self.there + len(self.failures)
+
+
+def export_run(run: RunFolder, out: Path, name: str, choice: Choice, progress: Progress | None = None) -> Exported:
+    """Writes scenes of a run in another format; run again, it writes what is missing.
+
+    Beside the scenes stand README.md, Asset_annotation.json with category, licence and source of every asset that they use, and
+    export.json, what they were made from.
+
+    Args:
+        run: The run.
+        out: Local folder.
+        name: Of the format, see :data:`stable_data.export.formats.FORMATS`.
+        choice: Which scenes.
+        progress: Is told of every scene.
+
+    Returns:
+        How many were written, were there and failed.
+
+    Raises:
+        ConfigError: It cannot start: the format, a table or a scene is not known, no scene is chosen, or the folder holds
+            something else.
+    """
+    chosen = format_named(name)
+    target = RunFolder(str(out))
+    scenes = RunScenes(run, choice)
+    if not len(scenes):
+        raise ConfigError(f"{run.uri}: no scene is chosen, expected one at least; ask for others", "scene_unknown")
+    annotations = run_annotations(run)
+    with target.locked():
+        _check_same(target, run, name, choice)
+        try:
+            return _export(scenes, annotations, out, chosen, progress)
+        except OSError as error:
+            raise unwritable(str(out), error) from error
+
+
+def _export(
+    scenes: RunScenes,
+    annotations: Mapping[str, AssetAnnotation],
+    out: Path,
+    chosen: Format,
+    progress: Progress | None,
+) -> Exported:
+    made, there, boxes, failures, used = 0, 0, 0, list[str](), set[str]()
+    for scene in scenes:
+        try:
+            place = chosen.place(scene, out)
+            if place.exists():
+                there += 1
+            else:
+                solid = scenes.solid(scene)
+                chosen.write(solid, out)
+                made += 1
+                boxes += solid.meshes.count(None)
+            used |= {o.asset_id or "" for o in scene.objects} & annotations.keys()
+        except OSError:
+            raise
+        except StableDataError as error:
+            if isinstance(error, ConfigError) and error.code != "uid_path_traversal":
+                raise  # the run or the folder cannot be used any more
+            failures.append(_line(scene.scene_id, str(error)))
+        except Exception as error:  # noqa: BLE001 - what nobody foresaw is one scene lost
+            failures.append(_line(scene.scene_id, f"unexpected {type(error).__name__}: {error}; please report it"))
+        if progress is not None:
+            progress(made + there + len(failures), len(scenes), len(failures))
+    write_annotations(out, {asset_id: annotations[asset_id] for asset_id in used})
+    put_file(out / "README.md", _readme(chosen, made + there, [annotations[asset_id] for asset_id in used]).encode())
+    return Exported(made, there, boxes, tuple(failures))
+
+
+def _line(scene_id: str, message: str) -> str:
+    """What is said of a scene that could not be exported, on one line."""
+    message = " ".join(message.split())
+    return message if message.startswith(scene_id) else f"{scene_id}: {message}"
+
+
+def _readme(chosen: Format, num_scenes: int, assets: Sequence[AssetAnnotation]) -> str:
+    licences = Counter((a.licence or "not known", a.source or "not known") for a in assets)
+    rows = [f"| {licence} | {source} | {count} |" for (licence, source), count in sorted(licences.items())]
+    return "\n".join(
+        [
+            f"# {num_scenes} tabletop scenes",
+            "",
+            chosen.ABOUT,
+            "",
+            "Frame: the table top is z = 0 with its near-left corner at the origin, +x right, +y away from the viewer, z up; metres, "
+            "kilograms, radians. An object's position is the centre of its box. An object without a mesh is a box.",
+            "",
+            f"{MANIFEST_FILE} says what was exported from which run. The assets, each with category, source and licence in "
+            f"{ANNOTATION_FILE}:",
+            "",
+            "| licence | source | assets |",
+            "|---|---|---|",
+            *rows,
+            "",
+        ]
+    )
+
+
+def _check_same(target: RunFolder, run: RunFolder, name: str, choice: Choice) -> None:
+    """Writes the manifest, or refuses a folder that holds another export."""
+    settings: dict[str, Any] = {
+        "format": name,
+        "run": run.root if run.is_local else run.uri,
+        "input_fingerprint": content_id({table: sorted(run.shard_ids(table)) for table in (*NEEDED, "settled")}),
+        "where": choice.where,
+        "scenes": sorted(choice.scene_ids),
+        "limit": choice.limit,
+        "settled": choice.settled,
+    }
+    content = target.read_bytes(MANIFEST_FILE)
+    if content is None:
+        if any(path.name != ".lock" for path in Path(target.root).iterdir()):
+            raise ConfigError(
+                f"{target.uri}: holds something else, expected an empty folder or this export", "output_not_empty"
+            )
+        text = json.dumps(settings | {"code_version": code_version()}, indent=2, sort_keys=True, ensure_ascii=False)
+        target.write_bytes(MANIFEST_FILE, (text + "\n").encode())
+        return
+    try:
+        was = dict(json.loads(content))
+    except (ValueError, TypeError):
+        was = {}
+    for key, now in settings.items():
+        if was.get(key) != now:
+            raise ConfigError(
+                f"{target.uri}: {key}: {was.get(key)} -> {now}, expected what the export was begun with; choose a new folder",
+                "config_changed",
+            )

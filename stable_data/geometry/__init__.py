@@ -1,0 +1,1 @@
+"""Triangle meshes: reading, repair, measures, samples, convex parts."""

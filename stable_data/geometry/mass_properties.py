@@ -1,0 +1,65 @@
+"""What a mesh weighs: mass, centre and inertia."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stable_data.errors import MeshError
+from stable_data.geometry.mesh import Mesh, double_areas, signed_volumes
+from stable_data.scene import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MassProperties:
+    """What an object weighs and how it resists turning.
+
+    Attributes:
+        mass: Kilograms.
+        center_of_mass: (3,) float64, metres, the mesh's frame.
+        inertia: About the centre of mass, (3, 3) float64, kg m², axes of the mesh's frame.
+    """
+
+    mass: float
+    center_of_mass: FloatArray
+    inertia: FloatArray
+
+
+def mass_properties(
+    mesh: Mesh, *, mass: float | None = None, density: float | None = None, is_sheet: bool = False, thickness: float = 2e-3
+) -> MassProperties:
+    """Mass, centre and inertia of a homogeneous object, exact for its triangles.
+
+    Args:
+        mesh: Metres; faces outward where it is a solid.
+        mass: Kilograms; this or ``density``.
+        density: kg/m³.
+        is_sheet: Take the surface as a shell instead of the volume (``MeshReport.is_sheet``).
+        thickness: Of the shell, metres; it decides the mass that a density gives, not the shape of the inertia.
+
+    Returns:
+        The properties, in the mesh's frame.
+
+    Raises:
+        MeshError: ``mass_invalid``: both or neither of mass and density, or one that is not positive.
+        MeshError: ``mass_no_volume``: a solid that encloses none; is it a sheet, or inside out?
+    """
+    given = [m for m in (mass, density) if m is not None]
+    if len(given) != 1 or not (0 < given[0] < float("inf") and thickness > 0):
+        raise MeshError(
+            f"mass is {mass}, density {density}, thickness {thickness}, expected one of the first two, positive", "mass_invalid"
+        )
+    corners = mesh.triangles
+    total = corners.sum(axis=1)
+    # Exact integrals of 1, x and x xᵀ: over a triangle (d = 2), or over the tetrahedron from the origin to it (d = 3).
+    weight, d = (double_areas(mesh) / 2 * thickness, 2) if is_sheet else (signed_volumes(corners), 3)
+    content = float(weight.sum())
+    if content <= 0:
+        raise MeshError(
+            f"mesh encloses {content:.3g} m3, expected more than 0; is it a sheet, or inside out?", "mass_no_volume"
+        )
+    center = weight @ total / ((d + 1) * content)
+    second = np.einsum("f,fni,fnj->ij", weight, corners, corners) + np.einsum("f,fi,fj->ij", weight, total, total)
+    second = second / ((d + 1) * (d + 2)) - content * np.outer(center, center)
+    kilograms = mass if mass is not None else given[0] * content
+    inertia = (np.trace(second) * np.eye(3) - second) * (kilograms / content)
+    return MassProperties(kilograms, center, inertia)

@@ -1,0 +1,1 @@
+"""Signed distance, negative inside: exact for a mesh, and on grids."""

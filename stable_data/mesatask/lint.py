@@ -1,0 +1,135 @@
+"""Lint: the audit of every scene of a folder, as a page and as a table."""
+
+import errno
+import os
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from tempfile import TemporaryFile
+
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
+from tqdm import tqdm
+
+from stable_data.assets.store import AssetStore
+from stable_data.errors import Notice, StableDataError
+from stable_data.mesatask import MesaTaskDataset, PositionConvention
+from stable_data.mesatask.position_convention import position_convention
+from stable_data.metrics.audit import audit_scene
+from stable_data.metrics.card import MetricCard
+from stable_data.metrics.summary import Summary, summarise
+from stable_data.storage import schemas
+from stable_data.storage.run_folder import unwritable
+
+
+@dataclass(frozen=True, slots=True)
+class LintResult:
+    """What lint found.
+
+    Attributes:
+        root: The folder.
+        rows: One row a scene: its id, the metric card, pairs and verdicts.
+        failures: Scenes that could not be read or judged.
+        warnings: What is doubtful about those that could.
+    """
+
+    root: Path
+    rows: tuple[schemas.Row, ...]
+    failures: tuple[Notice, ...]
+    warnings: tuple[Notice, ...]
+
+    def frame(self) -> pl.DataFrame:
+        """The rows as a table."""
+        return pl.DataFrame(pl.from_arrow(self._arrow()))
+
+    def summary(self) -> Summary:
+        """The page's content."""
+        return summarise(self.frame())
+
+    def write(self, path: Path) -> None:
+        """Writes the rows as Parquet.
+
+        Raises:
+            ConfigError: The place cannot be written.
+        """
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            pq.write_table(self._arrow(), path, compression="zstd")
+        except OSError as error:
+            raise unwritable(str(path), error) from error
+
+    def __str__(self) -> str:
+        """The page."""
+        head = f"{self.root}: {len(self.rows)} scenes, {len(self.failures)} not usable, {len(self.warnings)} warnings"
+        failed = [f"not usable: {n.message}" for n in self.failures]
+        counted: dict[str, int] = {}
+        for n in self.warnings:
+            counted[n.code] = counted.get(n.code, 0) + 1
+        warned = [f"warning {code:<36} {count:>6}" for code, count in sorted(counted.items())]
+        return "\n".join([head, "", str(self.summary()), *([""] if warned or failed else []), *warned, *failed])
+
+    def _arrow(self) -> pa.Table:
+        schema = schemas.SCHEMAS["scenes"]
+        names = ["scene_id", "table_type", *(f.name for f in fields(MetricCard)), "pairs", "verdicts"]
+        return pa.Table.from_pylist(list(self.rows), schema=pa.schema([schema.field(n) for n in names]))
+
+
+def prepare_place(path: Path) -> None:
+    """Makes the folder of a file that is to be written later.
+
+    Raises:
+        ConfigError: The place cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        TemporaryFile(dir=path.parent).close()
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    except OSError as error:
+        raise unwritable(str(path), error) from error
+
+
+def lint_folder(root: Path, *, progress: bool = False) -> LintResult:
+    """Audits every scene of a folder in the MesaTask-10K format.
+
+    Args:
+        root: The folder.
+        progress: Whether to show a progress bar.
+
+    Raises:
+        ConfigError: The folder is not a dataset.
+    """
+    dataset = MesaTaskDataset(root)
+    store = AssetStore(dataset)
+    convention = position_convention(dataset, store)
+    rows: list[schemas.Row] = []
+    failures = [n for n in dataset.notices if n.code == "layout_missing"]
+    warnings = [n for n in dataset.notices if n.code != "layout_missing"]
+    for scene_id in tqdm(dataset.scene_ids, desc="lint", unit="scene", disable=not progress):
+        row, notices = _lint_scene(dataset, store, convention, scene_id)
+        if row is None:
+            failures += notices
+        else:
+            rows.append(row)
+            warnings += notices
+    return LintResult(root, tuple(rows), tuple(failures), tuple(warnings))
+
+
+def _lint_scene(
+    dataset: MesaTaskDataset, store: AssetStore, convention: PositionConvention, scene_id: str
+) -> tuple[schemas.Row | None, tuple[Notice, ...]]:
+    """The row of a scene and what is doubtful about it; without a row, why there is none."""
+    step = "read"
+    try:
+        scene, read = dataset.read(scene_id)
+        step = "mesh"
+        scene, shapes, meshed = store.resolved(scene, convention)
+        step = "audit"
+        audit = audit_scene(scene, shapes)
+    except StableDataError as error:
+        return None, (Notice(scene_id, step, error.code, str(error)),)
+    except Exception as error:  # noqa: BLE001 - what nobody foresaw is one scene lost, not the page
+        message = f"{scene_id}: {type(error).__name__}: {error}; please report this with the file"
+        return None, (Notice(scene_id, step, "unexpected", message),)
+    row = {"scene_id": scene_id, "table_type": scene.table.table_type, **asdict(audit.card()), **audit.rows()}
+    return row, (*read, *meshed, *audit.notices)

@@ -1,0 +1,1 @@
+"""The scene graph: supports, relations and the stages of a scene."""

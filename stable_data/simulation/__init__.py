@@ -1,0 +1,1 @@
+"""Scenes in MuJoCo: models, settling, pictures, an environment."""

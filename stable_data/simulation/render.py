@@ -1,0 +1,355 @@
+"""Pictures of scenes, drawn off screen, and contact sheets.
+
+The camera follows the format's rule: it looks at the middle of what is there (objects and table) through a 50 mm lens on a
+36 mm sensor, from 1.5 times the largest dimension away; farther, where near corners would be cut off, and for pictures that
+are wider than high as much nearer as they are wider.
+"""
+
+import hashlib
+import os
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Literal, TypeAlias
+
+import fast_simplification
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, ImageDraw, ImageFilter, ImageFont
+
+from stable_data.errors import ConfigError
+from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.mesh_colors import Paint
+from stable_data.scene import FloatArray, Scene, SceneObject, Tabletop, Vec3
+from stable_data.simulation.mujoco_import import mujoco
+
+Picture: TypeAlias = npt.NDArray[np.uint8]
+"""(H, W, 3) uint8, red, green, blue."""
+
+FRONT_SIZE = (512, 512)
+"""Width and height of ``front.png`` in the MesaTask-10K format, pixels."""
+
+View: TypeAlias = Literal["front", "perspective", "top", "left"]
+
+_DIRECTIONS: Mapping[str, Vec3] = {
+    "front": (0.0, -1.0, 0.6),
+    "perspective": (-0.7, -0.7, 0.7),
+    "top": (0.0, 0.0, 1.0),
+    "left": (-1.0, 0.0, 0.3),
+}
+_HALF_VIEW = 18 / 50  # tangent of half the field of view: 36 mm sensor, 50 mm lens
+_FIELD_OF_VIEW = float(np.degrees(2 * np.arctan(_HALF_VIEW)))
+_DISTANCE, _MARGIN = 1.5, 1.02
+TABLE_THICKNESS = 0.03
+SINK_RISE = 4e-4  # above the table top, so that it is seen
+_MAX_FACES = 6000
+_CREASE = np.cos(np.radians(35))  # edges sharper than this are drawn sharp
+
+PALETTE: tuple[str, ...] = (
+    "#d1495b", "#edae49", "#3f88c5", "#66a182", "#8d6b94", "#e07a5f", "#457b9d", "#84a98c", "#f2cc8f", "#b56576",
+    "#6d9dc5", "#c97c5d", "#7fb7be", "#a3b18a", "#e9c46a", "#9c89b8",
+)  # fmt: skip
+"""Colours that a category takes by its name."""
+
+OWN_COLOURS: Mapping[str, str] = {
+    "apple": "#c8323c", "banana": "#f2d14b", "bowl": "#dfe6ea", "bread": "#c58a4a", "crate": "#b98a56", "basket": "#c9a26b",
+    "cutting_board": "#cfa06a", "knife": "#8d99a6", "laptop": "#5c6670", "lemon": "#f4de4e", "orange": "#f08a24",
+    "plate": "#ece7da", "saucepan": "#8a949e", "soap": "#f3c9d0", "spoon": "#aab4bd", "tray": "#8f6a48", "mirror": "#b9d3df",
+    "candle": "#f6ecd2", "box": "#cda777", "can": "#b5484b", "toothbrush": "#3fa7a0",
+}  # fmt: skip
+"""Colours of kinds that everyone knows the colour of."""
+
+TABLE_COLOUR, SINK_COLOUR = "#a8794f", "#eef0f2"
+
+
+def render_scene(
+    scene: Scene,
+    meshes: Sequence[Mesh | None],
+    *,
+    size: tuple[int, int] = FRONT_SIZE,
+    view: View = "front",
+    colors: Sequence[str | Paint] | None = None,
+) -> Picture:
+    """A picture of a scene.
+
+    Args:
+        scene: The scene.
+        meshes: Of each object, metres, yaw frame, centred on its box; None draws the object's box, see-through.
+        size: Width and height, pixels; by default those of the format's ``front.png``.
+        view: Where from.
+        colors: Of each object, or of its faces; by default its category's colour, a little lighter or darker by its asset.
+
+    Returns:
+        The picture.
+
+    Raises:
+        ConfigError: The machine cannot draw (``no_gl``), or the view is not known (``unknown_view``).
+    """
+    if view not in _DIRECTIONS:
+        raise ConfigError(f"view is {view!r}, expected one of {sorted(_DIRECTIONS)}", "unknown_view")
+    chosen: list[str | Paint] = [object_colour(o) for o in scene.objects] if colors is None else list(colors)
+    spec = mujoco.MjSpec()
+    set_mood(spec, size)
+    _add_table(spec, scene.table)
+    for k, (o, mesh, colour) in enumerate(zip(scene.objects, meshes, chosen, strict=True)):
+        _add_object(spec, o, mesh, colour, k)
+    low, high = scene_bounds(scene, meshes)
+    add_lights(spec, low, high)
+    add_camera(spec, low, high, view, size)
+    return _draw(spec.compile(), size)
+
+
+def category_colour(category: str) -> str:
+    """The colour of a category, ``#rrggbb``: the same everywhere."""
+    if category in OWN_COLOURS:
+        return OWN_COLOURS[category]
+    return PALETTE[hashlib.sha256(category.encode()).digest()[0] % len(PALETTE)]
+
+
+def object_colour(o: SceneObject) -> str:
+    """Its category's colour, ``#rrggbb``, shaded so that the assets of a category can be told apart."""
+    share = hashlib.sha256((o.asset_id or "").encode()).digest()[0] / 255
+    red, green, blue, _ = rgba(category_colour(o.category))
+    shaded = (min(255, round(255 * (0.84 + 0.26 * share) * channel)) for channel in (red, green, blue))
+    return "#" + "".join(f"{channel:02x}" for channel in shaded)
+
+
+def scene_bounds(scene: Scene, meshes: Sequence[Mesh | None]) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest corner of objects and table, (3,) float64 each, metres, world frame."""
+    corners = [np.array([[0.0, 0.0, -TABLE_THICKNESS], [*scene.table.size_xy, 0.0]])]
+    for o, mesh in zip(scene.objects, meshes, strict=True):
+        half = np.asarray(o.size) / 2 if mesh is None else np.abs(mesh.vertices).max(axis=0)
+        reach = np.array([np.hypot(half[0], half[1])] * 2 + [half[2]])
+        corners.append(np.array([o.position - reach, o.position + reach]))
+    every = np.concatenate(corners)
+    return every.min(axis=0), every.max(axis=0)
+
+
+def contact_sheet(images: Sequence[Picture], labels: Sequence[str], columns: int) -> Picture:
+    """Pictures side by side, each with its label under it.
+
+    Args:
+        images: Of one size.
+        labels: One for each picture.
+        columns: Pictures in a row.
+
+    Returns:
+        The sheet.
+
+    Raises:
+        ConfigError: There is no picture, or their sizes differ (``invalid_sheet``).
+    """
+    if not images or columns < 1 or len({image.shape for image in images}) > 1:
+        raise ConfigError(
+            f"a sheet of {len(images)} pictures in {columns} columns, expected pictures of one size", "invalid_sheet"
+        )
+    height, width, _ = images[0].shape
+    strip, gap = max(16, height // 14), max(2, width // 64)
+    rows = -(-len(images) // columns)
+    sheet = Image.new("RGB", (columns * (width + gap) + gap, rows * (height + strip + gap) + gap), "white")
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=strip * 0.62)
+    for k, (image, label) in enumerate(zip(images, labels, strict=True)):
+        x, y = gap + k % columns * (width + gap), gap + k // columns * (height + strip + gap)
+        sheet.paste(Image.fromarray(image), (x, y))
+        draw.text((x + width / 2, y + height + strip / 2), label, fill="#333333", font=font, anchor="mm")
+    return np.asarray(sheet)
+
+
+def set_mood(spec: mujoco.MjSpec, size: tuple[int, int]) -> None:
+    """Sets background, buffers and quality for pictures of so many pixels, width and height."""
+    spec.add_texture(
+        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.93, 0.95, 0.97], rgb2=[0.80, 0.83, 0.87], width=64, height=384,
+    )  # fmt: skip
+    visual = spec.visual
+    visual.global_.offwidth, visual.global_.offheight = size
+    # A CPU draws a shadow map no faster than a picture; four points of it for each pixel of a row are enough.
+    visual.quality.shadowsize, visual.quality.offsamples = min(2048, max(512, 4 * max(size))), 4
+    visual.headlight.ambient, visual.headlight.diffuse, visual.headlight.specular = [0.34] * 3, [0.18] * 3, [0.0] * 3
+    # The shadow map keeps off surfaces by a share of the depth that it spans: with 50 some table tops had specks of their own
+    # shadow.
+    visual.map.znear, visual.map.zfar = 0.01, 200.0
+    visual.map.shadowclip = 0.8  # of the extent: half of what a shadow map spans
+
+
+def _add_table(spec: mujoco.MjSpec, table: Tabletop) -> None:
+    x, y = table.size_xy
+    _add_box(spec, (x / 2, y / 2, -TABLE_THICKNESS / 2), (x / 2, y / 2, TABLE_THICKNESS / 2), rgba(TABLE_COLOUR))
+    if table.restricted_zone is not None:
+        x_min, x_max, y_min, y_max = table.restricted_zone
+        centre = ((x_min + x_max) / 2, (y_min + y_max) / 2, 0.0)
+        _add_box(spec, centre, ((x_max - x_min) / 2, (y_max - y_min) / 2, SINK_RISE), rgba(SINK_COLOUR))
+
+
+def _add_box(spec: mujoco.MjSpec, centre: Vec3, half: Vec3, rgba: list[float], yaw: float = 0.0) -> None:
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=list(centre),
+        size=list(half),
+        quat=_yaw_wxyz(yaw),
+        rgba=rgba,
+        contype=0,
+        conaffinity=0,
+    )
+
+
+def _add_object(spec: mujoco.MjSpec, o: SceneObject, mesh: Mesh | None, paint: str | Paint, index: int) -> None:
+    coats = _coats(mesh, paint) if mesh is not None else []
+    if not coats:
+        colour = paint if isinstance(paint, str) else object_colour(o)
+        _add_box(spec, o.position, _half(o.size), rgba(colour, 0.45), o.yaw)
+    for k, (colour, vertices, normals) in enumerate(coats):
+        name, corners = f"object_{index}_{k}", np.arange(len(vertices), dtype=np.int32)
+        spec.add_mesh(
+            name=name, uservert=vertices.ravel(), usernormal=normals.ravel(), userface=corners, userfacenormal=corners,
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )  # fmt: skip
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=list(o.position), quat=_yaw_wxyz(o.yaw), rgba=rgba(colour),
+            contype=0, conaffinity=0,
+        )  # fmt: skip
+
+
+def _coats(mesh: Mesh, paint: str | Paint) -> list[tuple[str, FloatArray, FloatArray]]:
+    """Colour, corners and normals of each part of a mesh that has one colour; nothing where there is nothing to see."""
+    pairs = [(paint, mesh)] if isinstance(paint, str) else [(c, Mesh(mesh.vertices, mesh.faces[rows])) for c, rows in paint]
+    drawn = [(colour, _drawn(part)) for colour, part in pairs]
+    return [(colour, *found) for colour, found in drawn if found is not None]
+
+
+def _half(size: Vec3) -> Vec3:
+    x, y, z = (max(side / 2, 1e-4) for side in size)
+    return (x, y, z)
+
+
+def add_lights(spec: mujoco.MjSpec, low: FloatArray, high: FloatArray) -> None:
+    """Adds the lights for what is between two corners, (3,) each, metres."""
+    centre, reach = (low + high) / 2, float((high - low).max())
+    spec.stat.center, spec.stat.extent = centre.tolist(), reach
+    sun = np.array([-0.45, -0.55, 1.3])
+    spec.worldbody.add_light(
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=(centre + reach * sun).tolist(), dir=(-sun).tolist(), castshadow=True,
+        diffuse=[0.54] * 3, specular=[0.12] * 3, ambient=[0.0] * 3,
+    )  # fmt: skip
+    spec.worldbody.add_light(
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=(centre + np.array([reach, 0.0, reach])).tolist(), dir=[-0.8, 0.3, -0.7],
+        castshadow=False, diffuse=[0.1] * 3, specular=[0.0] * 3, ambient=[0.0] * 3,
+    )  # fmt: skip
+
+
+def add_camera(
+    spec: mujoco.MjSpec, low: FloatArray, high: FloatArray, view: View, size: tuple[int, int], name: str = "view"
+) -> None:
+    """Adds the camera that looks at so much from one side, as the module says; all corners of it are in the picture.
+
+    Args:
+        spec: The description to add it to.
+        low: Lowest corner of what is there, (3,), metres.
+        high: Highest corner.
+        view: Where from.
+        size: Width and height of its pictures, of which the ratio counts.
+        name: Its name.
+    """
+    direction = np.array(_DIRECTIONS[view]) / np.linalg.norm(_DIRECTIONS[view])
+    right = np.cross([0.0, 0.0, 1.0], direction) if abs(direction[2]) < 0.999 else np.array([1.0, 0.0, 0.0])
+    right /= np.linalg.norm(right)
+    up = np.cross(direction, right)
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, np.stack([right, up, direction], axis=1).ravel())
+    half = (high - low) / 2
+    corners = half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    ratio = size[0] / size[1]  # the field of view is that of the height
+    needed = corners @ direction + np.maximum(abs(corners @ right) / ratio, abs(corners @ up)) / _HALF_VIEW
+    usual = _DISTANCE * 2 * half.max() / max(1.0, ratio)
+    position = (low + high) / 2 + max(usual, _MARGIN * needed.max()) * direction
+    spec.worldbody.add_camera(name=name, pos=position.tolist(), quat=quat.tolist(), fovy=_FIELD_OF_VIEW)
+
+
+def open_renderer(model: mujoco.MjModel, size: tuple[int, int]) -> mujoco.Renderer:
+    """What draws a model off screen; the driver keeps a context until it is closed.
+
+    Args:
+        model: The model.
+        size: Width and height, pixels.
+
+    Raises:
+        ConfigError: The machine cannot draw (``no_gl``).
+    """
+    try:
+        return mujoco.Renderer(model, height=size[1], width=size[0])
+    except (ImportError, AttributeError, RuntimeError, mujoco.FatalError) as error:
+        # MuJoCo was imported before `stable_data.simulation.mujoco_import` said how to draw.
+        is_late = os.environ.get("MUJOCO_GL") == "egl" and "egl" not in getattr(mujoco, "GLContext", int).__module__
+        late = "import stable_data.simulation.gym_env before mujoco, or set MUJOCO_GL=egl for both; else " if is_late else ""
+        raise ConfigError(
+            f"no picture: OpenGL does not start ({type(error).__name__}: {error}); {late}"
+            "install libegl1 and libgl1-mesa-dri, or set MUJOCO_GL to egl, osmesa or glfw, or go on without pictures",
+            "no_gl",
+        ) from error
+
+
+def _draw(model: mujoco.MjModel, size: tuple[int, int]) -> Picture:
+    renderer = open_renderer(model, size)
+    data = mujoco.MjData(model)
+    try:
+        mujoco.mj_forward(model, data)
+        renderer.update_scene(data, camera="view")
+        shaded = renderer.render()
+        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+        return _with_soft_shadows(renderer.render(), shaded)
+    finally:
+        renderer.close()
+
+
+def _with_soft_shadows(lit: Picture, shaded: Picture) -> Picture:
+    """The picture without shadows, darkened where the other one is: free of the specks that shadow maps leave at edges."""
+    brightness, darkened = lit.astype(np.float32).sum(axis=2) + 1, shaded.astype(np.float32).sum(axis=2) + 1
+    share = Image.fromarray((255 * np.minimum(darkened / brightness, 1)).round().astype(np.uint8))
+    soft = share.filter(ImageFilter.MedianFilter(3)).filter(ImageFilter.GaussianBlur(0.7))
+    return np.asarray((lit * (np.asarray(soft, np.float32)[:, :, None] / 255)).round().astype(np.uint8))
+
+
+def rgba(colour: str, alpha: float = 1.0) -> list[float]:
+    """``#rrggbb`` as shares of red, green, blue and opacity, 0 to 1."""
+    return [*(int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)), alpha]
+
+
+def _yaw_wxyz(yaw: float) -> list[float]:
+    return [float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2))]
+
+
+def _drawn(mesh: Mesh) -> tuple[FloatArray, FloatArray] | None:
+    """Corners and normals (3F, 3) of what is drawn, or None where there is nothing to see. Kept for meshes drawn lately."""
+    return _drawn_of(mesh.vertices.tobytes(), mesh.faces.tobytes())
+
+
+@lru_cache(maxsize=32)
+def _drawn_of(vertex_bytes: bytes, face_bytes: bytes) -> tuple[FloatArray, FloatArray] | None:
+    vertices = np.frombuffer(vertex_bytes, np.float64).reshape(-1, 3)
+    faces = np.frombuffer(face_bytes, np.int64).reshape(-1, 3)
+    if len(faces) > _MAX_FACES:
+        light, few = fast_simplification.simplify(vertices.astype(np.float32), faces.astype(np.int32), target_count=_MAX_FACES)
+        vertices, faces = light.astype(np.float64), few.astype(np.int64)
+    triangles = vertices[faces]
+    areas = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    solid = np.linalg.norm(areas, axis=1) > 1e-14
+    if not solid.any():
+        return None
+    return triangles[solid].reshape(-1, 3), _corner_normals(faces[solid], areas[solid])
+
+
+def _corner_normals(faces: npt.NDArray[np.int64], areas: FloatArray) -> FloatArray:
+    """Normal of every corner, (3F, 3): the mean of the faces around it that meet its own face at a blunt angle."""
+    units = areas / np.linalg.norm(areas, axis=1)[:, None]
+    corner_vertex = faces.ravel()
+    order = np.argsort(corner_vertex, kind="stable")
+    starts = np.flatnonzero(np.r_[True, np.diff(corner_vertex[order]) != 0])
+    counts = np.diff(np.r_[starts, len(order)])
+    # Every corner with every corner at the same vertex: pair k of corner c is the k-th of its vertex.
+    size = counts.repeat(counts)
+    first = order.repeat(size)
+    offset = np.arange(len(first)) - (np.cumsum(size) - size).repeat(size)
+    second = order[starts.repeat(counts).repeat(size) + offset]
+    near = (units[first // 3] * units[second // 3]).sum(axis=1) > _CREASE
+    normals = np.zeros((len(corner_vertex), 3))
+    np.add.at(normals, first[near], areas[second[near] // 3])
+    return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])

@@ -1,0 +1,409 @@
+"""What a physics engine makes of a scene: MuJoCo lets it settle, watches it, and says whether it stayed where it was put.
+
+Colliders are the convex parts of the objects; the table is a box whose top is z = 0. World frame, metres, kilograms, seconds.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from stable_data.errors import MeshError
+from stable_data.geometry.mesh import Mesh
+from stable_data.scene import TABLE, FloatArray, Tabletop, Vec3
+from stable_data.simulation.mujoco_import import mujoco
+
+MOVE_LIMIT = 0.010
+"""A scene is stable when nothing moved farther than this in all, metres."""
+
+TURN_LIMIT = 5.0
+"""... and nothing turned farther than this in all, degrees."""
+
+DRIFT_LIMIT = 0.050
+"""... and nothing went farther than this after the settling, metres."""
+
+COLLIDER = "collider"
+"""Default class of the geoms that collide, in a model of the engine."""
+
+_TABLE_THICKNESS = 0.1
+_JITTER_SECONDS = 1.0
+_REST_SECONDS = 0.1
+_TURN_ARM = 0.05  # metres
+_FLATTEST = 1e-6  # parts thinner than this share of their length (or 1 µm) enclose nothing an engine can hit, and are left out
+
+
+@dataclass(frozen=True, slots=True)
+class EngineOptions:
+    """How the engine is set. The defaults are those of the stability verdict.
+
+    Attributes:
+        timestep: Seconds.
+        settle_seconds: How long a scene may settle.
+        watch_seconds: How long it is watched after that.
+        sample_seconds: How often poses are looked at.
+        rest_speed: The settling ends early once nothing has moved faster than this for a tenth of a second, metres a second
+            (0 waits to its end). Turning counts as the speed of a point 5 cm away.
+        friction: Sliding, torsional (metres) and rolling (metres) coefficients of every contact.
+        solref: Time constant (seconds) and damping ratio of contacts.
+        solimp: Impedance of contacts at depth 0 and beyond the width, and the width (metres).
+        impratio: How much stiffer friction is than the normal direction; keeps elliptic cones from creeping.
+        sleep_speed: What moves slower than this in the watch, metres a second, with all that it touches, is not looked at until
+            something touches it (0: all is). It could creep a third of a millimetre in the watch.
+        hurries: Whether a scene is watched no longer once something has gone too far in the settling: it is not stable,
+            whatever comes. Where it comes to lie, how far it drifts and how it trembles is not known then.
+    """
+
+    timestep: float = 0.002
+    settle_seconds: float = 1.0
+    watch_seconds: float = 3.0
+    sample_seconds: float = 0.02
+    rest_speed: float = 0.0
+    friction: Vec3 = (0.8, 0.005, 0.0001)
+    solref: tuple[float, float] = (0.008, 1.0)
+    solimp: Vec3 = (0.95, 0.99, 0.001)
+    impratio: float = 10.0
+    sleep_speed: float = 1e-4
+    hurries: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """An object as the engine sees it.
+
+    Attributes:
+        name: Named in reasons.
+        parts: Convex colliders, metres, yaw frame, centred on the object's box. Their hulls are what collides.
+        mass: Kilograms, spread evenly over the parts.
+        position: Centre of its box in its yaw frame, metres, world frame.
+        yaw: Rotation about +z, radians.
+        movable: False for what is fixed to the world.
+    """
+
+    name: str
+    parts: tuple[Mesh, ...]
+    mass: float
+    position: Vec3
+    yaw: float = 0.0
+    movable: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SettleResult:
+    """Where the bodies came to rest, and the verdict (docs/generate.md). None is unknown, and never a pass.
+
+    Attributes:
+        names: The bodies, in the order given.
+        positions: At the end, (N, 3) float64, metres, world frame: where the centre of the box at the start has gone.
+        quats_xyzw: At the end, (N, 4) float64, unit, world from yaw frame at yaw 0; upright at the start it is the yaw alone.
+        moves: Farthest that each body ever was from its start, (N,) float64, metres. Where the simulation blew up it is inf of
+            the bodies that had gone too far before (of all where none had), and NaN, unknown, of the others.
+        turns: Farthest that each body ever was turned from its start, (N,) float64, degrees, with inf and NaN as in ``moves``.
+        engine_penetration_mm: Deepest contact at t = 0.
+        settle_move_max_mm: Largest of ``moves``.
+        settle_turn_max_deg: Largest of ``turns``.
+        drift_mm: Farthest that a body was, while watched, from where it was when the settling ended.
+        jitter_mm: Farthest that a body was from its own mean position in the last second; what sleeps does not tremble.
+        stable: Nothing moved more than 10 mm or turned more than 5 degrees in all, nothing drifted 50 mm.
+        reason: Why ``stable`` is not True; empty where it is.
+    """
+
+    names: tuple[str, ...]
+    positions: FloatArray
+    quats_xyzw: FloatArray
+    moves: FloatArray
+    turns: FloatArray
+    engine_penetration_mm: float | None
+    settle_move_max_mm: float | None
+    settle_turn_max_deg: float | None
+    drift_mm: float | None
+    jitter_mm: float | None
+    stable: bool | None
+    reason: str = ""
+
+    @property
+    def unsteady(self) -> tuple[str, ...]:
+        """The bodies that went too far or turned too much; where the simulation blew up, those that are to blame."""
+        is_gone = _gone(self.moves, self.turns).tolist()
+        return tuple(name for name, gone in zip(self.names, is_gone, strict=True) if gone)
+
+    @property
+    def num_restless(self) -> int:
+        """How many bodies are not known to stay: those that are unsteady, and all where the simulation blew up or never ran."""
+        return int((~((self.moves <= MOVE_LIMIT) & (self.turns <= TURN_LIMIT))).sum())
+
+
+def settle(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = EngineOptions()) -> SettleResult:
+    """Lets a scene settle under gravity and watches it.
+
+    Args:
+        bodies: The objects.
+        table: The table that they stand on.
+        options: How the engine is set; by default 2 ms steps, 1 s to settle, 3 s watched.
+
+    Returns:
+        Final poses and the verdict. ``stable`` is None where the engine could not be asked (a body without a solid part), False
+        where it was and something moved, fell or exploded.
+    """
+    names = tuple(body.name for body in bodies)
+    start = np.array([(*b.position, *_quat_of_yaw(b.yaw)) for b in bodies], np.float64).reshape(-1, 7)
+    if not bodies:
+        return _verdict(names, start[None], start[None], 0.0, options)
+    try:
+        model = compile_bodies(bodies, table, options)
+    except MeshError as error:
+        return _unknown(names, start, str(error))
+    with without_log_file():
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        penetration = deepest_contact(data)
+        settled = _run(model, data, options.settle_seconds, options, options.rest_speed)
+        path = np.concatenate([start[None], settled])
+        if not np.isfinite(path).all() or (options.hurries and _why_not(names, *_farthest(path), 0.0)):
+            watched = settled[:0]
+        else:
+            let_sleep(model, options)  # not before: what only just begins to fall is as slow as what rests
+            watched = _run(model, data, options.watch_seconds, options)
+    if not (np.isfinite(path).all() and np.isfinite(watched).all()):
+        return _exploded(names, np.concatenate([path, watched])[:-1], penetration)
+    return _verdict(names, path, watched, penetration, options)
+
+
+def compile_bodies(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = EngineOptions()) -> mujoco.MjModel:
+    """Builds the engine's model in memory.
+
+    Args:
+        bodies: The objects; body k + 1 of the model is ``bodies[k]`` (0 is the world with the table).
+        table: The table.
+        options: How the engine is set.
+
+    Returns:
+        The model, a ``mujoco.MjModel``.
+
+    Raises:
+        MeshError: A body has no solid part (code ``no_collider``) or no mass, or the engine refuses the model (``engine``).
+    """
+    return compile_spec(spec_of(bodies, table, options))
+
+
+def spec_of(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = EngineOptions()) -> mujoco.MjSpec:
+    """What :func:`compile_bodies` compiles: the one description of a scene for the engine, which exports add names and looks to.
+
+    Args:
+        bodies: The objects; body k + 1 of the model is ``bodies[k]``. Their geoms are their solid parts, in order.
+        table: The table, the geom ``table`` of the world.
+        options: How the engine is set.
+
+    Returns:
+        The description, a ``mujoco.MjSpec``; what collides is of the class ``collider``.
+
+    Raises:
+        MeshError: A body has no solid part (code ``no_collider``) or no mass.
+    """
+    spec = mujoco.MjSpec()
+    _configure(spec, options)
+    collider = spec.add_default(COLLIDER, spec.default)
+    collider.geom.friction, collider.geom.solref = list(options.friction), list(options.solref)
+    collider.geom.solimp, collider.geom.condim = [*options.solimp, 0.5, 2.0], 4
+    x, y = table.size_xy
+    half = _TABLE_THICKNESS / 2
+    spec.worldbody.add_geom(
+        collider, name=TABLE, type=mujoco.mjtGeom.mjGEOM_BOX, size=[x / 2, y / 2, half], pos=[x / 2, y / 2, -half]
+    )
+    meshes: dict[int, str] = {}
+    for body in bodies:
+        _add_body(spec, body, meshes, collider)
+    return spec
+
+
+def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """The engine's model of a description.
+
+    Raises:
+        MeshError: The engine refuses it (``engine``).
+    """
+    try:
+        return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise MeshError(
+            f"the engine refuses the scene: {' '.join(str(error).split())}; repair its convex parts", "engine"
+        ) from error
+
+
+def let_sleep(model: mujoco.MjModel, options: EngineOptions) -> None:
+    """From now on the engine does not look at what is slower than ``options.sleep_speed``, if that is more than 0."""
+    if options.sleep_speed:
+        model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+        model.opt.sleep_tolerance = options.sleep_speed
+
+
+def deepest_contact(data: mujoco.MjData) -> float:
+    """Depth of the deepest contact of the current state, metres, 0 where nothing touches."""
+    return float(max(0.0, -data.contact.dist.min())) if data.ncon else 0.0
+
+
+def _configure(spec: mujoco.MjSpec, options: EngineOptions) -> None:
+    spec.option.timestep = options.timestep
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = options.impratio
+    # By default the engine starts a blown-up scene again from its first pose, which would look like one that never moved.
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+
+
+def _add_body(spec: mujoco.MjSpec, body: Body, meshes: dict[int, str], collider: mujoco.MjsDefault) -> None:
+    if not np.isfinite((*body.position, body.yaw)).all():
+        raise MeshError(f"body {body.name}: its pose is {body.position}, yaw {body.yaw}, expected finite numbers", "not_finite")
+    if not 0 < body.mass < np.inf:
+        raise MeshError(f"body {body.name}: mass is {body.mass} kg, expected a finite one of more than 0", "no_mass")
+    added = spec.worldbody.add_body(pos=list(body.position), quat=_wxyz(_quat_of_yaw(body.yaw)))
+    if body.movable:
+        added.add_freejoint()
+    volumes = [hull_volume(part) for part in body.parts]
+    if not sum(volumes) > 0:
+        raise MeshError(
+            f"body {body.name}: none of its {len(volumes)} convex parts is solid; decompose its mesh again", "no_collider"
+        )
+    for part, volume in zip(body.parts, volumes, strict=True):
+        if volume > 0:
+            if id(part) not in meshes:  # objects of one asset share its colliders
+                meshes[id(part)] = f"part_{len(meshes)}"
+                inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+                spec.add_mesh(name=meshes[id(part)], uservert=part.vertices.ravel(), inertia=inertia)
+            mass = body.mass * volume / sum(volumes)
+            added.add_geom(collider, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=meshes[id(part)], mass=mass)
+
+
+@lru_cache(maxsize=1024)
+def hull_volume(part: Mesh) -> float:
+    """Volume of a closed convex part, cubic metres; 0 where it is too flat for an engine to collide with."""
+    vertices = part.vertices - part.vertices.mean(axis=0)
+    if len(vertices) < 4 or not np.isfinite(vertices).all():
+        return 0.0
+    spread = np.linalg.svd(vertices, compute_uv=False)
+    if spread[2] < max(_FLATTEST * spread[0], 1e-6):
+        return 0.0
+    a, b, c = (vertices[part.faces[:, k]] for k in range(3))
+    return max(0.0, float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6)
+
+
+def _run(
+    model: mujoco.MjModel, data: mujoco.MjData, seconds: float, options: EngineOptions, rest_speed: float = 0.0
+) -> FloatArray:
+    """Poses of all bodies at every sample, (T, N, 7) float64: position, quaternion xyzw; NaN from the first that blew up on.
+
+    Ends early once nothing has moved faster than ``rest_speed`` for a while.
+    """
+    patience = round(_REST_SECONDS / options.sample_seconds)
+    num_still = 0
+    stride = max(1, round(options.sample_seconds / options.timestep))
+    samples = []
+    for _ in range(max(1, round(seconds / options.timestep / stride))):
+        mujoco.mj_step(model, data, nstep=stride)
+        # mj_step leaves the bodies where they were before the step; the joints are where they are now.
+        mujoco.mj_kinematics(model, data)
+        pose = np.concatenate([data.xpos[1:], data.xquat[1:][:, [1, 2, 3, 0]]], axis=1)
+        if has_exploded(data) or not np.isfinite(pose).all():
+            samples.append(np.full_like(pose, np.nan))
+            break
+        samples.append(pose)
+        num_still = num_still + 1 if _speed(data) < rest_speed else 0
+        if num_still > patience:
+            break
+    return np.stack(samples)
+
+
+def _speed(data: mujoco.MjData) -> float:
+    """Of the fastest body, metres a second."""
+    motion = data.qvel.reshape(-1, 6) * ([1.0] * 3 + [_TURN_ARM] * 3)
+    return float(np.abs(motion).max(initial=0.0))
+
+
+@contextmanager
+def without_log_file() -> Iterator[None]:
+    """Keeps the engine from writing its warnings to a file in the working directory; the verdict says what they say."""
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(None)
+
+
+def has_exploded(data: mujoco.MjData) -> bool:
+    """Whether the engine has met numbers that no scene has."""
+    bad = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+    return any(data.warning[int(kind)].number > 0 for kind in bad)
+
+
+def _verdict(
+    names: tuple[str, ...], settled: FloatArray, watched: FloatArray, penetration: float, options: EngineOptions
+) -> SettleResult:
+    """Judges trajectories (T, N, 7): the start and the settling, then the watch."""
+    path = np.concatenate([settled, watched])
+    moves, turns = _farthest(path)
+    drift, jitter = 0.0, None
+    if len(watched):
+        drift = float(np.linalg.norm(watched[:, :, :3] - settled[-1:, :, :3], axis=2).max(initial=0.0))
+        last = watched[-max(1, round(_JITTER_SECONDS / options.sample_seconds)) :, :, :3]
+        jitter = 1e3 * float(np.linalg.norm(last - last.mean(axis=0), axis=2).max(initial=0.0))
+    reason = _why_not(names, moves, turns, drift)
+    move, turn = float(moves.max(initial=0.0)), float(turns.max(initial=0.0))
+    figures = (1e3 * penetration, 1e3 * move, turn, 1e3 * drift if len(watched) else None, jitter)
+    return SettleResult(names, path[-1, :, :3], path[-1, :, 3:], moves, turns, *figures, stable=not reason, reason=reason)
+
+
+def _farthest(path: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How far each body was from its start on a trajectory (T, N, 7), (N,) metres, and how far turned, (N,) degrees."""
+    moves = np.linalg.norm(path[:, :, :3] - path[:1, :, :3], axis=2).max(axis=0)
+    return moves, np.degrees(_angles(path[:1, :, 3:], path[:, :, 3:])).max(axis=0)
+
+
+def _why_not(names: tuple[str, ...], moves: FloatArray, turns: FloatArray, drift: float) -> str:
+    if moves.max(initial=0.0) > MOVE_LIMIT:
+        return f"{names[int(moves.argmax())]} moved {1e3 * moves.max():.1f} mm"
+    if turns.max(initial=0.0) > TURN_LIMIT:
+        return f"{names[int(turns.argmax())]} turned {turns.max():.1f} degrees"
+    return f"something drifted {1e3 * drift:.1f} mm" if drift > DRIFT_LIMIT else ""
+
+
+def _unknown(names: tuple[str, ...], start: FloatArray, reason: str) -> SettleResult:
+    nothing = np.full(len(names), np.nan)
+    return SettleResult(
+        names, start[:, :3], start[:, 3:], nothing, nothing, None, None, None, None, None, stable=None, reason=reason
+    )
+
+
+def _exploded(names: tuple[str, ...], known: FloatArray, penetration: float) -> SettleResult:
+    """The verdict on a simulation that blew up after a trajectory (T, N, 7), its start included.
+
+    What had gone too far by then is to blame, for what only stands there does not blow up; where nothing had, anything may be.
+    """
+    moves, turns = _farthest(known)
+    gone = _gone(moves, turns)
+    blamed = np.where(gone | ~gone.any(), np.inf, np.nan)
+    after = _why_not(names, moves, turns, 0.0)
+    reason = "the simulation blew up" + (f" after {after}" if after else "; are objects deep in one another?")
+    figures = (1e3 * penetration, None, None, None, None)
+    return SettleResult(names, known[0, :, :3], known[0, :, 3:], blamed, blamed, *figures, stable=False, reason=reason)
+
+
+def _gone(moves: FloatArray, turns: FloatArray) -> npt.NDArray[np.bool_]:
+    """Which bodies went too far, (N,) bool."""
+    return (moves > MOVE_LIMIT) | (turns > TURN_LIMIT)
+
+
+def _angles(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Angle between rotations (..., 4), radians."""
+    # The arccosine of the product would be blind below 1e-4 rad.
+    sign = np.where((first * second).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)
+    chord = np.linalg.norm(first - sign * second, axis=-1)
+    return np.asarray(4 * np.arcsin(np.minimum(chord / 2, 1.0)))
+
+
+def _quat_of_yaw(yaw: float) -> tuple[float, float, float, float]:
+    return (0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2)))
+
+
+def _wxyz(quat_xyzw: tuple[float, float, float, float]) -> list[float]:
+    return [quat_xyzw[3], *quat_xyzw[:3]]

@@ -1,0 +1,1 @@
+"""Runs as folders of Parquet files: schemas, rows, queries, and loading for training."""

@@ -1,0 +1,75 @@
+"""The order of a table's rows in an epoch: fixed by a seed and the epoch, made window by window."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stable_data.scene import IntArray
+from stable_data.storage.row_groups import RowGroup
+
+_WINDOW_BYTES = 256 * 2**20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Window:
+    """Row groups that are held together.
+
+    Attributes:
+        start: Where the first of their rows stands in the epoch.
+        stop: Where the first row after them stands.
+        groups: Numbers of the row groups.
+        seed: What their rows are shuffled by, or None.
+    """
+
+    start: int
+    stop: int
+    groups: tuple[int, ...]
+    seed: tuple[int, ...] | None
+
+    def rows_at(self, places: IntArray) -> IntArray:
+        """Which of the window's rows, counted over its groups, stand at some places of the epoch."""
+        inside = places - self.start
+        if self.seed is None:
+            return inside
+        shuffled: IntArray = np.random.default_rng(self.seed).permutation(self.stop - self.start)
+        return shuffled[inside]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EpochOrder:
+    """Row groups in an order of their own each epoch, then rows within windows of row groups.
+
+    Attributes:
+        groups: The row groups of a table.
+        seed: None: the order of the files, a window for each row group.
+        window_rows: Rows that a window holds at most; it holds one row group at least, and 256 MB at most.
+    """
+
+    groups: Sequence[RowGroup]
+    seed: int | None
+    window_rows: int
+
+    def windows(self, epoch: int) -> Iterator[Window]:
+        """The windows of an epoch; every row group is in one of them."""
+        window: list[int] = []
+        start = stop = num_bytes = 0
+        for index in self._groups_of(epoch):
+            group = self.groups[index]
+            is_full = stop - start + group.num_rows > self.window_rows or num_bytes + group.num_bytes > _WINDOW_BYTES
+            if window and (is_full or self.seed is None):
+                yield self._window(epoch, start, stop, window)
+                window, start, num_bytes = [], stop, 0
+            window.append(index)
+            stop, num_bytes = stop + group.num_rows, num_bytes + group.num_bytes
+        if window:
+            yield self._window(epoch, start, stop, window)
+
+    def _groups_of(self, epoch: int) -> Sequence[int]:
+        order = np.arange(len(self.groups))
+        if self.seed is not None:
+            np.random.default_rng((self.seed, epoch)).shuffle(order)
+        return [int(index) for index in order]
+
+    def _window(self, epoch: int, start: int, stop: int, groups: list[int]) -> Window:
+        return Window(start, stop, tuple(groups), None if self.seed is None else (self.seed, epoch, start))

@@ -1,0 +1,220 @@
+"""The row groups of a table, of one run or of several: listed once, read one by one in whichever process holds a copy."""
+
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import groupby, pairwise
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.dataset as ds
+import pyarrow.parquet as pq
+
+from stable_data.errors import ConfigError
+from stable_data.scene import IntArray
+from stable_data.storage.filter_expression import Query, parse_query
+from stable_data.storage.run_folder import RunFolder, Uri, content_id, read_row_groups, unreadable
+from stable_data.storage.schemas import SCHEMAS, Row, check_version
+
+SPLITS = ("train", "validation", "test", "unseen")
+"""What a row's ``split`` may be."""
+
+_REQUESTS = 16
+_ARRAYS = (pa.float16(), pa.float32(), pa.int32())
+_SLICE_BYTES = 4 * 2**20
+_NUMBER = ".row"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RowGroup:
+    """One row group of one file.
+
+    Attributes:
+        run: Which of the runs, counted from 0.
+        path: The file, as its file system names it.
+        index: Which of the file's row groups.
+        num_rows: Rows, without those that are not asked for.
+        num_bytes: All columns and rows, decompressed.
+        chosen: Which rows, (num_rows,) int64, or None: all of them.
+    """
+
+    run: int
+    path: str
+    index: int
+    num_rows: int
+    num_bytes: int
+    chosen: IntArray | None = None
+
+
+class TableFiles:
+    """The row groups of a table in the order of its files.
+
+    Args:
+        uri: The run folder; or several, whose rows come one run after the other.
+        table: Name in SCHEMAS.
+        leaves: Columns or leaves of columns, as Parquet names them, or None: all.
+        split: Rows of which split, or None: all. Others are left out before anything is made of them.
+        where: Which rows, a condition as :mod:`stable_data.storage.filter_expression` has it, or None: all. Likewise; row
+            groups that the files' statistics rule out are not opened.
+
+    Attributes:
+        uri: The run folder, or all of them in one string.
+        split: As given.
+        where: As given.
+        groups: The row groups that hold rows.
+        starts: Number of the first row of each, and of the row after the last, (groups + 1,) int64.
+
+    Raises:
+        ConfigError: The table is not there, was written by another version, cannot be read, or has no such split or columns;
+            or no run is given, or one twice.
+    """
+
+    def __init__(
+        self,
+        uri: Uri | Sequence[Uri],
+        table: str,
+        leaves: Sequence[str] | None,
+        split: str | None = None,
+        where: str | None = None,
+    ) -> None:
+        _check_split(table, split)
+        self._uris = [os.fspath(one) for one in ([uri] if isinstance(uri, str | os.PathLike) else uri)]
+        self.uri, self.split, self.where = ", ".join(self._uris), split, where
+        self._table = table
+        self._leaves = None if leaves is None else list(leaves)
+        self._folders, self._process = [RunFolder(uri) for uri in self._uris], os.getpid()
+        places = {folder.root if folder.is_local else folder.uri for folder in self._folders}
+        if not places or len(places) < len(self._folders):
+            raise ConfigError(f"runs are [{self.uri}], expected at least one, and each once", "runs_invalid")
+        paths = [(run, path) for run, folder in enumerate(self._folders) for path in self._paths(folder)]
+        query = self._query()  # once: threads of Python 3.11 that parse side by side may fail
+        with ThreadPoolExecutor(_REQUESTS) as pool:
+            listed = pool.map(lambda found: self._list_groups(found[0], found[1], query), paths)
+            self.groups = [group for groups in listed for group in groups]
+        self.starts: IntArray = np.cumsum([0, *(group.num_rows for group in self.groups)], dtype=np.int64)
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return int(self.starts[-1])
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of which rows there are, in which order."""
+        return content_id([(group.run, group.path.rpartition("/")[2], group.index, group.num_rows) for group in self.groups])
+
+    def read(self, groups: Sequence[int], *, use_threads: bool = False) -> pa.Table:
+        """The rows of some row groups, in that order.
+
+        Raises:
+            ConfigError: A file was changed or removed since.
+        """
+        if self._process != os.getpid():  # forked: a file system is not shared with the parent
+            self._folders, self._process = [RunFolder(uri) for uri in self._uris], os.getpid()
+        of_files = [list(of_file) for _, of_file in groupby((self.groups[g] for g in groups), lambda g: (g.run, g.path))]
+        if len(of_files) == 1 or all(self._folders[of_file[0].run].is_local for of_file in of_files):
+            return pa.concat_tables([self._read_file(of_file, use_threads) for of_file in of_files])
+        with ThreadPoolExecutor(_REQUESTS) as pool:  # an object store answers late, but many at once
+            return pa.concat_tables(pool.map(lambda of_file: self._read_file(of_file, False), of_files))
+
+    def _read_file(self, groups: list[RowGroup], use_threads: bool) -> pa.Table:
+        """The rows of row groups of one file."""
+        folder, path = self._folders[groups[0].run], groups[0].path
+        try:
+            with pq.ParquetFile(path, filesystem=folder.filesystem, pre_buffer=True) as file:
+                parts = [read_row_groups(file, path, [g.index], self._leaves, use_threads=use_threads) for g in groups]
+        except (pa.ArrowException, OSError) as error:
+            raise unreadable(folder.uri, path, error) from error
+        return pa.concat_tables(
+            part if g.chosen is None else part.take(g.chosen) for part, g in zip(parts, groups, strict=True)
+        )
+
+    def _paths(self, folder: RunFolder) -> list[str]:
+        paths = folder.files(self._table)
+        if not paths:
+            folder.dataset(self._table)  # says what is missing
+        return paths
+
+    def _list_groups(self, run: int, path: str, query: Query | None) -> list[RowGroup]:
+        folder = self._folders[run]
+        try:
+            with pq.ParquetFile(path, filesystem=folder.filesystem) as file:
+                check_version(pa.schema([], metadata=file.metadata.metadata), f"{folder.uri}: {path}")
+                possible = range(file.num_row_groups) if query is None else _possible(query, path, file, folder)
+                groups = [_row_group(run, path, file, index, query) for index in possible]
+        except (pa.ArrowException, OSError) as error:
+            raise unreadable(folder.uri, path, error) from error
+        return [group for group in groups if group.num_rows]
+
+    def _query(self) -> Query | None:
+        """The condition that split and where make."""
+        parts = ([f"split == {self.split!r}"] if self.split else []) + ([f"({self.where})"] if self.where else [])
+        if self.where:
+            parse_query(self.where, SCHEMAS[self._table])  # so that what is wrong with it is said of it alone
+        return parse_query(" and ".join(parts), SCHEMAS[self._table]) if parts else None
+
+
+def _possible(query: Query, path: str, file: pq.ParquetFile, folder: RunFolder) -> list[int]:
+    """The row groups of a file that its statistics do not rule out."""
+    fragment = ds.ParquetFileFormat().make_fragment(path, folder.filesystem)
+    return [group.id for group in fragment.subset(query.expression, schema=file.schema_arrow).row_groups]
+
+
+def _row_group(run: int, path: str, file: pq.ParquetFile, index: int, query: Query | None) -> RowGroup:
+    footer = file.metadata.row_group(index)
+    if query is None:
+        return RowGroup(run, path, index, footer.num_rows, footer.total_byte_size)
+    columns = read_row_groups(file, path, [index], list(query.columns))
+    numbers = pa.array(np.arange(footer.num_rows))
+    chosen = query.rows(columns.append_column(_NUMBER, numbers))[_NUMBER].to_numpy()
+    return RowGroup(run, path, index, len(chosen), footer.total_byte_size, chosen)
+
+
+def check_columns(table: str, columns: Sequence[str] | None) -> None:
+    """Refuses columns that a table does not have.
+
+    Raises:
+        ConfigError: ``column_unknown``.
+    """
+    known = SCHEMAS[table].names if table in SCHEMAS else []
+    unknown = [name for name in columns or () if name not in known]
+    if unknown and known:
+        raise ConfigError(f"table {table} has no columns {unknown}, expected some of {', '.join(known)}", "column_unknown")
+
+
+def _check_split(table: str, split: str | None) -> None:
+    """Refuses a split that a table does not have.
+
+    Raises:
+        ConfigError: ``split_unknown``.
+    """
+    if split is None:
+        return
+    if table in SCHEMAS and "split" not in SCHEMAS[table].names:
+        raise ConfigError(f"table {table} has no splits, expected scenes or samples; leave out split", "split_unknown")
+    if split not in SPLITS:
+        raise ConfigError(f"split is {split!r}, expected one of {', '.join(SPLITS)}, or None for all rows", "split_unknown")
+
+
+def slices(table: pa.Table) -> Iterator[pa.Table]:
+    """A table in slices of about 4 MB: as Python objects its rows take many times the room."""
+    step = max(1, table.num_rows * _SLICE_BYTES // max(1, table.nbytes))
+    return (table.slice(start, step) for start in range(0, table.num_rows, step))
+
+
+def rows_from_table(table: pa.Table) -> list[Row]:
+    """Rows as dictionaries; lists of float16, float32 and int32, which are clouds and grids, as numpy arrays."""
+    columns = [_values(column) for column in table.columns]
+    return [dict(zip(table.column_names, values, strict=True)) for values in zip(*columns, strict=True)]
+
+
+def _values(column: pa.ChunkedArray) -> list[Any]:
+    if not (pa.types.is_list(column.type) and column.type.value_type in _ARRAYS):
+        return list(column.to_pylist())
+    flat = column.combine_chunks().flatten().to_numpy(zero_copy_only=False)
+    ends = np.cumsum(pc.fill_null(pc.list_value_length(column), 0).to_numpy()).tolist()
+    # Copies: an array that keeps a whole row group alive, and that torch may not write to, helps nobody.
+    arrays = (flat[start:end].copy() for start, end in pairwise([0, *ends]))
+    return [array if valid else None for array, valid in zip(arrays, column.is_valid().to_pylist(), strict=True)]

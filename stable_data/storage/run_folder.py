@@ -1,0 +1,410 @@
+"""Parquet shards in a run folder, on a local path or an object store.
+
+A run folder::
+
+    manifest.json                  resolved configuration, input fingerprint, code and table versions
+    <table>/part-<id>.parquet      shards, named by the content of what they were made from
+    report/index.html
+
+A shard is written aside and put in place in one step: it exists, so it is complete.
+"""
+
+import fcntl
+import hashlib
+import json
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, TypeAlias, cast
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.dataset as ds
+import pyarrow.fs as pafs
+import pyarrow.parquet as pq
+
+from stable_data.atomic_files import aside_of
+from stable_data.errors import ConfigError
+from stable_data.storage.schemas import SCHEMAS, arrow_table, check_version
+
+Uri: TypeAlias = str | os.PathLike[str]
+"""Where a run lies: a local path, or a URI that pyarrow knows, such as ``s3://bucket/prefix``."""
+
+_Columns: TypeAlias = list[str] | Mapping[str, pc.Expression] | None
+
+MAX_BYTES = 96 * 10**6
+"""A file holds at most this much before compression, so it stays under 100 MB."""
+
+MAX_DECODED = 2**30
+"""What is read whole of a file takes at most this much memory, bytes: ten times what one that is written here takes."""
+
+_ROW_GROUP = 1024
+_FILES_AT_ONCE = 32  # their footers are in memory together, and are read side by side from an object store
+_AHEAD = 8  # files of an object store that are fetched while another is looked at
+_PART = re.compile(r"part-([^-]+)(?:-(\d+))?\.parquet")
+
+
+def content_id(*parts: Any) -> str:
+    """Name of a shard: 16 hex digits of the hash of JSON-able parts."""
+    text = json.dumps(parts, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+class RunFolder:
+    """The folder of one run.
+
+    Args:
+        uri: A local path, or a URI that pyarrow knows such as
+            ``s3://bucket/prefix?endpoint_override=http%3A//host%3A9000``; credentials come from the environment.
+
+    Raises:
+        ConfigError: No file system takes the URI.
+    """
+
+    def __init__(self, uri: Uri) -> None:
+        self.uri = uri = os.fspath(uri)
+        try:
+            if "://" in uri:
+                self.filesystem, self.root = pafs.FileSystem.from_uri(uri)
+            else:
+                self.filesystem, self.root = pafs.LocalFileSystem(), str(Path(uri).expanduser().absolute())
+        except (pa.ArrowInvalid, ValueError, OSError) as error:
+            raise ConfigError(f"{uri}: {error}; expected a local path or an s3:// or gs:// URI", "output_invalid") from error
+        if not self.root:
+            raise ConfigError(f"{uri}: names no bucket; expected a local path or an s3:// or gs:// URI", "output_invalid")
+
+    def __reduce__(self) -> tuple[type["RunFolder"], tuple[str]]:
+        return type(self), (self.uri,)  # file systems are opened anew in each worker
+
+    @property
+    def is_local(self) -> bool:
+        """Whether it lies on this machine's file system."""
+        return isinstance(self.filesystem, pafs.LocalFileSystem)
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Holds a local folder for one run; the lock goes with the process, however it ends.
+
+        An object store has no such lock: two runs there write the same bytes under the same names.
+
+        Raises:
+            ConfigError: Another run holds it, or it cannot be written.
+        """
+        self.make(".")
+        if not self.is_local:
+            yield
+            return
+        try:
+            handle = (Path(self.root) / ".lock").open("w")
+        except OSError as error:
+            raise unwritable(self.uri, error) from error
+        with handle:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise ConfigError(
+                    f"{self.uri}: another run is writing here, expected one at a time; wait for it or choose another folder",
+                    "locked",
+                ) from error
+            for pattern in (".*.tmp-*", "*/.*.tmp-*"):
+                for stale in Path(self.root).glob(pattern):
+                    stale.unlink(missing_ok=True)  # left by a run that was killed
+            yield
+
+    def make(self, folder: str) -> None:
+        """Creates a folder below the root.
+
+        Raises:
+            ConfigError: It cannot be created.
+        """
+        try:
+            self.filesystem.create_dir(self._path(folder), recursive=True)
+        except OSError as error:
+            raise unwritable(self.uri, error) from error
+
+    def write_bytes(self, name: str, content: bytes) -> None:
+        """Puts a file in place in one step.
+
+        Raises:
+            ConfigError: It cannot be written: no permission, or the disk is full.
+        """
+        target = self._path(name)
+        aside = aside_of(Path(target))
+        try:
+            if self.is_local:
+                aside.parent.mkdir(parents=True, exist_ok=True)
+                _write_local(aside, content)
+                aside.replace(target)
+            else:  # an object appears when its upload ends
+                with self.filesystem.open_output_stream(target) as stream:
+                    stream.write(content)
+        except OSError as error:
+            if self.is_local:
+                with suppress(OSError):  # where a part of the path is a file, there is nothing to remove
+                    aside.unlink()
+            raise unwritable(f"{self.uri}/{name}", error) from error
+
+    def read_bytes(self, name: str) -> bytes | None:
+        """Content of a file, or None where there is none.
+
+        Raises:
+            ConfigError: It cannot be read.
+        """
+        path = self._path(name)
+        try:
+            if self.filesystem.get_file_info(path).type != pafs.FileType.File:
+                return None
+            with self.filesystem.open_input_stream(path) as stream:
+                return cast(bytes, stream.read())
+        except OSError as error:
+            raise _unreachable(f"{self.uri}/{name}", error) from error
+
+    def write_shard(self, table: str, shard_id: str, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Writes one shard of a table, in several files where it would pass MAX_BYTES.
+
+        The first file is put in place last: where it exists, the others do.
+
+        Args:
+            table: Name in SCHEMAS.
+            shard_id: ``content_id`` of what the rows were made from.
+            rows: Column -> value.
+        """
+        self.write_table(table, shard_id, arrow_table(table, rows))
+
+    def write_table(self, table: str, shard_id: str, rows: pa.Table) -> None:
+        """Writes one shard of a table that is an Arrow table already; see :meth:`write_shard`."""
+        pieces = list(_pieces(rows))
+        for number, piece in reversed(list(enumerate(pieces))):
+            sink = pa.BufferOutputStream()
+            with pq.ParquetWriter(sink, piece.schema, compression="zstd") as writer:
+                if piece.num_rows:  # Hugging Face datasets stumbles over a row group without rows
+                    writer.write_table(piece, row_group_size=_ROW_GROUP)
+            suffix = f"-{number}" if number else ""
+            self.write_bytes(f"{table}/part-{shard_id}{suffix}.parquet", sink.getvalue().to_pybytes())
+
+    def shard_ids(self, table: str) -> set[str]:
+        """Ids of the shards of a table that are complete; see :meth:`files`."""
+        names = (Path(path).name for path in self.files(table))
+        return {n.removeprefix("part-").removesuffix(".parquet") for n in names if n.count("-") == 1}
+
+    def files(self, table: str) -> list[str]:
+        """Paths of the files of a table's complete shards, by shard and number, as the file system names them.
+
+        Raises:
+            ConfigError: The folder cannot be read.
+        """
+        try:
+            infos = self.filesystem.get_file_info(pafs.FileSelector(self._path(table), allow_not_found=True))
+        except OSError as error:
+            raise _unreachable(f"{self.uri}/{table}", error) from error
+        matches = ((_PART.fullmatch(info.base_name), info.path) for info in infos)
+        paths = {(match[1], int(match[2] or 0)): path for match, path in matches if match}
+        return [path for (shard_id, _), path in sorted(paths.items()) if (shard_id, 0) in paths]
+
+    def dataset(self, table: str) -> ds.Dataset:
+        """A table of the run, lazily, in the order of its files.
+
+        Raises:
+            ConfigError: The table is not there, cannot be read, or was written by another version.
+        """
+        files = self.files(table)
+        if not files:
+            known = ", ".join(SCHEMAS)
+            raise ConfigError(f"{self.uri}: no table {table}, expected a folder of part-*.parquet ({known})", "table_missing")
+        try:
+            schema = pq.read_schema(files[0], filesystem=self.filesystem)
+        except (pa.ArrowException, OSError) as error:
+            raise unreadable(self.uri, files[0], error) from error
+        check_version(schema, f"{self.uri}/{table}")
+        return ds.dataset(files, format="parquet", filesystem=self.filesystem, schema=SCHEMAS[table])
+
+    def batches(
+        self, table: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
+    ) -> Iterator[pa.RecordBatch]:
+        """A table of the run, or those of its columns and rows that are asked for, a batch at a time; see :meth:`dataset`.
+
+        Files of a local run are read one after the other, for what is read ahead is more than most want of it; those of an
+        object store some at a time, for each has to be waited for.
+
+        Raises:
+            ConfigError: As :meth:`dataset`.
+        """
+        wanted = SCHEMAS[table].names if columns is None else list(columns)
+        ahead = {"batch_readahead": 1, "fragment_readahead": 1 if self.is_local else _AHEAD, "cache_metadata": False}
+        for part in self._parts(table):
+            with self._naming_what_is_broken(part):
+                yield from part.to_batches(wanted, filter=where, **ahead)
+
+    def table(
+        self,
+        table: str,
+        columns: Sequence[str] | Mapping[str, pc.Expression] | None = None,
+        where: pc.Expression | None = None,
+        shard_ids: Set[str] | None = None,
+    ) -> pa.Table:
+        """A table of the run, or those of its columns, or what is made of them, and rows and shards that are asked for.
+
+        See :meth:`dataset`; a file that takes more than MAX_DECODED is refused (``shard_too_big``), but :meth:`batches` reads
+        it.
+        """
+        wanted = columns if columns is None or isinstance(columns, Mapping) else list(columns)
+        files = [path for path in self.dataset(table).files if shard_ids is None or _shard_of(path) in shard_ids]
+        if not files:
+            return _chosen(SCHEMAS[table].empty_table(), wanted, where)
+        with ThreadPoolExecutor(_AHEAD) as pool:
+            return pa.concat_tables(pool.map(lambda path: self._read(table, path, wanted, where), files))
+
+    def num_rows(self, table: str) -> int:
+        """Number of rows of a table of the run; see :meth:`dataset`."""
+        count = 0
+        for part in self._parts(table):
+            with self._naming_what_is_broken(part):
+                count += int(part.count_rows(cache_metadata=False))
+        return count
+
+    def _read(self, table: str, path: str, wanted: _Columns, where: pc.Expression | None) -> pa.Table:
+        """What is asked for of one file."""
+        schema = SCHEMAS[table]
+        needed = [name for name in schema.names if name in _names_in(schema.names if wanted is None else wanted, where)]
+        try:
+            fragment = ds.ParquetFileFormat().make_fragment(path, self.filesystem)
+            fragment = fragment if where is None else fragment.subset(where, schema=schema)
+            with pq.ParquetFile(path, filesystem=self.filesystem, metadata=fragment.metadata, pre_buffer=True) as file:
+                rows = read_row_groups(file, path, [group.id for group in fragment.row_groups], needed)
+        except (pa.ArrowException, OSError) as error:
+            raise unreadable(self.uri, path, error) from error
+        # As in a dataset, a column that the file lacks is null.
+        parts = [
+            rows[name].cast(schema.field(name).type)
+            if name in rows.column_names
+            else pa.nulls(len(rows), schema.field(name).type)
+            for name in needed
+        ]
+        known = pa.schema([schema.field(name) for name in needed], schema.metadata)
+        return _chosen(pa.table(parts, known), wanted, where)
+
+    def _parts(self, table: str) -> Iterator[ds.Dataset]:
+        """A table of the run, some files at a time: a dataset keeps the footer of each file that it has read, and runs have many."""
+        files = self.dataset(table).files
+        for start in range(0, len(files), _FILES_AT_ONCE):
+            part = files[start : start + _FILES_AT_ONCE]
+            yield ds.dataset(part, format="parquet", filesystem=self.filesystem, schema=SCHEMAS[table])
+
+    @contextmanager
+    def _naming_what_is_broken(self, part: ds.Dataset) -> Iterator[None]:
+        try:
+            yield
+        except (pa.ArrowException, OSError) as error:
+            raise unreadable(self.uri, self._broken(part.files) or part.files[0], error) from error
+
+    def _broken(self, files: Sequence[str]) -> str | None:
+        """The first file that cannot be read whole, or None."""
+        for path in files:
+            try:
+                file = pq.ParquetFile(path, filesystem=self.filesystem)
+                read_row_groups(file, path, range(file.num_row_groups))
+            except (pa.ArrowException, OSError):
+                return path
+        return None
+
+    def _path(self, name: str) -> str:
+        return self.root if name == "." else f"{self.root}/{name}"
+
+
+def unwritable(where: str, error: OSError) -> ConfigError:
+    """The error for a place that cannot be written."""
+    reason = error.strerror or str(error)
+    return ConfigError(
+        f"{where}: cannot be written ({reason}); free space or choose a folder you may write, then run again",
+        "output_unwritable",
+    )
+
+
+def unreadable(where: str, path: str, error: Exception) -> ConfigError:
+    """The error for a shard that is no Parquet any more."""
+    reason = str(error).strip().partition("\n")[0]
+    return ConfigError(
+        f"{where}: {path} cannot be read ({reason}), expected a Parquet file of this run; "
+        "if it is there, delete it and run again what wrote it",
+        "shard_unreadable",
+    )
+
+
+def read_row_groups(
+    file: pq.ParquetFile, path: str, groups: Iterable[int], columns: Sequence[str] | None = None, *, use_threads: bool = True
+) -> pa.Table:
+    """Row groups of a Parquet file, decoded a few rows at a time: a few bytes of a file may state a great many.
+
+    Args:
+        file: The file.
+        path: Its name, for the message.
+        groups: Which row groups.
+        columns: Columns or leaves of columns, as Parquet names them, or None: all.
+        use_threads: Whether columns are decoded side by side.
+
+    Raises:
+        ConfigError: They take more than MAX_DECODED (``shard_too_big``).
+    """
+    batches, size = list[pa.RecordBatch](), 0
+    for group in groups:
+        stated = file.metadata.row_group(group).total_byte_size
+        step = max(1, MAX_DECODED // max(1, stated))  # no value is larger than all that is stored
+        for batch in () if stated > MAX_DECODED else file.iter_batches(step, [group], columns, use_threads=use_threads):
+            size += batch.nbytes
+            if size > MAX_DECODED:
+                break
+            batches.append(batch)
+        if max(size, stated) > MAX_DECODED:
+            raise ConfigError(
+                f"{path}: takes more than {MAX_DECODED:,} bytes of memory, expected at most that of one file of a table; "
+                "do not trust it, or write its rows to several files",
+                "shard_too_big",
+            )
+    return pa.Table.from_batches(batches) if batches else file.read_row_groups([], columns)
+
+
+def _shard_of(path: str) -> str:
+    return Path(path).stem.split("-")[1]
+
+
+def _names_in(wanted: Iterable[str] | Mapping[str, pc.Expression], where: pc.Expression | None) -> set[str]:
+    """Names of columns, and all words of expressions: Arrow does not list the columns of one, and a word too many costs time alone."""
+    expressions = list(wanted.values()) if isinstance(wanted, Mapping) else []
+    words = re.findall(r"\w+", " ".join(map(str, expressions if where is None else [*expressions, where])))
+    return {*words} if isinstance(wanted, Mapping) else {*wanted, *words}
+
+
+def _chosen(rows: pa.Table, wanted: _Columns, where: pc.Expression | None) -> pa.Table:
+    """Those columns of rows, or what is made of them, and those rows that are asked for."""
+    if where is None and not isinstance(wanted, Mapping):
+        return rows if wanted is None else rows.select(wanted)
+    return ds.dataset(rows).to_table(wanted, filter=where)
+
+
+def _unreachable(where: str, error: OSError) -> ConfigError:
+    """The error for a place that cannot be looked at."""
+    reason = error.strerror or str(error).strip().partition("\n")[0]
+    return ConfigError(
+        f"{where}: cannot be read ({reason}), expected the folder of a run; check the address, the network and what you may read",
+        "output_unreadable",
+    )
+
+
+def _write_local(path: Path, content: bytes) -> None:
+    with path.open("wb") as stream:
+        stream.write(content)
+        stream.flush()
+        os.fsync(stream.fileno())  # a rename must not outlive its content
+
+
+def _pieces(table: pa.Table) -> Iterator[pa.Table]:
+    """The table in slices of at most MAX_BYTES, or of one row."""
+    if table.nbytes <= MAX_BYTES or table.num_rows <= 1:
+        yield table
+        return
+    half = table.num_rows // 2
+    yield from _pieces(table.slice(0, half))
+    yield from _pieces(table.slice(half))

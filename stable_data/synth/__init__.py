@@ -1,5 +1,0 @@
-"""The embedded world: parametric assets and physically clean scenes in the MesaTask-10K format."""
-
-from stable_data.synth.world import World, write_world
-
-__all__ = ["World", "write_world"]

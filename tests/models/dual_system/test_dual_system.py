@@ -1,0 +1,364 @@
+"""Algorithm 1: stages build on what was corrected, and what cannot be used is asked for again, left out or said."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from models.dual_system.algorithm1 import Correct, Corrects, Generated, LoopSettings, Propose, Request, Retrieve, dual_system
+from models.dual_system.batching import together
+from models.physics_corrector.certify import CertifyOptions, Status
+from models.physics_corrector.corrector import Correction, PhysicsCorrector
+from models.semantic_reasoner.engines.incremental_batches import Conversation, in_batches
+from models.semantic_reasoner.language.category_statistics import CategoryStatistics
+from models.semantic_reasoner.reasoner import Proposal, Refused
+from models.semantic_reasoner.staged_layout import LayoutTask
+from models.semantic_reasoner.text.prompt import Wanted
+from models.semantic_reasoner.text.reply_json import LayoutObject, Reply
+from stable_data.assets.assignment import Furnished
+from stable_data.assets.retrieval import Unmatched
+from stable_data.errors import ConfigError
+from stable_data.scene import Scene, Stage, Tabletop
+from stable_data.simulation.settling import SettleResult
+from tests.models.physics_corrector.geometry.shapes import SHAPES, store, thing
+
+TABLE = Tabletop("office_table", (1.0, 0.8))
+TASK = LayoutTask("scene", "Lift the cube.", TABLE)
+
+Said = dict[Wanted, Sequence[LayoutObject]]
+
+
+def said(name: str, x: float, y: float, z: float = 5.0) -> LayoutObject:
+    """A thing of 10 cm as a reply names it."""
+    return LayoutObject(name, f"a {name.split('_')[0]}", (10.0, 10.0, 10.0), (x, y, z), 0)
+
+
+@dataclass
+class Answers:
+    """Answers with what is written down for each stage, the shapes of the same name, and a corrector that certifies."""
+
+    stages: Said | Callable[[Propose], Proposal]
+    corrector: PhysicsCorrector = field(default_factory=PhysicsCorrector)
+    asked: list[Request] = field(default_factory=list)
+    batches: list[int] = field(default_factory=list)  # of corrections
+
+    def propose(self, questions: Sequence[Propose]) -> Conversation[Proposal, Propose]:
+        return in_batches(self.proposed, questions)
+
+    def proposed(self, questions: Sequence[Propose]) -> list[Proposal]:
+        self.asked += questions
+        if callable(self.stages):
+            return [self.stages(q) for q in questions]
+        return [Proposal(Reply(tuple(self.stages[q.ask.wanted])), tries=1) for q in questions]
+
+    def retrieve(self, questions: Sequence[Retrieve]) -> list[Furnished]:
+        self.asked += questions
+        return [self.furnished(q.scene) for q in questions]
+
+    def correct(self, questions: Sequence[Correct]) -> list[Correction]:
+        self.asked += questions
+        self.batches.append(len(questions))
+        shapes = [store().resolved(q.scene)[1] for q in questions]
+        return self.corrector.correct([q.scene for q in questions], shapes, [q.fixed for q in questions])
+
+    def furnished(self, scene: Scene) -> Furnished:
+        lost = {o.instance: Unmatched(f"nothing is like {o.category}") for o in scene.objects if o.category not in SHAPES}
+        objects = tuple(
+            replace(thing(o.instance, (*o.position, o.yaw), support=o.support), stage=o.stage)
+            for o in scene.objects
+            if o.instance not in lost
+        )
+        return Furnished(replace(scene, objects=objects), lost)
+
+    def of(self, kind: type[Request]) -> list[Request]:
+        return [r for r in self.asked if isinstance(r, kind)]
+
+
+def driven(answers: Answers, settings: LoopSettings | None = None, task: LayoutTask = TASK) -> Generated:
+    (made,) = together([dual_system(task, 7, settings or LoopSettings())], answers)
+    return made
+
+
+def staged(first: Sequence[LayoutObject], second: Sequence[LayoutObject], third: Sequence[LayoutObject]) -> Said:
+    return dict(zip(Stage, (first, second, third), strict=True))
+
+
+class Restless(Answers):
+    """As if the engine left nothing still in the last correction while a thing of an earlier stage is there."""
+
+    def correct(self, questions: Sequence[Correct]) -> list[Correction]:
+        return [self._told(q, done) for q, done in zip(questions, super().correct(questions), strict=True)]
+
+    def _told(self, q: Correct, done: Correction) -> Correction:
+        assert done.certified is not None
+        if not q.is_last:
+            return done
+        if "cube_1" in q.fixed:
+            nothing = np.zeros((1, 7))
+            far = np.full(1, 9.0)
+            rest = SettleResult(("cube_1",), nothing[:, :3], nothing[:, 3:], far, far, 0.0, 9e3, 9.0, 0.0, 0.0, stable=False)
+            return replace(done, rest=rest)
+        left = tuple(o for o in done.certified.objects if o.instance != "cube_1")
+        return replace(done, certified=replace(done.certified, objects=left), status=Status.DROPPED)
+
+
+CROWDED = staged([said("cube_0", 50, 40)], [said("cube_1", 55, 40)], [said("ball_0", 45, 40)])
+"""Each stage puts its thing into one that stands there."""
+
+
+def test_what_nothing_keeps_still_is_left_out_though_it_stood_there_before() -> None:
+    answers = Restless(CROWDED)
+    made = driven(answers)
+    assert made.scene is not None
+    assert [o.instance for o in made.scene.objects] == ["cube_0", "ball_0"]
+    assert made.correction is not None
+    assert made.correction.rest is None
+    assert [len(turn.corrections) for turn in made.turns] == [1, 1, 2]
+    assert [bool(r.fixed) for r in answers.of(Correct)] == [False, False, False, True]  # type: ignore[union-attr]
+
+
+def test_each_stage_is_told_what_the_corrector_made_of_those_before() -> None:
+    answers = Answers(CROWDED)
+    made = driven(answers)
+    assert made.scene is not None
+    assert [o.instance for o in made.scene.objects] == ["cube_0", "cube_1", "ball_0"]
+    assert [o.stage for o in made.scene.objects] == list(Stage)
+    assert made.scene.task is not None
+    assert made.scene.task.task_objects == ("cube_0",)
+    assert all(turn.corrections[-1].card_after.clean for turn in made.turns)  # type: ignore[union-attr]
+    second, third = (r.ask.layout for r in answers.of(Propose)[1:])  # type: ignore[union-attr]
+    corrected = made.turns[1].corrections[-1].certified
+    assert corrected is not None
+    assert len(second) == 1
+    told = [o.position_cm for o in third]
+    assert told == [tuple(pytest.approx(100 * v, abs=0.051) for v in o.position) for o in corrected.objects]
+    assert told != [o.position_cm for o in (*CROWDED[Stage.TASK], *CROWDED[Stage.IMPORTANT])]
+    assert [r.is_last for r in answers.of(Correct)] == [False, False, True]  # type: ignore[union-attr]
+    assert [set(r.new) for r in answers.of(Correct)] == [{"cube_0"}, {"cube_1"}, {"ball_0"}]  # type: ignore[union-attr]
+    assert made.start.poses()[:, :2].tolist() == [[0.5, 0.4], [0.55, 0.4], [0.45, 0.4]]
+
+
+@pytest.mark.parametrize("limit", [0.0, 0.001])
+def test_earlier_stages_move_only_as_far_as_they_may(limit: float) -> None:
+    made = driven(Answers(CROWDED), LoopSettings(earlier_move=limit))
+    assert made.scene is not None
+    before: dict[str, tuple[float, ...]] = {}
+    for turn in made.turns:
+        now = turn.corrections[-1].certified
+        assert now is not None
+        for o in now.objects:
+            if o.instance in before:
+                assert o.position == pytest.approx(before[o.instance], abs=limit)
+            before[o.instance] = o.position
+    assert [len(turn.corrections) for turn in made.turns] == ([1, 1, 1] if limit == 0 else [1, 2, 2])
+
+
+@pytest.mark.parametrize(("limit", "held"), [(0.0, {"cube_0", "cube_1"}), (float("inf"), set[str]())])
+def test_a_closing_correction_moves_what_is_there_only_as_far_as_it_may(limit: float, held: set[str]) -> None:
+    """The last stage has no answer, so what is there is corrected once more, for the engine to be asked of it."""
+
+    def stages(request: Propose) -> Proposal:
+        if request.ask.wanted is Stage.SECONDARY:
+            return Proposal(None, failure="no reply can be used", code="reply_unusable")
+        return Proposal(Reply(tuple(CROWDED[request.ask.wanted])), tries=1)
+
+    answers = Answers(stages)
+    made = driven(answers, LoopSettings(earlier_move=limit))
+    assert made.scene is not None
+    last = answers.of(Correct)[-1]
+    assert isinstance(last, Correct)
+    assert last.is_last
+    assert last.fixed == held
+
+
+@pytest.mark.parametrize("corrects", ["each", "end"])
+def test_what_was_left_out_is_told_whenever_it_was(corrects: Corrects) -> None:
+    small = LayoutTask("scene", "Lift the cube.", Tabletop("nightstand", (0.11, 0.11)))
+    stages = staged([said("cube_0", 5.5, 5.5)], [said("cube_1", 5.5, 5.5)], [])
+    made = driven(Answers(stages), LoopSettings(corrects=corrects, tries=1), small)
+    assert made.scene is not None
+    assert [o.instance for o in made.scene.objects] == ["cube_0"]
+    assert [d.instance for d in made.dropped] == ["cube_1"]
+
+
+def test_what_finds_no_place_is_asked_for_again_and_then_left_out() -> None:
+    small = LayoutTask("scene", "Lift the cube.", Tabletop("nightstand", (0.11, 0.11)))
+    stages = staged([said("cube_0", 5.5, 5.5)], [said("cube_1", 5.5, 5.5)], [])
+    answers = Answers(stages, PhysicsCorrector(options=CertifyOptions(when_full="infeasible")))
+    made = driven(answers, LoopSettings(tries=2), small)
+    assert made.scene is not None
+    assert [o.instance for o in made.scene.objects] == ["cube_0"]
+    assert [(str(t.wanted), t.code) for t in made.turns] == [
+        ("task", ""),
+        ("important", "infeasible"),
+        ("important", "infeasible"),
+        ("secondary", ""),
+    ]
+    assert [n.code for n in made.warnings] == ["stage_left_out"]
+
+
+def test_a_task_object_without_an_asset_is_a_failure_that_says_so() -> None:
+    answers = Answers(staged([said("cube_0", 50, 40), said("elephant_0", 20, 20)], [], []))
+    made = driven(answers, LoopSettings(tries=2))
+    assert made.scene is None
+    assert made.failure is not None
+    assert made.failure.code == "asset_unmatched"
+    assert "elephant_0; nothing is like elephant" in made.failure.message
+    seeds = [r.seed for r in answers.of(Propose)]  # type: ignore[union-attr]
+    assert len(set(seeds)) == len(seeds) == 2
+
+
+def test_a_stage_that_has_no_answer_costs_no_more_than_itself() -> None:
+    def stages(request: Propose) -> Proposal:
+        if request.ask.wanted is Stage.IMPORTANT:
+            return Proposal(None, failure="the endpoint is down", code="endpoint_down")
+        name = "cube_0" if request.ask.wanted is Stage.TASK else "ball_0"
+        return Proposal(Reply((said(name, 20 if name == "cube_0" else 70, 40),)))
+
+    made = driven(Answers(stages))
+    assert made.scene is not None
+    assert [o.instance for o in made.scene.objects] == ["cube_0", "ball_0"]
+    assert [n.code for n in made.warnings] == ["stage_left_out"]
+    nothing = driven(Answers(lambda request: Proposal(None, failure="the endpoint is down", code="endpoint_down")))
+    assert nothing.failure is not None
+    assert nothing.failure.code == "endpoint_down"
+    assert len(nothing.turns) == 1
+
+
+@pytest.mark.parametrize(("corrects", "count"), [("each", 3), ("end", 1), ("never", 0)])
+def test_the_corrector_is_asked_when_the_settings_say(corrects: str, count: int) -> None:
+    answers = Answers(CROWDED)
+    made = driven(answers, LoopSettings(corrects=corrects))  # type: ignore[arg-type]
+    assert len(answers.of(Correct)) == count
+    assert made.scene is not None
+    assert len(made.scene.objects) == 3
+    assert (made.scene.poses() == made.start.poses()).all() == (corrects == "never")
+
+
+def test_a_full_table_ends_the_schedule() -> None:
+    answers = Answers(CROWDED)
+    made = driven(answers, LoopSettings(full=0.02))
+    assert made.scene is not None
+    assert len(made.scene.objects) == 2
+    assert [n.code for n in made.warnings] == ["table_full"]
+    assert [r.is_last for r in answers.of(Correct)] == [False, True]  # type: ignore[union-attr]
+
+
+def test_one_shot_is_one_stage() -> None:
+    answers = Answers({"whole": [said("cube_0", 50, 40), said("ball_0", 52, 40)]})
+    made = driven(answers, LoopSettings(schedule=("whole",)))
+    assert made.scene is not None
+    assert [o.stage for o in made.scene.objects] == [Stage.TASK, Stage.IMPORTANT]
+    assert [r.is_last for r in answers.of(Correct)] == [True]  # type: ignore[union-attr]
+    assert [set(r.new) for r in answers.of(Correct)] == [{o.instance for o in made.start.objects}]  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"schedule": ()}, {"schedule": (Stage.IMPORTANT,)}, {"schedule": ("edit",)}, {"tries": 0}, {"full": 0.0}]
+)
+def test_settings_that_no_loop_can_follow_are_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(ConfigError):
+        LoopSettings(**wrong)  # type: ignore[arg-type]
+
+
+def test_scenes_side_by_side_are_what_they_are_alone() -> None:
+    tasks = [replace(TASK, scene_id=f"scene_{k}") for k in range(3)]
+    settings = [LoopSettings(), LoopSettings(earlier_move=0.001), LoopSettings(corrects="end")]
+    loops = [dual_system(task, k, own) for k, (task, own) in enumerate(zip(tasks, settings, strict=True))]
+    answers = Answers(CROWDED)
+    side_by_side = together(loops, answers)
+    assert answers.batches == [2, 2, 1, 3, 1]  # the one that corrects at the end meets the last stage of the others
+    for k, (task, own) in enumerate(zip(tasks, settings, strict=True)):
+        assert side_by_side[k].scene == driven(Answers(CROWDED), own, task).scene
+
+
+def holding(name: str, instruction: str) -> Generated:
+    """A scene whose instruction takes a thing out of a bowl."""
+    inside = replace(said(name, 50, 40, 9.0), size_cm=(10.0, 10.0, 10.0))
+    bowl = LayoutObject("bowl_0", "a bowl", (16.0, 16.0, 8.0), (50.0, 40.0, 4.0), 0)
+    answers = Answers(staged([bowl, inside], [], []))
+    task = LayoutTask("scene", instruction, TABLE)
+    statistics = CategoryStatistics.of_names(["ball", "bowl", "plate"])
+    (made,) = together([dual_system(task, 7, LoopSettings(tries=3), statistics)], answers)
+    assert made.scene is not None
+    assert [str(r.kind) for r in made.scene.task.relations] == ["in"]  # type: ignore[union-attr]
+    return made
+
+
+def test_what_the_instruction_says_is_held_on_to() -> None:
+    made = holding("ball_0", "Take the ball out of the bowl.")
+    assert [turn.code for turn in made.turns if turn.wanted is Stage.TASK] == [""]
+    assert made.correction is not None
+    assert made.correction.kept is not None
+    assert made.correction.kept.asked_missing == ()
+
+
+def test_what_cannot_be_where_the_instruction_says_is_asked_for_again_and_at_last_taken() -> None:
+    made = holding("plate_0", "Take the plate out of the bowl.")
+    assert [turn.code for turn in made.turns if turn.wanted is Stage.TASK] == ["relation_lost", "relation_lost", ""]
+    assert made.correction is not None
+    assert made.correction.kept is not None
+    assert [r.subject for r in made.correction.kept.asked_missing] == ["plate_0"]
+
+
+IN_THE_BOWL = (
+    LayoutObject("bowl_0", "a bowl", (16.0, 16.0, 8.0), (50.0, 40.0, 4.0), 0),
+    replace(said("plate_0", 50, 40, 9.0), size_cm=(10.0, 10.0, 10.0)),  # has no room in it
+)
+
+
+@pytest.mark.parametrize(
+    "last",
+    [
+        Proposal(None, failure="4 answers could not be used", code="reply_unusable", refused=(Refused("x", ()),)),
+        Proposal(None, failure="the question timed out", code="timeout"),
+        Proposal(Reply((said("elephant_0", 20, 20),)), tries=1),
+    ],
+    ids=["reply_unusable", "timeout", "asset_unmatched"],
+)
+def test_an_earlier_try_counts_where_the_last_one_fails(last: Proposal) -> None:
+    replies = iter([Proposal(Reply(IN_THE_BOWL), tries=1), last])
+
+    def stages(question: Propose) -> Proposal:
+        return next(replies) if question.ask.wanted is Stage.TASK else Proposal(Reply(()), tries=1)
+
+    task = LayoutTask("scene", "Take the plate out of the bowl.", TABLE)
+    loop = dual_system(task, 7, LoopSettings(tries=2), CategoryStatistics.of_names(["ball", "bowl", "plate", "elephant"]))
+    (made,) = together([loop], Answers(stages))
+    assert made.failure is None
+    assert made.scene is not None
+    assert [o.instance for o in made.scene.objects] == ["bowl_0", "plate_0"]
+    assert [o.instance for o in made.start.objects] == ["bowl_0", "plate_0"]
+    assert [bool(turn.rejected) for turn in made.turns[:2]] == [False, True]
+    assert made.correction is not None
+    assert made.correction.card_after is not None
+    assert made.correction.card_after.clean
+
+
+def test_of_tries_that_lack_something_the_one_counts_that_lacks_least() -> None:
+    corner = tuple(replace(o, position_cm=(20.0, 15.0, o.position_cm[2])) for o in IN_THE_BOWL)
+    replies = iter([Proposal(Reply(corner), tries=1), Proposal(Reply(IN_THE_BOWL), tries=1)])
+
+    def stages(question: Propose) -> Proposal:
+        return next(replies) if question.ask.wanted is Stage.TASK else Proposal(Reply(()), tries=1)
+
+    task = LayoutTask("scene", "Take the plate out of the bowl that is in the front left corner.", TABLE)
+    loop = dual_system(task, 7, LoopSettings(tries=2), CategoryStatistics.of_names(["ball", "bowl", "plate"]))
+    (made,) = together([loop], Answers(stages))
+    assert made.scene is not None
+    assert [turn.code for turn in made.turns[:2]] == ["", "relation_lost"]
+    assert made.scene["bowl_0"].position[0] < 0.3
+
+
+def test_what_is_pushed_out_of_its_corner_is_asked_for_again() -> None:
+    pushing = staged([said("cube_0", 33, 20)], [said("ball_0", 28, 20)], [])
+    task = LayoutTask("scene", "Lift the cube that is in the front left corner.", TABLE)
+    loop = dual_system(task, 7, LoopSettings(tries=2), CategoryStatistics.of_names(["ball", "cube"]))
+    (made,) = together([loop], Answers(pushing))
+    assert [(str(turn.wanted), turn.code) for turn in made.turns] == [
+        ("task", ""),
+        ("important", "relation_lost"),
+        ("important", ""),
+        ("secondary", ""),
+    ]

@@ -1,0 +1,224 @@
+"""The learned flow as the corrector calls it: scenes in, scenes out, weights that belong together."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.physics_corrector.certify import Status
+from models.physics_corrector.corrector import PhysicsCorrector, certified_from, movement, starting_point
+from models.physics_corrector.flow.checkpoint import load_corrector, save_corrector
+from models.physics_corrector.learned_flow import LearnedFlow, load_flow, weights_fingerprint
+from models.point_encoder import PointEncoder
+from models.point_encoder import save as save_encoder
+from stable_data.errors import ConfigError
+from stable_data.geometry.shape import Shape
+from stable_data.scene import Scene
+from tests.models.physics_corrector.certify.things import box, cylinder, laid
+from tests.models.physics_corrector.flow.conditions import awake_network, small_settings
+from tests.models.point_encoder.clouds import tiny_encoder
+
+CUP, BOOK = cylinder(0.04, 0.1), box(0.15, 0.2, 0.03)
+FREE: frozenset[str] = frozenset()
+
+
+@pytest.fixture(scope="module")
+def encoder() -> PointEncoder:
+    return tiny_encoder()
+
+
+@pytest.fixture
+def weights(encoder: PointEncoder, tmp_path: Path) -> Path:
+    """A network that was never trained, whose head is awake, with the encoder beside it."""
+    settings = small_settings("set_transformer")
+    settings = replace(settings, network=replace(settings.network, num_features=64))
+    path = tmp_path / "physics_corrector.safetensors"
+    save_corrector(path, settings, awake_network(settings).state_dict(), {"encoder_fingerprint": encoder.fingerprint()})
+    save_encoder(encoder, path.with_name("point_encoder.safetensors"))
+    return path
+
+
+def two_scenes() -> tuple[list[Scene], list[list[Shape]]]:
+    first, shapes = laid(("a", CUP, 0.4, 0.3, 0.0), ("b", CUP, 0.46, 0.3, 0.0), ("c", BOOK, 0.2, 0.2, 0.0))
+    second, others = laid(("d", BOOK, 0.3, 0.3, 0.0))
+    return [first, second], [list(shapes), list(others)]
+
+
+def test_what_is_fixed_stays_bit_for_bit_and_the_rest_moves(weights: Path) -> None:
+    flow = load_flow(str(weights))
+    assert flow is not None
+    scenes, shapes = two_scenes()
+    first, _ = flow(scenes, shapes, [frozenset({"b"}), FREE])
+    assert first["b"] == scenes[0]["b"]
+    assert all(first[name].position != scenes[0][name].position for name in ("a", "c"))
+    assert [o.instance for o in first.objects] == ["a", "b", "c"]
+
+
+def test_a_scene_comes_out_as_it_would_alone(weights: Path) -> None:
+    flow = load_flow(str(weights))
+    assert flow is not None
+    scenes, shapes = two_scenes()
+    together = flow(scenes, shapes, [FREE, FREE])
+    alone = [flow([scene], [own], [FREE])[0] for scene, own in zip(scenes, shapes, strict=True)]
+    for one, other in zip(together, alone, strict=True):
+        assert one.poses() == pytest.approx(other.poses(), abs=1e-5)
+
+
+def test_more_steps_give_another_result(weights: Path) -> None:
+    scenes, shapes = two_scenes()
+    few, many = (load_flow(str(weights), steps) for steps in (1, 16))
+    assert few is not None
+    assert many is not None
+    assert not np.allclose(few(scenes, shapes, [FREE, FREE])[0].poses(), many(scenes, shapes, [FREE, FREE])[0].poses())
+
+
+def test_empty_scenes_come_back(weights: Path) -> None:
+    flow = load_flow(str(weights))
+    assert flow is not None
+    empty = replace(two_scenes()[0][0], objects=())
+    assert flow([empty], [[]], [FREE]) == [empty]
+    assert flow([], [], []) == []
+
+
+def test_features_of_another_encoder_are_refused(weights: Path) -> None:
+    read = load_corrector(weights)
+    other = tiny_encoder(preprocessing=replace(tiny_encoder().preprocessing, num_points=64))
+    for encoder in (other, None):
+        with pytest.raises(ConfigError, match="was trained on the features of encoder") as caught:
+            LearnedFlow(read, encoder)
+        assert caught.value.code == "encoder_mismatch"
+
+
+def test_another_number_of_features_is_refused(weights: Path, encoder: PointEncoder) -> None:
+    read = load_corrector(weights)
+    fewer = replace(read.settings, network=replace(read.settings.network, num_features=32))
+    with pytest.raises(ConfigError, match="reads 32 point features an object, expected 64 or none"):
+        LearnedFlow(replace(read, settings=fewer), encoder)
+
+
+def test_what_cannot_be_reckoned_with_stays_and_harms_no_other(weights: Path) -> None:
+    scenes, shapes = two_scenes()
+    x, y, z = scenes[0]["a"].position
+    lost = replace(scenes[0], objects=(scenes[0]["a"].moved((x + 1e30, y, z), 0.0), *scenes[0].objects[1:]))
+    flow = load_flow(str(weights))
+    assert flow is not None
+    stayed, moved = flow([lost, scenes[1]], [shapes[0], shapes[1]], [FREE, FREE])
+    assert stayed == lost
+    assert moved.poses() == pytest.approx(flow(scenes[1:], shapes[1:], [FREE])[0].poses(), abs=1e-5)
+    (done,) = PhysicsCorrector(flow).correct([lost], shapes[:1])
+    assert (done.status, done.reason) == ("infeasible", "the exact check refuses what cannot be moved: a is off its area")
+
+
+def test_more_objects_than_a_network_was_trained_on(weights: Path) -> None:
+    rng = np.random.default_rng(0)
+    things = [(f"o_{n}", (CUP, BOOK)[n % 2], *rng.uniform(0.0, 4.0, 2).tolist(), 0.0) for n in range(200)]
+    scene, shapes = laid(*things, size=(4.0, 4.0))
+    flow = load_flow(str(weights), 1)
+    assert flow is not None
+    (moved,) = flow([scene], [shapes], [FREE])
+    assert (moved.poses() != scene.poses()).any(axis=1).all()
+
+
+def test_none_is_no_flow() -> None:
+    assert load_flow("none") is None
+    assert weights_fingerprint("none") == "none"
+
+
+def test_the_fingerprint_is_of_both_files(weights: Path) -> None:
+    before = weights_fingerprint(str(weights))
+    assert before == weights_fingerprint(str(weights))
+    beside = weights.with_name("point_encoder.safetensors")
+    beside.write_bytes(beside.read_bytes() + b" ")
+    assert weights_fingerprint(str(weights)) != before
+    with pytest.raises(ConfigError, match="no such file"):
+        weights_fingerprint(str(weights.with_name("nothing")))
+
+
+def test_raw_and_certified_stand_side_by_side(weights: Path) -> None:
+    scenes, shapes = two_scenes()
+    corrections = PhysicsCorrector(load_flow(str(weights))).correct(scenes, shapes)
+    for scene, done in zip(scenes, corrections, strict=True):
+        assert done.start is scene
+        assert done.raw is not None
+        assert done.card_raw is not None
+        assert done.certified is not None
+        assert done.card_after is not None
+        assert done.card_after.clean
+        assert done.card_after.move_mean_mm == movement(scene, done.certified)[0]
+    before = corrections[0].card_before
+    assert before is not None
+    assert before.num_collisions == 1
+    (alone,) = PhysicsCorrector().correct(scenes[:1], shapes[:1])
+    assert (alone.raw, alone.card_raw) == (None, None)
+
+
+def test_movement_of_objects_that_are_still_there() -> None:
+    scene = two_scenes()[0][0]
+    a, b, _ = scene.objects
+    x, y, z = a.position
+    after = replace(scene, objects=(a.moved((x + 0.03, y + 0.04, z), a.yaw + np.pi + 0.1), b))
+    mean, farthest, turn = movement(scene, after)
+    assert [mean, farthest] == pytest.approx([25.0, 50.0])
+    assert turn == pytest.approx(180 - np.degrees(0.1))
+    assert movement(scene, replace(scene, objects=())) == (0.0, 0.0, 0.0)
+
+
+def test_certify_begins_where_the_flow_ended_if_that_is_farther_than_its_error() -> None:
+    (scene, _), _ = two_scenes()
+    assert starting_point(scene, None) is scene
+    for shift, begins_anew in (
+        ((0.004, 0.0, 0.0, 0.0), False),
+        ((0.0, 0.0, 0.1, 2 * np.pi), False),  # heights are found exactly, and a whole turn is none
+        ((0.004, 0.004, 0.0, 0.0), True),
+        ((0.0, 0.0, 0.0, -0.1), True),
+    ):
+        poses = scene.poses()
+        poses[1] += shift
+        begin = starting_point(scene, scene.with_poses(poses))
+        assert (begin is not scene) == begins_anew
+        assert begin.poses() == pytest.approx(poses if begins_anew else scene.poses())
+    empty = replace(scene, objects=())
+    assert starting_point(empty, replace(empty)) is empty
+
+
+def test_what_would_change_sides_goes_back_with_what_it_carries() -> None:
+    scene, _ = laid(
+        ("left", CUP, 0.2, 0.3, 0.0), ("right", BOOK, 0.4, 0.3, 0.0), ("far", CUP, 0.4, 0.5, 0.0), ("top", CUP, 0.41, 0.31, 0.1)
+    )
+    scene = replace(
+        scene, objects=tuple(replace(o, support="right" if o.instance == "top" else "table") for o in scene.objects)
+    )
+    poses = scene.poses()
+    poses[0, 0] += 0.03  # stays to the left
+    poses[1, 0] -= 0.3  # goes past it
+    poses[3, 0] -= 0.28
+    begin = starting_point(scene, scene.with_poses(poses)).poses()
+    assert begin[0] == pytest.approx(poses[0])
+    assert begin[1:] == pytest.approx(scene.poses()[1:])
+
+
+def test_where_the_flow_leaves_no_room_the_layout_itself_decides() -> None:
+    scene, shapes = laid(("one", BOOK, 0.08, 0.11, 0.0), ("other", BOOK, 0.235, 0.11, 0.0), size=(0.32, 0.22))
+    raw = scene.with_poses(scene.poses() + np.array([0.0, 0.0, 0.0, np.pi / 4]))  # turned so, none has room
+    done = certified_from(scene, raw, shapes)
+    assert done.status is Status.CERTIFIED
+    assert not done.dropped
+
+
+def test_a_scene_does_not_depend_on_what_was_met_before(weights: Path) -> None:
+    scenes, shapes = two_scenes()
+    fresh, used = load_flow(str(weights)), load_flow(str(weights))
+    assert fresh is not None
+    assert used is not None
+    used(scenes[1:], shapes[1:], [FREE])
+    assert used(scenes[:1], shapes[:1], [FREE])[0] == fresh(scenes[:1], shapes[:1], [FREE])[0]
+
+
+def test_a_shape_at_another_scale_has_the_same_code(weights: Path) -> None:
+    flow = load_flow(str(weights))
+    assert flow is not None
+    large = Shape(1.37 * CUP.vertices, CUP.faces)
+    assert np.array_equal(flow._code(CUP), flow._code(large))
+    assert len(flow._codes) == 1
+    assert not np.array_equal(flow._code(CUP), flow._code(BOOK))

@@ -1,0 +1,84 @@
+"""What an instruction says of the start is made so where every answer had it otherwise, and what was moved is said."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+
+from models.semantic_reasoner.engines.scripted_engine import ScriptedEngine
+from models.semantic_reasoner.reasoner import SemanticReasoner
+from models.semantic_reasoner.replies.checks import Fault, ReplyCheck
+from models.semantic_reasoner.replies.relation_repair import put_right
+from models.semantic_reasoner.text.prompt import Ask, answer
+from models.semantic_reasoner.text.reply_json import LayoutObject, Reply
+from tests.models.semantic_reasoner.language.known_categories import STATISTICS, ask, thing
+
+CHECK = ReplyCheck(STATISTICS)
+MUG, PLATE = thing("mug_0", 20, 10), thing("plate_0", 70, 30)
+CUP, APPLE, TRAY = thing("cup_0", 30, 45), thing("apple_0", 70, 50), thing("serving_tray_0", 70, 30)
+
+
+def righted(objects: Sequence[LayoutObject], said: Ask) -> tuple[Reply, tuple[Fault, ...]] | None:
+    reply = Reply(tuple(objects))
+    return put_right(reply, CHECK(reply, said), said, CHECK)
+
+
+@pytest.mark.parametrize(
+    ("instruction", "objects"),
+    [
+        ("Move the mug that is in the front right corner to the back.", [MUG, PLATE]),
+        ("Move the plate that is in the back left corner to the front.", [PLATE, thing("mug_0", 70, 30, bottom=2.0)]),
+        ("Take the mug off the plate.", [PLATE, MUG]),
+        ("The mug is to the right of the plate but should be to the left of it. Move it.", [PLATE, MUG]),
+        ("Sort the cup, the apple and the mug standing behind the plate by height.", [PLATE, CUP, APPLE, MUG]),
+        ("The mug is in front of the cup but should be behind it. Move it.", [TRAY, thing("mug_0", 60, 36, bottom=4.0), CUP]),
+        ("Take the tin out of the tray.", [TRAY, thing("can_0", 20, 30)]),
+        ("Take the mug that is in the back right corner off the plate.", [PLATE, MUG]),
+    ],
+)
+def test_things_are_put_where_the_instruction_says(instruction: str, objects: list[LayoutObject]) -> None:
+    said = ask(instruction)
+    assert {f.code for f in CHECK(Reply(tuple(objects)), said)} == {"relation_not_held"}
+    found = righted(objects, said)
+    assert found is not None
+    reply, told = found
+    assert not CHECK(reply, said)
+    assert {f.code for f in told} == {"moved_to_hold"}
+    assert all("as the instruction says" in f.message and not f.is_hard for f in told)
+    stays = [o for o in objects if not any(f.message.startswith(o.instance) for f in told)]
+    carried = {"mug_0"} if "back left" in instruction else set()
+    assert [o for o in reply.objects if o in stays] == [o for o in stays if o.instance not in carried]
+
+
+def test_what_lies_on_a_thing_goes_along() -> None:
+    plate, mug = PLATE, thing("mug_0", 71, 31, bottom=2.0)
+    found = righted([plate, mug], ask("Move the plate that is in the back left corner to the front."))
+    assert found is not None
+    moved_plate, moved_mug = found[0].objects
+    off = [round(b - a, 1) for a, b in zip(moved_plate.position_cm, moved_mug.position_cm, strict=True)]
+    assert off == [round(b - a, 1) for a, b in zip(plate.position_cm, mug.position_cm, strict=True)]
+
+
+def test_what_cannot_be_put_right_is_left_to_others() -> None:
+    assert righted([PLATE, MUG], ask("Take everything off the plate.")) is None  # what would be on it?
+    assert righted([PLATE, MUG], ask("The mug is on the plate and the plate is on the mug. Clear up.")) is None
+    aside = ask("Take the mug off the plate.")
+    assert righted([replace(PLATE, position_cm=(300.0, 30.0, 1.0)), MUG], aside) is None  # it is not its only fault
+    narrow = ask("The mug is to the left of the plate. Lift it.", size_xy=(0.28, 0.3))
+    assert righted([thing("plate_0", 14, 14), thing("mug_0", 14, 15, bottom=2.0)], narrow) is None  # no room
+
+
+def test_it_is_the_last_resort() -> None:
+    said = ask("Take the mug off the plate.")
+    wrong, right = (answer(objects) for objects in ([PLATE, MUG], [PLATE, thing("mug_0", 70, 30, bottom=2.0)]))
+
+    def proposal(*answers: str) -> tuple[int, set[str]]:
+        replies = iter(answers)
+        engine = ScriptedEngine(lambda request: next(replies))
+        (found,) = SemanticReasoner(engine, CHECK, tries=len(answers)).propose([said], [0])
+        assert found.reply is not None
+        assert not CHECK(found.reply, said)
+        return found.tries, {f.code for f in found.faults}
+
+    assert proposal(wrong, right) == (2, set())
+    assert proposal(wrong, wrong) == (2, {"moved_to_hold"})

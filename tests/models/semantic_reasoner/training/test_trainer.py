@@ -1,0 +1,387 @@
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from transformers import AutoModelForCausalLM, AutoTokenizer
+
+from models.semantic_reasoner.training.batch_sampler import TokenBatch, batch_of
+from models.semantic_reasoner.training.hf_folder import read_model, read_tokenizer, write_model
+from models.semantic_reasoner.training.loss import ReplyLoss, put_in_place
+from models.semantic_reasoner.training.network import TrainedNetwork, new_network, trained
+from models.semantic_reasoner.training.settings import LoraSettings, NetworkSettings, ReasonerTraining, training_preset
+from models.semantic_reasoner.training.token_dataset import TokenSet
+from models.semantic_reasoner.training.trainer import Identity, Training, train
+from models.training.distributed import CPU, Place
+from stable_data.errors import ConfigError
+from tests.models.semantic_reasoner.training.reasoner_examples import PACKED, TINY, examples, token_set, tokenizer
+
+DATA = token_set(12)
+
+
+def training(settings: ReasonerTraining = TINY, data: TokenSet = DATA) -> Training:
+    return Training(data, settings, tokenizer())
+
+
+def advanced(settings: ReasonerTraining, steps: int) -> Training:
+    made = training(settings)
+    for _ in range(steps):
+        made.advance()
+    return made
+
+
+def same(a: Training, b: Training) -> bool:
+    there = b.values()
+    return all(torch.equal(value, there[name]) for name, value in a.values().items())
+
+
+def sharp(settings: ReasonerTraining = TINY) -> ReplyLoss:
+    """A network with weights so large that what it reads matters much."""
+    network = new_network(TINY.network, tokenizer(), 512, seed=1)
+    with torch.no_grad():
+        for p in network.parameters():
+            p.mul_(20.0 if p.dim() > 1 else 1.0)
+    return ReplyLoss(network, settings)
+
+
+def loss_of(settings: ReasonerTraining, rows: list[list[int]], pad: int = 0) -> torch.Tensor:
+    return sharp(settings).of_batch(batch_of(DATA, rows, pad), CPU)
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a model of random weights, as it would be downloaded."""
+    folder = tmp_path_factory.mktemp("base") / "qwen"
+    network = new_network(TINY.network, tokenizer(), 512, seed=5).to(torch.bfloat16)
+    write_model(folder, network, tokenizer(), {})
+    return folder
+
+
+# --- the loss -----------------------------------------------------------------------------------------------------------------
+
+
+def test_packed_rows_have_the_loss_of_separate_ones() -> None:
+    apart = [loss_of(TINY, [[k]]) for k in range(6)]
+    packed = loss_of(PACKED, [[0, 1, 2], [3, 4, 5]])
+    assert packed.item() == pytest.approx(sum(v.item() for v in apart), rel=1e-5)
+    # A model that saw the examples before it would have another loss: so it has with positions that go on.
+    assert loss_of(TINY, [[0, 1, 2], [3, 4, 5]]).item() != pytest.approx(packed.item(), rel=1e-3)
+
+
+def test_packed_rows_have_the_gradients_of_separate_ones() -> None:
+    packed, apart = sharp(PACKED), sharp(TINY)
+    packed.of_batch(batch_of(DATA, [[0, 1], [2, 3]], 0), CPU).backward()  # type: ignore[no-untyped-call]
+    for k in range(4):
+        apart.of_batch(batch_of(DATA, [[k]], 0), CPU).backward()  # type: ignore[no-untyped-call]
+    for a, b in zip(packed.parameters(), apart.parameters(), strict=True):
+        assert a.grad is not None
+        assert b.grad is not None
+        torch.testing.assert_close(a.grad, b.grad, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize(("settings", "rows"), [(TINY, [[0], [3]]), (PACKED, [[0, 1], [2, 3]])])
+def test_where_it_is_trained_the_loss_and_its_gradient_are_those_of_transformers(
+    settings: ReasonerTraining, rows: list[list[int]]
+) -> None:
+    plain, placed = sharp(settings), sharp(settings)
+    put_in_place(placed, CPU)
+    losses = [loss.of_batch(batch_of(DATA, rows, 0), CPU) for loss in (plain, placed)]
+    torch.testing.assert_close(*losses)
+    for loss in losses:
+        loss.backward()  # type: ignore[no-untyped-call]
+    for a, b in zip(plain.parameters(), placed.parameters(), strict=True):
+        torch.testing.assert_close(a.grad, b.grad, rtol=1e-3, atol=1e-4)
+
+
+def test_padding_changes_nothing() -> None:
+    apart = sum(loss_of(TINY, [[k]]).item() for k in (0, 2, 5))
+    for pad in (0, 7):
+        assert loss_of(TINY, [[0], [2], [5]], pad).item() == pytest.approx(apart, rel=1e-5)
+
+
+def test_the_loss_is_on_the_reply_alone() -> None:
+    batch = batch_of(DATA, [[4]], 0)
+    words, num_prompt = DATA.of(4)
+    network: Any = sharp().network
+    logits = network(torch.from_numpy(batch.tokens)).logits[0, num_prompt - 1 : len(words) - 1]
+    expected = torch.nn.functional.cross_entropy(logits, torch.from_numpy(words[num_prompt:]).long(), reduction="sum")
+    assert loss_of(TINY, [[4]]).item() == pytest.approx(expected.item(), rel=1e-5)
+
+
+def test_prompt_positions_send_no_gradient_through_the_head() -> None:
+    loss = ReplyLoss(new_network(TINY.network, tokenizer(), 512, 0), TINY)
+    seen: list[torch.Tensor] = []
+    loss.network.lm_head.register_forward_pre_hook(lambda module, inputs: seen.append(inputs[0]))
+    loss.of_batch(batch_of(DATA, [[4], [5]], 0), CPU)
+    assert [len(hidden) for hidden in seen] == [int(DATA.reply_length[[4, 5]].sum())]
+
+
+def test_another_target_in_the_prompt_is_no_other_loss() -> None:
+    batch = batch_of(DATA, [[4]], 0)
+    _, num_prompt = DATA.of(4)
+    tokens = batch.tokens.copy()
+    loss = sharp()
+    tokens[0, -1] = 7  # it only is a target, the last one, and targets are given apart
+    assert torch.equal(loss.of_batch(TokenBatch(tokens, batch.position, batch.target), CPU), loss.of_batch(batch, CPU))
+    tokens[0, num_prompt - 1] = 7  # what the reply is an answer to does count
+    assert not torch.equal(loss.of_batch(TokenBatch(tokens, batch.position, batch.target), CPU), loss.of_batch(batch, CPU))
+
+
+@pytest.mark.parametrize("settings", [TINY, PACKED])
+def test_what_is_computed_again_is_the_same(settings: ReasonerTraining) -> None:
+    kept, again = training(settings), training(replace(settings, recomputes=True))
+    for _ in range(3):
+        assert kept.advance().loss == pytest.approx(again.advance().loss, rel=1e-6)
+    for a, b in zip(kept.loss.parameters(), again.loss.parameters(), strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-5)
+
+
+def test_compiling_without_a_compiler_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CXX", raising=False)
+    with pytest.raises(ConfigError, match="no C"):
+        training(replace(TINY, compiles=True))
+
+
+@pytest.mark.slow  # a minute of compiling
+@pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")  # PyTorch's compiler calls what PyTorch gives up
+@pytest.mark.filterwarnings("ignore:The .grad attribute:UserWarning")  # and looks at what it was given
+@pytest.mark.parametrize("settings", [TINY, PACKED])
+def test_a_compiled_network_learns_the_same(settings: ReasonerTraining) -> None:
+    plain, compiled = training(settings), training(replace(settings, compiles=True))
+    for _ in range(3):
+        assert plain.advance().loss == pytest.approx(compiled.advance().loss, rel=1e-4)
+    assert plain.validate(DATA, 4) == pytest.approx(compiled.validate(DATA, 4), rel=1e-4)
+    assert plain.values().keys() == compiled.values().keys()
+
+
+def test_a_step_of_several_batches_is_that_of_one_large_one() -> None:
+    rows = [[[k] for k in range(6)], [[k] for k in range(6, 12)]]
+    one, two = training(replace(TINY, clip=1e9)), training(replace(TINY, clip=1e9, accumulate=2))
+    one._batches = iter([[*rows[0], *rows[1]]])
+    two._batches = iter(rows)
+    a, b = one.advance(), two.advance()
+    assert a.loss == pytest.approx(b.loss, rel=1e-5)
+    assert a.norm == pytest.approx(b.norm, rel=1e-4)
+    assert one.tokens == two.tokens == int(DATA.reply_length.sum())
+
+
+# --- learning -----------------------------------------------------------------------------------------------------------------
+
+
+def test_a_network_learns_eight_examples_by_heart() -> None:
+    settings = replace(TINY, steps=150, tokens_per_batch=2000, learning_rate=1e-2, cool_down=0.3, precision="bfloat16")
+    made = training(settings, token_set(8))
+    assert train(made, wants_stop=lambda: False, wants_save=lambda: False, after=lambda *_: None)
+    network: Any = made.loss.network
+    network.eval()
+    for example in examples(8):
+        asked: Any = tokenizer().apply_chat_template(example.prompt, add_generation_prompt=True, return_tensors="pt")
+        found = network.generate(**asked, max_new_tokens=200, do_sample=False)[0, asked["input_ids"].shape[1] :]
+        assert tokenizer().decode(found, skip_special_tokens=True) == example.answer
+    assert max(made.validate(token_set(8), 8).values()) < 0.05
+
+
+def test_validation_is_the_mean_over_a_kinds_tokens() -> None:
+    made = training()
+    found = made.validate(DATA, most=3)
+    members = np.flatnonzero(DATA.kind == 1)[:3]
+    total = sum(made.loss.of_batch(batch_of(DATA, [[int(k)]], 0), CPU).item() for k in members)
+    assert found["important"] == pytest.approx(total / DATA.reply_length[members].sum(), rel=1e-5)
+    assert set(found) == {"task", "important", "secondary"}
+
+
+def test_a_loss_that_is_not_finite_ends_the_run() -> None:
+    made = training()
+    with torch.no_grad():
+        next(made.loss.parameters()).fill_(torch.inf)
+    with pytest.raises(ConfigError, match="not finite"):
+        train(made, wants_stop=lambda: False, wants_save=lambda: False, after=lambda *_: None)
+
+
+# --- going on -----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "settings", [TINY, replace(PACKED, accumulate=2, precision="bfloat16"), replace(TINY, optimizer="muon")]
+)
+def test_a_run_that_was_killed_and_resumed_is_the_run_that_was_not(settings: ReasonerTraining, tmp_path: Path) -> None:
+    clean = advanced(settings, 12)  # several passes
+    first = advanced(settings, 5)
+    first.save(tmp_path / "state.pt")
+    first.advance()  # lost: it was killed before it was kept
+    second = training(settings)
+    assert second.resume(tmp_path / "state.pt")
+    assert (second.step, second.tokens < clean.tokens) == (5, True)
+    for _ in range(7):
+        second.advance()
+    assert same(second, clean)
+    assert second.tokens == clean.tokens
+    second.save(tmp_path / "second.pt")
+    clean.save(tmp_path / "clean.pt")
+    a, b = (torch.load(tmp_path / f"{name}.pt", weights_only=True) for name in ("second", "clean"))
+    muons = {"momentum_buffer"} if settings.optimizer == "muon" else set()
+    assert set(a["averages"]) == {"step", "exp_avg", "exp_avg_sq"} | muons
+    for key, averages in a["averages"].items():
+        assert all(torch.equal(value, b["averages"][key][name]) for name, value in averages.items())
+
+
+def test_a_run_may_be_kept_before_its_first_step(tmp_path: Path) -> None:
+    training().save(tmp_path / "state.pt")
+    again = training()
+    assert again.resume(tmp_path / "state.pt")
+    assert again.advance() == training().advance()
+
+
+def test_a_run_may_become_longer_until_it_cools_down(tmp_path: Path) -> None:
+    short, long = (replace(TINY, steps=steps, warm_up=2, cool_down=0.5) for steps in (8, 16))
+    path = tmp_path / "state.pt"
+    advanced(short, 4).save(path)
+    longer = training(long)
+    assert longer.resume(path)
+    for _ in range(12):
+        longer.advance()
+    assert same(longer, advanced(long, 16))
+    advanced(short, 6).save(path)
+    with pytest.raises(ConfigError, match="other learning rates"):
+        training(long).resume(path)
+
+
+def test_a_checkpoint_of_something_else_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "state.pt"
+    assert not training().resume(path)
+    training().save(path)
+    with pytest.raises(ConfigError, match=r"settings.learning_rate: 0.01 -> 0.5"):
+        training(replace(TINY, learning_rate=0.5)).resume(path)
+    with pytest.raises(ConfigError, match=r"identity.data:  -> other"):
+        Training(DATA, TINY, tokenizer(), CPU, Identity("other")).resume(path)
+    state = torch.load(path, weights_only=True)
+    del state["values"]
+    torch.save(state, path)
+    with pytest.raises(ConfigError, match="cannot be read as a checkpoint"):
+        training().resume(path)
+    path.write_bytes(b"PK nothing")
+    with pytest.raises(ConfigError, match="cannot be read as a checkpoint"):
+        training().resume(path)
+
+
+def test_processes_that_cannot_share_a_step_are_refused() -> None:
+    with pytest.raises(ConfigError, match="accumulate is 1, expected a multiple of the 2 processes"):
+        Training(DATA, TINY, tokenizer(), Place(world_size=2))
+
+
+@torch.no_grad()
+def test_a_new_network_can_hand_a_number_on() -> None:
+    settings = NetworkSettings(hidden=64, layers=2, heads=4, key_value_heads=2, head=16, vocabulary=300)
+    network, words = new_network(settings, tokenizer(), 512, seed=3), tokenizer()
+    embeddings = network.get_input_embeddings().weight
+    attention = network.model.layers[1].self_attn
+    numbers = torch.tensor([words.convert_tokens_to_ids(str(n)) for n in range(-60, 120)])
+    value = torch.zeros(len(numbers), 64)
+    value[:, :16] = attention.v_proj(embeddings[numbers])[:, :16]  # what the first query head takes of each, looked at alone
+    said = attention.o_proj(value) @ embeddings[numbers].T
+    off = (said.argmax(1) - torch.arange(len(numbers))).abs()
+    assert off.double().mean() < 1  # the number, or the one beside it; at random it would be 60
+
+
+# --- models -------------------------------------------------------------------------------------------------------------------
+
+
+def test_what_is_kept_loads_without_our_code(tmp_path: Path) -> None:
+    made = advanced(TINY, 3)
+    for storage in ("float32", "bfloat16"):
+        settings = replace(TINY, storage=storage)
+        model = TrainedNetwork(settings, tokenizer()).with_values(made.values()).to_keep(settings)
+        write_model(tmp_path / storage, model, tokenizer(), {"steps": 3})
+    tokens = torch.from_numpy(batch_of(DATA, [[4]], 0).tokens)
+    here: Any = made.loss.network
+    for storage, tolerance in (("float32", 1e-5), ("bfloat16", 0.2)):
+        loaded: Any = AutoModelForCausalLM.from_pretrained(tmp_path / storage)
+        assert loaded.dtype == getattr(torch, storage)
+        torch.testing.assert_close(loaded(tokens).logits.float(), here(tokens).logits, rtol=tolerance, atol=tolerance)
+    read: Any = AutoTokenizer.from_pretrained(tmp_path / "float32")
+    for example in examples(4):
+        found, expected = (
+            t.apply_chat_template(example.prompt, add_generation_prompt=True, tokenize=False) for t in (read, tokenizer())
+        )
+        assert found == expected
+        assert read(example.answer)["input_ids"] == tokenizer()(example.answer)["input_ids"]
+    assert (read.eos_token, read.pad_token) == (tokenizer().eos_token, tokenizer().pad_token)
+
+
+def test_a_base_is_trained_whole_from_its_weights(base: Path) -> None:
+    settings = replace(TINY, base=str(base))
+    made = training(settings)
+    fresh = dict(read_model(base, 512).named_parameters())
+    assert set(made.values()) == set(fresh)
+    for name, value in made.values().items():
+        assert value.dtype == torch.float32
+        assert torch.equal(value, fresh[name].float())
+    made.advance()
+    assert not any(torch.equal(value, fresh[name].float()) for name, value in made.values().items() if value.dim() > 1)
+
+
+@pytest.mark.filterwarnings("ignore:.is_gradient_checkpointing.:FutureWarning")  # of peft about transformers
+@pytest.mark.parametrize("merges", [True, False])
+def test_lora_trains_its_matrices_alone(base: Path, tmp_path: Path, merges: bool) -> None:
+    settings = replace(TINY, base=str(base), lora=LoraSettings(4, 8, merges))
+    made = training(settings)
+    before = {name: p.detach().clone() for name, p in made.loss.network.named_parameters()}
+    losses = [made.advance().loss for _ in range(4)]
+    changed = {name for name, p in made.loss.network.named_parameters() if not torch.equal(p, before[name])}
+    assert changed == set(trained(made.loss.network))
+    assert all("lora_" in name for name in changed)
+    assert losses[-1] < losses[0]
+    model = TrainedNetwork(settings, tokenizer()).with_values(made.values()).to_keep(settings)
+    write_model(tmp_path / "weights", model, tokenizer(), {})
+    assert (tmp_path / "weights" / "adapter_config.json").is_file() is not merges
+    loaded: Any = AutoModelForCausalLM.from_pretrained(tmp_path / "weights", dtype=torch.float32)
+    tokens = torch.from_numpy(batch_of(DATA, [[4]], 0).tokens)
+    here: Any = made.loss.network
+    torch.testing.assert_close(loaded(tokens).logits, here(tokens).logits, rtol=1e-3, atol=1e-3)
+    again = training(settings)
+    made.save(tmp_path / "state.pt")
+    assert again.resume(tmp_path / "state.pt")
+    assert made.advance() == again.advance()
+
+
+def test_a_base_that_is_no_model_is_one_clear_line(base: Path, tmp_path: Path) -> None:
+    for make in (lambda: read_model(tmp_path / "nowhere", 512), lambda: read_tokenizer(tmp_path / "nowhere")):
+        with pytest.raises(ConfigError, match=r"nowhere: holds no (model|tokenizer) that can be read") as caught:
+            make()  # type: ignore[no-untyped-call]
+        assert "\n" not in str(caught.value)
+    (tmp_path / "config.json").write_text("{}", "utf-8")
+    with pytest.raises(ConfigError, match="holds no model that can be read"):
+        read_model(tmp_path, 512)
+    with pytest.raises(ConfigError, match="is made for 512 tokens, expected max_tokens 9999 or more"):
+        read_model(base, 9999)
+
+
+def test_presets_are_the_papers_and_ours() -> None:
+    paper = training_preset("paper")
+    assert (paper.learning_rate, paper.max_tokens, paper.rows_per_batch, paper.passes) == (1e-5, 5000, 4, 1.0)
+    assert paper.tokens_per_batch >= paper.rows_per_batch * paper.max_tokens
+    assert {paper.learning_rate_at(step) for step in (0, 10, 10_000)} == {1e-5}
+    embedded = training_preset("embedded").resolved(1000)
+    assert embedded.learning_rate_at(embedded.steps - 1) < embedded.learning_rate / 100
+    with pytest.raises(ConfigError, match="preset 'tiny' is not known"):
+        training_preset("tiny")
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"max_tokens": 0},
+        {"learning_rate": -1.0},
+        {"steps": -1},
+        {"passes": 0.0},
+        {"cool_down": 1.5},
+        {"lora": LoraSettings(4)},
+        {"seed": -1},
+    ],
+)
+def test_settings_that_cannot_run_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError):
+        ReasonerTraining(**wrong)

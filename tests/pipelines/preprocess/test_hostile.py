@@ -1,0 +1,149 @@
+"""Hostile items: whatever one of them does, it is that item's row of failures, and the rest of the run is there."""
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pytest
+
+from pipelines.execution.ray_executor import Loss, Workers
+from pipelines.preprocess import shard as job
+from pipelines.preprocess.plan import PreprocessSettings, Shard
+from pipelines.preprocess.shard import PreprocessShard, preprocess
+from stable_data.errors import ConfigError
+from stable_data.geometry.gltf_reader import load_glb
+from stable_data.mesatask import MesaTaskDataset
+from stable_data.storage.run_folder import RunFolder
+from tests.pipelines.runs import SMALL, run_cli, used_assets
+
+WRITER = """
+import os, time
+def write(scene, relations):
+    if scene.scene_id.endswith("aborts"):
+        os.abort()
+    if scene.scene_id.endswith("hangs"):
+        time.sleep(600)
+    raise ValueError("no answer")  # a template's task is taken
+"""
+
+
+@pytest.mark.parametrize(("broken", "step"), [("read", "read"), ("audit_posed", "audit"), ("derive_task", "task")])
+def test_what_nobody_foresaw_is_a_failure_of_its_step(
+    bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str, step: str
+) -> None:
+    def fail(*_: Any) -> None:
+        raise IndexError("list index out of range")
+
+    root = tmp_path / "data"
+    shutil.copytree(bare, root, ignore=shutil.ignore_patterns("task_info.json"))
+    if broken == "read":
+        monkeypatch.setattr(MesaTaskDataset, "read", fail)
+    else:
+        monkeypatch.setattr(f"pipelines.preprocess.scene.{broken}", fail)
+    manifest = preprocess(str(root), str(tmp_path / "out"), SMALL, Workers())  # auto: its check of positions reads scenes, too
+    assert manifest["counts"]["failures_by_step"] == {step: 1}
+    row = RunFolder(str(tmp_path / "out")).table("failures").to_pylist()[0]
+    assert row["code"] == "unexpected"
+    assert "IndexError: list index out of range" in row["message"]
+
+
+def test_a_mesh_that_nobody_foresaw_is_one_asset_lost(tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    hostile = min(used_assets(tiny))
+
+    def loaded(path: Path, asset_id: str) -> Any:
+        if asset_id == hostile:
+            raise IndexError("list index out of range")
+        return load_glb(path, asset_id)
+
+    monkeypatch.setattr("stable_data.assets.store.load_glb", loaded)
+    root = tmp_path / "data"
+    shutil.copytree(tiny, root)  # a place that no process knows
+    preprocess(str(root), str(tmp_path / "out"), SMALL, Workers())
+    run = RunFolder(str(tmp_path / "out"))
+    assert [(r["id"], r["step"], r["code"]) for r in run.table("failures").to_pylist()] == [(hostile, "mesh", "unexpected")]
+    assert run.table("scenes").to_pylist()[0]["num_without_mesh"] >= 1
+
+
+@pytest.mark.ray
+def test_items_that_end_or_hold_their_process_are_failures(bare: Path, tmp_path: Path) -> None:
+    (tmp_path / "my_writer.py").write_text(WRITER, "utf-8")
+    root = tmp_path / "data"
+    shutil.copytree(bare, root, ignore=shutil.ignore_patterns("task_info.json"))
+    scene = next(root.glob("Layout_info/*/*"))
+    for name in ("a_hangs", "b_aborts"):
+        shutil.copytree(scene, scene.with_name(name))
+    limits = [
+        "--set=position_convention=box_centre",
+        "--set=seconds_per_item=8",
+        "--set=scenes_per_shard=3",
+        "--set=task_writer=my_writer:write",
+    ]
+    done = run_cli(root, tmp_path / "out", *limits, "--workers=1", PYTHONPATH=str(tmp_path))
+    assert done.returncode == 1, done.stderr
+    assert "1 of 3 scenes" in done.stdout
+    assert "crashed 1, timed_out 1" in done.stdout
+    run = RunFolder(str(tmp_path / "out"))
+    failures = {r["id"]: (r["step"], r["code"]) for r in run.table("failures").to_pylist()}
+    assert failures == {"a_hangs": ("isolate", "timed_out"), "b_aborts": ("isolate", "crashed")}
+    assert run.table("scenes", ["scene_id"])["scene_id"].to_pylist() == [scene.name]
+
+
+def test_a_check_of_positions_that_dies_stops_with_what_to_set(
+    bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(job, "alone", lambda *_, seconds: Loss.CRASHED)
+    with pytest.raises(ConfigError, match=r"crashed over a layout or mesh; set position_convention to box_centre"):
+        preprocess(str(bare), str(tmp_path / "out"), SMALL, Workers(1))
+
+
+@pytest.mark.parametrize(("loss", "message"), [(Loss.CRASHED, "is the file hostile"), (Loss.TIMED_OUT, "took over 600 s")])
+def test_how_a_process_ended_is_the_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loss: Loss, message: str) -> None:
+    monkeypatch.setattr("pipelines.execution.shard_job.alone", lambda *_, seconds, prepare: loss)
+    work = PreprocessShard("nowhere", str(tmp_path), PreprocessSettings())
+    work(Shard("0" * 16, scenes=("office_table_0001",)), isolated=True)
+    [row] = RunFolder(str(tmp_path)).table("failures").to_pylist()
+    assert (row["id"], row["code"]) == ("office_table_0001", str(loss))
+    assert message in row["message"]
+
+
+@pytest.fixture(scope="module")
+def broken_run(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> subprocess.CompletedProcess[str]:
+    out = tmp_path_factory.mktemp("broken") / "out"
+    done = run_cli(shared_data / "mesa_broken", out, "--workers", "0")
+    done.args = out
+    return done
+
+
+def test_mesa_broken_is_handled_case_by_case(shared_data: Path, broken_run: subprocess.CompletedProcess[str]) -> None:
+    root = shared_data / "mesa_broken"
+    assert broken_run.returncode == 1, broken_run.stderr
+    run = RunFolder(str(broken_run.args))
+    scenes = set(run.table("scenes", ["scene_id"])["scene_id"].to_pylist())
+    failures = pl.DataFrame(pl.from_arrow(run.table("failures")))
+    warnings = pl.DataFrame(pl.from_arrow(run.table("warnings")))
+    expected = json.loads((root / "expected.json").read_text("utf-8"))
+    assert scenes | (set(failures["id"]) & set(expected)) == set(expected)
+    codes: dict[str, str] = {}
+    for scene_id, case in expected.items():
+        if case["action"] == "reject":
+            assert scene_id not in scenes, case
+            rows = failures.filter(pl.col("id") == scene_id)
+            assert rows.height == 1, case
+            codes[scene_id] = rows["code"].item()
+        else:
+            assert scene_id in scenes, case
+            rows = warnings.filter(pl.col("id") == scene_id)
+            assert (rows.height > 0) == (case["action"] == "keep_with_warning"), (case, rows)
+            if rows.height:
+                codes[scene_id] = rows["code"][0]
+    assert len(set(codes.values())) >= len(codes) - 1, "each case has its own reason"
+
+
+def test_objects_with_a_broken_mesh_are_kept_as_boxes_of_unknown_verdict(broken_run: subprocess.CompletedProcess[str]) -> None:
+    rows = {r["scene_id"]: r for r in RunFolder(str(broken_run.args)).table("scenes").to_pylist()}
+    assert rows["dining_table_0017"]["num_without_mesh"] == 1
+    assert rows["coffee_table_0052"]["num_without_mesh"] == 0
+    assert rows["bathroom_vanity_0003"]["num_without_mesh"] == 0

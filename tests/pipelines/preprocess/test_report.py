@@ -1,0 +1,66 @@
+"""The report page: what it says, and that one scene that cannot be drawn costs its own picture alone."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipelines.preprocess.report import write_report
+from pipelines.reports import scene_pictures
+from stable_data.assets.store import AssetStore
+from stable_data.errors import ConfigError
+from stable_data.mesatask import MesaTaskDataset
+from stable_data.storage.run_folder import RunFolder
+
+
+def page(run: Path, data: Path, num_pictures: int) -> str:
+    manifest = json.loads((run / "manifest.json").read_text("utf-8"))
+    write_report(RunFolder(str(run)), manifest, AssetStore(MesaTaskDataset(data)), num_pictures)
+    return (run / "report" / "index.html").read_text("utf-8")
+
+
+def scene_names(run: Path) -> list[str]:
+    return sorted(RunFolder(str(run)).table("scenes", ["scene_id"])["scene_id"].to_pylist())
+
+
+def drawn(*_: Any, **__: Any) -> Any:
+    return np.zeros((4, 4, 3), np.uint8)
+
+
+def test_the_report_shows_the_scenes_and_the_counts(clean_run: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scene_pictures, "render_scene", drawn)
+    text = page(clean_run, dataset, 4)
+    assert "<h2>Audit</h2>" in text
+    assert "<b>4 / 4</b><span>scenes usable</span>" in text
+    assert "<b>0</b><span>scenes in failures</span>" in text
+    for name in scene_names(clean_run):
+        assert f"<figcaption><b>{name}</b>" in text
+
+
+def test_assets_without_a_mesh_are_counted(bare_run: Path, bare: Path) -> None:
+    count = json.loads((bare_run / "manifest.json").read_text("utf-8"))["num_assets_without_mesh"]
+    assert f"<b>{count}</b><span>assets without a mesh file</span>" in page(bare_run, bare, 0)
+
+
+def test_a_scene_that_cannot_be_drawn_is_a_note(clean_run: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, *others = scene_names(clean_run)
+
+    def draw(scene: Any, *_: Any, **__: Any) -> Any:
+        if scene.scene_id == first:
+            raise ValueError("too <small>")
+        return drawn()
+
+    monkeypatch.setattr(scene_pictures, "render_scene", draw)
+    text = page(clean_run, dataset, 4)
+    assert f"{first} cannot be drawn: ValueError: too &lt;small&gt;" in text
+    assert all(f"<figcaption><b>{name}</b>" in text for name in others)
+
+
+def test_a_machine_that_cannot_draw_is_said_once(clean_run: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def draw(*_: Any, **__: Any) -> Any:
+        raise ConfigError("no picture: OpenGL does not start", "no_gl")
+
+    monkeypatch.setattr(scene_pictures, "render_scene", draw)
+    assert page(clean_run, dataset, 4).count("OpenGL does not start") == 1

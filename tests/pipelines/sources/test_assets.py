@@ -1,0 +1,137 @@
+"""What a run knows its libraries by: words, boxes and the meshes themselves."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from models.semantic_reasoner.engines.registry import EngineSettings
+from models.semantic_reasoner.staged_layout import LayoutTask
+from pipelines.execution.ray_executor import Workers
+from pipelines.generate.job import generate
+from pipelines.generate.settings import GenerateSettings
+from pipelines.preprocess.plan import file_digest
+from pipelines.sources import assets
+from pipelines.sources.assets import AssetShelf
+from pipelines.sources.generation_tasks import Tasks
+from stable_data.assets.catalog import library_of_folder
+from stable_data.embedded_world.library import NAME as EMBEDDED
+from stable_data.errors import ConfigError
+from stable_data.scene import Tabletop
+from stable_data.storage.run_folder import RunFolder
+from tests.pipelines.runs import content
+from tests.pipelines.scripts import one_thing_a_stage
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+ALONE = Workers()
+DESK = Tabletop("office_table", (1.2, 0.6))
+TASKS = Tasks("tasks", [LayoutTask(f"task_{n}", f"Lift it {n} times.", DESK) for n in range(2)])
+
+
+def fingerprint(*places: Path | str) -> str:
+    """Of the first library of new shelves."""
+    return next(iter(AssetShelf([str(place) for place in places]).fingerprints.values()))
+
+
+@pytest.fixture
+def library(tiny: Path, tmp_path: Path) -> Path:
+    """A library of its own, many of whose assets have no mesh."""
+    return Path(shutil.copytree(tiny, tmp_path / "library"))
+
+
+def changed(library: Path, dataset: Path, change: str) -> None:
+    """Changes the meshes of a library and nothing else."""
+    there, absent = (
+        sorted(
+            p.name
+            for p in (dataset / "Assets_library").glob("*.glb")
+            if (library / "Assets_library" / p.name).exists() is is_there
+        )
+        for is_there in (True, False)
+    )
+    first = library / "Assets_library" / there[0]
+    if change == "replaced":
+        shutil.copy(library / "Assets_library" / there[1], first)
+    elif change == "one byte":
+        data = bytearray(first.read_bytes())
+        data[len(data) // 2] ^= 1
+        first.write_bytes(data)
+    elif change == "added":
+        shutil.copy(dataset / "Assets_library" / absent[0], library / "Assets_library")
+    else:
+        first.unlink()
+
+
+@pytest.mark.parametrize("change", ["replaced", "one byte", "added", "removed"])
+def test_another_mesh_is_another_library(library: Path, dataset: Path, change: str) -> None:
+    before = fingerprint(library)
+    assert fingerprint(library) == before
+    changed(library, dataset, change)
+    assert fingerprint(library) != before
+
+
+def test_the_same_library_in_another_place_at_another_time_is_the_same(library: Path, tmp_path: Path) -> None:
+    other = tmp_path / "elsewhere" / "library"
+    shutil.copytree(library, other, copy_function=shutil.copyfile)
+    assert fingerprint(other) == fingerprint(library)
+
+
+def test_files_are_read_once_and_only_by_who_asks(library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[Path] = []
+
+    def digest(path: Path) -> str:
+        read.append(path)
+        return file_digest(path)
+
+    monkeypatch.setattr(assets, "file_digest", digest)
+    shelf = AssetShelf([str(library)])
+    assert not read  # no worker needs it
+    assert shelf.fingerprints == shelf.fingerprints
+    assert sorted(read) == sorted((library / "Assets_library").glob("*.glb"))
+
+
+def test_another_mesh_or_other_parts_in_a_run_are_another_library(tiny_run: Path, tmp_path: Path) -> None:
+    out = Path(shutil.copytree(tiny_run, tmp_path / "library"))
+    run, before = RunFolder(str(out)), fingerprint(out)
+    (shard,) = run.shard_ids("meshes")
+    rows = run.table("meshes").to_pylist()
+    found = {before}
+    for change in ({"sha256": "0" * 64}, {"parts_overfill_max": 0.5}):
+        run.write_shard("meshes", shard, [rows[0] | change, *rows[1:]])
+        found.add(fingerprint(out))
+    run.write_shard("meshes", shard, rows[1:])
+    found.add(fingerprint(out))
+    assert len(found) == 4
+    run.write_shard("meshes", shard, rows)
+    assert fingerprint(out) == before
+
+
+def test_the_embedded_library_is_known_by_what_made_it(library: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    other = Path(shutil.copytree(library, tmp_path / "embedded-other"))
+    monkeypatch.setattr(assets, "file_digest", None)  # nothing is read
+    found = set()
+    for root in (library, other, other):
+        made = root, library_of_folder(root, EMBEDDED)
+        monkeypatch.setattr(assets, "embedded_library", lambda _, made=made: made)
+        found.add(fingerprint(EMBEDDED))
+    assert len(found) == 2
+
+
+@pytest.mark.parametrize("change", ["replaced", "added"])
+def test_a_run_does_not_go_on_with_other_meshes(library: Path, dataset: Path, tmp_path: Path, change: str) -> None:
+    engine = one_thing_a_stage(AssetShelf([str(library)]).libraries[0].assets[:3])
+    script = tmp_path / "script.json"
+    script.write_text(json.dumps(engine))
+    plain = GenerateSettings(weights="none", scenes_per_shard=1, num_pictures=0, accept="", settle=False)
+    settings = replace(plain, engine=EngineSettings(f"scripted:{script}"))
+    out = tmp_path / "out"
+    generate(TASKS, str(out), settings, ALONE, [str(library)], report=False)
+    before = content(out)
+    changed(library, dataset, change)
+    with pytest.raises(ConfigError, match=r"inputs\.assets\.library: \w+ -> \w+\); choose a new folder") as caught:
+        generate(TASKS, str(out), settings, ALONE, [str(library)], report=False)
+    assert caught.value.code == "config_changed"
+    assert content(out) == before

@@ -1,0 +1,110 @@
+"""A selection is a run: every reader of runs reads it, and nothing of other scenes is in it."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pyarrow.compute as pc
+import pytest
+from typer.testing import CliRunner
+
+from stable_data.assets.run_assets import TableAssets
+from stable_data.cli import app
+from stable_data.errors import ConfigError
+from stable_data.storage import subset
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.subset import count_selected, select
+from stable_data.storage.torch_dataset import TableStream
+from tests.pipelines.runs import content
+
+
+@pytest.fixture(scope="module")
+def where(clean_run: Path) -> str:
+    """Takes the two largest of the four scenes."""
+    counts = sorted(RunFolder(str(clean_run)).table("scenes", ["num_objects"])["num_objects"].to_pylist())
+    return f"clean and num_objects >= {counts[-2]}"
+
+
+@pytest.fixture(scope="module")
+def selected(clean_run: Path, where: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("selected") / "out"
+    select(RunFolder(str(clean_run)), where, RunFolder(str(out)))
+    return out
+
+
+def test_the_rows_are_those_of_the_scenes_and_of_their_assets_alone(clean_run: Path, selected: Path, where: str) -> None:
+    run, chosen = RunFolder(str(clean_run)), RunFolder(str(selected))
+    found, total = count_selected(run, where)
+    scenes = chosen.table("scenes").to_pylist()
+    assert 0 < found == len(scenes) < total == 4
+    every = {row["scene_id"]: row for row in run.table("scenes").to_pylist()}
+    assert scenes == [every[row["scene_id"]] for row in scenes]
+    used = {o["asset_id"] for row in scenes for o in row["objects"]}
+    for table in ("assets", "meshes"):
+        assert set(chosen.table(table, ["asset_id"])["asset_id"].to_pylist()) == used
+    assert set(chosen.table("sdf", ["asset_id"])["asset_id"].to_pylist()) <= used
+    ids = {row["scene_id"] for row in scenes}
+    mine = run.table("samples", where=pc.field("scene_id").isin(sorted(ids)))
+    assert chosen.table("samples").sort_by("scene_id").num_rows == mine.num_rows > 0
+    assert not chosen.files("failures")
+
+
+def test_readers_of_runs_read_it(clean_run: Path, selected: Path, where: str, tmp_path: Path) -> None:
+    scenes = list(TableStream(str(selected)))
+    assert scenes == list(TableStream(str(clean_run), where=where))
+    assets = TableAssets(RunFolder(str(selected)), tmp_path)
+    assert all(assets.asset_path(o.asset_id) for scene in scenes for o in scene.objects if o.asset_id)
+
+
+def test_what_was_broken_off_goes_on_to_the_same_bytes(clean_run: Path, selected: Path, where: str, tmp_path: Path) -> None:
+    again = Path(shutil.copytree(selected, tmp_path / "again"))
+    next((again / "scenes").glob("*.parquet")).unlink()
+    select(RunFolder(str(clean_run)), where, RunFolder(str(again)))
+    assert content(again) == content(selected)
+
+
+def test_what_was_broken_off_by_other_code_is_not_gone_on_with(
+    clean_run: Path, selected: Path, where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It cuts the rows into shards elsewhere; what is whole is taken as it is."""
+    monkeypatch.setattr(subset, "_SHARD_BYTES", 10_000)
+    again, run = Path(shutil.copytree(selected, tmp_path / "again")), RunFolder(str(clean_run))
+    manifest = json.loads((again / "manifest.json").read_bytes()) | {"code_version": "0.1.0+other"}
+    (again / "manifest.json").write_text(json.dumps(manifest))
+    before = content(again)
+    assert select(run, where, RunFolder(str(again))) == manifest["counts"]
+    assert content(again) == before
+    (again / "manifest.json").write_text(json.dumps(manifest | {"status": "running"}))
+    with pytest.raises(ConfigError, match=r"broken off by other code \(0\.1\.0\+other\)"):
+        select(run, where, RunFolder(str(again)))
+    (again / "manifest.json").write_text(json.dumps(manifest))
+    next((again / "meshes").glob("*.parquet")).unlink()
+    with pytest.raises(ConfigError, match="choose a new folder"):
+        select(run, where, RunFolder(str(again)))
+
+
+def test_nothing_is_mixed(clean_run: Path, selected: Path) -> None:
+    run = RunFolder(str(clean_run))
+    for target in (selected, clean_run):
+        with pytest.raises(ConfigError, match="choose a new folder"):
+            select(run, "num_objects > 0", RunFolder(str(target)))
+
+
+def test_none_is_a_selection_too(clean_run: Path, tmp_path: Path) -> None:
+    counts = select(RunFolder(str(clean_run)), "num_objects > 1000", RunFolder(str(tmp_path / "out")))
+    assert set(counts.values()) == {0}
+    with pytest.raises(ConfigError, match="has 0 rows"):
+        TableStream(str(tmp_path / "out"))
+
+
+def test_the_command_counts_writes_and_refuses(clean_run: Path, selected: Path, where: str, tmp_path: Path) -> None:
+    counted = CliRunner().invoke(app, ["query", str(clean_run), where])
+    assert counted.exit_code == 0
+    assert "2 of 4 scenes" in counted.stdout
+    written = CliRunner().invoke(app, ["query", str(clean_run), where, "--to", str(tmp_path / "out")])
+    assert written.exit_code == 0
+    assert content(tmp_path / "out") == content(selected)
+    refused = CliRunner().invoke(app, ["query", str(clean_run), "num_objects >", "--to", str(tmp_path / "other")])
+    assert refused.exit_code == 2
+    assert "cannot be read" in refused.stderr
+    assert not (tmp_path / "other").exists()

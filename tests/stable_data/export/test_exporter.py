@@ -1,0 +1,223 @@
+"""Exports of runs: what is chosen, what is written, what stops them, and that they go on where they were stopped."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from stable_data.cli import DONE, NOT_STARTED, SOME_FAILED, app
+from stable_data.export import exporter
+from stable_data.export.exporter import export_run
+from stable_data.export.formats import FORMATS
+from stable_data.scene import Scene, SceneObject
+from stable_data.simulation.run_reader import NEEDED, Choice, RunScenes, SettledPoses
+from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.simulation.settling import settle
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import scene_row
+from tests.object_store import object_store
+from tests.stable_data.export.runs import EMPTY, ODD, SCENES, TABLE, at_rest, falling, write_run
+
+pytestmark = pytest.mark.sim
+
+
+def command(*arguments: object) -> Result:
+    return CliRunner().invoke(app, ["export", *map(str, arguments)])
+
+
+def content(out: Path) -> dict[str, bytes]:
+    return {p.relative_to(out).as_posix(): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file() and p.name != ".lock"}
+
+
+def last_files(name: str, out: Path) -> list[Path]:
+    """The file of each scene that is put in place last."""
+    return [p for p in out.rglob("*") if p.name in ("scene.xml", "layout.json") or (name == "glb" and p.suffix == ".glb")]
+
+
+@pytest.mark.parametrize("name", ["glb", "mjcf"])
+def test_every_scene_is_written_whatever_its_name(name: str, run: RunFolder, tmp_path: Path) -> None:
+    result = command(run.uri, tmp_path / "out", "--format", name)
+    assert result.exit_code == DONE, result.stderr
+    assert f"3 of 3 scenes as {name}" in result.stdout
+    assert "1 objects have no mesh and are boxes" in result.stdout
+    assert len(last_files(name, tmp_path / "out")) == len(SCENES)
+    card = (tmp_path / "out" / "README.md").read_text("utf-8")
+    assert FORMATS[name].ABOUT in card
+    assert "| CC0 | synth | 4 |" in card
+
+
+def test_a_scene_that_the_format_cannot_name_is_a_line_and_status_1(run: RunFolder, tmp_path: Path) -> None:
+    result = command(run.uri, tmp_path / "out", "--format", "mesatask")
+    assert result.exit_code == SOME_FAILED
+    assert f"not exported: {ODD}: {ODD!r} cannot name a folder" in result.stderr
+    assert "2 of 3 scenes" in result.stdout
+
+
+@pytest.mark.parametrize("name", sorted(FORMATS))
+def test_an_export_that_was_stopped_goes_on(name: str, run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    choice = Choice(scene_ids=("empty", "falling"))
+    export_run(run, tmp_path / "whole", name, choice)
+
+    def one_and_no_more(scenes: RunScenes) -> Iterator[Scene]:
+        yield falling()
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RunScenes, "__iter__", one_and_no_more)
+        with pytest.raises(KeyboardInterrupt):
+            export_run(run, tmp_path / "out", name, choice)
+    there = {path: path.stat().st_mtime_ns for path in last_files(name, tmp_path / "out")}
+    assert there
+    again = export_run(run, tmp_path / "out", name, choice)
+    assert (again.made, again.there) == (1, 1)
+    assert {path: path.stat().st_mtime_ns for path in there} == there
+    assert content(tmp_path / "out") == content(tmp_path / "whole")
+
+
+@pytest.mark.parametrize(
+    ("choice", "expected"),
+    [
+        (Choice(), [s.scene_id for s in SCENES]),
+        (Choice(where="num_objects >= 2"), [ODD, "falling"]),
+        (Choice(scene_ids=("empty", ODD)), [ODD, "empty"]),
+        (Choice(where="num_objects < 6", limit=1), ["falling"]),
+        (Choice(limit=0), []),
+    ],
+)
+def test_scenes_are_chosen(choice: Choice, expected: list[str], run: RunFolder) -> None:
+    scenes = RunScenes(run, choice)
+    assert [scene.scene_id for scene in scenes] == expected
+    assert len(scenes) == len(expected)
+
+
+def test_what_nobody_foresaw_loses_one_scene(run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written = SolidScene.of
+
+    def fail(scene: Scene, *rest: object) -> SolidScene:
+        if scene.scene_id == "falling":
+            raise IndexError("list index\nout of range")
+        return written(scene, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(SolidScene, "of", fail)
+    result = command(run.uri, tmp_path / "out", "--format", "glb")
+    assert result.exit_code == SOME_FAILED
+    assert "not exported: falling: unexpected IndexError: list index out of range; please report it\n" in result.stderr
+    assert "2 of 3 scenes" in result.stdout
+
+
+def test_settled_poses_come_from_the_table(run: RunFolder) -> None:
+    scenes = RunScenes(run, Choice(settled=True))
+    for scene in scenes:
+        solid = scenes.solid(scene)
+        rest = settle(solid.bodies, scene.table)
+        assert rest.settle_move_max_mm is not None
+        assert rest.settle_move_max_mm < 0.5
+    assert SettledPoses(run).of("unheard of") == {}
+
+
+def test_a_scene_that_was_never_settled_is_a_line(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", (EMPTY, falling()))
+    [path] = run.files("settled")
+    Path(path).unlink()
+    run.write_shard("settled", "0" * 16, [{"scene_id": "empty", "poses": []}])
+    result = command(run.uri, tmp_path / "out", "--format", "glb", "--settled")
+    assert result.exit_code == SOME_FAILED
+    assert "not exported: falling: no settled pose of ['0_can_0', '1_mug_0']" in result.stderr
+
+
+def test_a_body_that_the_engine_refuses_loses_one_scene(tmp_path: Path) -> None:
+    flat = SceneObject("0_sheet_0", "sheet", (0.5, 0.4, 0.0), 0.0, (0.1, 0.1, 0.0))
+    run = write_run(tmp_path / "run", (EMPTY,))
+    blank = run.table("scenes").to_pylist()[0]
+    run.write_shard("scenes", "f" * 16, [blank | scene_row(Scene("flat", TABLE, (flat,)))])
+    result = command(run.uri, tmp_path / "out", "--format", "mjcf")
+    assert result.exit_code == SOME_FAILED
+    assert "not exported: flat: body 0_sheet_0: none of its 1 convex parts is solid" in result.stderr
+    assert command(run.uri, tmp_path / "out", "--format", "mjcf").stdout.endswith(
+        "1 of 2 scenes as mjcf, 1 of them were there; README.md says how to open them\n"
+    )
+
+
+@pytest.mark.parametrize("table", NEEDED)
+def test_a_run_without_a_table_is_refused(table: str, tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", (EMPTY,))
+    for path in run.files(table):
+        Path(path).unlink()
+    result = command(run.uri, tmp_path / "out", "--format", "mjcf")
+    assert result.exit_code == NOT_STARTED
+    assert f"the run has no table {table}, expected scenes, assets, meshes; preprocess" in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_run_that_keeps_no_settled_poses_says_so(tmp_path: Path) -> None:
+    bare = write_run(tmp_path / "run", (EMPTY,))
+    [path] = bare.files("settled")
+    Path(path).unlink()
+    for _ in ("no table", "a table without rows"):
+        result = command(bare.uri, tmp_path / "out", "--format", "mjcf", "--settled")
+        assert result.exit_code == NOT_STARTED
+        assert "the run keeps no settled poses" in result.stderr
+        assert "--set keep_settled=true" in result.stderr
+        bare.write_shard("settled", "0" * 16, [])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--format", "stl"], "format is 'stl', expected one of glb, mesatask, mjcf"),
+        (["--format", "glb", "--where", "num_objects >"], "cannot be read"),
+        (["--format", "glb", "--where", "num_objects > 1000"], "no scene is chosen, expected one at least"),
+        (["--format", "glb", "--limit", "0"], "no scene is chosen, expected one at least"),
+        (["--format", "glb", "--scene", "nowhere"], "the run has no scenes ['nowhere']"),
+        (["--format", "glb", "--scene", "empty", "--where", "num_objects > 1"], "no scenes ['empty'] where num_objects > 1"),
+    ],
+)
+def test_what_cannot_start_is_one_line_and_status_2(arguments: list[str], message: str, run: RunFolder, tmp_path: Path) -> None:
+    result = command(run.uri, tmp_path / "out", *arguments)
+    assert result.exit_code == NOT_STARTED
+    assert message in result.stderr
+    assert result.stderr.strip().count("\n") == 0
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_with_another_export_is_refused(run: RunFolder, tmp_path: Path) -> None:
+    assert command(run.uri, tmp_path / "out", "--format", "glb", "--scene", "empty").exit_code == DONE
+    for arguments in (["--format", "mjcf", "--scene", "empty"], ["--format", "glb"]):
+        result = command(run.uri, tmp_path / "out", *arguments)
+        assert result.exit_code == NOT_STARTED
+        assert "expected what the export was begun with; choose a new folder" in result.stderr
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "mine.txt").touch()
+    assert "holds something else" in command(run.uri, tmp_path / "other", "--format", "glb").stderr
+
+
+def test_a_run_on_an_object_store_is_exported_the_same(run: RunFolder, tmp_path: Path) -> None:
+    with object_store() as uri:
+        remote = RunFolder(uri)
+        for path in Path(run.root).glob("*/part-*.parquet"):
+            remote.write_bytes(path.relative_to(run.root).as_posix(), path.read_bytes())
+        for source, out in ((run, tmp_path / "local"), (remote, tmp_path / "remote")):
+            assert export_run(source, out, "mjcf", Choice(settled=True, where="num_objects > 0")).made == 2
+    here, there = content(tmp_path / "local"), content(tmp_path / "remote")
+    assert here.pop(exporter.MANIFEST_FILE) != there.pop(exporter.MANIFEST_FILE)  # it says from where
+    assert here == there
+
+
+def test_the_library_exports_without_torch(run: RunFolder, tmp_path: Path) -> None:
+    arguments = ["export", run.uri, str(tmp_path / "out"), "--format", "mjcf", "--limit", "1"]
+    code = f"import sys; from stable_data.cli import app; app({arguments}, standalone_mode=False); assert 'torch' not in sys.modules"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == DONE, done.stderr
+    assert json.loads((tmp_path / "out" / exporter.MANIFEST_FILE).read_text("utf-8"))["limit"] == 1
+
+
+def test_objects_keep_their_place_in_the_order(run: RunFolder) -> None:
+    scenes = RunScenes(run, Choice(settled=True))
+    solid = SolidScene.of(at_rest(), scenes.store, SettledPoses(run).of(ODD))
+    assert [o.instance for o in solid.scene.objects] == [o.instance for o in at_rest().objects]
+    assert replace(solid.scene, objects=()) == replace(at_rest(), objects=())

@@ -1,0 +1,232 @@
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stable_data.geometry.mesh import Mesh
+from stable_data.scene import FloatArray, Tabletop, Vec3
+from stable_data.simulation.settling import Body, EngineOptions, SettleResult, _run, compile_bodies, hull_volume, settle
+
+pytestmark = pytest.mark.sim
+
+TABLE = Tabletop("office_table", (1.0, 0.6))
+SHORT = EngineOptions(settle_seconds=0.4, watch_seconds=0.4)
+
+
+def box(x: float, y: float, z: float) -> Mesh:
+    corners = np.array([[i, j, k] for i in (-0.5, 0.5) for j in (-0.5, 0.5) for k in (-0.5, 0.5)]) * (x, y, z)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+    return Mesh(corners, faces)
+
+
+def block(name: str, position: Vec3, *, size: Vec3 = (0.1, 0.1, 0.1), yaw: float = 0.0, movable: bool = True) -> Body:
+    return Body(name, (box(*size),), 0.5, position, yaw, movable)
+
+
+def yaw_of(quat_xyzw: FloatArray) -> float:
+    return float(2 * np.arctan2(quat_xyzw[2], quat_xyzw[3]))
+
+
+def test_box_on_table_is_stable_and_keeps_its_pose() -> None:
+    result = settle([block("a", (0.5, 0.3, 0.05), yaw=0.7)], TABLE)
+    assert result.stable is True
+    assert result.reason == ""
+    np.testing.assert_allclose(result.positions, [[0.5, 0.3, 0.05]], atol=1e-4)
+    assert yaw_of(result.quats_xyzw[0]) == pytest.approx(0.7, abs=1e-4)
+    assert result.jitter_mm is not None
+    assert result.jitter_mm < 0.01
+
+
+def test_contact_at_rest_is_shallower_than_the_tolerance() -> None:
+    stack = [block(str(k), (0.5, 0.3, 0.05 + 0.1 * k)) for k in range(4)]
+    rest = settle(stack, TABLE)
+    again = [block(str(k), tuple(rest.positions[k])) for k in range(4)]
+    result = settle(again, TABLE, SHORT)
+    assert result.engine_penetration_mm is not None
+    assert result.engine_penetration_mm < 0.25
+
+
+@pytest.mark.parametrize("depth", [0.0005, 0.002])
+def test_engine_penetration_is_the_depth_in_the_table(depth: float) -> None:
+    result = settle([block("a", (0.5, 0.3, 0.05 - depth))], TABLE, SHORT)
+    assert result.engine_penetration_mm == pytest.approx(1e3 * depth, rel=1e-3)
+
+
+@pytest.mark.parametrize("mass", [0.0, -1.0, np.inf, np.nan])
+def test_a_mass_that_no_thing_has_is_unknown_and_not_an_explosion(mass: float) -> None:
+    result = settle([replace(block("a", (0.5, 0.3, 0.05)), mass=mass)], TABLE, SHORT)
+    assert result.stable is None
+    assert "body a: mass is" in result.reason
+
+
+def test_what_has_gone_too_far_is_not_watched_in_a_hurry_and_what_stays_is() -> None:
+    """The verdict is the same; what would come later is unknown."""
+    falls, stays = block("a", (0.5, 0.3, 0.15)), block("a", (0.5, 0.3, 0.05))
+    hurried = settle([falls], TABLE, EngineOptions(hurries=True))
+    whole = settle([falls], TABLE)
+    assert (hurried.stable, hurried.unsteady) == (whole.stable, whole.unsteady) == (False, ("a",))
+    assert (hurried.drift_mm, hurried.jitter_mm) == (None, None)
+    assert whole.drift_mm is not None
+    assert hurried.settle_move_max_mm == pytest.approx(whole.settle_move_max_mm, rel=0.01)
+    same, other = settle([stays], TABLE, EngineOptions(hurries=True)), settle([stays], TABLE)
+    assert (same.stable, same.drift_mm, same.jitter_mm) == (True, other.drift_mm, other.jitter_mm)
+
+
+@pytest.mark.parametrize("speed", [EngineOptions().sleep_speed, 1e-3])
+def test_what_sleeps_is_judged_as_what_is_looked_at(speed: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    num_awake = []
+
+    def run(model: Any, data: Any, *more: Any) -> FloatArray:
+        found = _run(model, data, *more)
+        num_awake.append(data.ntree_awake)
+        return found
+
+    monkeypatch.setattr("stable_data.simulation.settling._run", run)
+    bodies = [block(str(k), (0.5, 0.3, 0.05 + 0.1 * k)) for k in range(3)]
+    awake, asleep = (settle(bodies, TABLE, EngineOptions(sleep_speed=s)) for s in (0.0, speed))
+    assert num_awake == [3, 3, 3, 0]
+    assert awake.stable
+    assert asleep.stable
+    assert asleep.moves == pytest.approx(awake.moves, abs=1e-6)
+    assert asleep.drift_mm == pytest.approx(awake.drift_mm, abs=0.1)
+
+
+def test_what_only_just_begins_to_fall_does_not_fall_asleep() -> None:
+    """A pole on its edge, almost in balance: it takes its time."""
+    angle = np.arctan(0.02 / 0.4) + 1e-4
+    turn = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
+    pole = box(0.02, 0.02, 0.4)
+    vertices = pole.vertices @ turn.T
+    result = settle([Body("pole", (Mesh(vertices, pole.faces),), 0.5, (0.5, 0.3, -float(vertices[:, 2].min())))], TABLE)
+    assert result.stable is False
+    assert result.settle_turn_max_deg == pytest.approx(87, abs=5)
+
+
+def test_falling_box_moved_by_its_height() -> None:
+    result = settle([block("a", (0.5, 0.3, 0.10))], TABLE)
+    assert result.stable is False
+    assert "a moved" in result.reason
+    assert result.settle_move_max_mm == pytest.approx(50, abs=1)
+    assert result.drift_mm is not None
+    assert result.drift_mm < 1
+
+
+def test_thing_beyond_the_edge_falls() -> None:
+    result = settle([block("a", (1.2, 0.3, 0.05))], TABLE, SHORT)
+    assert result.stable is False
+    assert result.positions[0, 2] < -0.1
+
+
+def test_tower_that_overhangs_turns() -> None:
+    bodies = [block("low", (0.5, 0.3, 0.05)), block("high", (0.57, 0.3, 0.15))]
+    result = settle(bodies, TABLE)
+    assert result.stable is False
+    assert result.turns[1] > 5
+    assert result.moves[0] < 0.01
+
+
+def test_fixed_body_carries_and_stays() -> None:
+    bodies = [block("shelf", (0.5, 0.3, 0.5), movable=False), block("a", (0.5, 0.3, 0.6))]
+    result = settle(bodies, TABLE, SHORT)
+    assert result.stable is True
+    np.testing.assert_array_equal(result.positions[0], [0.5, 0.3, 0.5])
+
+
+def test_hollow_of_convex_parts_holds_a_thing() -> None:
+    walls = (box(0.2, 0.2, 0.01), *(Mesh(box(*s).vertices + c, box(*s).faces) for s, c in _walls()))
+    bodies = [Body("tray", walls, 1.0, (0.5, 0.3, 0.005)), block("a", (0.5, 0.3, 0.031), size=(0.04, 0.04, 0.04))]
+    result = settle(bodies, TABLE, SHORT)
+    assert result.positions[1, 2] == pytest.approx(0.03, abs=5e-4)
+
+
+def _walls() -> list[tuple[Vec3, Vec3]]:
+    return [
+        ((0.01, 0.2, 0.06), (0.095, 0, 0.035)),
+        ((0.01, 0.2, 0.06), (-0.095, 0, 0.035)),
+        ((0.2, 0.01, 0.06), (0, 0.095, 0.035)),
+        ((0.2, 0.01, 0.06), (0, -0.095, 0.035)),
+    ]
+
+
+def test_same_input_gives_the_same_bits() -> None:
+    bodies = [block("a", (0.5, 0.3, 0.06), yaw=0.3), block("b", (0.52, 0.32, 0.17), yaw=1.0)]
+    first, second = (settle(bodies, TABLE, SHORT) for _ in range(2))
+    np.testing.assert_array_equal(first.positions, second.positions)
+    np.testing.assert_array_equal(first.quats_xyzw, second.quats_xyzw)
+
+
+def is_unknown(result: SettleResult) -> bool:
+    return result.stable is None and result.engine_penetration_mm is None and bool(result.reason)
+
+
+def test_body_without_a_solid_part_is_unknown_not_stable() -> None:
+    flat = Mesh(box(0.1, 0.1, 0.1).vertices * (1, 1, 0), box(0.1, 0.1, 0.1).faces)
+    assert is_unknown(settle([Body("sheet", (flat,), 0.1, (0.5, 0.3, 0.1))], TABLE))
+    assert is_unknown(settle([Body("nothing", (), 0.1, (0.5, 0.3, 0.1))], TABLE))
+
+
+def test_body_that_is_not_finite_is_unknown() -> None:
+    nan = Mesh(box(0.1, 0.1, 0.1).vertices * np.nan, box(0.1, 0.1, 0.1).faces)
+    assert is_unknown(settle([Body("nan", (nan,), 0.1, (0.5, 0.3, 0.1))], TABLE))
+
+
+def test_pose_that_is_not_finite_is_unknown() -> None:
+    assert is_unknown(settle([block("a", (float("nan"), 0.3, 0.05))], TABLE))
+
+
+def test_simulation_that_blows_up_fails_without_a_log_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = settle([block("a", (1e300, 0.3, 0.05))], TABLE, SHORT)
+    assert result.stable is False
+    assert "blew up" in result.reason
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_had_gone_too_far_before_is_to_blame_where_a_simulation_blows_up() -> None:
+    """One falls past the largest number that the engine takes; that another would have stayed is not known."""
+    falls, stays = block("falls", (9.0, 9.0, 0.05 - 1e10)), block("stays", (0.5, 0.3, 0.05))
+    result = settle([stays, falls], TABLE)
+    assert result.stable is False
+    assert result.unsteady == ("falls",)
+    assert result.num_restless == 2
+    assert re.search(r"blew up after falls moved \d", result.reason)
+    assert np.isnan([result.moves[0], result.turns[0]]).all()
+    assert result.settle_move_max_mm is None
+    np.testing.assert_array_equal(result.positions[0], stays.position)
+
+
+def test_anything_may_be_to_blame_where_nothing_had_moved_before() -> None:
+    result = settle([block("stays", (0.5, 0.3, 0.05)), block("far", (9.0, 9.0, 1e300))], TABLE, SHORT)
+    assert result.unsteady == ("stays", "far")
+
+
+def test_what_is_not_known_to_stay_is_restless() -> None:
+    falls, stays = block("a", (0.5, 0.3, 0.15)), block("b", (0.2, 0.3, 0.05))
+    assert settle([falls, stays], TABLE, SHORT).num_restless == 1
+    assert settle([stays], TABLE, SHORT).num_restless == 0
+    assert settle([stays, Body("nothing", (), 0.1, (0.5, 0.3, 0.1))], TABLE, SHORT).num_restless == 2
+
+
+def test_body_without_mass_is_unknown() -> None:
+    assert is_unknown(settle([Body("a", (box(0.1, 0.1, 0.1),), 0.0, (0.5, 0.3, 0.1))], TABLE))
+
+
+def test_flat_part_beside_a_solid_one_is_left_out() -> None:
+    flat = Mesh(box(0.1, 0.1, 0.1).vertices * (1, 1, 0), box(0.1, 0.1, 0.1).faces)
+    model = compile_bodies([Body("a", (flat, box(0.1, 0.1, 0.1)), 0.5, (0.5, 0.3, 0.05))], TABLE)
+    assert model.ngeom == 2  # the table and the solid part
+    assert model.body_mass[1] == pytest.approx(0.5)
+
+
+def test_empty_table_is_stable() -> None:
+    result = settle([], TABLE)
+    assert result.stable is True
+    assert result.positions.shape == (0, 3)
+
+
+def test_hull_volume_of_a_box() -> None:
+    assert hull_volume(box(0.1, 0.2, 0.3)) == pytest.approx(0.006)

@@ -1,0 +1,59 @@
+import os
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stable_data.atomic_files import plain_name, put_file
+
+
+def test_a_file_is_there_whole_and_nothing_beside_it(tmp_path: Path) -> None:
+    for content in (b"first", b"second"):
+        put_file(tmp_path / "a.bin", content)
+        assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("a.bin", content)]
+
+
+def test_what_cannot_be_put_in_place_leaves_nothing(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "held").touch()
+    with pytest.raises(OSError, match=r".*"):
+        put_file(tmp_path / "a", b"content")
+    assert [p.name for p in tmp_path.iterdir()] == ["a"]
+
+
+def test_writers_with_the_number_of_one_process_do_not_disturb_each_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "getpid", lambda: 1)  # as in two containers that share a folder
+    path, contents = tmp_path / "a.bin", [bytes([k]) * 2**20 for k in range(4)]
+
+    def write(content: bytes) -> None:
+        for _ in range(10):
+            put_file(path, content)
+            assert path.read_bytes() in contents
+
+    with ThreadPoolExecutor(len(contents)) as pool:
+        list(pool.map(write, contents))
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@given(st.text())
+def test_any_text_becomes_a_plain_name(text: str) -> None:
+    name = plain_name(text)
+    assert plain_name(name) == name
+    assert name.isascii()
+    assert 0 < len(name) < 120
+    assert not name.startswith(".")
+    assert not set(name) - set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_.+-")
+
+
+@given(st.lists(st.text(alphabet="a_ /."), unique=True, max_size=30))
+def test_different_names_stay_different(names: list[str]) -> None:
+    assert len({plain_name(name) for name in names}) == len(names)
+
+
+def test_a_reserved_name_is_changed() -> None:
+    assert plain_name("world") == "world"
+    assert plain_name("world", {"world"}) != "world"
