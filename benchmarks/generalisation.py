@@ -24,9 +24,9 @@ from pipelines.execution.ray_executor import Workers
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
 from pipelines.sources.generation_tasks import Tasks, of_file, sampled
-from stable_data.assets.catalog import library_of_folder
 from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES
+from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.scene import Relation, Scene
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import scene_from_row

@@ -20,12 +20,13 @@ from pathlib import Path
 import numpy as np
 
 from models.text_encoder import load_default
-from stable_data.assets.catalog import Asset, AssetLibrary, RestingTilt, library_of_folder
+from stable_data.assets.catalog import Asset, AssetLibrary, RestingTilt
 from stable_data.assets.ranking import RetrievalSettings
 from stable_data.assets.retrieval import Match, Query, Retriever
 from stable_data.assets.text_embeddings import Rows
 from stable_data.errors import SceneError
 from stable_data.mesatask import MesaTaskDataset
+from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.scene import Scene, SceneObject, Vec3
 
 _NOISE = 0.005  # of each feature's components, before it is of unit length again: copies agree by 0.99

@@ -51,3 +51,22 @@ class Notice:
     step: str
     code: str
     message: str
+
+
+def unwritable(where: str, error: OSError) -> ConfigError:
+    """The error for a place that cannot be written."""
+    reason = error.strerror or str(error)
+    return ConfigError(
+        f"{where}: cannot be written ({reason}); free space or choose a folder you may write, then run again",
+        "output_unwritable",
+    )
+
+
+def unreadable(where: str, path: str, error: Exception) -> ConfigError:
+    """The error for a shard that is no Parquet any more."""
+    reason = str(error).strip().partition("\n")[0]
+    return ConfigError(
+        f"{where}: {path} cannot be read ({reason}), expected a Parquet file of this run; "
+        "if it is there, delete it and run again what wrote it",
+        "shard_unreadable",
+    )

@@ -12,8 +12,8 @@ from models.semantic_reasoner.prompt_styles import dialect_of
 from models.semantic_reasoner.reasoner import SemanticReasoner
 from models.semantic_reasoner.replies.checks import CheckSettings, ReplyCheck, form_check
 from models.semantic_reasoner.text.prompt import PROMPT_VERSION
+from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
-from stable_data.storage.run_folder import content_id
 
 
 @dataclass(frozen=True, slots=True)

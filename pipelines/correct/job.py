@@ -26,11 +26,12 @@ from pipelines.execution.shard_job import (
     write_manifest,
 )
 from pipelines.sources.scenes import FolderSource, SceneSource, TableSource, scene_source
-from stable_data.errors import ConfigError, Notice
+from stable_data.content_id import content_id
+from stable_data.errors import ConfigError, Notice, unwritable
 from stable_data.mesatask import write_annotations, write_scene
 from stable_data.mesatask.library import LIBRARY_FOLDER
 from stable_data.storage import schemas
-from stable_data.storage.run_folder import RunFolder, content_id, unwritable
+from stable_data.storage.run_folder import RunFolder
 
 S = TypeVar("S", bound=CorrectSettings)
 

@@ -15,7 +15,7 @@ from stable_data.assets.catalog import Asset, AssetLibrary
 from stable_data.assets.retrieval import Match, Query, Retriever
 from stable_data.assets.substitution import with_assets
 from stable_data.errors import Notice, SceneError
-from stable_data.mesatask.frame import rotation_matrix
+from stable_data.rotations import rotation_matrix
 from stable_data.scene import UPRIGHT, FloatArray, Scene, SceneObject, Vec3
 
 _AS_GOOD = 0.01  # a thing of another size keeps its tilt where no other fits better by this cosine

@@ -26,8 +26,8 @@ from pipelines.execution.shard_job import (
 from pipelines.sources.edits import EditFile, WantedEdit, read_edits
 from pipelines.sources.scenes import FolderSource, SceneSource, scene_source
 from stable_data.config_diff import flat
+from stable_data.content_id import content_id
 from stable_data.mesatask.library import ANNOTATION_FILE
-from stable_data.storage.run_folder import content_id
 
 
 def edit(

@@ -24,6 +24,7 @@ from pipelines.execution.shard_job import Rows, engine_off, rows_or_failure
 from pipelines.preprocess.scene import related, with_counts
 from pipelines.sources.edits import WantedEdit
 from pipelines.sources.scenes import Taken, scene_source
+from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed
@@ -32,7 +33,6 @@ from stable_data.metrics.collision import ROUNDING
 from stable_data.scene import Scene, SceneObject
 from stable_data.scene_graph.staging import stage_scene
 from stable_data.storage import schemas
-from stable_data.storage.run_folder import content_id
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,9 +11,10 @@ from pipelines.execution.progress_bar import LiveBar, Tally
 from pipelines.execution.ray_executor import Loss, Work, Workers, alone
 from stable_data.code_version import code_version
 from stable_data.config_diff import differences
+from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice, StableDataError
 from stable_data.storage import schemas
-from stable_data.storage.run_folder import RunFolder, content_id
+from stable_data.storage.run_folder import RunFolder
 
 Rows: TypeAlias = dict[str, list[schemas.Row]]
 """Rows by table."""

@@ -17,8 +17,9 @@ from pipelines.preprocess.asset import AssetSettings, AssetUse, preprocess_asset
 from pipelines.preprocess.plan import UseCount, file_digest, groups
 from pipelines.sources.assets import AssetShelf
 from stable_data.assets.store import AssetStore
+from stable_data.content_id import content_id
 from stable_data.storage import schemas
-from stable_data.storage.run_folder import RunFolder, content_id
+from stable_data.storage.run_folder import RunFolder
 
 _PER_SHARD = 16
 

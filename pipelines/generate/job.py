@@ -34,9 +34,10 @@ from pipelines.generate.shard import GenerateWork
 from pipelines.preprocess.plan import groups
 from pipelines.sources.assets import AssetShelf
 from pipelines.sources.generation_tasks import Task, Tasks
+from stable_data.content_id import content_id
 from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.errors import ConfigError
-from stable_data.storage.run_folder import RunFolder, content_id
+from stable_data.storage.run_folder import RunFolder
 
 
 def generate(

@@ -20,12 +20,12 @@ from pipelines.preprocess.asset import AssetUse, TextFeature
 from pipelines.preprocess.features import FeatureUse, ShapeUse
 from pipelines.preprocess.scene import SceneSettings
 from stable_data.assets.store import AssetStore, aspect_steps, tilt_key, with_one_sign
+from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice
 from stable_data.mesatask import MesaTaskDataset, PositionConvention, read_text_features
-from stable_data.mesatask.position_convention import position_convention
+from stable_data.mesatask.convention_detection import position_convention
 from stable_data.scene import QuatXyzw, Vec3
 from stable_data.storage import schemas
-from stable_data.storage.run_folder import content_id
 
 T = TypeVar("T")
 

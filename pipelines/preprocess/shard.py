@@ -32,10 +32,11 @@ from pipelines.preprocess.plan import Plan, PreprocessSettings, Shard, plan_run,
 from pipelines.preprocess.report import write_report
 from pipelines.preprocess.scene import CachedWriter, preprocess_scene
 from stable_data.assets.store import AssetStore
+from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.storage import schemas
-from stable_data.storage.run_folder import RunFolder, content_id
+from stable_data.storage.run_folder import RunFolder
 
 if TYPE_CHECKING:
     from models.point_encoder import PointEncoder

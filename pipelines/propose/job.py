@@ -27,14 +27,15 @@ from pipelines.reports.scene_pictures import drawn
 from pipelines.sources.assets import AssetShelf
 from pipelines.sources.tasks import read_tasks
 from stable_data.assets.store import AssetStore
-from stable_data.errors import ConfigError, MeshError, Notice, SceneError
+from stable_data.content_id import content_id
+from stable_data.errors import ConfigError, MeshError, Notice, SceneError, unwritable
 from stable_data.mesatask import write_annotations, write_scene
 from stable_data.mesatask.layout import LAYOUT_FILE
 from stable_data.mesatask.library import LIBRARY_FOLDER
 from stable_data.mesatask.writing import LAYOUT_FOLDER, write_asset
 from stable_data.scene import Scene
 from stable_data.simulation.render import FRONT_SIZE
-from stable_data.storage.run_folder import RunFolder, content_id, unwritable
+from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import notice_row
 
 TABLES = ("failures", "warnings")

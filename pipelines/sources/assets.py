@@ -12,17 +12,20 @@ from tqdm import tqdm
 from models.text_encoder import load_default
 from pipelines.preprocess.plan import file_digest
 from pipelines.sources.scenes import FolderSource, mesh_cache
-from stable_data.assets.catalog import AssetLibrary, library_of_folder, library_of_run
+from stable_data.assets.annotation import AssetAnnotation
+from stable_data.assets.catalog import AssetLibrary, library_of_run
 from stable_data.assets.ranking import RetrievalSettings
 from stable_data.assets.retrieval import Retriever
 from stable_data.assets.run_assets import TableAssets, run_annotations
 from stable_data.assets.store import colliders_of
+from stable_data.content_id import content_id
 from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.embedded_world.library import embedded_library
 from stable_data.geometry.mesh import Mesh
-from stable_data.mesatask.library import AssetAnnotation, AssetFolder
+from stable_data.mesatask.asset_catalog import library_of_folder
+from stable_data.mesatask.library import AssetFolder
 from stable_data.mesatask.writing import LAYOUT_FOLDER
-from stable_data.storage.run_folder import RunFolder, content_id
+from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS
 
 

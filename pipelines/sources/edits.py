@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from stable_data.errors import ConfigError, Notice, SceneError
-from stable_data.mesatask.document import json_value, shown
+from stable_data.json_text import json_value, shown
 
 KEYS = ("scene_id", "instruction", "edit_id", "reply")
 

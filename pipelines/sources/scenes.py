@@ -14,17 +14,19 @@ import pyarrow.parquet as pq
 from pipelines.execution.item_progress import Progress
 from pipelines.preprocess.plan import PreprocessSettings, plan_run
 from pipelines.preprocess.scene import SceneSettings, origin_of, understand
-from stable_data.assets.catalog import AssetLibrary, library_of_folder, library_of_run
+from stable_data.assets.catalog import AssetLibrary, library_of_run
 from stable_data.assets.run_assets import TableAssets
 from stable_data.assets.store import AssetStore
-from stable_data.errors import ConfigError, Notice, SceneError
+from stable_data.content_id import content_id
+from stable_data.errors import ConfigError, Notice, SceneError, unreadable
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset, PositionConvention
-from stable_data.mesatask.position_convention import position_convention
+from stable_data.mesatask.asset_catalog import library_of_folder
+from stable_data.mesatask.convention_detection import position_convention
 from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.scene import Scene
 from stable_data.storage import schemas
-from stable_data.storage.run_folder import RunFolder, content_id, unreadable
+from stable_data.storage.run_folder import RunFolder
 
 ORIGIN_COLUMNS = ("source", "split", "layout_path", "layout_sha256", "duplicate_group")
 """Columns of ``scenes`` that say where a scene comes from."""

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from models.semantic_reasoner.staged_layout import LayoutTask
 from stable_data.errors import ConfigError, Notice, SceneError
-from stable_data.mesatask.document import is_unicode, json_value, shown
+from stable_data.json_text import is_unicode, json_value, shown
 from stable_data.scene import Tabletop
 
 KEYS = ("scene_id", "instruction", "table_type", "table_size_cm", "restricted_zone_cm")

@@ -10,7 +10,7 @@ it by two fifths. And the diagonal never becomes longer than the wanted one, as 
 import numpy as np
 import numpy.typing as npt
 
-from stable_data.mesatask.frame import rotation_matrix
+from stable_data.rotations import rotation_matrix
 from stable_data.scene import FloatArray, QuatXyzw, Vec3
 
 _RIGHT_ANGLE = 1e-3  # radians by which a tilt may be off and still take each axis to an axis, for stretching along them

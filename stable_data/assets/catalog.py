@@ -15,13 +15,9 @@ import numpy as np
 import pyarrow.compute as pc
 
 from stable_data.assets.text_embeddings import Rows, TextEncoder, checked_rows, text_rows
-from stable_data.errors import ConfigError, MeshError
-from stable_data.geometry.gltf_reader import load_glb
-from stable_data.mesatask.entry import is_upright
-from stable_data.mesatask.features import FEATURES_FILE, read_text_features
-from stable_data.mesatask.frame import normalised, quat_product, rotation_matrix, stood_on_end, turned_extents
-from stable_data.mesatask.library import AssetAnnotation, AssetFolder
-from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Scene, Vec3
+from stable_data.errors import ConfigError
+from stable_data.rotations import normalised, quat_product, rotation_matrix, stood_on_end, turned_extents
+from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Vec3
 from stable_data.storage.row_groups import rows_from_table
 from stable_data.storage.run_folder import RunFolder
 
@@ -179,23 +175,23 @@ def library_of_run(run: RunFolder, name: str | None = None, *, own_features: boo
     name = name or run.uri
     rows = run.table("assets", [*_COLUMNS, "text_embedding"] if own_features else _COLUMNS).to_pylist()
     usual = {
-        row["asset_id"]: _with_leaning(
-            _usual([(_quat(t["tilt_quat_xyzw"]), t["count"]) for t in row["resting_tilts"]]), _vec3(row["extents"])
+        row["asset_id"]: with_leaning_tilts(
+            usual_tilts([(_quat(t["tilt_quat_xyzw"]), t["count"]) for t in row["resting_tilts"]]), as_vec3(row["extents"])
         )
         for row in rows
     }
-    leaning = [uid for uid, tilts in usual.items() if any(not _is_right_angled(quat) for quat, _ in tilts)]
+    leaning = [uid for uid, tilts in usual.items() if any(not is_right_angled(quat) for quat, _ in tilts)]
     points = _surface_points(run, leaning)
     assets, features = list[Asset](), dict[str, Any]()
     for row in rows:
-        uid, extents = row["asset_id"], _vec3(row["extents"])
+        uid, extents = row["asset_id"], as_vec3(row["extents"])
         on_table = bool(row["resting_tilts"]) if row["on_table"] is None else row["on_table"]
         asset = Asset(
             uid,
             row["category"] or "",
             row["description"] or "",
             extents,
-            _resting(usual[uid], extents, points.get(uid)),
+            resting_tilts(usual[uid], extents, points.get(uid)),
             caption=row["caption"] or "",
             licence=row["licence"],
             source=row["source"] or "",
@@ -206,46 +202,12 @@ def library_of_run(run: RunFolder, name: str | None = None, *, own_features: boo
         assets.append(asset)
         if own_features and row["text_embedding"] is not None:
             features[uid] = row["text_embedding"]
-    return _library(name, assets, features if own_features else None, {})
+    return assembled_library(name, assets, features if own_features else None, {})
 
 
-def library_of_folder(
-    root: Path, name: str | None = None, *, scenes: Iterable[Scene] = (), own_features: bool = False
+def assembled_library(
+    name: str, assets: Sequence[Asset], features: Mapping[str, Any] | None, left_out: dict[str, str]
 ) -> AssetLibrary:
-    """The catalogue of a folder in the MesaTask-10K format: Asset_annotation.json, and the GLB files where it is silent.
-
-    Args:
-        root: The folder.
-        name: What to call the library; by default the folder's name.
-        scenes: Scenes that show how the assets rest. An asset that they do not show stands as its mesh does.
-        own_features: Take sbert_text_features.pkl. Otherwise call :meth:`AssetLibrary.embedded`.
-
-    Raises:
-        ConfigError: The folder is missing or holds nothing that can be used, or its features cannot be read.
-    """
-    if not root.is_dir():
-        raise ConfigError(f"{root} is not a folder; expected one in the MesaTask-10K format", "root_missing")
-    folder = AssetFolder(root)
-    features = dict(zip(*read_text_features(root / FEATURES_FILE), strict=True)) if own_features else None
-    seen = _tilts_of(scenes)
-    assets, left_out = list[Asset](), dict[str, str]()
-    for uid in folder.asset_ids:
-        annotation, tilts = folder.annotation(uid), _usual(seen.get(uid, ()))
-        extents, vertices = annotation.extents_z_up, None
-        if extents is None:
-            vertices = _mesh_vertices(folder, uid)
-            extents = None if vertices is None else _vec3(np.ptp(vertices, axis=0))
-        tilts = tilts if extents is None else _with_leaning(tilts, extents)
-        if vertices is None and any(not _is_right_angled(quat) for quat, _ in tilts):
-            vertices = _mesh_vertices(folder, uid)
-        if extents is None:
-            left_out[uid] = "without an annotated box or a readable mesh"
-        else:
-            assets.append(_annotated(annotation, uid, extents, _resting(tilts, extents, vertices)))
-    return _library(name or root.name, assets, features, left_out)
-
-
-def _library(name: str, assets: Sequence[Asset], features: Mapping[str, Any] | None, left_out: dict[str, str]) -> AssetLibrary:
     """The assets that can be found, by uid."""
     kept = []
     for asset in sorted(assets, key=lambda a: a.asset_id):
@@ -264,33 +226,7 @@ def _library(name: str, assets: Sequence[Asset], features: Mapping[str, Any] | N
     return AssetLibrary(name, tuple(kept), rows, left_out=left_out)
 
 
-def _annotated(annotation: AssetAnnotation, uid: str, extents: Vec3, tilts: tuple[RestingTilt, ...]) -> Asset:
-    return Asset(
-        uid,
-        annotation.category,
-        annotation.description,
-        extents,
-        tilts,
-        caption=annotation.caption,
-        licence=annotation.licence,
-        source=annotation.source,
-        on_table=annotation.on_table,
-        mark_deletion=annotation.mark_deletion,
-        is_composite=annotation.is_composite,
-    )
-
-
-def _tilts_of(scenes: Iterable[Scene]) -> dict[str, list[tuple[QuatXyzw, int]]]:
-    """The tilts of each asset in scenes, with how often."""
-    counts: dict[str, Counter[QuatXyzw]] = {}
-    for scene in scenes:
-        for o in scene.objects:
-            if o.asset_id is not None:
-                counts.setdefault(o.asset_id, Counter())[UPRIGHT if is_upright(o.tilt_quat_xyzw) else o.tilt_quat_xyzw] += 1
-    return {uid: list(found.items()) for uid, found in counts.items()}
-
-
-def _usual(tilts: Iterable[tuple[QuatXyzw, int]]) -> list[tuple[QuatXyzw, int]]:
+def usual_tilts(tilts: Iterable[tuple[QuatXyzw, int]]) -> list[tuple[QuatXyzw, int]]:
     """Tilts, most frequent first; those close to a more frequent one are counted as that one."""
     kept: list[tuple[QuatXyzw, int]] = []
     for quat, count in sorted(tilts, key=lambda item: (-item[1], item[0])):
@@ -303,7 +239,7 @@ def _usual(tilts: Iterable[tuple[QuatXyzw, int]]) -> list[tuple[QuatXyzw, int]]:
     return sorted(kept, key=lambda item: (-item[1], item[0]))
 
 
-def _with_leaning(tilts: Sequence[tuple[QuatXyzw, int]], extents: Vec3) -> list[tuple[QuatXyzw, int]]:
+def with_leaning_tilts(tilts: Sequence[tuple[QuatXyzw, int]], extents: Vec3) -> list[tuple[QuatXyzw, int]]:
     """Tilts with those at which a long thing that was only seen lying leans in a cup, its top towards -y."""
     axis = int(np.argmax(extents))
     is_long = extents[axis] > _LONG * sorted(extents)[1]
@@ -316,7 +252,7 @@ def _with_leaning(tilts: Sequence[tuple[QuatXyzw, int]], extents: Vec3) -> list[
     return [*tilts, *leaning]
 
 
-def _resting(tilts: Sequence[tuple[QuatXyzw, int]], extents: Vec3, points: FloatArray | None) -> tuple[RestingTilt, ...]:
+def resting_tilts(tilts: Sequence[tuple[QuatXyzw, int]], extents: Vec3, points: FloatArray | None) -> tuple[RestingTilt, ...]:
     """The tilts with their boxes; upright where none is known."""
     if not tilts:
         return (RestingTilt(UPRIGHT, extents),)
@@ -325,15 +261,15 @@ def _resting(tilts: Sequence[tuple[QuatXyzw, int]], extents: Vec3, points: Float
 
 def _tilted_extents(quat: QuatXyzw, extents: Vec3, points: FloatArray | None) -> Vec3:
     """Box of a tilted mesh: exact for right angles and for vertices, close for surface points, else that of its turned box."""
-    if points is None or _is_right_angled(quat):
+    if points is None or is_right_angled(quat):
         return turned_extents(extents, quat)
     reach = np.ptp(points, axis=0)
     # Points on a surface miss its corners: they are stretched to the box that is known exactly.
     stretched = points * np.divide(extents, reach, out=np.ones(3), where=reach > 0)
-    return _vec3(np.ptp(stretched @ rotation_matrix(quat).T, axis=0))
+    return as_vec3(np.ptp(stretched @ rotation_matrix(quat).T, axis=0))
 
 
-def _is_right_angled(quat: QuatXyzw) -> bool:
+def is_right_angled(quat: QuatXyzw) -> bool:
     """Whether a rotation takes each axis to an axis."""
     return bool((np.abs(rotation_matrix(quat)).max(axis=0) > 1 - _RIGHT_ANGLE).all())
 
@@ -346,20 +282,12 @@ def _surface_points(run: RunFolder, asset_ids: Sequence[str]) -> dict[str, Float
     return {row["asset_id"]: np.asarray(row["points"], np.float64).reshape(-1, 3) for row in rows_from_table(table)}
 
 
-def _mesh_vertices(folder: AssetFolder, asset_id: str) -> FloatArray | None:
-    """Vertices of an asset's mesh, or None where it has none that can be read."""
-    path = folder.path(asset_id)
-    try:
-        return None if path is None else load_glb(path, asset_id)[0].vertices
-    except MeshError:
-        return None
-
-
 def _quat(values: Sequence[float]) -> QuatXyzw:
     x, y, z, w = values
     return normalised((x, y, z, w))
 
 
-def _vec3(values: Any) -> Vec3:
+def as_vec3(values: Any) -> Vec3:
+    """Three numbers as a tuple of floats."""
     x, y, z = (float(v) for v in values)
     return (x, y, z)

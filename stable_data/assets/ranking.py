@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from stable_data.assets.annotation import category_of
 from stable_data.assets.box_fitting import proportions, size_score
 from stable_data.assets.catalog import Asset, AssetLibrary
 from stable_data.assets.text_embeddings import Rows
 from stable_data.errors import ConfigError
-from stable_data.mesatask.library import category_of
 from stable_data.scene import FloatArray, IntArray
 
 Tickets = npt.NDArray[np.uint64]

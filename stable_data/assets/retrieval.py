@@ -18,7 +18,7 @@ from stable_data.assets.catalog import Asset, AssetLibrary, sentence
 from stable_data.assets.ranking import AssetScores, Choices, RetrievalSettings, ticket
 from stable_data.assets.text_embeddings import Rows, TextEncoder, checked_rows
 from stable_data.errors import ConfigError, SceneError
-from stable_data.mesatask.document import shown
+from stable_data.json_text import shown
 from stable_data.scene import QuatXyzw, Vec3
 
 _PROBED = 32  # assets whose words are encoded again to see whether features of unknown origin are this encoder's

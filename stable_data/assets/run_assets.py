@@ -8,14 +8,14 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pyarrow as pa
 
+from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.store import AssetStore
 from stable_data.atomic_files import put_file
-from stable_data.errors import ConfigError, MeshError
+from stable_data.errors import ConfigError, MeshError, unwritable
 from stable_data.geometry.mesh import Mesh
-from stable_data.mesatask.document import shown
-from stable_data.mesatask.library import AssetAnnotation
+from stable_data.json_text import shown
 from stable_data.storage.row_groups import TableFiles
-from stable_data.storage.run_folder import RunFolder, Uri, unwritable
+from stable_data.storage.run_folder import RunFolder, Uri
 
 
 class TableAssets:

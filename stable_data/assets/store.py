@@ -19,13 +19,13 @@ from stable_data.geometry.mesh_repair import MeshReport, repair
 from stable_data.geometry.sdf.build import build_grid
 from stable_data.geometry.sdf.grid import SdfGrid
 from stable_data.geometry.shape import Shape
-from stable_data.mesatask import (
+from stable_data.position_convention import (
     PositionConvention,
     has_size,
     keeps_box,
     to_box_centre,
 )
-from stable_data.mesatask.frame import normalised
+from stable_data.rotations import normalised
 from stable_data.scene import QuatXyzw, Scene, SceneObject, Vec3
 
 ASPECT_STEP = math.log(1.05)

@@ -14,8 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from stable_data.atomic_files import put_file
-from stable_data.errors import ConfigError
-from stable_data.storage.run_folder import unwritable
+from stable_data.errors import ConfigError, unwritable
 
 Rows: TypeAlias = npt.NDArray[np.float32]
 """One unit row a text, (N, D) float32: compared by dot product."""

@@ -14,6 +14,7 @@ from pathlib import Path
 import networkx as nx
 import numpy as np
 
+from stable_data.content_id import content_id
 from stable_data.embedded_world.drafting import KINDS, Desk, Draft
 from stable_data.embedded_world.edits import edited_objects, told
 from stable_data.embedded_world.families.catalogue import KEYS, asset
@@ -24,7 +25,7 @@ from stable_data.errors import SceneError
 from stable_data.instructions.naming import Namer
 from stable_data.scene import TABLE, QuatXyzw, Scene, SceneObject, Vec3
 from stable_data.scene_graph.relations import scene_graph, supports
-from stable_data.storage.run_folder import RunFolder, content_id
+from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import Row, object_row, scene_from_row
 
 _SAME_TILT = 1e-6  # a tilt that went through a file is taken for the catalogue's where no component differs by more

@@ -6,13 +6,13 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from stable_data.assets.catalog import AssetLibrary, library_of_folder
+from stable_data.assets.catalog import AssetLibrary
 from stable_data.embedded_world.families.catalogue import KEYS, asset
 from stable_data.embedded_world.world import write_library
-from stable_data.errors import ConfigError
+from stable_data.errors import ConfigError, unwritable
+from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.mesatask.library import ANNOTATION_FILE
 from stable_data.scene import Scene, SceneObject, Tabletop
-from stable_data.storage.run_folder import unwritable
 
 NAME = "embedded"
 """What the library is called."""

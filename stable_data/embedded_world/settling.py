@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from stable_data.embedded_world.families.catalogue import Asset
 from stable_data.embedded_world.placing import Placed, yaw_frame_parts
 from stable_data.geometry.shape import Shape
-from stable_data.mesatask.frame import heading, tilt_of
 from stable_data.metrics.audit import Audit, audit_scene
+from stable_data.rotations import heading, tilt_of
 from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject, Tabletop, Vec3
 from stable_data.simulation.settling import Body, EngineOptions, SettleResult, settle
 

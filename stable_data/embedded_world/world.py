@@ -13,6 +13,7 @@ import numpy as np
 from PIL import Image
 
 from stable_data import __version__
+from stable_data.assets.annotation import AssetAnnotation
 from stable_data.embedded_world.drafting import KINDS
 from stable_data.embedded_world.edits import Edit, make_edit
 from stable_data.embedded_world.families.catalogue import KEYS, LICENCE, asset, unit_cube
@@ -24,7 +25,7 @@ from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.mesatask.layout import LAYOUT_FILE
-from stable_data.mesatask.library import ANNOTATION_FILE, LIBRARY_FOLDER, AssetAnnotation
+from stable_data.mesatask.library import ANNOTATION_FILE, LIBRARY_FOLDER
 from stable_data.mesatask.writing import LAYOUT_FOLDER, write_annotations, write_asset, write_scene
 from stable_data.simulation.render import FRONT_SIZE, contact_sheet, render_scene
 

@@ -7,15 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.run_assets import run_annotations
 from stable_data.atomic_files import put_file
 from stable_data.code_version import code_version
-from stable_data.errors import ConfigError, StableDataError
+from stable_data.content_id import content_id
+from stable_data.errors import ConfigError, StableDataError, unwritable
 from stable_data.export.formats import Format, format_named
 from stable_data.mesatask import write_annotations
-from stable_data.mesatask.library import ANNOTATION_FILE, AssetAnnotation
+from stable_data.mesatask.library import ANNOTATION_FILE
 from stable_data.simulation.run_reader import NEEDED, Choice, RunScenes
-from stable_data.storage.run_folder import RunFolder, content_id, unwritable
+from stable_data.storage.run_folder import RunFolder
 
 MANIFEST_FILE = "export.json"
 Progress: TypeAlias = Callable[[int, int, int], None]

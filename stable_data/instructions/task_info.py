@@ -17,16 +17,15 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from stable_data.atomic_files import put_file
-from stable_data.errors import Notice, SceneError
+from stable_data.errors import Notice, SceneError, unwritable
 from stable_data.instructions import derive_task, task_rng, type_name, type_words
 from stable_data.instructions.claims import OUTERMOST, Claim, emptied, mark, read_claims
 from stable_data.instructions.naming import Mention, Namer, involved, mentions
 from stable_data.instructions.situation import OPPOSITE
 from stable_data.instructions.words import singular
-from stable_data.mesatask.document import are_finite, is_unicode, numbers, shown
+from stable_data.json_text import are_finite, is_unicode, numbers, shown
 from stable_data.scene import MAX_INSTRUCTION, TABLE, Relation, RelationKind, Scene, SceneObject, TaskInfo
 from stable_data.scene_graph.relations import SceneGraph, relations_of
-from stable_data.storage.run_folder import unwritable
 
 TaskWriter: TypeAlias = Callable[[Scene, tuple[Relation, ...]], Mapping[str, Any]]
 """A model that writes a task info, with MesaTask's keys, for a scene and its scene graph."""

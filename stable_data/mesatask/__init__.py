@@ -5,21 +5,16 @@
 annotations and asset files; ``features`` the text features; ``frame`` the geometry of the pose.
 """
 
+from stable_data.assets.annotation import AssetAnnotation, category_of
 from stable_data.mesatask.dataset import TABLE_TYPES, MesaTaskDataset
 from stable_data.mesatask.entry import LayoutLimits
 from stable_data.mesatask.features import read_text_features, write_text_features
-from stable_data.mesatask.frame import (
-    PositionConvention,
-    has_size,
-    keeps_box,
-    tells_convention,
-    to_box_centre,
-    yaw_frame_box,
-)
 from stable_data.mesatask.layout import read_layout, read_reply_layout
-from stable_data.mesatask.library import AssetAnnotation, AssetFolder, category_of, read_annotation, write_annotation
+from stable_data.mesatask.library import AssetFolder, read_annotation, write_annotation
 from stable_data.mesatask.task_info import read_task_info, write_task_info
 from stable_data.mesatask.writing import write_annotations, write_asset, write_layout, write_reply_layout, write_scene
+from stable_data.position_convention import PositionConvention, has_size, keeps_box, tells_convention, to_box_centre
+from stable_data.rotations import yaw_frame_box
 
 __all__ = [
     "TABLE_TYPES",

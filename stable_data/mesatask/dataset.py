@@ -4,11 +4,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from stable_data.assets.annotation import AssetAnnotation
 from stable_data.errors import ConfigError, Notice, SceneError
-from stable_data.mesatask.document import Log, read_bounded
+from stable_data.json_text import Log, read_bounded
 from stable_data.mesatask.entry import LayoutLimits
 from stable_data.mesatask.layout import LAYOUT_FILE, read_layout
-from stable_data.mesatask.library import AssetAnnotation, AssetFolder
+from stable_data.mesatask.library import AssetFolder
 from stable_data.mesatask.task_info import TASK_INFO_FILE, read_task_info
 from stable_data.mesatask.writing import LAYOUT_FOLDER
 from stable_data.scene import Scene, SceneObject, TaskInfo

@@ -5,9 +5,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from stable_data.mesatask.document import Log, are_finite, number, numbers, shown
-from stable_data.mesatask.frame import heading, is_yaw_of, normalised, tilt_of, turned_extents
-from stable_data.mesatask.library import AssetAnnotation, category_of, is_inside, stem_of
+from stable_data.assets.annotation import AssetAnnotation, category_of
+from stable_data.json_text import Log, are_finite, number, numbers, shown
+from stable_data.mesatask.library import is_inside, stem_of
+from stable_data.rotations import heading, is_upright, is_yaw_of, normalised, tilt_of, turned_extents
 from stable_data.scene import UPRIGHT, QuatXyzw, SceneObject, Vec3
 
 POSE_KEYS = ("rotation", "scale_factor")
@@ -16,7 +17,6 @@ BOX_YAW = "box_yaw"
 """An addition to the format: repeats ``z_rotation`` where it is meant although it is no Euler angle of ``rotation``."""
 MAX_NAME_LENGTH = 200
 
-_UPRIGHT = 1e-3  # radians: below it, scale_factor times original_size is the box in the yaw frame
 _UNIT_TOLERANCE = 1e-3
 _SIZE_ROUNDING = 2e-3  # how far size, rounded to 1 mm, may be from the product that it was rounded from, metres
 
@@ -220,11 +220,6 @@ def scaled_extents(entry: Mapping[str, Any], scale: Vec3 | None) -> Vec3 | None:
         return None
     extents = (found[0] * scale[0], found[1] * scale[1], found[2] * scale[2])
     return extents if max(extents) > 0 and are_finite(extents) else None
-
-
-def is_upright(tilt: QuatXyzw) -> bool:
-    """Whether the extents of the scaled mesh are its box in the yaw frame."""
-    return abs(tilt[3]) >= math.cos(_UPRIGHT / 2)
 
 
 def _annotation(asset_id: str | None, annotations: Mapping[str, AssetAnnotation]) -> AssetAnnotation | None:

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stable_data.errors import ConfigError
-from stable_data.mesatask.document import shown
+from stable_data.json_text import shown
 
 FEATURES_FILE = "sbert_text_features.pkl"
 _MAX_BYTES = 1 << 28

@@ -12,10 +12,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from stable_data.assets.annotation import AssetAnnotation
 from stable_data.errors import Notice
-from stable_data.mesatask.document import Log, are_finite, numbers, parse_object, shown
+from stable_data.json_text import Log, are_finite, numbers, parse_object, shown
 from stable_data.mesatask.entry import MAX_NAME_LENGTH, POSE_KEYS, Border, LayoutLimits, read_object
-from stable_data.mesatask.library import AssetAnnotation
 from stable_data.scene import TABLE, Rectangle, Scene, Tabletop
 
 LAYOUT_FILE = "layout.json"

@@ -5,12 +5,12 @@ import math
 import os
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from stable_data.assets.annotation import AssetAnnotation
 from stable_data.errors import ConfigError, SceneError
-from stable_data.mesatask.document import Log, are_finite, number, numbers, parse_object, read_bounded, shown
+from stable_data.json_text import Log, are_finite, number, numbers, parse_object, read_bounded, shown
 from stable_data.scene import Vec3
 
 ANNOTATION_FILE = "Asset_annotation.json"
@@ -21,49 +21,6 @@ _VARIANT_SUFFIX = re.compile(r"_x_-?\d+(?:\.\d+)?(?:_[yz]_-?\d+(?:\.\d+)?)+$")
 _HEX = "[0-9a-fA-F]"
 _KNOWN_FORM = re.compile(rf"{_HEX}{{32}}|(?:gen_)?{_HEX}{{8}}-{_HEX}{{4}}-{_HEX}{{4}}-{_HEX}{{4}}-{_HEX}{{12}}")
 _MAX_ID_LENGTH = 200
-
-
-@dataclass(frozen=True, slots=True)
-class AssetAnnotation:
-    """What Asset_annotation.json says about one asset; defaults where it says nothing.
-
-    Attributes:
-        asset_id: Its uid.
-        category: Its kind, as annotated.
-        description: A few words for it.
-        caption: A sentence about it (``detailed_caption``).
-        source: Where it comes from, such as ``gen``.
-        mass: Kilograms, if given.
-        is_container: Whether things can lie in it, if given.
-        on_table: Whether it belongs on a table.
-        mark_deletion: Whether the annotators wanted it removed.
-        is_composite: Whether it is several things in one mesh.
-        extents_z_up: Its box in mesh units along the z-up axes, if given. The format gives it y-up.
-        raw: The entry of the file, so that writing loses nothing. Not compared.
-    """
-
-    asset_id: str
-    category: str = ""
-    description: str = ""
-    caption: str = ""
-    source: str = ""
-    mass: float | None = None
-    is_container: bool | None = None
-    on_table: bool = True
-    mark_deletion: bool = False
-    is_composite: bool = False
-    extents_z_up: Vec3 | None = None
-    raw: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
-
-    @property
-    def words(self) -> str:
-        """Its description, else its caption."""
-        return self.description or self.caption
-
-    @property
-    def licence(self) -> str | None:
-        """Under which it may be used, if the file says so."""
-        return str(self.raw.get("licence") or self.raw.get("license") or "").strip() or None
 
 
 def read_annotation(asset_id: str, entry: Mapping[str, Any]) -> AssetAnnotation:
@@ -114,19 +71,6 @@ def write_annotation(annotation: AssetAnnotation) -> dict[str, Any]:
     known = {re.sub(r"[-_ ]", "", key).lower() for key in entry} | {"bbox", "minpoint", "maxpoint", "caption"}
     unknown = {key: value for key, value in annotation.raw.items() if re.sub(r"[-_ ]", "", key).lower() not in known}
     return {key: value for key, value in entry.items() if value is not None} | unknown
-
-
-def category_of(instance: str) -> str:
-    """The kind that an instance name speaks of: words joined by ``_``, lower case, without numbers and tokenizer debris.
-
-    Args:
-        instance: Such as ``12_Paper##clip_0`` or ``pen_0``.
-
-    Returns:
-        Such as ``paperclip`` or ``pen``; ``object`` where nothing is left.
-    """
-    words = re.sub(r"^\d+_|_\d+(?:\.\d+)?$", "", instance).replace("##", "").lower()
-    return re.sub(r"[\W_]+", "_", words).strip("_") or "object"
 
 
 def is_inside(asset_id: str) -> bool:

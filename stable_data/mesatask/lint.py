@@ -12,14 +12,13 @@ import pyarrow.parquet as pq
 from tqdm import tqdm
 
 from stable_data.assets.store import AssetStore
-from stable_data.errors import Notice, StableDataError
+from stable_data.errors import Notice, StableDataError, unwritable
 from stable_data.mesatask import MesaTaskDataset, PositionConvention
-from stable_data.mesatask.position_convention import position_convention
+from stable_data.mesatask.convention_detection import position_convention
 from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.summary import Summary, summarise
 from stable_data.storage import schemas
-from stable_data.storage.run_folder import unwritable
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from stable_data.errors import SceneError
-from stable_data.mesatask.document import Log, parse_object, shown
+from stable_data.json_text import Log, parse_object, shown
 from stable_data.scene import MAX_INSTRUCTION, Relation, RelationKind, Tabletop, TaskInfo
 
 TASK_INFO_FILE = "task_info.json"

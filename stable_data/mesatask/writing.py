@@ -10,14 +10,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from stable_data.assets.annotation import AssetAnnotation
 from stable_data.atomic_files import put_file
 from stable_data.errors import ConfigError, SceneError
-from stable_data.mesatask.document import Log, inverse, json_text
-from stable_data.mesatask.entry import BOX_YAW, POSE_KEYS, Border, LayoutLimits, is_upright, read_object, scaled_extents
-from stable_data.mesatask.frame import is_yaw_of, normalised, quat_product, yaw_quat
+from stable_data.json_text import Log, inverse, json_text
+from stable_data.mesatask.entry import BOX_YAW, POSE_KEYS, Border, LayoutLimits, read_object, scaled_extents
 from stable_data.mesatask.layout import LAYOUT_FILE, read_table
-from stable_data.mesatask.library import ANNOTATION_FILE, LIBRARY_FOLDER, AssetAnnotation, is_inside, write_annotation
+from stable_data.mesatask.library import ANNOTATION_FILE, LIBRARY_FOLDER, is_inside, write_annotation
 from stable_data.mesatask.task_info import TASK_INFO_FILE, write_task_info
+from stable_data.rotations import is_upright, is_yaw_of, normalised, quat_product, yaw_quat
 from stable_data.scene import UPRIGHT, QuatXyzw, Scene, SceneObject, Vec3
 
 LAYOUT_FOLDER = "Layout_info"

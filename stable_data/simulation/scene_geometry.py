@@ -13,7 +13,7 @@ from stable_data.errors import Notice, SceneError
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import Paint
 from stable_data.geometry.shape import Shape
-from stable_data.mesatask.frame import heading, tilt_of, yaw_frame_box
+from stable_data.rotations import heading, tilt_of, yaw_frame_box
 from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject, Vec3
 from stable_data.simulation.collision_bodies import asset_parts, bodies_of
 from stable_data.simulation.render import object_colour

@@ -13,10 +13,11 @@ import pyarrow.compute as pc
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
-from stable_data.errors import ConfigError
+from stable_data.content_id import content_id
+from stable_data.errors import ConfigError, unreadable
 from stable_data.scene import IntArray
 from stable_data.storage.filter_expression import Query, parse_query
-from stable_data.storage.run_folder import RunFolder, Uri, content_id, read_row_groups, unreadable
+from stable_data.storage.run_folder import RunFolder, Uri, read_row_groups
 from stable_data.storage.schemas import SCHEMAS, Row, check_version
 
 SPLITS = ("train", "validation", "test", "unseen")

@@ -10,8 +10,6 @@ A shard is written aside and put in place in one step: it exists, so it is compl
 """
 
 import fcntl
-import hashlib
-import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
@@ -27,7 +25,7 @@ import pyarrow.fs as pafs
 import pyarrow.parquet as pq
 
 from stable_data.atomic_files import aside_of
-from stable_data.errors import ConfigError
+from stable_data.errors import ConfigError, unreadable, unwritable
 from stable_data.storage.schemas import SCHEMAS, arrow_table, check_version
 
 Uri: TypeAlias = str | os.PathLike[str]
@@ -45,12 +43,6 @@ _ROW_GROUP = 1024
 _FILES_AT_ONCE = 32  # their footers are in memory together, and are read side by side from an object store
 _AHEAD = 8  # files of an object store that are fetched while another is looked at
 _PART = re.compile(r"part-([^-]+)(?:-(\d+))?\.parquet")
-
-
-def content_id(*parts: Any) -> str:
-    """Name of a shard: 16 hex digits of the hash of JSON-able parts."""
-    text = json.dumps(parts, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 class RunFolder:
@@ -312,25 +304,6 @@ class RunFolder:
 
     def _path(self, name: str) -> str:
         return self.root if name == "." else f"{self.root}/{name}"
-
-
-def unwritable(where: str, error: OSError) -> ConfigError:
-    """The error for a place that cannot be written."""
-    reason = error.strerror or str(error)
-    return ConfigError(
-        f"{where}: cannot be written ({reason}); free space or choose a folder you may write, then run again",
-        "output_unwritable",
-    )
-
-
-def unreadable(where: str, path: str, error: Exception) -> ConfigError:
-    """The error for a shard that is no Parquet any more."""
-    reason = str(error).strip().partition("\n")[0]
-    return ConfigError(
-        f"{where}: {path} cannot be read ({reason}), expected a Parquet file of this run; "
-        "if it is there, delete it and run again what wrote it",
-        "shard_unreadable",
-    )
 
 
 def read_row_groups(

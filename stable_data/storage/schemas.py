@@ -12,7 +12,7 @@ from typing import Any, TypeAlias, get_args, get_type_hints
 import pyarrow as pa
 
 from stable_data.errors import ConfigError, Notice
-from stable_data.mesatask.document import json_text
+from stable_data.json_text import json_text
 from stable_data.metrics.card import MetricCard
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Stage, Tabletop, TaskInfo
 

@@ -8,9 +8,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from stable_data.code_version import code_version
+from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.storage.filter_expression import parse_query
-from stable_data.storage.run_folder import RunFolder, content_id
+from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
 
 _SHARD_BYTES = 64 * 10**6

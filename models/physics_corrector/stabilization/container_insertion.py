@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from stable_data.assets.store import AssetStore
 from stable_data.geometry.shape import Shape
-from stable_data.mesatask.frame import rotation_matrix, stood_on_end
+from stable_data.rotations import rotation_matrix, stood_on_end
 from stable_data.scene import FloatArray, SceneObject
 from stable_data.scene_graph.relations import INSIDE_FLOOR, INSIDE_SLACK
 

@@ -25,11 +25,12 @@ from models.physics_corrector.geometry.shape_tensors import Geometry, GridKey, S
 from models.physics_corrector.training.feature_table import PointFeatures, ShapeKey, point_features
 from stable_data.assets.run_assets import TableAssets
 from stable_data.assets.store import AssetStore
+from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.geometry.sdf.grid import SdfGrid
 from stable_data.scene import FloatArray, Scene, Stage
 from stable_data.storage.row_groups import TableFiles, rows_from_table, slices
-from stable_data.storage.run_folder import RunFolder, content_id
+from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.scene_arrays import SCENE_LEAVES, scenes_from_table
 
 FeatureSource: TypeAlias = Literal["point", "box"]

@@ -36,8 +36,8 @@ from models.semantic_reasoner.engines.chat_protocol import (
 from models.semantic_reasoner.engines.circuit_breaker import CircuitBreaker
 from models.semantic_reasoner.engines.http_settings import HttpSettings
 from models.semantic_reasoner.engines.protocol import OFF, Completion, Request, Sampling
+from stable_data.content_id import content_id
 from stable_data.errors import Notice
-from stable_data.storage.run_folder import content_id
 
 MAX_BYTES = 16 * 2**20
 """Longest answer."""

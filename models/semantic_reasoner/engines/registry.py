@@ -8,8 +8,8 @@ from typing import Any
 
 from models.semantic_reasoner.engines.http_settings import HttpSettings
 from models.semantic_reasoner.engines.protocol import Engine, Sampling
+from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
-from stable_data.storage.run_folder import content_id
 
 EMBEDDED = Path(__file__).resolve().parents[2] / "weights" / "semantic_reasoner"
 """Our own small reasoner; models/weights/README.md says how it was made and what it does."""

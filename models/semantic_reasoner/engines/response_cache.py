@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from models.semantic_reasoner.engines.protocol import Completion, Engine, Request, Sampling
-from stable_data.errors import Notice
-from stable_data.storage.run_folder import unwritable
+from stable_data.errors import Notice, unwritable
 
 CACHE_VERSION = 1
 """Raised whenever keys or entries change: older ones are then not found."""

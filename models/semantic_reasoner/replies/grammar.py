@@ -21,7 +21,7 @@ from typing import Any
 from models.semantic_reasoner.language.required_objects import Required
 from models.semantic_reasoner.text.reply_json import parse_reply
 from stable_data.errors import SceneError
-from stable_data.mesatask.document import is_unicode
+from stable_data.json_text import is_unicode
 from stable_data.scene import Tabletop
 
 HIGHEST_CM = 200.0

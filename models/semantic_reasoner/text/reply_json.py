@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from stable_data.errors import SceneError
-from stable_data.mesatask.document import json_value
+from stable_data.json_text import json_value
 from stable_data.scene import SceneObject, Stage, Vec3
 
 DECIMALS = 1

@@ -24,10 +24,11 @@ from models.semantic_reasoner.training.hf_folder import read_tokenizer
 from models.semantic_reasoner.training.settings import ReasonerTraining
 from models.semantic_reasoner.training.table_crop import part_of_table
 from models.semantic_reasoner.training.token_dataset import TokenSet, read_tokens, write_tokens
+from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, SceneError
 from stable_data.scene import Stage
 from stable_data.storage.row_groups import TableFiles, rows_from_table, slices
-from stable_data.storage.run_folder import RunFolder, content_id
+from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import Row
 
 Split: TypeAlias = Literal["train", "validation"]

@@ -9,8 +9,8 @@ from typing import Any
 from safetensors import SafetensorError
 from transformers import AutoConfig, AutoModelForCausalLM, AutoTokenizer, PreTrainedModel, PreTrainedTokenizerBase
 
+from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
-from stable_data.storage.run_folder import content_id
 
 NOTES = "reasoner.json"
 """What a folder of weights says of how they were made."""

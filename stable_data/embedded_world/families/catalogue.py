@@ -8,13 +8,13 @@ from types import MappingProxyType
 
 import numpy as np
 
+from stable_data.assets.annotation import AssetAnnotation
 from stable_data.embedded_world.families import FAMILIES
 from stable_data.embedded_world.modelling.family import COLORS, DENSITY, Draw, Family, Space
 from stable_data.embedded_world.modelling.solids import box, coats, mesh_of, volume
 from stable_data.errors import ConfigError
 from stable_data.geometry.gltf_writer import write_glb
 from stable_data.geometry.mesh import Mesh
-from stable_data.mesatask.library import AssetAnnotation
 from stable_data.scene import IntArray, QuatXyzw, Vec3
 
 NUM_VARIANTS = 6

@@ -7,8 +7,8 @@ import pytest
 from models.physics_corrector.certify import CertifyOptions
 from models.physics_corrector.corrector import Correction, PhysicsCorrector
 from pipelines.generate.answers import Certifier, Certifying
-from stable_data.mesatask.frame import rotation_matrix
 from stable_data.metrics.audit import audit_scene
+from stable_data.rotations import rotation_matrix
 from stable_data.scene import Relation, RelationKind, Scene
 from tests.models.physics_corrector.geometry.shapes import scene, store, thing
 

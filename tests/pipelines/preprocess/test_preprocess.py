@@ -16,11 +16,12 @@ import pytest
 from pipelines.execution.ray_executor import Workers
 from pipelines.preprocess.plan import PreprocessSettings
 from pipelines.preprocess.shard import TABLES, preprocess
-from stable_data.assets.catalog import library_of_folder, library_of_run
+from stable_data.assets.catalog import library_of_run
 from stable_data.assets.store import AssetStore
 from stable_data.geometry.gltf_writer import write_glb
 from stable_data.geometry.mesh import Mesh
 from stable_data.mesatask import MesaTaskDataset, to_box_centre, write_text_features, yaw_frame_box
+from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import scene_from_row
 from tests.object_store import object_store

@@ -16,9 +16,9 @@ from pipelines.preprocess.plan import file_digest
 from pipelines.sources import assets
 from pipelines.sources.assets import AssetShelf
 from pipelines.sources.generation_tasks import Tasks
-from stable_data.assets.catalog import library_of_folder
 from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.errors import ConfigError
+from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.scene import Tabletop
 from stable_data.storage.run_folder import RunFolder
 from tests.pipelines.runs import content

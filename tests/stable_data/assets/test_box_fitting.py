@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from stable_data.assets.box_fitting import proportions, size_score, stretched_scale, uniform_factor
-from stable_data.mesatask.frame import turned_extents
+from stable_data.rotations import turned_extents
 from stable_data.scene import UPRIGHT, QuatXyzw, Vec3
 from tests.stable_data.assets.bag_of_words import LAID
 

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stable_data.assets.catalog import AssetLibrary, RestingTilt, library_of_folder, library_of_run, sentence
+from stable_data.assets.catalog import AssetLibrary, RestingTilt, library_of_run, sentence
 from stable_data.errors import ConfigError
 from stable_data.geometry.gltf_writer import write_glb
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset, write_text_features
+from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.scene import UPRIGHT, QuatXyzw, Scene, SceneObject, Tabletop
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, Row

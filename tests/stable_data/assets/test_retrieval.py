@@ -14,11 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stable_data.assets import retrieval
-from stable_data.assets.catalog import Asset, AssetLibrary, RestingTilt, library_of_folder
+from stable_data.assets.catalog import Asset, AssetLibrary, RestingTilt
 from stable_data.assets.ranking import RetrievalSettings
 from stable_data.assets.retrieval import Answer, Match, Query, Retriever, Unmatched
 from stable_data.assets.text_embeddings import Rows
 from stable_data.errors import ConfigError, SceneError
+from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.scene import UPRIGHT, Vec3
 from tests.stable_data.assets.bag_of_words import LAID, BagOfWords, bottle, library, thing
 

@@ -4,12 +4,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.run_assets import TableAssets, run_annotations
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, MeshError
 from stable_data.geometry.gltf_writer import write_glb
 from stable_data.geometry.mesh import Mesh
-from stable_data.mesatask.library import AssetAnnotation
 from stable_data.simulation.collision_bodies import asset_parts
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, Row

@@ -15,7 +15,7 @@ from stable_data.mesatask import (
     write_layout,
     yaw_frame_box,
 )
-from stable_data.mesatask.frame import normalised, quat_product, rotation_matrix, yaw_quat
+from stable_data.rotations import normalised, quat_product, rotation_matrix, yaw_quat
 from stable_data.scene import UPRIGHT, SceneObject, Tabletop
 from tests.stable_data.mesatask.layouts import LAID_FLAT, UID, entry, layout, read
 

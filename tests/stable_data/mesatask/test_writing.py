@@ -22,7 +22,7 @@ from stable_data.mesatask import (
     write_scene,
     write_task_info,
 )
-from stable_data.mesatask.frame import normalised
+from stable_data.rotations import normalised
 from stable_data.scene import UPRIGHT, QuatXyzw, Relation, RelationKind, Scene, SceneObject, Tabletop, TaskInfo
 from tests.stable_data.mesatask.layouts import LAID_FLAT, UID, entry, layout, make_dataset
 

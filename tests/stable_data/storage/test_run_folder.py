@@ -19,10 +19,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stable_data.errors import ConfigError
+from stable_data.content_id import content_id
+from stable_data.errors import ConfigError, unwritable
 from stable_data.storage import run_folder
 from stable_data.storage.row_groups import TableFiles
-from stable_data.storage.run_folder import RunFolder, content_id, unwritable
+from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS
 from tests.object_store import object_store
 

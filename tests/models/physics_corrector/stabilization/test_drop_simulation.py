@@ -12,8 +12,8 @@ from models.physics_corrector.certify import certify
 from models.physics_corrector.stabilization.container_insertion import hollow_of, is_inside, is_long, stood
 from models.physics_corrector.stabilization.drop_simulation import LetDown, leaning_in, let_down
 from stable_data.geometry.shape import Shape
-from stable_data.mesatask.frame import rotation_matrix, stood_on_end
 from stable_data.metrics.audit import audit_scene
+from stable_data.rotations import rotation_matrix, stood_on_end
 from stable_data.scene import QuatXyzw, Relation, RelationKind, Scene, SceneObject
 from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.settling import settle

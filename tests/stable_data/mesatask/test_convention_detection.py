@@ -10,7 +10,7 @@ from stable_data.assets.store import AssetStore
 from stable_data.embedded_world import World, write_world
 from stable_data.errors import SceneError
 from stable_data.mesatask import MesaTaskDataset, PositionConvention, to_box_centre, write_annotations, write_scene
-from stable_data.mesatask.position_convention import position_convention
+from stable_data.mesatask.convention_detection import position_convention
 from stable_data.scene import Scene, SceneObject
 
 pytestmark = pytest.mark.sim

@@ -1,0 +1,97 @@
+"""The catalogue of a folder in the MesaTask-10K format."""
+
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from stable_data.assets.annotation import AssetAnnotation
+from stable_data.assets.catalog import (
+    Asset,
+    AssetLibrary,
+    RestingTilt,
+    as_vec3,
+    assembled_library,
+    is_right_angled,
+    resting_tilts,
+    usual_tilts,
+    with_leaning_tilts,
+)
+from stable_data.errors import ConfigError, MeshError
+from stable_data.geometry.gltf_reader import load_glb
+from stable_data.mesatask.features import FEATURES_FILE, read_text_features
+from stable_data.mesatask.library import AssetFolder
+from stable_data.rotations import is_upright
+from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Scene, Vec3
+
+
+def library_of_folder(
+    root: Path, name: str | None = None, *, scenes: Iterable[Scene] = (), own_features: bool = False
+) -> AssetLibrary:
+    """The catalogue of a folder in the MesaTask-10K format: Asset_annotation.json, and the GLB files where it is silent.
+
+    Args:
+        root: The folder.
+        name: What to call the library; by default the folder's name.
+        scenes: Scenes that show how the assets rest. An asset that they do not show stands as its mesh does.
+        own_features: Take sbert_text_features.pkl. Otherwise call :meth:`AssetLibrary.embedded`.
+
+    Raises:
+        ConfigError: The folder is missing or holds nothing that can be used, or its features cannot be read.
+    """
+    if not root.is_dir():
+        raise ConfigError(f"{root} is not a folder; expected one in the MesaTask-10K format", "root_missing")
+    folder = AssetFolder(root)
+    features = dict(zip(*read_text_features(root / FEATURES_FILE), strict=True)) if own_features else None
+    seen = _tilts_of(scenes)
+    assets, left_out = list[Asset](), dict[str, str]()
+    for uid in folder.asset_ids:
+        annotation, tilts = folder.annotation(uid), usual_tilts(seen.get(uid, ()))
+        extents, vertices = annotation.extents_z_up, None
+        if extents is None:
+            vertices = _mesh_vertices(folder, uid)
+            extents = None if vertices is None else as_vec3(np.ptp(vertices, axis=0))
+        tilts = tilts if extents is None else with_leaning_tilts(tilts, extents)
+        if vertices is None and any(not is_right_angled(quat) for quat, _ in tilts):
+            vertices = _mesh_vertices(folder, uid)
+        if extents is None:
+            left_out[uid] = "without an annotated box or a readable mesh"
+        else:
+            assets.append(_annotated(annotation, uid, extents, resting_tilts(tilts, extents, vertices)))
+    return assembled_library(name or root.name, assets, features, left_out)
+
+
+def _annotated(annotation: AssetAnnotation, uid: str, extents: Vec3, tilts: tuple[RestingTilt, ...]) -> Asset:
+    return Asset(
+        uid,
+        annotation.category,
+        annotation.description,
+        extents,
+        tilts,
+        caption=annotation.caption,
+        licence=annotation.licence,
+        source=annotation.source,
+        on_table=annotation.on_table,
+        mark_deletion=annotation.mark_deletion,
+        is_composite=annotation.is_composite,
+    )
+
+
+def _tilts_of(scenes: Iterable[Scene]) -> dict[str, list[tuple[QuatXyzw, int]]]:
+    """The tilts of each asset in scenes, with how often."""
+    counts: dict[str, Counter[QuatXyzw]] = {}
+    for scene in scenes:
+        for o in scene.objects:
+            if o.asset_id is not None:
+                counts.setdefault(o.asset_id, Counter())[UPRIGHT if is_upright(o.tilt_quat_xyzw) else o.tilt_quat_xyzw] += 1
+    return {uid: list(found.items()) for uid, found in counts.items()}
+
+
+def _mesh_vertices(folder: AssetFolder, asset_id: str) -> FloatArray | None:
+    """Vertices of an asset's mesh, or None where it has none that can be read."""
+    path = folder.path(asset_id)
+    try:
+        return None if path is None else load_glb(path, asset_id)[0].vertices
+    except MeshError:
+        return None
