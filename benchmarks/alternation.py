@@ -18,10 +18,10 @@ from typing import Any
 
 import polars as pl
 
-from pipelines.execution.ray_executor import Workers
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
-from pipelines.sources.generation_tasks import Tasks, of_scenes
+from pipelines.sources.generation_tasks import TaskSource, of_scenes
 from stable_data.storage.run_folder import RunFolder
 
 _MEASURES = ("clean", "oc", "float_rate", "out_of_bounds_rate", "stable", "awt", "aws", "num_objects", "move_mean_mm")
@@ -58,7 +58,7 @@ def figures_of(folder: RunFolder, num_tasks: int, measures: Sequence[str] = _MEA
     }
 
 
-def measure(tasks: Tasks, workers: Workers, weights: str) -> dict[str, Any]:
+def measure(tasks: TaskSource, workers: WorkerPool, weights: str) -> dict[str, Any]:
     """The figures of every way."""
     found = {}
     for name, settings in variants(weights).items():
@@ -90,7 +90,7 @@ def main() -> None:
     arguments = parser.parse_args()
     tasks = of_scenes(arguments.run, arguments.where)
     few = replace(tasks, tasks=tasks.tasks[: arguments.scenes])
-    found = measure(few, Workers(arguments.workers), arguments.weights)
+    found = measure(few, WorkerPool(arguments.workers), arguments.weights)
     print("\n".join(show(found)))
     if arguments.json:
         arguments.json.write_text(json.dumps(found, indent=2) + "\n", "utf-8")

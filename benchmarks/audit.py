@@ -37,7 +37,7 @@ _SHIFT, _TURN = 0.02, 0.1  # standard deviations of the noise, metres and radian
 
 
 @dataclass(frozen=True, slots=True)
-class Timing:
+class AuditTiming:
     """One scene, audited both ways.
 
     Attributes:
@@ -70,7 +70,7 @@ class AuditBenchmark:
         lint_scenes_per_second: Of the whole folder, reading and repairing its meshes included.
     """
 
-    timings: tuple[Timing, ...]
+    timings: tuple[AuditTiming, ...]
     lint_scenes_per_second: float
 
     def ratio(self, is_shifted: bool | None = None) -> float:
@@ -129,7 +129,7 @@ def _shifted(scene: Scene) -> Scene:
     )
 
 
-def _time(scene: Scene, shapes: Sequence[Shape], is_shifted: bool, repeats: int) -> Timing:
+def _time(scene: Scene, shapes: Sequence[Shape], is_shifted: bool, repeats: int) -> AuditTiming:
     num_faces = sum(len(s.faces) for s in shapes)
     trimesh_seconds, ours_seconds = [], []
     for theirs, ours in _alternately(scene, shapes, repeats):
@@ -137,7 +137,7 @@ def _time(scene: Scene, shapes: Sequence[Shape], is_shifted: bool, repeats: int)
         ours_seconds.append(ours[0])
         pairs, audited = theirs[1], ours[1]
     best, best_ours = min(trimesh_seconds), min(ours_seconds)
-    return Timing(scene.scene_id, is_shifted, len(shapes), num_faces, len(pairs), best, best_ours, pairs == audited)
+    return AuditTiming(scene.scene_id, is_shifted, len(shapes), num_faces, len(pairs), best, best_ours, pairs == audited)
 
 
 Timed = tuple[float, frozenset[tuple[str, str]]]

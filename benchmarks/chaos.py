@@ -30,7 +30,7 @@ from ray.cluster_utils import Cluster
 from models.semantic_reasoner.staged_layout import of_scene
 from pipelines.generate.shard import GenerateWork
 from stable_data.cli import DONE, SOME_FAILED
-from stable_data.embedded_world import World, write_world
+from stable_data.embedded_world import EmbeddedWorld, write_world
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS
@@ -64,7 +64,7 @@ class Kill:
 
 
 @dataclass(slots=True)
-class Course:
+class ChaosRun:
     """How a run went.
 
     Attributes:
@@ -167,7 +167,7 @@ def _kill(process: int) -> None:
 
 
 @dataclass(slots=True)
-class Disturbed:
+class DisturbedCommand:
     """A command that runs on a cluster, and is disturbed while it runs.
 
     Attributes:
@@ -188,13 +188,13 @@ class Disturbed:
     rng: np.random.Generator
     delay_seconds: float = 3.0
 
-    def run(self, kills: Sequence[Kill]) -> Course:
+    def run(self, kills: Sequence[Kill]) -> ChaosRun:
         """Runs it to its end.
 
         Raises:
             RuntimeError: It ends with an error again and again.
         """
-        course, waiting, began = Course(), deque(kills), time.monotonic()
+        course, waiting, began = ChaosRun(), deque(kills), time.monotonic()
         with tempfile.TemporaryFile("w+") as log:
             driver = self._start(log)
             while (status := driver.poll()) not in (DONE, SOME_FAILED):
@@ -240,7 +240,7 @@ class Disturbed:
             time.sleep(_LOOK_SECONDS)
         return False
 
-    def _note(self, course: Course, log: Any) -> None:
+    def _note(self, course: ChaosRun, log: Any) -> None:
         """Keeps what the job said when it ended by itself.
 
         Raises:
@@ -275,7 +275,7 @@ def compared(clean: RunFolder, other: RunFolder) -> dict[str, Any]:
 def tasks_of_world(path: Path, count: int) -> None:
     """Writes a file of tasks: those of some embedded scenes, again and again under new names, each with a seed of its own."""
     root = path.parent / "world"
-    write_world(root, min(count, 24), World(pictures=False))
+    write_world(root, min(count, 24), EmbeddedWorld(pictures=False))
     dataset = MesaTaskDataset(root)
     known = [of_scene(dataset.read(scene_id)[0]) for scene_id in dataset.scene_ids]
     with path.open("w", encoding="utf-8") as stream:
@@ -292,7 +292,7 @@ def tasks_of_world(path: Path, count: int) -> None:
 
 def measure(num_scenes: int, kills: int, seed: int, engine: str, per_shard: int) -> dict[str, Any]:
     """All figures."""
-    courses: dict[str, Course] = {}
+    courses: dict[str, ChaosRun] = {}
     with tempfile.TemporaryDirectory() as folder:
         tasks_of_world(Path(folder) / "tasks.jsonl", num_scenes)
         for name, planned_kills in (("clean", 0), ("disturbed", kills)):
@@ -301,7 +301,7 @@ def measure(num_scenes: int, kills: int, seed: int, engine: str, per_shard: int)
             command += ["--engine", engine, "--address", nodes.address]
             command += ["--set", f"scenes_per_shard={per_shard}", "--set", "num_pictures=0"]
             try:
-                run = Disturbed(command, out, GenerateWork.TABLES[-1], -(-num_scenes // per_shard), nodes, rng)
+                run = DisturbedCommand(command, out, GenerateWork.TABLES[-1], -(-num_scenes // per_shard), nodes, rng)
                 courses[name] = run.run(planned(planned_kills, rng))
             finally:
                 nodes.close()

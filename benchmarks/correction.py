@@ -39,10 +39,10 @@ from tqdm import tqdm
 
 from benchmarks.audit import readable_scenes
 from benchmarks.baselines.methods import METHODS
-from benchmarks.baselines.outcome import Method, Outcome
-from benchmarks.layouts import Layout, read_layouts, shaken_layouts
+from benchmarks.baselines.outcome import Baseline, BaselineResult
+from benchmarks.layouts import StartLayout, read_layouts, shaken_layouts
 from benchmarks.steerable_drake import in_drake
-from models.physics_corrector.certify import Status
+from models.physics_corrector.certify import CorrectionStatus
 from models.physics_corrector.corrector import Flow, PhysicsCorrector, certified_from
 from models.physics_corrector.flow.checkpoint import DEFAULT_WEIGHTS
 from models.physics_corrector.learned_flow import AUTO, load_flow
@@ -64,16 +64,16 @@ _TIMED = ("certify", "corrector")
 _OBLIQUE = math.radians(5)  # a tilt that is this far from every right angle
 
 
-class Nothing:
+class IdentityBaseline:
     """The baseline that leaves everything where it is."""
 
-    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
+    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
         """Nothing."""
-        return Outcome(scene, True, 0.0)
+        return BaselineResult(scene, True, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Ours:
+class CorrectorBaseline:
     """The corrector, whole or in parts, behind the baselines' interface.
 
     Attributes:
@@ -88,7 +88,7 @@ class Ours:
     is_told: bool = False
     settles: bool = False
 
-    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
+    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
         """Corrects; where nothing is feasible, the layout comes back as it is."""
         corrector = PhysicsCorrector(_flow(self.weights))
         corrector.raw([scene], [shapes], [frozenset()])  # encodes the shapes: preparation of assets, as are convex parts
@@ -102,11 +102,11 @@ class Ours:
                 known = related(posed, audit_posed(posed), {}).scene
             raw = corrector.raw([known], [shapes], [frozenset()])[0]
         if not self.certifies:
-            return Outcome(raw or scene, raw is not None, time.process_time() - begin)
+            return BaselineResult(raw or scene, raw is not None, time.process_time() - begin)
         done = certified_from(replace(known, relations=told.relations), raw, shapes, bodies=bodies)
         seconds = time.process_time() - begin
-        is_clean = done.status in (Status.CERTIFIED, Status.DROPPED)
-        return Outcome(done.scene or scene, is_clean, seconds, done.reason)
+        is_clean = done.status in (CorrectionStatus.CERTIFIED, CorrectionStatus.DROPPED)
+        return BaselineResult(done.scene or scene, is_clean, seconds, done.reason)
 
 
 @lru_cache(maxsize=2)
@@ -114,16 +114,21 @@ def _flow(weights: str) -> Flow | None:
     return load_flow(weights)
 
 
-def ours() -> dict[str, Method]:
+def ours() -> dict[str, Baseline]:
     """The corrector and its parts, by name; those of the flow where its weights are there."""
-    alone: dict[str, Method] = {
-        "certify": Ours("none"),
-        "certify, given": Ours("none", is_told=True),
-        "certify, settled": Ours("none", settles=True),
+    alone: dict[str, Baseline] = {
+        "certify": CorrectorBaseline("none"),
+        "certify, given": CorrectorBaseline("none", is_told=True),
+        "certify, settled": CorrectorBaseline("none", settles=True),
     }
     if not DEFAULT_WEIGHTS.is_file():
         return alone
-    return {"flow": Ours(certifies=False), **alone, "corrector": Ours(), "corrector, given": Ours(is_told=True)}
+    return {
+        "flow": CorrectorBaseline(certifies=False),
+        **alone,
+        "corrector": CorrectorBaseline(),
+        "corrector, given": CorrectorBaseline(is_told=True),
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +178,7 @@ class Result:
     reason: str
 
 
-def judged(name: str, method: Method, layout: Layout, store: AssetStore, *, settles: bool = False) -> Result:
+def judged(name: str, method: Baseline, layout: StartLayout, store: AssetStore, *, settles: bool = False) -> Result:
     """Lets a method correct a layout, and judges what it gives back."""
     scene, shapes, _ = store.resolved(layout.start)
     outcome = method.correct(scene, shapes, store)
@@ -236,9 +241,9 @@ def _is_oblique(o: SceneObject) -> bool:
 
 
 def run(
-    layouts: Sequence[Layout],
+    layouts: Sequence[StartLayout],
     store: AssetStore,
-    methods: Mapping[str, Method],
+    methods: Mapping[str, Baseline],
     limit: float = np.inf,
     *,
     settles: bool = False,
@@ -252,7 +257,7 @@ def run(
         limit: Seconds after which no further layout is begun; what was begun is finished.
         settles: Whether the engine is asked what stays.
     """
-    end, results, everyone = time.monotonic() + limit, list[Result](), {_START: Nothing(), **methods}
+    end, results, everyone = time.monotonic() + limit, list[Result](), {_START: IdentityBaseline(), **methods}
     with tqdm(total=len(layouts) * len(everyone), desc="correction", unit="scene") as bar:
         for layout in layouts:
             if time.monotonic() > end:
@@ -343,7 +348,7 @@ def _row(name: str, bucket: str, results: Sequence[Result]) -> tuple[str, ...]:
 
 def chosen_layouts(
     dataset: MesaTaskDataset, store: AssetStore, file: Path | None, per_bucket: int, start: str = "start", every: int = 1
-) -> list[Layout]:
+) -> list[StartLayout]:
     """The first layouts of each bucket of every n-th line of a file, or as many made of the dataset's own scenes."""
     if file is None:
         scenes = sorted(readable_scenes(dataset), key=lambda scene: -len(scene.objects))

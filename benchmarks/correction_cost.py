@@ -32,10 +32,10 @@ import typer
 from tqdm import tqdm
 
 from benchmarks.audit import readable_scenes
-from benchmarks.baselines.outcome import Method
+from benchmarks.baselines.outcome import Baseline
 from benchmarks.correction import ours
 from benchmarks.layouts import shaken
-from models.physics_corrector.geometry.scene_batch import SceneBatch, padded
+from models.physics_corrector.geometry.scene_batch import LayoutBatch, padded
 from models.physics_corrector.training.perturbation import PerturbationSettings, perturb
 from pipelines.preprocess.scene import related
 from stable_data.assets.store import AssetStore
@@ -111,7 +111,7 @@ class Bench:
         self._store = AssetStore(dataset, max_bytes=2**30)
         every = sorted(readable_scenes(dataset), key=lambda s: (abs(len(s.objects) - _TYPICAL), s.scene_id))
         self.scenes = [self._related(scene) for scene in every[:count]]
-        self._methods: dict[str, Method] = {name: method for name, method in ours().items() if name in _METHODS}
+        self._methods: dict[str, Baseline] = {name: method for name, method in ours().items() if name in _METHODS}
         for name in self.methods:
             self.costs(name, self.jittered(0))
 
@@ -128,7 +128,7 @@ class Bench:
         """The scenes, made coarse by the kind ``jitter``."""
         shapes = [self._store.resolved(scene)[1] for scene in self.scenes]
         arrays = {k: torch.from_numpy(v) for k, v in padded(self.scenes, shapes, [frozenset()] * len(shapes)).items()}
-        batch = SceneBatch(shape_index=torch.zeros_like(arrays["parent"]), **arrays)
+        batch = LayoutBatch(shape_index=torch.zeros_like(arrays["parent"]), **arrays)
         coarse, _ = perturb(batch, PerturbationSettings(), torch.Generator().manual_seed(seed), "jitter")
         poses = coarse.double().numpy()
         return [scene.with_poses(own[: len(scene.objects)]) for scene, own in zip(self.scenes, poses, strict=True)]

@@ -27,26 +27,26 @@ from typing import Annotated, Any, TypeAlias
 import torch
 import typer
 
-from models.physics_corrector.training.settings import TrainingSettings, training_preset
+from models.physics_corrector.training.settings import CorrectorTrainingSettings, training_preset
 from models.physics_corrector.training.validation import Card
-from pipelines.train.corrector import TrainCorrector, Watch
+from pipelines.train.corrector import CorrectorMonitoring, CorrectorTrainingJob
 from stable_data.errors import StableDataError
 
 FULL = "full"
 
-Change: TypeAlias = Callable[[TrainingSettings], TrainingSettings]
+Change: TypeAlias = Callable[[CorrectorTrainingSettings], CorrectorTrainingSettings]
 
 
 def _losses(**changes: float) -> Change:
     return lambda settings: replace(settings, losses=replace(settings.losses, **changes))
 
 
-def _without_physics(settings: TrainingSettings) -> TrainingSettings:
+def _without_physics(settings: CorrectorTrainingSettings) -> CorrectorTrainingSettings:
     bare = replace(settings.losses, sdf_weight=0.0, support_weight=0.0, bounds_weight=0.0)
     return replace(settings, losses=bare, physics=replace(settings.physics, share=0.0, unroll_share=0.0))
 
 
-def _with_unet(settings: TrainingSettings) -> TrainingSettings:
+def _with_unet(settings: CorrectorTrainingSettings) -> CorrectorTrainingSettings:
     network = training_preset("embedded").corrector.network
     return replace(settings, corrector=replace(settings.corrector, network=network))
 
@@ -101,7 +101,7 @@ class Arm:
         return mean(known) if known and len(known) == len(values) else None
 
 
-def arm(run: str, out: Path, name: str, full: TrainingSettings, watch: Watch) -> Arm:
+def arm(run: str, out: Path, name: str, full: CorrectorTrainingSettings, watch: CorrectorMonitoring) -> Arm:
     """Trains an arm, or what is missing of it.
 
     Args:
@@ -117,7 +117,7 @@ def arm(run: str, out: Path, name: str, full: TrainingSettings, watch: Watch) ->
     if not (folder / "cache").exists():
         (folder / "cache").symlink_to((out / "cache").resolve())
     settings = ARMS[name](full)
-    job = TrainCorrector(run, folder, settings, watch)
+    job = CorrectorTrainingJob(run, folder, settings, watch)
     card = folder / "card.json"
     if not card.is_file() or json.loads(card.read_text("utf-8"))["steps"] != full.steps:
         print(job.run())
@@ -162,7 +162,7 @@ def main(
     if unknown := [wrong for wrong in chosen if wrong not in ARMS]:
         raise typer.BadParameter(f"{', '.join(unknown)}, expected of {', '.join(ARMS)}")
     torch.set_num_threads(1)
-    watch = Watch(card_every=steps + 1, final_scenes=scenes, exact_scenes=exact)
+    watch = CorrectorMonitoring(card_every=steps + 1, final_scenes=scenes, exact_scenes=exact)
     with tempfile.TemporaryDirectory() as aside:
         try:
             full = replace(training_preset("embedded_set"), steps=steps, seed=seed, features="point")

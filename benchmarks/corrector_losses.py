@@ -21,11 +21,11 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from models.physics_corrector.geometry.broad_phase import Pairs, near_pairs
-from models.physics_corrector.geometry.closest_point import Queries
-from models.physics_corrector.geometry.scene_batch import SceneBatch
+from models.physics_corrector.geometry.broad_phase import ObjectPairs, near_pairs
+from models.physics_corrector.geometry.closest_point import ClosestPointQueries
+from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.geometry.sdf_atlas import SdfAtlas
-from models.physics_corrector.geometry.shape_tensors import Geometry, ShapeTable, grids_from_rows
+from models.physics_corrector.geometry.shape_tensors import ShapeCollector, ShapeTensors, grids_from_rows
 from models.physics_corrector.training.losses import LossSettings, colliding_pairs, object_object, support, support_candidates
 from stable_data.assets.store import AssetStore
 from stable_data.mesatask import MesaTaskDataset
@@ -36,7 +36,7 @@ _SHAKEN = (0.02, 0.02, 0.005, 0.3)  # standard deviations of x, y, z in metres a
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class LossFigure:
     """One way of taking a step.
 
     Attributes:
@@ -60,7 +60,9 @@ class Figure:
     memory_ratio: float
 
 
-def copied_distance(poses: Tensor, batch: SceneBatch, geometry: Geometry, queries: Queries, samples: Tensor) -> Tensor:
+def copied_distance(
+    poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, queries: ClosestPointQueries, samples: Tensor
+) -> Tensor:
     """D_host at all samples of the guests by ``grid_sample``, a copy of its grid for every query, (E, P), metres.
 
     Args:
@@ -88,10 +90,12 @@ def copied_distance(poses: Tensor, batch: SceneBatch, geometry: Geometry, querie
     return distance
 
 
-def copied_losses(poses: Tensor, batch: SceneBatch, geometry: Geometry, pairs: Pairs, settings: LossSettings) -> Tensor:
+def copied_losses(
+    poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, pairs: ObjectPairs, settings: LossSettings
+) -> Tensor:
     """L_obj-obj and L_sup with their weights, (B,), square metres, from :func:`copied_distance`."""
     ways = pairs.both_ways()
-    queries = Queries(ways.scene, ways.first, ways.second)
+    queries = ClosestPointQueries(ways.scene, ways.first, ways.second)
     deepest = copied_distance(poses, batch, geometry, queries, geometry.surface).amin(dim=1).view(2, -1).amin(dim=0)
     collision = poses.new_zeros(len(poses)).index_add(0, pairs.scene, (-deepest).clamp_min(0).square())
     queries = support_candidates(poses.detach(), batch, settings.support_reach)
@@ -103,18 +107,18 @@ def copied_losses(poses: Tensor, batch: SceneBatch, geometry: Geometry, pairs: P
     return settings.sdf_weight * collision + settings.support_weight * excess.square().sum(dim=1)
 
 
-def our_losses(poses: Tensor, batch: SceneBatch, geometry: Geometry, settings: LossSettings) -> Tensor:
+def our_losses(poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, settings: LossSettings) -> Tensor:
     """The same as the library computes it."""
     collision = object_object(poses, batch, geometry, colliding_pairs(poses, batch, geometry))
     return settings.sdf_weight * collision + settings.support_weight * support(poses, batch, geometry, settings)
 
 
-def all_pairs(poses: Tensor, batch: SceneBatch) -> Pairs:
+def all_pairs(poses: Tensor, batch: LayoutBatch) -> ObjectPairs:
     """Every pair of every scene."""
     return near_pairs(poses, torch.full_like(batch.sizes, 1e3), batch.mask)
 
 
-def with_cubes(geometry: Geometry, num_nodes: int = NUM_NODES) -> Geometry:
+def with_cubes(geometry: ShapeTensors, num_nodes: int = NUM_NODES) -> ShapeTensors:
     """The same shapes on grids of one number of nodes along each axis."""
     atlas = geometry.atlas
     low, high = atlas.box(torch.arange(len(atlas)))
@@ -129,15 +133,15 @@ def with_cubes(geometry: Geometry, num_nodes: int = NUM_NODES) -> Geometry:
     return replace(geometry, atlas=cubes)
 
 
-def read_batch(run: str, dataset: MesaTaskDataset, num_scenes: int) -> tuple[SceneBatch, Geometry]:
+def read_batch(run: str, dataset: MesaTaskDataset, num_scenes: int) -> tuple[LayoutBatch, ShapeTensors]:
     """Scenes of a run, spread evenly over it and shaken, repeated until there are so many."""
     scenes = TableDataset(run)
     chosen = [scenes[k * len(scenes) // num_scenes] for k in range(num_scenes)]
     used = {o.asset_id for scene in chosen for o in scene.objects}
     names, rows = TableDataset(run, "sdf", columns=["asset_id"]), TableDataset(run, "sdf")
     grids = grids_from_rows(rows[k] for k in range(len(rows)) if names[k]["asset_id"] in used)
-    shapes = ShapeTable(AssetStore(dataset), grids=grids)
-    batch = SceneBatch.from_scenes(chosen, shapes)
+    shapes = ShapeCollector(AssetStore(dataset), grids=grids)
+    batch = LayoutBatch.from_scenes(chosen, shapes)
     noise = torch.randn(batch.poses.shape, generator=torch.Generator().manual_seed(0)) * torch.tensor(_SHAKEN)
     return replace(batch, poses=batch.poses + noise * batch.mask[..., None]), shapes.geometry()
 
@@ -157,7 +161,7 @@ def measure(step: Callable[[Tensor], Tensor], poses: Tensor, repeats: int) -> tu
     return statistics.median(seconds[1:]), (_peak(is_cuda) - before) / 2**20
 
 
-def run(batch: SceneBatch, geometry: Geometry, repeats: int) -> list[Figure]:
+def run(batch: LayoutBatch, geometry: ShapeTensors, repeats: int) -> list[LossFigure]:
     """Every way of taking a step, the one to beat first."""
     settings, cubes = LossSettings(), with_cubes(geometry).to(batch.mask.device)
     geometry = geometry.to(batch.mask.device)
@@ -172,12 +176,12 @@ def run(batch: SceneBatch, geometry: Geometry, repeats: int) -> list[Figure]:
         ("ours", len(near), lambda p: our_losses(p, batch, cubes, settings)),
         ("ours, grids as they are", len(near), lambda p: our_losses(p, batch, geometry, settings)),
     ]
-    figures: list[Figure] = []
+    figures: list[LossFigure] = []
     for name, num_pairs, step in ways:
         seconds, mebibytes = measure(step, batch.poses, repeats)
         first = figures[0] if figures else None
         figures.append(
-            Figure(
+            LossFigure(
                 name=name,
                 num_scenes=len(batch),
                 num_objects=int(batch.mask.sum()),

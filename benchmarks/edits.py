@@ -21,8 +21,8 @@ import typer
 
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings, load_reasoner
-from models.semantic_reasoner.text.reply_json import LayoutObject, Reply
-from models.semantic_reasoner.training.examples import Example, edit_example_of
+from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
+from models.semantic_reasoner.training.examples import TrainingExample, edit_example_of
 from stable_data.embedded_world.edit_table import write_edits
 from stable_data.storage.row_groups import TableFiles, rows_from_table
 from stable_data.storage.run_folder import RunFolder
@@ -42,17 +42,17 @@ def held_out_edits(run: str, split: str, most: int) -> list[Row]:
     return sorted(rows, key=lambda row: str(row["edit_id"]))[:most]
 
 
-def what_it_does(layout: Sequence[LayoutObject], reply: Reply) -> tuple[set[str], set[str], Counter[str]]:
+def what_it_does(layout: Sequence[LayoutObject], reply: LayoutReply) -> tuple[set[str], set[str], Counter[str]]:
     """Instances that go, instances that change, and the categories of what is new; what is repeated as it is does not change."""
     there = {o.instance: o for o in layout}
     changed = {o.instance for o in reply.objects if o.instance in there and o != there[o.instance]}
     return set(reply.removed), changed, Counter(o.category for o in reply.objects if o.instance not in there)
 
 
-def verdict(example: Example, reply: Reply | None) -> dict[str, bool]:
+def verdict(example: TrainingExample, reply: LayoutReply | None) -> dict[str, bool]:
     """How an answer compares with the edit."""
     layout = example.ask.layout
-    gone, changed, new = what_it_does(layout, Reply(example.objects, example.removed or ()))
+    gone, changed, new = what_it_does(layout, LayoutReply(example.objects, example.removed or ()))
     if reply is None:
         return {"answered": False, "right": False, "kept": True}
     found = what_it_does(layout, reply)

@@ -16,8 +16,8 @@ import numpy.typing as npt
 from stable_data.simulation.gym_env import STEP_SECONDS, TabletopEnv
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.mujoco_model import CAMERAS, HOME, engine_spec
-from stable_data.simulation.run_reader import Choice, RunScenes
-from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.simulation.run_reader import RunScenes, SceneSelection
+from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import compile_spec
 from stable_data.storage.run_folder import RunFolder
 
@@ -25,7 +25,7 @@ _SIZE = (128, 128)
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class EnvFigure:
     """One way to step.
 
     Attributes:
@@ -39,9 +39,9 @@ class Figure:
     of_mujoco: float
 
 
-def measure(run: str, num_scenes: int, num_steps: int) -> tuple[list[Figure], float, float]:
+def measure(run: str, num_scenes: int, num_steps: int) -> tuple[list[EnvFigure], float, float]:
     """The figures, the mean number of objects, and the seconds that making one environment takes."""
-    scenes = RunScenes(RunFolder(run), Choice(limit=num_scenes))
+    scenes = RunScenes(RunFolder(run), SceneSelection(limit=num_scenes))
     solids = [scenes.solid(scene) for scene in scenes]
     actions = np.random.default_rng(0).uniform(-1, 1, (num_steps, 3)).astype(np.float32)
     start = time.perf_counter()
@@ -52,7 +52,7 @@ def measure(run: str, num_scenes: int, num_steps: int) -> tuple[list[Figure], fl
     pictures = sum(_seconds(TabletopEnv(solid, cameras=CAMERAS, image_size=_SIZE), actions) for solid in solids)
     ways = {"MuJoCo alone": alone, "poses": poses, f"poses and {len(CAMERAS)} pictures": pictures}
     figures = [
-        Figure(way, round(len(solids) * num_steps / seconds, 1), round(alone / seconds, 2)) for way, seconds in ways.items()
+        EnvFigure(way, round(len(solids) * num_steps / seconds, 1), round(alone / seconds, 2)) for way, seconds in ways.items()
     ]
     return figures, float(np.mean([len(solid.shapes) for solid in solids])), making
 
@@ -68,7 +68,7 @@ def _seconds(env: TabletopEnv, actions: npt.NDArray[np.float32]) -> float:
     return seconds
 
 
-def _mujoco_seconds(solid: SolidScene, num_steps: int) -> float:
+def _mujoco_seconds(solid: SceneGeometry, num_steps: int) -> float:
     """For as many steps of the same scene, which no hand disturbs."""
     model = compile_spec(engine_spec(solid, _SIZE))
     data = mujoco.MjData(model)

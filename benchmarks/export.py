@@ -17,7 +17,7 @@ from typing import Any
 
 from stable_data.export.exporter import export_run
 from stable_data.export.formats import FORMATS
-from stable_data.simulation.run_reader import Choice, RunScenes
+from stable_data.simulation.run_reader import RunScenes, SceneSelection
 from stable_data.simulation.settling import settle
 from stable_data.storage.run_folder import RunFolder
 
@@ -51,7 +51,7 @@ assert not any(name.startswith("stable_data") for name in sys.modules)
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class ExportFigure:
     """One format.
 
     Attributes:
@@ -71,18 +71,18 @@ class Figure:
     megabytes: float
 
 
-def written(run: RunFolder, out: Path, name: str, choice: Choice) -> Figure:
+def written(run: RunFolder, out: Path, name: str, choice: SceneSelection) -> ExportFigure:
     """Exports to an empty folder."""
     start = time.perf_counter()
     result = export_run(run, out, name, choice)
     seconds = time.perf_counter() - start
     size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
-    return Figure(
+    return ExportFigure(
         name, result.made, len(result.failures), round(seconds, 2), round(result.made / seconds, 1), round(size / 1e6, 1)
     )
 
 
-def at_rest(run: RunFolder, out: Path, choice: Choice) -> dict[str, Any]:
+def at_rest(run: RunFolder, out: Path, choice: SceneSelection) -> dict[str, Any]:
     """What MuJoCo alone makes of the MJCF files, beside the verdict of this library on the same scenes."""
     scenes = RunScenes(run, choice)
     known = [(FORMATS["mjcf"].place(scene, out), scene) for scene in scenes]
@@ -113,7 +113,7 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=100, help="how many")
     parser.add_argument("--json", type=Path, help="where to keep the figures")
     arguments = parser.parse_args()
-    run, choice = RunFolder(arguments.run), Choice(limit=arguments.scenes)
+    run, choice = RunFolder(arguments.run), SceneSelection(limit=arguments.scenes)
     with tempfile.TemporaryDirectory() as folder:
         figures = [written(run, Path(folder) / name, name, choice) for name in FORMATS]
         rest = at_rest(run, Path(folder) / "mjcf", choice)

@@ -31,11 +31,11 @@ import typer
 from tqdm import tqdm
 
 from benchmarks.correction import chosen_layouts
-from models.physics_corrector.certify import Status
+from models.physics_corrector.certify import CorrectionStatus
 from models.physics_corrector.corrector import Flow, certified_from, movement
-from models.physics_corrector.geometry.scene_batch import SceneBatch, padded
+from models.physics_corrector.geometry.scene_batch import LayoutBatch, padded
 from models.physics_corrector.learned_flow import AUTO, load_flow
-from models.physics_corrector.training.dataset import RunScenes, clean_targets
+from models.physics_corrector.training.dataset import TrainingScenes, clean_targets
 from models.physics_corrector.training.perturbation import KINDS, PerturbationSettings, perturb
 from pipelines.preprocess.scene import related
 from stable_data.assets.store import AssetStore
@@ -51,7 +51,7 @@ ALONE = "certify"
 
 
 @dataclass(frozen=True, slots=True)
-class Coarse:
+class CoarseLayout:
     """A layout to be corrected.
 
     Attributes:
@@ -88,7 +88,7 @@ class Gain:
     group: str
     layout: str
     num_objects: int
-    status: Status
+    status: CorrectionStatus
     num_dropped: int
     move_mean_mm: float | None
     move_max_mm: float | None
@@ -98,21 +98,23 @@ class Gain:
     certify_seconds: float
 
 
-def shown(group: str, scene: Scene, shapes: Sequence[Shape]) -> Coarse:
+def shown(group: str, scene: Scene, shapes: Sequence[Shape]) -> CoarseLayout:
     """A layout that knows of its scene graph what it shows, and nothing of what was meant."""
     posed = PosedScene(replace(scene, relations=()), shapes)
     seen = related(posed, audit_posed(posed), {}).scene
-    return Coarse(group, replace(seen, relations=()), shapes)
+    return CoarseLayout(group, replace(seen, relations=()), shapes)
 
 
-def held_out(source: RunScenes, num_scenes: int) -> list[Scene]:
+def held_out(source: TrainingScenes, num_scenes: int) -> list[Scene]:
     """Clean scenes of a run that were not trained on, those of ``validation`` first."""
     scenes, splits, _ = clean_targets(source.uri)
     chosen = [scene for split in (1, 2) for scene, own in zip(scenes, splits, strict=True) if own == split]
     return chosen[:num_scenes]
 
 
-def perturbed(scenes: Sequence[Scene], store: AssetStore, settings: PerturbationSettings, seed: int = 0) -> Iterator[Coarse]:
+def perturbed(
+    scenes: Sequence[Scene], store: AssetStore, settings: PerturbationSettings, seed: int = 0
+) -> Iterator[CoarseLayout]:
     """Every scene made coarse in every way.
 
     Args:
@@ -127,14 +129,14 @@ def perturbed(scenes: Sequence[Scene], store: AssetStore, settings: Perturbation
     resolved = [store.resolved(scene)[:2] for scene in scenes]
     arrays = padded([scene for scene, _ in resolved], [own for _, own in resolved], [frozenset()] * len(resolved))
     tensors = {name: torch.from_numpy(value) for name, value in arrays.items()}
-    batch = SceneBatch(shape_index=torch.zeros_like(tensors["parent"]), **tensors)
+    batch = LayoutBatch(shape_index=torch.zeros_like(tensors["parent"]), **tensors)
     for number, kind in enumerate(KINDS):
         poses, _ = perturb(batch, settings, torch.Generator().manual_seed(seed + number), kind)
         for (scene, own), at in zip(resolved, poses.double().numpy(), strict=True):
             yield shown(kind, scene.with_poses(at[: len(own)]), own)
 
 
-def compared(layouts: Sequence[Coarse], flows: Mapping[str, Flow]) -> list[Gain]:
+def compared(layouts: Sequence[CoarseLayout], flows: Mapping[str, Flow]) -> list[Gain]:
     """`certify` alone, and after each flow.
 
     Args:
@@ -160,7 +162,7 @@ def compared(layouts: Sequence[Coarse], flows: Mapping[str, Flow]) -> list[Gain]
     return gains
 
 
-def _gain(method: str, coarse: Coarse, raw: Scene | None, flow_seconds: float) -> Gain:
+def _gain(method: str, coarse: CoarseLayout, raw: Scene | None, flow_seconds: float) -> Gain:
     scene = coarse.scene
     begin = time.process_time()
     done = certified_from(scene, raw, coarse.shapes)
@@ -219,7 +221,7 @@ def _row(group: str, method: str, gains: Sequence[Gain]) -> Sequence[str]:
     return (
         group,
         method,
-        f"{sum(g.status in (Status.CERTIFIED, Status.DROPPED) for g in gains)}/{len(gains)}",
+        f"{sum(g.status in (CorrectionStatus.CERTIFIED, CorrectionStatus.DROPPED) for g in gains)}/{len(gains)}",
         f"{sum(g.num_dropped for g in gains)}",
         *(average(name) for name in ("move_mean_mm", "move_max_mm", "turn_mean_deg")),
         share("on_in"),
@@ -243,7 +245,7 @@ def main(
     try:
         flows = {f"flow {name} + certify": flow for name in weights or [AUTO] if (flow := load_flow(name)) is not None}
         with tempfile.TemporaryDirectory() as cache:
-            source = RunScenes(str(run), Path(cache))
+            source = TrainingScenes(str(run), Path(cache))
             chosen = list(perturbed(held_out(source, scenes), source.store(), PerturbationSettings(), seed))
             if dataset is not None:
                 store = AssetStore(MesaTaskDataset(dataset), max_bytes=2**30)

@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.alternation import figures_of
-from pipelines.execution.ray_executor import Workers
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
-from pipelines.sources.generation_tasks import Tasks, of_file, sampled
+from pipelines.sources.generation_tasks import TaskSource, of_file, sampled
 from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES
 from stable_data.mesatask.asset_catalog import library_of_folder
@@ -44,14 +44,14 @@ _HEAD = ("clean %", "rest %", "AwT %", "AwS %", "objects", "on others", "in othe
 
 
 @contextmanager
-def made(tasks: Tasks, assets: Sequence[str], workers: Workers) -> Iterator[RunFolder]:
+def made(tasks: TaskSource, assets: Sequence[str], workers: WorkerPool) -> Iterator[RunFolder]:
     """A run that keeps whatever was made, gone afterwards."""
     with tempfile.TemporaryDirectory(prefix="stable-data-") as out:
         generate(tasks, out, GenerateSettings(accept="", num_pictures=0), workers, assets, report=False)
         yield RunFolder(out)
 
 
-def figures(tasks: Tasks, assets: Sequence[str], workers: Workers, own: frozenset[str] = frozenset()) -> dict[str, Any]:
+def figures(tasks: TaskSource, assets: Sequence[str], workers: WorkerPool, own: frozenset[str] = frozenset()) -> dict[str, Any]:
     """Means of what is made of tasks.
 
     Args:
@@ -105,7 +105,7 @@ def _is_so(relations: Set[Relation], category: Mapping[str, str], one: str, kind
     return any(str(r.kind) in kinds and category.get(r.subject) == one and category.get(r.target) == other for r in relations)
 
 
-def contradictory(num_cases: int, workers: Workers) -> list[dict[str, Any]]:
+def contradictory(num_cases: int, workers: WorkerPool) -> list[dict[str, Any]]:
     """What becomes of each instruction that contradicts itself."""
     cases = [json.loads(line) for line in CASES.read_text("utf-8").splitlines()][:num_cases]
     with tempfile.TemporaryDirectory(prefix="stable-data-") as folder:
@@ -122,7 +122,7 @@ def contradictory(num_cases: int, workers: Workers) -> list[dict[str, Any]]:
     ]
 
 
-def measure(data: str, num_scenes: int, num_cases: int, workers: Workers) -> dict[str, Any]:
+def measure(data: str, num_scenes: int, num_cases: int, workers: WorkerPool) -> dict[str, Any]:
     """All figures."""
     usual, unseen = (sampled(num_scenes, 1, list(kinds)) for kinds in (TABLES, UNSEEN_TABLES))
     own = frozenset(asset.asset_id for asset in library_of_folder(Path(data), "own").assets)
@@ -165,7 +165,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    found = measure(arguments.data, arguments.scenes, arguments.cases, Workers(arguments.workers))
+    found = measure(arguments.data, arguments.scenes, arguments.cases, WorkerPool(arguments.workers))
     print("\n".join(show(found)))
     if arguments.json:
         arguments.json.write_text(json.dumps(found, indent=2) + "\n", "utf-8")

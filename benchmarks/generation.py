@@ -52,7 +52,7 @@ from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import WANTED
 from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import TIMING_FOLDER
-from pipelines.sources.assets import AssetShelf
+from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import sampled
 from stable_data.cli import DONE, SOME_FAILED
 from stable_data.scene import Stage
@@ -63,7 +63,7 @@ _SHARDS_OF_A_MILLION = 7_813
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class GenerationRun:
     """How a run went.
 
     Attributes:
@@ -89,7 +89,7 @@ def command(out: Path, *words: str) -> list[str]:
     return [sys.executable, "-m", "pipelines", "generate", "--out", str(out), *words, "--set", "num_pictures=0"]
 
 
-def run(out: Path, *words: str, threads: bool = False, cores: Set[int] | None = None) -> Course:
+def run(out: Path, *words: str, threads: bool = False, cores: Set[int] | None = None) -> GenerationRun:
     """One run of the job, on some cores or on all; its status has to be 0 or 1."""
     environment = os.environ | ({} if threads else _ONE_CORE)
     if threads:
@@ -101,14 +101,14 @@ def run(out: Path, *words: str, threads: bool = False, cores: Set[int] | None = 
     return checked(course_of(out))
 
 
-def checked(course: Course) -> Course:
+def checked(course: GenerationRun) -> GenerationRun:
     """A run in which all came to something; one in which nothing does is fast."""
     if course.accepted < 0.9 * course.scenes:
         raise SystemExit(f"{course.accepted} of {course.scenes} scenes are accepted, expected nine in ten at least")
     return course
 
 
-def course_of(out: Path) -> Course:
+def course_of(out: Path) -> GenerationRun:
     """How a run went, by its files."""
     folder = RunFolder(str(out))
     manifest = json.loads((out / "manifest.json").read_text("utf-8"))
@@ -116,7 +116,7 @@ def course_of(out: Path) -> Course:
     for path in (out / TIMING_FOLDER).glob("*.json"):
         steps.update(json.loads(path.read_text("utf-8")))
     scenes = int(steps.pop("scenes"))
-    return Course(scenes, folder.num_rows("scenes"), sum(w["seconds"] for w in manifest["work"]), dict(steps))
+    return GenerationRun(scenes, folder.num_rows("scenes"), sum(w["seconds"] for w in manifest["work"]), dict(steps))
 
 
 def tasks_file(path: Path, tasks: Sequence[LayoutTask]) -> Path:
@@ -145,7 +145,7 @@ def side_by_side(place: Path, parts: Sequence[Sequence[str]]) -> float:
 def scripted(folder: Path) -> Path:
     """A script for a reasoner that puts the library's first things on every table."""
     script = {}
-    for stage, asset in zip(Stage, AssetShelf().libraries[0].assets[1:4], strict=True):
+    for stage, asset in zip(Stage, AssetLibraries().libraries[0].assets[1:4], strict=True):
         size = [round(12 * side / max(asset.tilts[0].extents), 1) + 0.1 for side in asset.tilts[0].extents]
         there = {"description": asset.words, "size": size, "position": [20.0, 20.0, round(size[2] / 2, 1)], "z_rotation": 90}
         script[WANTED[stage]] = {"objects": [{"instance": f"{asset.category}_0", **there}]}
@@ -217,7 +217,7 @@ def driven() -> None:
     )
 
 
-class Unhurried:
+class SlowEngine:
     """An engine that takes its time for each batch.
 
     Attributes:
@@ -246,7 +246,7 @@ def elsewhere(place: Path, script: Path, scenes: int, batch_seconds: float) -> d
     cores = {min(os.sched_getaffinity(0))}
     found: dict[str, float] = {"scenes": scenes, "seconds_a_batch": batch_seconds}
     for label, engines in (("waiting", 0), ("shared", 1)):
-        engine = Unhurried(ScriptedEngine.from_file(script), batch_seconds)
+        engine = SlowEngine(ScriptedEngine.from_file(script), batch_seconds)
         with serve(engine, max_wait_s=0.25) as server:
             words = ["--count", str(scenes), "--workers", "1", "--engine", "openai:unhurried", "--set", f"engines={engines}"]
             words += ["--set", f"engine.http.base_url={server.url}", "--set", "engine.http.concurrency=64"]
@@ -305,7 +305,7 @@ def figures(scenes: int, serial: int, counts: Sequence[int], weights: str) -> It
 
 def shown(name: str, found: Any) -> str:
     """A figure as a line."""
-    if isinstance(found, Course):
+    if isinstance(found, GenerationRun):
         steps = ", ".join(f"{step} {seconds / found.scenes:.2f}" for step, seconds in found.steps.items())
         return f"{name}: {found.accepted} of {found.scenes} accepted, {found.a_minute:.1f} a minute; seconds a scene: {steps}"
     if isinstance(found, dict):
@@ -327,7 +327,7 @@ def main() -> None:
     all_of_them: dict[str, Any] = {}
     for name, found in figures(arguments.scenes, arguments.serial_scenes, arguments.scripted, arguments.weights):
         print(shown(name, found), flush=True)
-        all_of_them[name] = asdict(found) | {"a_minute": found.a_minute} if isinstance(found, Course) else found
+        all_of_them[name] = asdict(found) | {"a_minute": found.a_minute} if isinstance(found, GenerationRun) else found
         if arguments.json:
             arguments.json.write_text(json.dumps(all_of_them, indent=2) + "\n", "utf-8")
 

@@ -24,8 +24,8 @@ from models.semantic_reasoner.engines.chat_protocol import SPELLINGS, request_bo
 from models.semantic_reasoner.engines.http_engine import HttpEngine
 from models.semantic_reasoner.engines.http_settings import HttpSettings
 from models.semantic_reasoner.engines.protocol import Request, Sampling
-from models.semantic_reasoner.replies.grammar import ReplyForm
-from models.semantic_reasoner.text.prompt import Ask, messages
+from models.semantic_reasoner.replies.grammar import ReplyGrammar
+from models.semantic_reasoner.text.prompt import ReasonerQuestion, messages
 from stable_data.scene import Stage, Tabletop, TaskInfo
 
 ANSWERS_S = (0.05, 0.5)
@@ -39,7 +39,7 @@ _TABLE = Tabletop("desk", (1.2, 0.6))
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class EndpointFigure:
     """One load.
 
     Attributes:
@@ -157,10 +157,16 @@ def served(faults: float, answer_s: float) -> Iterator[int]:
 
 def requests_to_send(number: int) -> list[Request]:
     """Prompts as long as those of the second stage's, mostly."""
-    form = ReplyForm.of_table(_TABLE)
+    form = ReplyGrammar.of_table(_TABLE)
     return [
         Request(
-            tuple(messages(Ask(f"request {k} is to make tea for three", _TABLE, Stage.TASK, details=TaskInfo("y" * 800, "")))),
+            tuple(
+                messages(
+                    ReasonerQuestion(
+                        f"request {k} is to make tea for three", _TABLE, Stage.TASK, details=TaskInfo("y" * 800, "")
+                    )
+                )
+            ),
             form,
         )
         for k in range(number)
@@ -212,7 +218,7 @@ def ask(port: int, requests: list[Request], concurrency: int) -> tuple[float, fl
     return seconds, processor, tries, lost, doubled
 
 
-def measure(answer_s: float, concurrency: int, faults: float, requests: list[Request], rounds: int) -> Figure:
+def measure(answer_s: float, concurrency: int, faults: float, requests: list[Request], rounds: int) -> EndpointFigure:
     """One load; the bare client's and the engine's best rounds, taken in turns."""
     spelt = {name: ways[0] for name, ways in SPELLINGS.items()}
     bodies = [json.dumps(request_body("m", r, Sampling(), spelt, with_form=False)).encode() for r in requests]
@@ -223,7 +229,7 @@ def measure(answer_s: float, concurrency: int, faults: float, requests: list[Req
             limit = max(limit, asyncio.run(bare(whole, contents, concurrency)))
             asked.append(ask(faulty, requests, concurrency))
     seconds, processor, tries, _, _ = min(asked)
-    return Figure(
+    return EndpointFigure(
         answer_s=answer_s,
         concurrency=concurrency,
         faults=faults,

@@ -26,7 +26,7 @@ _TURN = 5.0  # radians a metre of them
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class StartLayout:
     """A layout to be corrected.
 
     Attributes:
@@ -42,7 +42,7 @@ class Layout:
     num_collisions: int
 
 
-def read_layouts(path: Path, store: AssetStore, start: str = "start") -> Iterator[Layout]:
+def read_layouts(path: Path, store: AssetStore, start: str = "start") -> Iterator[StartLayout]:
     """Reads a file of layouts.
 
     Args:
@@ -67,7 +67,7 @@ def read_layouts(path: Path, store: AssetStore, start: str = "start") -> Iterato
             raise SceneError(message, "layout_invalid") from error
 
 
-def _layout(row: Mapping[str, Any], store: AssetStore, start: str) -> Layout:
+def _layout(row: Mapping[str, Any], store: AssetStore, start: str) -> StartLayout:
     x, y = row["table"]["size_xy_m"]
     relations = tuple(
         Relation(o["instance"], RelationKind(o["relation"]), o["parent"]) for o in row["objects"] if o["relation"] != "table"
@@ -81,7 +81,7 @@ def _layout(row: Mapping[str, Any], store: AssetStore, start: str) -> Layout:
         return replace(scene, objects=moved)
 
     target = at("settled") if row["settled_valid"] else None
-    return Layout(at(start), target, str(row["bucket"]), int(row["n_collisions"]))
+    return StartLayout(at(start), target, str(row["bucket"]), int(row["n_collisions"]))
 
 
 def _object(o: Mapping[str, Any], store: AssetStore) -> SceneObject:
@@ -98,7 +98,7 @@ def _vec3(values: Iterable[float]) -> Vec3:
     return (x, y, z)
 
 
-def shaken_layouts(scenes: Iterable[Scene], store: AssetStore, per_bucket: int) -> Iterator[Layout]:
+def shaken_layouts(scenes: Iterable[Scene], store: AssetStore, per_bucket: int) -> Iterator[StartLayout]:
     """Layouts made by shaking scenes, harder and harder, until their collisions fill the buckets.
 
     Args:
@@ -121,7 +121,7 @@ def shaken_layouts(scenes: Iterable[Scene], store: AssetStore, per_bucket: int) 
             bucket = bucket_of(count)
             if wanted.get(bucket, 0):
                 wanted[bucket] -= 1
-                yield Layout(replace(start, scene_id=f"{scene.scene_id}+{1e3 * noise:.0f}mm"), scene, bucket, count)
+                yield StartLayout(replace(start, scene_id=f"{scene.scene_id}+{1e3 * noise:.0f}mm"), scene, bucket, count)
 
 
 def shaken(scene: Scene, noise: float, rng: np.random.Generator) -> Scene:

@@ -40,7 +40,7 @@ Way: TypeAlias = Callable[[int], Epoch]
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class LoaderFigure:
     """One way of loading.
 
     Attributes:
@@ -82,7 +82,7 @@ class LayoutFiles(Dataset[Scene]):
         return scene
 
 
-class Training:
+class TrainingStep:
     """A step of a small network with every batch."""
 
     def __init__(self) -> None:
@@ -107,7 +107,7 @@ def of_files(root: Path, scene_ids: list[str], *, meshes: bool, train: bool) -> 
         loader = DataLoader(
             files, batch_size=_PARSED_AT_ONCE, num_workers=workers, collate_fn=collate, persistent_workers=workers > 0
         )
-        size: Callable[[Any], int] = Training() if train else len
+        size: Callable[[Any], int] = TrainingStep() if train else len
         return lambda epoch: map(size, loader)
 
     return open_with
@@ -119,7 +119,7 @@ def of_tables(run: str, *, tensors: bool, train: bool = False) -> Way:
     def open_with(workers: int) -> Epoch:
         stream = TableStream(run, batch_size=BATCH_SIZE, shuffle_seed=0, collate=collate_scenes if tensors else None)
         loader = DataLoader(stream, batch_size=None, num_workers=workers, persistent_workers=workers > 0)
-        size: Callable[[Any], int] = Training() if train else (lambda b: len(b["scene_ids"])) if tensors else len
+        size: Callable[[Any], int] = TrainingStep() if train else (lambda b: len(b["scene_ids"])) if tensors else len
 
         def batches(epoch: int) -> Iterator[int]:
             stream.set_epoch(epoch)
@@ -174,7 +174,7 @@ def forget(folder: Path) -> None:
                 os.close(handle)
 
 
-def measure(run: str, root: Path, seconds: float, num_workers: tuple[int, ...], rounds: int) -> list[Figure]:
+def measure(run: str, root: Path, seconds: float, num_workers: tuple[int, ...], rounds: int) -> list[LoaderFigure]:
     """Every way of loading, the one without tables first; of all rounds each one's best, for the machine may be at other work."""
     table = TableDataset(run, columns=["scene_id"])
     scene_ids = [table[row]["scene_id"] for row in range(len(table))]
@@ -200,7 +200,7 @@ def measure(run: str, root: Path, seconds: float, num_workers: tuple[int, ...], 
                 best[name, w, is_cold] = max(best.get((name, w, is_cold), (0, 1.0)), found, key=lambda f: f[0] / f[1])
     num_base, seconds_base = next(iter(best.values()))
     base = num_base / seconds_base
-    return [Figure(*key, n, round(s, 3), round(n / s, 1), round(n / s / base, 1)) for key, (n, s) in best.items()]
+    return [LoaderFigure(*key, n, round(s, 3), round(n / s, 1), round(n / s / base, 1)) for key, (n, s) in best.items()]
 
 
 def main() -> None:

@@ -16,8 +16,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipelines.execution.ray_executor import Workers
-from pipelines.preprocess.plan import PreprocessSettings, Shard, plan_run
+from pipelines.execution.ray_executor import WorkerPool
+from pipelines.preprocess.plan import DatasetShard, PreprocessSettings, plan_run
 from pipelines.preprocess.shard import PreprocessShard
 from stable_data.mesatask import MesaTaskDataset
 
@@ -38,13 +38,13 @@ def repeated(dataset: Path, root: Path, count: int) -> Path:
     return root
 
 
-class Timed:
+class TimedWork:
     """The work of a shard, with the seconds that it took and the memory of the process that did it."""
 
     def __init__(self, work: PreprocessShard) -> None:
         self.work = work
 
-    def __call__(self, shard: Shard, *, isolated: bool = False) -> dict[str, float]:
+    def __call__(self, shard: DatasetShard, *, isolated: bool = False) -> dict[str, float]:
         """Does the shard."""
         began = time.perf_counter()
         self.work(shard, isolated=isolated)
@@ -56,14 +56,14 @@ class Timed:
         }
 
 
-def _plain(work: Timed, shards: Sequence[Shard], barrier: Any) -> None:
+def _plain(work: TimedWork, shards: Sequence[DatasetShard], barrier: Any) -> None:
     work(shards[0])  # imports and caches, as a warm worker has them
     barrier.wait()
     for shard in shards[1:]:
         work(shard)
 
 
-def two_plain_processes(work: Timed, shards: Sequence[Shard]) -> float:
+def two_plain_processes(work: TimedWork, shards: Sequence[DatasetShard]) -> float:
     """Seconds in which two processes that share the shards evenly, without Ray, do all but the first of each."""
     context = multiprocessing.get_context("spawn")
     barrier = context.Barrier(3)
@@ -78,10 +78,10 @@ def two_plain_processes(work: Timed, shards: Sequence[Shard]) -> float:
     return time.perf_counter() - began
 
 
-def two_workers(work: Timed, shards: Sequence[Shard]) -> dict[str, float]:
+def two_workers(work: TimedWork, shards: Sequence[DatasetShard]) -> dict[str, float]:
     """A local Ray with two workers on the same shards; the clock starts when each has done one."""
     results, stamps = [], []
-    for result in Workers(2).run(work, shards):
+    for result in WorkerPool(2).run(work, shards):
         results.append(result)
         stamps.append(time.perf_counter())
     wall = stamps[-1] - stamps[1]
@@ -101,8 +101,8 @@ def measure(dataset: Path, num_scenes: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         root = repeated(dataset, Path(folder) / "data", num_scenes)
         shards = [s for s in plan_run(MesaTaskDataset(root), SETTINGS).shards if s.scenes]
-        plain = two_plain_processes(Timed(PreprocessShard(str(root), f"{folder}/plain", SETTINGS)), shards)
-        ray = two_workers(Timed(PreprocessShard(str(root), f"{folder}/ray", SETTINGS)), shards)
+        plain = two_plain_processes(TimedWork(PreprocessShard(str(root), f"{folder}/plain", SETTINGS)), shards)
+        ray = two_workers(TimedWork(PreprocessShard(str(root), f"{folder}/ray", SETTINGS)), shards)
     timed = num_scenes - len(shards[0]) - len(shards[1])  # the first shard of each worker warms it up
     rate = {"plain": timed / plain, "ray": timed / ray["seconds"]}
     return {

@@ -36,9 +36,9 @@ from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings, load_reasoner
 from models.semantic_reasoner.reasoner import Proposal
 from models.semantic_reasoner.staged_layout import ONE_SHOT, PROGRESSIVE, StagedLayout, of_scene, staged_layouts
-from pipelines.sources.assets import AssetShelf
-from stable_data.assets.assignment import furnish
-from stable_data.assets.run_assets import TableAssets
+from pipelines.sources.assets import AssetLibraries
+from stable_data.assets.assignment import assign_assets
+from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
 from stable_data.metrics.alignment import align, reference_of
 from stable_data.metrics.alignment_summary import AlignmentSummary, summarise_alignment
@@ -70,12 +70,12 @@ class Furnisher:
     """
 
     def __init__(self, run: str, folder: Path) -> None:
-        self._retriever = AssetShelf([run]).retriever()
-        self._store = AssetStore(TableAssets(RunFolder(run), folder))
+        self._retriever = AssetLibraries([run]).retriever()
+        self._store = AssetStore(RunAssets(RunFolder(run), folder))
 
     def furnished(self, scenes: Sequence[Scene]) -> list[tuple[Scene, int]]:
         """The scenes with assets, and for how many objects there is none: they are left out, with what rests on them."""
-        return [(f.scene, len(f.unmatched)) for f in furnish(scenes, self._retriever)]
+        return [(f.scene, len(f.unmatched)) for f in assign_assets(scenes, self._retriever)]
 
     def card(self, scene: Scene) -> MetricCard:
         """The exact verdicts."""

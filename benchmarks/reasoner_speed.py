@@ -37,9 +37,9 @@ from models.semantic_reasoner.engines.local_engine import LocalEngine
 from models.semantic_reasoner.engines.protocol import Request, Sampling
 from models.semantic_reasoner.engines.registry import EMBEDDED
 from models.semantic_reasoner.reasoner import SemanticReasoner
-from models.semantic_reasoner.replies.grammar import ReplyForm
+from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from models.semantic_reasoner.staged_layout import of_scene, staged_layouts
-from models.semantic_reasoner.text.prompt import Ask, messages
+from models.semantic_reasoner.text.prompt import ReasonerQuestion, messages
 from models.semantic_reasoner.text.reply_json import layout_objects
 from models.semantic_reasoner.text.tokenizer import chat_text
 from stable_data.scene import Scene, Stage
@@ -62,8 +62,8 @@ def questions(scenes: Sequence[Scene]) -> list[Request]:
     found = []
     for seed, scene in enumerate(scenes):
         known = layout_objects([o for o in scene.objects if o.stage is not Stage.SECONDARY])
-        ask = replace(Ask(of_scene(scene).instruction, scene.table, Stage.SECONDARY), layout=known)
-        found.append(Request(tuple(messages(ask)), ReplyForm.of_table(scene.table), seed))
+        ask = replace(ReasonerQuestion(of_scene(scene).instruction, scene.table, Stage.SECONDARY), layout=known)
+        found.append(Request(tuple(messages(ask)), ReplyGrammar.of_table(scene.table), seed))
     return found
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from models.text_encoder import load_default
 from stable_data.assets.catalog import Asset, AssetLibrary, RestingTilt
 from stable_data.assets.ranking import RetrievalSettings
-from stable_data.assets.retrieval import Match, Query, Retriever
+from stable_data.assets.retrieval import AssetMatch, AssetQuery, Retriever
 from stable_data.assets.text_embeddings import Rows
 from stable_data.errors import SceneError
 from stable_data.mesatask import MesaTaskDataset
@@ -44,7 +44,7 @@ ABSENT = tuple(kind.strip() for kind in _ABSENT.split(","))
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class RetrievalFigure:
     """One way of retrieving.
 
     Attributes:
@@ -125,7 +125,7 @@ def _noisy(rows: Rows, rng: np.random.Generator) -> Rows:
     return unit
 
 
-def one_by_one(library: AssetLibrary, rows: Rows, queries: Sequence[Query]) -> list[str | None]:
+def one_by_one(library: AssetLibrary, rows: Rows, queries: Sequence[AssetQuery]) -> list[str | None]:
     """The published way: twenty by text, of them five by text and size, of them the first that may be used."""
     assert library.features is not None
     found: list[str | None] = []
@@ -142,7 +142,7 @@ def one_by_one(library: AssetLibrary, rows: Rows, queries: Sequence[Query]) -> l
     return found
 
 
-def measure(data: Path, num_assets: int, num_queries: int) -> tuple[list[Figure], float]:
+def measure(data: Path, num_assets: int, num_queries: int) -> tuple[list[RetrievalFigure], float]:
     """All ways on the same library and queries, the published one first; and the seconds that encoding the queries takes."""
     rng = np.random.default_rng(0)
     encoder = load_default()
@@ -151,7 +151,7 @@ def measure(data: Path, num_assets: int, num_queries: int) -> tuple[list[Figure]
     drawn = rng.choice([k for k, asset in enumerate(library.assets) if asset.is_offered], num_queries)
     rows = _noisy(library.features[drawn], rng)
     queries = [
-        Query(f"{n}", _times(library.assets[k].tilts[0].extents, rng.uniform(0.8, 1.2, 3).tolist()))
+        AssetQuery(f"{n}", _times(library.assets[k].tilts[0].extents, rng.uniform(0.8, 1.2, 3).tolist()))
         for n, k in enumerate(drawn.tolist())
     ]
     known = KnownRows([query.sentence() for query in queries], rows)
@@ -164,19 +164,19 @@ def measure(data: Path, num_assets: int, num_queries: int) -> tuple[list[Figure]
 
     def batch(settings: RetrievalSettings) -> Callable[[], list[str | None]]:
         retriever = Retriever([library], known, settings)
-        return lambda: [a.asset_id if isinstance(a, Match) else None for a in retriever.retrieve(queries)]
+        return lambda: [a.asset_id if isinstance(a, AssetMatch) else None for a in retriever.retrieve(queries)]
 
     ways = {
         "one query after the other, as published": (lambda: one_by_one(library, rows, queries), 1),
         "a batch": (batch(RetrievalSettings()), _ROUNDS),
         "a batch, of the twenty nearest by text": (batch(RetrievalSettings(top_k_text=20)), _ROUNDS),
     }
-    figures: list[Figure] = []
+    figures: list[RetrievalFigure] = []
     for name, (way, rounds) in ways.items():
         found, seconds = _best_of(way, rounds)
         right = sum(uid is not None and category[uid] == kind for uid, kind in zip(found, wanted, strict=True)) / num_queries
         ratio = figures[0].seconds / seconds if figures else 1.0
-        figures.append(Figure(name, num_assets, num_queries, round(seconds, 4), round(ratio, 1), round(right, 4)))
+        figures.append(RetrievalFigure(name, num_assets, num_queries, round(seconds, 4), round(ratio, 1), round(right, 4)))
     return figures, encoding
 
 
@@ -205,9 +205,11 @@ def recall(data: Path, num_objects: int) -> list[Recall]:
     for name, texts in ways.items():
         for is_named in (True, False):
             kinds = [o.category if is_named else None for o in objects]
-            queries = [Query(t, o.size, kind, str(n)) for n, (t, o, kind) in enumerate(zip(texts, objects, kinds, strict=True))]
+            queries = [
+                AssetQuery(t, o.size, kind, str(n)) for n, (t, o, kind) in enumerate(zip(texts, objects, kinds, strict=True))
+            ]
             answers = [
-                (offered[x.asset_id] if isinstance(x, Match) else None, a)
+                (offered[x.asset_id] if isinstance(x, AssetMatch) else None, a)
                 for x, a in zip(retriever.retrieve(queries), assets, strict=True)
             ]
             same = [
@@ -218,8 +220,8 @@ def recall(data: Path, num_objects: int) -> list[Recall]:
             found.append(Recall(title, len(objects), len(same) / len(objects), *np.round(shares, 4).tolist()))
     size = (0.2, 0.2, 0.2)
     for is_named in (True, False):
-        queries = [Query(f"a {kind}", size, kind if is_named else None) for kind in ABSENT]
-        matched = sum(isinstance(x, Match) for x in retriever.retrieve(queries)) / len(ABSENT)
+        queries = [AssetQuery(f"a {kind}", size, kind if is_named else None) for kind in ABSENT]
+        matched = sum(isinstance(x, AssetMatch) for x in retriever.retrieve(queries)) / len(ABSENT)
         found.append(Recall(f"not there{', with category' if is_named else ''}", len(ABSENT), round(matched, 4), 0.0, 0.0, 0.0))
     return found
 

@@ -26,14 +26,14 @@ from stable_data.geometry.mesh_repair import MeshReport
 from stable_data.geometry.sdf.build import build_grid, unit_mesh, with_errors
 from stable_data.geometry.sdf.exact import SignedDistance
 from stable_data.geometry.sdf.grid import SdfGrid
-from stable_data.geometry.sdf.narrow_band import Lattice
+from stable_data.geometry.sdf.narrow_band import GridNodes
 from stable_data.scene import FloatArray
 
 _NUM_NEAR, _NUM_FAR = 4096, 2048
 
 
 @dataclass(frozen=True, slots=True)
-class Timing:
+class GridTiming:
     """One asset, both ways. Errors are in spacings, at held-out points within one spacing of the surface unless named otherwise.
 
     Attributes:
@@ -75,7 +75,7 @@ class GridBenchmark:
         num_threads: Processor seconds over wall seconds of the dense evaluation.
     """
 
-    timings: tuple[Timing, ...]
+    timings: tuple[GridTiming, ...]
     peak_mebibytes: float
     num_threads: float
 
@@ -132,11 +132,11 @@ def run(meshes: Iterable[tuple[str, Mesh, MeshReport]]) -> GridBenchmark:
     return GridBenchmark(timings, peak, (time.process_time() - cpu) / (time.perf_counter() - wall))
 
 
-def _compare(asset_id: str, mesh: Mesh, is_sheet: bool, ours: SdfGrid, ours_seconds: float) -> Timing:
+def _compare(asset_id: str, mesh: Mesh, is_sheet: bool, ours: SdfGrid, ours_seconds: float) -> GridTiming:
     """The same grid densely, and both against the exact distance."""
     unit, _ = unit_mesh(mesh)
     nx, ny, nz = ours.values.shape
-    lattice = Lattice(ours.origin, ours.spacing, (nx, ny, nz))
+    lattice = GridNodes(ours.origin, ours.spacing, (nx, ny, nz))
     nodes = np.arange(lattice.size)
     start = time.process_time()
     exact = SignedDistance(unit, is_sheet=is_sheet, shell_thickness=ours.shell_thickness)
@@ -147,7 +147,7 @@ def _compare(asset_id: str, mesh: Mesh, is_sheet: bool, ours: SdfGrid, ours_seco
     h = ours.spacing
     # A node that lies on the surface has no side.
     wrong = ((ours.values < 0) != (values < 0)) & (np.abs(values) > 1e-3 * h)
-    return Timing(
+    return GridTiming(
         asset_id=asset_id,
         num_faces=len(mesh.faces),
         num_nodes=lattice.size,

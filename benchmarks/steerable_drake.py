@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.baselines.hulls import solid_hull, table_box
-from benchmarks.baselines.outcome import Outcome
+from benchmarks.baselines.outcome import BaselineResult
 from benchmarks.baselines.steerable import turned_parts
 from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError
@@ -43,22 +43,22 @@ class SteerableInDrake:
     max_iterations: int = 5000
     max_seconds: float = 60.0
 
-    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
-        """Moves objects apart; see :class:`~benchmarks.baselines.outcome.Method`. Not converged: Steerable throws the scene away."""
+    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
+        """Moves objects apart; see :class:`~benchmarks.baselines.outcome.Baseline`. Not converged: Steerable throws the scene away."""
         try:
             bodies = [
                 [solid_hull(points) for points in parts]
                 for parts in turned_parts(scene, shapes, store, with_parts=self.with_parts)
             ]
         except MeshError as error:
-            return Outcome(scene, False, 0.0, str(error))
+            return BaselineResult(scene, False, 0.0, str(error))
         poses = scene.poses()
         problem = self._problem(bodies, poses[:, :3], scene)
         begin = time.process_time()
         positions, is_solved, status = self._solved(problem)
         seconds = time.process_time() - begin
         poses[:, :3] = positions
-        return Outcome(scene.with_poses(poses), is_solved, seconds, "" if is_solved else f"SNOPT: status {status}")
+        return BaselineResult(scene.with_poses(poses), is_solved, seconds, "" if is_solved else f"SNOPT: status {status}")
 
     def _problem(self, bodies: Sequence[Sequence[FloatArray]], positions: FloatArray, scene: Scene) -> "_Problem":
         from pydrake.geometry import Box, Convex

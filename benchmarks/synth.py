@@ -31,7 +31,7 @@ from stable_data.embedded_world.scenes import RECORD, make_scene
 from stable_data.geometry.mesh import Mesh
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import Scene
-from stable_data.simulation.settling import Body, EngineOptions, settle
+from stable_data.simulation.settling import PhysicsOptions, RigidBody, settle
 
 _STEPS = {
     "composing": "compose",
@@ -92,7 +92,7 @@ def speed(num_scenes: int) -> dict[str, Any]:
     }
 
 
-def nudged(scene: Scene, rng: np.random.Generator) -> tuple[list[Body], EngineOptions]:
+def nudged(scene: Scene, rng: np.random.Generator) -> tuple[list[RigidBody], PhysicsOptions]:
     """The engine's view of a scene of the embedded world, a little off."""
     bodies = []
     for o, key in zip(scene.objects, (scene.source or {})[RECORD]["keys"], strict=True):
@@ -103,8 +103,8 @@ def nudged(scene: Scene, rng: np.random.Generator) -> tuple[list[Body], EngineOp
         centre = (tilted.min(axis=0) + tilted.max(axis=0)) / 2
         parts = tuple(Mesh(part.vertices @ (turn.as_matrix() * scale).T - centre, part.faces) for part in source.parts)
         x, y, z = (np.asarray(o.position) + _NUDGE * rng.uniform(-1, 1, 3)).tolist()
-        bodies.append(Body(o.instance, parts, source.mass * float(np.prod(scale)), (x, y, z), o.yaw))
-    options = EngineOptions()
+        bodies.append(RigidBody(o.instance, parts, source.mass * float(np.prod(scale)), (x, y, z), o.yaw))
+    options = PhysicsOptions()
     slide, *rest = options.friction
     return bodies, replace(options, friction=(slide * rng.uniform(1 - _FRICTION, 1 + _FRICTION), rest[0], rest[1]))
 

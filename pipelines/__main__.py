@@ -76,7 +76,7 @@ def preprocess(
 
     Status 0: done. 1: some scenes or assets could not be used; the table failures says which and why. 2: could not start.
     """
-    from pipelines.execution.ray_executor import Workers
+    from pipelines.execution.ray_executor import WorkerPool
     from pipelines.preprocess.plan import PreprocessSettings
     from pipelines.preprocess.shard import describe_plan
     from pipelines.preprocess.shard import preprocess as run
@@ -87,7 +87,7 @@ def preprocess(
     if dry_run:
         typer.echo(json.dumps(describe_plan(data, settings), indent=2))
         return
-    manifest = run(data, out, settings, Workers(count, address))
+    manifest = run(data, out, settings, WorkerPool(count, address))
     counts = manifest["counts"]
     failed = ", ".join(f"{code} {n}" for code, n in counts["failures_by_code"].items())
     typer.echo(
@@ -118,7 +118,7 @@ def correct(
     from pipelines.correct.job import correct as run
     from pipelines.correct.job import describe_correction
     from pipelines.correct.settings import CorrectSettings
-    from pipelines.execution.ray_executor import Workers
+    from pipelines.execution.ray_executor import WorkerPool
     from pipelines.settings import resolve
 
     count = _count(workers, address)
@@ -126,7 +126,7 @@ def correct(
     if dry_run:
         typer.echo(json.dumps(describe_correction(scenes, settings), indent=2))
         return
-    manifest = run(scenes, out, settings, Workers(count, address))
+    manifest = run(scenes, out, settings, WorkerPool(count, address))
     counts = manifest["counts"]
     status = ", ".join(f"{counts['by_status'][key]} {key}" for key in sorted(counts["by_status"]))
     typer.echo(
@@ -171,7 +171,7 @@ def edit(
     from pipelines.edit.job import describe_edits
     from pipelines.edit.job import edit as run
     from pipelines.edit.settings import EditSettings
-    from pipelines.execution.ray_executor import Workers
+    from pipelines.execution.ray_executor import WorkerPool
     from pipelines.settings import resolve
 
     count = _count(workers, address)
@@ -180,7 +180,7 @@ def edit(
     if dry_run:
         typer.echo(json.dumps(describe_edits(scenes, edits, settings), indent=2))
         return
-    manifest = run(scenes, edits, out, settings, Workers(count, address))
+    manifest = run(scenes, edits, out, settings, WorkerPool(count, address))
     counts = manifest["counts"]
     kinds = ", ".join(f"{counts['by_kind'][key]} {key}" for key in sorted(counts["by_kind"]))
     typer.echo(
@@ -282,7 +282,7 @@ def generate(
     turns, the assets in assets and meshes. Status 0: done. 1: some tasks have no accepted scene; the table failures says which
     and why. 2: could not start.
     """
-    from pipelines.execution.ray_executor import Workers
+    from pipelines.execution.ray_executor import WorkerPool
     from pipelines.generate.job import describe_generation
     from pipelines.generate.job import generate as run
     from pipelines.generate.settings import GenerateSettings
@@ -305,7 +305,7 @@ def generate(
     if dry_run:
         typer.echo(json.dumps(describe_generation(found, settings, assets or ()), indent=2))
         return
-    manifest = run(found, out, settings, Workers(workers, address), assets or ())
+    manifest = run(found, out, settings, WorkerPool(workers, address), assets or ())
     counts = manifest["counts"]
     failed = ", ".join(f"{code} {n}" for code, n in counts["failures_by_code"].items())
     typer.echo(
@@ -333,18 +333,18 @@ def synth(
 
     Status 0: done. 1: some scenes could not be made; synth_failures says why. 2: could not start.
     """
-    from pipelines.execution.ray_executor import Workers
+    from pipelines.execution.ray_executor import WorkerPool
     from pipelines.synth.job import synth as run
-    from stable_data.embedded_world import World
+    from stable_data.embedded_world import EmbeddedWorld
 
-    world = World(seed, tuple(table or ()), pictures, edits, whole_library)
+    world = EmbeddedWorld(seed, tuple(table or ()), pictures, edits, whole_library)
     with tqdm_bar(scenes) as bar:
 
         def show(done: int, failed: int) -> None:
             bar.update(done - bar.n)
             bar.set_postfix(failed=failed)
 
-        failures = run(out, scenes, world, Workers(_count(workers, address), address), show)
+        failures = run(out, scenes, world, WorkerPool(_count(workers, address), address), show)
     tell_world(out, scenes, failures)
 
 
@@ -370,12 +370,12 @@ def train_corrector(
 
     Status 0: done, or stopped with its checkpoint kept. 2: could not start or go on.
     """
-    from models.physics_corrector.training.settings import TrainingSettings, training_preset
+    from models.physics_corrector.training.settings import CorrectorTrainingSettings, training_preset
     from pipelines.settings import resolve
-    from pipelines.train.corrector import TrainCorrector
+    from pipelines.train.corrector import CorrectorTrainingJob
 
-    settings = resolve(TrainingSettings, "train_corrector", config, set_ or [], training_preset(preset))
-    job = TrainCorrector(data, out, settings, minutes=minutes)
+    settings = resolve(CorrectorTrainingSettings, "train_corrector", config, set_ or [], training_preset(preset))
+    job = CorrectorTrainingJob(data, out, settings, minutes=minutes)
     if dry_run:
         typer.echo(json.dumps(job.describe(), indent=2))
         return
@@ -406,14 +406,14 @@ def train_reasoner(
     OUT/weights is a plain Hugging Face folder. Status 0: done, or stopped with its checkpoint kept. 2: could not start or go
     on.
     """
-    from models.semantic_reasoner.training.settings import ReasonerTraining, training_preset
+    from models.semantic_reasoner.training.settings import ReasonerTrainingSettings, training_preset
     from pipelines.settings import resolve
-    from pipelines.train.reasoner import TrainReasoner
+    from pipelines.train.reasoner import ReasonerTrainingJob
 
-    settings = resolve(ReasonerTraining, "train_reasoner", config, set_ or [], training_preset(preset))
+    settings = resolve(ReasonerTrainingSettings, "train_reasoner", config, set_ or [], training_preset(preset))
     if preset == "paper" and not settings.base:
         raise ConfigError("preset paper fine-tunes a model: name its folder with --set base=DIR", "config_invalid")
-    job = TrainReasoner(data, out, settings, minutes=minutes)
+    job = ReasonerTrainingJob(data, out, settings, minutes=minutes)
     count = _count(workers, address) if address or workers else 0
     if dry_run or as_json:
         from pipelines.train.estimate import page_of, plan_of

@@ -15,7 +15,7 @@ from stable_data.errors import ConfigError, SceneError, StableDataError
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-    from stable_data.embedded_world import World
+    from stable_data.embedded_world import EmbeddedWorld
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -107,9 +107,9 @@ def synth(
 
     Status 0: done. 1: some scenes could not be made; synth_failures says why. 2: could not start.
     """
-    from stable_data.embedded_world import World, write_world
+    from stable_data.embedded_world import EmbeddedWorld, write_world
 
-    world = World(seed, tuple(table or ()), pictures, edits, whole_library)
+    world = EmbeddedWorld(seed, tuple(table or ()), pictures, edits, whole_library)
     if workers or address:
         raise typer.Exit(_on_ray(out, scenes, world, workers, address))
     with tqdm_bar(scenes) as bar:
@@ -137,7 +137,7 @@ def tell_world(out: Path, num_scenes: int, failures: Sequence[SceneError]) -> No
         raise typer.Exit(SOME_FAILED)
 
 
-def _on_ray(out: Path, scenes: int, world: "World", workers: int, address: str | None) -> int:
+def _on_ray(out: Path, scenes: int, world: "EmbeddedWorld", workers: int, address: str | None) -> int:
     """Hands over to ``python -m pipelines synth``, for Ray is not this package's; gives its exit status."""
     checkout = Path(__file__).resolve().parents[1]
     if not (checkout / "pipelines").is_dir():
@@ -269,7 +269,7 @@ def export(
     from tqdm import tqdm
 
     from stable_data.export.exporter import export_run
-    from stable_data.simulation.run_reader import Choice
+    from stable_data.simulation.run_reader import SceneSelection
     from stable_data.storage.run_folder import RunFolder
 
     with tqdm(desc="export", unit="scene", disable=None) as bar:
@@ -279,7 +279,7 @@ def export(
             bar.update(done - bar.n)
             bar.set_postfix_str(f"{num_failed} failed" if num_failed else "", refresh=False)
 
-        result = export_run(RunFolder(run), out, format_name, Choice(where, tuple(scene or ()), limit, settled), show)
+        result = export_run(RunFolder(run), out, format_name, SceneSelection(where, tuple(scene or ()), limit, settled), show)
     for line in result.failures:
         typer.echo(f"not exported: {line}", err=True)
     typer.echo(

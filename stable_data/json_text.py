@@ -16,7 +16,7 @@ MAX_VALUES = 1 << 22
 """How many values JSON may hold: an annotated library of 12,000 assets has a tenth of it."""
 
 
-class Log:
+class ReadLog:
     """What a reader notices about one item; the words that start each of its messages.
 
     Attributes:
@@ -46,7 +46,7 @@ def shown(value: object) -> str:
     return text if len(text) <= 99 else text[:96] + "..."
 
 
-def read_bounded(path: Path, max_bytes: int, log: Log) -> bytes:
+def read_bounded(path: Path, max_bytes: int, log: ReadLog) -> bytes:
     """The bytes of a regular file of at most ``max_bytes``.
 
     Raises:
@@ -64,7 +64,7 @@ def read_bounded(path: Path, max_bytes: int, log: Log) -> bytes:
     return data
 
 
-def parse_object(data: bytes | str, what: str, log: Log, *, repeated_code: str | None = None) -> dict[str, Any]:
+def parse_object(data: bytes | str, what: str, log: ReadLog, *, repeated_code: str | None = None) -> dict[str, Any]:
     """The JSON object of a file.
 
     Args:
@@ -148,7 +148,7 @@ def is_unicode(value: object) -> bool:
     return True
 
 
-def _decoded(data: bytes | str, what: str, log: Log) -> str:
+def _decoded(data: bytes | str, what: str, log: ReadLog) -> str:
     """Text of no more values than MAX_VALUES that can be encoded again."""
     try:
         text = data.decode("utf-8-sig") if isinstance(data, bytes) else data

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from models.semantic_reasoner.engines.registry import EMBEDDED
-from stable_data.embedded_world import World, write_world
+from stable_data.embedded_world import EmbeddedWorld, write_world
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text("utf-8")
@@ -29,7 +29,7 @@ COMMANDS = [
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder in the MesaTask-10K format; without meshes, so that it is quickly done."""
     root = tmp_path_factory.mktemp("scenes")
-    write_world(root, 2, World(pictures=False))
+    write_world(root, 2, EmbeddedWorld(pictures=False))
     shutil.rmtree(root / "Assets_library")
     return root
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.baselines.hulls import ConvexBodies
-from benchmarks.baselines.outcome import Outcome
+from benchmarks.baselines.outcome import BaselineResult
 from benchmarks.baselines.projection import Freedom, ProjectionSettings, project
 from benchmarks.baselines.steerable import turned_parts
 from stable_data.assets.store import AssetStore
@@ -55,19 +55,19 @@ class MesaTask:
     near: float = 0.05
     lift: float = 0.25
 
-    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
-        """Moves objects apart; see :class:`~benchmarks.baselines.outcome.Method`.
+    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
+        """Moves objects apart; see :class:`~benchmarks.baselines.outcome.Baseline`.
 
         Converged: all pairs are as far apart as they shall be, and in the released form also that the result was taken.
         """
         if self.is_released and len(scene.objects) < self.window:
             reason = f"{len(scene.objects)} objects, and a window of {self.window} repeats one: no window can be solved"
-            return Outcome(scene, False, 0.0, reason)
+            return BaselineResult(scene, False, 0.0, reason)
         try:
             hulls = [[_lying(o, shape, store)] for o, shape in zip(scene.objects, shapes, strict=True)]
             bodies = ConvexBodies(hulls if self.is_released else turned_parts(scene, shapes, store))
         except MeshError as error:
-            return Outcome(scene, False, 0.0, str(error))
+            return BaselineResult(scene, False, 0.0, str(error))
         poses = scene.poses()
         begin = time.process_time()
         before = self._count(bodies, poses[:, :3], self.near)
@@ -75,13 +75,13 @@ class MesaTask:
         seconds = time.process_time() - begin
         after = self._count(bodies, positions, self.near)
         if self.is_released and not (after < before or after == 0):
-            return Outcome(
+            return BaselineResult(
                 scene, False, seconds, f"not taken: {after} pairs nearer than {100 * self.near:g} cm, {before} before"
             )
         poses[:, :3] = positions
         left = self._count(bodies, positions, self.gap - self.tolerance)
         reason = f"{left} pairs are nearer than {100 * self.gap:g} cm" if left else ""
-        return Outcome(scene.with_poses(poses), not left, seconds, reason)
+        return BaselineResult(scene.with_poses(poses), not left, seconds, reason)
 
     def _rounds(self, bodies: ConvexBodies, positions: FloatArray, scene: Scene) -> FloatArray:
         settings = ProjectionSettings(self.gap, self.influence, self.tolerance, self.max_iterations)

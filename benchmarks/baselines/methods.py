@@ -4,12 +4,12 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from benchmarks.baselines.mesatask import MesaTask
-from benchmarks.baselines.outcome import Method
+from benchmarks.baselines.outcome import Baseline
 from benchmarks.baselines.penalty import PenaltyDescent
 from benchmarks.baselines.settling import Settle
 from benchmarks.baselines.steerable import Steerable
 
-METHODS: Mapping[str, Method] = MappingProxyType(
+METHODS: Mapping[str, Baseline] = MappingProxyType(
     {
         "mesatask": MesaTask(),
         "mesatask_released": MesaTask(is_released=True),

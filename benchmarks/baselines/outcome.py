@@ -10,7 +10,7 @@ from stable_data.scene import Scene
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class BaselineResult:
     """A scene as a baseline leaves it. Whether it is clean is for the exact audit to say, never for the baseline.
 
     Attributes:
@@ -26,10 +26,10 @@ class Outcome:
     reason: str = ""
 
 
-class Method(Protocol):
+class Baseline(Protocol):
     """A baseline with its settings."""
 
-    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
+    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
         """Corrects one scene.
 
         Args:

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from benchmarks.baselines.outcome import Outcome
-from models.physics_corrector.geometry.closest_point import Queries, posed_distance
-from models.physics_corrector.geometry.scene_batch import SceneBatch
-from models.physics_corrector.geometry.shape_tensors import Geometry, ShapeTable
+from benchmarks.baselines.outcome import BaselineResult
+from models.physics_corrector.geometry.closest_point import ClosestPointQueries, posed_distance
+from models.physics_corrector.geometry.scene_batch import LayoutBatch
+from models.physics_corrector.geometry.shape_tensors import ShapeCollector, ShapeTensors
 from models.physics_corrector.training.losses import bounds, colliding_pairs
 from stable_data.assets.store import AssetStore
 from stable_data.geometry.shape import Shape
@@ -45,19 +45,19 @@ class PenaltyDescent:
     num_samples: int = 256
     tolerance: float = 5e-4
 
-    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
-        """Descends; see :class:`~benchmarks.baselines.outcome.Method`. Converged: no sample is deeper than the tolerance."""
-        table = ShapeTable(store, num_surface=self.num_samples)
-        batch = SceneBatch.from_scenes([scene], table)
+    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
+        """Descends; see :class:`~benchmarks.baselines.outcome.Baseline`. Converged: no sample is deeper than the tolerance."""
+        table = ShapeCollector(store, num_surface=self.num_samples)
+        batch = LayoutBatch.from_scenes([scene], table)
         geometry = table.geometry()
         begin = time.process_time()
         end = self._descended(torch.from_numpy(scene.poses())[None], batch, geometry)
         depth = float(depths(end, batch, geometry).amax())
         seconds = time.process_time() - begin
         reason = "" if depth <= self.tolerance else f"a sample remains {1e3 * depth:.2f} mm deep"
-        return Outcome(scene.with_poses(end[0].numpy()), not reason, seconds, reason)
+        return BaselineResult(scene.with_poses(end[0].numpy()), not reason, seconds, reason)
 
-    def _descended(self, start: Tensor, batch: SceneBatch, geometry: Geometry) -> Tensor:
+    def _descended(self, start: Tensor, batch: LayoutBatch, geometry: ShapeTensors) -> Tensor:
         """Poses (1, N, 4) after all steps."""
         origin, height = start[..., [0, 1, 3]], start[..., 2:3]
         moving = origin.clone().requires_grad_()
@@ -77,7 +77,7 @@ class PenaltyDescent:
         return torch.cat([end[..., :2], height, end[..., 2:]], dim=-1)
 
 
-def depths(poses: Tensor, batch: SceneBatch, geometry: Geometry) -> Tensor:
+def depths(poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors) -> Tensor:
     """How deep every sample of every near object is in every other, (1 + M,), metres, 0 outside; the first is a 0.
 
     Args:
@@ -89,6 +89,6 @@ def depths(poses: Tensor, batch: SceneBatch, geometry: Geometry) -> Tensor:
     num_samples = geometry.surface.shape[1]
     each = torch.arange(len(ways)).repeat_interleave(num_samples)
     points = geometry.surface[batch.shape_index[ways.scene, ways.first]].reshape(-1, 3)
-    queries = Queries(ways.scene, ways.first, ways.second).take(each)
+    queries = ClosestPointQueries(ways.scene, ways.first, ways.second).take(each)
     depth = (-posed_distance(poses, batch, geometry, queries, points)).clamp_min(0)
     return torch.cat([poses.new_zeros(1), depth])

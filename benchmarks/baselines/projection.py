@@ -64,7 +64,7 @@ class Freedom:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Projected:
+class ProjectionResult:
     """What :func:`project` found.
 
     Attributes:
@@ -108,7 +108,7 @@ def project(
     settings: ProjectionSettings,
     *,
     among: IntArray | None = None,
-) -> Projected:
+) -> ProjectionResult:
     """Solves the programme.
 
     Args:
@@ -132,12 +132,12 @@ def project(
         outside = np.maximum(freedom.low - positions, positions - freedom.high)[is_free].max(initial=0.0)
         missed = max(float(outside), float((settings.gap - near.distance).max(initial=0.0)))
         if time.process_time() > end:
-            return Projected(positions, False, missed, iteration, f"out of time after {settings.max_seconds:g} s")
+            return ProjectionResult(positions, False, missed, iteration, f"out of time after {settings.max_seconds:g} s")
         near = near.deepest(settings.rows_per_pair)
         try:
             solved = _nearest(near, normals.completed(near, positions), positions, start, is_free, freedom, settings.gap)
         except RuntimeError:  # the solver's own bound on its iterations
-            return Projected(positions, False, missed, iteration, "a quadratic programme was not solved")
+            return ProjectionResult(positions, False, missed, iteration, "a quadratic programme was not solved")
         step = float(np.abs(solved - positions).max(initial=0.0))
         is_met = missed <= settings.tolerance
         now = (0.0 if is_met else missed, float(np.square(positions - start).sum()))
@@ -145,9 +145,9 @@ def project(
         best, num_idle = (now, 0) if is_progress else (best, num_idle + 1)
         if step < _SMALL_STEP or num_idle > _PATIENCE:
             reason = "" if is_met else f"bodies remain {1e3 * missed:.2f} mm nearer than they may be"
-            return Projected(positions, is_met, missed, iteration, reason)
+            return ProjectionResult(positions, is_met, missed, iteration, reason)
         positions, reach = solved, max(settings.influence, settings.gap + 2 * _MARGIN, 2 * step)
-    return Projected(
+    return ProjectionResult(
         positions, False, missed, settings.max_iterations, f"still moving after {settings.max_iterations} iterations"
     )
 

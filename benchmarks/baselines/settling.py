@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.baselines.outcome import Outcome
+from benchmarks.baselines.outcome import BaselineResult
 from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError
 from stable_data.geometry.shape import Shape
 from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject
 from stable_data.simulation.collision_bodies import DENSITY, bodies_of
-from stable_data.simulation.settling import EngineOptions, settle
+from stable_data.simulation.settling import PhysicsOptions, settle
 
 _AT_REST = 1e-3  # metres, while watched
-_OPTIONS = EngineOptions(settle_seconds=2.5, watch_seconds=0.1)
+_OPTIONS = PhysicsOptions(settle_seconds=2.5, watch_seconds=0.1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,28 +29,28 @@ class Settle:
         density: Of every object, kg/m³: a layout does not say what things weigh.
     """
 
-    options: EngineOptions = _OPTIONS
+    options: PhysicsOptions = _OPTIONS
     density: float = DENSITY
 
-    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
-        """Lets go; see :class:`~benchmarks.baselines.outcome.Method`. Things may tip over, or fall off the table.
+    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
+        """Lets go; see :class:`~benchmarks.baselines.outcome.Baseline`. Things may tip over, or fall off the table.
 
         Converged: the engine did not blow up and everything rests.
         """
         try:
             bodies = bodies_of(store.resolved(scene)[0], shapes, store, self.density)
         except MeshError as error:
-            return Outcome(scene, False, 0.0, str(error))
+            return BaselineResult(scene, False, 0.0, str(error))
         begin = time.process_time()
         result = settle(bodies, scene.table, self.options)
         seconds = time.process_time() - begin
         if result.drift_mm is None:
-            return Outcome(scene, False, seconds, result.reason)
+            return BaselineResult(scene, False, seconds, result.reason)
         settled = zip(scene.objects, shapes, result.positions, result.quats_xyzw, strict=True)
         objects = tuple(_settled(o, shape, position, quat) for o, shape, position, quat in settled)
         is_at_rest = result.drift_mm <= 1e3 * _AT_REST
         reason = "" if is_at_rest else f"something still moves: {result.drift_mm:.1f} mm in {self.options.watch_seconds:g} s"
-        return Outcome(replace(scene, objects=objects), is_at_rest, seconds, reason)
+        return BaselineResult(replace(scene, objects=objects), is_at_rest, seconds, reason)
 
 
 def _settled(o: SceneObject, shape: Shape, position: FloatArray, quat_xyzw: FloatArray) -> SceneObject:

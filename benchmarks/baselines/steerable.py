@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.baselines.hulls import ConvexBodies, table_box
-from benchmarks.baselines.outcome import Outcome
+from benchmarks.baselines.outcome import BaselineResult
 from benchmarks.baselines.projection import Freedom, ProjectionSettings, project
 from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError
@@ -41,8 +41,8 @@ class Steerable:
     max_iterations: int = 5000
     max_seconds: float = 60.0
 
-    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
-        """Moves objects apart, up and down too; see :class:`~benchmarks.baselines.outcome.Method`.
+    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
+        """Moves objects apart, up and down too; see :class:`~benchmarks.baselines.outcome.Baseline`.
 
         A scene that did not converge is one that Steerable would throw away; it comes back as far as it got.
         """
@@ -51,7 +51,7 @@ class Steerable:
         try:
             bodies = ConvexBodies([*turned_parts(scene, shapes, store, with_parts=self.with_parts), [box]])
         except MeshError as error:
-            return Outcome(scene, False, 0.0, str(error))
+            return BaselineResult(scene, False, 0.0, str(error))
         start = np.concatenate([poses[:, :3], middle[None]])
         is_free = np.ones(start.shape, np.bool_)
         is_free[-1] = False
@@ -63,7 +63,7 @@ class Steerable:
         found = project(bodies, start, Freedom(is_free, -anywhere, anywhere), settings)
         seconds = time.process_time() - begin
         poses[:, :3] = found.positions[:-1]
-        return Outcome(scene.with_poses(poses), found.converged, seconds, found.reason)
+        return BaselineResult(scene.with_poses(poses), found.converged, seconds, found.reason)
 
 
 def turned_parts(

@@ -2,7 +2,7 @@
 
 For each stage of a schedule the Semantic Reasoner proposes objects, assets are found for them, and the Physics Corrector puts
 all that is there where physics leaves it; the corrected layout is what the next stage is told. The coroutine asks for these
-three things and knows neither who answers nor what else is answered with it: :func:`models.dual_system.batching.together`
+three things and knows neither who answers nor what else is answered with it: :func:`models.dual_system.batching.run_batched`
 keeps many scenes alive and has their questions answered in batches.
 """
 
@@ -10,16 +10,16 @@ from collections.abc import Generator, Mapping, Set
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
-from models.physics_corrector.certify import Dropped
+from models.physics_corrector.certify import DroppedObject
 from models.physics_corrector.corrector import Correction, movement
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.language.stated_relations import relations_not_held
 from models.semantic_reasoner.reasoner import Proposal
 from models.semantic_reasoner.replies.to_scene import accepted, with_task
 from models.semantic_reasoner.staged_layout import PROGRESSIVE, LayoutTask
-from models.semantic_reasoner.text.prompt import Ask, Wanted
+from models.semantic_reasoner.text.prompt import ReasonerQuestion, Wanted
 from models.semantic_reasoner.text.reply_json import layout_objects
-from stable_data.assets.assignment import Furnished
+from stable_data.assets.assignment import AssignedLayout
 from stable_data.errors import ConfigError, Notice
 from stable_data.metrics.relations_kept import DIRECTIONAL
 from stable_data.random_seeds import named_seed
@@ -36,16 +36,16 @@ Corrects: TypeAlias = Literal["each", "end", "never"]
 
 
 @dataclass(frozen=True, slots=True)
-class Propose:
+class ProposalRequest:
     """Asks the reasoner for a stage's objects; the answer is a :class:`Proposal`."""
 
-    ask: Ask
+    ask: ReasonerQuestion
     seed: int
 
 
 @dataclass(frozen=True, slots=True)
-class Retrieve:
-    """Asks for assets; the answer is :class:`Furnished`.
+class RetrievalRequest:
+    """Asks for assets; the answer is :class:`AssignedLayout`.
 
     Attributes:
         scene: The new objects alone; what carries them may be of an earlier stage.
@@ -55,7 +55,7 @@ class Retrieve:
 
 
 @dataclass(frozen=True, slots=True)
-class Correct:
+class CorrectionRequest:
     """Asks the corrector for clean poses; the answer is a :class:`Correction`.
 
     Attributes:
@@ -71,8 +71,8 @@ class Correct:
     is_last: bool
 
 
-Request: TypeAlias = Propose | Retrieve | Correct
-Answer: TypeAlias = Proposal | Furnished | Correction
+Request: TypeAlias = ProposalRequest | RetrievalRequest | CorrectionRequest
+Answer: TypeAlias = Proposal | AssignedLayout | Correction
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,14 +121,14 @@ class Turn:
 
     wanted: Wanted
     proposal: Proposal
-    furnished: Furnished | None = None
+    furnished: AssignedLayout | None = None
     corrections: tuple[Correction, ...] = ()
     rejected: str = ""
     code: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Generated:
+class GenerationResult:
     """What became of a task.
 
     Attributes:
@@ -147,12 +147,12 @@ class Generated:
     start: Scene
     turns: tuple[Turn, ...]
     correction: Correction | None = None
-    dropped: tuple[Dropped, ...] = ()
+    dropped: tuple[DroppedObject, ...] = ()
     failure: Notice | None = None
     warnings: tuple[Notice, ...] = ()
 
 
-Loop: TypeAlias = Generator[Request, Answer, Generated]
+Loop: TypeAlias = Generator[Request, Answer, GenerationResult]
 
 
 def dual_system(
@@ -201,7 +201,7 @@ class _Scene:
     start: Scene = field(init=False)
     turns: list[Turn] = field(default_factory=list)
     warnings: list[Notice] = field(default_factory=list)
-    dropped: list[Dropped] = field(default_factory=list)
+    dropped: list[DroppedObject] = field(default_factory=list)
     correction: Correction | None = None  # that made the scene as it is
     is_at_rest: bool = False  # whether the engine was asked of it
     meant: dict[str, Relation] = field(default_factory=dict)  # what was proposed on or in another thing, and is to be there
@@ -262,15 +262,15 @@ class _Scene:
             used where relations are lost that the instruction says.
         """
         told = layout_objects(self.scene.objects, {o.instance: o.instance for o in self.scene.objects})
-        ask = Ask(self.task.instruction, self.task.table, wanted, told, self.task.details)
-        proposal = yield Propose(ask, named_seed(self.seed, attempt))
+        ask = ReasonerQuestion(self.task.instruction, self.task.table, wanted, told, self.task.details)
+        proposal = yield ProposalRequest(ask, named_seed(self.seed, attempt))
         assert isinstance(proposal, Proposal)
         self._hear(wanted, proposal)
         if proposal.reply is None:
             return Turn(wanted, proposal, rejected=proposal.failure, code=proposal.code), None
         proposed = accepted(proposal.reply, ask, self.statistics)
-        furnished = yield Retrieve(replace(self.scene, objects=proposed))
-        assert isinstance(furnished, Furnished)
+        furnished = yield RetrievalRequest(replace(self.scene, objects=proposed))
+        assert isinstance(furnished, AssignedLayout)
         found = furnished.scene.objects
         there = {o.instance for o in found}
         if lost := [o.instance for o in proposed if o.stage is Stage.TASK and o.instance not in there]:
@@ -309,7 +309,7 @@ class _Scene:
         """
         scene = _wanting(scene, meant)
         holds = self.settings.earlier_move == 0
-        first = yield Correct(scene, earlier if holds else frozenset(), new, is_last)
+        first = yield CorrectionRequest(scene, earlier if holds else frozenset(), new, is_last)
         assert isinstance(first, Correction)
         if holds or first.certified is None or not earlier:
             return (first,)
@@ -317,7 +317,7 @@ class _Scene:
         is_near = movement(scene, now)[1] <= 1e3 * self.settings.earlier_move
         if len(now.objects) == len(earlier) and is_near:
             return (first,)
-        second = yield Correct(scene, earlier, new, is_last)
+        second = yield CorrectionRequest(scene, earlier, new, is_last)
         assert isinstance(second, Correction)
         if is_near and (second.certified is None or (second.rest is not None and second.rest.unsteady)):
             return second, first  # what has to go is one of those that stood there before
@@ -356,14 +356,14 @@ class _Scene:
     def _warn(self, code: str, message: str) -> None:
         self.warnings.append(Notice(self.task.scene_id, STEP, code, f"{self.task.scene_id}: {message}"))
 
-    def _failed(self, code: str, message: str) -> Generated:
+    def _failed(self, code: str, message: str) -> GenerationResult:
         return self._ended(Notice(self.task.scene_id, STEP, code, f"{self.task.scene_id}: {message}"))
 
-    def _ended(self, failure: Notice | None) -> Generated:
+    def _ended(self, failure: Notice | None) -> GenerationResult:
         scene, correction = (self.scene, self.correction) if failure is None else (None, None)
         warnings = tuple(dict.fromkeys(self.warnings))
         dropped = tuple(self.dropped)
-        return Generated(self.task, scene, self._start(), tuple(self.turns), correction, dropped, failure, warnings)
+        return GenerationResult(self.task, scene, self._start(), tuple(self.turns), correction, dropped, failure, warnings)
 
 
 def _wanting(scene: Scene, meant: Mapping[str, Relation]) -> Scene:

@@ -8,31 +8,31 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from models.dual_system.algorithm1 import Answer, Correct, Generated, Loop, Propose, Retrieve
+from models.dual_system.algorithm1 import Answer, CorrectionRequest, GenerationResult, Loop, ProposalRequest, RetrievalRequest
 from models.physics_corrector.corrector import Correction
 from models.semantic_reasoner.engines.incremental_batches import Conversation, converse
 from models.semantic_reasoner.reasoner import Proposal
-from stable_data.assets.assignment import Furnished
+from stable_data.assets.assignment import AssignedLayout
 
 
-class Answerer(Protocol):
+class RequestHandler(Protocol):
     """Who answers the questions of loops; what fails does not touch the others."""
 
-    def propose(self, questions: Sequence[Propose], /) -> Conversation[Proposal, Propose]:
+    def propose(self, questions: Sequence[ProposalRequest], /) -> Conversation[Proposal, ProposalRequest]:
         """Objects of stages, and of those that are asked for when these are known."""
         ...
 
-    def retrieve(self, questions: Sequence[Retrieve], /) -> Sequence[Furnished]:
+    def retrieve(self, questions: Sequence[RetrievalRequest], /) -> Sequence[AssignedLayout]:
         """Assets of objects: one answer each, in their order."""
         ...
 
-    def correct(self, questions: Sequence[Correct], /) -> Iterable[Correction]:
+    def correct(self, questions: Sequence[CorrectionRequest], /) -> Iterable[Correction]:
         """Clean poses of scenes: one answer each, in their order, each of them when it is there."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
-class Queues:
+class QueueCounts:
     """Where the scenes of a batch are.
 
     Attributes:
@@ -46,7 +46,9 @@ class Queues:
     made: int
 
 
-def together(loops: Sequence[Loop], answerer: Answerer, watch: Callable[[Queues], None] | None = None) -> list[Generated]:
+def run_batched(
+    loops: Sequence[Loop], answerer: RequestHandler, watch: Callable[[QueueCounts], None] | None = None
+) -> list[GenerationResult]:
     """Runs loops side by side: Algorithm 1 with its batch of M scenes; with one loop, its serial alternation.
 
     Args:
@@ -60,16 +62,16 @@ def together(loops: Sequence[Loop], answerer: Answerer, watch: Callable[[Queues]
     run = _Run(loops, answerer, watch)
     asking: list[int] = []  # the loop of each question for a proposal, in the order in which they were asked
 
-    def proposals_wanted() -> list[Propose]:
+    def proposals_wanted() -> list[ProposalRequest]:
         """The questions for proposals that have not been asked, once all others are answered."""
         run.answer_others()
-        new = {k: q for k, q in sorted(run.open.items()) if isinstance(q, Propose)}
+        new = {k: q for k, q in sorted(run.open.items()) if isinstance(q, ProposalRequest)}
         for k in new:
             run.open.pop(k)
         asking.extend(new)
         return list(new.values())
 
-    def heard(found: list[tuple[int, Proposal]]) -> list[Propose]:
+    def heard(found: list[tuple[int, Proposal]]) -> list[ProposalRequest]:
         for number, proposal in found:
             run.go_on(asking[number], proposal)
         return proposals_wanted()
@@ -86,10 +88,10 @@ class _Run:
         made: What became of the loops that are at their end.
     """
 
-    def __init__(self, loops: Sequence[Loop], answerer: Answerer, watch: Callable[[Queues], None] | None) -> None:
+    def __init__(self, loops: Sequence[Loop], answerer: RequestHandler, watch: Callable[[QueueCounts], None] | None) -> None:
         self._loops, self._answerer, self._watch = loops, answerer, watch
         self.open: dict[int, Any] = {}
-        self.made: dict[int, Generated] = {}
+        self.made: dict[int, GenerationResult] = {}
         for k in range(len(loops)):
             self.go_on(k, None)
 
@@ -100,14 +102,17 @@ class _Run:
         except StopIteration as end:
             self.made[k] = end.value
         if self._watch is not None:
-            corrector, made = sum(isinstance(q, Retrieve | Correct) for q in self.open.values()), len(self.made)
-            self._watch(Queues(len(self._loops) - corrector - made, corrector, made))
+            corrector, made = (
+                sum(isinstance(q, RetrievalRequest | CorrectionRequest) for q in self.open.values()),
+                len(self.made),
+            )
+            self._watch(QueueCounts(len(self._loops) - corrector - made, corrector, made))
 
     def answer_others(self) -> None:
         """Answers all that asks for no proposal, until nothing else is open."""
         while True:
-            retrieve = {k: q for k, q in sorted(self.open.items()) if isinstance(q, Retrieve)}
-            correct = {k: q for k, q in sorted(self.open.items()) if isinstance(q, Correct)}
+            retrieve = {k: q for k, q in sorted(self.open.items()) if isinstance(q, RetrievalRequest)}
+            correct = {k: q for k, q in sorted(self.open.items()) if isinstance(q, CorrectionRequest)}
             if retrieve:
                 self._give(list(retrieve), self._answerer.retrieve(list(retrieve.values())))
             elif correct:

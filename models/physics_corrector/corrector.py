@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from models.physics_corrector.certify import Certified, Certifier, CertifyOptions, Dropped, Status
+from models.physics_corrector.certify import CertificationResult, Certifier, CertifyOptions, CorrectionStatus, DroppedObject
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.metrics.card import MetricCard
@@ -19,7 +19,7 @@ from stable_data.scene import FloatArray, IntArray, Scene
 from stable_data.scene_graph.relations import scene_graph
 
 if TYPE_CHECKING:  # the engine takes long to import
-    from stable_data.simulation.settling import Body, SettleResult
+    from stable_data.simulation.settling import RigidBody, SettleResult
 
 Fixed: TypeAlias = frozenset[str]
 """Instances of a scene that must stay where they are."""
@@ -50,12 +50,12 @@ class Correction:
         rest: The physics engine's verdict on ``certified``; None where it was not asked or could not be.
     """
 
-    status: Status
+    status: CorrectionStatus
     reason: str
     start: Scene
     raw: Scene | None
     certified: Scene | None
-    dropped: tuple[Dropped, ...]
+    dropped: tuple[DroppedObject, ...]
     card_before: MetricCard | None
     card_raw: MetricCard | None
     card_after: MetricCard | None
@@ -109,7 +109,7 @@ class PhysicsCorrector:
         audit: Audit,
         raw: Scene | None,
         fixed: Fixed = frozenset(),
-        bodies: Sequence["Body"] | None = None,
+        bodies: Sequence["RigidBody"] | None = None,
     ) -> Correction:
         """One scene after the flow, proven or mended.
 
@@ -125,11 +125,11 @@ class PhysicsCorrector:
         options = replace(self.options, fixed=self.options.fixed | fixed)
         done = certified_from(scene, raw, shapes, options, bodies)
         card_raw = audit_scene(raw, shapes).card() if raw is not None and self.judges_raw else None
-        return told(Came(scene, shapes, audit), done, named(scene, shapes), raw=raw, card_raw=card_raw)
+        return told(InputScene(scene, shapes, audit), done, named(scene, shapes), raw=raw, card_raw=card_raw)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Came:
+class InputScene:
     """A scene as it came to the corrector: what movement and relations are measured from.
 
     Attributes:
@@ -149,7 +149,12 @@ def named(scene: Scene, shapes: Sequence[Shape]) -> dict[str, Shape]:
 
 
 def told(
-    came: Came, done: Certified, shapes: Mapping[str, Shape], *, raw: Scene | None = None, card_raw: MetricCard | None = None
+    came: InputScene,
+    done: CertificationResult,
+    shapes: Mapping[str, Shape],
+    *,
+    raw: Scene | None = None,
+    card_raw: MetricCard | None = None,
 ) -> Correction:
     """What became of a scene, with the figures of its movement and of the relations that it kept.
 
@@ -186,8 +191,8 @@ def certified_from(
     raw: Scene | None,
     shapes: Sequence[Shape],
     options: CertifyOptions = _DEFAULT,
-    bodies: Sequence["Body"] | None = None,
-) -> Certified:
+    bodies: Sequence["RigidBody"] | None = None,
+) -> CertificationResult:
     """Certifies a scene from where the flow put it; where that leaves out or breaks anything, once more from the scene itself.
 
     Of what only breaks relations ``options.twice`` decides.
@@ -208,7 +213,7 @@ def certified_from(
     if start is not scene and (done.scene is None or done.dropped or (options.twice and done.num_broken)):
         other = Certifier(scene, shapes, options)
 
-        def badness(each: tuple[Certified, Certifier]) -> tuple[bool, int, int, float]:
+        def badness(each: tuple[CertificationResult, Certifier]) -> tuple[bool, int, int, float]:
             done = each[0]
             move = np.inf if done.scene is None else movement(scene, done.scene)[0]
             return done.scene is None, len(done.dropped), done.num_broken, move

@@ -14,7 +14,7 @@ from models.physics_corrector.flow.checkpoint import DEFAULT_WEIGHTS as CORRECTO
 from models.physics_corrector.flow.checkpoint import Checkpoint, load_corrector
 from models.physics_corrector.flow.condition import Condition
 from models.physics_corrector.geometry.scene_batch import padded
-from models.point_encoder import FEATURE_CHANNELS, Cloud, PointEncoder
+from models.point_encoder import FEATURE_CHANNELS, PointCloud, PointEncoder
 from models.point_encoder import load as load_encoder
 from models.point_encoder.checkpoint import DEFAULT_WEIGHTS as ENCODER
 from stable_data.errors import ConfigError
@@ -117,7 +117,7 @@ class LearnedFlow:
         if key not in self._codes:
             if len(self._codes) >= _MOST_CODES:
                 self._codes.pop(next(iter(self._codes)))
-            cloud = Cloud.of_shape(alike, self._encoder.preprocessing.num_points)
+            cloud = PointCloud.of_shape(alike, self._encoder.preprocessing.num_points)
             self._codes[key] = self._encoder.codes([cloud])[0]
         return self._codes[key]
 

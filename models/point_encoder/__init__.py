@@ -5,8 +5,8 @@ below them ``transformer``, ``blocks``, ``level`` and ``serialization`` are the 
 """
 
 from models.point_encoder.checkpoint import DEFAULT_WEIGHTS, load, load_default, load_published, save
-from models.point_encoder.cloud import PUBLISHED, Cloud, Preprocessing
-from models.point_encoder.encoder import FEATURE_CHANNELS, Features, PointEncoder, one_thread
+from models.point_encoder.cloud import PUBLISHED, PointCloud, Preprocessing
+from models.point_encoder.encoder import FEATURE_CHANNELS, PointCodes, PointEncoder, one_thread
 from models.point_encoder.transformer import BASE, EMBEDDED, TransformerConfig
 
 __all__ = [
@@ -15,8 +15,8 @@ __all__ = [
     "EMBEDDED",
     "FEATURE_CHANNELS",
     "PUBLISHED",
-    "Cloud",
-    "Features",
+    "PointCloud",
+    "PointCodes",
     "PointEncoder",
     "Preprocessing",
     "TransformerConfig",

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from models.point_encoder.level import KernelMap, Level
+from models.point_encoder.level import KernelMap, VoxelLevel
 
 
 class SubMConv3d(nn.Module):
@@ -30,7 +30,7 @@ class SubMConv3d(nn.Module):
         self.bias = nn.Parameter(torch.zeros(out_channels)) if bias else None
         nn.init.trunc_normal_(self.weight, std=0.02)
 
-    def forward(self, features: Tensor, level: Level) -> Tensor:
+    def forward(self, features: Tensor, level: VoxelLevel) -> Tensor:
         """Features of a level's voxels, (V, in) to (V, out)."""
         kernel = level.kernel_map(self.kernel_size)
         result: Tensor = _SubM.apply(features, self.weight.flatten(1, 3), kernel)  # type: ignore[no-untyped-call]
@@ -81,7 +81,7 @@ class PatchAttention(nn.Module):
         self.qkv = nn.Linear(channels, 3 * channels)
         self.proj = nn.Linear(channels, channels)
 
-    def forward(self, features: Tensor, level: Level) -> Tensor:
+    def forward(self, features: Tensor, level: VoxelLevel) -> Tensor:
         """Features of a level's voxels, (V, C)."""
         patches, channels = level.patches(self.curve, self.patch_size), features.shape[1]
         qkv, found = self.qkv(features), []
@@ -147,7 +147,7 @@ class Block(nn.Module):
         self.ls2 = scale()
         self.mlp = nn.Sequential(Mlp(channels))
 
-    def forward(self, features: Tensor, level: Level, convolved: Tensor | None = None) -> Tensor:
+    def forward(self, features: Tensor, level: VoxelLevel, convolved: Tensor | None = None) -> Tensor:
         """Features of a level's voxels, (V, C); ``convolved`` is what the convolution sees where that is something else."""
         position = self.cpe[0](features if convolved is None else convolved, level)
         features = features + self.cpe[2](self.cpe[1](position))
@@ -156,7 +156,7 @@ class Block(nn.Module):
         return result
 
 
-class Pooling(nn.Module):
+class VoxelPooling(nn.Module):
     """Features of a coarser level: projected, then the largest of the voxels that merged."""
 
     def __init__(self, in_channels: int, out_channels: int, norm: nn.Module) -> None:
@@ -174,7 +174,7 @@ class Pooling(nn.Module):
         return functional.gelu(self.norm(largest))
 
 
-class Unpooling(nn.Module):
+class VoxelUnpooling(nn.Module):
     """Features of a finer level: those of the coarser one handed down, and the encoder's own."""
 
     def __init__(self, in_channels: int, skip_channels: int, out_channels: int, norms: Sequence[nn.Module]) -> None:

@@ -17,7 +17,7 @@ NORMALISATIONS, CHANNELS = ("extent", "sphere", "centre"), ("coord", "colour", "
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cloud:
+class PointCloud:
     """Surface points of an object at its scale and tilt, yaw frame, its box centred on the origin.
 
     Attributes:
@@ -42,7 +42,7 @@ class Cloud:
             raise MeshError(message, "cloud_invalid")
 
     @classmethod
-    def of_shape(cls, shape: Shape, num_points: int) -> "Cloud":
+    def of_shape(cls, shape: Shape, num_points: int) -> "PointCloud":
         """The cloud of an object's geometry; always the same for the same shape.
 
         Args:
@@ -118,7 +118,7 @@ class Voxels:
     features: Tensor
 
 
-def voxelised(clouds: Sequence[Cloud], preprocessing: Preprocessing, device: torch.device | str = "cpu") -> Voxels:
+def voxelised(clouds: Sequence[PointCloud], preprocessing: Preprocessing, device: torch.device | str = "cpu") -> Voxels:
     """Clouds as the network takes them.
 
     Points of one voxel are averaged (in double precision, so that their order does not show). A voxel's middle, not its corner,
@@ -156,7 +156,7 @@ def voxelised(clouds: Sequence[Cloud], preprocessing: Preprocessing, device: tor
     return Voxels(places_found.to(device), (found >> 48).to(device), means.to(device))
 
 
-def _normalised(cloud: Cloud, how: str) -> npt.NDArray[np.float32]:
+def _normalised(cloud: PointCloud, how: str) -> npt.NDArray[np.float32]:
     points, unit = cloud.points, 1.0
     if how == "sphere":
         points = points - points.mean(axis=0, dtype=np.float64).astype(np.float32)

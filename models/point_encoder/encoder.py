@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from models.point_encoder.cloud import Cloud, Preprocessing, voxelised
+from models.point_encoder.cloud import PointCloud, Preprocessing, voxelised
 from models.point_encoder.transformer import PointTransformer, TransformerConfig
 from stable_data.errors import ConfigError, MeshError
 
@@ -21,7 +21,7 @@ _SMALLEST_EXTENT = 1e-4  # metres: a sheet has a logarithm too
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Features:
+class PointCodes:
     """What is known of B clouds.
 
     Attributes:
@@ -38,8 +38,8 @@ class Features:
 class PointEncoder(nn.Module):
     """Point Transformer V3, mean-pooled over the voxels of each cloud.
 
-    Where the network gives more or less than 64 channels, `fit_projection` must be called once, on the assets it will serve, unless
-    its weights came with a projection that was learned with them.
+    Where the network gives more or less than 64 channels, `fit_projection` must be called once, on the assets it will serve,
+    unless its weights came with a projection that was learned with them.
 
     Args:
         config: The network.
@@ -74,7 +74,7 @@ class PointEncoder(nn.Module):
         """Where it is."""
         return next(self.parameters()).device
 
-    def forward(self, clouds: Sequence[Cloud]) -> Tensor:
+    def forward(self, clouds: Sequence[PointCloud]) -> Tensor:
         """Means over the voxels of each cloud, (B, out_channels) float32, not yet projected."""
         voxels = voxelised(clouds, self.preprocessing, self.device)
         features, level = self.backbone(voxels.coords, voxels.batch, voxels.features)
@@ -82,16 +82,16 @@ class PointEncoder(nn.Module):
         # Not index_add_: it sums in a fixed order on every device.
         return torch.segment_reduce(features, "mean", lengths=lengths, axis=0, unsafe=True)
 
-    def encode(self, clouds: Sequence[Cloud], batch_size: int = 16) -> Features:
+    def encode(self, clouds: Sequence[PointCloud], batch_size: int = 16) -> PointCodes:
         """Features of clouds with what they are kept with; see :meth:`codes`."""
         extents = np.array([cloud.size for cloud in clouds], np.float32).reshape(-1, 3)
-        return Features(self.codes(clouds, batch_size), np.log(np.maximum(extents, _SMALLEST_EXTENT)), self.fingerprint())
+        return PointCodes(self.codes(clouds, batch_size), np.log(np.maximum(extents, _SMALLEST_EXTENT)), self.fingerprint())
 
-    def codes(self, clouds: Sequence[Cloud], batch_size: int = 16) -> npt.NDArray[np.float32]:
+    def codes(self, clouds: Sequence[PointCloud], batch_size: int = 16) -> npt.NDArray[np.float32]:
         """Features of clouds, (B, 64) float32, each independent of the others and of the order of its points.
 
         Args:
-            clouds: Any number, as :meth:`Cloud.of_shape` makes them with ``preprocessing.num_points``.
+            clouds: Any number, as :meth:`PointCloud.of_shape` makes them with ``preprocessing.num_points``.
             batch_size: Clouds at once.
 
         Raises:
@@ -108,7 +108,7 @@ class PointEncoder(nn.Module):
             codes = (codes - self.mean.cpu()) @ self.basis.T.cpu()
         return codes.numpy()
 
-    def fit_projection(self, clouds: Sequence[Cloud], batch_size: int = 16) -> None:
+    def fit_projection(self, clouds: Sequence[PointCloud], batch_size: int = 16) -> None:
         """Fits what turns the network's channels into 64: the whitened principal directions over clouds, more than 64 of them.
 
         Raises:
@@ -154,7 +154,7 @@ class PointEncoder(nn.Module):
         return {"config": asdict(self.config), "preprocessing": asdict(self.preprocessing)}
 
     @torch.no_grad()
-    def _pooled(self, clouds: Sequence[Cloud], batch_size: int) -> Tensor:
+    def _pooled(self, clouds: Sequence[PointCloud], batch_size: int) -> Tensor:
         wanted = self.preprocessing.num_points
         if odd := sorted({len(cloud.points) for cloud in clouds} - {wanted}):
             raise MeshError(f"clouds have {odd} points, expected the {wanted} of this encoder's preprocessing", "cloud_invalid")

@@ -6,13 +6,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from models.point_encoder.heads import Pretraining
+from models.point_encoder.heads import PretrainingModel
 from models.point_encoder.pretraining_data import TrainingShape
 from models.point_encoder.pretraining_targets import CLEARANCE_LIMIT, DISTANCE_LIMIT, questions
 
 
 @torch.no_grad()
-def evaluate(model: Pretraining, shapes: Sequence[TrainingShape], batch_size: int = 16, seed: int = 1) -> dict[str, float]:
+def evaluate(model: PretrainingModel, shapes: Sequence[TrainingShape], batch_size: int = 16, seed: int = 1) -> dict[str, float]:
     """Errors on shapes, always the same questions.
 
     Returns:

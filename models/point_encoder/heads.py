@@ -8,7 +8,7 @@ from torch.nn import functional
 
 from models.point_encoder.cloud import Preprocessing
 from models.point_encoder.encoder import FEATURE_CHANNELS, PointEncoder
-from models.point_encoder.pretraining_targets import Questions
+from models.point_encoder.pretraining_targets import PretrainingTargets
 from models.point_encoder.transformer import TransformerConfig
 
 _FREQUENCIES, _PAIR_FREQUENCIES = 5, 3
@@ -88,7 +88,7 @@ class ClearanceHead(nn.Module):
         self.towards = _Answers(3 + FEATURE_CHANNELS * with_codes, asked, width, width, 2)
         self.rest = nn.Sequential(nn.SiLU(), nn.Linear(width, width), nn.SiLU(), nn.Linear(width, 1))
 
-    def forward(self, first: Tensor, second: Tensor, x: Questions) -> Tensor:
+    def forward(self, first: Tensor, second: Tensor, x: PretrainingTargets) -> Tensor:
         """Clearances in units of ``CLEARANCE_LIMIT``.
 
         Args:
@@ -121,7 +121,7 @@ def _harmonics(angles: Tensor) -> Tensor:
     return torch.cat([multiples.cos(), multiples.sin()], dim=-1).flatten(1)
 
 
-class Pretraining(nn.Module):
+class PretrainingModel(nn.Module):
     """The encoder and the heads that question it.
 
     Args:
@@ -139,7 +139,7 @@ class Pretraining(nn.Module):
         self.distance, self.clearance = DistanceHead(), ClearanceHead(with_codes=True)
         self.box_clearance = ClearanceHead(with_codes=False)  # the baseline: learns beside, and teaches the encoder nothing
 
-    def forward(self, x: Questions) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def forward(self, x: PretrainingTargets) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Codes (B, 64), distances (B, Q), clearances (R,), and those of the baseline (R,)."""
         codes: Tensor = self.projection(self.level(self.encoder([p.cloud for p in x.posed])))
         first, second = codes[x.first], codes[x.second]
@@ -150,7 +150,7 @@ class Pretraining(nn.Module):
             self.box_clearance(first, second, x),
         )
 
-    def loss(self, x: Questions, pair_weight: float, spread_weight: float) -> tuple[Tensor, dict[str, float]]:
+    def loss(self, x: PretrainingTargets, pair_weight: float, spread_weight: float) -> tuple[Tensor, dict[str, float]]:
         """What is minimised, and its parts: mean absolute errors of distance, clearance and the baseline's clearance, and spread."""
         codes, distances, clearances, of_boxes = self(x)
         parts = {

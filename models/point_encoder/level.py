@@ -10,7 +10,7 @@ from itertools import product
 import torch
 from torch import Tensor
 
-from models.point_encoder.serialization import CODE_BITS, MAX_DEPTH, Curve, bit_length, encode
+from models.point_encoder.serialization import CODE_BITS, MAX_DEPTH, SpaceFillingCurve, bit_length, encode
 
 _BUCKETS = tuple(sorted({n for k in range(4, 13) for n in (2**k, 3 * 2 ** (k - 1))}))  # 16, 24, 32, 48, …
 _MAX_CLOUDS = 1 << (62 - CODE_BITS)
@@ -24,7 +24,7 @@ class KernelMap:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bucket:
+class PatchBucket:
     """Patches of about one length, padded to the same.
 
     Attributes:
@@ -37,7 +37,7 @@ class Bucket:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Patches:
+class AttentionPatches:
     """How attention cuts the clouds of a level along a curve.
 
     Attributes:
@@ -45,11 +45,11 @@ class Patches:
         places: Where each voxel's own result is among the flattened places of all buckets, (V,) int64.
     """
 
-    buckets: tuple[Bucket, ...]
+    buckets: tuple[PatchBucket, ...]
     places: Tensor
 
 
-class Level:
+class VoxelLevel:
     """Voxels of a batch of clouds at one resolution, rows in order of cloud and of the first curve's code.
 
     Args:
@@ -63,12 +63,12 @@ class Level:
         self.coords, self.batch, self.lengths, self.codes = coords, batch, lengths, codes
         self._orders: Tensor | None = None
         self._kernel_maps: dict[int, KernelMap] = {}
-        self._patches: dict[tuple[int, int], Patches] = {}
+        self._patches: dict[tuple[int, int], AttentionPatches] = {}
 
     @classmethod
     def of_voxels(
-        cls, coords: Tensor, batch: Tensor, curves: tuple[Curve, ...], *, with_margin: bool
-    ) -> tuple["Level", Tensor]:
+        cls, coords: Tensor, batch: Tensor, curves: tuple[SpaceFillingCurve, ...], *, with_margin: bool
+    ) -> tuple["VoxelLevel", Tensor]:
         """The level of voxels in any order.
 
         Args:
@@ -93,7 +93,7 @@ class Level:
         """Number of voxels."""
         return len(self.batch)
 
-    def pooled(self, curves: tuple[Curve, ...], *, by_code: bool) -> tuple["Level", Tensor]:
+    def pooled(self, curves: tuple[SpaceFillingCurve, ...], *, by_code: bool) -> tuple["VoxelLevel", Tensor]:
         """The level of half the resolution.
 
         The voxels that merge are the same either way; what differs is the turn of the Hilbert curves.
@@ -111,8 +111,8 @@ class Level:
         coords, batch = self.coords[first] >> 1, self.batch[first]
         if by_code:
             lengths: list[int] = batch.bincount(minlength=len(self.lengths)).tolist()
-            return Level(coords, batch, lengths, self.codes[:, first] >> 3), cluster
-        level, rows = Level.of_voxels(coords, batch, curves, with_margin=True)
+            return VoxelLevel(coords, batch, lengths, self.codes[:, first] >> 3), cluster
+        level, rows = VoxelLevel.of_voxels(coords, batch, curves, with_margin=True)
         return level, torch.empty_like(rows).scatter_(0, rows, torch.arange(len(rows), device=rows.device))[cluster]
 
     def kernel_map(self, size: int) -> KernelMap:
@@ -121,7 +121,7 @@ class Level:
             self._kernel_maps[size] = self._make_kernel_map(size)
         return self._kernel_maps[size]
 
-    def patches(self, curve: int, size: int) -> Patches:
+    def patches(self, curve: int, size: int) -> AttentionPatches:
         """How attention cuts the clouds along a curve: a cloud of at most ``size`` voxels is one patch.
 
         A larger one is cut into patches of ``size``; the last has its own first, then borrows what stands at the same places of
@@ -149,7 +149,7 @@ class Level:
         half = list(zip(written.split(counts), read.split(counts), strict=True))
         return KernelMap((*half, None, *((r, w) for w, r in reversed(half))))
 
-    def _make_patches(self, curve: int, size: int) -> Patches:
+    def _make_patches(self, curve: int, size: int) -> AttentionPatches:
         if self._orders is None:
             self._orders = _by_cloud(self.batch, self.codes).argsort(dim=1)
         order = self._orders[curve]
@@ -172,10 +172,10 @@ class Level:
             position = start[chosen, None] + place - torch.where(is_own, 0, size)
             rows = order[torch.where(is_key, position, start[chosen, None])]
             all_keys = all(keys[n] == length for n in chosen.tolist())
-            buckets.append(Bucket(rows, None if all_keys else is_key[:, None, None]))
+            buckets.append(PatchBucket(rows, None if all_keys else is_key[:, None, None]))
             places[rows[is_own]] = written + is_own.flatten().nonzero()[:, 0]
             written += is_own.numel()
-        return Patches(tuple(buckets), places)
+        return AttentionPatches(tuple(buckets), places)
 
 
 def _by_cloud(batch: Tensor, code: Tensor) -> Tensor:

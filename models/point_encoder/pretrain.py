@@ -22,9 +22,9 @@ from tqdm import tqdm
 from models.point_encoder.checkpoint import save
 from models.point_encoder.cloud import Preprocessing
 from models.point_encoder.evaluation import evaluate
-from models.point_encoder.heads import Pretraining
+from models.point_encoder.heads import PretrainingModel
 from models.point_encoder.pretraining_data import TrainingShape, corpus
-from models.point_encoder.pretraining_targets import Questions, questions
+from models.point_encoder.pretraining_targets import PretrainingTargets, questions
 from models.point_encoder.transformer import BASE, EMBEDDED
 from stable_data.errors import ConfigError
 
@@ -100,7 +100,7 @@ def pretrain(
     out.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(settings.seed)
     preprocessing = Preprocessing()
-    model = Pretraining(CONFIGS[settings.config], preprocessing).to("cuda" if torch.cuda.is_available() else "cpu")
+    model = PretrainingModel(CONFIGS[settings.config], preprocessing).to("cuda" if torch.cuda.is_available() else "cpu")
     optimiser = torch.optim.AdamW(model.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
     step, losses, settings = _resumed(out / STATE, settings, model, optimiser)
     shapes, held_out = corpus(
@@ -141,7 +141,7 @@ def pretrain(
 
 
 def _step(
-    model: Pretraining, optimiser: torch.optim.Optimizer, asked: Questions, settings: PretrainSettings, step: int
+    model: PretrainingModel, optimiser: torch.optim.Optimizer, asked: PretrainingTargets, settings: PretrainSettings, step: int
 ) -> dict[str, float]:
     """Learns from one batch; the parts of its loss."""
     for group in optimiser.param_groups:
@@ -154,7 +154,7 @@ def _step(
     return parts
 
 
-def _drawn(shapes: Sequence[TrainingShape], settings: PretrainSettings, step: int) -> Questions:
+def _drawn(shapes: Sequence[TrainingShape], settings: PretrainSettings, step: int) -> PretrainingTargets:
     rng = np.random.default_rng([settings.seed, step])
     chosen = rng.choice(len(shapes), settings.batch_size, replace=len(shapes) < settings.batch_size)
     return questions([shapes[n] for n in chosen], settings.queries_a_shape, settings.pairs_a_shape, rng)
@@ -165,7 +165,7 @@ def _schedule(step: int, steps: int) -> float:
     return min((step + 1) / warm_up, 0.5 * (1 + math.cos(math.pi * step / steps)) + 1e-2)
 
 
-def _seconds_a_step(model: Pretraining, shapes: Sequence[TrainingShape], settings: PretrainSettings) -> float:
+def _seconds_a_step(model: PretrainingModel, shapes: Sequence[TrainingShape], settings: PretrainSettings) -> float:
     """What a step takes here; nothing is learned."""
     taken = []
     model.eval()  # batch norms keep no memory of it either
@@ -180,7 +180,7 @@ def _seconds_a_step(model: Pretraining, shapes: Sequence[TrainingShape], setting
 
 
 def _resumed(
-    path: Path, settings: PretrainSettings, model: Pretraining, optimiser: torch.optim.Optimizer
+    path: Path, settings: PretrainSettings, model: PretrainingModel, optimiser: torch.optim.Optimizer
 ) -> tuple[int, list[dict[str, float]], PretrainSettings]:
     if not path.exists():
         return 0, [], settings
@@ -200,7 +200,7 @@ def _resumed(
 def _save_state(
     path: Path,
     settings: PretrainSettings,
-    model: Pretraining,
+    model: PretrainingModel,
     optimiser: torch.optim.Optimizer,
     step: int,
     losses: list[dict[str, float]],

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from models.point_encoder.cloud import Cloud
+from models.point_encoder.cloud import PointCloud
 from stable_data.embedded_world.families.catalogue import BY_CATEGORY, KEYS, NUM_VARIANTS, asset
 from stable_data.embedded_world.modelling.family import LAID, ON_EDGE
 from stable_data.geometry.mesh import Mesh
@@ -44,7 +44,7 @@ class TrainingShape:
     """
 
     key: str
-    cloud: Cloud
+    cloud: PointCloud
     outline: FloatArray
     mesh: Mesh
     queries: FloatArray
@@ -57,7 +57,7 @@ class TrainingShape:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Posed:
+class PosedShape:
     """A shape as it is shown once: turned about z and perhaps mirrored, which leaves distances as they are.
 
     Attributes:
@@ -69,18 +69,18 @@ class Posed:
     turn: FloatArray
 
     @classmethod
-    def drawn(cls, shape: TrainingShape, rng: np.random.Generator) -> "Posed":
+    def drawn(cls, shape: TrainingShape, rng: np.random.Generator) -> "PosedShape":
         """A shape at a random yaw, mirrored half of the time."""
         mirror = np.diag([rng.choice([-1.0, 1.0]), 1.0, 1.0])
         return cls(shape, _yaw(float(rng.uniform(0, 2 * math.pi))) @ mirror)
 
     @property
-    def cloud(self) -> Cloud:
+    def cloud(self) -> PointCloud:
         """The cloud in this frame, with its box there."""
         turn = self.turn.astype(np.float32)
         # The footprint turns about the old box's centre; the cloud's box is centred anew.
         points = self.shape.cloud.points @ turn.T - self.centre.astype(np.float32)
-        return Cloud(points, self.shape.cloud.normals @ turn.T, self.size.astype(np.float32))
+        return PointCloud(points, self.shape.cloud.normals @ turn.T, self.size.astype(np.float32))
 
     @property
     def size(self) -> FloatArray:
@@ -122,7 +122,7 @@ class Posed:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pair:
+class ShapePair:
     """The second of two objects beside, on or in the first.
 
     Attributes:
@@ -136,7 +136,7 @@ class Pair:
     clearance: float
 
     @classmethod
-    def drawn(cls, first: Posed, second: Posed, rng: np.random.Generator) -> "Pair":
+    def drawn(cls, first: PosedShape, second: PosedShape, rng: np.random.Generator) -> "ShapePair":
         """A pose near contact: mostly on the same table, else one on or in the other."""
         yaw, way = rng.uniform(0, 2 * math.pi, 2)
         direction = np.array([math.cos(way), math.sin(way)])
@@ -168,7 +168,7 @@ def training_shape(key: str, copy: int, num_points: int, num_queries: int) -> Tr
         num_queries: Q.
     """
     shape, rng = _placed(key, copy)
-    cloud = Cloud.of_shape(shape, num_points)
+    cloud = PointCloud.of_shape(shape, num_points)
     half = float(shape.size.max()) / 2
     quarter = num_queries // 4
     box = rng.uniform(-0.5, 0.5, (quarter, 3)) * (1.05 * shape.size + 0.05 * half)
@@ -246,7 +246,7 @@ def _read(path: Path, jobs: Sequence[tuple[str, int]], num_points: int, num_quer
         mesh = Mesh(shape.vertices, shape.faces)
         if _digest(mesh) != of["meshes"][k]:
             return None
-        cloud = Cloud(of["points"][k], of["normals"][k], shape.size.astype(np.float32))
+        cloud = PointCloud(of["points"][k], of["normals"][k], shape.size.astype(np.float32))
         shapes.append(TrainingShape(f"{key}#{copy}", cloud, shape.footprint, mesh, of["queries"][k], of["distances"][k]))
     return shapes
 

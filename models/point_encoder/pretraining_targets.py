@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from models.point_encoder.boxes import box_clearance
-from models.point_encoder.pretraining_data import Pair, Posed, TrainingShape
+from models.point_encoder.pretraining_data import PosedShape, ShapePair, TrainingShape
 
 DISTANCE_LIMIT = 0.25
 """Distances are asked up to this, in half the largest extent."""
@@ -19,7 +19,7 @@ CLEARANCE_LIMIT = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Questions:
+class PretrainingTargets:
     """Shapes and pairs of a batch, with what is true of them.
 
     Attributes:
@@ -36,7 +36,7 @@ class Questions:
         units: Metres in a pair's unit, (R,).
     """
 
-    posed: Sequence[Posed]
+    posed: Sequence[PosedShape]
     proportions: Tensor
     places: Tensor
     distances: Tensor
@@ -48,15 +48,17 @@ class Questions:
     box_clearances: Tensor
     units: Tensor
 
-    def to(self, device: torch.device | str) -> "Questions":
+    def to(self, device: torch.device | str) -> "PretrainingTargets":
         """The same where a network is."""
         moved = {f.name: getattr(self, f.name).to(device) for f in fields(self) if f.name != "posed"}
         return replace(self, **moved)
 
 
-def questions(shapes: Sequence[TrainingShape], num_queries: int, pairs_a_shape: int, rng: np.random.Generator) -> Questions:
+def questions(
+    shapes: Sequence[TrainingShape], num_queries: int, pairs_a_shape: int, rng: np.random.Generator
+) -> PretrainingTargets:
     """Draws a pose for each shape, queries around it, and pairs among them: each shape with the next few in the list."""
-    posed = [Posed.drawn(shape, rng) for shape in shapes]
+    posed = [PosedShape.drawn(shape, rng) for shape in shapes]
     sizes = np.stack([p.cloud.size for p in posed]).astype(np.float64)
     half = sizes.max(axis=1) / 2
     places, distances = [], []
@@ -66,14 +68,14 @@ def questions(shapes: Sequence[TrainingShape], num_queries: int, pairs_a_shape: 
         distances.append(p.shape.distances[chosen] / h)
     first = np.tile(np.arange(len(posed)), pairs_a_shape)
     second = (first + np.repeat(np.arange(1, pairs_a_shape + 1), len(posed))) % len(posed)
-    pairs = [Pair.drawn(posed[i], posed[j], rng) for i, j in zip(first, second, strict=True)]
+    pairs = [ShapePair.drawn(posed[i], posed[j], rng) for i, j in zip(first, second, strict=True)]
     units = (half[first] + half[second]) / 2
     offsets = np.stack([pair.offset for pair in pairs]) / units[:, None]
     yaws = np.array([pair.yaw for pair in pairs])
     clearances = np.array([pair.clearance for pair in pairs]) / units / CLEARANCE_LIMIT
     boxes = _tensor(_log(np.concatenate([sizes[first], sizes[second]], axis=1) / units[:, None]))
     poses = _tensor(np.concatenate([offsets, np.cos(yaws)[:, None], np.sin(yaws)[:, None]], axis=1))
-    return Questions(
+    return PretrainingTargets(
         posed,
         proportions=_tensor(_log(sizes / half[:, None])),
         places=_tensor(np.stack(places)),

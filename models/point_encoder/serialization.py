@@ -19,7 +19,7 @@ MAX_DEPTH = 16
 CODE_BITS = 3 * MAX_DEPTH
 
 
-class Curve(StrEnum):
+class SpaceFillingCurve(StrEnum):
     """The curves, by the names that published configurations use."""
 
     Z = "z"
@@ -28,10 +28,10 @@ class Curve(StrEnum):
     HILBERT_TRANS = "hilbert-trans"
 
 
-CURVES = tuple(Curve)
+CURVES = tuple(SpaceFillingCurve)
 
 
-def encode(coords: Tensor, depth: Tensor, curve: Curve) -> Tensor:
+def encode(coords: Tensor, depth: Tensor, curve: SpaceFillingCurve) -> Tensor:
     """Places of coordinates on a curve.
 
     Args:
@@ -43,9 +43,9 @@ def encode(coords: Tensor, depth: Tensor, curve: Curve) -> Tensor:
         Codes, (V,) int64, in [0, 8**depth).
     """
     x, y, z = coords.unbind(1)
-    if curve in (Curve.Z_TRANS, Curve.HILBERT_TRANS):
+    if curve in (SpaceFillingCurve.Z_TRANS, SpaceFillingCurve.HILBERT_TRANS):
         x, y = y, x
-    return _interleaved(x, y, z) if curve in (Curve.Z, Curve.Z_TRANS) else _hilbert(x, y, z, depth)
+    return _interleaved(x, y, z) if curve in (SpaceFillingCurve.Z, SpaceFillingCurve.Z_TRANS) else _hilbert(x, y, z, depth)
 
 
 def bit_length(values: Tensor) -> Tensor:

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from torch import Tensor, nn
 from torch.nn import functional
 
-from models.point_encoder.blocks import Block, Pooling, SubMConv3d, Unpooling
-from models.point_encoder.level import Level
-from models.point_encoder.serialization import CURVES, Curve
+from models.point_encoder.blocks import Block, SubMConv3d, VoxelPooling, VoxelUnpooling
+from models.point_encoder.level import VoxelLevel
+from models.point_encoder.serialization import CURVES, SpaceFillingCurve
 from stable_data.errors import ConfigError
 
 STEMS, NORMS, POOLS = ("conv", "linear"), ("bn", "ln"), ("code", "grid")
@@ -104,7 +104,7 @@ class PointTransformer(nn.Module):
     def __init__(self, config: TransformerConfig) -> None:
         super().__init__()
         self.config = config
-        self._curves = tuple(Curve(c) for c in config.curves)
+        self._curves = tuple(SpaceFillingCurve(c) for c in config.curves)
         channels, num_stages = config.enc_channels, len(config.enc_depths)
 
         def blocks(depth: int, width: int, heads: int) -> dict[str, nn.Module]:
@@ -121,21 +121,21 @@ class PointTransformer(nn.Module):
         self.embedding = nn.ModuleDict({"stem": stem})
         self.enc = nn.ModuleDict()
         for s in range(num_stages):
-            down = {"down": Pooling(channels[s - 1], channels[s], self._norm(channels[s]))} if s else {}
+            down = {"down": VoxelPooling(channels[s - 1], channels[s], self._norm(channels[s]))} if s else {}
             stage = {**down, **blocks(config.enc_depths[s], channels[s], config.enc_heads[s])}
             self.enc[f"enc{s}"] = nn.ModuleDict(stage)
         if not config.enc_mode:
             self.dec = nn.ModuleDict()
             widths = (*config.dec_channels[: num_stages - 1], channels[-1])
             for s in reversed(range(num_stages - 1)):
-                up = Unpooling(widths[s + 1], channels[s], widths[s], [self._norm(widths[s]) for _ in range(2)])
+                up = VoxelUnpooling(widths[s + 1], channels[s], widths[s], [self._norm(widths[s]) for _ in range(2)])
                 self.dec[f"dec{s}"] = nn.ModuleDict({"up": up, **blocks(config.dec_depths[s], widths[s], config.dec_heads[s])})
         self.apply(_initialise)
 
     def _norm(self, channels: int) -> nn.Module:
         return nn.BatchNorm1d(channels, eps=1e-3, momentum=0.01) if self.config.norm == "bn" else nn.LayerNorm(channels)
 
-    def forward(self, coords: Tensor, batch: Tensor, features: Tensor) -> tuple[Tensor, Level]:
+    def forward(self, coords: Tensor, batch: Tensor, features: Tensor) -> tuple[Tensor, VoxelLevel]:
         """Features of voxels.
 
         Args:
@@ -147,13 +147,13 @@ class PointTransformer(nn.Module):
             Features (V', out_channels) float32 and their voxels, in the level's order; the coarsest voxels in ``enc_mode``.
         """
         by_code = self.config.pool == "code"
-        level, rows = Level.of_voxels(coords, batch, self._curves, with_margin=not by_code)
+        level, rows = VoxelLevel.of_voxels(coords, batch, self._curves, with_margin=not by_code)
         stem = self.embedding["stem"]
         assert isinstance(stem, nn.ModuleDict)
         features = features[rows]
         features = stem["conv"](features, level) if self.config.stem == "conv" else stem["linear"](features)
         features = functional.gelu(stem["norm"](features))
-        finer: list[tuple[Tensor, Level, Tensor]] = []
+        finer: list[tuple[Tensor, VoxelLevel, Tensor]] = []
         for stage in self.enc.values():
             assert isinstance(stage, nn.ModuleDict)
             for name, part in stage.items():
@@ -165,7 +165,7 @@ class PointTransformer(nn.Module):
                     features = part(features, level)
         return (features, level) if self.config.enc_mode else self._decoded(features, finer)
 
-    def _decoded(self, features: Tensor, finer: list[tuple[Tensor, Level, Tensor]]) -> tuple[Tensor, Level]:
+    def _decoded(self, features: Tensor, finer: list[tuple[Tensor, VoxelLevel, Tensor]]) -> tuple[Tensor, VoxelLevel]:
         for stage in self.dec.values():
             assert isinstance(stage, nn.ModuleDict)
             skip, level, cluster = finer.pop()

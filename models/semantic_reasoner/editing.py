@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from models.semantic_reasoner.replies.checks import name_faults
-from models.semantic_reasoner.text.prompt import Ask
-from models.semantic_reasoner.text.reply_json import LayoutObject, Reply, layout_names, layout_objects
+from models.semantic_reasoner.text.prompt import ReasonerQuestion
+from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply, layout_names, layout_objects
 from stable_data.assets.substitution import underside
 from stable_data.errors import SceneError
 from stable_data.scene import TABLE, Relation, Scene, SceneObject, Vec3
@@ -24,7 +24,7 @@ _ARTICLES = frozenset(("a", "an", "the", "some"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Editing:
+class EditPrompt:
     """A scene as it is shown to a model that is to edit it.
 
     Attributes:
@@ -37,12 +37,12 @@ class Editing:
     layout: tuple[LayoutObject, ...]
     names: Mapping[str, str]
 
-    def ask(self, instruction: str) -> Ask:
+    def ask(self, instruction: str) -> ReasonerQuestion:
         """What a model is asked."""
-        return Ask(instruction, self.scene.table, "edit", self.layout)
+        return ReasonerQuestion(instruction, self.scene.table, "edit", self.layout)
 
 
-def editing(scene: Scene) -> Editing:
+def editing(scene: Scene) -> EditPrompt:
     """A scene to be edited.
 
     Raises:
@@ -50,11 +50,11 @@ def editing(scene: Scene) -> Editing:
     """
     objects = generation_order(scene.scene_id, scene.objects)
     names = layout_names(objects)
-    return Editing(scene, layout_objects(objects, names), MappingProxyType(names))
+    return EditPrompt(scene, layout_objects(objects, names), MappingProxyType(names))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EditedScene:
+class EditResult:
     """What became of a scene.
 
     Attributes:
@@ -89,7 +89,7 @@ class EditedScene:
         return {(0, 0): "none", (1, 0): "add", (0, 1): "remove"}.get((bool(self.added), bool(self.removed)), "replace")
 
 
-def apply_edit(edited: Editing | Scene, reply: Reply) -> EditedScene:
+def apply_edit(edited: EditPrompt | Scene, reply: LayoutReply) -> EditResult:
     """Carries out a reply to an edit.
 
     Args:
@@ -110,7 +110,7 @@ def apply_edit(edited: Editing | Scene, reply: Reply) -> EditedScene:
 class _Change:
     """A reply being carried out."""
 
-    def __init__(self, shown: Editing, reply: Reply) -> None:
+    def __init__(self, shown: EditPrompt, reply: LayoutReply) -> None:
         refused = next(name_faults(reply.objects, reply.removed, shown.ask("")), None)
         if refused is not None:
             raise SceneError(refused.message, "edit_refused")
@@ -121,7 +121,7 @@ class _Change:
         self.listed = {self.instances[o.instance]: o for o in reply.objects if o.instance in self.instances}
         self.done: dict[str, SceneObject] = {}
 
-    def carried_out(self) -> EditedScene:
+    def carried_out(self) -> EditResult:
         for o in generation_order(self.scene.scene_id, self.scene.objects):  # carriers come first
             self.done[o.instance] = self._after(o)
         kept = tuple(self.done[o.instance] for o in self.scene.objects if o.instance not in self.removed)
@@ -129,11 +129,11 @@ class _Change:
         before = {o.instance: o for o in self.scene.objects}
         touched = {o.instance for o in kept if o is not before[o.instance]}
         if not (touched or new or self.removed):
-            return EditedScene(self.scene)
+            return EditResult(self.scene)
         changed = tuple(o.instance for o in kept if o.instance in touched and o.instance in self.listed)
         reworded = {name for name in changed if self._is_reworded(self.listed[name])}
         after = self._supported((*kept, *new), {*changed, *(o.instance for o in new)})
-        return EditedScene(
+        return EditResult(
             replace(self.scene, objects=after, relations=self._relations(touched)),
             added=tuple(o.instance for o in new),
             changed=changed,

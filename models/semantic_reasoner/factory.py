@@ -7,8 +7,8 @@ from typing import Any, Literal
 from models.semantic_reasoner.engines.protocol import Engine
 from models.semantic_reasoner.engines.registry import EngineSettings, load_engine
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
-from models.semantic_reasoner.language.word_grounding import Grounding
-from models.semantic_reasoner.prompt_styles import dialect_of
+from models.semantic_reasoner.language.word_grounding import WordGrounding
+from models.semantic_reasoner.prompt_styles import prompt_style_of
 from models.semantic_reasoner.reasoner import SemanticReasoner
 from models.semantic_reasoner.replies.checks import CheckSettings, ReplyCheck, form_check
 from models.semantic_reasoner.text.prompt import PROMPT_VERSION
@@ -74,9 +74,9 @@ def load_reasoner(
     if engine.kind == "embedded" and statistics is not None:
         from models.text_encoder import load_default
 
-        grounding = Grounding(statistics, load_default())
+        grounding = WordGrounding(statistics, load_default())
     asks = check.asks if isinstance(check, ReplyCheck) else None
-    dialect = dialect_of(settings.dialect, _text(settings.wording), asks)
+    dialect = prompt_style_of(settings.dialect, _text(settings.wording), asks)
     tries = settings.tries_with(engine)
     return SemanticReasoner(loaded or load_engine(engine), check, tries, engine.reads_reasons, grounding, dialect), statistics
 

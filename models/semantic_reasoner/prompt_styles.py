@@ -4,51 +4,51 @@ import json
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from models.semantic_reasoner.language.required_objects import Required
-from models.semantic_reasoner.replies.grammar import ReplyForm
-from models.semantic_reasoner.text.prompt import RETRY, Ask, Message, checked_instruction, messages
-from models.semantic_reasoner.text.reply_json import Reply, parse_reply, plain
+from models.semantic_reasoner.language.required_objects import ObjectRequirement
+from models.semantic_reasoner.replies.grammar import ReplyGrammar
+from models.semantic_reasoner.text.prompt import RETRY, Message, ReasonerQuestion, checked_instruction, messages
+from models.semantic_reasoner.text.reply_json import LayoutReply, parse_reply, plain
 from stable_data.errors import ConfigError, SceneError
 from stable_data.mesatask.task_info import write_task_info
 from stable_data.scene import TaskInfo
 
 
-class Dialect(Protocol):
+class PromptStyle(Protocol):
     """The words of questions and answers."""
 
-    def messages(self, ask: Ask, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
+    def messages(self, ask: ReasonerQuestion, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
         """The chat that asks, after answers that were refused and why."""
         ...
 
-    def form(self, ask: Ask) -> ReplyForm:
+    def form(self, ask: ReasonerQuestion) -> ReplyGrammar:
         """What the answer may look like."""
         ...
 
-    def parse(self, text: str) -> Reply:
+    def parse(self, text: str) -> LayoutReply:
         """The answer's objects."""
         ...
 
 
-class StagedDialect:
+class StagedPromptStyle:
     """Our own words; see :mod:`models.semantic_reasoner.text.prompt`.
 
     Args:
         asks: What must be among the objects of an answer; None demands nothing.
     """
 
-    def __init__(self, asks: Callable[[Ask], tuple[Required, ...]] | None = None) -> None:
+    def __init__(self, asks: Callable[[ReasonerQuestion], tuple[ObjectRequirement, ...]] | None = None) -> None:
         self._asks = asks
 
-    def messages(self, ask: Ask, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
+    def messages(self, ask: ReasonerQuestion, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
         """The chat that asks for a stage, a whole layout or an edit."""
         return messages(ask, refused)
 
-    def form(self, ask: Ask) -> ReplyForm:
+    def form(self, ask: ReasonerQuestion) -> ReplyGrammar:
         """Bound to the table, to what must be there and, in an edit, to the names that there are."""
         names = tuple(o.instance for o in ask.layout) if ask.edits else ()
-        return ReplyForm.of_table(ask.table, edits=ask.edits, names=names, asks=self._asks(ask) if self._asks else ())
+        return ReplyGrammar.of_table(ask.table, edits=ask.edits, names=names, asks=self._asks(ask) if self._asks else ())
 
-    def parse(self, text: str) -> Reply:
+    def parse(self, text: str) -> LayoutReply:
         """The objects of JSON."""
         return parse_reply(text)
 
@@ -68,7 +68,7 @@ and the layout as JSON: {"item_placement_zone":[x_min,x_max,y_min,y_max],"object
 Task information:"""
 
 
-class MesaTaskDialect:
+class MesaTaskPromptStyle:
     """One question, one answer with reasons, scene graph and layout, as MesaTask's released model writes it.
 
     The model was trained on the project's own wording, which is not ours to ship: give it as ``wording``. Ours says the same.
@@ -80,7 +80,7 @@ class MesaTaskDialect:
     def __init__(self, wording: str = "") -> None:
         self._wording = wording or _MESATASK
 
-    def messages(self, ask: Ask, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
+    def messages(self, ask: ReasonerQuestion, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
         """The chat that asks for a whole layout.
 
         Raises:
@@ -99,11 +99,11 @@ class MesaTaskDialect:
             chat += [{"role": "assistant", "content": answer}, {"role": "user", "content": RETRY.format(reason=plain(reason))}]
         return chat
 
-    def form(self, ask: Ask) -> ReplyForm:
+    def form(self, ask: ReasonerQuestion) -> ReplyGrammar:
         """Free: reasons come before the JSON."""
-        return ReplyForm.of_table(ask.table, binds=False)
+        return ReplyGrammar.of_table(ask.table, binds=False)
 
-    def parse(self, text: str) -> Reply:
+    def parse(self, text: str) -> LayoutReply:
         """The objects of the layout that follows the reasons.
 
         Raises:
@@ -121,7 +121,9 @@ def _said(task: TaskInfo) -> tuple[str, str, tuple[str, ...], tuple[str, ...], t
     return plain(task.environment), plain(task.task), *lists  # type: ignore[return-value]
 
 
-def dialect_of(name: str, wording: str = "", asks: Callable[[Ask], tuple[Required, ...]] | None = None) -> Dialect:
+def prompt_style_of(
+    name: str, wording: str = "", asks: Callable[[ReasonerQuestion], tuple[ObjectRequirement, ...]] | None = None
+) -> PromptStyle:
     """A dialect by name.
 
     Args:
@@ -133,7 +135,7 @@ def dialect_of(name: str, wording: str = "", asks: Callable[[Ask], tuple[Require
         ConfigError: There is none of that name.
     """
     if name == "stages":
-        return StagedDialect(asks)
+        return StagedPromptStyle(asks)
     if name == "mesatask":
-        return MesaTaskDialect(wording)
+        return MesaTaskPromptStyle(wording)
     raise ConfigError(f"dialect is {name!r}, expected stages or mesatask", "config_invalid")

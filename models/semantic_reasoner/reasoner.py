@@ -6,12 +6,12 @@ from typing import Protocol
 
 from models.semantic_reasoner.engines.incremental_batches import Conversation, converse
 from models.semantic_reasoner.engines.protocol import Completion, Engine, Request, conversation
-from models.semantic_reasoner.language.word_grounding import Grounding
-from models.semantic_reasoner.prompt_styles import Dialect, StagedDialect
-from models.semantic_reasoner.replies.checks import Fault
+from models.semantic_reasoner.language.word_grounding import WordGrounding
+from models.semantic_reasoner.prompt_styles import PromptStyle, StagedPromptStyle
+from models.semantic_reasoner.replies.checks import ReplyFault
 from models.semantic_reasoner.replies.relation_repair import put_right
-from models.semantic_reasoner.text.prompt import Ask
-from models.semantic_reasoner.text.reply_json import LayoutObject, Reply, renumbered
+from models.semantic_reasoner.text.prompt import ReasonerQuestion
+from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply, renumbered
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.random_seeds import named_seed
 from stable_data.scene import MAX_INSTRUCTION, Stage
@@ -20,16 +20,16 @@ _LEFT_OUT = "left_out"
 _FEW = 1 / 8  # of a long list: it is not asked for again for their sake
 
 
-class Check(Protocol):
+class FaultFinder(Protocol):
     """Finds faults in a reply to a question."""
 
-    def __call__(self, reply: Reply, ask: Ask, /) -> Sequence[Fault]:
+    def __call__(self, reply: LayoutReply, ask: ReasonerQuestion, /) -> Sequence[ReplyFault]:
         """The faults; none where the reply may enter the scene."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class RefusedReply:
     """An answer that was not taken.
 
     Attributes:
@@ -38,7 +38,7 @@ class Refused:
     """
 
     answer: str
-    faults: tuple[Fault, ...]
+    faults: tuple[ReplyFault, ...]
 
     @property
     def reason(self) -> str:
@@ -68,9 +68,9 @@ class Proposal:
         cost: Of all tries, in the currency of the engine's prices.
     """
 
-    reply: Reply | None
-    faults: tuple[Fault, ...] = ()
-    refused: tuple[Refused, ...] = ()
+    reply: LayoutReply | None
+    faults: tuple[ReplyFault, ...] = ()
+    refused: tuple[RefusedReply, ...] = ()
     failure: str = ""
     code: str = ""
     notices: tuple[Notice, ...] = ()
@@ -89,34 +89,34 @@ class Proposal:
 class _Asking:
     """A question that has no answer yet."""
 
-    ask: Ask
+    ask: ReasonerQuestion
     seed: int
     notices: tuple[Notice, ...] = ()
-    refused: list[Refused] = field(default_factory=list)
-    best: tuple[Reply, tuple[Fault, ...]] | None = None
-    rest: tuple[Reply, tuple[Fault, ...]] | None = None
-    misplaced: list[tuple[Reply, tuple[Fault, ...]]] = field(default_factory=list)
+    refused: list[RefusedReply] = field(default_factory=list)
+    best: tuple[LayoutReply, tuple[ReplyFault, ...]] | None = None
+    rest: tuple[LayoutReply, tuple[ReplyFault, ...]] | None = None
+    misplaced: list[tuple[LayoutReply, tuple[ReplyFault, ...]]] = field(default_factory=list)
     tries: int = 0
     prompt_tokens: int = 0
     reply_tokens: int = 0
     cost: float = 0.0
 
-    def refuse(self, answer: str, faults: Sequence[Fault], reply: Reply | None = None) -> None:
+    def refuse(self, answer: str, faults: Sequence[ReplyFault], reply: LayoutReply | None = None) -> None:
         """Keeps an answer that will not do, and the best of those that would at need."""
-        refused = Refused(answer, tuple(faults))
+        refused = RefusedReply(answer, tuple(faults))
         self.refused.append(refused)
         if reply is not None and not refused.is_hard and (self.best is None or _amiss(faults) < _amiss(self.best[1])):
             self.best = reply, refused.faults
         if reply is not None and all(f.relation is not None for f in faults):
             self.misplaced.append((reply, refused.faults))
 
-    def may_use(self, reply: Reply, faults: tuple[Fault, ...]) -> None:
+    def may_use(self, reply: LayoutReply, faults: tuple[ReplyFault, ...]) -> None:
         """Keeps what is left of a refused answer, if the least so far had to be left out of it."""
         if self.rest is None or _left_out(faults) < _left_out(self.rest[1]):
             self.rest = reply, faults
 
     def proposal(
-        self, reply: Reply | None = None, failure: str = "", code: str = "", faults: tuple[Fault, ...] = ()
+        self, reply: LayoutReply | None = None, failure: str = "", code: str = "", faults: tuple[ReplyFault, ...] = ()
     ) -> Proposal:
         """What comes of it."""
         if reply is None and not failure:
@@ -151,20 +151,20 @@ class SemanticReasoner:
     def __init__(
         self,
         engine: Engine,
-        check: Check | None = None,
+        check: FaultFinder | None = None,
         tries: int | tuple[int, int] = 4,
         tells_reasons: bool = False,
-        grounding: Grounding | None = None,
-        dialect: Dialect | None = None,
+        grounding: WordGrounding | None = None,
+        dialect: PromptStyle | None = None,
     ) -> None:
         self._tries, self._task_tries = (tries, tries) if isinstance(tries, int) else tries
         if min(self._tries, self._task_tries) < 1:
             raise ConfigError(f"tries is {tries}, expected at least 1", "config_invalid")
         self.engine, self._check, self._grounding = engine, check, grounding
         self._tells_reasons = tells_reasons
-        self._dialect = dialect or StagedDialect()
+        self._dialect = dialect or StagedPromptStyle()
 
-    def propose(self, asks: Sequence[Ask], seeds: Sequence[int]) -> list[Proposal]:
+    def propose(self, asks: Sequence[ReasonerQuestion], seeds: Sequence[int]) -> list[Proposal]:
         """A proposal for each question, in their order; what fails does not touch the others.
 
         Args:
@@ -173,14 +173,16 @@ class SemanticReasoner:
         """
         done: dict[int, Proposal] = {}
 
-        def keep(found: list[tuple[int, Proposal]]) -> Sequence[tuple[Ask, int]]:
+        def keep(found: list[tuple[int, Proposal]]) -> Sequence[tuple[ReasonerQuestion, int]]:
             done.update(found)
             return ()
 
         converse(self.converse(list(zip(asks, seeds, strict=True))), keep)
         return [done[k] for k in range(len(asks))]
 
-    def converse(self, questions: Sequence[tuple[Ask, int]]) -> Conversation[Proposal, tuple[Ask, int]]:
+    def converse(
+        self, questions: Sequence[tuple[ReasonerQuestion, int]]
+    ) -> Conversation[Proposal, tuple[ReasonerQuestion, int]]:
         """Proposals, and the questions that come of them, such as for a scene's next stage.
 
         Proposals are given when they are a third of what is open, or more: what comes of them is then worth a batch, and those
@@ -209,7 +211,7 @@ class SemanticReasoner:
             of_request.append(k)
             return [request]
 
-        def begin(more: Sequence[tuple[Ask, int]]) -> list[Request]:
+        def begin(more: Sequence[tuple[ReasonerQuestion, int]]) -> list[Request]:
             first = len(askings)
             askings.extend(self._asking(*question) for question in more)
             return [request for k in range(first, len(askings)) for request in ask(k)]
@@ -237,7 +239,7 @@ class SemanticReasoner:
                 else:
                     done.append((k, proposal))
 
-    def _asking(self, ask: Ask, seed: int) -> _Asking:
+    def _asking(self, ask: ReasonerQuestion, seed: int) -> _Asking:
         if self._grounding is None:
             return _Asking(ask, seed)
         grounded = self._grounding.ground(ask.instruction[: MAX_INSTRUCTION + 1])
@@ -266,14 +268,14 @@ class SemanticReasoner:
         asking.reply_tokens += completion.reply_tokens
         asking.cost += completion.cost
         if completion.code.startswith("reply_"):  # there was an answer, if none to use
-            asking.refuse(completion.text, [Fault(completion.code, completion.failure)])
+            asking.refuse(completion.text, [ReplyFault(completion.code, completion.failure)])
             return None
         if completion.failure:
             return asking.proposal(failure=completion.failure, code=completion.code)
         try:
             reply = self._dialect.parse(completion.text)
         except SceneError as error:
-            asking.refuse(completion.text, [Fault(error.code, str(error))])
+            asking.refuse(completion.text, [ReplyFault(error.code, str(error))])
             return None
         if not asking.ask.edits:  # there a name says which object is meant
             reply = replace(reply, objects=renumbered(reply.objects, (o.instance for o in asking.ask.layout)))
@@ -291,24 +293,24 @@ class SemanticReasoner:
 
 
 def _without_the_faulty(
-    reply: Reply, faults: Sequence[Fault], ask: Ask, check: Check
-) -> tuple[Reply, tuple[Fault, ...]] | None:
+    reply: LayoutReply, faults: Sequence[ReplyFault], ask: ReasonerQuestion, check: FaultFinder
+) -> tuple[LayoutReply, tuple[ReplyFault, ...]] | None:
     """What is left of a reply when the objects go that keep it out, and what then rests on nothing; None where that is no cure."""
-    left: list[Fault] = []
+    left: list[ReplyFault] = []
     while hard := [f for f in faults if f.is_hard]:
         gone = {f.instance: f.message for f in hard}
         if not gone.keys() <= {o.instance for o in reply.objects}:
             return None  # something is wrong with the whole
-        left += [Fault(_LEFT_OUT, f"{name} is left out: {message}", is_hard=False) for name, message in gone.items()]
+        left += [ReplyFault(_LEFT_OUT, f"{name} is left out: {message}", is_hard=False) for name, message in gone.items()]
         reply = replace(reply, objects=tuple(o for o in reply.objects if o.instance not in gone))
         faults = check(reply, ask)
     return (reply, (*left, *faults)) if left else None
 
 
-def _left_out(faults: Sequence[Fault]) -> int:
+def _left_out(faults: Sequence[ReplyFault]) -> int:
     return sum(f.code == _LEFT_OUT for f in faults)
 
 
-def _amiss(faults: Sequence[Fault]) -> tuple[bool, int]:
+def _amiss(faults: Sequence[ReplyFault]) -> tuple[bool, int]:
     """How much is wrong with a reply; an edit that does something, if oddly, is better than one that does nothing."""
     return any(f.code == "nothing_changed" for f in faults), len(faults)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
 from models.semantic_reasoner.replies.to_scene import accepted
-from models.semantic_reasoner.text.prompt import Ask, Wanted
+from models.semantic_reasoner.text.prompt import ReasonerQuestion, Wanted
 from models.semantic_reasoner.text.reply_json import LayoutObject
 from stable_data.scene import Scene, SceneObject, Stage, Tabletop, TaskInfo
 
@@ -62,11 +62,11 @@ class StagedLayout:
         """The layout as a scene."""
         return Scene(self.task.scene_id, self.task.table, self.objects)
 
-    def ask(self, wanted: Wanted) -> Ask:
+    def ask(self, wanted: Wanted) -> ReasonerQuestion:
         """The question for a stage."""
-        return Ask(self.task.instruction, self.task.table, wanted, self._told, self.task.details)
+        return ReasonerQuestion(self.task.instruction, self.task.table, wanted, self._told, self.task.details)
 
-    def take(self, ask: Ask, proposal: Proposal, statistics: CategoryStatistics | None) -> None:
+    def take(self, ask: ReasonerQuestion, proposal: Proposal, statistics: CategoryStatistics | None) -> None:
         """Adds what a stage proposes."""
         self.proposals.append((ask.wanted, proposal))
         if proposal.reply is not None:

@@ -4,6 +4,6 @@
 """
 
 from models.text_encoder.encoder import SentenceEncoder, load_default
-from models.text_encoder.folder import Pooling, SentenceModel, packaged_folder, read_folder
+from models.text_encoder.folder import SentenceModel, TokenPooling, packaged_folder, read_folder
 
-__all__ = ["Pooling", "SentenceEncoder", "SentenceModel", "load_default", "packaged_folder", "read_folder"]
+__all__ = ["SentenceEncoder", "SentenceModel", "TokenPooling", "load_default", "packaged_folder", "read_folder"]

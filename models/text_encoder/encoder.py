@@ -16,7 +16,7 @@ import torch
 from tokenizers import Tokenizer
 from torch import Tensor
 
-from models.text_encoder.folder import Pooling, SentenceModel, packaged_folder, read_folder
+from models.text_encoder.folder import SentenceModel, TokenPooling, packaged_folder, read_folder
 from stable_data.assets.text_embeddings import Rows
 from stable_data.errors import ConfigError
 
@@ -163,12 +163,12 @@ def _by_length(tokens: Sequence[Sequence[int]]) -> Iterable[tuple[int, list[int]
     return sorted(groups.items())
 
 
-def _pooled(states: Tensor, mask: Tensor, pooling: Pooling) -> Tensor:
+def _pooled(states: Tensor, mask: Tensor, pooling: TokenPooling) -> Tensor:
     """One vector a sentence, (8, D), of its tokens' (8, T, D)."""
-    if pooling is Pooling.CLS:
+    if pooling is TokenPooling.CLS:
         return states[:, 0]
     weight = mask.unsqueeze(-1).to(states.dtype)  # (8, T, 1)
-    if pooling is Pooling.MAX:
+    if pooling is TokenPooling.MAX:
         return states.masked_fill(weight == 0, -torch.inf).amax(dim=1)
     total, count = (states * weight).sum(dim=1), weight.sum(dim=1)
-    return total / (count if pooling is Pooling.MEAN else count.sqrt())
+    return total / (count if pooling is TokenPooling.MEAN else count.sqrt())

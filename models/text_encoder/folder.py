@@ -20,7 +20,7 @@ _MAX_TOKENS = 512
 _BLOCK = 1 << 20
 
 
-class Pooling(StrEnum):
+class TokenPooling(StrEnum):
     """How the vectors of a sentence's tokens become one."""
 
     MEAN = "mean"
@@ -52,7 +52,7 @@ class SentenceModel:
     """
 
     folder: Path
-    pooling: Pooling
+    pooling: TokenPooling
     max_tokens: int
     lowers: bool
     fingerprint: str
@@ -88,7 +88,7 @@ def read_folder(root: Path) -> SentenceModel:
         if not (isinstance(module, dict) and isinstance(module.get("type"), str) and isinstance(module.get("path"), str)):
             raise _invalid(root, "has a modules.json that lists no modules")
         kinds[module["type"].rpartition(".")[2]] = root / module["path"]
-    if list(kinds) not in (["Transformer", "Pooling"], ["Transformer", "Pooling", "Normalize"]):
+    if list(kinds) not in (["Transformer", "TokenPooling"], ["Transformer", "TokenPooling", "Normalize"]):
         raise _invalid(root, f"is made of {', '.join(kinds) or 'nothing'}")
     if not all(path.resolve().is_relative_to(root.resolve()) for path in kinds.values()):
         raise _invalid(root, "has a modules.json that leads outside of it")
@@ -101,21 +101,21 @@ def read_folder(root: Path) -> SentenceModel:
             raise _invalid(root, f"has no {path.name}")
     limits = folder / "sentence_bert_config.json"
     found = _json(root, limits, dict) if limits.exists() else {}
-    pooling, config = _pooling(root, kinds["Pooling"]), _json(root, files[0], dict)
+    pooling, config = _pooling(root, kinds["TokenPooling"]), _json(root, files[0], dict)
     lengths = [found.get("max_seq_length"), config.get("max_position_embeddings"), _MAX_TOKENS]
     max_tokens = min(n for n in lengths if isinstance(n, int) and n > 0)
     lowers = found.get("do_lower_case") is True
     return SentenceModel(folder, pooling, max_tokens, lowers, _fingerprint(root, files, [pooling, max_tokens, lowers]))
 
 
-def _pooling(root: Path, folder: Path) -> Pooling:
+def _pooling(root: Path, folder: Path) -> TokenPooling:
     """The one way of pooling that a folder asks for."""
     config = _json(root, folder / "config.json", dict)
     modes = config.get("pooling_mode", [mode for key, mode in _OLD_KEYS.items() if config.get(key)])
     modes = [modes] if isinstance(modes, str) else modes
-    if not isinstance(modes, list) or len(modes) != 1 or modes[0] not in set(Pooling):
+    if not isinstance(modes, list) or len(modes) != 1 or modes[0] not in set(TokenPooling):
         raise _invalid(root, f"pools by {modes}")
-    return Pooling(modes[0])
+    return TokenPooling(modes[0])
 
 
 def _json(root: Path, path: Path, kind: type) -> Any:

@@ -6,7 +6,7 @@ import torch
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class ProcessContext:
     """Where a process trains.
 
     Attributes:
@@ -20,5 +20,5 @@ class Place:
     world_size: int = 1
 
 
-CPU = Place()
+CPU = ProcessContext()
 """Alone, on the CPU."""

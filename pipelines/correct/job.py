@@ -14,7 +14,7 @@ from pipelines.correct.report import write_correct_report
 from pipelines.correct.scene_shard import SceneShard
 from pipelines.correct.settings import CorrectSettings
 from pipelines.correct.shard import CorrectWork
-from pipelines.execution.ray_executor import Loss, Workers, alone
+from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, alone
 from pipelines.execution.shard_job import (
     OF_DATASET,
     check_resume,
@@ -39,7 +39,7 @@ CARRIED_TABLES = ("assets", "meshes", "sdf", "features")
 """Tables of the input run that the output carries, so that it can be trained on and exported as it is."""
 
 
-def correct(scenes: str, out: str, settings: CorrectSettings, workers: Workers, *, report: bool = True) -> dict[str, Any]:
+def correct(scenes: str, out: str, settings: CorrectSettings, workers: WorkerPool, *, report: bool = True) -> dict[str, Any]:
     """Runs the job, or what is missing of it.
 
     Args:
@@ -103,12 +103,12 @@ def places(scenes: str, out: str) -> tuple[str, RunFolder]:
     return where, folder
 
 
-def settled_here(source: SceneSource, settings: S, workers: Workers) -> S:
+def settled_here(source: SceneSource, settings: S, workers: WorkerPool) -> S:
     """The settings with ``auto`` replaced, by a process of its own where workers are: a mesh must not end the run's."""
     if settings.position_convention != "auto" or workers.are_this_process or isinstance(source, TableSource):
         return settings.settled(source)
     settled = alone(settings.settled, source, seconds=64 * settings.seconds_per_item)
-    if isinstance(settled, Loss):
+    if isinstance(settled, ProcessFailure):
         raise ConfigError(
             f"{source.name}: the check of what positions mean {str(settled).replace('_', ' ')} over a layout or mesh; set "
             "position_convention to box_centre or mesh_centre",

@@ -9,14 +9,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Generic, Literal, TypeAlias, TypeVar
 
-from models.physics_corrector.certify import CertifyOptions, Dropped, Status
+from models.physics_corrector.certify import CertifyOptions, CorrectionStatus, DroppedObject
 from models.physics_corrector.corrector import Correction, PhysicsCorrector
 from models.physics_corrector.learned_flow import load_flow
 from pipelines.correct.settings import CorrectSettings
-from pipelines.execution.item_progress import Progress
-from pipelines.execution.ray_executor import Loss, alone, limited
+from pipelines.execution.item_progress import ItemProgress
+from pipelines.execution.ray_executor import ProcessFailure, alone, limited
 from pipelines.execution.shard_job import Rows, rows_alone, rows_or_failure
-from pipelines.sources.scenes import SceneSource, Taken
+from pipelines.sources.scenes import SceneSource, SourceScene
 from stable_data.errors import ConfigError, Notice
 from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
@@ -49,7 +49,7 @@ class SceneShard(Generic[I]):
 
 
 @dataclass(frozen=True, eq=False)
-class Opened:
+class SceneWorkerState:
     """What a process keeps of its work.
 
     Attributes:
@@ -60,7 +60,7 @@ class Opened:
 
     source: SceneSource
     corrector: PhysicsCorrector
-    taken: dict[str, Taken] = field(default_factory=dict)
+    taken: dict[str, SourceScene] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,11 +105,11 @@ class SceneWork(ABC, Generic[S, I, A]):
         """What the rows of an item are named by."""
 
     @abstractmethod
-    def opened(self) -> Opened:
+    def opened(self) -> SceneWorkerState:
         """What this process keeps, opened when it is first asked for."""
 
     @abstractmethod
-    def look(self, item: I, progress: Progress) -> None:
+    def look(self, item: I, progress: ItemProgress) -> None:
         """Takes an item from its source, and raises where it cannot be used."""
 
     @abstractmethod
@@ -117,7 +117,7 @@ class SceneWork(ABC, Generic[S, I, A]):
         """The costly question, for all items of a shard."""
 
     @abstractmethod
-    def unanswered(self, loss: Loss, items: Sequence[I]) -> ConfigError:
+    def unanswered(self, loss: ProcessFailure, items: Sequence[I]) -> ConfigError:
         """What to say where the process that asked it was lost."""
 
     @abstractmethod
@@ -128,7 +128,7 @@ class SceneWork(ABC, Generic[S, I, A]):
         """Opens what the question needs, outside of its time."""
         self._prepare()
 
-    def take(self, scene_id: str, progress: Progress) -> Taken:
+    def take(self, scene_id: str, progress: ItemProgress) -> SourceScene:
         """A scene of the source, as it was first taken for this shard."""
         opened = self.opened()
         if scene_id not in opened.taken:
@@ -136,7 +136,7 @@ class SceneWork(ABC, Generic[S, I, A]):
         return opened.taken[scene_id]
 
     def _look(self, item: I) -> Rows:
-        progress = Progress("read")
+        progress = ItemProgress("read")
 
         def look() -> Rows:
             self.look(item, progress)
@@ -152,7 +152,7 @@ class SceneWork(ABC, Generic[S, I, A]):
             return self.answers(items)
         seconds = self.settings.seconds_per_item * max(1, len(items))
         found = alone(self.answers, items, seconds=seconds, prepare=self.prepare_to_ask)
-        if isinstance(found, Loss):
+        if isinstance(found, ProcessFailure):
             raise self.unanswered(found, items)
         return found
 
@@ -181,7 +181,7 @@ def corrector_of(settings: CorrectSettings, *, flows: bool = True) -> PhysicsCor
     return PhysicsCorrector(load_flow(settings.weights, settings.steps) if flows else None, options, settings.judge_raw)
 
 
-def dropped_notice(dropped: Dropped, scene_id: str) -> Notice:
+def dropped_notice(dropped: DroppedObject, scene_id: str) -> Notice:
     """Says what was left out, and why."""
     return Notice(scene_id, "certify", "dropped", f"{scene_id}: {dropped.instance} is left out: {dropped.reason}")
 
@@ -192,7 +192,7 @@ def notices_of(done: Correction, scene_id: str) -> list[Notice]:
     if done.rest is not None and done.rest.unsteady:
         message = f"{scene_id}: {', '.join(done.rest.unsteady)} would not stay in the physics engine"
         notices.append(Notice(scene_id, "certify", "unsteady", message))
-    if done.status is Status.UNKNOWN:
+    if done.status is CorrectionStatus.UNKNOWN:
         notices.append(Notice(scene_id, "certify", "unknown", f"{scene_id}: {done.reason}"))
     return notices + ([] if done.audit is None else list(done.audit.notices))
 

@@ -9,10 +9,10 @@ from functools import lru_cache
 from typing import ClassVar
 
 from models.physics_corrector.corrector import Correction
-from pipelines.correct.scene_shard import Opened, SceneWork, corrector_of, notices_of
+from pipelines.correct.scene_shard import SceneWork, SceneWorkerState, corrector_of, notices_of
 from pipelines.correct.settings import CorrectSettings
-from pipelines.execution.item_progress import Progress
-from pipelines.execution.ray_executor import Loss
+from pipelines.execution.item_progress import ItemProgress
+from pipelines.execution.ray_executor import ProcessFailure
 from pipelines.execution.shard_job import Rows, rows_or_failure
 from pipelines.preprocess.scene import related, with_counts
 from pipelines.sources.scenes import scene_source
@@ -33,32 +33,32 @@ class CorrectWork(SceneWork[CorrectSettings, str, FloatArray | None]):
         """The scene's id."""
         return item
 
-    def opened(self) -> Opened:
+    def opened(self) -> SceneWorkerState:
         """What this process keeps."""
         return _opened(self)
 
-    def look(self, item: str, progress: Progress) -> None:
+    def look(self, item: str, progress: ItemProgress) -> None:
         """Takes a scene."""
         self.take(item, progress)
 
     def answers(self, items: Sequence[str]) -> list[FloatArray | None]:
         """What the flow makes of scenes; None without a flow."""
-        taken = [self.take(scene_id, Progress("read")) for scene_id in items]
+        taken = [self.take(scene_id, ItemProgress("read")) for scene_id in items]
         fixed = [self.settings.fixed_in(t.scene) for t in taken]
         raws = self.opened().corrector.raw([t.scene for t in taken], [t.shapes for t in taken], fixed)
         return [None if raw is None else raw.poses() for raw in raws]
 
-    def unanswered(self, loss: Loss, items: Sequence[str]) -> ConfigError:
+    def unanswered(self, loss: ProcessFailure, items: Sequence[str]) -> ConfigError:
         """What to do where the flow was lost."""
         found = f"the flow {str(loss).replace('_', ' ')} over {len(items)} scenes such as {items[0]}"
         return ConfigError(f"{found}; free memory, take smaller shards, or set weights to none", "flow_failed")
 
     def finished(self, item: str, answer: FloatArray | None) -> Rows:
         """Rows of one scene, from where the flow put its objects."""
-        progress = Progress("certify")
+        progress = ItemProgress("certify")
         return rows_or_failure(item, progress, lambda: self._rows(item, answer, progress))
 
-    def _rows(self, scene_id: str, raw_poses: FloatArray | None, progress: Progress) -> Rows:
+    def _rows(self, scene_id: str, raw_poses: FloatArray | None, progress: ItemProgress) -> Rows:
         taken = self.take(scene_id, progress)
         progress.step = "certify"
         raw = None if raw_poses is None else taken.scene.with_poses(raw_poses)
@@ -88,8 +88,8 @@ class CorrectWork(SceneWork[CorrectSettings, str, FloatArray | None]):
 
 
 @lru_cache(maxsize=1)
-def _opened(work: CorrectWork) -> Opened:
-    return Opened(scene_source(work.scenes), corrector_of(work.settings))
+def _opened(work: CorrectWork) -> SceneWorkerState:
+    return SceneWorkerState(scene_source(work.scenes), corrector_of(work.settings))
 
 
 def correction_row(done: Correction) -> schemas.Row:

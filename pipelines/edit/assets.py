@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from models.semantic_reasoner.editing import EditedScene
+from models.semantic_reasoner.editing import EditResult
 from models.text_encoder import load_default
 from pipelines.sources.scenes import SceneSource
 from stable_data.assets.box_fitting import proportions, size_score, stretched_scale, uniform_factor
 from stable_data.assets.catalog import Asset, AssetLibrary
-from stable_data.assets.retrieval import Match, Query, Retriever
+from stable_data.assets.retrieval import AssetMatch, AssetQuery, Retriever
 from stable_data.assets.substitution import with_assets
 from stable_data.errors import Notice, SceneError
 from stable_data.rotations import rotation_matrix
@@ -23,7 +23,7 @@ _EVEN, _MOST_UNEVEN = 1.03, 1.6  # between these distortions it is stretched, be
 
 
 @dataclass(frozen=True, slots=True)
-class WithAssets:
+class AssignedEdit:
     """An edited scene whose new things have assets.
 
     Attributes:
@@ -53,7 +53,7 @@ class AssetFinder:
         cache = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "stable-data" / "text"
         return Retriever([self._library.embedded(encoder, cache / f"{encoder.fingerprint}.parquet")], encoder)
 
-    def with_assets(self, edited: EditedScene, edit_id: str, seed: int) -> WithAssets:
+    def with_assets(self, edited: EditResult, edit_id: str, seed: int) -> AssignedEdit:
         """The scene with an asset for each thing that wants one, and its own for each that is of another size.
 
         Equal words get equal assets within an edit. The underside of a thing stays at its height; what rests on it comes with
@@ -70,13 +70,13 @@ class AssetFinder:
         scene, wanting = edited.scene, set(edited.wanting)
         resized = [o for o in scene.objects if o.instance in edited.changed and o.scale is None and o.asset_id is not None]
         if not (wanting or resized):
-            return WithAssets(scene, frozenset(o.instance for o in scene.objects))
+            return AssignedEdit(scene, frozenset(o.instance for o in scene.objects))
         asked = [o for o in scene.objects if o.instance in wanting]
-        queries = [Query(o.description, o.size, o.category, edit_id) for o in asked]
+        queries = [AssetQuery(o.description, o.size, o.category, edit_id) for o in asked]
         answers = self._retriever.retrieve(queries, seed) if queries else []
-        matches: dict[str, Match] = {}
+        matches: dict[str, AssetMatch] = {}
         for o, answer in zip(asked, answers, strict=True):
-            if not isinstance(answer, Match):
+            if not isinstance(answer, AssetMatch):
                 raise SceneError(f"{edit_id}: no asset for {o.instance}: {answer.reason}", "asset_unmatched")
             matches[o.instance] = answer
         matches |= {o.instance: match for o in resized if (match := self._fitted(o)) is not None}
@@ -94,9 +94,9 @@ class AssetFinder:
             for name, match in matches.items()
             if match.note
         )
-        return WithAssets(replace(scene, objects=objects), kept, notes)
+        return AssignedEdit(replace(scene, objects=objects), kept, notes)
 
-    def _fitted(self, o: SceneObject) -> Match | None:
+    def _fitted(self, o: SceneObject) -> AssetMatch | None:
         """An object's own asset at the tilt and scale that come nearest to its size; None where it has no mesh."""
         mesh = self._source.store.mesh_of(o)
         if mesh is None or o.asset_id is None:
@@ -114,7 +114,7 @@ class AssetFinder:
             factor = float(uniform_factor(o.size, box))
             scale, size = (factor, factor, factor), _triple(factor * boxes[k])
         score = float(scores[k])
-        return Match(o.asset_id, self._source.name, o.category, score, 1.0, score, tilts[k], scale, size)
+        return AssetMatch(o.asset_id, self._source.name, o.category, score, 1.0, score, tilts[k], scale, size)
 
     @cached_property
     def _library(self) -> AssetLibrary:

@@ -12,7 +12,7 @@ from pipelines.correct.scene_shard import SceneShard
 from pipelines.edit.report import write_edit_report
 from pipelines.edit.settings import EditSettings
 from pipelines.edit.shard import EditWork
-from pipelines.execution.ray_executor import Workers
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import (
     OF_DATASET,
     check_resume,
@@ -23,7 +23,7 @@ from pipelines.execution.shard_job import (
     run_missing,
     write_manifest,
 )
-from pipelines.sources.edits import EditFile, WantedEdit, read_edits
+from pipelines.sources.edits import EditFile, EditRequest, read_edits
 from pipelines.sources.scenes import FolderSource, SceneSource, scene_source
 from stable_data.config_diff import flat
 from stable_data.content_id import content_id
@@ -35,7 +35,7 @@ def edit(
     edits: Path,
     out: str,
     settings: EditSettings,
-    workers: Workers,
+    workers: WorkerPool,
     *,
     report: bool = True,
 ) -> dict[str, Any]:
@@ -128,7 +128,7 @@ def _reasoner(found: EditFile, settings: EditSettings) -> dict[str, Any]:
     return flat(shaping_of_proposals(settings.engine, settings.reasoner), "reasoner.")
 
 
-def _shards(edits: tuple[WantedEdit, ...], settings: EditSettings, fingerprint: str) -> list[SceneShard[WantedEdit]]:
+def _shards(edits: tuple[EditRequest, ...], settings: EditSettings, fingerprint: str) -> list[SceneShard[EditRequest]]:
     """The edits in order, cut by a fixed rule; at least one shard, so that every table is there."""
     size = settings.scenes_per_shard
     groups = [edits[start : start + size] for start in range(0, len(edits), size)] or [()]

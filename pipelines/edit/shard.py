@@ -9,21 +9,21 @@ from functools import cached_property, lru_cache
 from typing import ClassVar
 
 from models.physics_corrector.corrector import Correction
-from models.semantic_reasoner.editing import EditedScene, Editing, apply_edit, editing
+from models.semantic_reasoner.editing import EditPrompt, EditResult, apply_edit, editing
 from models.semantic_reasoner.engines.protocol import OFF
 from models.semantic_reasoner.factory import load_reasoner
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
 from models.semantic_reasoner.text.reply_json import parse_reply
-from pipelines.correct.scene_shard import Opened, SceneWork, corrector_of, notices_of
+from pipelines.correct.scene_shard import SceneWork, SceneWorkerState, corrector_of, notices_of
 from pipelines.correct.shard import correction_row
 from pipelines.edit.assets import AssetFinder
 from pipelines.edit.settings import EditSettings
-from pipelines.execution.item_progress import Progress
-from pipelines.execution.ray_executor import Loss
+from pipelines.execution.item_progress import ItemProgress
+from pipelines.execution.ray_executor import ProcessFailure
 from pipelines.execution.shard_job import Rows, engine_off, rows_or_failure
 from pipelines.preprocess.scene import related, with_counts
-from pipelines.sources.edits import WantedEdit
-from pipelines.sources.scenes import Taken, scene_source
+from pipelines.sources.edits import EditRequest
+from pipelines.sources.scenes import SourceScene, scene_source
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.geometry.shape import Shape
@@ -36,7 +36,7 @@ from stable_data.storage import schemas
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Replied:
+class EditReply:
     """What a reply makes of a scene.
 
     Attributes:
@@ -44,17 +44,17 @@ class Replied:
         notices: What about the question or the reply deserves a look.
     """
 
-    edited: EditedScene | Notice
+    edited: EditResult | Notice
     notices: tuple[Notice, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
-class EditWork(SceneWork[EditSettings, WantedEdit, Replied]):
+class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
     """The work of one shard: an item is an edit, and its answer what its reply makes of the scene."""
 
     TABLES: ClassVar = ("warnings", "failures", "corrections", "edits", "scenes")
 
-    def item_id(self, item: WantedEdit) -> str:
+    def item_id(self, item: EditRequest) -> str:
         """The edit's id."""
         return item.edit_id
 
@@ -66,17 +66,17 @@ class EditWork(SceneWork[EditSettings, WantedEdit, Replied]):
         """Opens the reasoner."""
         _ = self.opened().reasoner
 
-    def look(self, item: WantedEdit, progress: Progress) -> None:
+    def look(self, item: EditRequest, progress: ItemProgress) -> None:
         """Takes an edit's scene."""
         editing(self.take(item.scene_id, progress).scene)
 
-    def answers(self, items: Sequence[WantedEdit]) -> list[Replied]:
+    def answers(self, items: Sequence[EditRequest]) -> list[EditReply]:
         """What the replies make of the scenes; the reasoner is asked for all that have none at once.
 
         Raises:
             ConfigError: The engine answers nothing any more (``engine_off``).
         """
-        shown = [editing(self.take(edit.scene_id, Progress("read")).scene) for edit in items]
+        shown = [editing(self.take(edit.scene_id, ItemProgress("read")).scene) for edit in items]
         waiting = [k for k, edit in enumerate(items) if edit.reply is None]
         proposals: dict[int, Proposal] = {}
         if waiting:
@@ -88,21 +88,21 @@ class EditWork(SceneWork[EditSettings, WantedEdit, Replied]):
                     raise engine_off(f"{items[k].edit_id}: {proposal.failure}")
         return [_replied(edit, own, proposals.get(k)) for k, (edit, own) in enumerate(zip(items, shown, strict=True))]
 
-    def unanswered(self, loss: Loss, items: Sequence[WantedEdit]) -> ConfigError:
+    def unanswered(self, loss: ProcessFailure, items: Sequence[EditRequest]) -> ConfigError:
         """What to do where the reasoner was lost."""
         found = f"the reasoner {str(loss).replace('_', ' ')} over {len(items)} edits such as {items[0].edit_id}"
         return ConfigError(f"{found}; free memory, or set scenes_per_shard lower", "engine_failed")
 
-    def finished(self, item: WantedEdit, answer: Replied) -> Rows:
+    def finished(self, item: EditRequest, answer: EditReply) -> Rows:
         """Rows of one edit, from its reply."""
         edited = answer.edited
         if isinstance(edited, Notice):
             return {"failures": [schemas.notice_row(edited)], "warnings": _notice_rows(item, answer.notices)}
-        progress = Progress("assets")
+        progress = ItemProgress("assets")
         rows = rows_or_failure(item.edit_id, progress, lambda: self._rows(item, edited, answer.notices, progress))
         return {"warnings": _notice_rows(item, answer.notices)} | rows
 
-    def _rows(self, edit: WantedEdit, replied: EditedScene, said: Sequence[Notice], progress: Progress) -> Rows:
+    def _rows(self, edit: EditRequest, replied: EditResult, said: Sequence[Notice], progress: ItemProgress) -> Rows:
         taken, opened = self.take(edit.scene_id, progress), self.opened()
         notices = [*taken.notices, *said]
         progress.step = "assets"
@@ -170,12 +170,12 @@ class EditWork(SceneWork[EditSettings, WantedEdit, Replied]):
         return corrector.certified(scene, shapes, audit, raw, fixed)
 
 
-def seed_of(edit: WantedEdit, seed: int) -> int:
+def seed_of(edit: EditRequest, seed: int) -> int:
     """The seed of an edit's draws: of the edit and the job's seed, whichever shard it is in."""
     return int(content_id(seed, edit.edit_id, edit.scene_id, edit.instruction), 16)
 
 
-def _replied(edit: WantedEdit, shown: Editing, proposal: Proposal | None) -> Replied:
+def _replied(edit: EditRequest, shown: EditPrompt, proposal: Proposal | None) -> EditReply:
     """What the reply of an edit, or what was proposed where it has none, makes of its scene."""
     notices = []
     if proposal is not None:
@@ -185,16 +185,16 @@ def _replied(edit: WantedEdit, shown: Editing, proposal: Proposal | None) -> Rep
     try:
         reply = parse_reply(edit.reply or "") if proposal is None else proposal.reply
         if reply is not None:
-            return Replied(apply_edit(shown, reply), tuple(notices))
+            return EditReply(apply_edit(shown, reply), tuple(notices))
         assert proposal is not None
         code, reason = proposal.code, proposal.failure
     except SceneError as error:
         code, reason = error.code, str(error)
-    return Replied(Notice(edit.edit_id, "reply", code or "no_reply", f"{edit.edit_id}: {reason}"), tuple(notices))
+    return EditReply(Notice(edit.edit_id, "reply", code or "no_reply", f"{edit.edit_id}: {reason}"), tuple(notices))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Opened(Opened):
+class _Opened(SceneWorkerState):
     """What a process keeps of its work.
 
     Attributes:
@@ -253,7 +253,7 @@ def _staged(scene: Scene, threshold: float) -> tuple[Scene, list[Notice]]:
     return stage_scene(scene, threshold), notices
 
 
-def _edit_row(edit: WantedEdit, kind: str, taken: Taken, after: Scene) -> schemas.Row:
+def _edit_row(edit: EditRequest, kind: str, taken: SourceScene, after: Scene) -> schemas.Row:
     """What was done in all, correction and others that moved included."""
     before = {o.instance: o for o in taken.scene.objects}
     names = {o.instance for o in after.objects}
@@ -276,5 +276,5 @@ def _is_other(o: SceneObject, was: SceneObject) -> bool:
     return replace(o, stage=was.stage, support=was.support) != was
 
 
-def _notice_rows(edit: WantedEdit, notices: Sequence[Notice]) -> list[schemas.Row]:
+def _notice_rows(edit: EditRequest, notices: Sequence[Notice]) -> list[schemas.Row]:
     return [schemas.notice_row(replace(n, item_id=edit.edit_id)) for n in notices]

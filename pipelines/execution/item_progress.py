@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 
 @dataclass(slots=True)
-class Progress:
+class ItemProgress:
     """How far an item came.
 
     Attributes:

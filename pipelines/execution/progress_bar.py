@@ -1,7 +1,7 @@
 """Live progress: what is in place, how fast it comes, and where the items of the shards are that are being done.
 
-All of it is for the eye: each worker tells once a second where its items are, whether that has changed or not, and who has not been
-heard of for a while is not counted. What is lost on the way is told again, and no row depends on it.
+All of it is for the eye: each worker tells once a second where its items are, whether that has changed or not, and who has not
+been heard of for a while is not counted. What is lost on the way is told again, and no row depends on it.
 """
 
 import sys
@@ -29,7 +29,7 @@ _PATIENCE_SECONDS = 5.0  # with a tally that does not answer
 _BAR = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} {unit}s [{elapsed}<{remaining}{postfix}]"
 
 
-class Tally(Protocol):
+class ProgressTally(Protocol):
     """Keeps where the items of the shards are that are being done."""
 
     def note(self, shard_id: str, where: Where) -> None:
@@ -42,7 +42,7 @@ class Tally(Protocol):
 
 
 @dataclass(slots=True)
-class OwnTally:
+class LocalTally:
     """A tally in this process."""
 
     _of: dict[str, tuple[float, Where]] = field(default_factory=dict)
@@ -77,7 +77,7 @@ class SharedTally:
     def started(cls) -> "SharedTally":
         """One beside the driver, on the cluster that this process is connected to; it takes no core from the work."""
         here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=True)
-        return cls(ray.remote(num_cpus=0, max_restarts=-1, scheduling_strategy=here)(OwnTally).remote())
+        return cls(ray.remote(num_cpus=0, max_restarts=-1, scheduling_strategy=here)(LocalTally).remote())
 
     def note(self, shard_id: str, where: Where) -> None:
         """Sends what a worker tells of its shard; waits for nothing."""
@@ -93,7 +93,7 @@ class SharedTally:
         return found
 
 
-class Telling:
+class ProgressReporter:
     """Tells a tally where the items of one shard are. Used in a ``with`` statement, at whose end the shard is done.
 
     Args:
@@ -102,12 +102,12 @@ class Telling:
         where: How many items are where at first.
     """
 
-    def __init__(self, tally: Tally | None, shard_id: str, **where: int) -> None:
+    def __init__(self, tally: ProgressTally | None, shard_id: str, **where: int) -> None:
         self._tally, self._shard_id = tally, shard_id
         self._where: Where = where
         self._end, self._thread = Event(), Thread(target=self._tell, name="telling", daemon=True)
 
-    def __enter__(self) -> "Telling":
+    def __enter__(self) -> "ProgressReporter":
         """Begins to tell."""
         if self._tally is not None:
             self._thread.start()
@@ -134,7 +134,7 @@ class Telling:
             return
 
 
-class LiveBar:
+class ProgressBar:
     """The progress bar of a job. Used in a ``with`` statement.
 
     Args:
@@ -145,13 +145,13 @@ class LiveBar:
         tally: Where those are that are being done; None: that is not shown.
     """
 
-    def __init__(self, name: str, unit: str, total: int, initial: int, tally: Tally | None = None) -> None:
+    def __init__(self, name: str, unit: str, total: int, initial: int, tally: ProgressTally | None = None) -> None:
         self._bar = tqdm(total=total, initial=initial, desc=name, unit=unit, bar_format=_BAR)
         self._tally, self._done, self._failed, self._left = tally, 0, 0, 0
         self._began, self._end = perf_counter(), Event()
         self._thread = Thread(target=self._look, name="progress", daemon=True)
 
-    def __enter__(self) -> "LiveBar":
+    def __enter__(self) -> "ProgressBar":
         """Begins to look at the tally."""
         if self._tally is not None:
             self._thread.start()

@@ -61,7 +61,7 @@ class Work(Protocol[T_contra, R_co]):
 
 
 @dataclass(frozen=True, slots=True)
-class Workers:
+class WorkerPool:
     """Who runs the shards.
 
     Attributes:
@@ -110,7 +110,7 @@ class _Attempt(Generic[T]):
 class _RayRun(Generic[T, R]):
     """Shards on a Ray cluster, a few in flight for each worker."""
 
-    def __init__(self, workers: Workers, work: Work[T, R], shards: Sequence[T]) -> None:
+    def __init__(self, workers: WorkerPool, work: Work[T, R], shards: Sequence[T]) -> None:
         self._workers, self._shards = workers, shards
         self._empty_since: float | None = None
         self._started_ray = connect(workers)
@@ -185,7 +185,7 @@ class _RayRun(Generic[T, R]):
         return self._workers.count or max(1, _AHEAD * int(ray.cluster_resources().get("CPU", 0)))
 
 
-def connect(workers: Workers) -> bool:
+def connect(workers: WorkerPool) -> bool:
     """Starts a local Ray or connects to the cluster, where this process has none yet; gives whether it started one.
 
     Raises:
@@ -260,14 +260,14 @@ def limited(seconds: float) -> Iterator[None]:
         faulthandler.cancel_dump_traceback_later()
 
 
-class Loss(StrEnum):
+class ProcessFailure(StrEnum):
     """How a process of its own ended without a result."""
 
     CRASHED = "crashed"
     TIMED_OUT = "timed_out"
 
 
-class Apart:
+class IsolatedProcess:
     """A process of its own for calls that may end it; where one does, the next call has another. Used in a ``with`` statement.
 
     Args:
@@ -278,7 +278,7 @@ class Apart:
         self._prepare = prepare or _nothing
         self._pool: ProcessPoolExecutor | None = None
 
-    def __enter__(self) -> "Apart":
+    def __enter__(self) -> "IsolatedProcess":
         """Starts nothing yet."""
         return self
 
@@ -286,7 +286,7 @@ class Apart:
         """Ends the process."""
         self._end()
 
-    def call(self, function: Callable[..., R], *arguments: object, seconds: float) -> R | Loss:
+    def call(self, function: Callable[..., R], *arguments: object, seconds: float) -> R | ProcessFailure:
         """Calls a function there.
 
         Args:
@@ -307,8 +307,8 @@ class Apart:
                 self._end()
             except FutureTimeoutError:
                 self._end(kill=True)
-                return Loss.TIMED_OUT
-        return Loss.CRASHED
+                return ProcessFailure.TIMED_OUT
+        return ProcessFailure.CRASHED
 
     def _end(self, *, kill: bool = False) -> None:
         if self._pool is not None:
@@ -320,9 +320,9 @@ class Apart:
 
 def alone(
     function: Callable[..., R], *arguments: object, seconds: float, prepare: Callable[[], object] | None = None
-) -> R | Loss:
-    """Calls a function in a process of its own, see :meth:`Apart.call`."""
-    with Apart(prepare) as apart:
+) -> R | ProcessFailure:
+    """Calls a function in a process of its own, see :meth:`IsolatedProcess.call`."""
+    with IsolatedProcess(prepare) as apart:
         return apart.call(function, *arguments, seconds=seconds)
 
 

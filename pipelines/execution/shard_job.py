@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol, TypeAlias, TypeVar
 
 from pipelines.execution.code_history import record_code, take_over_code, with_release
-from pipelines.execution.item_progress import Progress
-from pipelines.execution.progress_bar import LiveBar, Tally
-from pipelines.execution.ray_executor import Loss, Work, Workers, alone
+from pipelines.execution.item_progress import ItemProgress
+from pipelines.execution.progress_bar import ProgressBar, ProgressTally
+from pipelines.execution.ray_executor import ProcessFailure, Work, WorkerPool, alone
 from stable_data.code_version import code_version
 from stable_data.config_diff import differences
 from stable_data.content_id import content_id
@@ -40,7 +40,7 @@ class Shard(Protocol):
 
 
 def rows_or_failure(
-    item_id: str, progress: Progress, make: Callable[[], Rows], *, of_the_run: tuple[type[Exception], ...] = (ConfigError,)
+    item_id: str, progress: ItemProgress, make: Callable[[], Rows], *, of_the_run: tuple[type[Exception], ...] = (ConfigError,)
 ) -> Rows:
     """Rows of one item; where it cannot be used, a row of ``failures`` that says in which step and why.
 
@@ -75,11 +75,11 @@ def rows_alone(
 ) -> Rows:
     """Rows of one item, made in a process of its own; a failure where that process dies or takes too long."""
     found = alone(make, item, seconds=seconds, prepare=prepare)
-    if not isinstance(found, Loss):
+    if not isinstance(found, ProcessFailure):
         return found
     hint = {
-        Loss.CRASHED: "the process that read it died; is the file hostile?",
-        Loss.TIMED_OUT: f"took over {seconds:g} s; is it hostile, or is seconds_per_item too short for it?",
+        ProcessFailure.CRASHED: "the process that read it died; is the file hostile?",
+        ProcessFailure.TIMED_OUT: f"took over {seconds:g} s; is it hostile, or is seconds_per_item too short for it?",
     }[found]
     return {"failures": [schemas.notice_row(Notice(item_id, "isolate", str(found), f"{item_id}: {hint}"))]}
 
@@ -152,10 +152,10 @@ def run_missing(
     shards: Sequence[S],
     tables_of: Callable[[S], Iterable[str]],
     work: Work[S, tuple[int, int]],
-    workers: Workers,
+    workers: WorkerPool,
     name: str,
     unit: str = "item",
-    tally: Tally | None = None,
+    tally: ProgressTally | None = None,
 ) -> None:
     """Does the shards whose tables are not all in place.
 
@@ -175,7 +175,7 @@ def run_missing(
     if missing and record_code(folder.uri, manifest):
         write_manifest(folder, manifest)
     total = sum(map(len, shards))
-    with LiveBar(name, unit, total, total - sum(map(len, missing)), tally) as bar:
+    with ProgressBar(name, unit, total, total - sum(map(len, missing)), tally) as bar:
         for left, (size, failures) in zip(
             reversed(range(len(missing))), workers.run(work, missing) if missing else (), strict=True
         ):

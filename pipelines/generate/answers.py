@@ -4,15 +4,15 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 
-from models.dual_system.algorithm1 import Correct, Propose, Retrieve
-from models.physics_corrector.certify import Status
-from models.physics_corrector.corrector import Came, Correction, PhysicsCorrector, certified_from, named, told
+from models.dual_system.algorithm1 import CorrectionRequest, ProposalRequest, RetrievalRequest
+from models.physics_corrector.certify import CorrectionStatus
+from models.physics_corrector.corrector import Correction, InputScene, PhysicsCorrector, certified_from, named, told
 from models.physics_corrector.stabilization.drop_simulation import let_down
 from models.physics_corrector.stabilization.stabilize import steadied
 from models.semantic_reasoner.engines.incremental_batches import Conversation
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
 from pipelines.execution.shard_job import unexpected
-from stable_data.assets.assignment import Furnished, furnish
+from stable_data.assets.assignment import AssignedLayout, assign_assets
 from stable_data.assets.retrieval import Retriever
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
@@ -22,12 +22,12 @@ from stable_data.scene import Scene
 NOT_OF_A_SCENE = (ConfigError, OSError, MemoryError)
 """Errors that are of the run or of the machine: another time, or elsewhere, they may not come."""
 
-Certify = Callable[["Certifying"], Correction]
+Certify = Callable[["PendingCertification"], Correction]
 """Certifies one scene; in a process of its own where a mesh may end this one."""
 
 
 @dataclass(frozen=True, slots=True)
-class Certifying:
+class PendingCertification:
     """One scene after the flow, to be proven or mended.
 
     Attributes:
@@ -46,7 +46,7 @@ class Certifying:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Certifier:
+class LocalCertifier:
     """Certifies scenes in this process.
 
     Attributes:
@@ -57,7 +57,7 @@ class Certifier:
     corrector: PhysicsCorrector
     store: AssetStore
 
-    def __call__(self, asked: Certifying) -> Correction:
+    def __call__(self, asked: PendingCertification) -> Correction:
         """One scene; what nobody foresaw keeps it out, and no other.
 
         Raises:
@@ -72,9 +72,9 @@ class Certifier:
         except Exception as error:  # noqa: BLE001 - a scene that breaks the geometry of one library is a row of failures
             return unanswered(asked, unexpected(error))
 
-    def _certified(self, asked: Certifying) -> Correction:
+    def _certified(self, asked: PendingCertification) -> Correction:
         scene, shapes, _ = self.store.resolved(asked.scene)
-        came = Came(scene, shapes, audit_scene(scene, shapes))
+        came = InputScene(scene, shapes, audit_scene(scene, shapes))
         fixed = self.corrector.options.fixed | asked.fixed
         let = let_down(scene, asked.new, fixed, self.store)
         _, shapes, _ = self.store.resolved(let.scene)
@@ -85,7 +85,7 @@ class Certifier:
 
 
 @dataclass(slots=True, eq=False)
-class OwnAnswers:
+class LocalRequestHandler:
     """Answers from this process, in batches.
 
     Attributes:
@@ -101,14 +101,14 @@ class OwnAnswers:
 
     reasoner: SemanticReasoner
     retriever: Retriever
-    certifier: Certifier
+    certifier: LocalCertifier
     seed: int = 0
     settles: bool = True
     certify: Certify | None = None
     fault_of: Callable[[str], str | None] | None = None
     seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("propose", "retrieve", "flow", "certify"), 0.0))
 
-    def propose(self, questions: Sequence[Propose], /) -> Conversation[Proposal, Propose]:
+    def propose(self, questions: Sequence[ProposalRequest], /) -> Conversation[Proposal, ProposalRequest]:
         """Objects of stages: what is asked for later joins what the engine is still busy with."""
         began = perf_counter()
         talk = self.reasoner.converse([(q.ask, q.seed) for q in questions])
@@ -123,15 +123,15 @@ class OwnAnswers:
                 found = None
         self.seconds["propose"] += perf_counter() - began
 
-    def retrieve(self, questions: Sequence[Retrieve], /) -> list[Furnished]:
+    def retrieve(self, questions: Sequence[RetrievalRequest], /) -> list[AssignedLayout]:
         """Assets of objects, all of them looked for at once."""
         began = perf_counter()
         fault_of = self.fault_of or self.certifier.store.fault_of
-        found = furnish([q.scene for q in questions], self.retriever, self.seed, fault_of)
+        found = assign_assets([q.scene for q in questions], self.retriever, self.seed, fault_of)
         self.seconds["retrieve"] += perf_counter() - began
         return found
 
-    def correct(self, questions: Sequence[Correct], /) -> Iterator[Correction]:
+    def correct(self, questions: Sequence[CorrectionRequest], /) -> Iterator[Correction]:
         """Clean poses of scenes: the flow moves all of them as one batch, each is certified alone."""
         began = perf_counter()
         resolved = [self.certifier.store.resolved(q.scene)[:2] for q in questions]
@@ -142,12 +142,12 @@ class OwnAnswers:
         certify = self.certify or self.certifier
         for q, scene, raw in zip(questions, scenes, raws, strict=True):
             began = perf_counter()
-            found = certify(Certifying(scene, raw, q.fixed, q.new, q.is_last and self.settles))
+            found = certify(PendingCertification(scene, raw, q.fixed, q.new, q.is_last and self.settles))
             self.seconds["certify"] += perf_counter() - began
             yield found
 
 
-def unanswered(asked: Certifying, reason: str) -> Correction:
+def unanswered(asked: PendingCertification, reason: str) -> Correction:
     """What comes of a scene that could not be certified at all: it is kept out, and the others go on.
 
     Args:
@@ -155,7 +155,7 @@ def unanswered(asked: Certifying, reason: str) -> Correction:
         reason: Why, one line.
     """
     return Correction(
-        status=Status.UNKNOWN,
+        status=CorrectionStatus.UNKNOWN,
         reason=reason,
         start=asked.scene,
         raw=asked.raw,

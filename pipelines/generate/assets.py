@@ -9,13 +9,13 @@ from typing import ClassVar
 import pyarrow.compute as pc
 
 from pipelines.correct.scene_shard import SceneShard
-from pipelines.execution.item_progress import Progress
+from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import limited
 from pipelines.execution.shard_job import Rows, rows_alone, rows_or_failure
 from pipelines.generate.answers import NOT_OF_A_SCENE
 from pipelines.preprocess.asset import AssetSettings, AssetUse, preprocess_asset
-from pipelines.preprocess.plan import UseCount, file_digest, groups
-from pipelines.sources.assets import AssetShelf
+from pipelines.preprocess.plan import AssetUseCount, file_digest, groups
+from pipelines.sources.assets import AssetLibraries
 from stable_data.assets.store import AssetStore
 from stable_data.content_id import content_id
 from stable_data.storage import schemas
@@ -31,7 +31,7 @@ class CarryWork:
     Attributes:
         TABLES: Of a shard, in the order in which they are put in place.
         out: The run's folder, which every worker can write.
-        places: Where assets are taken from, see :class:`~pipelines.sources.assets.AssetShelf`.
+        places: Where assets are taken from, see :class:`~pipelines.sources.assets.AssetLibraries`.
         fingerprint: Content of the libraries.
         seconds: An asset that takes longer is given up.
     """
@@ -60,10 +60,10 @@ class CarryWork:
         return len(shard), len(rows["failures"])
 
     def _rows(self, use: AssetUse) -> Rows:
-        progress = Progress("mesh")
+        progress = ItemProgress("mesh")
         return rows_or_failure(use.asset_id, progress, partial(self._made, use, progress), of_the_run=NOT_OF_A_SCENE)
 
-    def _made(self, use: AssetUse, progress: Progress) -> Rows:
+    def _made(self, use: AssetUse, progress: ItemProgress) -> Rows:
         shelf, store = _opened(self)
         path = shelf.asset_path(use.asset_id)
         if path is not None:
@@ -73,8 +73,8 @@ class CarryWork:
 
 
 @lru_cache(maxsize=1)
-def _opened(work: CarryWork) -> tuple[AssetShelf, AssetStore]:
-    shelf = AssetShelf(work.places)
+def _opened(work: CarryWork) -> tuple[AssetLibraries, AssetStore]:
+    shelf = AssetLibraries(work.places)
     return shelf, AssetStore(shelf)
 
 
@@ -86,7 +86,7 @@ def asset_shards(run: RunFolder, names: Sequence[str], fingerprint: str) -> list
         names: Its tables of scenes.
         fingerprint: Content of the libraries.
     """
-    uses: dict[str, UseCount] = defaultdict(UseCount)
+    uses: dict[str, AssetUseCount] = defaultdict(AssetUseCount)
     for name in names:
         for batch in run.batches(name, ["objects"]):
             objects = pc.list_flatten(batch["objects"])

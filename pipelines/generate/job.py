@@ -15,8 +15,8 @@ from models.semantic_reasoner.factory import shaping_of_proposals
 from pipelines.correct.job import write_notices
 from pipelines.correct.scene_shard import SceneShard
 from pipelines.execution.engine_pool import PooledEngine, engine_pool
-from pipelines.execution.progress_bar import OwnTally, SharedTally, Tally
-from pipelines.execution.ray_executor import Workers, connect
+from pipelines.execution.progress_bar import LocalTally, ProgressTally, SharedTally
+from pipelines.execution.ray_executor import WorkerPool, connect
 from pipelines.execution.shard_job import (
     OF_DATASET,
     check_resume,
@@ -32,8 +32,8 @@ from pipelines.generate.report import write_generate_report
 from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import GenerateWork
 from pipelines.preprocess.plan import groups
-from pipelines.sources.assets import AssetShelf
-from pipelines.sources.generation_tasks import Task, Tasks
+from pipelines.sources.assets import AssetLibraries
+from pipelines.sources.generation_tasks import Task, TaskSource
 from stable_data.content_id import content_id
 from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.errors import ConfigError
@@ -41,7 +41,13 @@ from stable_data.storage.run_folder import RunFolder
 
 
 def generate(
-    tasks: Tasks, out: str, settings: GenerateSettings, workers: Workers, assets: Sequence[str] = (), *, report: bool = True
+    tasks: TaskSource,
+    out: str,
+    settings: GenerateSettings,
+    workers: WorkerPool,
+    assets: Sequence[str] = (),
+    *,
+    report: bool = True,
 ) -> dict[str, Any]:
     """Runs the job, or what is missing of it.
 
@@ -50,8 +56,8 @@ def generate(
         out: Local folder that every worker can write, or object-store URI.
         settings: What shapes the rows.
         workers: Who runs the shards.
-        assets: Where assets are taken from, see :class:`pipelines.sources.assets.AssetShelf`; every node of a cluster must see
-            them.
+        assets: Where assets are taken from, see :class:`pipelines.sources.assets.AssetLibraries`; every node of a cluster must
+            see them.
         report: Whether to write the report page and the sheet of pictures.
 
     Returns:
@@ -67,7 +73,7 @@ def generate(
             "config_invalid",
         )
     folder, places, settings = RunFolder(out), _absolute(assets), settings.of_tasks(len(tasks.tasks))
-    shelf = AssetShelf(places)
+    shelf = AssetLibraries(places)
     inputs = _inputs(tasks, settings, shelf)
     fingerprint, shards = content_id(inputs), _shards(tasks.tasks, settings, inputs)
     with folder.locked():
@@ -109,14 +115,14 @@ def generate(
 
 @contextmanager
 def _shared(
-    settings: GenerateSettings, workers: Workers, there: Set[str], shards: Sequence[SceneShard[Task]]
-) -> Iterator[tuple[PooledEngine | None, Tally | None]]:
+    settings: GenerateSettings, workers: WorkerPool, there: Set[str], shards: Sequence[SceneShard[Task]]
+) -> Iterator[tuple[PooledEngine | None, ProgressTally | None]]:
     """What the workers share as long as there is something to do: engines, unless each has its own, and whom they tell of it."""
     if {shard.shard_id for shard in shards} <= there:
         yield None, None
         return
     if workers.are_this_process:
-        yield None, OwnTally()
+        yield None, LocalTally()
         return
     started = connect(workers)
     try:
@@ -129,9 +135,9 @@ def _shared(
             ray.shutdown()
 
 
-def describe_generation(tasks: Tasks, settings: GenerateSettings, assets: Sequence[str] = ()) -> dict[str, Any]:
+def describe_generation(tasks: TaskSource, settings: GenerateSettings, assets: Sequence[str] = ()) -> dict[str, Any]:
     """What a run would do: settings, inputs and counts, for ``--dry-run``."""
-    inputs, settings = _inputs(tasks, settings, AssetShelf(_absolute(assets))), settings.of_tasks(len(tasks.tasks))
+    inputs, settings = _inputs(tasks, settings, AssetLibraries(_absolute(assets))), settings.of_tasks(len(tasks.tasks))
     return {
         "tasks": tasks.name,
         "num_tasks": len(tasks.tasks),
@@ -146,7 +152,7 @@ def _absolute(assets: Sequence[str]) -> tuple[str, ...]:
     return tuple(p if "://" in p or p == EMBEDDED else str(Path(p).expanduser().resolve()) for p in assets)
 
 
-def _inputs(tasks: Tasks, settings: GenerateSettings, shelf: AssetShelf) -> dict[str, Any]:
+def _inputs(tasks: TaskSource, settings: GenerateSettings, shelf: AssetLibraries) -> dict[str, Any]:
     """Content of all inputs by their kind; what cannot be used is refused here, before anything is written."""
     load_flow(settings.weights, settings.steps)
     return {

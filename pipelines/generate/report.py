@@ -19,7 +19,7 @@ from pipelines.generate.shard import TIMING_FOLDER
 from pipelines.reports.html import bars, head, histogram, notices, page, table, tiles
 from pipelines.reports.scene_pictures import Shown, drawn, figures
 from pipelines.sources.scenes import mesh_cache
-from stable_data.assets.run_assets import TableAssets
+from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
 from stable_data.simulation.render import contact_sheet
@@ -57,7 +57,7 @@ def write_generate_report(folder: RunFolder, manifest: dict[str, Any], settings:
     columns = [column for _, column, _, _ in _MEASURES] + ["scene_id", "clean", "stable", "table_type", "move_max_mm"]
     scenes, rejected = (_frame(folder, name, columns) for name in ("scenes", "rejected"))
     spent, turns = _spent(folder), _frame(folder, "turns", ["stage", "tries", "prompt_tokens", "reply_tokens", "cost", "code"])
-    store = AssetStore(TableAssets(folder, mesh_cache()))
+    store = AssetStore(RunAssets(folder, mesh_cache()))
     body = [
         head(manifest),
         f'<p class="note">Reasoner: {escape(manifest["engine"])}. Corrector: {escape(settings.weights)}. '

@@ -11,7 +11,7 @@ from pipelines.propose.settings import plain_retrieval
 from stable_data.assets.ranking import RetrievalSettings
 from stable_data.errors import ConfigError
 from stable_data.scene import Stage
-from stable_data.storage.filter_expression import Query, parse_query
+from stable_data.storage.filter_expression import FilterExpression, parse_filter
 from stable_data.storage.schemas import SCHEMAS
 
 _FEWEST, _MOST = 16, 128  # scenes of a shard: with fewer the reasoner's batches are small, with more a lost worker costs much
@@ -102,9 +102,9 @@ class GenerateSettings:
         return LoopSettings(self.stages, self.corrects, self.earlier_move, self.tries, self.full)
 
     @property
-    def accepting(self) -> Query | None:
+    def accepting(self) -> FilterExpression | None:
         """Which scenes are accepted; None: all."""
-        return parse_query(self.accept, SCHEMAS["scenes"]) if self.accept.strip() else None
+        return parse_filter(self.accept, SCHEMAS["scenes"]) if self.accept.strip() else None
 
     def of_tasks(self, count: int) -> "GenerateSettings":
         """The same with as many scenes a shard as a number of tasks makes it."""

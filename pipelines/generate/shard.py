@@ -14,8 +14,8 @@ from typing import ClassVar
 
 import ray
 
-from models.dual_system.algorithm1 import Generated, Turn, dual_system
-from models.dual_system.batching import Queues, together
+from models.dual_system.algorithm1 import GenerationResult, Turn, dual_system
+from models.dual_system.batching import QueueCounts, run_batched
 from models.physics_corrector.certify import CertifyOptions
 from models.physics_corrector.corrector import Correction, PhysicsCorrector, with_movement
 from models.physics_corrector.learned_flow import load_flow
@@ -28,14 +28,14 @@ from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import answer
 from pipelines.correct.scene_shard import SceneShard, dropped_notice, notices_of
 from pipelines.execution.engine_pool import PooledEngine
-from pipelines.execution.item_progress import Progress
-from pipelines.execution.progress_bar import Tally, Telling
-from pipelines.execution.ray_executor import Apart, Loss, limited
+from pipelines.execution.item_progress import ItemProgress
+from pipelines.execution.progress_bar import ProgressReporter, ProgressTally
+from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, limited
 from pipelines.execution.shard_job import Rows, engine_off, rows_or_failure, unexpected
-from pipelines.generate.answers import NOT_OF_A_SCENE, Certifier, Certifying, OwnAnswers, unanswered
+from pipelines.generate.answers import NOT_OF_A_SCENE, LocalCertifier, LocalRequestHandler, PendingCertification, unanswered
 from pipelines.generate.settings import GenerateSettings
-from pipelines.preprocess.scene import Related, SceneSettings, duplicate_group, related, split_of, with_counts
-from pipelines.sources.assets import AssetShelf
+from pipelines.preprocess.scene import RelatedScene, SceneSettings, duplicate_group, related, split_of, with_counts
+from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import Task
 from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError, Notice, SceneError
@@ -71,7 +71,7 @@ REJECTED = "rejected"
 
 
 @dataclass(frozen=True, eq=False)
-class Opened:
+class GenerateWorkerState:
     """What a process keeps of its work.
 
     Attributes:
@@ -80,8 +80,8 @@ class Opened:
         statistics: What is known of categories.
     """
 
-    answers: OwnAnswers
-    shelf: AssetShelf
+    answers: LocalRequestHandler
+    shelf: AssetLibraries
     statistics: CategoryStatistics | None
 
 
@@ -92,7 +92,7 @@ class GenerateWork:
     Attributes:
         TABLES: Of a shard, in the order in which they are put in place.
         out: The run's folder, which every worker can write.
-        assets: Where assets are taken from, see :class:`~pipelines.sources.assets.AssetShelf`.
+        assets: Where assets are taken from, see :class:`~pipelines.sources.assets.AssetLibraries`.
         settings: The job's settings.
         fingerprint: Content of the inputs: what a process keeps of one is not used for another in the same place.
         pool: Engines that are shared; None: a process has its own.
@@ -106,7 +106,7 @@ class GenerateWork:
     settings: GenerateSettings
     fingerprint: str = ""
     pool: PooledEngine | None = field(default=None, compare=False)
-    tally: Tally | None = field(default=None, compare=False)
+    tally: ProgressTally | None = field(default=None, compare=False)
 
     def __call__(self, shard: SceneShard[Task], *, isolated: bool = False) -> tuple[int, int]:
         """Makes the scenes of a shard and puts its tables in place; gives how many there are and how many of them failed.
@@ -114,10 +114,13 @@ class GenerateWork:
         Raises:
             ConfigError: The engine answers nothing any more (``engine_off``).
         """
-        with Apart(partial(_prepare, self._physics())) as apart, Telling(self.tally, shard.shard_id, begin=len(shard)) as tell:
+        with (
+            IsolatedProcess(partial(_prepare, self._physics())) as apart,
+            ProgressReporter(self.tally, shard.shard_id, begin=len(shard)) as tell,
+        ):
             return self._made(shard, apart if isolated else None, tell)
 
-    def _made(self, shard: SceneShard[Task], apart: Apart | None, tell: Telling) -> tuple[int, int]:
+    def _made(self, shard: SceneShard[Task], apart: IsolatedProcess | None, tell: ProgressReporter) -> tuple[int, int]:
         began, opened = perf_counter(), _opened(self)
         seconds = opened.answers.seconds
         seconds.update(dict.fromkeys(seconds, 0.0))
@@ -145,14 +148,16 @@ class GenerateWork:
             except SceneError as error:
                 rows["failures"].append(schemas.notice_row(Notice(task.scene_id, "tasks", error.code, str(error))))
 
-    def _generated(self, tasks: Sequence[LayoutTask], opened: Opened, tell: Telling) -> Iterator[Generated]:
+    def _generated(
+        self, tasks: Sequence[LayoutTask], opened: GenerateWorkerState, tell: ProgressReporter
+    ) -> Iterator[GenerationResult]:
         """What becomes of tasks: made side by side, or one by one where something unforeseen ends that, which costs its scene."""
 
-        def made(some: Sequence[LayoutTask], watch: Callable[[Queues], None] | None = None) -> list[Generated]:
+        def made(some: Sequence[LayoutTask], watch: Callable[[QueueCounts], None] | None = None) -> list[GenerationResult]:
             loops = [dual_system(t, named_seed(seed, t.scene_id), settings, opened.statistics) for t in some]
-            return together(loops, opened.answers, watch)
+            return run_batched(loops, opened.answers, watch)
 
-        def watch(queues: Queues) -> None:
+        def watch(queues: QueueCounts) -> None:
             tell(propose=queues.reasoner, correct=queues.corrector, judge=queues.made)
 
         settings, seed = self.settings.loop, self.settings.seed
@@ -172,26 +177,28 @@ class GenerateWork:
                 except Exception as error:  # noqa: BLE001 - what nobody foresaw becomes a row
                     message = f"{task.scene_id}: {unexpected(error)}"
                     blank = Scene(task.scene_id, task.table, ())
-                    found = Generated(task, None, blank, (), failure=Notice(task.scene_id, "generate", "unexpected", message))
+                    found = GenerationResult(
+                        task, None, blank, (), failure=Notice(task.scene_id, "generate", "unexpected", message)
+                    )
                 yield found
 
-    def _certified(self, asked: Certifying, *, apart: Apart | None) -> Correction:
+    def _certified(self, asked: PendingCertification, *, apart: IsolatedProcess | None) -> Correction:
         """One scene certified; in a process of its own where workers died over its shard."""
         seconds = self.settings.seconds_per_item
         if apart is None:
             with limited(seconds):
                 return _opened(self).answers.certifier(asked)
         found = apart.call(partial(_certify, self._physics()), asked, seconds=seconds)
-        if isinstance(found, Loss):
+        if isinstance(found, ProcessFailure):
             return unanswered(asked, f"the correction {str(found).replace('_', ' ')} ({seconds:g} s are allowed)")
         return found
 
-    def _fault_of(self, asset_id: str, *, apart: Apart | None) -> str | None:
+    def _fault_of(self, asset_id: str, *, apart: IsolatedProcess | None) -> str | None:
         """Why an asset cannot be used; where workers died over the shard it is read in a process of its own first."""
         seconds, store = self.settings.seconds_per_item, _opened(self).answers.certifier.store
         if apart is not None:
             found = apart.call(partial(_read, self._physics()), asset_id, seconds=seconds)
-            if isinstance(found, Loss):
+            if isinstance(found, ProcessFailure):
                 return f"asset {asset_id}: reading it {str(found).replace('_', ' ')} ({seconds:g} s are allowed)"
         with limited(seconds):
             return store.fault_of(asset_id)
@@ -200,7 +207,7 @@ class GenerateWork:
         """The work for a process that corrects alone: it is no worker of Ray, and reaches none of what the workers share."""
         return replace(self, pool=None, tally=None)
 
-    def _rows(self, made: Generated) -> Rows:
+    def _rows(self, made: GenerationResult) -> Rows:
         """All rows of one scene."""
         name = made.task.scene_id
         rows: Rows = {
@@ -210,13 +217,13 @@ class GenerateWork:
         if made.scene is None:
             assert made.failure is not None
             return rows | {"failures": [schemas.notice_row(made.failure)]}
-        progress = Progress("judge")
+        progress = ItemProgress("judge")
         with limited(self.settings.seconds_per_item):
             make = partial(self._judged, made, made.scene, progress)
             judged = rows_or_failure(name, progress, make, of_the_run=_NOT_OF_A_SCENE)
         return rows | judged | {"warnings": [*rows["warnings"], *judged.get("warnings", [])]}
 
-    def _judged(self, made: Generated, scene: Scene, progress: Progress) -> Rows:
+    def _judged(self, made: GenerationResult, scene: Scene, progress: ItemProgress) -> Rows:
         """The rows of a scene that was made: accepted, or rejected and said why."""
         opened, name = _opened(self), scene.scene_id
         progress.step = "mesh"
@@ -280,7 +287,7 @@ def _prepare(work: GenerateWork) -> None:
     _apart(work)
 
 
-def _certify(work: GenerateWork, asked: Certifying) -> Correction:
+def _certify(work: GenerateWork, asked: PendingCertification) -> Correction:
     return _apart(work)(asked)
 
 
@@ -289,25 +296,25 @@ def _read(work: GenerateWork, asset_id: str) -> None:
 
 
 @lru_cache(maxsize=1)
-def _apart(work: GenerateWork) -> Certifier:
-    return _certifier(work.settings, AssetShelf(work.assets))
+def _apart(work: GenerateWork) -> LocalCertifier:
+    return _certifier(work.settings, AssetLibraries(work.assets))
 
 
-def _certifier(settings: GenerateSettings, shelf: AssetShelf) -> Certifier:
+def _certifier(settings: GenerateSettings, shelf: AssetLibraries) -> LocalCertifier:
     options = CertifyOptions(depth=_DEPTH, places=_PLACES, twice=False)
-    return Certifier(
+    return LocalCertifier(
         PhysicsCorrector(load_flow(settings.weights, settings.steps), options, judges_raw=False), AssetStore(shelf)
     )
 
 
 @lru_cache(maxsize=1)
-def _opened(work: GenerateWork) -> Opened:
+def _opened(work: GenerateWork) -> GenerateWorkerState:
     settings = work.settings
-    shelf = AssetShelf(work.assets)
+    shelf = AssetLibraries(work.assets)
     reasoner, statistics = load_reasoner(settings.engine, settings.reasoner, work.pool)
     retriever, certifier = shelf.retriever(settings.retrieval), _certifier(settings, shelf)
-    answers = OwnAnswers(reasoner, retriever, certifier, settings.seed, settings.settle)
-    return Opened(answers, shelf, statistics)
+    answers = LocalRequestHandler(reasoner, retriever, certifier, settings.seed, settings.settle)
+    return GenerateWorkerState(answers, shelf, statistics)
 
 
 # --- the card -----------------------------------------------------------------------------------------------------------------
@@ -328,7 +335,7 @@ def _with_movement(
 
 
 def _with_alignment(
-    card: MetricCard, seen: Related, containers: Mapping[str, bool | None], statistics: CategoryStatistics | None
+    card: MetricCard, seen: RelatedScene, containers: Mapping[str, bool | None], statistics: CategoryStatistics | None
 ) -> tuple[MetricCard, tuple[Relation, ...]]:
     """What of the instruction the scene has: the things that it asks for, and what it says of the start; what of that is not so."""
     scene = seen.scene

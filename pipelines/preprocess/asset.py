@@ -7,7 +7,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from pipelines.execution.item_progress import Progress
+from pipelines.execution.item_progress import ItemProgress
 from stable_data.assets.store import AssetMesh, AssetStore, aspect_of
 from stable_data.errors import Notice
 from stable_data.geometry.convex_decomposition import convex_parts
@@ -69,7 +69,7 @@ def preprocess_asset(
     annotation: AssetAnnotation,
     store: AssetStore,
     settings: AssetSettings,
-    progress: Progress,
+    progress: ItemProgress,
     embedding: TextFeature | None = None,
 ) -> AssetRows:
     """Everything that preprocess makes of one asset.

@@ -7,7 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pipelines.execution.item_progress import Progress
+from pipelines.execution.item_progress import ItemProgress
 from stable_data.assets.store import AssetStore, aspect_of
 from stable_data.errors import ConfigError, MeshError
 from stable_data.geometry.shape import Shape
@@ -50,7 +50,7 @@ class FeatureUse:
     shapes: tuple[ShapeUse, ...]
 
 
-def feature_rows(use: FeatureUse, store: AssetStore, encoder: PointEncoder, progress: Progress) -> list[schemas.Row]:
+def feature_rows(use: FeatureUse, store: AssetStore, encoder: PointEncoder, progress: ItemProgress) -> list[schemas.Row]:
     """Features of an asset, one row a shape; none where its mesh cannot be used, which the asset's own row of failures says.
 
     Args:
@@ -62,7 +62,7 @@ def feature_rows(use: FeatureUse, store: AssetStore, encoder: PointEncoder, prog
     Raises:
         MeshError: A shape has no cloud that the encoder takes.
     """
-    from models.point_encoder import Cloud, one_thread
+    from models.point_encoder import PointCloud, one_thread
 
     progress.step = "features"
     try:
@@ -73,7 +73,7 @@ def feature_rows(use: FeatureUse, store: AssetStore, encoder: PointEncoder, prog
     for shape_use in use.shapes:
         x, y, z = (shape_use.scale * a for a in aspect_of(shape_use.steps))
         shape = Shape.from_mesh(mesh, (x, y, z), shape_use.tilt_quat_xyzw)
-        clouds.append(Cloud.of_shape(shape, encoder.preprocessing.num_points))
+        clouds.append(PointCloud.of_shape(shape, encoder.preprocessing.num_points))
     with one_thread():
         # One by one: in a batch, the last bits of a feature would depend on the others.
         found = encoder.encode(clouds, batch_size=1)

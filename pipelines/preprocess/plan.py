@@ -120,7 +120,7 @@ class PreprocessSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Shard:
+class DatasetShard:
     """Scenes, assets or features of assets that are done together.
 
     Attributes:
@@ -144,7 +144,7 @@ class Shard:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class PreprocessPlan:
     """What a run has to do.
 
     Attributes:
@@ -157,7 +157,7 @@ class Plan:
             assets that are wanted but have no mesh file (``glb_missing``), and what its reader noticed.
     """
 
-    shards: tuple[Shard, ...]
+    shards: tuple[DatasetShard, ...]
     inputs: Mapping[str, str]
     scene_ids: tuple[str, ...]
     asset_ids: tuple[str, ...]
@@ -180,7 +180,7 @@ class Plan:
 
 
 @dataclass
-class UseCount:
+class AssetUseCount:
     """How scenes use an asset, being counted."""
 
     scales: list[Vec3] = field(default_factory=list)
@@ -238,7 +238,7 @@ class _Content:
         return asset_id, self.meshes.get(asset_id), self.annotations.get(asset_id)
 
 
-def plan_run(dataset: MesaTaskDataset, settings: PreprocessSettings, encoder: str | None = None) -> Plan:
+def plan_run(dataset: MesaTaskDataset, settings: PreprocessSettings, encoder: str | None = None) -> PreprocessPlan:
     """Cuts a dataset into shards.
 
     Args:
@@ -252,33 +252,33 @@ def plan_run(dataset: MesaTaskDataset, settings: PreprocessSettings, encoder: st
     # Of the code the version alone: where sources change, check_resume tells, and what is in place stays.
     versions = {"table_version": schemas.TABLE_VERSION, "code": stable_data.__version__}
     shaping = settings.shaping() | versions
-    uses: dict[str, UseCount] = defaultdict(UseCount)
+    uses: dict[str, AssetUseCount] = defaultdict(AssetUseCount)
     used_by_scene: dict[str, list[str]] = {}
     for scene_id in tqdm(dataset.scene_ids, desc="plan", unit="scene", leave=False):
         used_by_scene[scene_id] = _count_uses(dataset, scene_id, uses)
     wanted = sorted(set(uses) | (set(dataset.annotations) if settings.all_assets else set()))
     content = _content(dataset, wanted)
-    asset_uses = [_asset_use(a, content.meshes[a], uses.get(a, UseCount())) for a in wanted if a in content.meshes]
+    asset_uses = [_asset_use(a, content.meshes[a], uses.get(a, AssetUseCount())) for a in wanted if a in content.meshes]
     asset_shards = []
     for uses_of_shard in groups(asset_uses, settings.assets_per_shard):
         of_assets = [(asdict(u), content.annotations[u.asset_id], content.text_features.get(u.asset_id)) for u in uses_of_shard]
-        asset_shards.append(Shard(content_id("assets", shaping, of_assets), assets=tuple(uses_of_shard)))
+        asset_shards.append(DatasetShard(content_id("assets", shaping, of_assets), assets=tuple(uses_of_shard)))
     feature_uses = [
         FeatureUse(a.asset_id, a.mesh_sha256, shapes)
         for a in asset_uses
-        if (shapes := uses.get(a.asset_id, UseCount()).shape_uses())
+        if (shapes := uses.get(a.asset_id, AssetUseCount()).shape_uses())
     ]
     feature_shards = [
-        Shard(content_id("features", versions, encoder, [asdict(u) for u in of_shard]), features=tuple(of_shard))
+        DatasetShard(content_id("features", versions, encoder, [asdict(u) for u in of_shard]), features=tuple(of_shard))
         for of_shard in (groups(feature_uses, settings.assets_per_shard) if encoder is not None else ())
     ]
     scene_shards = []
     for scenes in groups(list(dataset.scene_ids), settings.scenes_per_shard):
         used = sorted({a for scene_id in scenes for a in used_by_scene[scene_id]})
         of_scenes = [content.of_scene(s) for s in scenes], [content.of_asset(a) for a in used]
-        scene_shards.append(Shard(content_id("scenes", shaping, dataset.root.name, *of_scenes), scenes=tuple(scenes)))
+        scene_shards.append(DatasetShard(content_id("scenes", shaping, dataset.root.name, *of_scenes), scenes=tuple(scenes)))
     notices = (*dataset.notices, *(_without_mesh(a, a in uses) for a in wanted if a not in content.meshes))
-    return Plan(
+    return PreprocessPlan(
         (*asset_shards, *feature_shards, *scene_shards),
         {kind: content_id(digests) for kind, digests in vars(content).items()}
         | {"folder": content_id(sorted((n.item_id, n.code) for n in notices))},
@@ -315,7 +315,7 @@ def _content(dataset: MesaTaskDataset, wanted: Sequence[str]) -> _Content:
     )
 
 
-def _count_uses(dataset: MesaTaskDataset, scene_id: str, uses: dict[str, UseCount]) -> list[str]:
+def _count_uses(dataset: MesaTaskDataset, scene_id: str, uses: dict[str, AssetUseCount]) -> list[str]:
     try:
         scene, _ = dataset.read(scene_id)
     except Exception:  # noqa: BLE001 - its own step will say why, whatever it is
@@ -326,7 +326,7 @@ def _count_uses(dataset: MesaTaskDataset, scene_id: str, uses: dict[str, UseCoun
     return [o.asset_id for o in scene.objects if o.asset_id is not None]
 
 
-def _asset_use(asset_id: str, digest: str, use: UseCount) -> AssetUse:
+def _asset_use(asset_id: str, digest: str, use: AssetUseCount) -> AssetUse:
     aspects = tuple(sorted(use.aspects() | {(0, 0, 0)}))
     return AssetUse(asset_id, digest, use.typical_scale(), aspects, tuple(use.most_tilts()))
 

@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
-from pipelines.execution.item_progress import Progress
+from pipelines.execution.item_progress import ItemProgress
 from stable_data.assets.store import AssetStore
 from stable_data.errors import Notice
 from stable_data.instructions import derive_task, task_rng
@@ -51,7 +51,7 @@ class SceneRows:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Understood:
+class PreparedScene:
     """A scene that was read, judged, related, tasked and staged.
 
     Attributes:
@@ -74,8 +74,8 @@ def preprocess_scene(
     scene_id: str,
     store: AssetStore,
     settings: SceneSettings,
-    progress: Progress,
-    writer: "CachedWriter | None" = None,
+    progress: ItemProgress,
+    writer: "CachedTaskWriter | None" = None,
 ) -> SceneRows:
     """Everything that preprocess makes of one scene; see :func:`understand`."""
     understood = understand(dataset, scene_id, store, settings, progress, writer)
@@ -116,9 +116,9 @@ def understand(
     scene_id: str,
     store: AssetStore,
     settings: SceneSettings,
-    progress: Progress,
-    writer: "CachedWriter | None" = None,
-) -> Understood:
+    progress: ItemProgress,
+    writer: "CachedTaskWriter | None" = None,
+) -> PreparedScene:
     """Reads a scene and finds out all that later steps ask of it.
 
     Args:
@@ -152,7 +152,7 @@ def understand(
         task = derive_task(scene, graph, task_rng(scene.scene_id, settings.seed))
     progress.step = "stage"
     scene = stage_scene(replace(scene, task=task), settings.important_threshold)
-    return Understood(scene, other_tasks(scene, graph, settings), posed, audit, (*read, *meshed, *audit.notices, *notices))
+    return PreparedScene(scene, other_tasks(scene, graph, settings), posed, audit, (*read, *meshed, *audit.notices, *notices))
 
 
 def origin_of(dataset: MesaTaskDataset, scene: Scene, settings: SceneSettings) -> schemas.Row:
@@ -169,7 +169,7 @@ def origin_of(dataset: MesaTaskDataset, scene: Scene, settings: SceneSettings) -
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Related:
+class RelatedScene:
     """A scene whose objects' relations were read from its meshes.
 
     Attributes:
@@ -185,7 +185,7 @@ class Related:
     footprints: Mapping[str, FloatArray]
 
 
-def related(posed: PosedScene, audit: Audit, containers: Mapping[str, bool | None]) -> Related:
+def related(posed: PosedScene, audit: Audit, containers: Mapping[str, bool | None]) -> RelatedScene:
     """The scene with supports and relations.
 
     Args:
@@ -199,11 +199,11 @@ def related(posed: PosedScene, audit: Audit, containers: Mapping[str, bool | Non
     carriers = supports(scene, contacts, footprints, containers)
     scene = replace(scene, objects=tuple(replace(o, support=carriers[o.instance]) for o in scene.objects))
     graph = scene_graph(scene, contacts, footprints, containers)
-    return Related(replace(scene, relations=relations_of(graph)), graph, contacts, footprints)
+    return RelatedScene(replace(scene, relations=relations_of(graph)), graph, contacts, footprints)
 
 
 @dataclass(frozen=True, slots=True)
-class CachedWriter:
+class CachedTaskWriter:
     """A model that writes task infos, and where its answers are kept.
 
     Attributes:

@@ -11,8 +11,8 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from pipelines.execution.item_progress import Progress
-from pipelines.execution.ray_executor import Loss, Workers, alone, limited
+from pipelines.execution.item_progress import ItemProgress
+from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, alone, limited
 from pipelines.execution.shard_job import (
     OF_DATASET,
     Rows,
@@ -28,9 +28,9 @@ from pipelines.execution.shard_job import (
 )
 from pipelines.preprocess.asset import AssetSettings, AssetUse, TextFeature, preprocess_asset
 from pipelines.preprocess.features import AUTO, NONE, FeatureUse, encoder_of, feature_rows, fingerprint_of
-from pipelines.preprocess.plan import Plan, PreprocessSettings, Shard, plan_run, text_features
+from pipelines.preprocess.plan import DatasetShard, PreprocessPlan, PreprocessSettings, plan_run, text_features
 from pipelines.preprocess.report import write_report
-from pipelines.preprocess.scene import CachedWriter, preprocess_scene
+from pipelines.preprocess.scene import CachedTaskWriter, preprocess_scene
 from stable_data.assets.store import AssetStore
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
@@ -74,7 +74,7 @@ class PreprocessShard:
     fingerprint: str = ""
     encoder: str | None = None
 
-    def __call__(self, shard: Shard, *, isolated: bool = False) -> tuple[int, int]:
+    def __call__(self, shard: DatasetShard, *, isolated: bool = False) -> tuple[int, int]:
         """Does the shard and puts its tables in place; gives its items and how many of them failed."""
         rows: dict[str, list[schemas.Row]] = defaultdict(list)
         items: tuple[Item, ...] = (*shard.assets, *shard.features, *shard.scenes)
@@ -88,10 +88,10 @@ class PreprocessShard:
 
     def item(self, item: Item) -> Rows:
         """Rows of one scene or asset, by table; a failure is a row too."""
-        progress = Progress("read")
+        progress = ItemProgress("read")
         return rows_or_failure(_id_of(item), progress, lambda: self._rows(item, progress))
 
-    def _rows(self, item: Item, progress: Progress) -> Rows:
+    def _rows(self, item: Item, progress: ItemProgress) -> Rows:
         dataset, store = self._open()
         if isinstance(item, str):
             writer = _writer(self.settings)
@@ -133,11 +133,11 @@ class PreprocessShard:
         return rows_alone(self.item, item, _id_of(item), seconds=seconds, prepare=partial(self._prepare, item))
 
 
-def _tables_of(shard: Shard) -> tuple[str, ...]:
+def _tables_of(shard: DatasetShard) -> tuple[str, ...]:
     return ASSET_TABLES if shard.assets else FEATURE_TABLES if shard.features else SCENE_TABLES
 
 
-def _tables_of_run(plan: Plan) -> tuple[str, ...]:
+def _tables_of_run(plan: PreprocessPlan) -> tuple[str, ...]:
     return TABLES if plan.encoder is None else (*TABLES, "features")
 
 
@@ -157,7 +157,7 @@ def _text_features(data: str, fingerprint: str) -> dict[str, TextFeature]:
 
 
 @lru_cache(maxsize=2)
-def _writer(settings: PreprocessSettings) -> CachedWriter | None:
+def _writer(settings: PreprocessSettings) -> CachedTaskWriter | None:
     if not settings.task_writer:
         return None
     module, _, name = settings.task_writer.partition(":")
@@ -167,10 +167,12 @@ def _writer(settings: PreprocessSettings) -> CachedWriter | None:
         raise ConfigError(
             f"setting task_writer is {settings.task_writer} ({error}), expected module:function", "config_invalid"
         ) from error
-    return CachedWriter(write, settings.task_cache, settings.task_writer)
+    return CachedTaskWriter(write, settings.task_cache, settings.task_writer)
 
 
-def preprocess(data: str, out: str, settings: PreprocessSettings, workers: Workers, *, report: bool = True) -> dict[str, Any]:
+def preprocess(
+    data: str, out: str, settings: PreprocessSettings, workers: WorkerPool, *, report: bool = True
+) -> dict[str, Any]:
     """Runs the job, or what is missing of it.
 
     Args:
@@ -235,12 +237,12 @@ def _placed(features: str) -> str:
     return f"{kind}{colon}{_absolute(file)}"
 
 
-def _settled(dataset: MesaTaskDataset, settings: PreprocessSettings, workers: Workers) -> PreprocessSettings:
+def _settled(dataset: MesaTaskDataset, settings: PreprocessSettings, workers: WorkerPool) -> PreprocessSettings:
     """The settings with ``auto`` replaced, by a process of its own where workers are: a mesh must not end the run's."""
     if settings.position_convention != "auto" or workers.are_this_process:
         return settings.settled(dataset)
     settled = alone(settings.settled, dataset, seconds=64 * settings.seconds_per_item)
-    if isinstance(settled, Loss):
+    if isinstance(settled, ProcessFailure):
         raise ConfigError(
             f"{dataset.root}: the check of what positions mean {str(settled).replace('_', ' ')} over a layout or mesh; "
             "set position_convention to box_centre or mesh_centre",
@@ -249,7 +251,7 @@ def _settled(dataset: MesaTaskDataset, settings: PreprocessSettings, workers: Wo
     return settled
 
 
-def _write_whole_tables(folder: RunFolder, plan: Plan) -> None:
+def _write_whole_tables(folder: RunFolder, plan: PreprocessPlan) -> None:
     """Rows that belong to no shard: what is odd about the dataset, and tables without rows, which are still tables."""
     lost = [
         n for n in plan.notices if n.code == "layout_missing"
@@ -265,7 +267,7 @@ def _write_whole_tables(folder: RunFolder, plan: Plan) -> None:
         folder.write_shard("features", _NO_ASSETS, [])
 
 
-def _planned(plan: Plan) -> dict[str, set[str]]:
+def _planned(plan: PreprocessPlan) -> dict[str, set[str]]:
     """Shards of each table."""
     planned: dict[str, set[str]] = {table: set() for table in (*TABLES, "features")}
     for table in ("warnings", "failures"):
@@ -280,7 +282,7 @@ def _planned(plan: Plan) -> dict[str, set[str]]:
     return planned
 
 
-def _manifest(dataset: MesaTaskDataset, plan: Plan, settings: PreprocessSettings) -> dict[str, Any]:
+def _manifest(dataset: MesaTaskDataset, plan: PreprocessPlan, settings: PreprocessSettings) -> dict[str, Any]:
     return new_manifest(
         "preprocess",
         dataset.root.name,
@@ -292,7 +294,7 @@ def _manifest(dataset: MesaTaskDataset, plan: Plan, settings: PreprocessSettings
     )
 
 
-def _counts(folder: RunFolder, plan: Plan) -> dict[str, Any]:
+def _counts(folder: RunFolder, plan: PreprocessPlan) -> dict[str, Any]:
     return {
         **count_rows(folder, _tables_of_run(plan)),
         "failed_scenes": count_items(folder, "scenes", "scene_id", plan.scene_ids),

@@ -24,7 +24,7 @@ from pipelines.propose.report import write_propose_report
 from pipelines.propose.settings import ProposeSettings, plain_retrieval
 from pipelines.propose.shard import Outcome, Proposer, proposal_rows
 from pipelines.reports.scene_pictures import drawn
-from pipelines.sources.assets import AssetShelf
+from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.tasks import read_tasks
 from stable_data.assets.store import AssetStore
 from stable_data.content_id import content_id
@@ -54,7 +54,7 @@ def propose(
         tasks: A file of tasks, see :func:`pipelines.sources.tasks.read_tasks`, or one task.
         out: Local folder.
         settings: What shapes the scenes.
-        assets: Where assets are taken from, see :class:`pipelines.sources.assets.AssetShelf`.
+        assets: Where assets are taken from, see :class:`pipelines.sources.assets.AssetLibraries`.
         report: Whether to write the report page.
 
     Returns:
@@ -68,7 +68,7 @@ def propose(
         raise ConfigError(f"{out}: is no local folder, expected one: scenes are written as files", "output_invalid")
     if isinstance(tasks, Path):
         next(read_tasks(tasks))  # what cannot be read at all is refused before anything is loaded
-    shelf = AssetShelf(assets)
+    shelf = AssetLibraries(assets)
     reasoner, statistics = load_reasoner(settings.engine, settings.reasoner)
     proposer = Proposer(reasoner, statistics, shelf.retriever(settings.retrieval), settings.stages, settings.seed)
     inputs = {"tasks": _fingerprint(tasks), "reasoner": shaping_of_proposals(settings.engine, settings.reasoner)}
@@ -127,7 +127,7 @@ def _fingerprint(tasks: Path | LayoutTask) -> str:
 class _Writer:
     """Puts scenes, their assets and what is to be said of them in place."""
 
-    def __init__(self, folder: RunFolder, shelf: AssetShelf, settings: ProposeSettings) -> None:
+    def __init__(self, folder: RunFolder, shelf: AssetLibraries, settings: ProposeSettings) -> None:
         self._folder, self._shelf, self._settings = folder, shelf, settings
         self.root = Path(folder.root) / "dataset"
         self._store = AssetStore(shelf)

@@ -11,7 +11,7 @@ from models.semantic_reasoner.replies.to_scene import with_task
 from models.semantic_reasoner.staged_layout import LayoutTask, StagedLayout, staged_layouts
 from models.semantic_reasoner.text.prompt import Wanted, answer
 from stable_data.assets.assignment import STEP as ASSETS
-from stable_data.assets.assignment import Furnished, furnish
+from stable_data.assets.assignment import AssignedLayout, assign_assets
 from stable_data.assets.retrieval import Retriever
 from stable_data.errors import Notice
 from stable_data.random_seeds import named_seed
@@ -70,10 +70,10 @@ class Proposer:
         seeds = [named_seed(self._seed, task.scene_id) for task in tasks]
         layouts = staged_layouts(self.reasoner, tasks, seeds, self._stages, self.statistics)
         there = {k: layout.scene for k, layout in enumerate(layouts) if layout.is_whole and layout.objects}
-        furnished = dict(zip(there, furnish(list(there.values()), self.retriever, self._seed), strict=True))
+        furnished = dict(zip(there, assign_assets(list(there.values()), self.retriever, self._seed), strict=True))
         return [self._outcome(layout, furnished.get(k)) for k, layout in enumerate(layouts)]
 
-    def _outcome(self, layout: StagedLayout, furnished: Furnished | None) -> Outcome:
+    def _outcome(self, layout: StagedLayout, furnished: AssignedLayout | None) -> Outcome:
         warnings = list(dict.fromkeys(_said(layout)))
         name = layout.task.scene_id
         if furnished is None:

@@ -16,7 +16,7 @@ from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.catalog import AssetLibrary, library_of_run
 from stable_data.assets.ranking import RetrievalSettings
 from stable_data.assets.retrieval import Retriever
-from stable_data.assets.run_assets import TableAssets, run_annotations
+from stable_data.assets.run_assets import RunAssets, run_annotations
 from stable_data.assets.store import colliders_of
 from stable_data.content_id import content_id
 from stable_data.embedded_world.library import NAME as EMBEDDED
@@ -48,7 +48,7 @@ class _Place:
     parts: Callable[[str], tuple[Mesh, ...]] = lambda _: ()
 
 
-class AssetShelf:
+class AssetLibraries:
     """Libraries in order, with their meshes; an asset that two have is the earlier one's.
 
     Args:
@@ -132,7 +132,7 @@ def _opened(place: str, name: str) -> _Place:
         return replace(made, contents=lambda: of_all, parts=partial(_parts_of_file, made.meshes))
     if "://" in place or RunFolder(place).files("assets"):
         run = RunFolder(place)
-        kept = TableAssets(run, mesh_cache())
+        kept = RunAssets(run, mesh_cache())
         annotation = run_annotations(run).__getitem__
         return _Place(library_of_run(run, name), kept.asset_path, annotation, partial(_contents_of_run, run), kept.parts)
     root = Path(place).expanduser().resolve()

@@ -17,7 +17,7 @@ _PLAIN = re.compile(r"[\w.-]+(?:/[\w.-]+)*")
 
 
 @dataclass(frozen=True, slots=True)
-class WantedEdit:
+class EditRequest:
     """An edit that is asked for.
 
     Attributes:
@@ -42,7 +42,7 @@ class EditFile:
         failures: One for each other line.
     """
 
-    edits: tuple[WantedEdit, ...]
+    edits: tuple[EditRequest, ...]
     failures: tuple[Notice, ...]
 
     @property
@@ -73,7 +73,7 @@ def read_edits(path: Path, scene_ids: Container[str]) -> EditFile:
         raise ConfigError(
             f"{path}: cannot be read ({error.strerror}), expected one edit a line as JSON", "edits_invalid"
         ) from error
-    edits: dict[str, WantedEdit] = {}
+    edits: dict[str, EditRequest] = {}
     failures: list[Notice] = []
     count: Counter[str] = Counter()
     for number, line in enumerate(lines, 1):
@@ -94,7 +94,7 @@ def read_edits(path: Path, scene_ids: Container[str]) -> EditFile:
     return EditFile(tuple(edits.values()), tuple(failures))
 
 
-def _edit_of(line: str, count: Counter[str]) -> WantedEdit:
+def _edit_of(line: str, count: Counter[str]) -> EditRequest:
     try:
         data = json_value(line)
     except ValueError as error:
@@ -111,7 +111,7 @@ def _edit_of(line: str, count: Counter[str]) -> WantedEdit:
     reply = data.get("reply")
     if reply is not None and not isinstance(reply, str):
         reply = json.dumps(reply, ensure_ascii=False)
-    return WantedEdit(edit_id, scene_id, instruction, reply)
+    return EditRequest(edit_id, scene_id, instruction, reply)
 
 
 def _words(data: dict[str, Any], key: str) -> str:

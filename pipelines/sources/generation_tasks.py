@@ -12,7 +12,7 @@ from stable_data.embedded_world.scenes import plan_of, scene_id_of
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.storage import schemas
-from stable_data.storage.filter_expression import parse_query
+from stable_data.storage.filter_expression import parse_filter
 from stable_data.storage.run_folder import RunFolder
 
 STEP = "tasks"
@@ -52,7 +52,7 @@ Task: TypeAlias = LayoutTask | SampledTask
 
 
 @dataclass(frozen=True, slots=True)
-class Tasks:
+class TaskSource:
     """What is asked for.
 
     Attributes:
@@ -66,7 +66,7 @@ class Tasks:
     lost: Sequence[Notice] = ()
 
     @classmethod
-    def of(cls, name: str, found: Iterable[LayoutTask | Notice]) -> "Tasks":
+    def of(cls, name: str, found: Iterable[LayoutTask | Notice]) -> "TaskSource":
         """What was found, tasks and what is none apart."""
         both = list(found)
         return cls(name, [t for t in both if isinstance(t, LayoutTask)], [n for n in both if isinstance(n, Notice)])
@@ -78,7 +78,7 @@ class Tasks:
             raise ConfigError(f"{self.name}: holds no task that can be used, expected one at least{why}", "tasks_invalid")
 
 
-def sampled(count: int, seed: int = 0, kinds: Sequence[str] = ()) -> Tasks:
+def sampled(count: int, seed: int = 0, kinds: Sequence[str] = ()) -> TaskSource:
     """So many tasks of the embedded world, that none of its scenes has.
 
     Args:
@@ -93,15 +93,15 @@ def sampled(count: int, seed: int = 0, kinds: Sequence[str] = ()) -> Tasks:
         raise ConfigError(f"count is {count} and seed {seed}, expected at least 1 and 0", "invalid_count")
     for kind in kinds:
         plan_of(kind)
-    return Tasks(f"{count} sampled tasks", [SampledTask(number, seed, tuple(kinds)) for number in range(count)])
+    return TaskSource(f"{count} sampled tasks", [SampledTask(number, seed, tuple(kinds)) for number in range(count)])
 
 
-def of_file(path: Path) -> Tasks:
+def of_file(path: Path) -> TaskSource:
     """The tasks of a file, see :func:`pipelines.sources.tasks.read_tasks`, whose error it raises."""
-    return Tasks.of(path.name, read_tasks(path))
+    return TaskSource.of(path.name, read_tasks(path))
 
 
-def of_scenes(place: str, where: str = "") -> Tasks:
+def of_scenes(place: str, where: str = "") -> TaskSource:
     """The tasks of scenes that are there: their instructions and tables, and nothing else of them.
 
     Args:
@@ -112,15 +112,15 @@ def of_scenes(place: str, where: str = "") -> Tasks:
         ConfigError: It is neither, or ``where`` is no condition on a run.
     """
     if "://" in place or RunFolder(place).files("scenes"):
-        return Tasks.of(Path(place).name, _of_run(RunFolder(place), where))
+        return TaskSource.of(Path(place).name, _of_run(RunFolder(place), where))
     if where:
         raise ConfigError(f"{place}: has no table scenes, expected a run where there is a condition", "not_a_run")
     dataset = MesaTaskDataset(Path(place).expanduser().resolve())
-    return Tasks.of(dataset.root.name, _of_dataset(dataset))
+    return TaskSource.of(dataset.root.name, _of_dataset(dataset))
 
 
 def _of_run(run: RunFolder, where: str) -> Iterator[LayoutTask | Notice]:
-    query = parse_query(where, schemas.SCHEMAS["scenes"]) if where.strip() else None
+    query = parse_filter(where, schemas.SCHEMAS["scenes"]) if where.strip() else None
     for batch in run.batches("scenes", where=None if query is None else query.expression):
         for row in batch.to_pylist():
             scene = schemas.scene_from_row(row)

@@ -11,11 +11,11 @@ from typing import Protocol, TypeAlias
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipelines.execution.item_progress import Progress
+from pipelines.execution.item_progress import ItemProgress
 from pipelines.preprocess.plan import PreprocessSettings, plan_run
 from pipelines.preprocess.scene import SceneSettings, origin_of, understand
 from stable_data.assets.catalog import AssetLibrary, library_of_run
-from stable_data.assets.run_assets import TableAssets
+from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice, SceneError, unreadable
@@ -38,7 +38,7 @@ Containers: TypeAlias = Mapping[str, bool | None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Taken:
+class SourceScene:
     """A scene that was taken from its source.
 
     Attributes:
@@ -59,7 +59,7 @@ class Taken:
 
 
 @dataclass(frozen=True, slots=True)
-class ScenePart:
+class SceneChunk:
     """Scenes of a source that are done together.
 
     Attributes:
@@ -82,11 +82,11 @@ class SceneSource(Protocol):
         """Which point of a tilted object its positions are."""
         ...
 
-    def parts(self, settings: SceneSettings, scenes_per_part: int) -> tuple[list[ScenePart], dict[str, str]]:
+    def parts(self, settings: SceneSettings, scenes_per_part: int) -> tuple[list[SceneChunk], dict[str, str]]:
         """All scenes, cut by a fixed rule, and the content of all inputs by their kind."""
         ...
 
-    def take(self, scene_id: str, settings: SceneSettings, progress: Progress) -> Taken:
+    def take(self, scene_id: str, settings: SceneSettings, progress: ItemProgress) -> SourceScene:
         """One scene, judged.
 
         Raises:
@@ -123,7 +123,7 @@ class FolderSource:
         """Judged on a few of its scenes."""
         return position_convention(self.dataset, self.store)
 
-    def parts(self, settings: SceneSettings, scenes_per_part: int) -> tuple[list[ScenePart], dict[str, str]]:
+    def parts(self, settings: SceneSettings, scenes_per_part: int) -> tuple[list[SceneChunk], dict[str, str]]:
         """The scenes in order of their names."""
         plan = plan_run(
             self.dataset,
@@ -131,16 +131,16 @@ class FolderSource:
                 all_assets=False, scenes_per_shard=scenes_per_part, position_convention=str(settings.position_convention)
             ),
         )
-        return [ScenePart(s.shard_id, s.scenes) for s in plan.shards if s.scenes], dict(plan.inputs)
+        return [SceneChunk(s.shard_id, s.scenes) for s in plan.shards if s.scenes], dict(plan.inputs)
 
-    def take(self, scene_id: str, settings: SceneSettings, progress: Progress) -> Taken:
+    def take(self, scene_id: str, settings: SceneSettings, progress: ItemProgress) -> SourceScene:
         """One scene: read, judged, tasked and staged as preprocess does, with supports and without relations."""
         found = understand(self.dataset, scene_id, self.store, settings, progress)
         scene = replace(
             found.scene, relations=()
         )  # a layout says nothing of relations; what it shows may be what is wrong with it
         origin = origin_of(self.dataset, scene, settings)
-        return Taken(scene, found.posed.shapes, found.audit, self.containers(scene), origin, found.notices)
+        return SourceScene(scene, found.posed.shapes, found.audit, self.containers(scene), origin, found.notices)
 
     def containers(self, scene: Scene) -> Containers:
         """As the annotations have it."""
@@ -173,7 +173,7 @@ class TableSource:
     def __init__(self, uri: str, cache: Path | None = None) -> None:
         self.folder = RunFolder(uri)
         self.name = Path(self.folder.root).name
-        self.store = AssetStore(TableAssets(self.folder, cache or mesh_cache()))
+        self.store = AssetStore(RunAssets(self.folder, cache or mesh_cache()))
         rows = self.folder.table("assets", ["asset_id", "is_container"])
         self._is_container = dict(zip(rows["asset_id"].to_pylist(), rows["is_container"].to_pylist(), strict=True))
         self._ids = _ids_by_file(self.folder)
@@ -184,14 +184,14 @@ class TableSource:
         """That of all tables."""
         return PositionConvention.BOX_CENTRE
 
-    def parts(self, settings: SceneSettings, scenes_per_part: int) -> tuple[list[ScenePart], dict[str, str]]:
+    def parts(self, settings: SceneSettings, scenes_per_part: int) -> tuple[list[SceneChunk], dict[str, str]]:
         """The scenes as the run has them: its files, which are named by their content, are the parts."""
         inputs = {table: content_id(sorted(self.folder.shard_ids(table))) for table in ("scenes", "meshes", "assets")}
         meshes = inputs["meshes"], inputs["assets"]
-        parts = [ScenePart(content_id(Path(path).name, *meshes), ids) for path, ids in self._ids.items() if ids]
+        parts = [SceneChunk(content_id(Path(path).name, *meshes), ids) for path, ids in self._ids.items() if ids]
         return parts, inputs
 
-    def take(self, scene_id: str, settings: SceneSettings, progress: Progress) -> Taken:
+    def take(self, scene_id: str, settings: SceneSettings, progress: ItemProgress) -> SourceScene:
         """One scene as its row has it, judged anew."""
         progress.step = "read"
         row = self._row(scene_id)
@@ -201,7 +201,7 @@ class TableSource:
         progress.step = "audit"
         audit = audit_scene(scene, shapes)
         origin = {column: row[column] for column in ORIGIN_COLUMNS}
-        return Taken(scene, shapes, audit, self.containers(scene), origin, notices + audit.notices)
+        return SourceScene(scene, shapes, audit, self.containers(scene), origin, notices + audit.notices)
 
     def containers(self, scene: Scene) -> Containers:
         """As the table ``assets`` has it."""

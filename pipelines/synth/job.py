@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipelines.execution.ray_executor import Workers
-from stable_data.embedded_world.world import World, close_world, open_world, write_scenes
+from pipelines.execution.ray_executor import WorkerPool
+from stable_data.embedded_world.world import EmbeddedWorld, close_world, open_world, write_scenes
 from stable_data.errors import SceneError
 
 _SCENES_PER_SHARD = 20
@@ -15,7 +15,7 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Numbers:
+class SceneRange:
     """Scenes that are made together: ``first`` and those up to before ``end``."""
 
     first: int
@@ -35,15 +35,17 @@ class WriteShard:
     """
 
     out: str
-    world: World
+    world: EmbeddedWorld
 
-    def __call__(self, shard: Numbers, *, isolated: bool = False) -> tuple[int, list[SceneError]]:
+    def __call__(self, shard: SceneRange, *, isolated: bool = False) -> tuple[int, list[SceneError]]:
         """Writes the scenes of a shard that are missing; gives their number and those that could not be made."""
         failures = write_scenes(Path(self.out), range(shard.first, shard.end), self.world)
         return shard.end - shard.first, failures
 
 
-def synth(out: Path, num_scenes: int, world: World, workers: Workers, progress: Progress | None = None) -> list[SceneError]:
+def synth(
+    out: Path, num_scenes: int, world: EmbeddedWorld, workers: WorkerPool, progress: Progress | None = None
+) -> list[SceneError]:
     """Writes a set of the embedded world, or what is missing of it, with many workers.
 
     Args:
@@ -60,7 +62,7 @@ def synth(out: Path, num_scenes: int, world: World, workers: Workers, progress: 
         ConfigError: As for :func:`stable_data.embedded_world.world.write_world`, or Ray cannot be reached.
     """
     open_world(out, num_scenes, world)
-    shards = [Numbers(k, min(k + _SCENES_PER_SHARD, num_scenes)) for k in range(0, num_scenes, _SCENES_PER_SHARD)]
+    shards = [SceneRange(k, min(k + _SCENES_PER_SHARD, num_scenes)) for k in range(0, num_scenes, _SCENES_PER_SHARD)]
     done, failures = 0, []
     for count, failed in workers.run(WriteShard(str(out.resolve()), world), shards):
         done += count

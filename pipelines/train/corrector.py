@@ -20,11 +20,11 @@ from typing import Any
 from tqdm import tqdm
 
 from models.physics_corrector.flow.checkpoint import save_corrector
-from models.physics_corrector.training.dataset import RunScenes, TrainingSet
-from models.physics_corrector.training.settings import TrainingSettings
-from models.physics_corrector.training.trainer import Training, train
-from models.physics_corrector.training.validation import Card, HeldOut, scalars, validation_card
-from models.training.distributed import Place
+from models.physics_corrector.training.dataset import TrainingScenes, TrainingSet
+from models.physics_corrector.training.settings import CorrectorTrainingSettings
+from models.physics_corrector.training.trainer import CorrectorTrainer, train
+from models.physics_corrector.training.validation import Card, ValidationScenes, scalars, validation_card
+from models.training.distributed import ProcessContext
 from pipelines.train.run import as_json, event_log, here, on_signals, refuse_changes
 from stable_data.code_version import code_version
 from stable_data.errors import ConfigError
@@ -37,7 +37,7 @@ _FAST_ROWS = ("small", "jitter", "pile")
 
 
 @dataclass(frozen=True, slots=True)
-class Watch:
+class CorrectorMonitoring:
     """How a run is watched; none of it shapes the weights.
 
     Attributes:
@@ -58,7 +58,7 @@ class Watch:
 
 
 @dataclass(frozen=True, slots=True)
-class TrainCorrector:
+class CorrectorTrainingJob:
     """The job; sent to the workers.
 
     Attributes:
@@ -71,14 +71,14 @@ class TrainCorrector:
 
     data: str
     out: Path
-    settings: TrainingSettings
-    watch: Watch = Watch()
+    settings: CorrectorTrainingSettings
+    watch: CorrectorMonitoring = CorrectorMonitoring()
     minutes: float = 0.0
 
-    def source(self) -> RunScenes:
+    def source(self) -> TrainingScenes:
         """Where the scenes come from."""
         data = self.data if "://" in self.data else str(Path(self.data).expanduser().resolve())
-        return RunScenes(data, self._folder() / "cache", self.settings.num_surface, self.settings.num_bottom)
+        return TrainingScenes(data, self._folder() / "cache", self.settings.num_surface, self.settings.num_bottom)
 
     def describe(self) -> dict[str, Any]:
         """What a run would do, for ``--dry-run``; the tables are looked for and none is read whole."""
@@ -118,14 +118,14 @@ class TrainCorrector:
                 del data  # each process reads its own
                 run_on_ray(job, workers, address)
             else:
-                job.work(Place(here()), data)
+                job.work(ProcessContext(here()), data)
             return _finish(folder, manifest)
 
-    def work(self, place: Place, data: TrainingSet | None = None) -> None:
+    def work(self, place: ProcessContext, data: TrainingSet | None = None) -> None:
         """The part of one process."""
         source = self.source()
         data = source.load(self.settings.features) if data is None else data
-        training = Training(data, self.settings, place)
+        training = CorrectorTrainer(data, self.settings, place)
         training.resume(self.out / STATE)
         with _Watcher(self, source, data, training) as watcher:
             is_done = train(training, wants_stop=watcher.wants_stop, after=watcher.after)
@@ -140,7 +140,9 @@ class TrainCorrector:
 class _Watcher:
     """Logs, cards, checkpoints and the end of one process's part; all but the end are the first process's."""
 
-    def __init__(self, job: TrainCorrector, source: RunScenes, data: TrainingSet, training: Training) -> None:
+    def __init__(
+        self, job: CorrectorTrainingJob, source: TrainingScenes, data: TrainingSet, training: CorrectorTrainer
+    ) -> None:
         self._job, self._source, self._data, self._training = job, source, data, training
         self._is_first = training.place.rank == 0
         self._began = self._saved = time.monotonic()
@@ -165,7 +167,7 @@ class _Watcher:
         is_late = self._job.minutes > 0 and time.monotonic() - self._began > 60 * self._job.minutes
         return is_late or self._stopped.is_set()
 
-    def after(self, training: Training, figures: dict[str, float]) -> None:
+    def after(self, training: CorrectorTrainer, figures: dict[str, float]) -> None:
         """What is done after a step."""
         watch, step = self._job.watch, training.step
         self._bar.update(1)
@@ -214,7 +216,7 @@ class _Watcher:
         if not len(places):
             return {}
         scenes = self._source.scenes([data.scene_ids[n] for n in places[:num_exact].tolist()]) if num_exact else []
-        held_out = HeldOut(training.data, places, scenes, self._source.store() if scenes else None)
+        held_out = ValidationScenes(training.data, places, scenes, self._source.store() if scenes else None)
         velocity = training.velocity(training.averaged())
         chosen = {} if rows is None else {"rows": rows}
         return validation_card(velocity, training.flow, held_out, training.settings.perturbation, 0, **chosen)
@@ -225,7 +227,7 @@ class _Watcher:
                 self._log.add_scalar(f"card/{name}", value, step)
 
 
-def _manifest(job: TrainCorrector, data: TrainingSet) -> dict[str, Any]:
+def _manifest(job: CorrectorTrainingJob, data: TrainingSet) -> dict[str, Any]:
     return {
         "job": "train_corrector",
         "status": "running",

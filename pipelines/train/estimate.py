@@ -19,11 +19,11 @@ from models.semantic_reasoner.training.hf_folder import read_config
 from models.semantic_reasoner.training.loss import ReplyLoss, put_in_place
 from models.semantic_reasoner.training.network import new_network
 from models.semantic_reasoner.training.optimizers import is_hidden
-from models.semantic_reasoner.training.settings import ReasonerTraining
-from models.semantic_reasoner.training.token_dataset import KINDS, TokenSet
-from models.semantic_reasoner.training.trainer import Training
-from models.training.distributed import CPU, Place
-from pipelines.train.reasoner import TrainReasoner
+from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
+from models.semantic_reasoner.training.token_dataset import KINDS, TokenDataset
+from models.semantic_reasoner.training.trainer import ReasonerTrainer
+from models.training.distributed import CPU, ProcessContext
+from pipelines.train.reasoner import ReasonerTrainingJob
 from pipelines.train.run import here
 from stable_data.errors import ConfigError
 
@@ -38,7 +38,7 @@ _FLOAT = 4  # bytes
 _PARTS = ("weights", "gradients", "optimizer", "gathered", "activations")
 
 
-def plan_of(job: TrainReasoner, workers: int) -> dict[str, Any]:
+def plan_of(job: ReasonerTrainingJob, workers: int) -> dict[str, Any]:
     """What a run would do.
 
     Args:
@@ -83,7 +83,7 @@ def plan_of(job: TrainReasoner, workers: int) -> dict[str, Any]:
     return plan
 
 
-def _tokens(data: TokenSet, scale: float) -> dict[str, Any]:
+def _tokens(data: TokenDataset, scale: float) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for kind, name in enumerate(KINDS):
         members = data.kind == kind
@@ -104,23 +104,25 @@ def _tokens(data: TokenSet, scale: float) -> dict[str, Any]:
     return found
 
 
-def _padding(data: TokenSet, settings: ReasonerTraining) -> dict[str, float]:
+def _padding(data: TokenDataset, settings: ReasonerTrainingSettings) -> dict[str, float]:
     packs = {"grouped": False, "packed": True}
     return {name: padding_of(data, batches_of_pass(data, replace(settings, packs=way), 0)) for name, way in packs.items()}
 
 
-def _places(data: TokenSet, rows: list[list[int]]) -> int:
+def _places(data: TokenDataset, rows: list[list[int]]) -> int:
     return len(rows) * max(int(data.length[row].sum()) for row in rows)
 
 
-def _config(settings: ReasonerTraining, tokenizer: PreTrainedTokenizerBase) -> Any:
+def _config(settings: ReasonerTrainingSettings, tokenizer: PreTrainedTokenizerBase) -> Any:
     if settings.base:
         return read_config(Path(settings.base).expanduser(), settings.max_tokens)
     with torch.device("meta"):
         return new_network(settings.network, tokenizer, settings.max_tokens, settings.seed).config
 
 
-def _memory(settings: ReasonerTraining, tokenizer: PreTrainedTokenizerBase, data: TokenSet, world: int) -> dict[str, Any]:
+def _memory(
+    settings: ReasonerTrainingSettings, tokenizer: PreTrainedTokenizerBase, data: TokenDataset, world: int
+) -> dict[str, Any]:
     """Bytes of each process."""
     config = _config(settings, tokenizer)
     with torch.device("meta"):
@@ -160,19 +162,19 @@ def _memory(settings: ReasonerTraining, tokenizer: PreTrainedTokenizerBase, data
     return {"num_weights": num_weights, "num_trained": num_trained, **figures, **total}
 
 
-def _num_trained(network: Any, settings: ReasonerTraining) -> int:
+def _num_trained(network: Any, settings: ReasonerTrainingSettings) -> int:
     linear = [m for m in network.model.modules() if isinstance(m, torch.nn.Linear)]
     return sum(settings.lora.rank * (m.in_features + m.out_features) for m in linear)
 
 
-def _saved_by_a_layer(config: Any, settings: ReasonerTraining) -> tuple[float, float]:
+def _saved_by_a_layer(config: Any, settings: ReasonerTrainingSettings) -> tuple[float, float]:
     """Bytes that the backward pass of one layer needs: for each token, and whatever the tokens are."""
     found = {(layers, length): _saved(config, layers, length, settings) for layers in (1, 2) for length in (32, 64)}
     short, long = (found[2, length] - found[1, length] for length in (32, 64))
     return (long - short) / 32, max(0.0, 2 * short - long)
 
 
-def _saved(config: Any, layers: int, length: int, settings: ReasonerTraining) -> int:
+def _saved(config: Any, layers: int, length: int, settings: ReasonerTrainingSettings) -> int:
     """Bytes kept for the backward pass of a network of the same widths, its parameters left out."""
     values = config.to_dict() | {"num_hidden_layers": layers, "vocab_size": 64, "pad_token_id": None}
     if values.get("layer_types"):
@@ -199,7 +201,7 @@ def _saved(config: Any, layers: int, length: int, settings: ReasonerTraining) ->
 
 
 def _time(
-    settings: ReasonerTraining, tokenizer: PreTrainedTokenizerBase, data: TokenSet, plan: dict[str, Any], world: int
+    settings: ReasonerTrainingSettings, tokenizer: PreTrainedTokenizerBase, data: TokenDataset, plan: dict[str, Any], world: int
 ) -> dict[str, Any]:
     memory, tokens = plan["memory_bytes"], plan["tokens_a_step"]
     if memory["num_weights"] <= _TRIED and world == 1:
@@ -213,9 +215,9 @@ def _time(
     return {"seconds": plan["steps"] * tokens / speed, "tokens_a_second": speed, "how": how}
 
 
-def _measured(settings: ReasonerTraining, tokenizer: PreTrainedTokenizerBase, data: TokenSet) -> float:
+def _measured(settings: ReasonerTrainingSettings, tokenizer: PreTrainedTokenizerBase, data: TokenDataset) -> float:
     """Tokens a second, padding included, of a few steps after a first one."""
-    training = Training(data, settings, tokenizer, Place(here()))
+    training = ReasonerTrainer(data, settings, tokenizer, ProcessContext(here()))
     training.advance()
     batches = batches_of_pass(data, settings, 0)[settings.accumulate : (1 + _STEPS) * settings.accumulate]
     began = time.perf_counter()

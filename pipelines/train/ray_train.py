@@ -13,12 +13,12 @@ import torch
 from ray.train import RunConfig, ScalingConfig, TrainingFailedError, WorkerGroupError, get_context
 from ray.train.torch import TorchTrainer, get_device
 
-from models.training.distributed import Place
-from pipelines.execution.ray_executor import Workers, connect
+from models.training.distributed import ProcessContext
+from pipelines.execution.ray_executor import WorkerPool, connect
 from stable_data.errors import ConfigError, StableDataError
 
 
-class Job(Protocol):
+class TrainingJob(Protocol):
     """A training that several processes can share."""
 
     @property
@@ -26,12 +26,12 @@ class Job(Protocol):
         """Its folder, which every process sees."""
         ...
 
-    def work(self, place: Place) -> None:
+    def work(self, place: ProcessContext) -> None:
         """The part of one process."""
         ...
 
 
-def run_on_ray(job: Job, workers: int, address: str | None) -> None:
+def run_on_ray(job: TrainingJob, workers: int, address: str | None) -> None:
     """Trains in the processes of Ray Train.
 
     Args:
@@ -42,7 +42,7 @@ def run_on_ray(job: Job, workers: int, address: str | None) -> None:
     Raises:
         ConfigError: Ray cannot be reached, or a process ended with an error; the checkpoint stays.
     """
-    started = connect(Workers(workers, address))
+    started = connect(WorkerPool(workers, address))
     num_gpus = int(ray.cluster_resources().get("GPU", 0))
     trainer = TorchTrainer(
         _work,
@@ -76,8 +76,8 @@ def _cause(error: BaseException) -> StableDataError:
 
 def _work(config: dict[str, Any]) -> None:
     """One process's part."""
-    job: Job = config["job"]
+    job: TrainingJob = config["job"]
     context = get_context()
     if os.environ.get("OMP_NUM_THREADS") is None:
         torch.set_num_threads(config["threads"])
-    job.work(Place(get_device(), context.get_world_rank(), context.get_world_size()))
+    job.work(ProcessContext(get_device(), context.get_world_rank(), context.get_world_size()))

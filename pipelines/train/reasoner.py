@@ -25,13 +25,13 @@ from transformers import PreTrainedTokenizerBase
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.text.prompt import PROMPT_VERSION
 from models.semantic_reasoner.training.batch_sampler import batches_of_pass
-from models.semantic_reasoner.training.dataset import RunExamples, fingerprint_of
+from models.semantic_reasoner.training.dataset import ExampleSource, fingerprint_of
 from models.semantic_reasoner.training.hf_folder import NOTES, model_fingerprint, read_config, write_model
-from models.semantic_reasoner.training.network import TrainedNetwork
-from models.semantic_reasoner.training.settings import ReasonerTraining
-from models.semantic_reasoner.training.token_dataset import TokenSet
-from models.semantic_reasoner.training.trainer import Identity, Step, Training, train
-from models.training.distributed import Place
+from models.semantic_reasoner.training.network import TrainableNetwork
+from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
+from models.semantic_reasoner.training.token_dataset import TokenDataset
+from models.semantic_reasoner.training.trainer import CheckpointIdentity, ReasonerTrainer, StepMetrics, train
+from models.training.distributed import ProcessContext
 from pipelines.train.run import as_json, event_log, here, on_signals, refuse_changes
 from stable_data.code_version import code_version
 from stable_data.errors import ConfigError
@@ -47,7 +47,7 @@ _COSTLY = 20  # a checkpoint is kept no more often than this many times what kee
 
 
 @dataclass(frozen=True, slots=True)
-class Watch:
+class ReasonerMonitoring:
     """How a run is watched; none of it shapes the weights.
 
     Attributes:
@@ -67,7 +67,7 @@ class Watch:
 
 
 @dataclass(frozen=True, slots=True)
-class TrainReasoner:
+class ReasonerTrainingJob:
     """The job; sent to the workers.
 
     Attributes:
@@ -80,14 +80,14 @@ class TrainReasoner:
 
     data: str
     out: Path
-    settings: ReasonerTraining
-    watch: Watch = Watch()
+    settings: ReasonerTrainingSettings
+    watch: ReasonerMonitoring = ReasonerMonitoring()
     minutes: float = 0.0
 
-    def source(self) -> RunExamples:
+    def source(self) -> ExampleSource:
         """Where the examples come from."""
         data = self.data if "://" in self.data else str(Path(self.data).expanduser().resolve())
-        return RunExamples(data, self._folder() / "cache", self.settings)
+        return ExampleSource(data, self._folder() / "cache", self.settings)
 
     def run(self, workers: int = 0, address: str | None = None) -> str:
         """Trains, or goes on.
@@ -119,32 +119,32 @@ class TrainReasoner:
                 raise ConfigError("shares leave no example of those that there are, expected some", "config_invalid")
             job = replace(self, settings=self.settings.resolved(num_batches), out=self._folder())
             manifest = _manifest(job, tokenizer, data, held_out)
-            refuse_changes(folder, manifest, ("job", "code_version", *asdict(Identity())))
+            refuse_changes(folder, manifest, ("job", "code_version", *asdict(CheckpointIdentity())))
             folder.write_bytes("manifest.json", as_json(manifest))
             if workers:
                 from pipelines.train.ray_train import run_on_ray  # Ray Train takes seconds to import
 
                 run_on_ray(job, workers, address)
             else:
-                job.work(Place(here()))
+                job.work(ProcessContext(here()))
             return _finish(folder, manifest, self.source().uri)
 
-    def work(self, place: Place) -> None:
+    def work(self, place: ProcessContext) -> None:
         """The part of one process."""
         tokenizer, data, held_out = self._read()  # kept already: it is mapped
-        training = Training(data, self.settings, tokenizer, place, self.identity(tokenizer))
+        training = ReasonerTrainer(data, self.settings, tokenizer, place, self.identity(tokenizer))
         training.resume(self.out / STATE)
         with _Watcher(self, training, held_out) as watcher:
             train(training, wants_stop=watcher.wants_stop, wants_save=watcher.wants_save, after=watcher.after)
             watcher.close()
 
-    def identity(self, tokenizer: PreTrainedTokenizerBase) -> Identity:
+    def identity(self, tokenizer: PreTrainedTokenizerBase) -> CheckpointIdentity:
         """What a checkpoint goes with."""
         base = self.settings.base
         of_base = model_fingerprint(Path(base).expanduser()) if base else ""
-        return Identity(self.source().fingerprint(), fingerprint_of(tokenizer), of_base)
+        return CheckpointIdentity(self.source().fingerprint(), fingerprint_of(tokenizer), of_base)
 
-    def _read(self) -> tuple[PreTrainedTokenizerBase, TokenSet, TokenSet]:
+    def _read(self) -> tuple[PreTrainedTokenizerBase, TokenDataset, TokenDataset]:
         source = self.source()
         tokenizer = source.tokenizer()
         return tokenizer, source.load("train", tokenizer), source.load("validation", tokenizer)
@@ -158,7 +158,7 @@ class TrainReasoner:
 class _Watcher:
     """Logs, evaluations, checkpoints and the end of one process's part; files are the first process's."""
 
-    def __init__(self, job: TrainReasoner, training: Training, held_out: TokenSet) -> None:
+    def __init__(self, job: ReasonerTrainingJob, training: ReasonerTrainer, held_out: TokenDataset) -> None:
         self._job, self._training, self._held_out = job, training, held_out
         self._is_first = training.place.rank == 0
         self._began = self._saved = time.monotonic()
@@ -190,7 +190,7 @@ class _Watcher:
         pause = max(60 * self._job.watch.save_minutes, _COSTLY * self._save_took)
         return self._is_first and time.monotonic() - self._saved > pause
 
-    def after(self, training: Training, step: Step) -> None:
+    def after(self, training: ReasonerTrainer, step: StepMetrics) -> None:
         """What is done after a step."""
         watch, number = self._job.watch, training.step
         self._bar.update(1)
@@ -217,7 +217,7 @@ class _Watcher:
         values = training.values()
         if not self._is_first:
             return
-        model = TrainedNetwork(job.settings, training.tokenizer).with_values(values).to_keep(job.settings)
+        model = TrainableNetwork(job.settings, training.tokenizer).with_values(values).to_keep(job.settings)
         if job.watch.judge is not None:
             figures |= job.watch.judge(model, training.tokenizer)
         self._add(figures)
@@ -249,7 +249,9 @@ class _Watcher:
                 self._log.add_scalar(name, value, self._training.step)
 
 
-def _manifest(job: TrainReasoner, tokenizer: PreTrainedTokenizerBase, data: TokenSet, held_out: TokenSet) -> dict[str, Any]:
+def _manifest(
+    job: ReasonerTrainingJob, tokenizer: PreTrainedTokenizerBase, data: TokenDataset, held_out: TokenDataset
+) -> dict[str, Any]:
     return {
         "job": "train_reasoner",
         "status": "running",
@@ -262,7 +264,7 @@ def _manifest(job: TrainReasoner, tokenizer: PreTrainedTokenizerBase, data: Toke
     }
 
 
-def _counts(data: TokenSet) -> dict[str, int]:
+def _counts(data: TokenDataset) -> dict[str, int]:
     counts = {"used": len(data), "left_out_too_long": int(data.too_long.sum()), "left_out_unasked": int(data.unasked.sum())}
     return counts | {"tokens": int(data.start[-1]), "reply_tokens": int(data.reply_length.sum())}
 

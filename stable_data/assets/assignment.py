@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from stable_data.assets.retrieval import Answer, Match, Query, Retriever, Unmatched
+from stable_data.assets.retrieval import Answer, AssetMatch, AssetQuery, Retriever, UnmatchedQuery
 from stable_data.assets.substitution import with_assets
 from stable_data.errors import Notice
 from stable_data.scene import TABLE, Scene
@@ -13,7 +13,7 @@ STEP = "assets"
 
 
 @dataclass(frozen=True, slots=True)
-class Furnished:
+class AssignedLayout:
     """A layout whose objects have assets.
 
     Attributes:
@@ -23,13 +23,13 @@ class Furnished:
     """
 
     scene: Scene
-    unmatched: Mapping[str, Unmatched]
+    unmatched: Mapping[str, UnmatchedQuery]
     notices: tuple[Notice, ...] = ()
 
 
-def furnish(
+def assign_assets(
     scenes: Sequence[Scene], retriever: Retriever, seed: int = 0, fault_of: Callable[[str], str | None] = lambda _: None
-) -> list[Furnished]:
+) -> list[AssignedLayout]:
     """Layouts with an asset for each object that one is found for, all of them asked for at once.
 
     Within a layout equal words and sizes get equal assets. The underside of a thing stays at its height, and what rests on a
@@ -43,16 +43,17 @@ def furnish(
     """
     asked = [(k, o) for k, scene in enumerate(scenes) for o in scene.objects]
     queries = [
-        Query(o.description, o.size, o.category, scenes[k].scene_id, leans=o.support not in (None, TABLE)) for k, o in asked
+        AssetQuery(o.description, o.size, o.category, scenes[k].scene_id, leans=o.support not in (None, TABLE))
+        for k, o in asked
     ]
     answers, faults = _usable(queries, retriever, seed, fault_of)
-    matches: list[dict[str, Match]] = [{} for _ in scenes]
-    unmatched: list[dict[str, Unmatched]] = [{} for _ in scenes]
+    matches: list[dict[str, AssetMatch]] = [{} for _ in scenes]
+    unmatched: list[dict[str, UnmatchedQuery]] = [{} for _ in scenes]
     passed: list[list[Notice]] = [[] for _ in scenes]
     for (k, o), answer, found in zip(asked, answers, faults, strict=True):
         name = scenes[k].scene_id
         why = found[0] + (f" (and {len(found) - 1} more assets)" if found[1:] else "") if found else ""
-        if isinstance(answer, Unmatched):
+        if isinstance(answer, UnmatchedQuery):
             unmatched[k][o.instance] = replace(answer, reason=f"what is like it cannot be used: {why}") if why else answer
             continue
         matches[k][o.instance] = answer
@@ -62,7 +63,7 @@ def furnish(
 
 
 def _usable(
-    queries: Sequence[Query], retriever: Retriever, seed: int, fault_of: Callable[[str], str | None]
+    queries: Sequence[AssetQuery], retriever: Retriever, seed: int, fault_of: Callable[[str], str | None]
 ) -> tuple[list[Answer], list[list[str]]]:
     """The best asset that can be used for each query, and why those before it cannot.
 
@@ -76,7 +77,7 @@ def _usable(
         again = []
         for k in waiting:
             answer = answers[k]
-            if isinstance(answer, Match) and (fault := fault_of(answer.asset_id)) is not None:
+            if isinstance(answer, AssetMatch) and (fault := fault_of(answer.asset_id)) is not None:
                 faults[k].append(fault)
                 asked[k] = replace(asked[k], without=asked[k].without | {answer.asset_id})
                 again.append(k)
@@ -87,8 +88,8 @@ def _usable(
 
 
 def _furnished(
-    scene: Scene, matches: Mapping[str, Match], unmatched: Mapping[str, Unmatched], passed: Sequence[Notice]
-) -> Furnished:
+    scene: Scene, matches: Mapping[str, AssetMatch], unmatched: Mapping[str, UnmatchedQuery], passed: Sequence[Notice]
+) -> AssignedLayout:
     gone = scene.resting_on(set(unmatched)) if unmatched else set()
     kept = [o for o in scene.objects if o.instance not in gone]
     notices = list(passed)
@@ -102,4 +103,4 @@ def _furnished(
         if (note := matches[o.instance].note)
     ]
     objects = with_assets(kept, {o.instance: matches[o.instance] for o in kept})
-    return Furnished(replace(scene, objects=objects), unmatched, tuple(notices))
+    return AssignedLayout(replace(scene, objects=objects), unmatched, tuple(notices))

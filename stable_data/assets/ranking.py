@@ -75,7 +75,7 @@ class RetrievalSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Choices:
+class RankedAssets:
     """What one library offers for B queries.
 
     Attributes:
@@ -94,7 +94,7 @@ class Choices:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Boxes:
+class WantedBoxes:
     """What boxes are wanted.
 
     Attributes:
@@ -105,9 +105,9 @@ class Boxes:
     shapes: FloatArray
     leans: BoolArray
 
-    def of(self, rows: IntArray) -> "Boxes":
+    def of(self, rows: IntArray) -> "WantedBoxes":
         """Those of some queries, one after the other."""
-        return Boxes(self.shapes[rows], self.leans[rows])
+        return WantedBoxes(self.shapes[rows], self.leans[rows])
 
 
 class AssetScores:
@@ -148,7 +148,7 @@ class AssetScores:
         tickets: Tickets,
         leans: BoolArray,
         without: Sequence[Collection[str]],
-    ) -> Choices:
+    ) -> RankedAssets:
         """The best asset for each query, and how it lies.
 
         Args:
@@ -165,10 +165,13 @@ class AssetScores:
         size = max(1, min(_BLOCK, _MAX_SCORES // len(self.assets)))
         for start in range(0, len(features), size):
             block = slice(start, start + size)
-            boxes, own = Boxes(shapes[block], leans[block]), [(k - start, n) for k, n in barred if start <= k < start + size]
+            boxes, own = (
+                WantedBoxes(shapes[block], leans[block]),
+                [(k - start, n) for k, n in barred if start <= k < start + size],
+            )
             parts.append(self._choose(features[block], boxes, codes[block], tickets[block], own))
         columns = zip(*((p.asset, p.tilt, p.text, p.size, p.nearest) for p in parts), strict=True)
-        return Choices(*(np.concatenate(column) for column in columns))
+        return RankedAssets(*(np.concatenate(column) for column in columns))
 
     def _barred(self, without: Sequence[Collection[str]]) -> list[tuple[int, int]]:
         """Queries and assets, by number, that are not to come together."""
@@ -178,8 +181,8 @@ class AssetScores:
         return [(k, number[name]) for k, names in enumerate(without) for name in sorted(names) if name in number]
 
     def _choose(
-        self, features: Rows, boxes: Boxes, codes: IntArray, tickets: Tickets, barred: Sequence[tuple[int, int]]
-    ) -> Choices:
+        self, features: Rows, boxes: WantedBoxes, codes: IntArray, tickets: Tickets, barred: Sequence[tuple[int, int]]
+    ) -> RankedAssets:
         """The same for a block of queries."""
         rough = features @ self.features.T  # (B, N)
         for k, n in barred:
@@ -200,9 +203,9 @@ class AssetScores:
         nearest[lost], texts[lost] = self._nearest(rough, features, lost)
         tilt = np.zeros(len(features), np.int64)
         tilt[rows[last]] = self._tilt(cols[last], boxes.of(rows[last]))
-        return Choices(asset, tilt, texts, sizes, nearest)
+        return RankedAssets(asset, tilt, texts, sizes, nearest)
 
-    def _candidates(self, rough: Rows, features: Rows, boxes: Boxes) -> tuple[IntArray, IntArray, FloatArray]:
+    def _candidates(self, rough: Rows, features: Rows, boxes: WantedBoxes) -> tuple[IntArray, IntArray, FloatArray]:
         """Pairs of query and asset that can be the best or as good, by query, and their text scores to within the slack."""
         s, slack = self._settings, self._slack
         best = rough.argmax(axis=1)
@@ -227,7 +230,7 @@ class AssetScores:
         return rows[keep], cols[keep], text[keep]
 
     def _best(
-        self, rows: IntArray, cols: IntArray, text: FloatArray, features: Rows, boxes: Boxes
+        self, rows: IntArray, cols: IntArray, text: FloatArray, features: Rows, boxes: WantedBoxes
     ) -> tuple[FloatArray, IntArray, IntArray, FloatArray]:
         """Of candidates those as good as each query's best: size scores, queries, assets and exact text scores."""
         s = self._settings
@@ -255,7 +258,7 @@ class AssetScores:
         last = order[np.flatnonzero(np.diff(rows[order], append=-1))]
         return cols[last], text[last]
 
-    def _sizes(self, cols: IntArray, boxes: Boxes) -> FloatArray:
+    def _sizes(self, cols: IntArray, boxes: WantedBoxes) -> FloatArray:
         """Size scores of pairs at the tilt that fits best, (P,) float64."""
         if not len(cols):
             return np.zeros(0)
@@ -263,7 +266,7 @@ class AssetScores:
         best: FloatArray = np.maximum.reduceat(scores, starts)
         return best
 
-    def _tilt(self, cols: IntArray, boxes: Boxes) -> IntArray:
+    def _tilt(self, cols: IntArray, boxes: WantedBoxes) -> IntArray:
         """The resting tilt of each pair: the most usual one that fits as well as the best, or nearly, (P,) int64."""
         if not len(cols):
             return np.zeros(0, np.int64)
@@ -277,7 +280,7 @@ class AssetScores:
         chosen: IntArray = np.minimum.reduceat(np.where(fits, number, len(scores)), starts)
         return chosen
 
-    def _tilt_scores(self, cols: IntArray, boxes: Boxes) -> tuple[FloatArray, IntArray]:
+    def _tilt_scores(self, cols: IntArray, boxes: WantedBoxes) -> tuple[FloatArray, IntArray]:
         """Size scores of pairs at each of the asset's tilts, one after the other, and where each pair's begin, (P,) int64."""
         counts = self._num_tilts[cols]
         starts = np.cumsum(counts) - counts

@@ -15,7 +15,7 @@ import numpy as np
 
 from stable_data.assets.box_fitting import stretched_scale, uniform_factor
 from stable_data.assets.catalog import Asset, AssetLibrary, sentence
-from stable_data.assets.ranking import AssetScores, Choices, RetrievalSettings, ticket
+from stable_data.assets.ranking import AssetScores, RankedAssets, RetrievalSettings, ticket
 from stable_data.assets.text_embeddings import Rows, TextEncoder, checked_rows
 from stable_data.errors import ConfigError, SceneError
 from stable_data.json_text import shown
@@ -27,7 +27,7 @@ _RELATED = 0.5  # how near they must be on average: those of another encoder are
 
 
 @dataclass(frozen=True, slots=True)
-class Query:
+class AssetQuery:
     """An object that wants an asset.
 
     Attributes:
@@ -61,7 +61,7 @@ class Query:
 
 
 @dataclass(frozen=True, slots=True)
-class Match:
+class AssetMatch:
     """The asset for a query.
 
     Attributes:
@@ -90,7 +90,7 @@ class Match:
 
 
 @dataclass(frozen=True, slots=True)
-class Unmatched:
+class UnmatchedQuery:
     """A query that no library has an asset for.
 
     Attributes:
@@ -106,7 +106,7 @@ class Unmatched:
     text_score: float = 0.0
 
 
-Answer: TypeAlias = Match | Unmatched
+Answer: TypeAlias = AssetMatch | UnmatchedQuery
 
 
 class Retriever:
@@ -142,7 +142,7 @@ class Retriever:
             raise ConfigError(f"{message}, expected some; allow more licences or add a library", "library_unusable")
         self._known: dict[str, Rows] = {}
 
-    def retrieve(self, queries: Sequence[Query], seed: int = 0) -> list[Answer]:
+    def retrieve(self, queries: Sequence[AssetQuery], seed: int = 0) -> list[Answer]:
         """An asset for each query, or why there is none.
 
         Args:
@@ -176,7 +176,7 @@ class Retriever:
                 del self._known[text]
         return found
 
-    def _answers(self, queries: Sequence[Query], rows: dict[str, Rows], seed: int) -> list[Answer]:
+    def _answers(self, queries: Sequence[AssetQuery], rows: dict[str, Rows], seed: int) -> list[Answer]:
         answers: list[Answer] = [_wordless() for _ in queries]
         waiting = [k for k, query in enumerate(queries) if query.sentence()]
         for name, scores in self._libraries:
@@ -193,13 +193,13 @@ class Retriever:
             )
             for k, answer in zip(waiting, self._read(name, scores, choices, asked), strict=True):
                 previous = answers[k]
-                is_nearer = not isinstance(previous, Unmatched) or not previous.nearest
-                if isinstance(answer, Match) or is_nearer or answer.text_score > previous.text_score:
+                is_nearer = not isinstance(previous, UnmatchedQuery) or not previous.nearest
+                if isinstance(answer, AssetMatch) or is_nearer or answer.text_score > previous.text_score:
                     answers[k] = answer
-            waiting = [k for k in waiting if isinstance(answers[k], Unmatched)]
+            waiting = [k for k in waiting if isinstance(answers[k], UnmatchedQuery)]
         return answers
 
-    def _read(self, name: str, scores: AssetScores, choices: Choices, queries: Sequence[Query]) -> list[Answer]:
+    def _read(self, name: str, scores: AssetScores, choices: RankedAssets, queries: Sequence[AssetQuery]) -> list[Answer]:
         """What one library answers."""
         columns = zip(
             *(c.tolist() for c in (choices.asset, choices.tilt, choices.text, choices.size, choices.nearest)), strict=True
@@ -209,14 +209,16 @@ class Retriever:
         answers: list[Answer] = []
         for query, factor, (index, tilt, text, size, nearest) in zip(queries, factors, columns, strict=True):
             if index < 0 and scores.assets[nearest].asset_id in query.without:
-                answers.append(Unmatched("it is to go without all that the libraries have"))
+                answers.append(UnmatchedQuery("it is to go without all that the libraries have"))
             elif index < 0:
                 answers.append(self._unmatched(name, scores.assets[nearest], text, query))
             else:
                 answers.append(self._match(name, scores.assets[index], tilt, factor, (text, size), query))
         return answers
 
-    def _match(self, name: str, asset: Asset, tilt: int, factor: float, scored: tuple[float, float], query: Query) -> Match:
+    def _match(
+        self, name: str, asset: Asset, tilt: int, factor: float, scored: tuple[float, float], query: AssetQuery
+    ) -> AssetMatch:
         text, size = scored
         rest, note = asset.tilts[tilt], ""
         x, y, z = rest.extents
@@ -231,7 +233,7 @@ class Retriever:
                 note = f"scaled evenly: to be stretched, it would be distorted {distortion:.2g} times, at most " + (
                     f"{self.settings.max_distortion:g} allowed"
                 )
-        return Match(
+        return AssetMatch(
             asset.asset_id,
             name,
             asset.category,
@@ -244,14 +246,14 @@ class Retriever:
             note,
         )
 
-    def _unmatched(self, name: str, nearest: Asset, text: float, query: Query) -> Unmatched:
+    def _unmatched(self, name: str, nearest: Asset, text: float, query: AssetQuery) -> UnmatchedQuery:
         found = f"{shown(nearest.words)} of library {name} at {text:.2f}"
         reason = f"nothing like {shown(query.sentence())}: nearest is {found}, expected at least {self.settings.floor:g}"
-        return Unmatched(reason, nearest.asset_id, name, text)
+        return UnmatchedQuery(reason, nearest.asset_id, name, text)
 
 
-def _wordless() -> Unmatched:
-    return Unmatched("the query has neither words nor a category, expected some to search by")
+def _wordless() -> UnmatchedQuery:
+    return UnmatchedQuery("the query has neither words nor a category, expected some to search by")
 
 
 def _check_encoder(library: AssetLibrary, encoder: TextEncoder) -> None:

@@ -18,7 +18,7 @@ from stable_data.storage.row_groups import TableFiles
 from stable_data.storage.run_folder import RunFolder, Uri
 
 
-class TableAssets:
+class RunAssets:
     """An :class:`~stable_data.assets.store.AssetSource` over the table ``meshes``: its GLBs as files, named by their content.
 
     The files of a row group are written when the first of them is asked for; those that are there already, such as another
@@ -126,10 +126,10 @@ def run_store(run: Uri) -> AssetStore:
         run: The run's folder or URI.
 
     Raises:
-        ConfigError: As :class:`TableAssets`.
+        ConfigError: As :class:`RunAssets`.
     """
     files = TemporaryDirectory(prefix="stable-data-")
-    store = AssetStore(TableAssets(RunFolder(run), Path(files.name)))
+    store = AssetStore(RunAssets(RunFolder(run), Path(files.name)))
     weakref.finalize(store, files.cleanup)
     return store
 

@@ -7,7 +7,7 @@ the table or on something that is not replaced, and on its carrier where that on
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from stable_data.assets.retrieval import Match
+from stable_data.assets.retrieval import AssetMatch
 from stable_data.errors import SceneError
 from stable_data.scene import SceneObject
 
@@ -17,7 +17,7 @@ def underside(o: SceneObject) -> float:
     return o.position[2] - o.size[2] / 2
 
 
-def with_asset(wanted: SceneObject, match: Match) -> SceneObject:
+def with_asset(wanted: SceneObject, match: AssetMatch) -> SceneObject:
     """The object as a match makes it.
 
     Its instance, x, y, yaw, description, stage and support stay, and so does the height of its underside. Asset, category
@@ -39,7 +39,7 @@ def with_asset(wanted: SceneObject, match: Match) -> SceneObject:
     )
 
 
-def with_assets(objects: Sequence[SceneObject], matches: Mapping[str, Match]) -> tuple[SceneObject, ...]:
+def with_assets(objects: Sequence[SceneObject], matches: Mapping[str, AssetMatch]) -> tuple[SceneObject, ...]:
     """A layout with assets in place of wanted objects, what they carry moved with them.
 
     What stands on a carrier (``support``) is lifted or lowered by as much as the carrier's top moves; what lies within the
@@ -73,7 +73,7 @@ def with_assets(objects: Sequence[SceneObject], matches: Mapping[str, Match]) ->
 
 
 def _placed(
-    o: SceneObject, match: Match | None, wanted: Mapping[str, SceneObject], done: Mapping[str, SceneObject]
+    o: SceneObject, match: AssetMatch | None, wanted: Mapping[str, SceneObject], done: Mapping[str, SceneObject]
 ) -> SceneObject:
     """An object with its asset, on its carrier as that one is now."""
     low = underside(o)

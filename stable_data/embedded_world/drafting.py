@@ -14,10 +14,10 @@ import numpy as np
 import shapely
 
 from stable_data.embedded_world.families.catalogue import NUM_VARIANTS, asset
-from stable_data.embedded_world.groups.arrangement import Item, Kit, floor_of, scattered
-from stable_data.embedded_world.placing import Ground, Placed, lowered
+from stable_data.embedded_world.groups.arrangement import GroupItem, GroupSampler, floor_of, scattered
+from stable_data.embedded_world.placing import PlacedObject, TableOccupancy, lowered
 from stable_data.embedded_world.scenes import FEWEST, MOST, plan_of
-from stable_data.instructions.naming import Name, Namer
+from stable_data.instructions.naming import ObjectName, ObjectNamer
 from stable_data.instructions.words import plural, type_words
 from stable_data.scene import TABLE, RelationKind, Scene, SceneObject
 
@@ -29,7 +29,7 @@ _NARROWEST, _WIDEST = 0.5, 1.3  # of what replaces a thing, beside its longest s
 
 
 @dataclass(frozen=True, slots=True)
-class Draft:
+class EditDraft:
     """What an edit would make of a scene.
 
     Attributes:
@@ -38,13 +38,13 @@ class Draft:
         text: The words, as :func:`stable_data.instructions.paraphrase.reword` takes them.
     """
 
-    things: tuple[tuple[str | None, Placed], ...]
+    things: tuple[tuple[str | None, PlacedObject], ...]
     changed: frozenset[str]
     text: str
 
 
 @dataclass(frozen=True, eq=False)
-class Desk:
+class SceneEditor:
     """A scene as an editor sees it.
 
     Attributes:
@@ -56,9 +56,9 @@ class Desk:
     """
 
     scene: Scene
-    things: Mapping[str, Placed]
-    namer: Namer
-    kit: Kit
+    things: Mapping[str, PlacedObject]
+    namer: ObjectNamer
+    kit: GroupSampler
     carriers: frozenset[str]
 
     def leaves(self) -> list[SceneObject]:
@@ -73,41 +73,41 @@ class Desk:
 
     def name(self, instance: str) -> str:
         """Words for an object."""
-        names: Sequence[Name] = self.namer.names(instance)
+        names: Sequence[ObjectName] = self.namer.names(instance)
         return names[int(self.kit.rng.integers(len(names)))].words
 
-    def ground(self, *without: str) -> Ground:
+    def ground(self, *without: str) -> TableOccupancy:
         """The table with everything on it but some."""
-        ground = Ground(self.scene.table)
+        ground = TableOccupancy(self.scene.table)
         for instance, thing in self.things.items():
             if instance not in without:
                 ground.take(thing.item.outline())
         return ground
 
     def with_change(
-        self, change: Mapping[str, Placed | None], new: Sequence[Placed] = ()
-    ) -> tuple[tuple[str | None, Placed], ...]:
+        self, change: Mapping[str, PlacedObject | None], new: Sequence[PlacedObject] = ()
+    ) -> tuple[tuple[str | None, PlacedObject], ...]:
         """Every thing, some of them changed (None: gone), new ones at the end."""
         kept = ((instance, change.get(instance, thing)) for instance, thing in self.things.items())
         return (*((instance, thing) for instance, thing in kept if thing is not None), *((None, thing) for thing in new))
 
-    def drafts(self, kind: str) -> Iterator[Draft]:
+    def drafts(self, kind: str) -> Iterator[EditDraft]:
         """Drafts of a kind, those that make a scene too empty or too full left out."""
         drafts = itertools.islice(DRAFTERS[kind](self), TRIES)
         return (draft for draft in drafts if FEWEST <= len(draft.things) <= MOST)
 
 
-Drafter: TypeAlias = Callable[[Desk], Iterator[Draft]]
+Drafter: TypeAlias = Callable[[SceneEditor], Iterator[EditDraft]]
 
 
-def _removals(desk: Desk) -> Iterator[Draft]:
+def _removals(desk: SceneEditor) -> Iterator[EditDraft]:
     for o in desk.leaves():
         name = desk.name(o.instance)
         text = desk.kit.pick(f"[remove] {name}", f"[take|clear] away {name}", f"get rid of {name}", f"I do not need {name}.")
-        yield Draft(desk.with_change({o.instance: None}), frozenset(), text)
+        yield EditDraft(desk.with_change({o.instance: None}), frozenset(), text)
 
 
-def _additions(desk: Desk) -> Iterator[Draft]:
+def _additions(desk: SceneEditor) -> Iterator[EditDraft]:
     plan = plan_of(desk.scene.table.table_type)
     for _ in range(4 * TRIES):  # a full table has no place for anything
         group = plan.others[desk.kit.rng.integers(len(plan.others))](desk.kit)
@@ -116,11 +116,11 @@ def _additions(desk: Desk) -> Iterator[Draft]:
         for there, where in _destinations(desk, item):
             wish = f"I [need|want] {caption} {where.replace('into', 'in')}."
             put = desk.kit.pick(f"[put] {caption} {where}", f"add {caption} {where}", wish)
-            yield Draft(desk.with_change({}, [there]), frozenset(), put)
+            yield EditDraft(desk.with_change({}, [there]), frozenset(), put)
             break
 
 
-def _moves(desk: Desk) -> Iterator[Draft]:
+def _moves(desk: SceneEditor) -> Iterator[EditDraft]:
     for o in desk.leaves():
         thing = desk.things[o.instance]
         item = replace(thing.item, x=0.0, y=0.0)
@@ -129,18 +129,18 @@ def _moves(desk: Desk) -> Iterator[Draft]:
         name = desk.name(o.instance)
         for there, where in _destinations(desk, item, o.instance):
             text = desk.kit.pick(f"[move] {name} {where}", f"[put] {name} {where}")
-            yield Draft(desk.with_change({o.instance: replace(there, group=thing.group)}), frozenset({o.instance}), text)
+            yield EditDraft(desk.with_change({o.instance: replace(there, group=thing.group)}), frozenset({o.instance}), text)
             break
 
 
-def _replacements(desk: Desk) -> Iterator[Draft]:
+def _replacements(desk: SceneEditor) -> Iterator[EditDraft]:
     plan = plan_of(desk.scene.table.table_type)
     standing = {o.instance for o in desk.standing()}
     for o in desk.leaves():
         if o.instance not in standing:
             continue
         key = plan.others[desk.kit.rng.integers(len(plan.others))](desk.kit)[0].key
-        item = Item(key, o.position[0], o.position[1], o.yaw, asset(key).tilts[0], desk.kit.scale())
+        item = GroupItem(key, o.position[0], o.position[1], o.yaw, asset(key).tilts[0], desk.kit.scale())
         ratio = max(item.size[:2]) / max(o.size[:2])
         if not _NARROWEST < ratio < _WIDEST or asset(key).category == o.category or not _has_room(desk, item, o.instance):
             continue
@@ -148,10 +148,10 @@ def _replacements(desk: Desk) -> Iterator[Draft]:
         name = desk.name(o.instance)
         text = desk.kit.pick(f"[replace|swap] {name} with {new}", f"exchange {name} for {new}", f"[put] {new} where {name} is")
         there = lowered([item], desk.things[o.instance].group)[0]
-        yield Draft(desk.with_change({o.instance: there}), frozenset({o.instance}), text)
+        yield EditDraft(desk.with_change({o.instance: there}), frozenset({o.instance}), text)
 
 
-def _restylings(desk: Desk) -> Iterator[Draft]:
+def _restylings(desk: SceneEditor) -> Iterator[EditDraft]:
     """All things of a category in another variant, each where it was, what they carry lowered onto them again."""
     kinds: dict[str, list[str]] = {}
     for o in desk.scene.objects:
@@ -171,7 +171,7 @@ def _restylings(desk: Desk) -> Iterator[Draft]:
             f"replace all the {several_words} [with|by] {style}", f"I would like all the {several_words} to be {style}.",
             f"[exchange|swap] all {several_words} for {style}",
         )  # fmt: skip
-        yield Draft(desk.with_change(change), frozenset(change), text)
+        yield EditDraft(desk.with_change(change), frozenset(change), text)
 
 
 DRAFTERS: Mapping[str, Drafter] = MappingProxyType(
@@ -183,11 +183,11 @@ KINDS = tuple(DRAFTERS)
 """Kinds of edit."""
 
 
-def _restyled(desk: Desk, instances: frozenset[str], key: str) -> dict[str, Placed] | None:
+def _restyled(desk: SceneEditor, instances: frozenset[str], key: str) -> dict[str, PlacedObject] | None:
     """The groups of some things, laid again with these in another variant; None where one of them lies or leans."""
     groups = {desk.things[name].group for name in instances}
     upright = asset(key).tilts[0]
-    change: dict[str, Placed] = {}
+    change: dict[str, PlacedObject] = {}
     for group in sorted(groups):
         members = [(name, thing) for name, thing in desk.things.items() if thing.group == group]
         items = [replace(t.item, key=key, tilt_quat_xyzw=upright) if n in instances else t.item for n, t in members]
@@ -201,18 +201,18 @@ def _restyled(desk: Desk, instances: frozenset[str], key: str) -> dict[str, Plac
     return change
 
 
-def _has_room(desk: Desk, item: Item, instance: str) -> bool:
+def _has_room(desk: SceneEditor, item: GroupItem, instance: str) -> bool:
     return desk.ground(instance).is_free(item.outline())
 
 
-def _destinations(desk: Desk, item: Item, moving: str | None = None) -> Iterator[tuple[Placed, str]]:
+def _destinations(desk: SceneEditor, item: GroupItem, moving: str | None = None) -> Iterator[tuple[PlacedObject, str]]:
     """Places for a thing, with words for them: beside a thing, in a corner, on top of or in another."""
     ways = (_beside, _in_a_corner, _onto)
     for k in desk.kit.rng.permutation(len(ways)):
         yield from ways[k](desk, item, moving)
 
 
-def _beside(desk: Desk, item: Item, moving: str | None) -> Iterator[tuple[Placed, str]]:
+def _beside(desk: SceneEditor, item: GroupItem, moving: str | None) -> Iterator[tuple[PlacedObject, str]]:
     sides = (("to the left of", -1, 0), ("to the right of", 1, 0), ("in front of", 0, -1), ("behind", 0, 1))
     anchors = [o for o in desk.standing() if o.instance != moving]
     ground = desk.ground(*([] if moving is None else [moving]))
@@ -229,7 +229,7 @@ def _beside(desk: Desk, item: Item, moving: str | None) -> Iterator[tuple[Placed
             yield lowered([there])[0], f"{words} {desk.name(anchor.instance)}"
 
 
-def _in_a_corner(desk: Desk, item: Item, moving: str | None) -> Iterator[tuple[Placed, str]]:
+def _in_a_corner(desk: SceneEditor, item: GroupItem, moving: str | None) -> Iterator[tuple[PlacedObject, str]]:
     width, depth = desk.scene.table.size_xy
     ground = desk.ground(*([] if moving is None else [moving]))
     for _ in range(TRIES):
@@ -240,7 +240,7 @@ def _in_a_corner(desk: Desk, item: Item, moving: str | None) -> Iterator[tuple[P
             yield lowered([there])[0], f"into the {row} {column} corner"
 
 
-def _onto(desk: Desk, item: Item, moving: str | None) -> Iterator[tuple[Placed, str]]:
+def _onto(desk: SceneEditor, item: GroupItem, moving: str | None) -> Iterator[tuple[PlacedObject, str]]:
     """On top of, or in, a thing that stands upright and carries nothing yet."""
     graph = desk.namer.graph
     for o in desk.leaves():
@@ -254,10 +254,10 @@ def _onto(desk: Desk, item: Item, moving: str | None) -> Iterator[tuple[Placed, 
         if inside:
             pair = lowered([carrier.item, inside[0]], carrier.group)
             lift = carrier.z - pair[0].z
-            yield Placed(inside[0], pair[1].z + lift, carrier.group), f"{words} {desk.name(o.instance)}"
+            yield PlacedObject(inside[0], pair[1].z + lift, carrier.group), f"{words} {desk.name(o.instance)}"
 
 
-def _new(key: str, kit: Kit) -> str:
+def _new(key: str, kit: GroupSampler) -> str:
     """Words for a thing that is not there yet, with an article."""
     captions = asset(key).captions
     caption = kit.pick(captions[0], *(c for c in captions[1:] if "," not in c))

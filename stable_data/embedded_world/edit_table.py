@@ -15,14 +15,14 @@ import networkx as nx
 import numpy as np
 
 from stable_data.content_id import content_id
-from stable_data.embedded_world.drafting import KINDS, Desk, Draft
+from stable_data.embedded_world.drafting import KINDS, EditDraft, SceneEditor
 from stable_data.embedded_world.edits import edited_objects, told
 from stable_data.embedded_world.families.catalogue import KEYS, asset
-from stable_data.embedded_world.groups.arrangement import Item, Kit
-from stable_data.embedded_world.placing import Placed
+from stable_data.embedded_world.groups.arrangement import GroupItem, GroupSampler
+from stable_data.embedded_world.placing import PlacedObject
 from stable_data.embedded_world.scenes import RECORD
 from stable_data.errors import SceneError
-from stable_data.instructions.naming import Namer
+from stable_data.instructions.naming import ObjectNamer
 from stable_data.scene import TABLE, QuatXyzw, Scene, SceneObject, Vec3
 from stable_data.scene_graph.relations import scene_graph, supports
 from stable_data.storage.run_folder import RunFolder
@@ -50,14 +50,14 @@ def edit_rows(row: Row, count: int = 4, seed: int = 0) -> list[Row]:
     things = _things_of(scene)
     containers = _containers(things)
     graph = scene_graph(scene, {o.instance: (o.support,) for o in scene.objects if o.support}, containers=containers)
-    namer, scene_hash = Namer(scene, graph), zlib.crc32(scene.scene_id.encode())
+    namer, scene_hash = ObjectNamer(scene, graph), zlib.crc32(scene.scene_id.encode())
     carriers = frozenset(name for verdict in row["verdicts"] for name in verdict["supports"]) | {
         o.support for o in scene.objects if o.support is not None
     }
     rows: dict[str, Row] = {}
     for number in range(count):
         rng = np.random.default_rng([seed, scene_hash, number])
-        desk = Desk(scene, things, namer, Kit(rng), carriers)
+        desk = SceneEditor(scene, things, namer, GroupSampler(rng), carriers)
         first = (scene_hash + number) % len(KINDS)
         for kind, draft in _drafts(desk, (*KINDS[first:], *KINDS[:first])):
             after, text = _objects_after(scene, draft), told(draft, rng)
@@ -67,11 +67,11 @@ def edit_rows(row: Row, count: int = 4, seed: int = 0) -> list[Row]:
     return list(rows.values())
 
 
-def _drafts(desk: Desk, kinds: tuple[str, ...]) -> Iterator[tuple[str, Draft]]:
+def _drafts(desk: SceneEditor, kinds: tuple[str, ...]) -> Iterator[tuple[str, EditDraft]]:
     return ((kind, draft) for kind in kinds for draft in desk.drafts(kind))
 
 
-def _things_of(scene: Scene) -> dict[str, Placed]:
+def _things_of(scene: Scene) -> dict[str, PlacedObject]:
     """What the scene was made from, by instance; what carries each other is a group."""
     keys = (scene.source or {}).get(RECORD, {}).get("keys", ())
     if len(keys) != len(scene.objects) or any(
@@ -88,10 +88,10 @@ def _things_of(scene: Scene) -> dict[str, Placed]:
     return {o.instance: _thing(key, o, group[o.instance]) for key, o in zip(keys, scene.objects, strict=True)}
 
 
-def _thing(key: str, o: SceneObject, group: int) -> Placed:
+def _thing(key: str, o: SceneObject, group: int) -> PlacedObject:
     assert o.scale is not None  # the format has it
     x, y, z = o.position
-    return Placed(Item(key, x, y, o.yaw, _planned(key, o.tilt_quat_xyzw), _over(o.scale, asset(key).unit)), z, group)
+    return PlacedObject(GroupItem(key, x, y, o.yaw, _planned(key, o.tilt_quat_xyzw), _over(o.scale, asset(key).unit)), z, group)
 
 
 def _planned(key: str, tilt_quat_xyzw: QuatXyzw) -> QuatXyzw:
@@ -105,11 +105,11 @@ def _over(scale: Vec3, unit: float) -> Vec3:
     return x, y, z
 
 
-def _containers(things: Mapping[str, Placed]) -> dict[str, bool]:
+def _containers(things: Mapping[str, PlacedObject]) -> dict[str, bool]:
     return {name: thing.asset.hollow is not None for name, thing in things.items()}
 
 
-def _objects_after(scene: Scene, draft: Draft) -> tuple[SceneObject, ...] | None:
+def _objects_after(scene: Scene, draft: EditDraft) -> tuple[SceneObject, ...] | None:
     """The objects of the edited scene as they were lowered."""
     found = [
         scene[name] if name is not None and name not in draft.changed else lowered_object(thing) for name, thing in draft.things
@@ -117,7 +117,7 @@ def _objects_after(scene: Scene, draft: Draft) -> tuple[SceneObject, ...] | None
     return edited_objects(scene, draft, found)
 
 
-def lowered_object(thing: Placed) -> SceneObject:
+def lowered_object(thing: PlacedObject) -> SceneObject:
     """A thing as an object where it was put, before anything has settled; its name is its key."""
     item, source = thing.item, thing.asset
     x, y, z = (round(v, _DIGITS) for v in (item.x, item.y, thing.z))
@@ -138,11 +138,11 @@ def lowered_object(thing: Placed) -> SceneObject:
 
 @lru_cache(maxsize=4096)
 def _box(key: str, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> Vec3:
-    x, y, z = Placed(Item(key, scale=scale, tilt_quat_xyzw=tilt_quat_xyzw)).shape.size.tolist()
+    x, y, z = PlacedObject(GroupItem(key, scale=scale, tilt_quat_xyzw=tilt_quat_xyzw)).shape.size.tolist()
     return x, y, z
 
 
-def _supported(scene: Scene, after: tuple[SceneObject, ...], draft: Draft) -> tuple[SceneObject, ...]:
+def _supported(scene: Scene, after: tuple[SceneObject, ...], draft: EditDraft) -> tuple[SceneObject, ...]:
     """The objects with what carries each, by their boxes where they are elsewhere than before."""
     kept = {o.instance: o.support for o in scene.objects if o in after}
     containers = {o.instance: thing.asset.hollow is not None for o, (_, thing) in zip(after, draft.things, strict=True)}

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stable_data.embedded_world.drafting import KINDS, Desk, Draft
-from stable_data.embedded_world.groups.arrangement import Kit
-from stable_data.embedded_world.placing import Placed
-from stable_data.embedded_world.scenes import MOST, RECORD, MadeScene, graph_of
+from stable_data.embedded_world.drafting import KINDS, EditDraft, SceneEditor
+from stable_data.embedded_world.groups.arrangement import GroupSampler
+from stable_data.embedded_world.placing import PlacedObject
+from stable_data.embedded_world.scenes import MOST, RECORD, EmbeddedScene, graph_of
 from stable_data.embedded_world.settling import audit, restless, settled_objects, unclean
-from stable_data.instructions.naming import Namer
+from stable_data.instructions.naming import ObjectNamer
 from stable_data.instructions.paraphrase import request, reword
 from stable_data.scene import Scene, SceneObject
 
@@ -21,7 +21,7 @@ _KEPT = 1e-3  # what an edit does not speak of settles no farther than this from
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Edit:
+class SceneEdit:
     """A change of a scene.
 
     Attributes:
@@ -42,10 +42,10 @@ class Edit:
     added: tuple[str, ...]
     removed: tuple[str, ...]
     moved: tuple[str, ...]
-    placed: tuple[Placed, ...]
+    placed: tuple[PlacedObject, ...]
 
 
-def make_edit(made: MadeScene, rng: np.random.Generator, kinds: Sequence[str] = ()) -> Edit | None:
+def make_edit(made: EmbeddedScene, rng: np.random.Generator, kinds: Sequence[str] = ()) -> SceneEdit | None:
     """An edit of a scene.
 
     Args:
@@ -60,7 +60,7 @@ def make_edit(made: MadeScene, rng: np.random.Generator, kinds: Sequence[str] = 
     graph = graph_of(made.scene, judged, made.placed)
     carriers = frozenset(name for o in judged.objects for name in o.supports)
     settled = {o.instance: as_settled(thing, o) for o, thing in zip(made.scene.objects, made.placed, strict=True)}
-    desk = Desk(made.scene, settled, Namer(made.scene, graph), Kit(rng), carriers)
+    desk = SceneEditor(made.scene, settled, ObjectNamer(made.scene, graph), GroupSampler(rng), carriers)
     for kind in kinds or [KINDS[k] for k in rng.permutation(len(KINDS))]:
         for draft in desk.drafts(kind):
             edit = _carried_out(kind, draft, desk)
@@ -69,13 +69,13 @@ def make_edit(made: MadeScene, rng: np.random.Generator, kinds: Sequence[str] = 
     return None
 
 
-def as_settled(thing: Placed, o: SceneObject) -> Placed:
+def as_settled(thing: PlacedObject, o: SceneObject) -> PlacedObject:
     """A thing where it has come to lie."""
     x, y, z = o.position
-    return Placed(replace(thing.item, x=x, y=y, yaw=o.yaw, tilt_quat_xyzw=o.tilt_quat_xyzw), z, thing.group)
+    return PlacedObject(replace(thing.item, x=x, y=y, yaw=o.yaw, tilt_quat_xyzw=o.tilt_quat_xyzw), z, thing.group)
 
 
-def _carried_out(kind: str, draft: Draft, desk: Desk) -> Edit | None:
+def _carried_out(kind: str, draft: EditDraft, desk: SceneEditor) -> SceneEdit | None:
     """The edit, where what it makes stays, is clean, and leaves alone what it does not speak of."""
     before, placed = desk.scene, [thing for _, thing in draft.things]
     settled = settled_objects(placed, before.table)
@@ -96,15 +96,15 @@ def _carried_out(kind: str, draft: Draft, desk: Desk) -> Edit | None:
     old, new = {o.instance for o in before.objects}, {o.instance for o in objects}
     moved = tuple(o.instance for o in objects if o.instance in old and o != before[o.instance])
     text = told(draft, desk.kit.rng)
-    return Edit(kind, text, before, after, tuple(sorted(new - old)), tuple(sorted(old - new)), moved, tuple(placed))
+    return SceneEdit(kind, text, before, after, tuple(sorted(new - old)), tuple(sorted(old - new)), moved, tuple(placed))
 
 
-def told(draft: Draft, rng: np.random.Generator) -> str:
+def told(draft: EditDraft, rng: np.random.Generator) -> str:
     """The words of a draft as a request."""
     return request(reword(draft.text, rng), "", rng)
 
 
-def edited_objects(before: Scene, draft: Draft, found: Sequence[SceneObject]) -> tuple[SceneObject, ...] | None:
+def edited_objects(before: Scene, draft: EditDraft, found: Sequence[SceneObject]) -> tuple[SceneObject, ...] | None:
     """The objects of an edited scene under their names; what is another thing than before has another name.
 
     Args:

@@ -10,12 +10,12 @@ import shapely
 from scipy.spatial.transform import Rotation
 
 from stable_data.embedded_world.families.catalogue import Asset, asset
-from stable_data.embedded_world.groups.arrangement import Group, Item, Kit
-from stable_data.embedded_world.plans import Spot, TablePlan
+from stable_data.embedded_world.groups.arrangement import Group, GroupItem, GroupSampler
+from stable_data.embedded_world.plans import Slot, TablePlan
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.shape import Shape
 from stable_data.scene import FloatArray, QuatXyzw, Tabletop, Vec3
-from stable_data.simulation.settling import Body
+from stable_data.simulation.settling import RigidBody
 
 _MARGIN = 0.008  # between groups, metres
 _EDGE = 0.012  # between a group and the edge of the table, metres
@@ -26,7 +26,7 @@ _TALL = 0.24  # metres; what is taller than this stands at the back, where it hi
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedObject:
     """A thing at its place, in its yaw frame.
 
     Attributes:
@@ -35,7 +35,7 @@ class Placed:
         group: Number of its group in the scene.
     """
 
-    item: Item
+    item: GroupItem
     z: float = 0.0
     group: int = 0
 
@@ -54,10 +54,10 @@ class Placed:
         """Kilograms, at its scale."""
         return self.asset.mass * float(np.prod(self.item.scale))
 
-    def body(self, name: str) -> Body:
+    def body(self, name: str) -> RigidBody:
         """What the engine is given."""
         parts = yaw_frame_parts(self.asset, self.item.scale, self.item.tilt_quat_xyzw)
-        return Body(name, parts, self.mass, (self.item.x, self.item.y, self.z), self.item.yaw)
+        return RigidBody(name, parts, self.mass, (self.item.x, self.item.y, self.z), self.item.yaw)
 
 
 def yaw_frame_parts(source: Asset, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> tuple[Mesh, ...]:
@@ -68,7 +68,7 @@ def yaw_frame_parts(source: Asset, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> tup
     return tuple(Mesh(part.vertices @ turn - centre, part.faces) for part in source.parts)
 
 
-def compose(plan: TablePlan, table: Tabletop, kit: Kit, target: int, most: int) -> list[Placed]:
+def compose(plan: TablePlan, table: Tabletop, kit: GroupSampler, target: int, most: int) -> list[PlacedObject]:
     """Lays a table: what it is about, then other groups, each once, until it is as full as wanted.
 
     Args:
@@ -82,8 +82,8 @@ def compose(plan: TablePlan, table: Tabletop, kit: Kit, target: int, most: int) 
         Every thing, clear of every other by at least 0.05 mm.
     """
     theme = plan.themes[kit.rng.integers(len(plan.themes))]
-    ground = Ground(table)
-    placed: list[Placed] = []
+    ground = TableOccupancy(table)
+    placed: list[PlacedObject] = []
     done = set()
     for spot in theme(kit, table):
         done.add(spot.arrange)
@@ -92,11 +92,11 @@ def compose(plan: TablePlan, table: Tabletop, kit: Kit, target: int, most: int) 
     for k in kit.rng.permutation(len(others)):
         if len(placed) >= target:
             break
-        placed += ground.placed(others[k](kit), Spot(others[k]), kit, most - len(placed))
+        placed += ground.placed(others[k](kit), Slot(others[k]), kit, most - len(placed))
     return placed
 
 
-class Ground:
+class TableOccupancy:
     """A table top and what of it is taken.
 
     Args:
@@ -125,7 +125,7 @@ class Ground:
         """Whether an area is on the table and nothing taken is near it."""
         return self.allows(outline) and not shapely.dwithin(outline, self._taken, _MARGIN).any()
 
-    def placed(self, group: Group, spot: Spot, kit: Kit, most: int) -> list[Placed]:
+    def placed(self, group: Group, spot: Slot, kit: GroupSampler, most: int) -> list[PlacedObject]:
         """The things of a group at a free place within its spot, lowered; nothing where there is no room, or for so many."""
         if not group or len(group) > most:
             return []
@@ -146,19 +146,19 @@ class Ground:
         return []
 
 
-def lowered(group: Group, number: int = 0) -> list[Placed]:
+def lowered(group: Group, number: int = 0) -> list[PlacedObject]:
     """The things of a group, each lowered until it is just clear of what is under it."""
-    placed: list[Placed] = []
+    placed: list[PlacedObject] = []
     for item in group:
-        thing, outline = Placed(item, 0.0, number), item.outline()
+        thing, outline = PlacedObject(item, 0.0, number), item.outline()
         below = [other for other in placed if outline.intersects(other.item.outline())]
         floor = float(thing.shape.size[2]) / 2 + _CLEARANCE
         z = floor if not below else max(floor, _lowest(thing, below, floor) + _CLEARANCE)
-        placed.append(Placed(item, z, number))
+        placed.append(PlacedObject(item, z, number))
     return placed
 
 
-def _lowest(thing: Placed, below: Sequence[Placed], floor: float) -> float:
+def _lowest(thing: PlacedObject, below: Sequence[PlacedObject], floor: float) -> float:
     """The lowest height that a thing reaches from above without touching, metres, to within 0.01 mm."""
     others = [_collider(other) for other in below]
     moving = _collider(thing)
@@ -177,7 +177,7 @@ def _lowest(thing: Placed, below: Sequence[Placed], floor: float) -> float:
     return high
 
 
-def _collider(thing: Placed) -> fcl.CollisionObject:
+def _collider(thing: PlacedObject) -> fcl.CollisionObject:
     tree = fcl.BVHModel()
     tree.beginModel(len(thing.shape.vertices), len(thing.shape.faces))
     tree.addSubModel(thing.shape.vertices, thing.shape.faces)
@@ -187,6 +187,6 @@ def _collider(thing: Placed) -> fcl.CollisionObject:
     return fcl.CollisionObject(tree, fcl.Transform(turn, np.array([thing.item.x, thing.item.y, thing.z])))
 
 
-def pose_of(thing: Placed) -> FloatArray:
+def pose_of(thing: PlacedObject) -> FloatArray:
     """x, y, z, yaw, (4,) float64."""
     return np.array([thing.item.x, thing.item.y, thing.z, thing.item.yaw])

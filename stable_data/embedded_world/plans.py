@@ -7,12 +7,12 @@ from types import MappingProxyType
 from typing import TypeAlias
 
 from stable_data.embedded_world.groups import bath, desk, dining, kitchen, lounge
-from stable_data.embedded_world.groups.arrangement import Arrange, Group, Kit
+from stable_data.embedded_world.groups.arrangement import Arrange, Group, GroupSampler
 from stable_data.scene import Tabletop
 
 
 @dataclass(frozen=True, slots=True)
-class Spot:
+class Slot:
     """A group and where it may stand.
 
     Attributes:
@@ -30,7 +30,7 @@ class Spot:
     may_miss: bool = True
 
 
-Theme: TypeAlias = Callable[[Kit, Tabletop], Sequence[Spot]]
+Theme: TypeAlias = Callable[[GroupSampler, Tabletop], Sequence[Slot]]
 """Draws the groups that a table is about, the most important first."""
 
 
@@ -58,7 +58,7 @@ class TablePlan:
 def single(*categories: str, wobble: float = 0.4) -> Arrange:
     """A thing by itself."""
 
-    def arrange(kit: Kit) -> Group:
+    def arrange(kit: GroupSampler) -> Group:
         return [kit.single(*categories, wobble=wobble)]
 
     return arrange
@@ -69,7 +69,7 @@ _LEFT, _CENTRE, _RIGHT = (0.06, 0.32), (0.38, 0.62), (0.68, 0.94)
 _SEAT = 0.19  # of a plate's middle from its edge of the table, metres
 
 
-def seats(kit: Kit, table: Tabletop, most: int = 6) -> list[Spot]:
+def seats(kit: GroupSampler, table: Tabletop, most: int = 6) -> list[Slot]:
     """Place settings for one to six, facing each other, as many as the table has room for."""
     width, depth = table.size_xy
     on_a_side = max(1, min(2, int(width / 0.52)))
@@ -84,128 +84,128 @@ def seats(kit: Kit, table: Tabletop, most: int = 6) -> list[Spot]:
     return [_exact(dining.place_setting, x, y, yaw) for x, y, yaw in places[:count]]
 
 
-def _exact(arrange: Arrange, x: float, y: float, yaw: float = 0.0) -> Spot:
+def _exact(arrange: Arrange, x: float, y: float, yaw: float = 0.0) -> Slot:
     """A spot with little play."""
-    return Spot(arrange, (x - 0.012, x + 0.012), (y - 0.012, y + 0.012), yaw)
+    return Slot(arrange, (x - 0.012, x + 0.012), (y - 0.012, y + 0.012), yaw)
 
 
-def _meal(kit: Kit, table: Tabletop) -> list[Spot]:
+def _meal(kit: GroupSampler, table: Tabletop) -> list[Slot]:
     middle = kit.rng.permutation(5)
     dishes = (dining.fruit_bowl, dining.centrepiece, dining.wine, dining.bread_basket, dining.cake)
-    spots = [*seats(kit, table), Spot(dishes[middle[0]], _CENTRE, (0.42, 0.58))]
+    spots = [*seats(kit, table), Slot(dishes[middle[0]], _CENTRE, (0.42, 0.58))]
     if kit.chance(0.6):
-        spots.append(Spot(dining.salt_and_pepper, (0.3, 0.7), _MIDDLE))
-    return [*spots, Spot(dishes[middle[1]], (0.25, 0.75), (0.3, 0.7))]
+        spots.append(Slot(dining.salt_and_pepper, (0.3, 0.7), _MIDDLE))
+    return [*spots, Slot(dishes[middle[1]], (0.25, 0.75), (0.3, 0.7))]
 
 
-def _after_meal(kit: Kit, table: Tabletop) -> list[Spot]:
-    return [Spot(dining.leftovers, (0.15, 0.45), _FRONT), Spot(dining.leftovers, (0.55, 0.85), _BACK, math.pi),
-            Spot(dining.plates, _CENTRE, _MIDDLE), Spot(dining.wine, (0.2, 0.8), _MIDDLE), Spot(dining.glasses)]  # fmt: skip
+def _after_meal(kit: GroupSampler, table: Tabletop) -> list[Slot]:
+    return [Slot(dining.leftovers, (0.15, 0.45), _FRONT), Slot(dining.leftovers, (0.55, 0.85), _BACK, math.pi),
+            Slot(dining.plates, _CENTRE, _MIDDLE), Slot(dining.wine, (0.2, 0.8), _MIDDLE), Slot(dining.glasses)]  # fmt: skip
 
 
-def _tea(kit: Kit, table: Tabletop) -> list[Spot]:
-    return [Spot(dining.tea_for_two, _CENTRE, _MIDDLE), Spot(dining.plate_of_sweets, (0.2, 0.8), (0.2, 0.8)),
-            Spot(dining.centrepiece, (0.2, 0.8), _BACK), Spot(dining.napkins)]  # fmt: skip
+def _tea(kit: GroupSampler, table: Tabletop) -> list[Slot]:
+    return [Slot(dining.tea_for_two, _CENTRE, _MIDDLE), Slot(dining.plate_of_sweets, (0.2, 0.8), (0.2, 0.8)),
+            Slot(dining.centrepiece, (0.2, 0.8), _BACK), Slot(dining.napkins)]  # fmt: skip
 
 
-def _buffet(kit: Kit, table: Tabletop) -> list[Spot]:
-    return [Spot(dining.plates, _LEFT, _BACK), Spot(dining.glasses, _RIGHT, _BACK), Spot(dining.cake, _CENTRE, _MIDDLE),
-            Spot(dining.fruit_bowl, (0.2, 0.8), _BACK), Spot(dining.cutlery, _LEFT, _FRONT), Spot(dining.napkins, _LEFT, _FRONT),
-            Spot(dining.bread_basket)]  # fmt: skip
+def _buffet(kit: GroupSampler, table: Tabletop) -> list[Slot]:
+    return [Slot(dining.plates, _LEFT, _BACK), Slot(dining.glasses, _RIGHT, _BACK), Slot(dining.cake, _CENTRE, _MIDDLE),
+            Slot(dining.fruit_bowl, (0.2, 0.8), _BACK), Slot(dining.cutlery, _LEFT, _FRONT), Slot(dining.napkins, _LEFT, _FRONT),
+            Slot(dining.bread_basket)]  # fmt: skip
 
 
-def _computer(kit: Kit, table: Tabletop) -> list[Spot]:
-    return [Spot(desk.workstation, (0.3, 0.55), (0.66, 0.86)), Spot(desk.cup_of_pens, _RIGHT, _BACK),
-            Spot(dining.mug_on_coaster, (0.1, 0.9), _FRONT), Spot(desk.books, _LEFT, (0.3, 0.9))]  # fmt: skip
+def _computer(kit: GroupSampler, table: Tabletop) -> list[Slot]:
+    return [Slot(desk.workstation, (0.3, 0.55), (0.66, 0.86)), Slot(desk.cup_of_pens, _RIGHT, _BACK),
+            Slot(dining.mug_on_coaster, (0.1, 0.9), _FRONT), Slot(desk.books, _LEFT, (0.3, 0.9))]  # fmt: skip
 
 
-def _laptop(kit: Kit, table: Tabletop) -> list[Spot]:
-    return [Spot(desk.laptop, (0.35, 0.6), (0.3, 0.55)), Spot(desk.writing, (0.1, 0.9), _FRONT),
-            Spot(single("desk_lamp"), (0.08, 0.25) if kit.chance(0.5) else (0.75, 0.92), _BACK),
-            Spot(desk.cup_of_pens, (0.1, 0.9), _BACK)]  # fmt: skip
+def _laptop(kit: GroupSampler, table: Tabletop) -> list[Slot]:
+    return [Slot(desk.laptop, (0.35, 0.6), (0.3, 0.55)), Slot(desk.writing, (0.1, 0.9), _FRONT),
+            Slot(single("desk_lamp"), (0.08, 0.25) if kit.chance(0.5) else (0.75, 0.92), _BACK),
+            Slot(desk.cup_of_pens, (0.1, 0.9), _BACK)]  # fmt: skip
 
 
-def _study(kit: Kit, table: Tabletop) -> list[Spot]:
-    return [Spot(desk.writing, _CENTRE, (0.2, 0.45)), Spot(desk.standing_books, (0.2, 0.8), _BACK),
-            Spot(single("desk_lamp"), _LEFT, _BACK), Spot(desk.mug_of_pens, (0.1, 0.9), (0.5, 0.9)),
-            Spot(desk.books, (0.1, 0.9), (0.3, 0.8))]  # fmt: skip
+def _study(kit: GroupSampler, table: Tabletop) -> list[Slot]:
+    return [Slot(desk.writing, _CENTRE, (0.2, 0.45)), Slot(desk.standing_books, (0.2, 0.8), _BACK),
+            Slot(single("desk_lamp"), _LEFT, _BACK), Slot(desk.mug_of_pens, (0.1, 0.9), (0.5, 0.9)),
+            Slot(desk.books, (0.1, 0.9), (0.3, 0.8))]  # fmt: skip
 
 
-def _paperwork(kit: Kit, table: Tabletop) -> list[Spot]:
-    return [Spot(desk.papers, (0.3, 0.7), (0.2, 0.5)), Spot(desk.file_tray, _LEFT, _BACK), Spot(desk.office_bits, _RIGHT, _MIDDLE),
-            Spot(desk.cup_of_pens, _RIGHT, _BACK), Spot(desk.boxes, (0.1, 0.9), _BACK)]  # fmt: skip
+def _paperwork(kit: GroupSampler, table: Tabletop) -> list[Slot]:
+    return [Slot(desk.papers, (0.3, 0.7), (0.2, 0.5)), Slot(desk.file_tray, _LEFT, _BACK), Slot(desk.office_bits, _RIGHT, _MIDDLE),
+            Slot(desk.cup_of_pens, _RIGHT, _BACK), Slot(desk.boxes, (0.1, 0.9), _BACK)]  # fmt: skip
 
 
-def _reading(kit: Kit, table: Tabletop) -> list[Spot]:
-    return [Spot(lounge.magazines, (0.2, 0.5), _MIDDLE), Spot(dining.mug_on_coaster, (0.5, 0.9), _FRONT),
-            Spot(lounge.candle_tray, (0.5, 0.8), _MIDDLE), Spot(lounge.remotes, (0.1, 0.9), _FRONT)]  # fmt: skip
+def _reading(kit: GroupSampler, table: Tabletop) -> list[Slot]:
+    return [Slot(lounge.magazines, (0.2, 0.5), _MIDDLE), Slot(dining.mug_on_coaster, (0.5, 0.9), _FRONT),
+            Slot(lounge.candle_tray, (0.5, 0.8), _MIDDLE), Slot(lounge.remotes, (0.1, 0.9), _FRONT)]  # fmt: skip
 
 
-def _coffee(kit: Kit, table: Tabletop) -> list[Spot]:
+def _coffee(kit: GroupSampler, table: Tabletop) -> list[Slot]:
     first = dining.tea_tray if kit.chance(0.5) else dining.breakfast_tray
-    return [Spot(first, (0.35, 0.65), _MIDDLE), Spot(dining.plate_of_sweets), Spot(desk.books, (0.1, 0.9), _BACK),
-            Spot(lounge.decor, (0.1, 0.9), _BACK)]  # fmt: skip
+    return [Slot(first, (0.35, 0.65), _MIDDLE), Slot(dining.plate_of_sweets), Slot(desk.books, (0.1, 0.9), _BACK),
+            Slot(lounge.decor, (0.1, 0.9), _BACK)]  # fmt: skip
 
 
-def _playing(kit: Kit, table: Tabletop) -> list[Spot]:
-    return [Spot(lounge.board_game, (0.3, 0.7), _MIDDLE), Spot(lounge.toys, (0.1, 0.9), _FRONT), Spot(lounge.blocks),
-            Spot(lounge.toy_bin, (0.1, 0.9), _BACK), Spot(lounge.chess)]  # fmt: skip
+def _playing(kit: GroupSampler, table: Tabletop) -> list[Slot]:
+    return [Slot(lounge.board_game, (0.3, 0.7), _MIDDLE), Slot(lounge.toys, (0.1, 0.9), _FRONT), Slot(lounge.blocks),
+            Slot(lounge.toy_bin, (0.1, 0.9), _BACK), Slot(lounge.chess)]  # fmt: skip
 
 
-def _cooking(kit: Kit, table: Tabletop) -> list[Spot]:
-    return [Spot(kitchen.chopping, (0.3, 0.7), _FRONT), Spot(kitchen.pot, (0.1, 0.9), _BACK), Spot(kitchen.utensils, (0.05, 0.95), _BACK),
-            Spot(kitchen.vegetables, (0.1, 0.9), (0.4, 0.9)), Spot(kitchen.jars, (0.1, 0.9), _BACK)]  # fmt: skip
+def _cooking(kit: GroupSampler, table: Tabletop) -> list[Slot]:
+    return [Slot(kitchen.chopping, (0.3, 0.7), _FRONT), Slot(kitchen.pot, (0.1, 0.9), _BACK), Slot(kitchen.utensils, (0.05, 0.95), _BACK),
+            Slot(kitchen.vegetables, (0.1, 0.9), (0.4, 0.9)), Slot(kitchen.jars, (0.1, 0.9), _BACK)]  # fmt: skip
 
 
-def _baking(kit: Kit, table: Tabletop) -> list[Spot]:
-    return [Spot(kitchen.mixing, (0.3, 0.7), (0.25, 0.6)), Spot(single("rolling_pin", wobble=0.5), (0.2, 0.8), _FRONT),
-            Spot(kitchen.appliance, (0.1, 0.9), _BACK), Spot(kitchen.jars, (0.1, 0.9), _BACK), Spot(kitchen.bowls)]  # fmt: skip
+def _baking(kit: GroupSampler, table: Tabletop) -> list[Slot]:
+    return [Slot(kitchen.mixing, (0.3, 0.7), (0.25, 0.6)), Slot(single("rolling_pin", wobble=0.5), (0.2, 0.8), _FRONT),
+            Slot(kitchen.appliance, (0.1, 0.9), _BACK), Slot(kitchen.jars, (0.1, 0.9), _BACK), Slot(kitchen.bowls)]  # fmt: skip
 
 
-def _pantry(kit: Kit, table: Tabletop) -> list[Spot]:
-    return [Spot(kitchen.crate, (0.15, 0.4), _BACK), Spot(kitchen.jars, (0.4, 0.9), _BACK), Spot(kitchen.shopping, (0.3, 0.8), _MIDDLE),
-            Spot(dining.fruit_bowl, (0.1, 0.9), _FRONT), Spot(kitchen.cans)]  # fmt: skip
+def _pantry(kit: GroupSampler, table: Tabletop) -> list[Slot]:
+    return [Slot(kitchen.crate, (0.15, 0.4), _BACK), Slot(kitchen.jars, (0.4, 0.9), _BACK), Slot(kitchen.shopping, (0.3, 0.8), _MIDDLE),
+            Slot(dining.fruit_bowl, (0.1, 0.9), _FRONT), Slot(kitchen.cans)]  # fmt: skip
 
 
-def _breakfast(kit: Kit, table: Tabletop) -> list[Spot]:
-    return [Spot(kitchen.appliance, (0.1, 0.9), _BACK), Spot(kitchen.bread_board, (0.25, 0.75), _FRONT),
-            Spot(dining.breakfast_tray, (0.2, 0.8), _MIDDLE), Spot(kitchen.shopping, (0.1, 0.9), _BACK)]  # fmt: skip
+def _breakfast(kit: GroupSampler, table: Tabletop) -> list[Slot]:
+    return [Slot(kitchen.appliance, (0.1, 0.9), _BACK), Slot(kitchen.bread_board, (0.25, 0.75), _FRONT),
+            Slot(dining.breakfast_tray, (0.2, 0.8), _MIDDLE), Slot(kitchen.shopping, (0.1, 0.9), _BACK)]  # fmt: skip
 
 
-def _vanity_row(kit: Kit, table: Tabletop) -> list[Spot]:
-    return [Spot(bath.mirror, (0.4, 0.6), _BACK), Spot(bath.perfumes, (0.15, 0.85), _MIDDLE), Spot(bath.brushes, (0.05, 0.95), _BACK),
-            Spot(bath.makeup, (0.2, 0.8), _FRONT), Spot(bath.jewelry, (0.05, 0.95), _MIDDLE)]  # fmt: skip
+def _vanity_row(kit: GroupSampler, table: Tabletop) -> list[Slot]:
+    return [Slot(bath.mirror, (0.4, 0.6), _BACK), Slot(bath.perfumes, (0.15, 0.85), _MIDDLE), Slot(bath.brushes, (0.05, 0.95), _BACK),
+            Slot(bath.makeup, (0.2, 0.8), _FRONT), Slot(bath.jewelry, (0.05, 0.95), _MIDDLE)]  # fmt: skip
 
 
-def _hairdressing(kit: Kit, table: Tabletop) -> list[Spot]:
-    return [Spot(bath.mirror, (0.4, 0.6), _BACK), Spot(bath.hair, (0.2, 0.8), _FRONT), Spot(bath.tray_of_bottles, (0.1, 0.9), _MIDDLE),
-            Spot(single("table_lamp"), _LEFT, _BACK), Spot(bath.tissues, (0.05, 0.95), _MIDDLE)]  # fmt: skip
+def _hairdressing(kit: GroupSampler, table: Tabletop) -> list[Slot]:
+    return [Slot(bath.mirror, (0.4, 0.6), _BACK), Slot(bath.hair, (0.2, 0.8), _FRONT), Slot(bath.tray_of_bottles, (0.1, 0.9), _MIDDLE),
+            Slot(single("table_lamp"), _LEFT, _BACK), Slot(bath.tissues, (0.05, 0.95), _MIDDLE)]  # fmt: skip
 
 
-def _basin(kit: Kit, table: Tabletop) -> list[Spot]:
+def _basin(kit: GroupSampler, table: Tabletop) -> list[Slot]:
     one, other = ((0.05, 0.25), (0.75, 0.95)) if kit.chance(0.5) else ((0.75, 0.95), (0.05, 0.25))
-    return [Spot(bath.toothbrushes, one, (0.4, 0.9)), Spot(bath.soap, other, _FRONT), Spot(bath.bottles, other, _BACK),
-            Spot(single("soap_dispenser"), one, (0.2, 0.8)), Spot(bath.towels, one, _FRONT)]  # fmt: skip
+    return [Slot(bath.toothbrushes, one, (0.4, 0.9)), Slot(bath.soap, other, _FRONT), Slot(bath.bottles, other, _BACK),
+            Slot(single("soap_dispenser"), one, (0.2, 0.8)), Slot(bath.towels, one, _FRONT)]  # fmt: skip
 
 
-def _spa(kit: Kit, table: Tabletop) -> list[Spot]:
-    return [Spot(bath.towels, (0.05, 0.25), _MIDDLE), Spot(bath.tray_of_bottles, (0.75, 0.95), _MIDDLE),
-            Spot(lounge.decor, (0.05, 0.95), _BACK), Spot(bath.towel_basket, (0.05, 0.95), _MIDDLE), Spot(bath.soap)]  # fmt: skip
+def _spa(kit: GroupSampler, table: Tabletop) -> list[Slot]:
+    return [Slot(bath.towels, (0.05, 0.25), _MIDDLE), Slot(bath.tray_of_bottles, (0.75, 0.95), _MIDDLE),
+            Slot(lounge.decor, (0.05, 0.95), _BACK), Slot(bath.towel_basket, (0.05, 0.95), _MIDDLE), Slot(bath.soap)]  # fmt: skip
 
 
-def _night(kit: Kit, table: Tabletop) -> list[Spot]:
-    return [Spot(single("table_lamp", "desk_lamp"), (0.2, 0.8), _BACK), Spot(lounge.bedside, (0.3, 0.7), _FRONT),
-            Spot(single("alarm_clock", "desk_clock"), (0.1, 0.9), _MIDDLE)]  # fmt: skip
+def _night(kit: GroupSampler, table: Tabletop) -> list[Slot]:
+    return [Slot(single("table_lamp", "desk_lamp"), (0.2, 0.8), _BACK), Slot(lounge.bedside, (0.3, 0.7), _FRONT),
+            Slot(single("alarm_clock", "desk_clock"), (0.1, 0.9), _MIDDLE)]  # fmt: skip
 
 
-def _television(kit: Kit, table: Tabletop) -> list[Spot]:
-    return [Spot(single("monitor", wobble=0.05), (0.4, 0.6), _BACK), Spot(lounge.remotes, (0.1, 0.9), _FRONT),
-            Spot(single("speaker", wobble=0.1), (0.06, 0.2), _BACK), Spot(desk.standing_books, (0.05, 0.95), _MIDDLE),
-            Spot(lounge.decor, (0.75, 0.95), _BACK)]  # fmt: skip
+def _television(kit: GroupSampler, table: Tabletop) -> list[Slot]:
+    return [Slot(single("monitor", wobble=0.05), (0.4, 0.6), _BACK), Slot(lounge.remotes, (0.1, 0.9), _FRONT),
+            Slot(single("speaker", wobble=0.1), (0.06, 0.2), _BACK), Slot(desk.standing_books, (0.05, 0.95), _MIDDLE),
+            Slot(lounge.decor, (0.75, 0.95), _BACK)]  # fmt: skip
 
 
-def _side(kit: Kit, table: Tabletop) -> list[Spot]:
-    return [Spot(desk.books, (0.2, 0.8), _MIDDLE), Spot(lounge.decor, (0.2, 0.8), _BACK), Spot(dining.cup_on_saucer)]
+def _side(kit: GroupSampler, table: Tabletop) -> list[Slot]:
+    return [Slot(desk.books, (0.2, 0.8), _MIDDLE), Slot(lounge.decor, (0.2, 0.8), _BACK), Slot(dining.cup_on_saucer)]
 
 
 _OFFICE = (

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from stable_data.embedded_world.edit_table import lowered_object
-from stable_data.embedded_world.groups.arrangement import Kit
+from stable_data.embedded_world.groups.arrangement import GroupSampler
 from stable_data.embedded_world.placing import compose
 from stable_data.embedded_world.scenes import FEWEST, MOST, drawn_number, drawn_table, plan_of, scene_id_of, table_type_of
 from stable_data.embedded_world.settling import instance_names
@@ -42,7 +42,7 @@ def sampled_task(number: int, seed: int = 0, tables: tuple[str, ...] = ()) -> tu
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([seed, number, attempt, _STREAM])
         table = drawn_table(table_type, plan, rng)
-        placed = compose(plan, table, Kit(rng), drawn_number(plan, table, rng), MOST)
+        placed = compose(plan, table, GroupSampler(rng), drawn_number(plan, table, rng), MOST)
         if len(placed) < FEWEST:
             continue
         names = instance_names([thing.asset.category for thing in placed])

@@ -8,8 +8,8 @@ from typing import Any
 import networkx as nx
 import numpy as np
 
-from stable_data.embedded_world.groups.arrangement import Kit
-from stable_data.embedded_world.placing import Placed, compose
+from stable_data.embedded_world.groups.arrangement import GroupSampler
+from stable_data.embedded_world.placing import PlacedObject, compose
 from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES, TablePlan
 from stable_data.embedded_world.settling import audit, restless, settled_objects, unclean
 from stable_data.errors import ConfigError, SceneError
@@ -32,7 +32,7 @@ _UNSEEN_EVERY = 25  # one scene in so many stands on a kind of table that traini
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MadeScene:
+class EmbeddedScene:
     """A scene at rest and what it was made from.
 
     Attributes:
@@ -41,7 +41,7 @@ class MadeScene:
     """
 
     scene: Scene
-    placed: tuple[Placed, ...]
+    placed: tuple[PlacedObject, ...]
 
 
 def plan_of(table_type: str) -> TablePlan:
@@ -71,7 +71,7 @@ def scene_id_of(number: int, tables: Sequence[str] = ()) -> str:
     return f"{table_type_of(number, tables)}_{number:05d}"
 
 
-def make_scene(number: int, seed: int = 0, tables: Sequence[str] = ()) -> MadeScene:
+def make_scene(number: int, seed: int = 0, tables: Sequence[str] = ()) -> EmbeddedScene:
     """Makes one scene.
 
     Groups are composed and settled. What falls over, does not stay or is not clean is taken away with its group, and the rest
@@ -95,7 +95,7 @@ def make_scene(number: int, seed: int = 0, tables: Sequence[str] = ()) -> MadeSc
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([seed, number, attempt])
         table = drawn_table(table_type, plan, rng)
-        placed = compose(plan, table, Kit(rng), drawn_number(plan, table, rng), MOST)
+        placed = compose(plan, table, GroupSampler(rng), drawn_number(plan, table, rng), MOST)
         made = _mended(scene_id, table, placed, rejected)
         if made is None:
             rejected["too little left"] += 1
@@ -109,8 +109,8 @@ def make_scene(number: int, seed: int = 0, tables: Sequence[str] = ()) -> MadeSc
 
 
 def _mended(
-    scene_id: str, table: Tabletop, placed: Sequence[Placed], rejected: Counter[str]
-) -> tuple[Scene, Audit, Sequence[Placed]] | None:
+    scene_id: str, table: Tabletop, placed: Sequence[PlacedObject], rejected: Counter[str]
+) -> tuple[Scene, Audit, Sequence[PlacedObject]] | None:
     """A composition without the groups that do not stay or are not clean; None where too little is left of it."""
     for _ in range(_MENDINGS):
         if len(placed) < FEWEST:
@@ -159,21 +159,21 @@ def _free_area(table: Tabletop) -> float:
     return table.size_xy[0] * table.size_xy[1] - taken
 
 
-def graph_of(scene: Scene, judged: Audit, placed: Sequence[Placed]) -> SceneGraph:
+def graph_of(scene: Scene, judged: Audit, placed: Sequence[PlacedObject]) -> SceneGraph:
     """The scene graph of a judged scene."""
     contacts = {o.instance: o.supports for o in judged.objects}
     containers = {o.instance: thing.asset.hollow is not None for o, thing in zip(scene.objects, placed, strict=True)}
     return scene_graph(scene, contacts, containers=containers)
 
 
-def _finished(scene: Scene, judged: Audit, placed: Sequence[Placed], record: dict[str, Any]) -> MadeScene:
+def _finished(scene: Scene, judged: Audit, placed: Sequence[PlacedObject], record: dict[str, Any]) -> EmbeddedScene:
     """The scene with a task that makes sense in it, by pattern, and with the record of how it was made."""
     graph = graph_of(scene, judged, placed)
     kinds = Counter(kind for _, target, kind in graph.edges(keys=True) if target != TABLE)
     record["keys"] = [thing.item.key for thing in placed]
     nested = {"stacked": kinds[RelationKind.ON], "contained": kinds[RelationKind.IN], "depth": _depth(graph)}
     task = derive_task(scene, graph, task_rng(scene.scene_id))
-    return MadeScene(replace(scene, task=task, source={RECORD: record | nested}), tuple(placed))
+    return EmbeddedScene(replace(scene, task=task, source={RECORD: record | nested}), tuple(placed))
 
 
 def _depth(graph: SceneGraph) -> int:

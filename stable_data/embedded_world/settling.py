@@ -6,18 +6,18 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stable_data.embedded_world.families.catalogue import Asset
-from stable_data.embedded_world.placing import Placed, yaw_frame_parts
+from stable_data.embedded_world.placing import PlacedObject, yaw_frame_parts
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.rotations import heading, tilt_of
 from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject, Tabletop, Vec3
-from stable_data.simulation.settling import Body, EngineOptions, SettleResult, settle
+from stable_data.simulation.settling import PhysicsOptions, RigidBody, SettleResult, settle
 
 MAX_PENETRATION_MM = 0.4
 """Deepest contact of a scene that is kept: a scene counts as clean up to 0.5 mm."""
 
-_SETTLE = EngineOptions(settle_seconds=2.0, watch_seconds=0.02, rest_speed=1e-3)
-_REST = EngineOptions(settle_seconds=0.4, watch_seconds=0.6)
+_SETTLE = PhysicsOptions(settle_seconds=2.0, watch_seconds=0.02, rest_speed=1e-3)
+_REST = PhysicsOptions(settle_seconds=0.4, watch_seconds=0.6)
 _MAX_MOVE_MM, _MAX_TURN_DEG = 0.3, 0.3  # of what is at rest, in the second of _REST
 _SNAP = 1.5e-4  # a tilt is taken for the planned one where that moves no corner farther, metres
 _STRAYED = 0.09  # farther than this from its place nothing may settle, metres
@@ -25,7 +25,7 @@ _TOPPLED = 45.0  # nor turned farther than this from its tilt, degrees, where it
 _ROUND = 1.3  # longest side over shortest of what may roll
 
 
-def settled_objects(placed: Sequence[Placed], table: Tabletop) -> tuple[tuple[SceneObject, ...], frozenset[int]] | None:
+def settled_objects(placed: Sequence[PlacedObject], table: Tabletop) -> tuple[tuple[SceneObject, ...], frozenset[int]] | None:
     """Lets placed things settle.
 
     Returns:
@@ -46,7 +46,7 @@ def instance_names(categories: Sequence[str]) -> list[str]:
     return [f"{k + 1}_{category}_{list(categories[:k]).count(category)}" for k, category in enumerate(categories)]
 
 
-def _has_strayed(thing: Placed, result: SettleResult, index: int) -> bool:
+def _has_strayed(thing: PlacedObject, result: SettleResult, index: int) -> bool:
     move = result.positions[index] - (thing.item.x, thing.item.y, thing.z)
     if np.abs(move).max() > _STRAYED:
         return True
@@ -56,7 +56,7 @@ def _has_strayed(thing: Placed, result: SettleResult, index: int) -> bool:
     return bool(max(size) > _ROUND * min(size) and upright < np.cos(np.radians(_TOPPLED)))
 
 
-def _object(thing: Placed, name: str, result: SettleResult, index: int) -> SceneObject:
+def _object(thing: PlacedObject, name: str, result: SettleResult, index: int) -> SceneObject:
     """The object that a body has become: its tilt is the settled rotation without the yaw, its position the new box's centre."""
     item, source = thing.item, thing.asset
     body_rotation = Rotation.from_quat(result.quats_xyzw[index])
@@ -93,15 +93,15 @@ def _triple(values: FloatArray) -> Vec3:
     return (x, y, z)
 
 
-def bodies_of(scene: Scene, placed: Sequence[Placed]) -> list[Body]:
+def bodies_of(scene: Scene, placed: Sequence[PlacedObject]) -> list[RigidBody]:
     """The engine's view of a settled scene whose objects were made from these things, in order."""
     return [
-        Body(o.instance, yaw_frame_parts(thing.asset, thing.item.scale, o.tilt_quat_xyzw), thing.mass, o.position, o.yaw)
+        RigidBody(o.instance, yaw_frame_parts(thing.asset, thing.item.scale, o.tilt_quat_xyzw), thing.mass, o.position, o.yaw)
         for o, thing in zip(scene.objects, placed, strict=True)
     ]
 
 
-def restless(scene: Scene, placed: Sequence[Placed]) -> frozenset[int]:
+def restless(scene: Scene, placed: Sequence[PlacedObject]) -> frozenset[int]:
     """Numbers of the objects that do not stay where the scene says, by the engine; all of them where it cannot say."""
     everything = frozenset(range(len(placed)))
     result = settle(bodies_of(scene, placed), scene.table, _REST)
@@ -113,7 +113,7 @@ def restless(scene: Scene, placed: Sequence[Placed]) -> frozenset[int]:
     return frozenset(np.flatnonzero(moved).tolist())
 
 
-def audit(scene: Scene, placed: Sequence[Placed]) -> Audit:
+def audit(scene: Scene, placed: Sequence[PlacedObject]) -> Audit:
     """The exact audit of a settled scene."""
     shapes = [
         Shape.from_mesh(thing.asset.mesh, thing.item.scale, o.tilt_quat_xyzw)

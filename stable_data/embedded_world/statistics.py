@@ -31,7 +31,7 @@ MESATASK: Mapping[str, str] = MappingProxyType(
 
 
 @dataclass(frozen=True, slots=True)
-class Counted:
+class SceneCounts:
     """What one scene adds to the figures.
 
     Attributes:
@@ -63,11 +63,11 @@ class Counted:
     depth: int
 
 
-def counted(scene: Scene) -> Counted:
+def counted(scene: Scene) -> SceneCounts:
     """What a scene of the embedded world adds to the figures."""
     objects = sorted(scene.objects, key=lambda o: (o.category, o.position))
     record = (scene.source or {}).get(RECORD, {})
-    return Counted(
+    return SceneCounts(
         scene.scene_id,
         scene.table.table_type,
         scene.table.size_xy,
@@ -83,7 +83,7 @@ def counted(scene: Scene) -> Counted:
     )
 
 
-def figures(scenes: Sequence[Counted]) -> dict[str, str]:
+def figures(scenes: Sequence[SceneCounts]) -> dict[str, str]:
     """The figures of a set, by name."""
     count = np.array([len(s.categories) for s in scenes])
     num_objects = int(count.sum())
@@ -120,9 +120,9 @@ def _share(flags: Iterable[bool]) -> str:
     return f"{share:.0f} %" if share >= 10 or share == 0 else f"{share:.2g} %"
 
 
-def near_duplicates(scenes: Sequence[Counted]) -> frozenset[str]:
+def near_duplicates(scenes: Sequence[SceneCounts]) -> frozenset[str]:
     """Scenes that have a twin: the same categories, each object within 2 cm of its counterpart."""
-    alike: dict[tuple[str, tuple[str, ...]], list[Counted]] = defaultdict(list)
+    alike: dict[tuple[str, tuple[str, ...]], list[SceneCounts]] = defaultdict(list)
     for scene in scenes:
         alike[scene.table_type, scene.categories].append(scene)
     found = set()
@@ -134,14 +134,14 @@ def near_duplicates(scenes: Sequence[Counted]) -> frozenset[str]:
     return frozenset(found)
 
 
-def _is_same(one: Counted, other: Counted) -> bool:
+def _is_same(one: SceneCounts, other: SceneCounts) -> bool:
     distance = np.linalg.norm(one.positions[:, None] - other.positions[None], axis=2)
     differs = np.array(one.categories)[:, None] != np.array(other.categories)[None]
     rows, columns = linear_sum_assignment(np.where(differs, 1e3, distance))
     return bool(distance[rows, columns].max(initial=0.0) < _SAME and not differs[rows, columns].any())
 
 
-def card(scenes: Sequence[Counted], sheet: str | None = None) -> str:
+def card(scenes: Sequence[SceneCounts], sheet: str | None = None) -> str:
     """The dataset card, Markdown: the figures beside MesaTask-10K's, tables, categories, and a link to a sheet of pictures."""
     lines = ["# A set of the embedded world", "", "Made by `stable-data synth`; every scene is at rest and clean. CC0.", ""]
     lines += ["| | this set | MesaTask-10K |", "|---|---|---|"]
@@ -163,8 +163,8 @@ def card(scenes: Sequence[Counted], sheet: str | None = None) -> str:
     return "\n".join(lines)
 
 
-def _by_table(scenes: Sequence[Counted]) -> dict[str, list[Counted]]:
-    found: dict[str, list[Counted]] = defaultdict(list)
+def _by_table(scenes: Sequence[SceneCounts]) -> dict[str, list[SceneCounts]]:
+    found: dict[str, list[SceneCounts]] = defaultdict(list)
     for scene in scenes:
         found[scene.table_type].append(scene)
     return found

@@ -15,9 +15,9 @@ from PIL import Image
 from stable_data import __version__
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.embedded_world.drafting import KINDS
-from stable_data.embedded_world.edits import Edit, make_edit
+from stable_data.embedded_world.edits import SceneEdit, make_edit
 from stable_data.embedded_world.families.catalogue import KEYS, LICENCE, asset, unit_cube
-from stable_data.embedded_world.scenes import RECORD, MadeScene, make_scene, plan_of, scene_id_of, table_type_of
+from stable_data.embedded_world.scenes import RECORD, EmbeddedScene, make_scene, plan_of, scene_id_of, table_type_of
 from stable_data.embedded_world.statistics import card, counted
 from stable_data.errors import ConfigError, SceneError
 from stable_data.geometry.gltf_writer import write_glb
@@ -49,7 +49,7 @@ Progress = Callable[[int], None]
 
 
 @dataclass(frozen=True, slots=True)
-class World:
+class EmbeddedWorld:
     """What scenes of the embedded world depend on, beside their number.
 
     Attributes:
@@ -77,7 +77,9 @@ class World:
         return out / LAYOUT_FOLDER / table_type_of(number, self.tables) / scene_id_of(number, self.tables)
 
 
-def write_world(out: Path, num_scenes: int = 24, world: World = World(), progress: Progress | None = None) -> list[SceneError]:
+def write_world(
+    out: Path, num_scenes: int = 24, world: EmbeddedWorld = EmbeddedWorld(), progress: Progress | None = None
+) -> list[SceneError]:
     """Writes a set of the embedded world, or what is missing of it.
 
     Scene k depends on the world and k alone. A folder appears whole or not at all, and one that exists is left alone.
@@ -101,7 +103,7 @@ def write_world(out: Path, num_scenes: int = 24, world: World = World(), progres
     return failures
 
 
-def open_world(out: Path, num_scenes: int, world: World) -> None:
+def open_world(out: Path, num_scenes: int, world: EmbeddedWorld) -> None:
     """Makes a folder ready for scenes: checks what it holds, writes the library and what the set is made with."""
     if num_scenes < 1:
         raise ConfigError(f"the number of scenes is {num_scenes}, expected at least 1", "invalid_count")
@@ -121,7 +123,7 @@ def open_world(out: Path, num_scenes: int, world: World) -> None:
         raise _unwritable(out, error) from error
 
 
-def write_scenes(out: Path, numbers: Iterable[int], world: World, progress: Progress | None = None) -> list[SceneError]:
+def write_scenes(out: Path, numbers: Iterable[int], world: EmbeddedWorld, progress: Progress | None = None) -> list[SceneError]:
     """Writes some scenes of a set that :func:`open_world` made ready; those that are there are left alone.
 
     Returns:
@@ -143,7 +145,7 @@ def write_scenes(out: Path, numbers: Iterable[int], world: World, progress: Prog
     return failures
 
 
-def _write_one(out: Path, number: int, world: World) -> SceneError | None:
+def _write_one(out: Path, number: int, world: EmbeddedWorld) -> SceneError | None:
     """Writes a scene and its edit, unless they are there; the edit first, so that a scene that is there has one."""
     folder = world.scene_folder(out, number)
     if (folder / LAYOUT_FILE).is_file():
@@ -167,7 +169,7 @@ def _kinds_of(number: int) -> tuple[str, ...]:
     return (*KINDS[first:], *KINDS[:first])
 
 
-def _write_edit(out: Path, edit: Edit, *, pictures: bool) -> None:
+def _write_edit(out: Path, edit: SceneEdit, *, pictures: bool) -> None:
     """Writes the edited scene into ``Edit_info``, with ``edit.json`` beside its layout."""
     table_type = edit.before.table.table_type
     told = {
@@ -179,11 +181,11 @@ def _write_edit(out: Path, edit: Edit, *, pictures: bool) -> None:
         "removed": edit.removed,
         "moved": edit.moved,
     }
-    made = MadeScene(edit.after, edit.placed)
+    made = EmbeddedScene(edit.after, edit.placed)
     _write_whole(out, out / EDIT_FOLDER / table_type / edit.after.scene_id, made, pictures=pictures, beside={EDIT_FILE: told})
 
 
-def close_world(out: Path, world: World) -> None:
+def close_world(out: Path, world: EmbeddedWorld) -> None:
     """Writes what is said of the whole set: its card (``README.md``), a sheet of pictures, the annotations, ``edits.jsonl``."""
     dataset = MesaTaskDataset(out)
     scenes = [counted(dataset.read(scene_id)[0]) for scene_id in dataset.scene_ids]
@@ -219,7 +221,7 @@ def used_keys(out: Path) -> set[str]:
     return found
 
 
-def _manifest(world: World) -> dict[str, Any]:
+def _manifest(world: EmbeddedWorld) -> dict[str, Any]:
     settings = asdict(world)
     settings.pop("pictures")  # shapes no scene
     return {"made_by": f"stable-data {__version__}", "num_assets": len(KEYS), **settings, "tables": list(world.tables)}
@@ -288,7 +290,7 @@ def _cube_annotations() -> list[tuple[str, AssetAnnotation]]:
 
 
 def _write_whole(
-    out: Path, folder: Path, made: MadeScene, *, pictures: bool, beside: Mapping[str, Mapping[str, Any]] | None = None
+    out: Path, folder: Path, made: EmbeddedScene, *, pictures: bool, beside: Mapping[str, Mapping[str, Any]] | None = None
 ) -> None:
     """Writes a scene's folder aside, with other JSON files beside its layout, and puts it in place in one step."""
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -308,7 +310,7 @@ def _write_whole(
         shutil.rmtree(aside, ignore_errors=True)
 
 
-def picture(made: MadeScene, size: tuple[int, int] = FRONT_SIZE) -> bytes | None:
+def picture(made: EmbeddedScene, size: tuple[int, int] = FRONT_SIZE) -> bytes | None:
     """The front view as PNG, in the colours of its things; None where the machine cannot draw."""
     paints = [thing.asset.paint for thing in made.placed]
     try:
@@ -322,7 +324,7 @@ def picture(made: MadeScene, size: tuple[int, int] = FRONT_SIZE) -> bytes | None
     return stream.getvalue()
 
 
-def yaw_frame_meshes(made: MadeScene) -> Sequence[Mesh | None]:
+def yaw_frame_meshes(made: EmbeddedScene) -> Sequence[Mesh | None]:
     """The mesh of every object, metres, yaw frame, centred on its box."""
     pairs = zip(made.scene.objects, made.placed, strict=True)
     shapes = [Shape.from_mesh(thing.asset.mesh, thing.item.scale, o.tilt_quat_xyzw) for o, thing in pairs]

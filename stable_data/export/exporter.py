@@ -13,10 +13,10 @@ from stable_data.atomic_files import put_file
 from stable_data.code_version import code_version
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, StableDataError, unwritable
-from stable_data.export.formats import Format, format_named
+from stable_data.export.formats import ExportFormat, format_named
 from stable_data.mesatask import write_annotations
 from stable_data.mesatask.library import ANNOTATION_FILE
-from stable_data.simulation.run_reader import NEEDED, Choice, RunScenes
+from stable_data.simulation.run_reader import NEEDED, RunScenes, SceneSelection
 from stable_data.storage.run_folder import RunFolder
 
 MANIFEST_FILE = "export.json"
@@ -25,7 +25,7 @@ Progress: TypeAlias = Callable[[int, int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Exported:
+class ExportResult:
     """What became of an export.
 
     Attributes:
@@ -46,7 +46,7 @@ class Exported:
         return self.made + self.there + len(self.failures)
 
 
-def export_run(run: RunFolder, out: Path, name: str, choice: Choice, progress: Progress | None = None) -> Exported:
+def export_run(run: RunFolder, out: Path, name: str, choice: SceneSelection, progress: Progress | None = None) -> ExportResult:
     """Writes scenes of a run in another format; run again, it writes what is missing.
 
     Beside the scenes stand README.md, Asset_annotation.json with category, licence and source of every asset that they use, and
@@ -84,9 +84,9 @@ def _export(
     scenes: RunScenes,
     annotations: Mapping[str, AssetAnnotation],
     out: Path,
-    chosen: Format,
+    chosen: ExportFormat,
     progress: Progress | None,
-) -> Exported:
+) -> ExportResult:
     made, there, boxes, failures, used = 0, 0, 0, list[str](), set[str]()
     for scene in scenes:
         try:
@@ -111,7 +111,7 @@ def _export(
             progress(made + there + len(failures), len(scenes), len(failures))
     write_annotations(out, {asset_id: annotations[asset_id] for asset_id in used})
     put_file(out / "README.md", _readme(chosen, made + there, [annotations[asset_id] for asset_id in used]).encode())
-    return Exported(made, there, boxes, tuple(failures))
+    return ExportResult(made, there, boxes, tuple(failures))
 
 
 def _line(scene_id: str, message: str) -> str:
@@ -120,7 +120,7 @@ def _line(scene_id: str, message: str) -> str:
     return message if message.startswith(scene_id) else f"{scene_id}: {message}"
 
 
-def _readme(chosen: Format, num_scenes: int, assets: Sequence[AssetAnnotation]) -> str:
+def _readme(chosen: ExportFormat, num_scenes: int, assets: Sequence[AssetAnnotation]) -> str:
     licences = Counter((a.licence or "not known", a.source or "not known") for a in assets)
     rows = [f"| {licence} | {source} | {count} |" for (licence, source), count in sorted(licences.items())]
     return "\n".join(
@@ -143,7 +143,7 @@ def _readme(chosen: Format, num_scenes: int, assets: Sequence[AssetAnnotation]) 
     )
 
 
-def _check_same(target: RunFolder, run: RunFolder, name: str, choice: Choice) -> None:
+def _check_same(target: RunFolder, run: RunFolder, name: str, choice: SceneSelection) -> None:
     """Writes the manifest, or refuses a folder that holds another export."""
     settings: dict[str, Any] = {
         "format": name,

@@ -7,10 +7,10 @@ from typing import Protocol
 from stable_data.errors import ConfigError
 from stable_data.export import glb, mesatask, mjcf
 from stable_data.scene import Scene
-from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.simulation.scene_geometry import SceneGeometry
 
 
-class Format(Protocol):
+class ExportFormat(Protocol):
     """What the module of a format has.
 
     Attributes:
@@ -26,15 +26,15 @@ class Format(Protocol):
         """The file of a scene that is put in place last: where it is, the scene is exported."""
         ...
 
-    def write(self, solid: SolidScene, out: Path) -> None:
+    def write(self, solid: SceneGeometry, out: Path) -> None:
         """Writes a scene, each file in one step."""
         ...
 
 
-FORMATS: Mapping[str, Format] = {"glb": glb, "mesatask": mesatask, "mjcf": mjcf}
+FORMATS: Mapping[str, ExportFormat] = {"glb": glb, "mesatask": mesatask, "mjcf": mjcf}
 
 
-def format_named(name: str) -> Format:
+def format_named(name: str) -> ExportFormat:
     """The format of a name.
 
     Raises:

@@ -13,7 +13,7 @@ from stable_data.geometry.mesh_colors import Paint
 from stable_data.geometry.shape import Shape
 from stable_data.scene import TABLE, FloatArray, IntArray, QuatXyzw, Scene, Tabletop, Vec3
 from stable_data.simulation.render import SINK_COLOUR, SINK_RISE, TABLE_COLOUR, TABLE_THICKNESS, object_colour
-from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.simulation.scene_geometry import SceneGeometry
 
 ABOUT = """Binary glTF, one file a scene: `<scene>.glb`, metres. As the format demands, y is up and -z is away from the viewer; below
 the node `scene`, which turns them, all coordinates are those of stable-data. Nodes have the names of the instances, and
@@ -27,7 +27,7 @@ def place(scene: Scene, out: Path) -> Path:
     return out / f"{plain_name(scene.scene_id)}.glb"
 
 
-def write(solid: SolidScene, out: Path) -> None:
+def write(solid: SceneGeometry, out: Path) -> None:
     """Writes a scene.
 
     Args:
@@ -40,7 +40,7 @@ def write(solid: SolidScene, out: Path) -> None:
     put_file(place(solid.scene, out), scene_glb(solid))
 
 
-def scene_glb(solid: SolidScene) -> bytes:
+def scene_glb(solid: SceneGeometry) -> bytes:
     """The content of a scene's file."""
     document = _Document()
     unit = Shape.box((1.0, 1.0, 1.0))

@@ -7,7 +7,7 @@ from stable_data.mesatask.layout import LAYOUT_FILE
 from stable_data.mesatask.library import LIBRARY_FOLDER
 from stable_data.mesatask.writing import scene_folder, write_asset, write_scene
 from stable_data.scene import Scene
-from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.simulation.scene_geometry import SceneGeometry
 
 ABOUT = """A dataset in the MesaTask-10K format: `Layout_info/<table type>/<scene>/layout.json` with its `task_info.json`, centimetres,
 quaternions xyzw; `Assets_library/<uid>.glb`, y up, with the convex parts as a second mesh that no node shows. `stable-data
@@ -23,7 +23,7 @@ def place(scene: Scene, out: Path) -> Path:
     return scene_folder(out, scene) / LAYOUT_FILE
 
 
-def write(solid: SolidScene, out: Path) -> None:
+def write(solid: SceneGeometry, out: Path) -> None:
     """Writes a scene, and the meshes that are not there yet.
 
     Args:

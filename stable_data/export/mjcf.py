@@ -20,7 +20,7 @@ from stable_data.atomic_files import plain_name, put_file
 from stable_data.scene import Scene
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.mujoco_model import VISUAL, engine_spec
-from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import COLLIDER
 
 ABOUT = """MuJoCo models (MJCF): `<scene>/scene.xml`, which `mujoco.MjModel.from_xml_path` and `python -m mujoco.viewer --mjcf=` open.
@@ -44,7 +44,7 @@ def place(scene: Scene, out: Path) -> Path:
     return out / plain_name(scene.scene_id, _RESERVED) / "scene.xml"
 
 
-def write(solid: SolidScene, out: Path) -> None:
+def write(solid: SceneGeometry, out: Path) -> None:
     """Writes a scene, and the meshes that are not there yet.
 
     Args:

@@ -107,7 +107,7 @@ def load_colliders(data: bytes | Path, asset_id: str, *, limits: MeshLimits = Me
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Coat:
+class MaterialGroup:
     """Triangles of a file with one material.
 
     Attributes:
@@ -125,7 +125,7 @@ class Coat:
     corner_uv: FloatArray | None
 
 
-def load_coats(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits()) -> list[Coat]:
+def load_coats(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits()) -> list[MaterialGroup]:
     """What a file says of the colours of its surface.
 
     Args:
@@ -194,7 +194,7 @@ class _GlbReader:
             num_vertices += len(corners)
         return np.concatenate(vertices), np.concatenate(faces)
 
-    def coats(self) -> list[Coat]:
+    def coats(self) -> list[MaterialGroup]:
         """What the scene shows, by material; see :func:`load_coats`."""
         self._refuse_unsupported()
         found = []
@@ -208,7 +208,7 @@ class _GlbReader:
             name = f"TEXCOORD_{(texture or {}).get('texCoord', 0)}"
             if image is not None and name in attributes:
                 uv = self._accessor(attributes[name], 2, triangles).astype(np.float64)
-            found.append(Coat(corners[triangles], factor, colours, image, uv))
+            found.append(MaterialGroup(corners[triangles], factor, colours, image, uv))
         return found
 
     def _base_colour(self, primitive: dict[str, Any]) -> tuple[tuple[float, float, float] | None, dict[str, Any] | None]:

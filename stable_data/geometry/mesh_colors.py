@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from stable_data.errors import MeshError
-from stable_data.geometry.gltf_reader import Coat, load_coats
+from stable_data.geometry.gltf_reader import MaterialGroup, load_coats
 from stable_data.geometry.mesh import Mesh, double_areas
 from stable_data.scene import FloatArray, IntArray
 
@@ -72,7 +72,7 @@ def to_linear(on_screen: FloatArray) -> FloatArray:
 _LINEAR = to_linear(np.arange(256) / 255)
 
 
-def _colours(coat: Coat, texture: npt.NDArray[np.uint8] | None) -> npt.NDArray[np.uint8]:
+def _colours(coat: MaterialGroup, texture: npt.NDArray[np.uint8] | None) -> npt.NDArray[np.uint8]:
     """Colour of each face, (F, 3), as seen on a screen."""
     linear = np.tile(np.array(coat.factor or (1.0, 1.0, 1.0)), (len(coat.triangles), 1))
     if coat.corner_colours is not None:

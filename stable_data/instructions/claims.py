@@ -1,14 +1,14 @@
 """What an instruction says of the scene it starts from, read from its words.
 
-``take the jar out of the cup`` says that the jar is in the cup; ``put the jar into the cup`` says nothing of where it is. Types,
-and objects that the words single out, are replaced by numbers first (:func:`mark`); claims are about numbers.
+``take the jar out of the cup`` says that the jar is in the cup; ``put the jar into the cup`` says nothing of where it is.
+Types, and objects that the words single out, are replaced by numbers first (:func:`mark`); claims are about numbers.
 """
 
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from stable_data.instructions.naming import Mention
+from stable_data.instructions.naming import ObjectMention
 from stable_data.instructions.vocabulary import nouns_of
 from stable_data.instructions.words import type_words
 from stable_data.scene import RelationKind
@@ -79,7 +79,7 @@ _LEFT = {
 
 
 @dataclass(frozen=True, slots=True)
-class Claim:
+class StatedRelation:
     """What an instruction says of the start: number ``a`` is ``kind`` of ``b``; None: in it or on it, the words leave open which."""
 
     a: int
@@ -87,7 +87,7 @@ class Claim:
     b: int
 
 
-def mark(text: str, types: Sequence[str], said: Sequence[Mention] = (), pins: Sequence[str] = ()) -> str:
+def mark(text: str, types: Sequence[str], said: Sequence[ObjectMention] = (), pins: Sequence[str] = ()) -> str:
     """The instruction in lower case, what it mentions as ``<number>``, articles gone.
 
     Args:
@@ -121,14 +121,14 @@ def spelling(name: str) -> str:
     return "[ _-]".join(re.escape(word) for word in type_words(name))
 
 
-def read_claims(marked: str) -> tuple[Claim, ...]:
+def read_claims(marked: str) -> tuple[StatedRelation, ...]:
     """What a marked instruction says of the scene it starts from, each claim once."""
     found = [*_taken(marked), *_stated(marked)]
     found += [c for m in _BEFORE.finditer(marked) for c in _pairs(m, RelationKind.IN_FRONT_OF)]
     return tuple(dict.fromkeys(found))
 
 
-def _taken(marked: str) -> Iterator[Claim]:
+def _taken(marked: str) -> Iterator[StatedRelation]:
     """Claims in words of taking away."""
     for match in _AWAY.finditer(marked):
         before = marked[: match.start()]
@@ -151,7 +151,7 @@ def _left(match: re.Match[str]) -> RelationKind | None:
     return _LEFT.get(match["how"])
 
 
-def _stated(marked: str) -> Iterator[Claim]:
+def _stated(marked: str) -> Iterator[StatedRelation]:
     """Claims in words of being somewhere."""
     for match in _ILL_PLACED.finditer(marked):
         yield from _pairs(match, _SPOTS[match["spot"]])
@@ -176,14 +176,14 @@ def _spot(match: re.Match[str]) -> RelationKind:
     return _SPOTS[re.sub(r"^(?:to|on) the | side", "", match["spot"])]
 
 
-def _pairs(match: re.Match[str], kind: RelationKind | None) -> Iterator[Claim]:
+def _pairs(match: re.Match[str], kind: RelationKind | None) -> Iterator[StatedRelation]:
     return _claims([int(a) for a in re.findall(r"\d+", match["a"])], kind, match)
 
 
-def _claims(things: Sequence[int], kind: RelationKind | None, match: re.Match[str]) -> Iterator[Claim]:
+def _claims(things: Sequence[int], kind: RelationKind | None, match: re.Match[str]) -> Iterator[StatedRelation]:
     """What a match says of some things."""
     target = int(match["b"][1:-1])
-    return (Claim(a, kind, target) for a in things if a != target)
+    return (StatedRelation(a, kind, target) for a in things if a != target)
 
 
 def emptied(marked: str) -> tuple[int, ...]:

@@ -3,37 +3,37 @@
 import itertools
 from collections.abc import Iterator
 
-from stable_data.instructions.kind import MOST_LISTED, Kind, Roles
-from stable_data.instructions.situation import Situation
+from stable_data.instructions.kind import MOST_LISTED, Roles, TaskKind
+from stable_data.instructions.situation import TaskContext
 from stable_data.instructions.vocabulary import classes_of
 from stable_data.scene import RelationKind
 
 IN = RelationKind.IN
 
 
-def _put_ins(s: Situation) -> Iterator[Roles]:
+def _put_ins(s: TaskContext) -> Iterator[Roles]:
     for y, x in s.pairs(s.containers, s.loose):
         if s.fits(x, y):
             yield {"x": x, "y": y}
 
 
-def _put_aways(s: Situation) -> Iterator[Roles]:
+def _put_aways(s: TaskContext) -> Iterator[Roles]:
     for y, x in s.pairs(s.of("tidy_place", s.containers), s.loose):
         if s.fits(x, y) and not classes_of(s.objects[x].category) & {"tidy_place", "pot"}:
             yield {"x": x, "y": y}
 
 
-def _take_outs(s: Situation) -> Iterator[Roles]:
+def _take_outs(s: TaskContext) -> Iterator[Roles]:
     return ({"x": x, "y": y} for x, y in s.linked(IN))
 
 
-def _transfers(s: Situation) -> Iterator[Roles]:
+def _transfers(s: TaskContext) -> Iterator[Roles]:
     for (x, y), z in itertools.product(s.linked(IN), s.mixed(s.containers)):
         if z != y and s.fits(x, z):
             yield {"x": x, "y": y, "z": z}
 
 
-def _gathers(s: Situation) -> Iterator[Roles]:
+def _gathers(s: TaskContext) -> Iterator[Roles]:
     """Two or three things that fit into one container together."""
     for y in s.mixed(s.containers):
         fitting = s.mixed(x for x in s.loose if s.fits(x, y))
@@ -43,59 +43,59 @@ def _gathers(s: Situation) -> Iterator[Roles]:
                 yield {"xs": xs, "y": y}
 
 
-def _all_of_a_kind(s: Situation) -> Iterator[Roles]:
+def _all_of_a_kind(s: TaskContext) -> Iterator[Roles]:
     """Every object of a category, all of them loose."""
     for y, xs in itertools.product(s.mixed(s.containers), s.mixed(s.kinds(s.every_loose))):
         if len(xs) > 1 and s.all_fit(xs, y) and s.is_every(xs):
             yield {"xs": tuple(xs), "y": y}
 
 
-def _shares(s: Situation) -> Iterator[Roles]:
+def _shares(s: TaskContext) -> Iterator[Roles]:
     """Two things, each into a container of its own."""
     for x, z in s.pairs(s.loose, s.loose):
         places = ((y, w) for y, w in itertools.permutations(s.mixed(s.containers)[:4], 2) if s.fits(x, y) and s.fits(z, w))
         yield from ({"x": x, "y": y, "z": z, "w": w} for y, w in places)
 
 
-def _full(s: Situation, least: int) -> Iterator[tuple[str, tuple[str, ...]]]:
+def _full(s: TaskContext, least: int) -> Iterator[tuple[str, tuple[str, ...]]]:
     for y in s.mixed(n for n in s.objects if n in s.steady & s.named and n in s.load):
         xs = s.parts(y, IN)
         if least <= len(xs) and set(xs) <= set(s.free):
             yield y, tuple(xs)
 
 
-def _emptied(s: Situation) -> Iterator[Roles]:
+def _emptied(s: TaskContext) -> Iterator[Roles]:
     return ({"y": y, "xs": xs} for y, xs in _full(s, 2) if len(xs) <= MOST_LISTED)
 
 
-def _emptied_at_once(s: Situation) -> Iterator[Roles]:
+def _emptied_at_once(s: TaskContext) -> Iterator[Roles]:
     return ({"y": y, "xs": xs} for y, xs in _full(s, 1))
 
 
-def _poured_over(s: Situation) -> Iterator[Roles]:
+def _poured_over(s: TaskContext) -> Iterator[Roles]:
     """All that is in one container into another."""
     for (y, xs), z in itertools.product(_full(s, 2), s.mixed(s.containers)):
         if z != y and s.all_fit(xs, z):
             yield {"y": y, "xs": xs, "z": z}
 
 
-def _replaced(s: Situation) -> Iterator[Roles]:
+def _replaced(s: TaskContext) -> Iterator[Roles]:
     for (x, y), z in itertools.product(s.linked(IN), s.mixed(s.loose)):
         if s.graph.nodes[y]["container"] and s.fits(z, y):
             yield {"x": x, "y": y, "z": z}
 
 
-def _loaded(s: Situation) -> Iterator[Roles]:
+def _loaded(s: TaskContext) -> Iterator[Roles]:
     """A container that can be carried with what is put into it."""
     return (roles for roles in _put_ins(s) if roles["y"] in s.loose)
 
 
-def _loaded_off_centre(s: Situation) -> Iterator[Roles]:
+def _loaded_off_centre(s: TaskContext) -> Iterator[Roles]:
     return (roles for roles in _loaded(s) if s.graph.nodes[str(roles["y"])]["cell"] != "middle_middle")
 
 
 KINDS = (
-    Kind(
+    TaskKind(
         "put_in",
         _put_ins,
         (
@@ -109,7 +109,7 @@ KINDS = (
         ("{x} {x:is} in {y}.",),
         ("Pick({x}); PlaceOn({y})",),
     ),
-    Kind(
+    TaskKind(
         "put_away",
         _put_aways,
         (
@@ -123,7 +123,7 @@ KINDS = (
         ("Pick({x}); PlaceOn({y})",),
         theme="tidy",
     ),
-    Kind(
+    TaskKind(
         "take_out",
         _take_outs,
         (
@@ -138,7 +138,7 @@ KINDS = (
         ("Pick({x}); PlaceAt(Table)",),
         (("x", None, "y"),),
     ),
-    Kind(
+    TaskKind(
         "transfer",
         _transfers,
         (
@@ -152,7 +152,7 @@ KINDS = (
         ("Pick({x}); PlaceOn({z})",),
         (("x", None, "y"),),
     ),
-    Kind(
+    TaskKind(
         "gather",
         _gathers,
         (
@@ -165,7 +165,7 @@ KINDS = (
         ("Pick({xs}); PlaceOn({y})",),
         theme="tidy",
     ),
-    Kind(
+    TaskKind(
         "gather_kind",
         _all_of_a_kind,
         (
@@ -179,7 +179,7 @@ KINDS = (
         ("Pick({xs}); PlaceOn({y})",),
         theme="tidy",
     ),
-    Kind(
+    TaskKind(
         "share_out",
         _shares,
         (
@@ -191,7 +191,7 @@ KINDS = (
         ("Pick({x}); PlaceOn({y}); Pick({z}); PlaceOn({w})",),
         theme="tidy",
     ),
-    Kind(
+    TaskKind(
         "empty",
         _emptied,
         (
@@ -204,7 +204,7 @@ KINDS = (
         ("Pick({xs}); PlaceAt(Table)",),
         (("xs", None, "y"),),
     ),
-    Kind(
+    TaskKind(
         "empty_all",
         _emptied_at_once,
         (
@@ -217,7 +217,7 @@ KINDS = (
         ("Pick({xs}); PlaceAt(Table)",),
         (("xs", None, "y"),),
     ),
-    Kind(
+    TaskKind(
         "move_contents",
         _poured_over,
         (
@@ -229,7 +229,7 @@ KINDS = (
         ("Pick({xs}); PlaceOn({z})",),
         (("xs", None, "y"),),
     ),
-    Kind(
+    TaskKind(
         "replace_in",
         _replaced,
         (
@@ -242,7 +242,7 @@ KINDS = (
         ("Pick({x}); PlaceAt(Table); Pick({z}); PlaceOn({y})",),
         (("x", None, "y"),),
     ),
-    Kind(
+    TaskKind(
         "load_and_bring",
         _loaded,
         (
@@ -253,7 +253,7 @@ KINDS = (
         ("{x} {x:is} in {y}.", "{y} {y:is} at the front edge."),
         ("Pick({x}); PlaceOn({y}); Pick({y}); PlaceAt(front edge)",),
     ),
-    Kind(
+    TaskKind(
         "load_and_centre",
         _loaded_off_centre,
         (
@@ -264,7 +264,7 @@ KINDS = (
         ("{x} {x:is} in {y}.", "{y} {y:is} in the middle of the table."),
         ("Pick({x}); PlaceOn({y}); Pick({y}); PlaceAt(middle)",),
     ),
-    Kind(
+    TaskKind(
         "unload_and_hand_over",
         _take_outs,
         (

@@ -6,16 +6,16 @@ import numpy as np
 
 from stable_data.errors import SceneError
 from stable_data.instructions import containing, dining, picking, placing, sorting, stacking, tidying, using
-from stable_data.instructions.kind import Kind, Told
-from stable_data.instructions.naming import Namer
+from stable_data.instructions.kind import TaskDraft, TaskKind
+from stable_data.instructions.naming import ObjectNamer
 from stable_data.instructions.paraphrase import request
-from stable_data.instructions.situation import Situation
-from stable_data.instructions.steps import Steps, steps_of
+from stable_data.instructions.situation import TaskContext
+from stable_data.instructions.steps import MultiStepKind, steps_of
 from stable_data.instructions.words import is_plural, sentences, type_name
 from stable_data.scene import Scene, TaskInfo
 from stable_data.scene_graph.relations import SceneGraph
 
-SIMPLE_KINDS: tuple[Kind, ...] = (
+SIMPLE_KINDS: tuple[TaskKind, ...] = (
     *picking.KINDS,
     *placing.KINDS,
     *containing.KINDS,
@@ -27,7 +27,7 @@ SIMPLE_KINDS: tuple[Kind, ...] = (
 )
 """Kinds of task that stand for themselves."""
 
-KINDS: tuple[Kind | Steps, ...] = (*SIMPLE_KINDS, *steps_of(SIMPLE_KINDS))
+KINDS: tuple[TaskKind | MultiStepKind, ...] = (*SIMPLE_KINDS, *steps_of(SIMPLE_KINDS))
 """Every kind of task."""
 
 NUM_PATTERNS = len({text for kind in KINDS for text in kind.texts})
@@ -63,8 +63,8 @@ def derive_task(scene: Scene, graph: SceneGraph, rng: np.random.Generator) -> Ta
         raise SceneError(f"{scene.scene_id}: no objects, expected one to make a task of; drop the scene", "scene_empty")
     supports = {name: about.get("support") for name, about in graph.nodes(data=True)}
     steady = [o.instance for o in scene.objects if o.asset_id is not None and supports[o.instance] is not None]
-    namer = Namer(scene, graph)
-    situation = Situation(scene, graph, rng, steady, [name for name in steady if namer.names(name)])
+    namer = ObjectNamer(scene, graph)
+    situation = TaskContext(scene, graph, rng, steady, [name for name in steady if namer.names(name)])
     told = (kind.tell(situation, namer) for kind in situation.mixed(KINDS))
     first = next((one for one in told if one is not None), None)
     if first is None:
@@ -72,7 +72,7 @@ def derive_task(scene: Scene, graph: SceneGraph, rng: np.random.Generator) -> Ta
     return _task(first, scene, request(first.text, first.theme, rng))
 
 
-def _task(told: Told, scene: Scene, text: str = "") -> TaskInfo:
+def _task(told: TaskDraft, scene: Scene, text: str = "") -> TaskInfo:
     objects = {o.instance: o for o in scene.objects}
     return TaskInfo(
         environment=f"A {scene.table.table_type.replace('_', ' ')}, seen from its front edge.",
@@ -86,7 +86,7 @@ def _task(told: Told, scene: Scene, text: str = "") -> TaskInfo:
     )
 
 
-def _fallback(scene: Scene, steady: list[str], namer: Namer) -> Told:
+def _fallback(scene: Scene, steady: list[str], namer: ObjectNamer) -> TaskDraft:
     """Where no kind applies: the object best picked up is, steady, with a name, small."""
     best = min(scene.objects, key=lambda o: (o.instance not in steady, not namer.names(o.instance), max(o.size), o.instance))
     noun = namer.own_noun(best.instance) or "object"
@@ -94,4 +94,6 @@ def _fallback(scene: Scene, steady: list[str], namer: Namer) -> Told:
     words = next((name.words for name in names if name.anchor is None), f"one {noun}" if noun != "object" else "the object")
     verb = "are" if is_plural(noun) else "is"
     goal = f"{words} {verb} held above the table"
-    return Told(f"pick up {words}", (goal,), (f"Pick({type_name(best.category) or 'Object'})",), (best.instance,), (noun,), ())
+    return TaskDraft(
+        f"pick up {words}", (goal,), (f"Pick({type_name(best.category) or 'Object'})",), (best.instance,), (noun,), ()
+    )

@@ -3,8 +3,8 @@
 import itertools
 from collections.abc import Iterator
 
-from stable_data.instructions.kind import MOST_LISTED, Kind, Roles
-from stable_data.instructions.situation import Situation
+from stable_data.instructions.kind import MOST_LISTED, Roles, TaskKind
+from stable_data.instructions.situation import TaskContext
 from stable_data.instructions.vocabulary import classes_of
 from stable_data.instructions.words import type_words
 from stable_data.scene import RelationKind
@@ -12,11 +12,11 @@ from stable_data.scene import RelationKind
 LEFT, RIGHT, BEHIND = RelationKind.LEFT_OF, RelationKind.RIGHT_OF, RelationKind.BEHIND
 
 
-def _lies(s: Situation, x: str, y: str, side: RelationKind) -> bool:
+def _lies(s: TaskContext, x: str, y: str, side: RelationKind) -> bool:
     return s.is_beside(x, y, side, reach=0.06)
 
 
-def _plate_fork_knife(s: Situation) -> Iterator[Roles]:
+def _plate_fork_knife(s: TaskContext) -> Iterator[Roles]:
     for x in s.mixed(s.of("plate", s.loose)):
         for y, z in s.pairs(s.of("fork", s.loose), s.of("knife", s.loose)):
             done = _lies(s, y, x, LEFT) and _lies(s, z, x, RIGHT)
@@ -24,33 +24,33 @@ def _plate_fork_knife(s: Situation) -> Iterator[Roles]:
                 yield {"x": x, "y": y, "z": z}
 
 
-def _with_drink(s: Situation) -> Iterator[Roles]:
+def _with_drink(s: TaskContext) -> Iterator[Roles]:
     for roles, w in itertools.product(_plate_fork_knife(s), s.mixed(s.of("drinkware", s.loose))):
         x, y, z = str(roles["x"]), str(roles["y"]), str(roles["z"])
         if s.has_room(w, x, BEHIND, (y, z)):
             yield {**roles, "w": w}
 
 
-def _plate_cutlery(s: Situation) -> Iterator[Roles]:
+def _plate_cutlery(s: TaskContext) -> Iterator[Roles]:
     for x, y in s.pairs(s.of("plate", s.loose), s.of("cutlery", s.loose)):
         side = LEFT if "fork" in classes_of(s.objects[y].category) else RIGHT
         if not _lies(s, y, x, side) and s.has_room(y, x, side):
             yield {"x": x, "y": y, "side": str(side)}
 
 
-def _bowl_spoon(s: Situation) -> Iterator[Roles]:
+def _bowl_spoon(s: TaskContext) -> Iterator[Roles]:
     for x, y in s.pairs(s.of("bowl", s.standing), s.of("spoon", s.loose)):
         if not _lies(s, y, x, RIGHT) and s.has_room(y, x, RIGHT):
             yield {"x": x, "y": y}
 
 
-def _plate_drink(s: Situation) -> Iterator[Roles]:
+def _plate_drink(s: TaskContext) -> Iterator[Roles]:
     for x, y in s.pairs(s.of("plate", s.standing), s.of("drinkware", s.loose)):
         if not _lies(s, y, x, BEHIND) and s.has_room(y, x, BEHIND):
             yield {"x": x, "y": y}
 
 
-def _for_several(s: Situation) -> Iterator[Roles]:
+def _for_several(s: TaskContext) -> Iterator[Roles]:
     """As many plates as there are of one kind of cutlery or cup, two to four of each."""
     plates = s.of("plate", s.every_loose)
     things = s.kinds(s.of("cutlery", s.every_loose)) + s.kinds(s.of("drinkware", s.every_loose))
@@ -60,17 +60,17 @@ def _for_several(s: Situation) -> Iterator[Roles]:
             yield {"xs": tuple(plates), "zs": tuple(zs), "thing": " ".join(type_words(s.objects[zs[0]].category))}
 
 
-def _servings(s: Situation) -> Iterator[Roles]:
+def _servings(s: TaskContext) -> Iterator[Roles]:
     for y, x in s.pairs(s.of("serving", s.standing), s.of("food", s.loose)):
         if s.can_carry(x, y) or (y in s.containers and s.fits(x, y)):
             yield {"x": x, "y": y}
 
 
-def _used(s: Situation) -> list[str]:
+def _used(s: TaskContext) -> list[str]:
     return s.of("tableware", s.loose)
 
 
-def _cleared_away(s: Situation) -> Iterator[Roles]:
+def _cleared_away(s: TaskContext) -> Iterator[Roles]:
     """Tableware into something to carry it away in."""
     places = [n for n in s.containers if "tidy_place" in classes_of(s.objects[n].category)]
     for y in s.mixed(places):
@@ -80,53 +80,53 @@ def _cleared_away(s: Situation) -> Iterator[Roles]:
                 yield {"xs": xs, "y": y}
 
 
-def _to_one_side(s: Situation) -> Iterator[Roles]:
+def _to_one_side(s: TaskContext) -> Iterator[Roles]:
     for count in (4, 3, 2):
         xs = tuple(s.mixed(_used(s))[:count])
         if len(xs) == count and all("back" not in s.graph.nodes[n]["cell"] for n in xs):
             yield {"xs": xs}
 
 
-def _all_of_a_kind(s: Situation) -> Iterator[Roles]:
+def _all_of_a_kind(s: TaskContext) -> Iterator[Roles]:
     """Every thing of a category, none of them at the back."""
     for xs in s.mixed(s.kinds(s.of("tableware", s.every_loose))):
         if 2 <= len(xs) <= 6 and s.is_every(xs) and not any("back" in s.graph.nodes[n]["cell"] for n in xs):
             yield {"xs": tuple(xs)}
 
 
-def _all_cutlery(s: Situation) -> Iterator[Roles]:
+def _all_cutlery(s: TaskContext) -> Iterator[Roles]:
     every = s.all_of("cutlery")
     for y in s.mixed(s.containers):
         if len(every) > 1 and set(every) <= set(s.every_loose) and s.all_fit(every, y):
             yield {"xs": tuple(every), "y": y}
 
 
-def _pourings(s: Situation) -> Iterator[Roles]:
+def _pourings(s: TaskContext) -> Iterator[Roles]:
     vessels = [n for n in s.loose if s.objects[n].tilt_angle < 0.5 or s.graph.nodes[n]["container"]]
     for y, x in s.pairs(s.of("drinkware", s.standing), s.of("pourer", vessels)):
         if s.objects[x].size[2] > 0.06 and y not in s.load:
             yield {"x": x, "y": y}
 
 
-def _waterings(s: Situation) -> Iterator[Roles]:
+def _waterings(s: TaskContext) -> Iterator[Roles]:
     return ({"x": x, "y": y} for x, y in s.pairs(s.of("waterer", s.loose), s.of("plant", s.standing)))
 
 
-def _cuttings(s: Situation) -> Iterator[Roles]:
+def _cuttings(s: TaskContext) -> Iterator[Roles]:
     for x, y in s.pairs(s.of("choppable", s.loose), s.of("board", s.standing)):
         item, board = s.objects[x].size, s.objects[y].size
         if y not in s.load and max(item[:2]) <= max(board[:2]) and min(item[:2]) <= min(board[:2]):
             yield {"x": x, "y": y}
 
 
-def _cuttings_with_knife(s: Situation) -> Iterator[Roles]:
+def _cuttings_with_knife(s: TaskContext) -> Iterator[Roles]:
     for roles, z in itertools.product(_cuttings(s), s.mixed(s.of("blade", s.loose))):
         if s.has_room(z, str(roles["y"]), RIGHT):
             yield {**roles, "z": z}
 
 
 KINDS = (
-    Kind(
+    TaskKind(
         "set_place",
         _plate_fork_knife,
         (
@@ -139,7 +139,7 @@ KINDS = (
         ("Pick({y}); PlaceAt(left of {x}); Pick({z}); PlaceAt(right of {x})",),
         theme="meal",
     ),
-    Kind(
+    TaskKind(
         "set_place_with_drink",
         _with_drink,
         (
@@ -151,7 +151,7 @@ KINDS = (
         ("Pick({y}); PlaceAt(left of {x}); Pick({z}); PlaceAt(right of {x}); Pick({w}); PlaceAt(behind {x})",),
         theme="meal",
     ),
-    Kind(
+    TaskKind(
         "lay_cutlery",
         _plate_cutlery,
         (
@@ -163,7 +163,7 @@ KINDS = (
         ("Pick({y}); PlaceAt({side} {x})",),
         theme="meal",
     ),
-    Kind(
+    TaskKind(
         "set_soup",
         _bowl_spoon,
         (
@@ -175,7 +175,7 @@ KINDS = (
         ("Pick({y}); PlaceAt(right of {x})",),
         theme="meal",
     ),
-    Kind(
+    TaskKind(
         "set_drink",
         _plate_drink,
         (
@@ -187,7 +187,7 @@ KINDS = (
         ("Pick({y}); PlaceAt(behind {x})",),
         theme="meal",
     ),
-    Kind(
+    TaskKind(
         "set_for_several",
         _for_several,
         (
@@ -199,7 +199,7 @@ KINDS = (
         ("Pick({zs}); PlaceAt(beside a plate)",),
         theme="meal",
     ),
-    Kind(
+    TaskKind(
         "serve",
         _servings,
         (
@@ -212,7 +212,7 @@ KINDS = (
         ("Pick({x}); PlaceOn({y})",),
         theme="meal",
     ),
-    Kind(
+    TaskKind(
         "clear_table",
         _cleared_away,
         (
@@ -225,7 +225,7 @@ KINDS = (
         ("Pick({xs}); PlaceOn({y})",),
         theme="after_meal",
     ),
-    Kind(
+    TaskKind(
         "clear_to_back",
         _to_one_side,
         (
@@ -237,7 +237,7 @@ KINDS = (
         ("Pick({xs}); PlaceAt(back)",),
         theme="after_meal",
     ),
-    Kind(
+    TaskKind(
         "clear_kind",
         _all_of_a_kind,
         (
@@ -249,7 +249,7 @@ KINDS = (
         ("Pick({xs}); PlaceAt(back)",),
         theme="after_meal",
     ),
-    Kind(
+    TaskKind(
         "collect_cutlery",
         _all_cutlery,
         (
@@ -261,7 +261,7 @@ KINDS = (
         ("Pick({xs}); PlaceOn({y})",),
         theme="after_meal",
     ),
-    Kind(
+    TaskKind(
         "pour",
         _pourings,
         (
@@ -275,7 +275,7 @@ KINDS = (
         ("Pick({x}); PlaceAt(above {y}); PlaceAt(Table)",),
         theme="drink",
     ),
-    Kind(
+    TaskKind(
         "water",
         _waterings,
         (
@@ -286,7 +286,7 @@ KINDS = (
         ("{y} {y:is} watered from {x}.", "{x} {x:is} back on the table."),
         ("Pick({x}); PlaceAt(above {y}); PlaceAt(Table)",),
     ),
-    Kind(
+    TaskKind(
         "prepare_to_cut",
         _cuttings,
         (
@@ -298,7 +298,7 @@ KINDS = (
         ("Pick({x}); PlaceOn({y})",),
         theme="cook",
     ),
-    Kind(
+    TaskKind(
         "prepare_to_cut_with_knife",
         _cuttings_with_knife,
         (

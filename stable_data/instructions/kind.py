@@ -1,8 +1,8 @@
 """What a kind of task is, and how one of its texts is told of a scene.
 
 A text names its roles in braces, ``put {x} into {y}``. ``{x}`` is a name with its article, ``{x:short}`` one without a clause
-after its noun; ``{x:it}`` and the other words of ``_GRAMMAR`` agree with it in number; ``{xs:=everything}`` stands for a role in
-words that the text gives itself.
+after its noun; ``{x:it}`` and the other words of ``_GRAMMAR`` agree with it in number; ``{xs:=everything}`` stands for a role
+in words that the text gives itself.
 """
 
 import itertools
@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
-from stable_data.instructions.naming import WEIGHTS, Name, Namer, Telling, relation_held
+from stable_data.instructions.naming import WEIGHTS, Distinction, ObjectName, ObjectNamer, relation_held
 from stable_data.instructions.paraphrase import reword
-from stable_data.instructions.situation import Situation
+from stable_data.instructions.situation import TaskContext
 from stable_data.instructions.vocabulary import answers_to, is_counted
 from stable_data.instructions.words import is_plural, listed, number_word, plural, type_name
 from stable_data.scene import Relation, RelationKind
@@ -21,7 +21,7 @@ from stable_data.scene import Relation, RelationKind
 Roles: TypeAlias = Mapping[str, str | tuple[str, ...]]
 """Instances by role: ``x``, ``y``, ``z``, ``w``; several in ``xs`` and ``zs``; other keys hold words of the text."""
 
-Finder: TypeAlias = Callable[[Situation], Iterator[Roles]]
+Finder: TypeAlias = Callable[[TaskContext], Iterator[Roles]]
 
 SINGLE, SEVERAL = ("x", "y", "z", "w"), ("xs", "zs")
 MOST_LISTED = 4
@@ -41,7 +41,7 @@ _GRAMMAR = {  # of one thing, of several
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class TaskKind:
     """A kind of task.
 
     Attributes:
@@ -63,7 +63,7 @@ class Kind:
     links: tuple[tuple[str, str | None, str], ...] = ()
     theme: str = ""
 
-    def tell(self, situation: Situation, namer: Namer) -> "Told | None":
+    def tell(self, situation: TaskContext, namer: ObjectNamer) -> "TaskDraft | None":
         """A task of this kind, or None where the scene has none."""
         for roles in itertools.islice(self.find(situation), _ATTEMPTS):
             text = situation.pick(self.texts)
@@ -74,7 +74,7 @@ class Kind:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class TaskDraft:
     """A task told of a scene.
 
     Attributes:
@@ -84,7 +84,7 @@ class Told:
         objects: Every object that the words name or mean, in the order of the roles, anchors last.
         nouns: What the objects are called.
         relations: What the words say of the start.
-        theme: See :class:`Kind`.
+        theme: See :class:`TaskKind`.
     """
 
     text: str
@@ -118,13 +118,15 @@ def members(roles: Roles) -> dict[str, tuple[str, ...]]:
 # --- names for the roles ------------------------------------------------------------------------------------------------------
 
 
-def _names_for(kind: Kind, roles: Roles, text: str, situation: Situation, namer: Namer) -> dict[str, Name] | None:
+def _names_for(
+    kind: TaskKind, roles: Roles, text: str, situation: TaskContext, namer: ObjectNamer
+) -> dict[str, ObjectName] | None:
     """A name for each object that the text names one by one; None where the words could not tell them apart."""
     spoken = members(roles)
     every = [n for names in spoken.values() for n in names]
     if len(set(every)) < len(every):
         return None
-    names: dict[str, Name] = {}
+    names: dict[str, ObjectName] = {}
     nouns = set()
     for role, objects in spoken.items():
         said_as = set(re.findall(rf"\{{{role}(?::(\w+))?\}}", text))
@@ -144,7 +146,7 @@ def _names_for(kind: Kind, roles: Roles, text: str, situation: Situation, namer:
     return names
 
 
-def _as_kinds(objects: Sequence[str], situation: Situation, namer: Namer) -> dict[str, str]:
+def _as_kinds(objects: Sequence[str], situation: TaskContext, namer: ObjectNamer) -> dict[str, str]:
     """Of several objects those that are all of their kind in the scene, with the words for their kind."""
     found: dict[str, str] = {}
     for alike in situation.kinds(objects):
@@ -155,21 +157,27 @@ def _as_kinds(objects: Sequence[str], situation: Situation, namer: Namer) -> dic
 
 
 def _options(
-    kind: Kind, role: str, instance: str, names: Mapping[str, Name], every: Sequence[str], roles: Roles, namer: Namer
-) -> list[Name]:
+    kind: TaskKind,
+    role: str,
+    instance: str,
+    names: Mapping[str, ObjectName],
+    every: Sequence[str],
+    roles: Roles,
+    namer: ObjectNamer,
+) -> list[ObjectName]:
     """Names for one object; no other object of the task is its anchor, and only one name of a task has an anchor."""
     places = [roles[b] for a, kind_of_link, b in kind.links if a == role and kind_of_link is None]
     options = [name for name in namer.names(instance) if name.anchor not in every]
-    if places and not any(name.telling is Telling.NOUN for name in options):
+    if places and not any(name.telling is Distinction.NOUN for name in options):
         options += namer.linked_names(instance, str(places[0]))
     if any(name.anchor for name in names.values()):
         options = [name for name in options if name.anchor is None]
     if places:  # what it is in is said anyway
-        options = [name for name in options if name.telling is not Telling.CARRIER]
+        options = [name for name in options if name.telling is not Distinction.CARRIER]
     return options
 
 
-def _drawn(options: Sequence[Name], situation: Situation) -> Name | None:
+def _drawn(options: Sequence[ObjectName], situation: TaskContext) -> ObjectName | None:
     tellings = sorted({name.telling for name in options})
     if not tellings:
         return None
@@ -179,13 +187,13 @@ def _drawn(options: Sequence[Name], situation: Situation) -> Name | None:
     return situation.pick([name for name in options if name.telling is telling])
 
 
-def _can_be_told_apart(names: Sequence[Name], kinds: set[str], namer: Namer) -> bool:
+def _can_be_told_apart(names: Sequence[ObjectName], kinds: set[str], namer: ObjectNamer) -> bool:
     """Do no two names read the same, or differ by nothing but a word that another leaves out?"""
     if len({name.words for name in names}) < len(names):
         return False
     nouns = [name.noun for name in names] + sorted(kinds)
     nouns += [namer.own_noun(name.anchor) for name in names if name.anchor]
-    bare = {name.noun for name in names if name.telling in (Telling.LINK, Telling.NOUN, Telling.SYNONYM)} | kinds
+    bare = {name.noun for name in names if name.telling in (Distinction.LINK, Distinction.NOUN, Distinction.SYNONYM)} | kinds
     for a, b in itertools.combinations(nouns, 2):
         if a == b and a in bare:
             return False
@@ -197,7 +205,9 @@ def _can_be_told_apart(names: Sequence[Name], kinds: set[str], namer: Namer) -> 
 # --- telling ------------------------------------------------------------------------------------------------------------------
 
 
-def _told(kind: Kind, roles: Roles, text: str, names: Mapping[str, Name], situation: Situation, namer: Namer) -> Told:
+def _told(
+    kind: TaskKind, roles: Roles, text: str, names: Mapping[str, ObjectName], situation: TaskContext, namer: ObjectNamer
+) -> TaskDraft:
     spoken = members(roles)
     words = {key: value for key, value in roles.items() if key not in spoken}
     said = {role: _phrase(objects, names, situation, namer) for role, objects in spoken.items()}
@@ -208,7 +218,7 @@ def _told(kind: Kind, roles: Roles, text: str, names: Mapping[str, Name], situat
     relations = {name.relation for name in names.values() if name.relation}
     relations |= set(_linked(kind, spoken, words, situation))
     nouns = [name.noun for name in names.values()] + [namer.own_noun(n) for n in [*objects, *anchors]]
-    return Told(
+    return TaskDraft(
         reword(text, situation.rng).format_map({**words, **said}),
         tuple(goal.format_map({**words, **done}) for goal in kind.goal),
         tuple(action for line in kind.actions for action in _acted(line, spoken, words, situation)),
@@ -219,7 +229,7 @@ def _told(kind: Kind, roles: Roles, text: str, names: Mapping[str, Name], situat
     )
 
 
-def _phrase(objects: Sequence[str], names: Mapping[str, Name], situation: Situation, namer: Namer) -> _Phrase:
+def _phrase(objects: Sequence[str], names: Mapping[str, ObjectName], situation: TaskContext, namer: ObjectNamer) -> _Phrase:
     """Words for the objects of a role: names one by one, and ``both mugs`` for all of a kind."""
     kinds = _as_kinds(objects, situation, namer) if len(objects) > 1 else {}
     parts = []
@@ -241,7 +251,7 @@ def _all_of(noun: str, count: int, *, is_only: bool) -> str:
     return f"all {number_word(count)} {plural(noun)}" if is_only else f"the {number_word(count)} {plural(noun)}"
 
 
-def _afterwards(instance: str, name: Name, names: Mapping[str, Name], namer: Namer) -> Name:
+def _afterwards(instance: str, name: ObjectName, names: Mapping[str, ObjectName], namer: ObjectNamer) -> ObjectName:
     """A name that still holds when things have been moved: the bare noun where no other named object answers to it."""
     noun = namer.own_noun(instance)
     others = (n for n in names if n != instance)
@@ -251,7 +261,7 @@ def _afterwards(instance: str, name: Name, names: Mapping[str, Name], namer: Nam
 
 
 def _acted(
-    line: str, spoken: Mapping[str, Sequence[str]], words: Mapping[str, str | tuple[str, ...]], situation: Situation
+    line: str, spoken: Mapping[str, Sequence[str]], words: Mapping[str, str | tuple[str, ...]], situation: TaskContext
 ) -> Iterator[str]:
     """The primitives of a line, once for each of several objects that it mentions."""
     group = next((role for role in SEVERAL if f"{{{role}}}" in line), None)
@@ -264,7 +274,7 @@ def _acted(
 
 
 def _linked(
-    kind: Kind, spoken: Mapping[str, Sequence[str]], words: Mapping[str, str | tuple[str, ...]], situation: Situation
+    kind: TaskKind, spoken: Mapping[str, Sequence[str]], words: Mapping[str, str | tuple[str, ...]], situation: TaskContext
 ) -> Iterator[Relation]:
     for one, link, other in kind.links:
         said = (RelationKind.IN, RelationKind.ON) if link is None else (RelationKind(str(words.get(link, link))),)

@@ -20,7 +20,7 @@ from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, Scene
 from stable_data.scene_graph.relations import SceneGraph
 
 
-class Telling(StrEnum):
+class Distinction(StrEnum):
     """What tells an object apart."""
 
     NOUN = "noun"
@@ -36,20 +36,20 @@ class Telling(StrEnum):
 
 
 WEIGHTS = {
-    Telling.NOUN: 8.0,
-    Telling.SYNONYM: 3.0,
-    Telling.LOOK: 3.0,
-    Telling.SIZE: 3.0,
-    Telling.PLACE: 3.0,
-    Telling.CARRIER: 1.5,
-    Telling.SIDE: 1.0,
-    Telling.BESIDE: 1.0,
-    Telling.CELL: 1.0,
-    Telling.LINK: 4.0,
+    Distinction.NOUN: 8.0,
+    Distinction.SYNONYM: 3.0,
+    Distinction.LOOK: 3.0,
+    Distinction.SIZE: 3.0,
+    Distinction.PLACE: 3.0,
+    Distinction.CARRIER: 1.5,
+    Distinction.SIDE: 1.0,
+    Distinction.BESIDE: 1.0,
+    Distinction.CELL: 1.0,
+    Distinction.LINK: 4.0,
 }
 """How often each is drawn, relative to the others that tell the same object apart."""
 
-_LASTING = frozenset({Telling.NOUN, Telling.SYNONYM, Telling.LOOK, Telling.SIZE})
+_LASTING = frozenset({Distinction.NOUN, Distinction.SYNONYM, Distinction.LOOK, Distinction.SIZE})
 
 _LOOKS = (
     {  # near colours share a value, so that "the blue mug" is not said beside a navy one
@@ -95,7 +95,7 @@ _SIDE_WORDS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Name:
+class ObjectName:
     """Words for one object.
 
     Attributes:
@@ -108,7 +108,7 @@ class Name:
 
     words: str
     noun: str
-    telling: Telling
+    telling: Distinction
     anchor: str | None = None
     relation: Relation | None = None
 
@@ -123,7 +123,7 @@ class Name:
         return self.telling in _LASTING
 
 
-class Namer:
+class ObjectNamer:
     """Finds names in a scene.
 
     Args:
@@ -136,7 +136,7 @@ class Namer:
         self.objects = {o.instance: o for o in scene.objects}
         self._centre = {o.instance: np.array(o.position) for o in scene.objects}
         self._answering: dict[str, tuple[str, ...]] = {}
-        self._names: dict[str, tuple[Name, ...]] = {}
+        self._names: dict[str, tuple[ObjectName, ...]] = {}
 
     def answering(self, noun: str) -> tuple[str, ...]:
         """Every object of the scene that the noun could mean."""
@@ -153,33 +153,33 @@ class Namer:
         """Does only it answer to its noun?"""
         return self.answering(self.own_noun(instance)) == (instance,)
 
-    def names(self, instance: str) -> tuple[Name, ...]:
+    def names(self, instance: str) -> tuple[ObjectName, ...]:
         """All names of an object, possibly none."""
         if instance not in self._names:
             nouns = nouns_of(self.objects[instance].category)
             self._names[instance] = tuple(name for noun in nouns for name in self._called(instance, noun, noun == nouns[0]))
         return self._names[instance]
 
-    def linked_names(self, instance: str, place: str) -> tuple[Name, ...]:
+    def linked_names(self, instance: str, place: str) -> tuple[ObjectName, ...]:
         """The name, if any, that suffices where the words say anyway that the object is in or on that place."""
         noun = self.own_noun(instance)
         others = [n for n in self.answering(noun) if n != instance]
         if not noun or place in others or any(self._is_in_or_on(n, place) for n in others):
             return ()
-        return (Name(f"the {noun}", noun, Telling.LINK),)
+        return (ObjectName(f"the {noun}", noun, Distinction.LINK),)
 
     def _is_in_or_on(self, instance: str, place: str) -> bool:
         return any(self.graph.has_edge(instance, place, key=k) for k in (RelationKind.IN, RelationKind.ON))
 
-    def _called(self, instance: str, noun: str, is_own: bool) -> Iterator[Name]:
+    def _called(self, instance: str, noun: str, is_own: bool) -> Iterator[ObjectName]:
         alike = [n for n in self.answering(noun) if n != instance]
         if not alike:
-            yield Name(f"the {noun}", noun, Telling.NOUN if is_own else Telling.SYNONYM)
+            yield ObjectName(f"the {noun}", noun, Distinction.NOUN if is_own else Distinction.SYNONYM)
         for look in self._looks(instance, noun, alike):
-            yield Name(f"the {look} {noun}", noun, Telling.LOOK)
+            yield ObjectName(f"the {look} {noun}", noun, Distinction.LOOK)
         if alike:
-            yield from (Name(words, noun, Telling.SIZE) for words in self._sizes(instance, noun, alike))
-            yield from (Name(words, noun, Telling.PLACE) for words in self._places(instance, noun, alike))
+            yield from (ObjectName(words, noun, Distinction.SIZE) for words in self._sizes(instance, noun, alike))
+            yield from (ObjectName(words, noun, Distinction.PLACE) for words in self._places(instance, noun, alike))
         if is_own:
             yield from self._anchored(instance, noun, alike)
             yield from self._in_cell(instance, noun, alike)
@@ -244,7 +244,7 @@ class Namer:
         reach = np.linalg.norm(others[:, :2] - viewer, axis=1)
         return bool(sign * np.linalg.norm(own[:2] - viewer) > (sign * reach).max())
 
-    def _anchored(self, instance: str, noun: str, alike: list[str]) -> Iterator[Name]:
+    def _anchored(self, instance: str, noun: str, alike: list[str]) -> Iterator[ObjectName]:
         for anchor in sorted({*self.graph.successors(instance), *self.graph.predecessors(instance)} - {TABLE}):
             if anchor in alike or not self.is_alone(anchor) or self._is_in_or_on(anchor, instance):
                 continue
@@ -253,32 +253,36 @@ class Namer:
                 if self.graph.has_edge(instance, anchor, key=kind) and not any(self._is_in_or_on(n, anchor) for n in alike):
                     relation = Relation(instance, kind, anchor)
                     for words in (f"the {noun} that {_are(noun)} {kind} {place}", f"the {noun} {verb} {kind} {place}"):
-                        yield Name(words, noun, Telling.CARRIER, anchor, relation)
+                        yield ObjectName(words, noun, Distinction.CARRIER, anchor, relation)
             if alike:
                 yield from self._at_side(instance, noun, alike, anchor)
 
-    def _at_side(self, instance: str, noun: str, alike: list[str], anchor: str) -> Iterator[Name]:
+    def _at_side(self, instance: str, noun: str, alike: list[str], anchor: str) -> Iterator[ObjectName]:
         place = f"the {self.own_noun(anchor)}"
         for kind, (axis, sign) in SIDES.items():
             relation = relation_held(self.graph, instance, kind, anchor)
             others = (sign * (self._centre[n][axis] - self._centre[anchor][axis]) for n in alike)
             if relation is not None and all(step < -_APART for step in others):
                 for words in (f"that {_are(noun)}", "standing"):
-                    yield Name(f"the {noun} {words} {_SIDE_WORDS[kind]} {place}", noun, Telling.SIDE, anchor, relation)
+                    yield ObjectName(
+                        f"the {noun} {words} {_SIDE_WORDS[kind]} {place}", noun, Distinction.SIDE, anchor, relation
+                    )
         if self._gap(instance, anchor, min) <= _NEAR and all(self._gap(n, anchor, math.hypot) >= _FAR for n in alike):
-            yield Name(f"the {noun} that {_are(noun)} next to {place}", noun, Telling.BESIDE, anchor)
+            yield ObjectName(f"the {noun} that {_are(noun)} next to {place}", noun, Distinction.BESIDE, anchor)
 
     def _gap(self, one: str, other: str, breadth: Callable[[float, float], float]) -> float:
         """Distance of the circles within two boxes (``min``), or around them (``hypot``), metres."""
         widths = breadth(*self.objects[one].size[:2]) + breadth(*self.objects[other].size[:2])
         return float(np.linalg.norm(self._centre[one][:2] - self._centre[other][:2])) - widths / 2
 
-    def _in_cell(self, instance: str, noun: str, alike: list[str]) -> Iterator[Name]:
+    def _in_cell(self, instance: str, noun: str, alike: list[str]) -> Iterator[ObjectName]:
         cells = {n: self.graph.nodes[n]["cell"] for n in (instance, *alike)}
         row, column = cells[instance].split("_")
         if alike and "middle" not in (row, column) and all(cells[n] != cells[instance] for n in alike):
             relation = Relation(instance, RelationKind.IS_AT, cells[instance])
-            yield Name(f"the {noun} that {_are(noun)} in the {row} {column} corner", noun, Telling.CELL, None, relation)
+            yield ObjectName(
+                f"the {noun} that {_are(noun)} in the {row} {column} corner", noun, Distinction.CELL, None, relation
+            )
 
 
 def _are(noun: str) -> str:
@@ -295,7 +299,7 @@ def relation_held(graph: SceneGraph, subject: str, kind: RelationKind, target: s
 
 
 @dataclass(frozen=True, slots=True)
-class Mention:
+class ObjectMention:
     """Words of an instruction that mean one object.
 
     Attributes:
@@ -308,10 +312,10 @@ class Mention:
     start: int
     end: int
     instance: str
-    name: Name
+    name: ObjectName
 
 
-def mentions(text: str, namer: Namer) -> tuple[Mention, ...]:
+def mentions(text: str, namer: ObjectNamer) -> tuple[ObjectMention, ...]:
     """Every name in an instruction, the longest first chosen, in the order of the text.
 
     Args:
@@ -319,19 +323,19 @@ def mentions(text: str, namer: Namer) -> tuple[Mention, ...]:
         namer: Of the scene that it starts from.
     """
     lower = text.lower()
-    found: list[Mention] = []
+    found: list[ObjectMention] = []
     for instance, o in namer.objects.items():
         if any(noun in lower for noun in nouns_of(o.category)):
             for name in namer.names(instance):
                 spans = (m.span() for m in re.finditer(rf"\b{re.escape(name.words)}\b", lower) if name.words in lower)
-                found += [Mention(start, end, instance, name) for start, end in spans]
-    kept: list[Mention] = []
+                found += [ObjectMention(start, end, instance, name) for start, end in spans]
+    kept: list[ObjectMention] = []
     for one in sorted(found, key=lambda m: (m.start - m.end, m.start)):
         if all(one.end <= other.start or one.start >= other.end for other in kept):
             kept.append(one)
     return tuple(sorted(kept, key=lambda m: m.start))
 
 
-def involved(names: Collection[Name]) -> tuple[str, ...]:
+def involved(names: Collection[ObjectName]) -> tuple[str, ...]:
     """The other objects that names speak of, each once."""
     return tuple(dict.fromkeys(name.anchor for name in names if name.anchor is not None))

@@ -3,8 +3,8 @@
 import itertools
 from collections.abc import Iterator
 
-from stable_data.instructions.kind import Kind, Roles
-from stable_data.instructions.situation import OPPOSITE, SIDES, Situation
+from stable_data.instructions.kind import Roles, TaskKind
+from stable_data.instructions.situation import OPPOSITE, SIDES, TaskContext
 from stable_data.instructions.vocabulary import classes_of
 from stable_data.scene import RelationKind
 
@@ -32,60 +32,60 @@ _PARTS = {
 }
 
 
-def _any(s: Situation) -> Iterator[Roles]:
+def _any(s: TaskContext) -> Iterator[Roles]:
     return ({"x": x} for x in s.mixed(s.free) if x in s.named)
 
 
-def _far(s: Situation) -> Iterator[Roles]:
+def _far(s: TaskContext) -> Iterator[Roles]:
     depth = s.scene.table.size_xy[1]
     return ({"x": x} for x in s.mixed(s.loose) if s.objects[x].position[1] > 0.5 * depth)
 
 
-def _corners(s: Situation) -> Iterator[Roles]:
+def _corners(s: TaskContext) -> Iterator[Roles]:
     for x, row, column in itertools.product(s.mixed(s.loose), s.mixed(("front", "back")), s.mixed(("left", "right"))):
         if s.graph.nodes[x]["cell"] != f"{row}_{column}" and s.has_room_in(x, f"{row}_{column}"):
             yield {"x": x, "corner": f"{row} {column}"}
 
 
-def _centres(s: Situation) -> Iterator[Roles]:
+def _centres(s: TaskContext) -> Iterator[Roles]:
     away = (x for x in s.mixed(s.loose) if s.graph.nodes[x]["cell"] != "middle_middle")
     return ({"x": x} for x in away if s.has_room_in(x, "middle_middle"))
 
 
-def _parts(s: Situation) -> Iterator[Roles]:
+def _parts(s: TaskContext) -> Iterator[Roles]:
     for x, side in itertools.product(s.mixed(s.loose), s.mixed(SIDES)):
         part, cells = _PARTS[side]
         if s.graph.nodes[x]["cell"] not in cells and any(s.has_room_in(x, cell) for cell in cells):
             yield {"x": x, "part": part}
 
 
-def _at_edges(s: Situation) -> Iterator[Roles]:
+def _at_edges(s: TaskContext) -> Iterator[Roles]:
     for x, side in itertools.product(s.mixed(s.loose), SIDES):
         if s.margin(x, side) < _AT_EDGE and s.can_slide(x, OPPOSITE[side], _INWARDS):
             yield {"x": x, "edge": DIRECTION[side], "inwards": DIRECTION[OPPOSITE[side]]}
 
 
-def _pushes(s: Situation) -> Iterator[Roles]:
+def _pushes(s: TaskContext) -> Iterator[Roles]:
     for x, side, cm in itertools.product(s.mixed(s.loose), s.mixed(SIDES), s.mixed((5, 8, 10, 15))):
         if s.can_slide(x, side, cm / 100):
             yield {"x": x, "towards": TOWARDS[side], "direction": DIRECTION[side], "cm": str(cm)}
 
 
-def _with_front(s: Situation) -> list[str]:
+def _with_front(s: TaskContext) -> list[str]:
     return s.mixed(s.of("with_front", s.loose))
 
 
-def _turned_away(s: Situation) -> Iterator[Roles]:
+def _turned_away(s: TaskContext) -> Iterator[Roles]:
     return ({"x": x} for x in _with_front(s) if "front" not in s.graph.nodes[x]["facing"])
 
 
-def _turned_from(s: Situation) -> Iterator[Roles]:
+def _turned_from(s: TaskContext) -> Iterator[Roles]:
     for x, y in s.pairs(_with_front(s), s.standing):
         if s.graph.nodes[x]["facing"] != s.facing_towards(x, y) and s.gap(x, y) > 0.05:
             yield {"x": x, "y": y}
 
 
-def _fallen(s: Situation) -> Iterator[Roles]:
+def _fallen(s: TaskContext) -> Iterator[Roles]:
     for x in s.mixed(s.of("upright", s.loose)):
         size = s.objects[x].size
         low = classes_of(s.objects[x].category) & {"cup", "bowl"}  # a cup may be wider than high
@@ -94,7 +94,7 @@ def _fallen(s: Situation) -> Iterator[Roles]:
 
 
 KINDS = (
-    Kind(
+    TaskKind(
         "pick_up",
         _any,
         (
@@ -107,7 +107,7 @@ KINDS = (
         ("{x} {x:is} held above the table.",),
         ("Pick({x})",),
     ),
-    Kind(
+    TaskKind(
         "show",
         _any,
         (
@@ -122,7 +122,7 @@ KINDS = (
         ("Pick({x}); PlaceAt(in front of camera)",),
         theme="look",
     ),
-    Kind(
+    TaskKind(
         "hand_over",
         _any,
         (
@@ -136,7 +136,7 @@ KINDS = (
         ("The person in front of the table holds {x}.",),
         ("Pick({x}); PlaceAt(hand of the person)",),
     ),
-    Kind(
+    TaskKind(
         "within_reach",
         _far,
         (
@@ -149,7 +149,7 @@ KINDS = (
         ("{x} {x:is} within reach at the front edge.",),
         ("Pick({x}); PlaceAt(front edge)",),
     ),
-    Kind(
+    TaskKind(
         "corner",
         _corners,
         (
@@ -162,7 +162,7 @@ KINDS = (
         ("{x} {x:is} in the {corner} corner.",),
         ("Pick({x}); PlaceAt({corner})",),
     ),
-    Kind(
+    TaskKind(
         "centre",
         _centres,
         (
@@ -174,7 +174,7 @@ KINDS = (
         ("{x} {x:is} in the middle of the table.",),
         ("Pick({x}); PlaceAt(middle)",),
     ),
-    Kind(
+    TaskKind(
         "part",
         _parts,
         (
@@ -186,7 +186,7 @@ KINDS = (
         ("{x} {x:is} at the {part} of the table.",),
         ("Pick({x}); PlaceAt({part})",),
     ),
-    Kind(
+    TaskKind(
         "away_from_edge",
         _at_edges,
         (
@@ -198,7 +198,7 @@ KINDS = (
         ("{x} {x:is} well away from the {edge} edge.",),
         ("Push({x}, {inwards}, 8)",),
     ),
-    Kind(
+    TaskKind(
         "push",
         _pushes,
         (
@@ -211,7 +211,7 @@ KINDS = (
         ("{x} {x:is} {cm} cm farther {towards} than before.",),
         ("Push({x}, {direction}, {cm})",),
     ),
-    Kind(
+    TaskKind(
         "turn_to_front",
         _turned_away,
         (
@@ -223,7 +223,7 @@ KINDS = (
         ("{x} face{x:s} the front edge.",),
         ("Pick({x}); PlaceAt(same place, facing front)",),
     ),
-    Kind(
+    TaskKind(
         "turn_to",
         _turned_from,
         (
@@ -235,7 +235,7 @@ KINDS = (
         ("{x} face{x:s} {y}.",),
         ("Pick({x}); PlaceAt(same place, facing {y})",),
     ),
-    Kind(
+    TaskKind(
         "stand_up",
         _fallen,
         (

@@ -5,10 +5,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stable_data.instructions.kind import Kind, Roles
+from stable_data.instructions.kind import Roles, TaskKind
 from stable_data.instructions.naming import relation_held
 from stable_data.instructions.picking import DIRECTION
-from stable_data.instructions.situation import OPPOSITE, SIDES, Situation
+from stable_data.instructions.situation import OPPOSITE, SIDES, TaskContext
 from stable_data.scene import RelationKind
 
 _FAR = 0.12  # what is put next to a thing was at least this far from it, metres
@@ -23,14 +23,14 @@ _WORDS = {
 }
 
 
-def _sides(s: Situation) -> Iterator[Roles]:
+def _sides(s: TaskContext) -> Iterator[Roles]:
     for x, y in s.pairs(s.loose, s.standing):
         for side in s.mixed(SIDES):
             if not s.is_beyond(x, y, side) and s.has_room(x, y, side):
                 yield {"x": x, "y": y, "side": _WORDS[side], "at": str(side)}
 
 
-def _near_sides(s: Situation) -> Iterator[Roles]:
+def _near_sides(s: TaskContext) -> Iterator[Roles]:
     """The same close by, wherever the object was before, as long as it was not there."""
     for x, y in s.pairs(s.loose, s.standing):
         for side in s.mixed(SIDES):
@@ -38,20 +38,20 @@ def _near_sides(s: Situation) -> Iterator[Roles]:
                 yield {"x": x, "y": y, "side": _WORDS[side], "at": str(side)}
 
 
-def _nexts(s: Situation) -> Iterator[Roles]:
+def _nexts(s: TaskContext) -> Iterator[Roles]:
     for x, y in s.pairs(s.loose, s.standing):
         if s.gap(x, y) > _FAR and any(s.has_room(x, y, side) for side in SIDES):
             yield {"x": x, "y": y}
 
 
-def _betweens(s: Situation) -> Iterator[Roles]:
+def _betweens(s: TaskContext) -> Iterator[Roles]:
     standing = s.mixed(s.standing)
     for (y, z), x in itertools.islice(itertools.product(itertools.combinations(standing, 2), s.mixed(s.loose)), 600):
         if x not in (y, z) and _has_gap_for(s, x, y, z):
             yield {"x": x, "y": y, "z": z}
 
 
-def _has_gap_for(s: Situation, x: str, y: str, z: str) -> bool:
+def _has_gap_for(s: TaskContext, x: str, y: str, z: str) -> bool:
     """Can one be put into the middle between two others that stand side by side, and is it not there yet?"""
     one, other = (np.array(s.objects[n].position[:2]) for n in (y, z))
     gap = s.gap(y, z)
@@ -63,18 +63,18 @@ def _has_gap_for(s: Situation, x: str, y: str, z: str) -> bool:
     return s.is_free(s.box(x, (float(middle[0]), float(middle[1]))), (x,), clearance=0.005)
 
 
-def _swaps(s: Situation) -> Iterator[Roles]:
+def _swaps(s: TaskContext) -> Iterator[Roles]:
     for x, y in s.pairs(s.loose, s.loose):
         at_x, at_y = (s.objects[n].position[:2] for n in (x, y))
         if s.gap(x, y) > 0.02 and s.is_free(s.box(x, at_y), (x, y), 0.0) and s.is_free(s.box(y, at_x), (x, y), 0.0):
             yield {"x": x, "y": y}
 
 
-def _too_close(s: Situation) -> Iterator[Roles]:
+def _too_close(s: TaskContext) -> Iterator[Roles]:
     return ({"x": x, "y": y} for x, y in s.pairs(s.loose, s.standing) if s.gap(x, y) < _CLOSE)
 
 
-def _in_the_way(s: Situation) -> Iterator[Roles]:
+def _in_the_way(s: TaskContext) -> Iterator[Roles]:
     """What stands close in front of something, where nothing else does."""
     for y in s.mixed(s.standing):
         before = [n for n in s.standing if n != y and s.is_beside(n, y, RelationKind.IN_FRONT_OF, 0.2)]
@@ -85,7 +85,7 @@ def _in_the_way(s: Situation) -> Iterator[Roles]:
                     yield {"x": before[0], "y": y, "direction": DIRECTION[side], "cm": str(cm)}
 
 
-def _crossings(s: Situation) -> Iterator[Roles]:
+def _crossings(s: TaskContext) -> Iterator[Roles]:
     """What stands close on one side of something and has room on the other."""
     for x, y in s.pairs(s.loose, s.standing):
         for side in SIDES:
@@ -96,7 +96,7 @@ def _crossings(s: Situation) -> Iterator[Roles]:
 
 
 KINDS = (
-    Kind(
+    TaskKind(
         "side_of",
         _sides,
         (
@@ -110,7 +110,7 @@ KINDS = (
         ("{x} {x:is} {side} {y}.",),
         ("Pick({x}); PlaceAt({at} {y})",),
     ),
-    Kind(
+    TaskKind(
         "close_to_side",
         _near_sides,
         (
@@ -121,7 +121,7 @@ KINDS = (
         ("{x} {x:is} {side} {y}, close to {y:it}.",),
         ("Pick({x}); PlaceAt({at} {y})",),
     ),
-    Kind(
+    TaskKind(
         "next_to",
         _nexts,
         (
@@ -134,7 +134,7 @@ KINDS = (
         ("{x} {x:is} next to {y}.",),
         ("Pick({x}); PlaceAt(next to {y})",),
     ),
-    Kind(
+    TaskKind(
         "between",
         _betweens,
         (
@@ -147,7 +147,7 @@ KINDS = (
         ("{x} {x:is} between {y} and {z}.",),
         ("Pick({x}); PlaceAt(between {y} and {z})",),
     ),
-    Kind(
+    TaskKind(
         "swap",
         _swaps,
         (
@@ -160,7 +160,7 @@ KINDS = (
         ("{x} {x:is} where {y} {y:was}.", "{y} {y:is} where {x} {x:was}."),
         ("Pick({x}); PlaceAt(free spot); Pick({y}); PlaceAt(former {x}); Pick({x}); PlaceAt(former {y})",),
     ),
-    Kind(
+    TaskKind(
         "away_from",
         _too_close,
         (
@@ -173,7 +173,7 @@ KINDS = (
         ("Pick({x}); PlaceAt(away from {y})",),
         theme="room",
     ),
-    Kind(
+    TaskKind(
         "make_room",
         _in_the_way,
         (
@@ -187,7 +187,7 @@ KINDS = (
         (("x", RelationKind.IN_FRONT_OF, "y"),),
         theme="room",
     ),
-    Kind(
+    TaskKind(
         "cross_over",
         _crossings,
         (

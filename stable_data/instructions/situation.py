@@ -40,7 +40,7 @@ _CLEARANCE = 0.015  # between a thing put down and the others, metres
 _MOST_PAIRS = 64  # looked at for one kind of task
 
 
-class Situation:
+class TaskContext:
     """A scene, its graph and the draws.
 
     Args:

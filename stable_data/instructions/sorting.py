@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from stable_data.instructions.kind import Kind, Roles
-from stable_data.instructions.situation import SIDES, Situation
+from stable_data.instructions.kind import Roles, TaskKind
+from stable_data.instructions.situation import SIDES, TaskContext
 from stable_data.scene import FloatArray, RelationKind
 
 _CLEARLY = 1.2  # sizes differ by at least this factor to be put in order
@@ -16,44 +16,44 @@ _UNEVEN = 0.25  # a row is uneven if its steps differ by this share of their mea
 LEFT, RIGHT = RelationKind.LEFT_OF, RelationKind.RIGHT_OF
 
 
-def _places(s: Situation, xs: Sequence[str]) -> FloatArray:
+def _places(s: TaskContext, xs: Sequence[str]) -> FloatArray:
     return np.array([s.objects[n].position[:2] for n in xs])
 
 
-def _is_row(s: Situation, xs: Sequence[str]) -> bool:
+def _is_row(s: TaskContext, xs: Sequence[str]) -> bool:
     """Do things stand in one row already, along either side of the table?"""
     spread = np.ptp(_places(s, xs), axis=0)
     return bool(spread.min() < 0.03)
 
 
-def _goes_into_a_row(s: Situation, xs: Sequence[str]) -> bool:
+def _goes_into_a_row(s: TaskContext, xs: Sequence[str]) -> bool:
     """Is the table wide enough for a row of them?"""
     return sum(max(s.objects[n].size[:2]) + 0.04 for n in xs) < s.scene.table.size_xy[0]
 
 
-def _threes(s: Situation) -> Iterator[tuple[str, ...]]:
+def _threes(s: TaskContext) -> Iterator[tuple[str, ...]]:
     for _ in range(6):
         xs = tuple(s.mixed(s.loose)[:3])
         if len(xs) == 3 and _goes_into_a_row(s, xs):
             yield xs
 
 
-def _line_ups(s: Situation) -> Iterator[Roles]:
+def _line_ups(s: TaskContext) -> Iterator[Roles]:
     return ({"xs": xs} for xs in _threes(s) if not _is_row(s, xs))
 
 
-def _kinds(s: Situation, least: int) -> Iterator[tuple[str, ...]]:
+def _kinds(s: TaskContext, least: int) -> Iterator[tuple[str, ...]]:
     """All objects of a category, all of them loose."""
     for xs in s.mixed(s.kinds(s.every_loose)):
         if least <= len(xs) <= 8 and s.is_every(xs):
             yield tuple(xs)
 
 
-def _line_up_kinds(s: Situation) -> Iterator[Roles]:
+def _line_up_kinds(s: TaskContext) -> Iterator[Roles]:
     return ({"xs": xs} for xs in _kinds(s, 3) if not _is_row(s, xs) and _goes_into_a_row(s, xs))
 
 
-def _by_size(s: Situation) -> Iterator[Roles]:
+def _by_size(s: TaskContext) -> Iterator[Roles]:
     for xs in _threes(s):
         volume = [float(np.prod(s.objects[n].size)) for n in xs]
         ordered = sorted(volume)
@@ -64,7 +64,7 @@ def _by_size(s: Situation) -> Iterator[Roles]:
             yield {"xs": xs}
 
 
-def _by_height(s: Situation) -> Iterator[Roles]:
+def _by_height(s: TaskContext) -> Iterator[Roles]:
     for xs in _threes(s):
         ordered = sorted(xs, key=lambda n: s.objects[n].size[2])
         clear = all(s.objects[b].size[2] > _CLEARLY * s.objects[a].size[2] for a, b in itertools.pairwise(ordered))
@@ -73,7 +73,7 @@ def _by_height(s: Situation) -> Iterator[Roles]:
             yield {"xs": xs}
 
 
-def _crowded(s: Situation) -> Iterator[Roles]:
+def _crowded(s: TaskContext) -> Iterator[Roles]:
     """Three or four things, the outer two of which leave room for even steps."""
     for count in s.mixed((3, 4)):
         for _ in range(4):
@@ -85,23 +85,23 @@ def _crowded(s: Situation) -> Iterator[Roles]:
                 yield {"xs": tuple(xs)}
 
 
-def _scattered(s: Situation) -> Iterator[Roles]:
+def _scattered(s: TaskContext) -> Iterator[Roles]:
     for xs in _kinds(s, 2):
         if max(s.gap(a, b) for a, b in itertools.combinations(xs, 2)) > _SCATTERED:
             yield {"xs": xs}
 
 
-def _two_kinds(s: Situation) -> Iterator[tuple[tuple[str, ...], tuple[str, ...]]]:
+def _two_kinds(s: TaskContext) -> Iterator[tuple[tuple[str, ...], tuple[str, ...]]]:
     yield from itertools.permutations(itertools.islice(_kinds(s, 2), 6), 2)
 
 
-def _two_rows(s: Situation) -> Iterator[Roles]:
+def _two_rows(s: TaskContext) -> Iterator[Roles]:
     for xs, zs in _two_kinds(s):
         if not (_is_row(s, xs) and _is_row(s, zs)) and _goes_into_a_row(s, xs) and _goes_into_a_row(s, zs):
             yield {"xs": xs, "zs": zs}
 
 
-def _two_sides(s: Situation) -> Iterator[Roles]:
+def _two_sides(s: TaskContext) -> Iterator[Roles]:
     """Two kinds of things, some of which are on the wrong half of the table."""
     half = s.scene.table.size_xy[0] / 2
     for xs, zs in _two_kinds(s):
@@ -110,14 +110,14 @@ def _two_sides(s: Situation) -> Iterator[Roles]:
             yield {"xs": xs, "zs": zs}
 
 
-def _two_containers(s: Situation) -> Iterator[Roles]:
+def _two_containers(s: TaskContext) -> Iterator[Roles]:
     for xs, zs in _two_kinds(s):
         for y, w in itertools.permutations(s.mixed(s.containers)[:4], 2):
             if s.all_fit(xs, y) and s.all_fit(zs, w) and not {y, w} & {*xs, *zs}:
                 yield {"xs": xs, "zs": zs, "y": y, "w": w}
 
 
-def _pairs_to_side(s: Situation) -> Iterator[Roles]:
+def _pairs_to_side(s: TaskContext) -> Iterator[Roles]:
     """Two things that stand on different halves of the table, both to one side."""
     half = s.scene.table.size_xy[0] / 2
     for x, z in s.pairs(s.loose, s.loose):
@@ -130,7 +130,7 @@ def _pairs_to_side(s: Situation) -> Iterator[Roles]:
 
 
 KINDS = (
-    Kind(
+    TaskKind(
         "line_up",
         _line_ups,
         (
@@ -143,7 +143,7 @@ KINDS = (
         ("{xs} stand in one row.",),
         ("Pick({xs}); PlaceAt(row)",),
     ),
-    Kind(
+    TaskKind(
         "line_up_kind",
         _line_up_kinds,
         (
@@ -156,7 +156,7 @@ KINDS = (
         ("Pick({xs}); PlaceAt(row)",),
         theme="tidy",
     ),
-    Kind(
+    TaskKind(
         "order_by_size",
         _by_size,
         (
@@ -168,7 +168,7 @@ KINDS = (
         ("{xs} stand in one row, the smallest on the left.",),
         ("Pick({xs}); PlaceAt(row)",),
     ),
-    Kind(
+    TaskKind(
         "order_by_height",
         _by_height,
         (
@@ -179,7 +179,7 @@ KINDS = (
         ("{xs} stand in one row, the tallest on the right.",),
         ("Pick({xs}); PlaceAt(row)",),
     ),
-    Kind(
+    TaskKind(
         "space_out",
         _crowded,
         (
@@ -192,7 +192,7 @@ KINDS = (
         ("Pick({xs}); PlaceAt(evenly spaced)",),
         theme="tidy",
     ),
-    Kind(
+    TaskKind(
         "group",
         _scattered,
         (
@@ -206,7 +206,7 @@ KINDS = (
         ("Pick({xs}); PlaceAt(one place)",),
         theme="tidy",
     ),
-    Kind(
+    TaskKind(
         "sort_into_rows",
         _two_rows,
         (
@@ -219,7 +219,7 @@ KINDS = (
         ("Pick({xs}); PlaceAt(first row)", "Pick({zs}); PlaceAt(second row)"),
         theme="tidy",
     ),
-    Kind(
+    TaskKind(
         "sort_to_sides",
         _two_sides,
         (
@@ -231,7 +231,7 @@ KINDS = (
         ("Pick({xs}); PlaceAt(left)", "Pick({zs}); PlaceAt(right)"),
         theme="tidy",
     ),
-    Kind(
+    TaskKind(
         "sort_into_containers",
         _two_containers,
         (
@@ -243,7 +243,7 @@ KINDS = (
         ("Pick({xs}); PlaceOn({y})", "Pick({zs}); PlaceOn({w})"),
         theme="tidy",
     ),
-    Kind(
+    TaskKind(
         "both_to_side",
         _pairs_to_side,
         (

@@ -3,19 +3,19 @@
 import itertools
 from collections.abc import Iterator
 
-from stable_data.instructions.kind import MOST_LISTED, Kind, Roles
-from stable_data.instructions.situation import Situation
+from stable_data.instructions.kind import MOST_LISTED, Roles, TaskKind
+from stable_data.instructions.situation import TaskContext
 from stable_data.instructions.vocabulary import classes_of
 from stable_data.scene import RelationKind
 
 ON = RelationKind.ON
 
 
-def _put_ons(s: Situation) -> Iterator[Roles]:
+def _put_ons(s: TaskContext) -> Iterator[Roles]:
     return ({"x": x, "y": y} for y, x in s.pairs(s.standing, s.loose) if s.can_carry(x, y))
 
 
-def _can_stack(s: Situation, x: str, y: str) -> bool:
+def _can_stack(s: TaskContext, x: str, y: str) -> bool:
     """Do two things of a kind make a stack?"""
     a, b = s.objects[x], s.objects[y]
     common = classes_of(a.category) & classes_of(b.category)
@@ -24,11 +24,11 @@ def _can_stack(s: Situation, x: str, y: str) -> bool:
     return "stackable" in common and bool(alike) and fits and a.tilt_angle < 0.1 > b.tilt_angle
 
 
-def _stacks(s: Situation) -> Iterator[Roles]:
+def _stacks(s: TaskContext) -> Iterator[Roles]:
     return ({"x": x, "y": y} for x, y in s.pairs(s.loose, s.loose) if _can_stack(s, x, y))
 
 
-def _piles(s: Situation) -> Iterator[Roles]:
+def _piles(s: TaskContext) -> Iterator[Roles]:
     """Three or four things of a kind, the largest first."""
     loose = s.of("stackable", s.loose)
     for seed in s.mixed(loose):
@@ -38,17 +38,17 @@ def _piles(s: Situation) -> Iterator[Roles]:
             yield {"x": like[0], "xs": tuple(like[1:])}
 
 
-def _take_offs(s: Situation) -> Iterator[Roles]:
+def _take_offs(s: TaskContext) -> Iterator[Roles]:
     return ({"x": x, "y": y} for x, y in s.linked(ON))
 
 
-def _restacks(s: Situation) -> Iterator[Roles]:
+def _restacks(s: TaskContext) -> Iterator[Roles]:
     for (x, y), z in itertools.product(s.linked(ON), s.mixed(s.standing)):
         if z != y and s.can_carry(x, z):
             yield {"x": x, "y": y, "z": z}
 
 
-def _turned_over(s: Situation) -> Iterator[Roles]:
+def _turned_over(s: TaskContext) -> Iterator[Roles]:
     """Two things, one on the other, that can as well stand the other way round."""
     for x, y in s.linked(ON):
         base = s.objects[y]
@@ -56,34 +56,34 @@ def _turned_over(s: Situation) -> Iterator[Roles]:
             yield {"x": x, "y": y}
 
 
-def _cleared(s: Situation) -> Iterator[Roles]:
+def _cleared(s: TaskContext) -> Iterator[Roles]:
     for y in s.mixed(n for n in s.objects if n in s.steady & s.named and n in s.load):
         xs = s.parts(y, ON)
         if 2 <= len(xs) <= MOST_LISTED and set(xs) <= set(s.free):
             yield {"y": y, "xs": tuple(xs)}
 
 
-def _cleared_at_once(s: Situation) -> Iterator[Roles]:
+def _cleared_at_once(s: TaskContext) -> Iterator[Roles]:
     for y in s.mixed(n for n in s.objects if n in s.steady & s.named and n in s.load):
         xs = s.parts(y, ON)
         if xs and set(xs) <= set(s.free) and not s.parts(y, RelationKind.IN):
             yield {"y": y, "xs": tuple(xs)}
 
 
-def _replaced(s: Situation) -> Iterator[Roles]:
+def _replaced(s: TaskContext) -> Iterator[Roles]:
     for (x, y), z in itertools.product(s.linked(ON), s.mixed(s.loose)):
         if s.load[y] == [x] and z != y and s.can_carry(z, y, besides=x):
             yield {"x": x, "y": y, "z": z}
 
 
-def _lids(s: Situation) -> Iterator[Roles]:
+def _lids(s: TaskContext) -> Iterator[Roles]:
     for x, y in s.pairs(s.of("lid", s.free), s.of("pot", s.standing)):
         lid, pot = s.objects[x], s.objects[y]
         if 0.8 * min(pot.size[:2]) <= max(lid.size[:2]) <= 1.4 * max(pot.size[:2]) and y not in s.load:
             yield {"x": x, "y": y}
 
 
-def _freed(s: Situation) -> Iterator[Roles]:
+def _freed(s: TaskContext) -> Iterator[Roles]:
     """What is under one thing alone and can be picked up once that is gone."""
     for x, y in s.linked(ON):
         size = s.objects[y].size
@@ -92,7 +92,7 @@ def _freed(s: Situation) -> Iterator[Roles]:
 
 
 KINDS = (
-    Kind(
+    TaskKind(
         "put_on",
         _put_ons,
         (
@@ -105,7 +105,7 @@ KINDS = (
         ("{x} {x:is} on {y}.",),
         ("Pick({x}); PlaceOn({y})",),
     ),
-    Kind(
+    TaskKind(
         "stack",
         _stacks,
         (
@@ -118,7 +118,7 @@ KINDS = (
         ("Pick({x}); PlaceOn({y})",),
         theme="tidy",
     ),
-    Kind(
+    TaskKind(
         "pile_up",
         _piles,
         (
@@ -131,7 +131,7 @@ KINDS = (
         ("Pick({xs}); PlaceOn({x})",),
         theme="tidy",
     ),
-    Kind(
+    TaskKind(
         "take_off",
         _take_offs,
         (
@@ -145,7 +145,7 @@ KINDS = (
         ("Pick({x}); PlaceAt(Table)",),
         (("x", None, "y"),),
     ),
-    Kind(
+    TaskKind(
         "restack",
         _restacks,
         (
@@ -158,7 +158,7 @@ KINDS = (
         ("Pick({x}); PlaceOn({z})",),
         (("x", None, "y"),),
     ),
-    Kind(
+    TaskKind(
         "reverse_stack",
         _turned_over,
         (
@@ -170,7 +170,7 @@ KINDS = (
         ("Pick({x}); PlaceAt(Table); Pick({y}); PlaceOn({x})",),
         (("x", None, "y"),),
     ),
-    Kind(
+    TaskKind(
         "clear_off",
         _cleared,
         (
@@ -184,7 +184,7 @@ KINDS = (
         (("xs", None, "y"),),
         theme="tidy",
     ),
-    Kind(
+    TaskKind(
         "clear_off_all",
         _cleared_at_once,
         (
@@ -197,7 +197,7 @@ KINDS = (
         ("Pick({xs}); PlaceAt(Table)",),
         (("xs", None, "y"),),
     ),
-    Kind(
+    TaskKind(
         "replace_on",
         _replaced,
         (
@@ -210,7 +210,7 @@ KINDS = (
         ("Pick({x}); PlaceAt(Table); Pick({z}); PlaceOn({y})",),
         (("x", None, "y"),),
     ),
-    Kind(
+    TaskKind(
         "cover",
         _lids,
         (
@@ -223,7 +223,7 @@ KINDS = (
         ("Pick({x}); PlaceOn({y})",),
         theme="cook",
     ),
-    Kind(
+    TaskKind(
         "uncover_and_hand_over",
         _freed,
         (

@@ -3,17 +3,17 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from stable_data.instructions.kind import Kind, Told
-from stable_data.instructions.naming import Namer
+from stable_data.instructions.kind import TaskDraft, TaskKind
+from stable_data.instructions.naming import ObjectNamer
 from stable_data.instructions.paraphrase import is_clause, reword
-from stable_data.instructions.situation import Situation
+from stable_data.instructions.situation import TaskContext
 from stable_data.instructions.vocabulary import answers_to
 
 _MOST_TRIED = 24  # kinds of task that a step may be sought among
 
 
 @dataclass(frozen=True, slots=True)
-class Steps:
+class MultiStepKind:
     """A kind of task that joins others.
 
     Attributes:
@@ -24,13 +24,13 @@ class Steps:
     """
 
     name: str
-    kinds: Sequence[Kind]
+    kinds: Sequence[TaskKind]
     texts: tuple[str, ...]
     order: tuple[int, ...]
 
-    def tell(self, situation: Situation, namer: Namer) -> Told | None:
+    def tell(self, situation: TaskContext, namer: ObjectNamer) -> TaskDraft | None:
         """A task of so many steps, or None where the scene has none."""
-        told: list[Told] = []
+        told: list[TaskDraft] = []
         for kind in situation.mixed(self.kinds)[:_MOST_TRIED]:
             step = kind.tell(situation, namer)
             if step is not None and is_clause(step.text) and all(_are_apart(step, other, namer) for other in told):
@@ -39,10 +39,10 @@ class Steps:
                 return self._joined(told, situation)
         return None
 
-    def _joined(self, told: Sequence[Told], situation: Situation) -> Told:
+    def _joined(self, told: Sequence[TaskDraft], situation: TaskContext) -> TaskDraft:
         text = reword(situation.pick(self.texts), situation.rng)
         done = [told[k] for k in self.order]
-        return Told(
+        return TaskDraft(
             text.format_map({letter: step.text for letter, step in zip("abc", told, strict=False)}),
             tuple(goal for step in done for goal in step.goal),
             tuple(action for step in done for action in step.actions),
@@ -52,20 +52,20 @@ class Steps:
         )
 
 
-def _are_apart(one: Told, other: Told, namer: Namer) -> bool:
+def _are_apart(one: TaskDraft, other: TaskDraft, namer: ObjectNamer) -> bool:
     """Does neither step speak of what the other moves, or of a thing that the other's words could mean?"""
     pairs = ((a, noun) for step, rest in ((one, other), (other, one)) for a in step.objects for noun in rest.nouns)
     return not any(answers_to(namer.objects[a].category, noun) for a, noun in pairs)
 
 
-def steps_of(kinds: Sequence[Kind]) -> tuple[Steps, ...]:
+def steps_of(kinds: Sequence[TaskKind]) -> tuple[MultiStepKind, ...]:
     """The kinds of task that join others.
 
     Args:
         kinds: What may be joined.
     """
     return (
-        Steps(
+        MultiStepKind(
             "two_steps",
             kinds,
             (
@@ -77,7 +77,7 @@ def steps_of(kinds: Sequence[Kind]) -> tuple[Steps, ...]:
             ),
             (0, 1),
         ),
-        Steps(
+        MultiStepKind(
             "before",
             kinds,
             (
@@ -87,7 +87,7 @@ def steps_of(kinds: Sequence[Kind]) -> tuple[Steps, ...]:
             ),
             (1, 0),
         ),
-        Steps(
+        MultiStepKind(
             "three_steps",
             kinds,
             (

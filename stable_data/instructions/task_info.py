@@ -19,8 +19,8 @@ import numpy as np
 from stable_data.atomic_files import put_file
 from stable_data.errors import Notice, SceneError, unwritable
 from stable_data.instructions import derive_task, task_rng, type_name, type_words
-from stable_data.instructions.claims import OUTERMOST, Claim, emptied, mark, read_claims
-from stable_data.instructions.naming import Mention, Namer, involved, mentions
+from stable_data.instructions.claims import OUTERMOST, StatedRelation, emptied, mark, read_claims
+from stable_data.instructions.naming import ObjectMention, ObjectNamer, involved, mentions
 from stable_data.instructions.situation import OPPOSITE
 from stable_data.instructions.words import singular
 from stable_data.json_text import are_finite, is_unicode, numbers, shown
@@ -132,7 +132,7 @@ def resolve_task_objects(task: TaskInfo, scene: Scene, graph: SceneGraph) -> tup
     if task.task_objects:
         absent = sorted(set(task.task_objects) - {o.instance for o in scene.objects})
         return task, tuple(_notice(scene, "task_object_missing", f"no object is called {name}") for name in absent)
-    said = mentions(task.task, Namer(scene, graph))
+    said = mentions(task.task, ObjectNamer(scene, graph))
     types = _types_of(task, scene, said)
     found = {k: [o.instance for o in _instances_of(scene, name)] for k, name in enumerate(types)}
     notices = [_notice(scene, "task_object_missing", f"no object is a {types[k]}") for k, names in found.items() if not names]
@@ -176,7 +176,7 @@ def _pin(found: dict[int, list[str]], wanted: dict[int, int], pins: Sequence[str
         found[len(found)] = [name]
 
 
-def _types_of(task: TaskInfo, scene: Scene, said: Sequence[Mention]) -> list[str]:
+def _types_of(task: TaskInfo, scene: Scene, said: Sequence[ObjectMention]) -> list[str]:
     """Types of the task objects, each once."""
     arguments = re.findall(r"\b(?!PlaceAt)\w+\(\s*([^,()]+)", " ".join(task.action_sequence))
     named = [*task.objects_cluster, *(a for a in arguments if _instances_of(scene, a))]
@@ -195,7 +195,7 @@ def _settle(
     graph: SceneGraph,
     task: TaskInfo,
     types: Sequence[str],
-    claims: Sequence[Claim],
+    claims: Sequence[StatedRelation],
     found: dict[int, list[str]],
     wanted: Mapping[int, int],
 ) -> list[Notice]:
@@ -219,7 +219,7 @@ def _settle(
     return notices
 
 
-def _keep_agreeing(scene: Scene, graph: SceneGraph, claims: Sequence[Claim], found: dict[int, list[str]]) -> None:
+def _keep_agreeing(scene: Scene, graph: SceneGraph, claims: Sequence[StatedRelation], found: dict[int, list[str]]) -> None:
     for c in claims:
         pairs = [(a, b) for a in found[c.a] for b in found[c.b] if a != b and _holds(scene, graph, a, c.kind, b)]
         if pairs:
@@ -254,7 +254,7 @@ def _holds(scene: Scene, graph: SceneGraph, a: str, kind: RelationKind | None, b
     return any(graph.has_edge(a, b, key=k) for k in (RelationKind.IN, RelationKind.ON) if kind in (k, None))
 
 
-def _relations_said(graph: SceneGraph, claim: Claim, found: Mapping[int, list[str]]) -> Iterator[Relation]:
+def _relations_said(graph: SceneGraph, claim: StatedRelation, found: Mapping[int, list[str]]) -> Iterator[Relation]:
     if len(found[claim.b]) != 1:
         return
     b = found[claim.b][0]

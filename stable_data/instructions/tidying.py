@@ -3,8 +3,8 @@
 import itertools
 from collections.abc import Callable, Iterator
 
-from stable_data.instructions.kind import MOST_LISTED, Kind, Roles
-from stable_data.instructions.situation import Situation
+from stable_data.instructions.kind import MOST_LISTED, Roles, TaskKind
+from stable_data.instructions.situation import TaskContext
 
 _BELONGS_IN = (
     ("writing", "writing_place"),
@@ -16,14 +16,14 @@ _BELONGS_IN = (
 _BELONGS_ON = (("soap", "soap_place"), ("cup", "saucer"))
 
 
-def _belongings_in(s: Situation) -> Iterator[Roles]:
+def _belongings_in(s: TaskContext) -> Iterator[Roles]:
     for thing, place in s.mixed(_BELONGS_IN):
         for x, y in s.pairs(s.of(thing, s.loose), s.of(place, s.containers)):
             if s.fits(x, y):
                 yield {"x": x, "y": y}
 
 
-def _belongings_on(s: Situation) -> Iterator[Roles]:
+def _belongings_on(s: TaskContext) -> Iterator[Roles]:
     for thing, place in s.mixed(_BELONGS_ON):
         for x, y in s.pairs(s.of(thing, s.loose), s.of(place, s.standing)):
             item, base = s.objects[x].size, s.objects[y].size
@@ -31,10 +31,10 @@ def _belongings_on(s: Situation) -> Iterator[Roles]:
                 yield {"x": x, "y": y}
 
 
-def _all_into(thing: str, place: str, least: int = 2) -> Callable[[Situation], Iterator[Roles]]:
+def _all_into(thing: str, place: str, least: int = 2) -> Callable[[TaskContext], Iterator[Roles]]:
     """Everything of a class that the scene has, into one container; none of it is in or on anything yet."""
 
-    def find(s: Situation) -> Iterator[Roles]:
+    def find(s: TaskContext) -> Iterator[Roles]:
         every = s.all_of(thing)
         if len(every) < least or not set(every) <= set(s.every_loose):
             return
@@ -45,10 +45,10 @@ def _all_into(thing: str, place: str, least: int = 2) -> Callable[[Situation], I
     return find
 
 
-def _some_into(thing: str, place: str) -> Callable[[Situation], Iterator[Roles]]:
+def _some_into(thing: str, place: str) -> Callable[[TaskContext], Iterator[Roles]]:
     """Some things of a class, named one by one."""
 
-    def find(s: Situation) -> Iterator[Roles]:
+    def find(s: TaskContext) -> Iterator[Roles]:
         for y, count in itertools.product(s.mixed(s.of(place, s.containers)), (3, 2)):
             xs = tuple(s.mixed(n for n in s.of(thing, s.loose) if s.fits(n, y))[:count])
             if len(xs) == count and s.all_fit(xs, y):
@@ -57,7 +57,7 @@ def _some_into(thing: str, place: str) -> Callable[[Situation], Iterator[Roles]]
     return find
 
 
-def _books(s: Situation) -> Iterator[Roles]:
+def _books(s: TaskContext) -> Iterator[Roles]:
     """All books, none on another one yet, flat on the table."""
     books = s.all_of("book")
     flat = all(n in s.every_loose and s.objects[n].size[2] < 0.5 * min(s.objects[n].size[:2]) for n in books)
@@ -65,7 +65,7 @@ def _books(s: Situation) -> Iterator[Roles]:
         yield {"xs": tuple(sorted(books, key=lambda n: (-s.objects[n].size[0] * s.objects[n].size[1], n)))}
 
 
-def _clutter(s: Situation) -> Iterator[Roles]:
+def _clutter(s: TaskContext) -> Iterator[Roles]:
     """All that is in the middle of the front edge, where the work is done."""
     here = [n for n in s.objects if s.graph.nodes[n]["cell"] == "front_middle"]
     if 2 <= len(here) <= MOST_LISTED and set(here) <= set(s.loose):
@@ -73,7 +73,7 @@ def _clutter(s: Situation) -> Iterator[Roles]:
 
 
 KINDS = (
-    Kind(
+    TaskKind(
         "belongs_in",
         _belongings_in,
         (
@@ -87,7 +87,7 @@ KINDS = (
         ("Pick({x}); PlaceOn({y})",),
         theme="tidy",
     ),
-    Kind(
+    TaskKind(
         "belongs_on",
         _belongings_on,
         (
@@ -99,7 +99,7 @@ KINDS = (
         ("Pick({x}); PlaceOn({y})",),
         theme="tidy",
     ),
-    Kind(
+    TaskKind(
         "pens",
         _all_into("writing", "writing_place"),
         (
@@ -111,7 +111,7 @@ KINDS = (
         ("Pick({xs}); PlaceOn({y})",),
         theme="done",
     ),
-    Kind(
+    TaskKind(
         "fruit",
         _all_into("fruit", "fruit_place"),
         (
@@ -124,7 +124,7 @@ KINDS = (
         ("Pick({xs}); PlaceOn({y})",),
         theme="tidy",
     ),
-    Kind(
+    TaskKind(
         "fruit_by_name",
         _some_into("fruit", "fruit_place"),
         (
@@ -136,7 +136,7 @@ KINDS = (
         ("Pick({xs}); PlaceOn({y})",),
         theme="meal",
     ),
-    Kind(
+    TaskKind(
         "toys",
         _all_into("toy", "toy_place"),
         (
@@ -148,7 +148,7 @@ KINDS = (
         ("Pick({xs}); PlaceOn({y})",),
         theme="tidy",
     ),
-    Kind(
+    TaskKind(
         "toys_by_name",
         _some_into("toy", "toy_place"),
         (
@@ -160,7 +160,7 @@ KINDS = (
         ("Pick({xs}); PlaceOn({y})",),
         theme="tidy",
     ),
-    Kind(
+    TaskKind(
         "cosmetics",
         _all_into("cosmetics", "cosmetics_place"),
         (
@@ -172,7 +172,7 @@ KINDS = (
         ("Pick({xs}); PlaceOn({y})",),
         theme="tidy",
     ),
-    Kind(
+    TaskKind(
         "books",
         _books,
         (
@@ -184,7 +184,7 @@ KINDS = (
         ("Pick({xs}); PlaceAt(stack)",),
         theme="done",
     ),
-    Kind(
+    TaskKind(
         "work_space",
         _clutter,
         (

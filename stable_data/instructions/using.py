@@ -2,44 +2,44 @@
 
 from collections.abc import Iterator
 
-from stable_data.instructions.kind import Kind, Roles
-from stable_data.instructions.situation import Situation
+from stable_data.instructions.kind import Roles, TaskKind
+from stable_data.instructions.situation import TaskContext
 from stable_data.instructions.vocabulary import classes_of, pressed_part
 
 _OPEN, _CLOSED = 0.3, 0.15  # height of an open and of a closed laptop, as shares of its longer side
 
 
-def _pressed(s: Situation) -> Iterator[Roles]:
+def _pressed(s: TaskContext) -> Iterator[Roles]:
     for x in s.mixed(n for n in s.standing if n not in s.load):
         part = pressed_part(s.objects[x].category)
         if part is not None:
             yield {"x": x, "part": part}
 
 
-def _switched(s: Situation) -> Iterator[Roles]:
+def _switched(s: TaskContext) -> Iterator[Roles]:
     return ({"x": x} for x in s.mixed(s.of("switched", s.standing)))
 
 
-def _dispensers(s: Situation) -> Iterator[Roles]:
+def _dispensers(s: TaskContext) -> Iterator[Roles]:
     return ({"x": x} for x in s.mixed(s.standing) if pressed_part(s.objects[x].category) == "the pump")
 
 
-def _share(s: Situation, x: str) -> float:
+def _share(s: TaskContext, x: str) -> float:
     size = s.objects[x].size
     return size[2] / max(size[:2])
 
 
-def _closed(s: Situation) -> Iterator[Roles]:
+def _closed(s: TaskContext) -> Iterator[Roles]:
     laptops = [n for n in s.of("laptop", s.standing) if _share(s, n) < _CLOSED]
     boxes = [n for n in s.of("hinged", s.standing) if not s.graph.nodes[n]["container"]]
     return ({"x": x} for x in s.mixed(n for n in [*laptops, *boxes] if n not in s.load))
 
 
-def _opened(s: Situation) -> Iterator[Roles]:
+def _opened(s: TaskContext) -> Iterator[Roles]:
     return ({"x": x} for x in s.mixed(s.of("laptop", s.standing)) if _share(s, x) > _OPEN and x not in s.load)
 
 
-def _cleared_and_opened(s: Situation) -> Iterator[Roles]:
+def _cleared_and_opened(s: TaskContext) -> Iterator[Roles]:
     """A closed laptop or box with one thing on it."""
     for x in s.mixed(s.of("laptop", s.standing) + s.of("hinged", s.standing)):
         on_it = s.load.get(x, [])
@@ -49,7 +49,7 @@ def _cleared_and_opened(s: Situation) -> Iterator[Roles]:
 
 
 KINDS = (
-    Kind(
+    TaskKind(
         "press",
         _pressed,
         (
@@ -61,7 +61,7 @@ KINDS = (
         ("{part} of {x} has been pressed.",),
         ("Press({x})",),
     ),
-    Kind(
+    TaskKind(
         "switch_on",
         _switched,
         (
@@ -74,7 +74,7 @@ KINDS = (
         ("Press({x})",),
         theme="work",
     ),
-    Kind(
+    TaskKind(
         "get_soap",
         _dispensers,
         (
@@ -85,7 +85,7 @@ KINDS = (
         ("The pump of {x} has been pressed.",),
         ("Press({x})",),
     ),
-    Kind(
+    TaskKind(
         "open",
         _closed,
         (
@@ -98,7 +98,7 @@ KINDS = (
         ("RevoluteJointOpen({x})",),
         theme="work",
     ),
-    Kind(
+    TaskKind(
         "close",
         _opened,
         (
@@ -111,7 +111,7 @@ KINDS = (
         ("RevoluteJointClose({x})",),
         theme="done",
     ),
-    Kind(
+    TaskKind(
         "clear_and_open",
         _cleared_and_opened,
         (

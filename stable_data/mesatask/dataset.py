@@ -6,7 +6,7 @@ from pathlib import Path
 
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.errors import ConfigError, Notice, SceneError
-from stable_data.json_text import Log, read_bounded
+from stable_data.json_text import ReadLog, read_bounded
 from stable_data.mesatask.entry import LayoutLimits
 from stable_data.mesatask.layout import LAYOUT_FILE, read_layout
 from stable_data.mesatask.library import AssetFolder
@@ -46,7 +46,7 @@ class MesaTaskDataset:
     def __init__(self, root: Path, limits: LayoutLimits | None = None) -> None:
         self.root = Path(root)
         self._limits = limits or LayoutLimits()
-        log = Log(self.root.name)
+        log = ReadLog(self.root.name)
         self._folders = _scene_folders(self.root, log)
         self.scene_ids: tuple[str, ...] = tuple(sorted(self._folders))
         self._assets = AssetFolder(self.root)
@@ -102,7 +102,7 @@ class MesaTaskDataset:
             SceneError: The scene cannot be used; ``code`` says why.
         """
         path = self.layout_path(scene_id)
-        log = Log(scene_id)
+        log = ReadLog(scene_id)
         data = read_bounded(path, self._limits.max_bytes, log)
         table_type = path.parent.parent.name
         scene, notices = read_layout(data, scene_id, table_type, annotations=self.annotations, limits=self._limits)
@@ -110,7 +110,7 @@ class MesaTaskDataset:
         scene = replace(scene, objects=objects, task=_task_beside(path, log))
         return scene, (*notices, *log.notices)
 
-    def _with_known_asset(self, scene_object: SceneObject, log: Log) -> SceneObject:
+    def _with_known_asset(self, scene_object: SceneObject, log: ReadLog) -> SceneObject:
         """The object, without its asset where nobody knows it."""
         uid, name = scene_object.asset_id, scene_object.instance
         if uid is None:
@@ -128,7 +128,7 @@ class MesaTaskDataset:
         return scene_object
 
 
-def _scene_folders(root: Path, log: Log) -> dict[str, Path]:
+def _scene_folders(root: Path, log: ReadLog) -> dict[str, Path]:
     """The folders of the scenes by id."""
     if not root.is_dir():
         raise ConfigError(f"{root} is not a folder; expected one in the MesaTask-10K format", "root_missing")
@@ -159,7 +159,7 @@ def _free_name(folder: Path, taken: Mapping[str, Path]) -> str:
     return folder.name if folder.name not in taken else f"{folder.parent.name}/{folder.name}"
 
 
-def _task_beside(layout_path: Path, log: Log) -> TaskInfo | None:
+def _task_beside(layout_path: Path, log: ReadLog) -> TaskInfo | None:
     """The task info beside a layout; a bad one is a notice, for the scene is good without it."""
     path = layout_path.with_name(TASK_INFO_FILE)
     if not path.exists():

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from stable_data.assets.annotation import AssetAnnotation, category_of
-from stable_data.json_text import Log, are_finite, number, numbers, shown
+from stable_data.json_text import ReadLog, are_finite, number, numbers, shown
 from stable_data.mesatask.library import is_inside, stem_of
 from stable_data.rotations import heading, is_upright, is_yaw_of, normalised, tilt_of, turned_extents
 from stable_data.scene import UPRIGHT, QuatXyzw, SceneObject, Vec3
@@ -37,7 +37,7 @@ class LayoutLimits:
 
 
 @dataclass(frozen=True, slots=True)
-class Border:
+class ReadContext:
     """What one layout's objects are read with.
 
     Attributes:
@@ -49,7 +49,7 @@ class Border:
         limits: What may be read.
     """
 
-    log: Log
+    log: ReadLog
     origin_cm: tuple[float, float]
     size_xy: tuple[float, float]
     is_reply: bool = False
@@ -57,7 +57,7 @@ class Border:
     limits: LayoutLimits = field(default_factory=LayoutLimits)
 
 
-def read_object(entry: Mapping[str, Any], instance: str, border: Border) -> SceneObject:
+def read_object(entry: Mapping[str, Any], instance: str, border: ReadContext) -> SceneObject:
     """One object of a layout.
 
     Args:
@@ -88,7 +88,7 @@ def read_object(entry: Mapping[str, Any], instance: str, border: Border) -> Scen
     )
 
 
-def _asset_id(entry: Mapping[str, Any], instance: str, border: Border) -> str | None:
+def _asset_id(entry: Mapping[str, Any], instance: str, border: ReadContext) -> str | None:
     """The uid: selected, else retrieved."""
     uid = entry.get("selected_uid") or entry.get("retrieved_uid")
     if not uid:
@@ -106,7 +106,7 @@ def _asset_id(entry: Mapping[str, Any], instance: str, border: Border) -> str | 
     return uid
 
 
-def _position(entry: Mapping[str, Any], instance: str, border: Border) -> Vec3:
+def _position(entry: Mapping[str, Any], instance: str, border: ReadContext) -> Vec3:
     """Centre of the box, metres, from the zone's corner."""
     value, log = entry.get("position"), border.log
     found = numbers(value, 3)
@@ -126,7 +126,7 @@ def _position(entry: Mapping[str, Any], instance: str, border: Border) -> Vec3:
     return position
 
 
-def _scale(entry: Mapping[str, Any], instance: str, log: Log) -> Vec3 | None:
+def _scale(entry: Mapping[str, Any], instance: str, log: ReadLog) -> Vec3 | None:
     """Metres per mesh unit; None where the file's factor cannot be used."""
     value = entry.get("scale_factor")
     found = numbers(value, 3)
@@ -143,7 +143,7 @@ def _scale(entry: Mapping[str, Any], instance: str, log: Log) -> Vec3 | None:
     return None
 
 
-def _rotation(entry: Mapping[str, Any], instance: str, log: Log) -> tuple[float, QuatXyzw]:
+def _rotation(entry: Mapping[str, Any], instance: str, log: ReadLog) -> tuple[float, QuatXyzw]:
     """Yaw, radians, and tilt. ``rotation`` is the truth; ``z_rotation`` says which of its yaw frames ``size`` belongs to."""
     z_rotation = entry.get("z_rotation")
     yaw = number(z_rotation)
@@ -164,7 +164,7 @@ def _rotation(entry: Mapping[str, Any], instance: str, log: Log) -> tuple[float,
     return yaw, tilt_of(rotation, yaw)
 
 
-def _unit_rotation(entry: Mapping[str, Any], instance: str, log: Log) -> QuatXyzw | None:
+def _unit_rotation(entry: Mapping[str, Any], instance: str, log: ReadLog) -> QuatXyzw | None:
     """The file's quaternion, normalised; None where it cannot be used."""
     value = entry.get("rotation")
     found = numbers(value, 4)
@@ -180,7 +180,7 @@ def _unit_rotation(entry: Mapping[str, Any], instance: str, log: Log) -> QuatXyz
     return None
 
 
-def _reply_yaw(entry: Mapping[str, Any], instance: str, log: Log) -> float:
+def _reply_yaw(entry: Mapping[str, Any], instance: str, log: ReadLog) -> float:
     """A reply's z_rotation, which is in degrees, as radians."""
     yaw_deg = number(entry.get("z_rotation"))
     if yaw_deg is not None and math.isfinite(yaw_deg):
@@ -190,7 +190,7 @@ def _reply_yaw(entry: Mapping[str, Any], instance: str, log: Log) -> float:
     return 0.0
 
 
-def _size(entry: Mapping[str, Any], instance: str, scale: Vec3 | None, tilt: QuatXyzw, border: Border) -> Vec3:
+def _size(entry: Mapping[str, Any], instance: str, scale: Vec3 | None, tilt: QuatXyzw, border: ReadContext) -> Vec3:
     """The box in the yaw frame, metres: the file's, or the product that it was rounded from."""
     value, log, reach = entry.get("size"), border.log, border.limits.max_reach
     found = numbers(value, 3)

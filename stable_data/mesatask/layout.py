@@ -14,8 +14,8 @@ from typing import Any
 
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.errors import Notice
-from stable_data.json_text import Log, are_finite, numbers, parse_object, shown
-from stable_data.mesatask.entry import MAX_NAME_LENGTH, POSE_KEYS, Border, LayoutLimits, read_object
+from stable_data.json_text import ReadLog, are_finite, numbers, parse_object, shown
+from stable_data.mesatask.entry import MAX_NAME_LENGTH, POSE_KEYS, LayoutLimits, ReadContext, read_object
 from stable_data.scene import TABLE, Rectangle, Scene, Tabletop
 
 LAYOUT_FILE = "layout.json"
@@ -46,10 +46,10 @@ def read_layout(
     Raises:
         SceneError: The layout cannot be used; ``code`` says why.
     """
-    log = Log(scene_id)
+    log = ReadLog(scene_id)
     limits = limits or LayoutLimits()
     document = _document(data, limits, log)
-    scene = _read(document, table_type, Border(log, (0, 0), (0, 0), is_reply_form(document), annotations or {}, limits))
+    scene = _read(document, table_type, ReadContext(log, (0, 0), (0, 0), is_reply_form(document), annotations or {}, limits))
     return scene, tuple(log.notices)
 
 
@@ -80,10 +80,10 @@ def read_reply_layout(
         reply = reply.decode("utf-8", errors="replace")
     if isinstance(reply, str):
         reply = _json_of_reply(reply)
-    log = Log(scene_id)
+    log = ReadLog(scene_id)
     limits = limits or LayoutLimits()
     document = _document(reply, limits, log)
-    border = Border(log, (0, 0), (0, 0), not _has_key(document, POSE_KEYS), annotations or {}, limits)
+    border = ReadContext(log, (0, 0), (0, 0), not _has_key(document, POSE_KEYS), annotations or {}, limits)
     return _read(document, TABLE, border, table)
 
 
@@ -92,7 +92,7 @@ def is_reply_form(document: Mapping[str, Any]) -> bool:
     return not _has_key(document, POSE_KEYS) and _has_key(document, ("description",))
 
 
-def read_table(document: Mapping[str, Any], table_type: str, log: Log) -> tuple[Tabletop, tuple[float, float]]:
+def read_table(document: Mapping[str, Any], table_type: str, log: ReadLog) -> tuple[Tabletop, tuple[float, float]]:
     """The table of a layout, and the corner of its zone that becomes the origin (x_min, y_min, centimetres)."""
     zone = _zone(document, "item_placement_zone", log)
     if zone is None:
@@ -107,7 +107,7 @@ def read_table(document: Mapping[str, Any], table_type: str, log: Log) -> tuple[
     return Tabletop(table_type, ((zone[1] - x) / 100, (zone[3] - y) / 100), restricted), (x, y)
 
 
-def _document(data: bytes | str | Mapping[str, Any], limits: LayoutLimits, log: Log) -> Mapping[str, Any]:
+def _document(data: bytes | str | Mapping[str, Any], limits: LayoutLimits, log: ReadLog) -> Mapping[str, Any]:
     """The content of a layout, of bounded size."""
     if isinstance(data, Mapping):
         return data
@@ -116,7 +116,7 @@ def _document(data: bytes | str | Mapping[str, Any], limits: LayoutLimits, log: 
     return parse_object(data, LAYOUT_FILE, log)
 
 
-def _read(document: Mapping[str, Any], table_type: str, border: Border, asked: Tabletop | None = None) -> Scene:
+def _read(document: Mapping[str, Any], table_type: str, border: ReadContext, asked: Tabletop | None = None) -> Scene:
     """The scene, once it is known of which form the document is; notices go to the border's log."""
     log = border.log
     _check_settings(document, log)
@@ -145,7 +145,7 @@ def _json_of_reply(reply: str) -> str:
     return answer[first : last + 1] if 0 <= first < last else answer
 
 
-def _check_settings(document: Mapping[str, Any], log: Log) -> None:
+def _check_settings(document: Mapping[str, Any], log: ReadLog) -> None:
     """Refuses another unit, up axis or order of quaternions; where the file is silent it means the format's."""
     settings = document.get("scene_settings", {})
     if not isinstance(settings, Mapping):
@@ -163,7 +163,7 @@ def _check_settings(document: Mapping[str, Any], log: Log) -> None:
             )
 
 
-def _entries(document: Mapping[str, Any], border: Border) -> list[dict[str, Any]]:
+def _entries(document: Mapping[str, Any], border: ReadContext) -> list[dict[str, Any]]:
     """The entries of the objects: not too many, all JSON objects; none only in a reply, whose stage may be empty."""
     entries, limits, log = document.get("objects"), border.limits, border.log
     if not isinstance(entries, list):
@@ -181,7 +181,7 @@ def _entries(document: Mapping[str, Any], border: Border) -> list[dict[str, Any]
     return entries
 
 
-def _instances(entries: list[dict[str, Any]], log: Log) -> list[str]:
+def _instances(entries: list[dict[str, Any]], log: ReadLog) -> list[str]:
     """A unique name for every object; the first of several keeps it."""
     taken = {entry.get("instance") for entry in entries if isinstance(entry.get("instance"), str)} | {TABLE}
     names: list[str] = []
@@ -211,7 +211,7 @@ def _free_name(name: str, taken: set[Any]) -> str:
     return name
 
 
-def _zone(document: Mapping[str, Any], key: str, log: Log) -> Rectangle | None:
+def _zone(document: Mapping[str, Any], key: str, log: ReadLog) -> Rectangle | None:
     """A rectangle as it stands in the file, centimetres; None where it is absent."""
     value = document.get(key)
     if value is None:
@@ -222,7 +222,7 @@ def _zone(document: Mapping[str, Any], key: str, log: Log) -> Rectangle | None:
     return (zone[0], zone[1], zone[2], zone[3])
 
 
-def _restricted_zone(document: Mapping[str, Any], log: Log) -> Rectangle | None:
+def _restricted_zone(document: Mapping[str, Any], log: ReadLog) -> Rectangle | None:
     """The sink, under either of its names, centimetres."""
     for key in ("restricted_zone", "sink_zone"):
         zone = _zone(document, key, log)

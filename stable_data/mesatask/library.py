@@ -10,7 +10,7 @@ from typing import Any
 
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.errors import ConfigError, SceneError
-from stable_data.json_text import Log, are_finite, number, numbers, parse_object, read_bounded, shown
+from stable_data.json_text import ReadLog, are_finite, number, numbers, parse_object, read_bounded, shown
 from stable_data.scene import Vec3
 
 ANNOTATION_FILE = "Asset_annotation.json"
@@ -98,7 +98,7 @@ class AssetFolder:
     """
 
     def __init__(self, root: Path) -> None:
-        log = Log(root.name)
+        log = ReadLog(root.name)
         self.annotations: Mapping[str, AssetAnnotation] = _read_annotations(root / ANNOTATION_FILE, log)
         self._folder = root / LIBRARY_FOLDER
         self._resolved = self._folder.resolve()
@@ -108,7 +108,7 @@ class AssetFolder:
             log.warn("assets_missing", f"{LIBRARY_FOLDER} holds no GLB: objects are boxes; unpack the asset archive there")
         self.notices = tuple(log.notices)
 
-    def _glb_files(self, log: Log) -> Iterator[Path]:
+    def _glb_files(self, log: ReadLog) -> Iterator[Path]:
         """Files with the ending .glb that may be read, in order of their names."""
         if not self._folder.is_dir():
             return
@@ -170,7 +170,7 @@ class AssetFolder:
         return bool({asset_id, stem_of(asset_id)} & self.annotations.keys()) or self.path(asset_id) is not None
 
 
-def _read_annotations(path: Path, log: Log) -> dict[str, AssetAnnotation]:
+def _read_annotations(path: Path, log: ReadLog) -> dict[str, AssetAnnotation]:
     """Every usable entry of Asset_annotation.json; empty where the file is missing."""
     if not path.exists():
         log.warn("annotation_missing", f"{path} is missing: categories come from instance names, descriptions are empty")

@@ -17,7 +17,7 @@ from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.mesatask.convention_detection import position_convention
 from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.card import MetricCard
-from stable_data.metrics.summary import Summary, summarise
+from stable_data.metrics.summary import AuditSummary, summarise
 from stable_data.storage import schemas
 
 
@@ -41,7 +41,7 @@ class LintResult:
         """The rows as a table."""
         return pl.DataFrame(pl.from_arrow(self._arrow()))
 
-    def summary(self) -> Summary:
+    def summary(self) -> AuditSummary:
         """The page's content."""
         return summarise(self.frame())
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from stable_data.errors import SceneError
-from stable_data.json_text import Log, parse_object, shown
+from stable_data.json_text import ReadLog, parse_object, shown
 from stable_data.scene import MAX_INSTRUCTION, Relation, RelationKind, Tabletop, TaskInfo
 
 TASK_INFO_FILE = "task_info.json"
@@ -23,7 +23,7 @@ def read_task_info(data: bytes | str, scene_id: str) -> TaskInfo:
     Raises:
         SceneError: ``task_info_invalid``: not JSON, no task, one longer than MAX_INSTRUCTION, or a field of the wrong type.
     """
-    log = Log(scene_id)
+    log = ReadLog(scene_id)
     try:
         document = parse_object(data, TASK_INFO_FILE, log)
     except SceneError as error:
@@ -74,7 +74,7 @@ def write_task_info(task: TaskInfo, table: Tabletop) -> dict[str, Any]:
     if task.task_objects or "task_objects" in document:
         fields["task_objects"] = _kept(document.get("task_objects"), task.task_objects)
     if task.relations or "relations" in document:
-        same = task.source is not None and _relations(task.source, Log("")) == task.relations
+        same = task.source is not None and _relations(task.source, ReadLog("")) == task.relations
         fields["relations"] = document["relations"] if same else [_relation_entry(relation) for relation in task.relations]
     if task.origin != _origin(document):
         fields["origin"] = task.origin
@@ -92,7 +92,7 @@ def _kept(was: object, values: tuple[str, ...]) -> object:
     return was if same and was is not None else list(values)
 
 
-def _texts(document: Mapping[str, Any], key: str, log: Log) -> tuple[str, ...]:
+def _texts(document: Mapping[str, Any], key: str, log: ReadLog) -> tuple[str, ...]:
     """A list of strings; a lone string is a list of one."""
     value = document.get(key)
     if value is None:
@@ -104,7 +104,7 @@ def _texts(document: Mapping[str, Any], key: str, log: Log) -> tuple[str, ...]:
     return tuple(value)
 
 
-def _relations(document: Mapping[str, Any], log: Log) -> tuple[Relation, ...]:
+def _relations(document: Mapping[str, Any], log: ReadLog) -> tuple[Relation, ...]:
     """Relations, each {subject, kind, target} or a list of the three."""
     entries = document.get("relations")
     if entries is None:

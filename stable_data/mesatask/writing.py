@@ -13,8 +13,8 @@ from typing import Any
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.atomic_files import put_file
 from stable_data.errors import ConfigError, SceneError
-from stable_data.json_text import Log, inverse, json_text
-from stable_data.mesatask.entry import BOX_YAW, POSE_KEYS, Border, LayoutLimits, read_object, scaled_extents
+from stable_data.json_text import ReadLog, inverse, json_text
+from stable_data.mesatask.entry import BOX_YAW, POSE_KEYS, LayoutLimits, ReadContext, read_object, scaled_extents
 from stable_data.mesatask.layout import LAYOUT_FILE, read_table
 from stable_data.mesatask.library import ANNOTATION_FILE, LIBRARY_FOLDER, is_inside, write_annotation
 from stable_data.mesatask.task_info import TASK_INFO_FILE, write_task_info
@@ -158,7 +158,7 @@ def _zones(scene: Scene, source: Mapping[str, Any], is_dataset_form: bool) -> tu
     keys = ("item_placement_zone", "restricted_zone", "sink_zone")
     x = y = 0.0
     if source.get("item_placement_zone") is not None:
-        table, (x, y) = read_table(source, scene.table.table_type, Log(scene.scene_id))
+        table, (x, y) = read_table(source, scene.table.table_type, ReadLog(scene.scene_id))
         if table == scene.table and is_dataset_form:
             return (x, y), {key: source[key] for key in keys if key in source}
     width, depth = scene.table.size_xy
@@ -222,7 +222,7 @@ def _as_read(o: SceneObject, origin_cm: tuple[float, float], annotations: Mappin
     """The object as its source reads; None where it has none, or one of a reply's form."""
     if o.source is None or not _has_pose(o):
         return None
-    border = Border(Log(o.instance), origin_cm, (0.0, 0.0), annotations=annotations, limits=_UNLIMITED)
+    border = ReadContext(ReadLog(o.instance), origin_cm, (0.0, 0.0), annotations=annotations, limits=_UNLIMITED)
     return read_object(o.source, o.instance, border)
 
 

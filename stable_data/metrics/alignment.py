@@ -1,8 +1,8 @@
 """How well a generated scene does what was asked: AwT, AwS and the share of distractors (the paper's appendix, Metrics).
 
-What was asked is a :class:`Reference`: the required objects, and the relations that the instruction entails of the scene it
-starts from. Where a reference scene exists, the full scene graph between its task objects (the paper's S_gt) is a second
-figure beside the entailed relations: an instruction rarely asks for all of it.
+What was asked is a :class:`AlignmentReference`: the required objects, and the relations that the instruction entails of the
+scene it starts from. Where a reference scene exists, the full scene graph between its task objects (the paper's S_gt) is a
+second figure beside the entailed relations: an instruction rarely asks for all of it.
 
 * ``AwT = |O*_pred ∩ O*_gt| / |O*_gt|``: required objects that are matched, by the rule of :mod:`stable_data.metrics.matching`.
 * ``AwS = |S_pred ∩ S_gt| / |S_gt|``: relations that hold between the matched objects. A relation of an object that is missing
@@ -36,7 +36,7 @@ from itertools import product
 
 from stable_data.errors import SceneError
 from stable_data.instructions.claims import is_named, speaks_of_all
-from stable_data.metrics.matching import Matching, Option, Required, Wish, candidates, match
+from stable_data.metrics.matching import DesiredRelation, ObjectMatching, Option, RequiredObject, candidates, match
 from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, Scene, TaskInfo
 from stable_data.scene_graph.relations import (
     Contacts,
@@ -55,7 +55,7 @@ _OF_ONE = frozenset({RelationKind.IS_AT, RelationKind.FACE_TO})
 
 
 @dataclass(frozen=True, slots=True)
-class Reference:
+class AlignmentReference:
     """What a generated scene is held against.
 
     Attributes:
@@ -67,7 +67,7 @@ class Reference:
     """
 
     scene_id: str
-    required: tuple[Required, ...]
+    required: tuple[RequiredObject, ...]
     entailed: tuple[Relation, ...] = ()
     graph: tuple[Relation, ...] | None = None
     num_objects: int | None = None
@@ -98,7 +98,7 @@ def members(relation: Relation) -> tuple[str, ...]:
     return (relation.subject, relation.target)
 
 
-def reference_of(scene: Scene) -> Reference:
+def reference_of(scene: Scene) -> AlignmentReference:
     """What a scene with a task asks of a scene that is generated from its instruction.
 
     Args:
@@ -123,8 +123,8 @@ def reference_of(scene: Scene) -> Reference:
     entailed = tuple(r for r in scene.task.relations if not spare & set(members(r)))
     between = [r for r in scene.relations if r.kind not in _OF_ONE and r.kind is not RelationKind.EQUALLY_SPACED]
     graph = tuple(r for r in between if {r.subject, r.target} <= set(wanted)) if scene.relations else None
-    required = tuple(Required(name, () if name in unsaid else (category[name],)) for name in wanted)
-    return Reference(scene.scene_id, required, entailed, graph, len(scene.objects))
+    required = tuple(RequiredObject(name, () if name in unsaid else (category[name],)) for name in wanted)
+    return AlignmentReference(scene.scene_id, required, entailed, graph, len(scene.objects))
 
 
 def _unsaid(task: TaskInfo, category: Mapping[str, str]) -> tuple[frozenset[str], frozenset[str]]:
@@ -155,9 +155,9 @@ class Alignment:
         num_contained: Those that are in another object.
     """
 
-    reference: Reference
+    reference: AlignmentReference
     matches: tuple[tuple[str, str], ...]
-    missing: tuple[Required, ...]
+    missing: tuple[RequiredObject, ...]
     broken: tuple[Relation, ...] | None
     graph_broken: tuple[Relation, ...] | None
     num_objects: int
@@ -200,7 +200,7 @@ class Alignment:
 
 def align(
     scene: Scene,
-    reference: Reference,
+    reference: AlignmentReference,
     *,
     contacts: Contacts | None = None,
     footprints: Mapping[str, FloatArray] | None = None,
@@ -222,8 +222,8 @@ def align(
     there = _Layout(scene, contacts or {}, footprints, containers)
     may_be = candidates(reference.required, scene.objects)
     graph = reference.graph or ()
-    entailed = [Wish(len(graph) + 1, tuple(there.options(r, may_be))) for r in reference.entailed]
-    full = [Wish(1, tuple(there.options(r, may_be))) for r in graph]
+    entailed = [DesiredRelation(len(graph) + 1, tuple(there.options(r, may_be))) for r in reference.entailed]
+    full = [DesiredRelation(1, tuple(there.options(r, may_be))) for r in graph]
     found = match(may_be, [*entailed, *full])
     return Alignment(
         reference,
@@ -237,7 +237,9 @@ def align(
     )
 
 
-def _broken(found: Matching, relations: tuple[Relation, ...], wishes: list[Wish]) -> tuple[Relation, ...] | None:
+def _broken(
+    found: ObjectMatching, relations: tuple[Relation, ...], wishes: list[DesiredRelation]
+) -> tuple[Relation, ...] | None:
     pairs = zip(relations, wishes, strict=True)
     return tuple(r for r, wish in pairs if not wish.holds(found.matches)) if found.is_best or not relations else None
 

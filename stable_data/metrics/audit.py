@@ -23,7 +23,7 @@ from stable_data.metrics.bounds import enters_zone, leaves_table
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.collision import NEAR, ROUNDING, TOLERANCE, penetration
 from stable_data.metrics.support import carries, distance_to_surface
-from stable_data.metrics.triangle_intersection import MeshPair, Surface, WorkBudget, WorkLimitError
+from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles, WorkBudget, WorkLimitError
 from stable_data.scene import TABLE, FloatArray, Scene
 
 BOUNDS_SLACK = 1e-3
@@ -200,7 +200,7 @@ class PosedScene:
         self.low = np.array([[v[:, axis].min() for axis in range(3)] for v in self.vertices]).reshape(-1, 3)
         self.high = np.array([[v[:, axis].max() for axis in range(3)] for v in self.vertices]).reshape(-1, 3)
         self.budget = WorkBudget(MAX_WORK)
-        self._surfaces: dict[int, Surface] = {}
+        self._surfaces: dict[int, PosedTriangles] = {}
         self._pairs: dict[tuple[int, int], MeshPair] = {}
         self._num_kept = 0
         self._depths: dict[tuple[int, int], float | None] = {}
@@ -218,11 +218,11 @@ class PosedScene:
     def _content(self, index: int) -> bytes:
         return hashlib.sha256(self.vertices[index].tobytes() + self.shapes[index].faces.tobytes()).digest()
 
-    def surface(self, index: int) -> Surface:
+    def surface(self, index: int) -> PosedTriangles:
         """Triangles of one object with their boxes, metres, world frame."""
         index = self.first_alike[index]
         if index not in self._surfaces:
-            self._surfaces[index] = Surface(self.vertices[index][self.shapes[index].faces])
+            self._surfaces[index] = PosedTriangles(self.vertices[index][self.shapes[index].faces])
         return self._surfaces[index]
 
     def triangles(self, index: int) -> FloatArray:

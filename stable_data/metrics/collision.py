@@ -6,7 +6,7 @@ import numpy as np
 
 from stable_data.geometry.mesh import Mesh, is_closed
 from stable_data.geometry.shape import winding_number
-from stable_data.metrics.triangle_intersection import MeshPair, Surface, as_surface
+from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles, as_surface
 from stable_data.scene import FloatArray
 
 _axes = np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
@@ -35,7 +35,7 @@ _NESTING_WORK = 4  # triangles that take as long as one whose mesh may be nested
 _ALIKE = 0.1  # normals that differ by less, about 6 degrees, part a pair at depths that differ by less than the resolution
 
 
-def penetration(a: FloatArray | Surface, b: FloatArray | Surface, pair: MeshPair | None = None) -> float:
+def penetration(a: FloatArray | PosedTriangles, b: FloatArray | PosedTriangles, pair: MeshPair | None = None) -> float:
     """How deep two meshes are in each other (docs/audit.md).
 
     Zero when they neither cross nor nest; else the smallest translation along a contact normal or one of 26 fixed directions
@@ -78,7 +78,7 @@ def _directions(normals: FloatArray) -> FloatArray:
     return np.concatenate([DIRECTIONS, both[np.sort(first)]])
 
 
-def _parted_surely(a: Surface, b: Surface, directions: FloatArray) -> tuple[FloatArray, float]:
+def _parted_surely(a: PosedTriangles, b: PosedTriangles, directions: FloatArray) -> tuple[FloatArray, float]:
     """The directions, most promising first, and a distance that surely parts two meshes: where a plane fits between them.
 
     For convex objects that is the depth itself, found without one question to a tree.
@@ -105,7 +105,7 @@ def _parting(pair: MeshPair, directions: FloatArray, below: float, level: float,
     return best
 
 
-def nested(inner: FloatArray | Surface, outer: FloatArray | Surface) -> bool:
+def nested(inner: FloatArray | PosedTriangles, outer: FloatArray | PosedTriangles) -> bool:
     """Does one mesh lie wholly inside the solid that another one bounds, without crossing it?
 
     An open mesh bounds none: a die at the bottom of a vase without thickness is not inside its wall.

@@ -38,7 +38,7 @@ Option: TypeAlias = Mapping[str, Set[str]]
 
 
 @dataclass(frozen=True, slots=True)
-class Required:
+class RequiredObject:
     """An object that a scene must have.
 
     Attributes:
@@ -62,7 +62,7 @@ class Required:
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class DesiredRelation:
     """A relation that should hold.
 
     Attributes:
@@ -79,7 +79,7 @@ class Wish:
 
 
 @dataclass(frozen=True, slots=True)
-class Matching:
+class ObjectMatching:
     """A matching with the most objects.
 
     Attributes:
@@ -111,7 +111,7 @@ def _names_of(category: str) -> list[tuple[str, ...]]:
     return [singular(type_words(noun)) for noun in nouns_of(category)]
 
 
-def candidates(required: Sequence[Required], objects: Sequence[SceneObject]) -> dict[str, dict[str, int]]:
+def candidates(required: Sequence[RequiredObject], objects: Sequence[SceneObject]) -> dict[str, dict[str, int]]:
     """The generated objects that each required one may be matched to.
 
     Args:
@@ -128,7 +128,7 @@ def candidates(required: Sequence[Required], objects: Sequence[SceneObject]) -> 
     return found
 
 
-def match(may_be: Mapping[str, Mapping[str, int]], wishes: Sequence[Wish] = ()) -> Matching:
+def match(may_be: Mapping[str, Mapping[str, int]], wishes: Sequence[DesiredRelation] = ()) -> ObjectMatching:
     """The best matching by the module's rule.
 
     Args:
@@ -143,9 +143,9 @@ def match(may_be: Mapping[str, Mapping[str, int]], wishes: Sequence[Wish] = ()) 
     matches, most = _most(pairs, worth)
     open_wishes = [wish for wish in wishes if wish.options]
     if not open_wishes or sum(wish.weight for wish in open_wishes if wish.holds(matches)) == sum(w.weight for w in open_wishes):
-        return Matching(matches, is_best=True)
+        return ObjectMatching(matches, is_best=True)
     best = _most_wishes(pairs, worth, most, open_wishes)
-    return Matching(matches if best is None else best, is_best=best is not None)
+    return ObjectMatching(matches if best is None else best, is_best=best is not None)
 
 
 def _most(pairs: Sequence[tuple[str, str]], worth: FloatArray) -> tuple[dict[str, str], float]:
@@ -160,7 +160,7 @@ def _most(pairs: Sequence[tuple[str, str]], worth: FloatArray) -> tuple[dict[str
 
 
 def _most_wishes(
-    pairs: Sequence[tuple[str, str]], worth: FloatArray, most: float, wishes: Sequence[Wish]
+    pairs: Sequence[tuple[str, str]], worth: FloatArray, most: float, wishes: Sequence[DesiredRelation]
 ) -> dict[str, str] | None:
     """The matching of greatest worth that fulfils the most wishes; None where the search was given up.
 

@@ -23,7 +23,7 @@ _FORBIDDEN = 1e9  # metres
 
 
 @dataclass(frozen=True, slots=True)
-class Transport:
+class TransportCost:
     """What it costs to carry the objects of one scene to their places in another: means over the objects.
 
     Attributes:
@@ -39,7 +39,7 @@ class Transport:
     matches: dict[str, str]
 
 
-def emd_to_truth(scene: Scene, truth: Scene) -> Transport:
+def emd_to_truth(scene: Scene, truth: Scene) -> TransportCost:
     """Earth mover's distance of a scene to its ground truth, identical objects matched at the least total cost.
 
     Args:
@@ -65,7 +65,7 @@ def distance_moved(start: Scene, result: Scene) -> float:
     return _transport(result, start, lambda shift, _: shift).distance
 
 
-def _transport(scene: Scene, other: Scene, cost_of: Callable[[FloatArray, FloatArray], FloatArray]) -> Transport:
+def _transport(scene: Scene, other: Scene, cost_of: Callable[[FloatArray, FloatArray], FloatArray]) -> TransportCost:
     names = [o.instance for o in scene.objects]
     _refuse_others(scene, other)
     targets = [other[name] for name in names]
@@ -77,7 +77,7 @@ def _transport(scene: Scene, other: Scene, cost_of: Callable[[FloatArray, FloatA
     cost = cost_of(shift, turn)
     chosen = linear_sum_assignment(np.where(may_match, cost, _FORBIDDEN))  # each may take its own place, so one exists
     matches = {names[i]: names[j] for i, j in zip(*(index.tolist() for index in chosen), strict=True)}
-    return Transport(float(cost[chosen].mean()), float(shift[chosen].mean()), float(turn[chosen].mean()), matches)
+    return TransportCost(float(cost[chosen].mean()), float(shift[chosen].mean()), float(turn[chosen].mean()), matches)
 
 
 def _refuse_others(scene: Scene, other: Scene) -> None:

@@ -13,7 +13,7 @@ _DEEP = 1e3 * (1e-2 + ROUNDING)
 
 
 @dataclass(frozen=True, slots=True)
-class Offender:
+class WorstScene:
     """A scene that is worst in something.
 
     Attributes:
@@ -26,7 +26,7 @@ class Offender:
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class SummaryLine:
     """One line of the summary.
 
     Attributes:
@@ -53,7 +53,7 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True)
-class Summary:
+class AuditSummary:
     """The page.
 
     Attributes:
@@ -62,9 +62,9 @@ class Summary:
         offenders: Worst scenes.
     """
 
-    lines: tuple[Line, ...]
+    lines: tuple[SummaryLine, ...]
     figures: tuple[tuple[str, str], ...]
-    offenders: tuple[Offender, ...]
+    offenders: tuple[WorstScene, ...]
 
     def __str__(self) -> str:
         """The page as text."""
@@ -73,7 +73,7 @@ class Summary:
         return "\n".join([*map(str, self.lines), *figures, *(["worst:", *worst] if worst else [])])
 
 
-def summarise(scenes: pl.DataFrame) -> Summary:
+def summarise(scenes: pl.DataFrame) -> AuditSummary:
     """Sums up scenes.
 
     Args:
@@ -95,16 +95,16 @@ def summarise(scenes: pl.DataFrame) -> Summary:
     )
     objects = scenes.select(pl.col("verdicts").explode()).drop_nulls().unnest("verdicts")
 
-    def of_scenes(label: str, condition: pl.Expr, unknown: pl.Expr | None = None) -> Line:
+    def of_scenes(label: str, condition: pl.Expr, unknown: pl.Expr | None = None) -> SummaryLine:
         hits = _count(scenes, condition)
-        return Line(label, hits, scenes.height, 0 if unknown is None else _count(scenes, unknown & ~condition))
+        return SummaryLine(label, hits, scenes.height, 0 if unknown is None else _count(scenes, unknown & ~condition))
 
-    def of_objects(label: str, condition: pl.Expr) -> Line:
-        return Line(label, _count(objects, condition), objects.height, _count(objects, condition.is_null()))
+    def of_objects(label: str, condition: pl.Expr) -> SummaryLine:
+        return SummaryLine(label, _count(objects, condition), objects.height, _count(objects, condition.is_null()))
 
     unknown_pairs = pl.col("unknown_pairs") > 0
     lines = (
-        Line("scenes clean (0.5 mm)", _count(scenes, pl.col("clean")), scenes.height, scenes["clean"].null_count()),
+        SummaryLine("scenes clean (0.5 mm)", _count(scenes, pl.col("clean")), scenes.height, scenes["clean"].null_count()),
         of_scenes("scenes with a collision (0.5 mm)", pl.col("num_collisions") > 0, unknown_pairs),
         of_scenes("scenes with a collision deeper than 10 mm", pl.col("deepest") > _DEEP, unknown_pairs),
         of_scenes("scenes that sink into the table (0.5 mm)", pl.col("table_penetration_mm") > _BOUND),
@@ -116,7 +116,7 @@ def summarise(scenes: pl.DataFrame) -> Summary:
         of_objects("objects out of bounds", pl.col("leaves_table") | pl.col("enters_restricted_zone")),
         of_objects("objects without a mesh", ~pl.col("has_mesh")),
     )
-    return Summary(lines, _figures(scenes), tuple(_offenders(scenes)))
+    return AuditSummary(lines, _figures(scenes), tuple(_offenders(scenes)))
 
 
 _OUTSIDE = pl.element().struct.field("leaves_table") | pl.element().struct.field("enters_restricted_zone")
@@ -159,7 +159,7 @@ def _unknown(count: int, noun: str) -> str:
     return f", {count} {noun}{'s' * (count > 1)} unknown" if count else ""
 
 
-def _offenders(scenes: pl.DataFrame) -> Iterable[Offender]:
+def _offenders(scenes: pl.DataFrame) -> Iterable[WorstScene]:
     kinds: Sequence[tuple[str, str, float]] = (
         ("deepest", "{:.1f} mm deep in each other", _BOUND),
         ("table_penetration_mm", "{:.1f} mm in the table", _BOUND),
@@ -169,4 +169,4 @@ def _offenders(scenes: pl.DataFrame) -> Iterable[Offender]:
     for column, text, bound in kinds:
         worst = scenes.filter(pl.col(column) > bound).sort([column, "scene_id"], descending=[True, False]).head(_WORST)
         for scene_id, value in worst.select("scene_id", column).iter_rows():
-            yield Offender(scene_id, text.format(value))
+            yield WorstScene(scene_id, text.format(value))

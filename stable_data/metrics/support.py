@@ -4,7 +4,7 @@ import igl
 import numpy as np
 
 from stable_data.metrics.collision import DIRECTIONS
-from stable_data.metrics.triangle_intersection import MeshPair, Surface, as_surface, near_triangles
+from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles, as_surface, near_triangles
 from stable_data.scene import FloatArray
 
 _UPWARD = 0.01
@@ -55,7 +55,7 @@ def _touching(pair: MeshPair, shift: FloatArray, upper_is_first: bool) -> tuple[
     return upper, lower
 
 
-def distance_to_surface(points: FloatArray, triangles: FloatArray | Surface, at_most: float) -> float:
+def distance_to_surface(points: FloatArray, triangles: FloatArray | PosedTriangles, at_most: float) -> float:
     """Smallest unsigned distance of points to a mesh, or ``at_most`` where all are farther.
 
     Args:

@@ -79,7 +79,7 @@ class WorkBudget:
             raise WorkLimitError
 
 
-class Surface:
+class PosedTriangles:
     """Triangles that stand somewhere, with their boxes computed once.
 
     Args:
@@ -101,15 +101,15 @@ class Surface:
         return low.min(axis=1, initial=np.inf), high.max(axis=1, initial=-np.inf)
 
 
-def as_surface(triangles: FloatArray | Surface) -> Surface:
+def as_surface(triangles: FloatArray | PosedTriangles) -> PosedTriangles:
     """Triangles (F, 3, 3), metres, world frame, with their boxes; a surface stays what it is."""
-    return triangles if isinstance(triangles, Surface) else Surface(triangles)
+    return triangles if isinstance(triangles, PosedTriangles) else PosedTriangles(triangles)
 
 
 class _Soup:
     """Triangles of one mesh, with their boxes, that become fewer and fewer."""
 
-    def __init__(self, surface: Surface, margin: float, low: FloatArray, high: FloatArray) -> None:
+    def __init__(self, surface: PosedTriangles, margin: float, low: FloatArray, high: FloatArray) -> None:
         lowest, highest = surface.boxes
         mask = (lowest[0] <= high[0] + margin) & (highest[0] >= low[0] - margin)
         for axis in (1, 2):
@@ -169,7 +169,7 @@ class _Soup:
         return reached
 
 
-def near_triangles(a: FloatArray | Surface, b: FloatArray | Surface, margin: float) -> tuple[IntArray, IntArray]:
+def near_triangles(a: FloatArray | PosedTriangles, b: FloatArray | PosedTriangles, margin: float) -> tuple[IntArray, IntArray]:
     """Triangles that may come within a distance of the other mesh: a superset, exact in what it drops.
 
     Args:
@@ -260,7 +260,7 @@ class MeshPair:
     """
 
     def __init__(
-        self, a: FloatArray | Surface, b: FloatArray | Surface, margin: float, budget: WorkBudget | None = None
+        self, a: FloatArray | PosedTriangles, b: FloatArray | PosedTriangles, margin: float, budget: WorkBudget | None = None
     ) -> None:
         first, second = as_surface(a), as_surface(b)
         self.budget = budget or WorkBudget()
@@ -346,7 +346,7 @@ class MeshPair:
 class _Clusters:
     """Triangles of a mesh in groups that lie together, each with a box and, once asked for, a tree."""
 
-    def __init__(self, surface: Surface, index: IntArray) -> None:
+    def __init__(self, surface: PosedTriangles, index: IntArray) -> None:
         low, high = (bound[:, index] for bound in surface.boxes)
         if len(index) > 2 * _CLUSTER:
             centre = low + high

@@ -10,7 +10,7 @@ from stable_data.geometry.convex_decomposition import collider_parts
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.shape import Shape
 from stable_data.scene import Scene, SceneObject
-from stable_data.simulation.settling import Body, hull_volume
+from stable_data.simulation.settling import RigidBody, hull_volume
 
 DENSITY = 400.0
 """Of an object of which nothing says what it weighs, kg/m³."""
@@ -71,7 +71,7 @@ def asset_parts(asset_id: str, mesh: Mesh, store: AssetStore) -> tuple[Mesh, ...
     return known[asset_id]
 
 
-def bodies_of(scene: Scene, shapes: Sequence[Shape], store: AssetStore, density: float = DENSITY) -> list[Body]:
+def bodies_of(scene: Scene, shapes: Sequence[Shape], store: AssetStore, density: float = DENSITY) -> list[RigidBody]:
     """The objects of a scene as an engine sees them.
 
     Args:
@@ -87,5 +87,5 @@ def bodies_of(scene: Scene, shapes: Sequence[Shape], store: AssetStore, density:
     for o, shape in zip(scene.objects, shapes, strict=True):
         parts = parts_of(o, shape, store)
         mass = max(_LIGHTEST, density * sum(map(hull_volume, parts)))
-        bodies.append(Body(o.instance, parts, mass, o.position, o.yaw))
+        bodies.append(RigidBody(o.instance, parts, mass, o.position, o.yaw))
     return bodies

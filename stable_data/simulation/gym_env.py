@@ -22,8 +22,8 @@ from stable_data.scene import FloatArray, Scene
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.mujoco_model import CAMERAS, HOME, VISUAL_GROUP, engine_spec
 from stable_data.simulation.render import Picture, open_renderer
-from stable_data.simulation.run_reader import Choice, RunScenes, SettledPoses
-from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.simulation.run_reader import RunScenes, SceneSelection, SettledPoses
+from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import COLLIDER, compile_spec, has_exploded, without_log_file
 from stable_data.storage.run_folder import RunFolder, Uri
 
@@ -79,7 +79,7 @@ class TabletopEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     def __init__(
         self,
-        solid: SolidScene,
+        solid: SceneGeometry,
         *,
         reward: Reward | None = None,
         cameras: Sequence[str] = (),
@@ -214,13 +214,13 @@ def make_env(
         MeshError: An object has no solid part.
     """
     if isinstance(scene, str):
-        scenes = RunScenes(RunFolder(run), Choice(scene_ids=(scene,), settled=settled), store)
+        scenes = RunScenes(RunFolder(run), SceneSelection(scene_ids=(scene,), settled=settled), store)
         return TabletopEnv(scenes.solid(next(iter(scenes))), **settings)
     rest = SettledPoses(RunFolder(run)).of(scene.scene_id) if settled else None
-    return TabletopEnv(SolidScene.of(scene, store or run_store(run), rest), **settings)
+    return TabletopEnv(SceneGeometry.of(scene, store or run_store(run), rest), **settings)
 
 
-def _model(solid: SolidScene, image_size: tuple[int, int]) -> mujoco.MjModel:
+def _model(solid: SceneGeometry, image_size: tuple[int, int]) -> mujoco.MjModel:
     """The scene's model with a hand."""
     spec = engine_spec(solid, image_size)
     body = spec.worldbody.add_body(name=_HAND, mocap=True)

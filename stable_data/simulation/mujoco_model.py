@@ -22,7 +22,7 @@ from stable_data.simulation.render import (
     scene_bounds,
     set_mood,
 )
-from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import COLLIDER, compile_spec, spec_of
 
 VISUAL = "visual"
@@ -47,7 +47,7 @@ def body_name(instance: str) -> str:
     return plain_name(instance, _RESERVED)
 
 
-def engine_spec(solid: SolidScene, picture: tuple[int, int] = _PICTURE) -> mujoco.MjSpec:
+def engine_spec(solid: SceneGeometry, picture: tuple[int, int] = _PICTURE) -> mujoco.MjSpec:
     """A scene as a description for the engine.
 
     Body k + 1 is object k, and it, its free joint and its geoms have its name (:func:`body_name`). Mass and inertia of a body
@@ -93,7 +93,7 @@ def _add_looks(
     spec: mujoco.MjSpec,
     body: mujoco.MjsBody,
     visual: mujoco.MjsDefault,
-    solid: SolidScene,
+    solid: SceneGeometry,
     index: int,
     meshes: dict[object, str],
 ) -> None:
@@ -125,7 +125,7 @@ def _add_looks(
     body.add_geom(visual, name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, rgba=rgba(object_colour(o), 0.45))
 
 
-def _add_surroundings(spec: mujoco.MjSpec, solid: SolidScene, picture: tuple[int, int]) -> None:
+def _add_surroundings(spec: mujoco.MjSpec, solid: SceneGeometry, picture: tuple[int, int]) -> None:
     """Light, background and cameras."""
     low, high = scene_bounds(solid.scene, [Mesh(shape.vertices, shape.faces) for shape in solid.shapes])
     if solid.scene.table.restricted_zone is not None:

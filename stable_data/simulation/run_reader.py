@@ -9,7 +9,7 @@ from stable_data.assets.run_assets import run_store
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
 from stable_data.scene import Scene
-from stable_data.simulation.scene_geometry import RestPose, SolidScene
+from stable_data.simulation.scene_geometry import RestPose, SceneGeometry
 from stable_data.storage.row_groups import TableFiles, slices
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import scene_from_row
@@ -19,7 +19,7 @@ NEEDED = ("scenes", "assets", "meshes")
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class SceneSelection:
     """Which scenes of a run, and how.
 
     Attributes:
@@ -59,7 +59,7 @@ class RunScenes:
             ``scene_ids`` is not there (``scene_unknown``).
     """
 
-    def __init__(self, run: RunFolder, choice: Choice = Choice(), store: AssetStore | None = None) -> None:
+    def __init__(self, run: RunFolder, choice: SceneSelection = SceneSelection(), store: AssetStore | None = None) -> None:
         check_tables(run, settled=choice.settled)
         self._scenes = TableFiles(run.uri, "scenes", None, where=choice.condition)
         self._limit = choice.limit
@@ -83,13 +83,13 @@ class RunScenes:
                     left -= 1
                     yield scene_from_row(row)
 
-    def solid(self, scene: Scene) -> SolidScene:
+    def solid(self, scene: Scene) -> SceneGeometry:
         """One of them with its geometry.
 
         Raises:
             SceneError: It was never settled, and that is asked for.
         """
-        return SolidScene.of(scene, self.store, None if self._settled is None else self._settled.of(scene.scene_id))
+        return SceneGeometry.of(scene, self.store, None if self._settled is None else self._settled.of(scene.scene_id))
 
 
 class SettledPoses:
@@ -140,7 +140,7 @@ def check_tables(run: RunFolder, *, settled: bool = False) -> None:
         )
 
 
-def _check_known(run: RunFolder, choice: Choice) -> None:
+def _check_known(run: RunFolder, choice: SceneSelection) -> None:
     """Refuses scenes that the run does not have, or that the condition does not take."""
     ids = TableFiles(run.uri, "scenes", ["scene_id"], where=choice.condition)
     have = {name for group in range(len(ids.groups)) for name in ids.read([group])["scene_id"].to_pylist()}

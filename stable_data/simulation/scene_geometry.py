@@ -17,14 +17,14 @@ from stable_data.rotations import heading, tilt_of, yaw_frame_box
 from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject, Vec3
 from stable_data.simulation.collision_bodies import asset_parts, bodies_of
 from stable_data.simulation.render import object_colour
-from stable_data.simulation.settling import Body
+from stable_data.simulation.settling import RigidBody
 
 RestPose: TypeAlias = tuple[Vec3, QuatXyzw]
 """Where an engine left an object: the centre of the box that it had, metres, and the rotation from its frame at yaw 0."""
 
 
 @dataclass(frozen=True, eq=False)
-class SolidScene:
+class SceneGeometry:
     """A scene and its geometry.
 
     Attributes:
@@ -42,7 +42,7 @@ class SolidScene:
     notices: tuple[Notice, ...] = ()
 
     @classmethod
-    def of(cls, scene: Scene, store: AssetStore, rest: Mapping[str, RestPose] | None = None) -> "SolidScene":
+    def of(cls, scene: Scene, store: AssetStore, rest: Mapping[str, RestPose] | None = None) -> "SceneGeometry":
         """A scene of a run.
 
         Args:
@@ -64,7 +64,7 @@ class SolidScene:
         return cls(scene, tuple(shapes), tuple(meshes), store, notices)
 
     @cached_property
-    def bodies(self) -> tuple[Body, ...]:
+    def bodies(self) -> tuple[RigidBody, ...]:
         """The objects as an engine sees them, the same that the stability verdict is given.
 
         Raises:

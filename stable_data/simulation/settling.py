@@ -36,7 +36,7 @@ _FLATTEST = 1e-6  # parts thinner than this share of their length (or 1 µm) enc
 
 
 @dataclass(frozen=True, slots=True)
-class EngineOptions:
+class PhysicsOptions:
     """How the engine is set. The defaults are those of the stability verdict.
 
     Attributes:
@@ -70,7 +70,7 @@ class EngineOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Body:
+class RigidBody:
     """An object as the engine sees it.
 
     Attributes:
@@ -135,7 +135,7 @@ class SettleResult:
         return int((~((self.moves <= MOVE_LIMIT) & (self.turns <= TURN_LIMIT))).sum())
 
 
-def settle(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = EngineOptions()) -> SettleResult:
+def settle(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions = PhysicsOptions()) -> SettleResult:
     """Lets a scene settle under gravity and watches it.
 
     Args:
@@ -171,7 +171,7 @@ def settle(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = Eng
     return _verdict(names, path, watched, penetration, options)
 
 
-def compile_bodies(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = EngineOptions()) -> mujoco.MjModel:
+def compile_bodies(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions = PhysicsOptions()) -> mujoco.MjModel:
     """Builds the engine's model in memory.
 
     Args:
@@ -188,7 +188,7 @@ def compile_bodies(bodies: Sequence[Body], table: Tabletop, options: EngineOptio
     return compile_spec(spec_of(bodies, table, options))
 
 
-def spec_of(bodies: Sequence[Body], table: Tabletop, options: EngineOptions = EngineOptions()) -> mujoco.MjSpec:
+def spec_of(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions = PhysicsOptions()) -> mujoco.MjSpec:
     """What :func:`compile_bodies` compiles: the one description of a scene for the engine, which exports add names and looks to.
 
     Args:
@@ -232,7 +232,7 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
         ) from error
 
 
-def let_sleep(model: mujoco.MjModel, options: EngineOptions) -> None:
+def let_sleep(model: mujoco.MjModel, options: PhysicsOptions) -> None:
     """From now on the engine does not look at what is slower than ``options.sleep_speed``, if that is more than 0."""
     if options.sleep_speed:
         model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
@@ -244,7 +244,7 @@ def deepest_contact(data: mujoco.MjData) -> float:
     return float(max(0.0, -data.contact.dist.min())) if data.ncon else 0.0
 
 
-def _configure(spec: mujoco.MjSpec, options: EngineOptions) -> None:
+def _configure(spec: mujoco.MjSpec, options: PhysicsOptions) -> None:
     spec.option.timestep = options.timestep
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = options.impratio
@@ -252,7 +252,7 @@ def _configure(spec: mujoco.MjSpec, options: EngineOptions) -> None:
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
 
-def _add_body(spec: mujoco.MjSpec, body: Body, meshes: dict[int, str], collider: mujoco.MjsDefault) -> None:
+def _add_body(spec: mujoco.MjSpec, body: RigidBody, meshes: dict[int, str], collider: mujoco.MjsDefault) -> None:
     if not np.isfinite((*body.position, body.yaw)).all():
         raise MeshError(f"body {body.name}: its pose is {body.position}, yaw {body.yaw}, expected finite numbers", "not_finite")
     if not 0 < body.mass < np.inf:
@@ -289,7 +289,7 @@ def hull_volume(part: Mesh) -> float:
 
 
 def _run(
-    model: mujoco.MjModel, data: mujoco.MjData, seconds: float, options: EngineOptions, rest_speed: float = 0.0
+    model: mujoco.MjModel, data: mujoco.MjData, seconds: float, options: PhysicsOptions, rest_speed: float = 0.0
 ) -> FloatArray:
     """Poses of all bodies at every sample, (T, N, 7) float64: position, quaternion xyzw; NaN from the first that blew up on.
 
@@ -337,7 +337,7 @@ def has_exploded(data: mujoco.MjData) -> bool:
 
 
 def _verdict(
-    names: tuple[str, ...], settled: FloatArray, watched: FloatArray, penetration: float, options: EngineOptions
+    names: tuple[str, ...], settled: FloatArray, watched: FloatArray, penetration: float, options: PhysicsOptions
 ) -> SettleResult:
     """Judges trajectories (T, N, 7): the start and the settling, then the watch."""
     path = np.concatenate([settled, watched])

@@ -12,7 +12,7 @@ _WINDOW_BYTES = 256 * 2**20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Window:
+class RowGroupWindow:
     """Row groups that are held together.
 
     Attributes:
@@ -50,7 +50,7 @@ class EpochOrder:
     seed: int | None
     window_rows: int
 
-    def windows(self, epoch: int) -> Iterator[Window]:
+    def windows(self, epoch: int) -> Iterator[RowGroupWindow]:
         """The windows of an epoch; every row group is in one of them."""
         window: list[int] = []
         start = stop = num_bytes = 0
@@ -71,5 +71,5 @@ class EpochOrder:
             np.random.default_rng((self.seed, epoch)).shuffle(order)
         return [int(index) for index in order]
 
-    def _window(self, epoch: int, start: int, stop: int, groups: list[int]) -> Window:
-        return Window(start, stop, tuple(groups), None if self.seed is None else (self.seed, epoch, start))
+    def _window(self, epoch: int, start: int, stop: int, groups: list[int]) -> RowGroupWindow:
+        return RowGroupWindow(start, stop, tuple(groups), None if self.seed is None else (self.seed, epoch, start))

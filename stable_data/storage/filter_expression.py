@@ -1,9 +1,9 @@
 """Conditions on the rows of a table, in words: ``stable and num_stacked >= 2``.
 
-A condition names columns, compares them with constants and joins the comparisons with ``and``, ``or`` and ``not``. It is read by
-Python's own parser and nothing of it is ever run; Arrow evaluates it, and skips the parts of a file whose statistics rule it out. A
-value that is unknown (null) makes no row pass: neither ``stable`` nor ``not stable`` holds where stability was never judged. Only
-``is None`` and ``is not None`` ask for it: ``aws is None or aws >= 1`` takes what is unknown too.
+A condition names columns, compares them with constants and joins the comparisons with ``and``, ``or`` and ``not``. It is read
+by Python's own parser and nothing of it is ever run; Arrow evaluates it, and skips the parts of a file whose statistics rule
+it out. A value that is unknown (null) makes no row pass: neither ``stable`` nor ``not stable`` holds where stability was never
+judged. Only ``is None`` and ``is not None`` ask for it: ``aws is None or aws >= 1`` takes what is unknown too.
 
 A condition has at most :data:`LONGEST_QUERY` characters and :data:`DEEPEST_QUERY` levels. Many comparisons, and lists of many
 constants, are one level.
@@ -42,7 +42,7 @@ _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], pc.Expression]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Query:
+class FilterExpression:
     """A condition on rows.
 
     Attributes:
@@ -70,7 +70,7 @@ class Query:
         return len(self.rows(pa.Table.from_pylist([{name: row[name] for name in self.columns}], columns))) == 1
 
 
-def parse_query(text: str, schema: pa.Schema) -> Query:
+def parse_filter(text: str, schema: pa.Schema) -> FilterExpression:
     """A condition from its words.
 
     Args:
@@ -104,7 +104,7 @@ def parse_query(text: str, schema: pa.Schema) -> Query:
         raise _invalid(text, f"has what no column holds ({error}), expected whole numbers of 64 bits and Unicode") from error
     if not reader.columns:
         raise _invalid(text, "names no column; leave it out to take every row")
-    return Query(text, tuple(reader.columns), expression)
+    return FilterExpression(text, tuple(reader.columns), expression)
 
 
 class _Reader:
@@ -188,8 +188,8 @@ def _joined(operation: Callable[[Any, Any], Any], parts: list[pc.Expression]) ->
 def _is_in(value: pc.Expression, constants: list[Any]) -> pc.Expression:
     """Whether a value equals one of some constants; null where the value is.
 
-    ``isin`` alone is false for null, compares unlike types, and tells -0.0 from 0.0. One comparison of each type is added to it: with
-    zero where zero is among them.
+    ``isin`` alone is false for null, compares unlike types, and tells -0.0 from 0.0. One comparison of each type is added to
+    it: with zero where zero is among them.
     """
     parts = []
     for kind in dict.fromkeys(map(type, constants)):

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, unreadable
 from stable_data.scene import IntArray
-from stable_data.storage.filter_expression import Query, parse_query
+from stable_data.storage.filter_expression import FilterExpression, parse_filter
 from stable_data.storage.run_folder import RunFolder, Uri, read_row_groups
 from stable_data.storage.schemas import SCHEMAS, Row, check_version
 
@@ -138,7 +138,7 @@ class TableFiles:
             folder.dataset(self._table)  # says what is missing
         return paths
 
-    def _list_groups(self, run: int, path: str, query: Query | None) -> list[RowGroup]:
+    def _list_groups(self, run: int, path: str, query: FilterExpression | None) -> list[RowGroup]:
         folder = self._folders[run]
         try:
             with pq.ParquetFile(path, filesystem=folder.filesystem) as file:
@@ -149,21 +149,21 @@ class TableFiles:
             raise unreadable(folder.uri, path, error) from error
         return [group for group in groups if group.num_rows]
 
-    def _query(self) -> Query | None:
+    def _query(self) -> FilterExpression | None:
         """The condition that split and where make."""
         parts = ([f"split == {self.split!r}"] if self.split else []) + ([f"({self.where})"] if self.where else [])
         if self.where:
-            parse_query(self.where, SCHEMAS[self._table])  # so that what is wrong with it is said of it alone
-        return parse_query(" and ".join(parts), SCHEMAS[self._table]) if parts else None
+            parse_filter(self.where, SCHEMAS[self._table])  # so that what is wrong with it is said of it alone
+        return parse_filter(" and ".join(parts), SCHEMAS[self._table]) if parts else None
 
 
-def _possible(query: Query, path: str, file: pq.ParquetFile, folder: RunFolder) -> list[int]:
+def _possible(query: FilterExpression, path: str, file: pq.ParquetFile, folder: RunFolder) -> list[int]:
     """The row groups of a file that its statistics do not rule out."""
     fragment = ds.ParquetFileFormat().make_fragment(path, folder.filesystem)
     return [group.id for group in fragment.subset(query.expression, schema=file.schema_arrow).row_groups]
 
 
-def _row_group(run: int, path: str, file: pq.ParquetFile, index: int, query: Query | None) -> RowGroup:
+def _row_group(run: int, path: str, file: pq.ParquetFile, index: int, query: FilterExpression | None) -> RowGroup:
     footer = file.metadata.row_group(index)
     if query is None:
         return RowGroup(run, path, index, footer.num_rows, footer.total_byte_size)

@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 from stable_data.code_version import code_version
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
-from stable_data.storage.filter_expression import parse_query
+from stable_data.storage.filter_expression import parse_filter
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
 
@@ -28,7 +28,7 @@ def count_selected(run: RunFolder, where: str) -> tuple[int, int]:
     Raises:
         ConfigError: It is no condition on ``scenes``, or the run has no such table.
     """
-    query = parse_query(where, SCHEMAS["scenes"])
+    query = parse_filter(where, SCHEMAS["scenes"])
     return run.table("scenes", ["scene_id"], query.expression).num_rows, run.num_rows("scenes")
 
 
@@ -49,7 +49,7 @@ def select(run: RunFolder, where: str, target: RunFolder) -> dict[str, int]:
     Raises:
         ConfigError: It is no condition on ``scenes``, the run has no such table, or the target holds something else.
     """
-    query = parse_query(where, SCHEMAS["scenes"])
+    query = parse_filter(where, SCHEMAS["scenes"])
     read = {table: sorted(run.shard_ids(table)) for table in SCHEMAS if run.files(table) and table != "failures"}
     manifest = {
         "job": "query",

@@ -15,7 +15,7 @@ from benchmarks.audit import readable_scenes
 from benchmarks.generalisation import CASES, outcome
 from benchmarks.meshes import repaired_meshes
 from stable_data.cli import DONE, NOT_STARTED, SOME_FAILED
-from stable_data.embedded_world import World, write_world
+from stable_data.embedded_world import EmbeddedWorld, write_world
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Tabletop
 
@@ -73,7 +73,7 @@ def test_a_job_that_could_not_start_ends_them(tmp_path: Path, monkeypatch: pytes
 
 
 def test_scenes_and_meshes_that_cannot_be_used_are_left_out(tmp_path: Path) -> None:
-    write_world(tmp_path, 2, World(pictures=False))
+    write_world(tmp_path, 2, EmbeddedWorld(pictures=False))
     dataset = MesaTaskDataset(tmp_path)
     broken, kept = dataset.scene_ids
     dataset.layout_path(broken).write_text("{")

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from benchmarks import steerable_drake
-from benchmarks.baselines.outcome import Outcome
+from benchmarks.baselines.outcome import BaselineResult
 from benchmarks.baselines.steerable import Steerable
-from benchmarks.correction import Ours, Result, chosen_layouts, judged, ours, ratios, run, table
-from benchmarks.layouts import BUCKETS, Layout, bucket_of, read_layouts, shaken, shaken_layouts
+from benchmarks.correction import CorrectorBaseline, Result, chosen_layouts, judged, ours, ratios, run, table
+from benchmarks.layouts import BUCKETS, StartLayout, bucket_of, read_layouts, shaken, shaken_layouts
 from stable_data.assets.store import AssetStore
-from stable_data.embedded_world import World, write_world
+from stable_data.embedded_world import EmbeddedWorld, write_world
 from stable_data.errors import SceneError
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset
@@ -26,7 +26,7 @@ from stable_data.scene import Relation, RelationKind, Scene
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> MesaTaskDataset:
     root = tmp_path_factory.mktemp("world")
-    write_world(root, 2, World(pictures=False))
+    write_world(root, 2, EmbeddedWorld(pictures=False))
     return MesaTaskDataset(root)
 
 
@@ -117,14 +117,14 @@ def test_shaken_scenes_fill_the_buckets_that_they_can(scene: Scene, store: Asset
 class Thrower:
     """Throws the first object away and claims success."""
 
-    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> Outcome:
+    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
         first, *rest = scene.objects
         x, y, z = first.position
-        return Outcome(replace(scene, objects=(first.moved((x + 10.0, y, z + 1.0), first.yaw), *rest)), True, 1.5)
+        return BaselineResult(replace(scene, objects=(first.moved((x + 10.0, y, z + 1.0), first.yaw), *rest)), True, 1.5)
 
 
 def test_a_method_is_judged_by_what_it_gives_back(scene: Scene, store: AssetStore) -> None:
-    layout = Layout(scene, scene, "0-10", 1)
+    layout = StartLayout(scene, scene, "0-10", 1)
     thrown = judged("thrower", Thrower(), layout, store)
     assert (thrown.converged, thrown.clean) == (True, False)
     assert thrown.num_outside == 1
@@ -146,7 +146,7 @@ def test_a_method_is_judged_by_what_it_gives_back(scene: Scene, store: AssetStor
 
 
 def test_seconds_of_the_baselines_are_set_against_ours(scene: Scene, store: AssetStore) -> None:
-    one = judged("thrower", Thrower(), Layout(scene, scene, "0-10", 1), store)
+    one = judged("thrower", Thrower(), StartLayout(scene, scene, "0-10", 1), store)
 
     def took(method: str, bucket: str, *seconds: float) -> list[Result]:
         return [replace(one, method=method, bucket=bucket, seconds=s) for s in seconds]
@@ -160,19 +160,19 @@ def test_seconds_of_the_baselines_are_set_against_ours(scene: Scene, store: Asse
 
 
 def test_the_time_cap_is_said(scene: Scene, store: AssetStore, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run([Layout(scene, scene, "0-10", 1)], store, {}, limit=-1.0) == []
+    assert run([StartLayout(scene, scene, "0-10", 1)], store, {}, limit=-1.0) == []
     assert "left out" in capsys.readouterr().out
 
 
 def test_relations_that_a_correction_breaks_are_counted(scene: Scene, store: AssetStore) -> None:
     start = shaken(scene, 0.08, np.random.default_rng(1))
-    result: Result = judged("steerable", Steerable(), Layout(start, scene, "0-10", 1), store)
+    result: Result = judged("steerable", Steerable(), StartLayout(start, scene, "0-10", 1), store)
     assert 0 <= result.kept.on_in_kept <= result.kept.on_in_held
 
 
 def test_ours_is_judged_as_the_others_are(scene: Scene, store: AssetStore) -> None:
     start = shaken(scene, 0.08, np.random.default_rng(1))
-    result = judged("certify", Ours("none"), Layout(start, scene, "0-10", 1), store, settles=True)
+    result = judged("certify", CorrectorBaseline("none"), StartLayout(start, scene, "0-10", 1), store, settles=True)
     assert result.clean
     assert result.converged
     assert result.num_resting is not None

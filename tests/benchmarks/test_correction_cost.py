@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks import correction_cost
 from benchmarks.correction_cost import Bench, Cost, Throughput, crowd, exponent, growth_table
-from stable_data.embedded_world import World, write_world
+from stable_data.embedded_world import EmbeddedWorld, write_world
 from stable_data.errors import SceneError
 from stable_data.scene import TABLE, Scene
 
@@ -16,7 +16,7 @@ from stable_data.scene import TABLE, Scene
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("world")
-    write_world(folder, 3, World(pictures=False))
+    write_world(folder, 3, EmbeddedWorld(pictures=False))
     return folder
 
 

@@ -11,31 +11,31 @@ import typer
 
 from benchmarks import corrector_ablation
 from benchmarks.corrector_ablation import ARMS, FULL, Arm, arm
-from benchmarks.flow_gain import ALONE, Coarse, Gain, compared, held_out, perturbed
+from benchmarks.flow_gain import ALONE, CoarseLayout, Gain, compared, held_out, perturbed
 from benchmarks.flow_gain import table as gain_table
-from models.physics_corrector.certify import Status
+from models.physics_corrector.certify import CorrectionStatus
 from models.physics_corrector.corrector import Fixed
-from models.physics_corrector.training.dataset import RunScenes, clean_targets
+from models.physics_corrector.training.dataset import TrainingScenes, clean_targets
 from models.physics_corrector.training.perturbation import KINDS, PerturbationSettings
-from models.physics_corrector.training.settings import TrainingSettings, training_preset
+from models.physics_corrector.training.settings import CorrectorTrainingSettings, training_preset
 from models.physics_corrector.training.validation import Card
-from pipelines.train.corrector import TrainCorrector, Watch
+from pipelines.train.corrector import CorrectorMonitoring, CorrectorTrainingJob
 from stable_data.errors import ConfigError
 from stable_data.geometry.shape import Shape
 from stable_data.scene import Scene
 from tests.models.physics_corrector.training.training_scenes import TINY
 
 SETTINGS = replace(TINY, steps=2, batch_size=4, chunk=4, num_surface=64, num_bottom=16)
-WATCH = Watch(log_every=2, card_every=9, final_scenes=2, exact_scenes=1)
+WATCH = CorrectorMonitoring(log_every=2, card_every=9, final_scenes=2, exact_scenes=1)
 
 
-def clean_scenes(run: Path, folder: Path) -> tuple[RunScenes, list[Scene]]:
-    source = RunScenes(str(run), folder)
+def clean_scenes(run: Path, folder: Path) -> tuple[TrainingScenes, list[Scene]]:
+    source = TrainingScenes(str(run), folder)
     return source, clean_targets(source.uri)[0]
 
 
 @pytest.fixture(scope="module")
-def layouts(clean_run: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Coarse]:
+def layouts(clean_run: Path, tmp_path_factory: pytest.TempPathFactory) -> list[CoarseLayout]:
     source, scenes = clean_scenes(clean_run, tmp_path_factory.mktemp("meshes"))
     return list(perturbed(scenes[:1], source.store(), PerturbationSettings()))
 
@@ -49,7 +49,7 @@ def test_what_is_held_out_was_not_trained_on(clean_run: Path, tmp_path: Path) ->
     assert not trained_on & {scene.scene_id for scene in others}
 
 
-def test_every_kind_of_error_is_made_and_shows_what_it_carries(layouts: list[Coarse]) -> None:
+def test_every_kind_of_error_is_made_and_shows_what_it_carries(layouts: list[CoarseLayout]) -> None:
     assert tuple(c.group for c in layouts) == KINDS
     first = layouts[0].scene
     assert all(c.scene.relations == () for c in layouts)
@@ -69,7 +69,7 @@ def timeless(gain: Gain) -> Gain:
     return replace(gain, method="", flow_seconds=0.0, certify_seconds=0.0)
 
 
-def test_a_flow_that_does_nothing_adds_nothing(layouts: list[Coarse]) -> None:
+def test_a_flow_that_does_nothing_adds_nothing(layouts: list[CoarseLayout]) -> None:
     chosen = [c for c in layouts if c.group in ("small", "pile")]
     gains = compared(chosen, {"stays": stays, "turns": turns})
     by = {(g.method, g.group): g for g in gains}
@@ -77,7 +77,7 @@ def test_a_flow_that_does_nothing_adds_nothing(layouts: list[Coarse]) -> None:
     for group in ("small", "pile"):
         alone, still, turned = (by[name, group] for name in (ALONE, "stays", "turns"))
         assert timeless(still) == timeless(alone)
-        assert alone.status is Status.CERTIFIED
+        assert alone.status is CorrectionStatus.CERTIFIED
         assert turned.turn_mean_deg is not None
         assert turned.turn_mean_deg > 5
     lines = gain_table(gains).splitlines()
@@ -87,7 +87,7 @@ def test_a_flow_that_does_nothing_adds_nothing(layouts: list[Coarse]) -> None:
 
 
 def test_what_is_infeasible_counts_as_not_clean() -> None:
-    none = Gain("certify", "pile", "one", 3, Status.INFEASIBLE, 0, None, None, None, None, 0.0, 0.5)
+    none = Gain("certify", "pile", "one", 3, CorrectionStatus.INFEASIBLE, 0, None, None, None, None, 0.0, 0.5)
     assert gain_table([none]).splitlines()[1].split() == ["pile", "certify", "0/1", "0", *"-----", "0", "500"]
 
 
@@ -107,7 +107,7 @@ def test_every_arm_changes_one_thing() -> None:
     assert all(changed.values())
 
 
-def trained(run: Path, out: Path, settings: TrainingSettings = SETTINGS, name: str = FULL) -> Arm:
+def trained(run: Path, out: Path, settings: CorrectorTrainingSettings = SETTINGS, name: str = FULL) -> Arm:
     return arm(str(run), out, name, settings, WATCH)
 
 
@@ -126,7 +126,7 @@ def test_an_arm_is_trained_once(clean_run: Path, tmp_path: Path, capsys: pytest.
 
 def test_an_arm_that_was_stopped_says_so(clean_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(TrainCorrector, "run", lambda _: "stopped")
+        patch.setattr(CorrectorTrainingJob, "run", lambda _: "stopped")
         with pytest.raises(SystemExit, match="run again to go on"):
             trained(clean_run, tmp_path)
     assert trained(clean_run, tmp_path).steps == 2

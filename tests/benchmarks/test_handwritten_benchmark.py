@@ -4,12 +4,12 @@ from dataclasses import replace
 
 from benchmarks.handwritten import summary_of, verdict_of
 from models.semantic_reasoner.reasoner import Proposal
-from models.semantic_reasoner.replies.checks import Fault
+from models.semantic_reasoner.replies.checks import ReplyFault
 from models.semantic_reasoner.staged_layout import LayoutTask, StagedLayout
-from models.semantic_reasoner.text.reply_json import LayoutObject, Reply
+from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from stable_data.errors import Notice
-from stable_data.metrics.alignment import Reference
-from stable_data.metrics.matching import Required
+from stable_data.metrics.alignment import AlignmentReference
+from stable_data.metrics.matching import RequiredObject
 from stable_data.scene import Relation, RelationKind, SceneObject, Stage, Tabletop
 from tests.models.semantic_reasoner.handwritten import Handwritten, read_handwritten
 
@@ -17,7 +17,9 @@ TABLE = Tabletop("office_table", (1.2, 0.6))
 CASE = Handwritten(
     "Take the mug left of the laptop.",
     TABLE,
-    Reference("one", (Required("0", ("mug",)), Required("1", ("laptop",))), (Relation("0", RelationKind.LEFT_OF, "1"),)),
+    AlignmentReference(
+        "one", (RequiredObject("0", ("mug",)), RequiredObject("1", ("laptop",))), (Relation("0", RelationKind.LEFT_OF, "1"),)
+    ),
     (),
 )
 
@@ -27,7 +29,7 @@ def thing(category: str, x: float) -> SceneObject:
 
 
 def layout(*objects: SceneObject, proposal: Proposal | None = None) -> StagedLayout:
-    reply = Reply((LayoutObject("mug_0", "a mug", (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), 0),))
+    reply = LayoutReply((LayoutObject("mug_0", "a mug", (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), 0),))
     found = StagedLayout(LayoutTask("one", CASE.instruction, TABLE), objects)
     found.proposals.append((Stage.TASK, proposal or Proposal(reply)))
     return found
@@ -48,7 +50,7 @@ def test_what_is_missing_is_nonsense_unless_something_is_said() -> None:
     assert str(silent).endswith("NONSENSE")
     reply = layout().proposals[0][1].reply
     for code, is_nonsense in (("required_missing", False), ("size_unusual", True)):
-        proposal = Proposal(reply, (Fault(code, "look at it", is_hard=False),))
+        proposal = Proposal(reply, (ReplyFault(code, "look at it", is_hard=False),))
         assert verdict_of(CASE, layout(thing("mug", 0.3), proposal=proposal)).is_nonsense == is_nonsense
     failed = verdict_of(CASE, layout(proposal=Proposal(None, failure="no answer", code="reply_unusable")))
     assert (failed.is_right, failed.is_nonsense) == (False, False)

@@ -11,9 +11,9 @@ import pytest
 
 from models.semantic_reasoner.training.examples import edit_example_of
 from pipelines.edit.job import edit
-from pipelines.execution.ray_executor import Workers
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess.shard import preprocess
-from stable_data.embedded_world import World, write_world
+from stable_data.embedded_world import EmbeddedWorld, write_world
 from stable_data.embedded_world.drafting import KINDS
 from stable_data.embedded_world.edit_table import edit_rows
 from stable_data.storage.schemas import Row
@@ -26,7 +26,7 @@ from tests.stable_data.embedded_world.edit_scenes import made_scenes, row_of
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four scenes."""
     root = tmp_path_factory.mktemp("embedded") / "data"
-    write_world(root, 4, World(seed=3, pictures=False))
+    write_world(root, 4, EmbeddedWorld(seed=3, pictures=False))
     return root
 
 
@@ -65,7 +65,7 @@ def bare(tiny: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def clean_run(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run over the dataset."""
     out = tmp_path_factory.mktemp("run") / "out"
-    preprocess(str(dataset), str(out), SMALL, Workers())
+    preprocess(str(dataset), str(out), SMALL, WorkerPool())
     return out
 
 
@@ -73,7 +73,7 @@ def clean_run(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def tiny_run(tiny: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run over the one scene."""
     out = tmp_path_factory.mktemp("tiny_run") / "out"
-    preprocess(str(tiny), str(out), SMALL, Workers())
+    preprocess(str(tiny), str(out), SMALL, WorkerPool())
     return out
 
 
@@ -81,7 +81,7 @@ def tiny_run(tiny: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def bare_run(bare: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run over the scene without meshes."""
     out = tmp_path_factory.mktemp("bare_run") / "out"
-    preprocess(str(bare), str(out), SMALL, Workers())
+    preprocess(str(bare), str(out), SMALL, WorkerPool())
     return out
 
 

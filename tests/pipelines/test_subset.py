@@ -8,7 +8,7 @@ import pyarrow.compute as pc
 import pytest
 from typer.testing import CliRunner
 
-from stable_data.assets.run_assets import TableAssets
+from stable_data.assets.run_assets import RunAssets
 from stable_data.cli import app
 from stable_data.errors import ConfigError
 from stable_data.storage import subset
@@ -52,7 +52,7 @@ def test_the_rows_are_those_of_the_scenes_and_of_their_assets_alone(clean_run: P
 def test_readers_of_runs_read_it(clean_run: Path, selected: Path, where: str, tmp_path: Path) -> None:
     scenes = list(TableStream(str(selected)))
     assert scenes == list(TableStream(str(clean_run), where=where))
-    assets = TableAssets(RunFolder(str(selected)), tmp_path)
+    assets = RunAssets(RunFolder(str(selected)), tmp_path)
     assert all(assets.asset_path(o.asset_id) for scene in scenes for o in scene.objects if o.asset_id)
 
 

@@ -1,6 +1,6 @@
 """Makes a scene exactly clean, proven by the exact audit, moving little and keeping relations."""
 
 from models.physics_corrector.certify.certifier import Certifier, certify
-from models.physics_corrector.certify.options import Certified, CertifyOptions, Dropped, Status
+from models.physics_corrector.certify.options import CertificationResult, CertifyOptions, CorrectionStatus, DroppedObject
 
-__all__ = ["Certified", "Certifier", "CertifyOptions", "Dropped", "Status", "certify"]
+__all__ = ["CertificationResult", "Certifier", "CertifyOptions", "CorrectionStatus", "DroppedObject", "certify"]

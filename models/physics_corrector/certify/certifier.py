@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from models.physics_corrector.certify.layout_state import Layout
-from models.physics_corrector.certify.mesh_queries import Meshes
-from models.physics_corrector.certify.options import Certified, CertifyOptions, Dropped, Status
-from models.physics_corrector.certify.packing_bodies import Standing, directional
-from models.physics_corrector.certify.packing_problem import AXES, Crowd, holds
-from models.physics_corrector.certify.resting_pose import Rest, resting_pose
+from models.physics_corrector.certify.layout_state import LayoutState
+from models.physics_corrector.certify.mesh_queries import MeshQueries
+from models.physics_corrector.certify.options import CertificationResult, CertifyOptions, CorrectionStatus, DroppedObject
+from models.physics_corrector.certify.packing_bodies import PackingBodies, directional
+from models.physics_corrector.certify.packing_problem import AXES, PackingProblem, holds
+from models.physics_corrector.certify.resting_pose import RestingPose, resting_pose
 from models.physics_corrector.certify.separation import part
-from models.physics_corrector.certify.support_inference import TABLE_TOP, Carried, carriers_of, wanted_carriers
+from models.physics_corrector.certify.support_inference import TABLE_TOP, SupportEdge, carriers_of, wanted_carriers
 from stable_data.errors import SceneError
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import BOUNDS_SLACK, Audit, audit_scene
@@ -24,7 +24,7 @@ from stable_data.metrics.collision import TOLERANCE
 from stable_data.scene import FloatArray, Relation, Scene
 
 if TYPE_CHECKING:
-    from stable_data.simulation.settling import Body, SettleResult
+    from stable_data.simulation.settling import RigidBody, SettleResult
 
 _DEFAULT = CertifyOptions()
 _OVERFULL, _PACKED = 1.2, 0.8  # where things cover more of a table than the one, some go unsearched until they cover the other
@@ -37,8 +37,8 @@ def certify(
     options: CertifyOptions = _DEFAULT,
     *,
     original: Scene | None = None,
-    bodies: Sequence["Body"] | None = None,
-) -> Certified:
+    bodies: Sequence["RigidBody"] | None = None,
+) -> CertificationResult:
     """Makes a scene exactly clean, moving little and keeping relations.
 
     Args:
@@ -93,22 +93,22 @@ class Certifier:
         self.scene, self.given, self.options, self.original = scene, shapes, options, original
         # A box that stands in is checked like a mesh; that it proves nothing is said at the end.
         self.shapes = [s if s.is_exact else Shape(s.vertices, s.faces) for s in shapes]
-        self.meshes = Meshes(self.shapes, options.depth)
-        self.dropped: list[Dropped] = []
+        self.meshes = MeshQueries(self.shapes, options.depth)
+        self.dropped: list[DroppedObject] = []
         self.strict: set[frozenset[int]] = set()
         self.resettled: set[int] = set()
         self.shaky: set[int] = set()
-        self.others: list[list[Carried]] = []  # what else may carry each object, the likeliest first
+        self.others: list[list[SupportEdge]] = []  # what else may carry each object, the likeliest first
         self.restless: list[int] = []  # what has found no rest on what carried it
         self.reason = ""
         self.is_laid_out = False
 
-    def certified(self) -> Certified:
+    def certified(self) -> CertificationResult:
         """The correction."""
         with _on_one_thread():
             return self._certified()
 
-    def rested(self, done: Certified, bodies: Sequence["Body"]) -> Certified:
+    def rested(self, done: CertificationResult, bodies: Sequence["RigidBody"]) -> CertificationResult:
         """A correction that the engine has judged; what did not stay is elsewhere now, if it was found where it does.
 
         Args:
@@ -122,7 +122,7 @@ class Certifier:
         with _on_one_thread():
             return done if done.scene is None else self._rested(done, done.scene, bodies)
 
-    def _certified(self) -> Certified:
+    def _certified(self) -> CertificationResult:
         wanted = wanted_carriers(self.scene) if self.options.restore else {}
         if not wanted and (audit := self._clean_as_it_is()) is not None:
             return self._concluded(self.scene, audit)
@@ -134,24 +134,24 @@ class Certifier:
             known = {k: c for k, c in enumerate(carried) if c.parent != TABLE_TOP or self._stood(k)}
             now = carriers_of(self.meshes, self.scene.poses(), known)
             carried = [choice[0] for choice in now]
-        self.layout, self.is_laid_out = Layout(self.scene, self.shapes, carried, self.options.fixed), True
+        self.layout, self.is_laid_out = LayoutState(self.scene, self.shapes, carried, self.options.fixed), True
         orders = directional(self.layout, original_poses)
-        self.standing = Standing(self.layout, self.meshes, original_poses, orders, self.options.clearance)
+        self.standing = PackingBodies(self.layout, self.meshes, original_poses, orders, self.options.clearance)
         meant = list(carried)
         self._stand_and_nest()
         audit = None
         for _ in range(self.options.rounds):
             if not self._part():
-                return Certified(None, Status.INFEASIBLE, self.reason, tuple(self.dropped))
+                return CertificationResult(None, CorrectionStatus.INFEASIBLE, self.reason, tuple(self.dropped))
             audit = audit_scene(self._scene(), [self.shapes[k] for k in self.layout.present()])
             if audit.card().clean or not self._send_back(audit):
                 break
         if audit is None or not audit.card().clean:
             reason = self.reason or f"not clean after {self.options.rounds} rounds of exact checks: {_what_is_left(audit)}"
-            return Certified(None, Status.INFEASIBLE, reason, tuple(self.dropped))
+            return CertificationResult(None, CorrectionStatus.INFEASIBLE, reason, tuple(self.dropped))
         return replace(self._concluded(self._scene(), audit), num_broken=self._num_broken(meant, orders))
 
-    def _num_broken(self, meant: Sequence[Carried], orders: Sequence[Relation]) -> int:
+    def _num_broken(self, meant: Sequence[SupportEdge], orders: Sequence[Relation]) -> int:
         """How many of the carriers that were meant no longer carry, and of the directional relations no longer hold."""
         layout, number = self.layout, {o.instance: k for k, o in enumerate(self.scene.objects)}
         there = [k for k in layout.present() if meant[k].parent != TABLE_TOP and layout.is_there[meant[k].parent]]
@@ -166,18 +166,20 @@ class Certifier:
         """Did an object stand on the table in the original layout?"""
         return float(self.meshes.box(k, self.original.poses()[k])[0][2]) <= TOLERANCE
 
-    def _concluded(self, scene: Scene, audit: Audit) -> Certified:
+    def _concluded(self, scene: Scene, audit: Audit) -> CertificationResult:
         if self.dropped and not scene.objects:
             reason = f"of all that is there {self.dropped[0].reason}"
-            return Certified(None, Status.INFEASIBLE, reason, tuple(self.dropped))
+            return CertificationResult(None, CorrectionStatus.INFEASIBLE, reason, tuple(self.dropped))
         there = {o.instance for o in scene.objects}
         missing = [o.instance for o, s in zip(self.scene.objects, self.given, strict=True) if not s.is_exact]
         if kept := [name for name in missing if name in there]:
             shapes = [s for o, s in zip(self.scene.objects, self.given, strict=True) if o.instance in there]
             reason = f"boxes stand in for the meshes of {kept}: clean by boxes, which proves nothing"
-            return Certified(scene, Status.UNKNOWN, reason, tuple(self.dropped), audit_scene(scene, shapes))
+            return CertificationResult(scene, CorrectionStatus.UNKNOWN, reason, tuple(self.dropped), audit_scene(scene, shapes))
         reason = "; ".join(f"{d.instance} dropped: {d.reason}" for d in self.dropped)
-        return Certified(scene, Status.DROPPED if self.dropped else Status.CERTIFIED, reason, tuple(self.dropped), audit)
+        return CertificationResult(
+            scene, CorrectionStatus.DROPPED if self.dropped else CorrectionStatus.CERTIFIED, reason, tuple(self.dropped), audit
+        )
 
     def _clean_as_it_is(self) -> Audit | None:
         """The audit of the layout where it is clean already. Looks first for what is quickly seen to be wrong."""
@@ -193,15 +195,15 @@ class Certifier:
         audit = audit_scene(self.scene, self.shapes)
         return audit if audit.card().clean else None
 
-    def _rested(self, done: Certified, scene: Scene, bodies: Sequence["Body"]) -> Certified:
-        from models.physics_corrector.certify.settle_repair import Resting  # the engine takes long to import
-        from stable_data.simulation.settling import EngineOptions, settle
+    def _rested(self, done: CertificationResult, scene: Scene, bodies: Sequence["RigidBody"]) -> CertificationResult:
+        from models.physics_corrector.certify.settle_repair import SettleRepair  # the engine takes long to import
+        from stable_data.simulation.settling import PhysicsOptions, settle
 
         body_of = {body.name: body for body in bodies}
 
         def verdict(of: Scene) -> "SettleResult":
             placed = [replace(body_of[o.instance], position=o.position, yaw=o.yaw) for o in of.objects]
-            return settle(placed, of.table, EngineOptions(hurries=not self.options.places))
+            return settle(placed, of.table, PhysicsOptions(hurries=not self.options.places))
 
         rest = done.rest or verdict(scene)
         if rest.stable is None:
@@ -210,11 +212,11 @@ class Certifier:
         if not rest.stable and self.options.places:
             if not self.is_laid_out:
                 carried = [choice[0] for choice in carriers_of(self.meshes, self.scene.poses(), {})]
-                self.layout, self.is_laid_out = Layout(self.scene, self.shapes, carried, self.options.fixed), True
+                self.layout, self.is_laid_out = LayoutState(self.scene, self.shapes, carried, self.options.fixed), True
             layout, was, unsteady = self.layout, self.layout.poses.copy(), set(rest.unsteady)
             moved = [k for k in layout.present() if self.scene.objects[k].instance in unsteady]
             orders = directional(layout, self.original.poses())
-            Resting(layout, self.meshes, bodies, orders, self.options.places).settle(moved)
+            SettleRepair(layout, self.meshes, bodies, orders, self.options.places).settle(moved)
             if not np.array_equal(layout.poses, was):
                 mended = self._scene()
                 audit = audit_scene(mended, [self.shapes[k] for k in layout.present()])
@@ -246,7 +248,7 @@ class Certifier:
                 waiting = [m for m in layout.tree(root) if m not in own and m not in done]
                 rest = resting_pose(self.meshes, layout.poses, c, layout.carried[c], done, waiting)
                 if layout.is_fixed[c]:
-                    rest = Rest(layout.poses[c], True)
+                    rest = RestingPose(layout.poses[c], True)
                 if rest is None or not rest.is_steady:
                     self.restless.append(c)
                 if rest is None:
@@ -345,9 +347,9 @@ class Certifier:
         for r in roots:
             for k in self.layout.drop(r):
                 reason = f"no free place was found on the table of {width:.2f} x {depth:.2f} m"
-                self.dropped.append(Dropped(self.scene.objects[k].instance, reason))
+                self.dropped.append(DroppedObject(self.scene.objects[k].instance, reason))
 
-    def _accept(self, crowd: Crowd, groups: Sequence[Sequence[int]], shifts: FloatArray) -> None:
+    def _accept(self, crowd: PackingProblem, groups: Sequence[Sequence[int]], shifts: FloatArray) -> None:
         for b, roots in enumerate(groups):
             if crowd.is_free[b] and np.abs(shifts[b]).max() > 1e-7:
                 for r in roots:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from models.physics_corrector.certify.packing_problem import Crowd
+from models.physics_corrector.certify.packing_problem import PackingProblem
 from stable_data.scene import FloatArray
 
 _SPACING, _MOST = 0.01, 90  # between places that are tried, metres; and how many a side
@@ -14,7 +14,7 @@ _PER_METRE = 0.02  # what a metre of movement costs, metres of overlap
 
 
 def least_blocked(
-    crowd: Crowd, shifts: FloatArray, aims: FloatArray, k: int, weights: FloatArray, num: int, order: int | None = None
+    crowd: PackingProblem, shifts: FloatArray, aims: FloatArray, k: int, weights: FloatArray, num: int, order: int | None = None
 ) -> list[FloatArray]:
     """Shifts of one body at which it is least in the way of others, near to its aim and true to its relations.
 
@@ -57,7 +57,7 @@ def least_blocked(
     return found
 
 
-def _overlap_at(crowd: Crowd, shifts: FloatArray, k: int, points: FloatArray, weights: FloatArray) -> FloatArray:
+def _overlap_at(crowd: PackingProblem, shifts: FloatArray, k: int, points: FloatArray, weights: FloatArray) -> FloatArray:
     """Weighted sum of how deep a body would be in each other one, (P,) metres, at shifts (P, 2)."""
     depth = np.zeros((len(crowd.stiffness), len(points)))
     for e in np.nonzero((crowd.first_body == k) | (crowd.second_body == k))[0]:

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from models.physics_corrector.certify.packing_problem import Crowd
-from models.physics_corrector.certify.projection import HARD, Forces, project
+from models.physics_corrector.certify.packing_problem import PackingProblem
+from models.physics_corrector.certify.projection import HARD, ConstraintForces, project
 from stable_data.scene import FloatArray
 
 RELEASED = 0.1
@@ -14,7 +14,7 @@ _SOFTER = (1.0, 0.3, 0.1)  # what relations cost while those that have to give w
 _STEPS = 16
 
 
-def grown(crowd: Crowd, shifts: FloatArray, aims: FloatArray, steps: int) -> tuple[FloatArray, bool]:
+def grown(crowd: PackingProblem, shifts: FloatArray, aims: FloatArray, steps: int) -> tuple[FloatArray, bool]:
     """Parts a crowd. Directional relations that are in the way of that are given up one by one, the others stay dear.
 
     Args:
@@ -26,7 +26,7 @@ def grown(crowd: Crowd, shifts: FloatArray, aims: FloatArray, steps: int) -> tup
     Returns:
         The shifts, and whether the crowd is parted.
     """
-    prices, is_parted, forces = np.full(len(crowd.orders), HARD), False, Forces.none(crowd)
+    prices, is_parted, forces = np.full(len(crowd.orders), HARD), False, ConstraintForces.none(crowd)
     for share in _SHARES:
         smaller = crowd.shrunk(share)
         shifts, is_parted = project(smaller, shifts, aims, steps, prices, forces)

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.physics_corrector.certify.support_inference import TABLE_TOP, Carried
+from models.physics_corrector.certify.support_inference import TABLE_TOP, SupportEdge
 from stable_data.geometry.shape import Shape
 from stable_data.scene import FloatArray, Scene, Stage
 
 _STIFFNESS = {Stage.TASK: 10.0, Stage.IMPORTANT: 3.0, Stage.SECONDARY: 1.0, None: 1.0}
 
 
-class Layout:
+class LayoutState:
     """Where objects are and what carries them.
 
     Args:
@@ -26,7 +26,7 @@ class Layout:
         is_there: Whether each object has not been dropped.
     """
 
-    def __init__(self, scene: Scene, shapes: Sequence[Shape], carried: Sequence[Carried], fixed: frozenset[str]) -> None:
+    def __init__(self, scene: Scene, shapes: Sequence[Shape], carried: Sequence[SupportEdge], fixed: frozenset[str]) -> None:
         self.scene, self.shapes = scene, shapes
         self.poses: FloatArray = scene.poses()
         self.carried = list(carried)
@@ -70,7 +70,7 @@ class Layout:
 
     def stand(self, k: int) -> None:
         """Puts an object on the table itself, with all that it carries."""
-        self.carried[k] = Carried()
+        self.carried[k] = SupportEdge()
         self.poses[self.tree(k), 2] -= self.low(k)
 
     def carry(self, k: int, pose: FloatArray) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.collision import DIRECTIONS, NEAR, ROUNDING, TOLERANCE, nested
 from stable_data.metrics.support import carries
-from stable_data.metrics.triangle_intersection import MeshPair, Surface
+from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles
 from stable_data.scene import FloatArray, IntArray
 
 _ANY = fcl.CollisionRequest()
@@ -87,7 +87,7 @@ class _ThinnedPair(MeshPair):
         return None if contact is None else contact.normals
 
 
-class Meshes:
+class MeshQueries:
     """The meshes of a scene's objects, to be asked at any poses.
 
     Args:
@@ -99,7 +99,7 @@ class Meshes:
         self.shapes, self._depth = shapes, depth + ROUNDING
         self._extents: dict[tuple[int, float], tuple[FloatArray, FloatArray]] = {}
         self._penetrates: dict[tuple[int, int, bytes], bool] = {}
-        self._surfaces: dict[tuple[int, bytes], Surface] = {}
+        self._surfaces: dict[tuple[int, bytes], PosedTriangles] = {}
         self._whole: set[int] = set()  # those of which a tree was wanted
 
     def box(self, k: int, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -149,7 +149,7 @@ class Meshes:
                 return True
         if not within:
             return False
-        moved, still = Surface(self.surface(i, pose).triangles + way), self.surface(j, other)
+        moved, still = PosedTriangles(self.surface(i, pose).triangles + way), self.surface(j, other)
         return nested(moved, still) or nested(still, moved)
 
     def _pair(self, i: int, pose: FloatArray, j: int, other: FloatArray) -> "_WholePair | _ThinnedPair":
@@ -275,11 +275,11 @@ class Meshes:
     def _bodies_cross(one: fcl.CollisionObject, other: fcl.CollisionObject) -> bool:
         return bool(fcl.collide(one, other, _ANY, fcl.CollisionResult()) > 0)
 
-    def surface(self, k: int, pose: FloatArray) -> Surface:
+    def surface(self, k: int, pose: FloatArray) -> PosedTriangles:
         """Triangles of an object at a pose."""
         key = (k, pose.tobytes())
         if key not in self._surfaces:
             if len(self._surfaces) > 4 * len(self.shapes):
                 self._surfaces.clear()
-            self._surfaces[key] = Surface(self.shapes[k].posed(pose)[self.shapes[k].faces])
+            self._surfaces[key] = PosedTriangles(self.shapes[k].posed(pose)[self.shapes[k].faces])
         return self._surfaces[key]

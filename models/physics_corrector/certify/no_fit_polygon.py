@@ -5,14 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.physics_corrector.certify.slab_outline import NUM_SIDES, Slabs
+from models.physics_corrector.certify.slab_outline import NUM_SIDES, SlabOutline
 from stable_data.scene import FloatArray, IntArray
 
 _CHUNK = 512  # pairs of slabs whose polygons are made at a time
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class RigidGroup:
     """What moves as one: a thing that stands on the table with all that it carries, or a region that is kept free.
 
     Attributes:
@@ -20,12 +20,12 @@ class Part:
         anchor: Where it is, (2,), metres.
     """
 
-    slabs: Slabs
+    slabs: SlabOutline
     anchor: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class NoFit:
+class NoFitPolygons:
     """The polygons: the first part of each pair is clear of the second where it is beyond one of their half-planes.
 
     Attributes:
@@ -51,7 +51,7 @@ class NoFit:
         return found
 
 
-def no_fit(parts: Sequence[Part]) -> NoFit:
+def no_fit(parts: Sequence[RigidGroup]) -> NoFitPolygons:
     """The polygons of all pairs of parts, the part with the lower number first."""
     stacks = [p.slabs for p in parts]
     owner = np.repeat(np.arange(len(parts)), [len(s.tops) for s in stacks])
@@ -77,4 +77,4 @@ def no_fit(parts: Sequence[Part]) -> NoFit:
         found_offsets[rows, NUM_SIDES:] = offsets[b] - (normals[b] @ corners[a].transpose(0, 2, 1)).min(axis=2)
     anchors = np.array([p.anchor for p in parts]).reshape(-1, 2)
     first, second = owner[one], owner[other]
-    return NoFit(first, second, found_normals, found_offsets, anchors[first] - anchors[second])
+    return NoFitPolygons(first, second, found_normals, found_offsets, anchors[first] - anchors[second])

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from stable_data.simulation.settling import SettleResult  # the engine takes long to import
 
 
-class Status(StrEnum):
+class CorrectionStatus(StrEnum):
     """How a correction came out."""
 
     CERTIFIED = "certified"
@@ -30,7 +30,7 @@ class Status(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Dropped:
+class DroppedObject:
     """A background object that was given up.
 
     Attributes:
@@ -85,7 +85,7 @@ class CertifyOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Certified:
+class CertificationResult:
     """A corrected scene with its proof.
 
     Attributes:
@@ -101,9 +101,9 @@ class Certified:
     """
 
     scene: Scene | None
-    status: Status
+    status: CorrectionStatus
     reason: str = ""
-    dropped: tuple[Dropped, ...] = ()
+    dropped: tuple[DroppedObject, ...] = ()
     audit: Audit | None = None
     rest: "SettleResult | None" = None
     num_broken: int = 0

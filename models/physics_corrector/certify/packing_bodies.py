@@ -5,11 +5,11 @@ from collections.abc import Sequence, Set
 
 import numpy as np
 
-from models.physics_corrector.certify.layout_state import Layout
-from models.physics_corrector.certify.mesh_queries import Meshes
-from models.physics_corrector.certify.no_fit_polygon import NoFit, Part, no_fit
-from models.physics_corrector.certify.packing_problem import AXES, Bodies, Crowd, Order
-from models.physics_corrector.certify.slab_outline import Slabs, joined, rectangle, slabs_of
+from models.physics_corrector.certify.layout_state import LayoutState
+from models.physics_corrector.certify.mesh_queries import MeshQueries
+from models.physics_corrector.certify.no_fit_polygon import NoFitPolygons, RigidGroup, no_fit
+from models.physics_corrector.certify.packing_problem import AXES, BodyArrays, OrderConstraint, PackingProblem
+from models.physics_corrector.certify.slab_outline import SlabOutline, joined, rectangle, slabs_of
 from models.physics_corrector.certify.support_inference import TABLE_TOP
 from stable_data.metrics.audit import BOUNDS_SLACK
 from stable_data.scene import TABLE, FloatArray, Relation, RelationKind
@@ -19,7 +19,7 @@ _OVERHANG = 0.9 * BOUNDS_SLACK  # how far an outline may reach over the edge, me
 _DEEP = 3e-3  # outlines deeper in each other than this, whose meshes are apart, keep their places to each other, metres
 
 
-class Standing:
+class PackingBodies:
     """What stands on the table of a layout, ready to be parted.
 
     Args:
@@ -31,13 +31,13 @@ class Standing:
     """
 
     def __init__(
-        self, layout: Layout, meshes: Meshes, original: FloatArray, orders: Sequence[Relation], clearance: float
+        self, layout: LayoutState, meshes: MeshQueries, original: FloatArray, orders: Sequence[Relation], clearance: float
     ) -> None:
         self._layout, self._meshes, self._original = layout, meshes, original
         self._orders, self._clearance = orders, clearance
-        self._stacks: dict[tuple[int, ...], tuple[FloatArray, Slabs]] = {}
+        self._stacks: dict[tuple[int, ...], tuple[FloatArray, SlabOutline]] = {}
 
-    def crowd(self, strict: Set[frozenset[int]]) -> tuple[Crowd, list[list[int]]]:
+    def crowd(self, strict: Set[frozenset[int]]) -> tuple[PackingProblem, list[list[int]]]:
         """The trees as bodies.
 
         Args:
@@ -48,11 +48,11 @@ class Standing:
         """
         layout, size = self._layout, np.array(self._layout.scene.table.size_xy)
         roots = layout.roots()
-        parts = [Part(self._slabs(r), layout.poses[r, :2].copy()) for r in roots]
+        parts = [RigidGroup(self._slabs(r), layout.poses[r, :2].copy()) for r in roots]
         zone = layout.scene.table.restricted_zone
         if zone is not None:
             corners = np.array([[zone[0], zone[2]], [zone[1], zone[3]]])
-            parts.append(Part(rectangle(corners[0], corners[1]), np.zeros(2)))
+            parts.append(RigidGroup(rectangle(corners[0], corners[1]), np.zeros(2)))
         pairs = no_fit(parts)
         groups, relaxed = self._groups(roots, pairs, strict)
         number = {r: b for b, group in enumerate(groups) for r in group}
@@ -68,8 +68,8 @@ class Standing:
             least, most = p.slabs.box
             low[b] = np.maximum(low[b], -_OVERHANG - least - p.anchor)
             high[b] = np.minimum(high[b], size + _OVERHANG - most - p.anchor)
-        bodies = Bodies(stiffness, aims, low, high)
-        return Crowd(pairs, body, bodies, self._orders_between(number), self._clearance, relaxed), groups
+        bodies = BodyArrays(stiffness, aims, low, high)
+        return PackingProblem(pairs, body, bodies, self._orders_between(number), self._clearance, relaxed), groups
 
     def covered(self, roots: Sequence[int]) -> float:
         """Area of the table top that trees cover, square metres."""
@@ -79,7 +79,7 @@ class Standing:
             areas.append(0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))))
         return sum(areas)
 
-    def _slabs(self, root: int) -> Slabs:
+    def _slabs(self, root: int) -> SlabOutline:
         """Slabs of a tree around its root's anchor; those of a tree that has not changed but for its place are kept."""
         layout = self._layout
         tree = tuple(layout.tree(root))
@@ -94,7 +94,7 @@ class Standing:
             self._stacks[tree] = inner, joined(stacks)
         return self._stacks[tree][1]
 
-    def _orders_between(self, number: dict[int, int]) -> list[Order]:
+    def _orders_between(self, number: dict[int, int]) -> list[OrderConstraint]:
         layout = self._layout
         index = {o.instance: k for k, o in enumerate(layout.scene.objects)}
         found = []
@@ -104,11 +104,11 @@ class Standing:
                 first, second = number[layout.root_of(i)], number[layout.root_of(j)]
                 if first != second:
                     offset = layout.poses[i, :2] - layout.poses[j, :2]
-                    found.append(Order(first, second, np.array(AXES[r.kind]), offset))
+                    found.append(OrderConstraint(first, second, np.array(AXES[r.kind]), offset))
         return found
 
     def _groups(
-        self, roots: Sequence[int], pairs: NoFit, strict: Set[frozenset[int]]
+        self, roots: Sequence[int], pairs: NoFitPolygons, strict: Set[frozenset[int]]
     ) -> tuple[list[list[int]], dict[tuple[int, int], float]]:
         """Trees that keep their places to each other, because their meshes are apart though their outlines are not.
 
@@ -148,7 +148,7 @@ class Standing:
         )
 
 
-def directional(layout: Layout, original: FloatArray) -> list[Relation]:
+def directional(layout: LayoutState, original: FloatArray) -> list[Relation]:
     """The directional relations that a scene graph finds where objects are at poses (N, 4)."""
     objects = [o.moved((p[0], p[1], p[2]), p[3]) for o, p in zip(layout.scene.objects, original.tolist(), strict=True)]
     names = [o.instance for o in objects]

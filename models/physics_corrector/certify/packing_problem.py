@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.physics_corrector.certify.no_fit_polygon import NoFit
+from models.physics_corrector.certify.no_fit_polygon import NoFitPolygons
 from models.physics_corrector.certify.slab_outline import NUM_AROUND, BoolArray
 from stable_data.scene import FloatArray, IntArray, RelationKind
 
@@ -27,7 +27,7 @@ def holds(apart: FloatArray, axis: FloatArray) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Order:
+class OrderConstraint:
     """A directional relation between objects of two bodies.
 
     Attributes:
@@ -44,7 +44,7 @@ class Order:
 
 
 @dataclass(frozen=True, eq=False)
-class Bodies:
+class BodyArrays:
     """What each body is like.
 
     Attributes:
@@ -60,7 +60,7 @@ class Bodies:
     high: FloatArray
 
 
-class Crowd:
+class PackingProblem:
     """All bodies, what of them must not meet, and where they are allowed.
 
     Args:
@@ -74,10 +74,10 @@ class Crowd:
 
     def __init__(
         self,
-        pairs: NoFit,
+        pairs: NoFitPolygons,
         body: IntArray,
-        bodies: Bodies,
-        orders: Sequence[Order],
+        bodies: BodyArrays,
+        orders: Sequence[OrderConstraint],
         clearance: float,
         relaxed: Mapping[tuple[int, int], float] | None = None,
     ) -> None:
@@ -99,7 +99,7 @@ class Crowd:
         self.subjects = np.array([o.first for o in orders], np.int64)
         self.targets = np.array([o.second for o in orders], np.int64)
 
-    def shrunk(self, share: float) -> "Crowd":
+    def shrunk(self, share: float) -> "PackingProblem":
         """The same bodies, all as much smaller about their anchors."""
         smaller = copy.copy(self)
         smaller.offsets = share * self.offsets
@@ -111,7 +111,7 @@ class Crowd:
         apart = self.apart + shifts[self.first_body] - shifts[self.second_body]
         return np.asarray((self.normals @ apart[:, :, None])[..., 0] - self.offsets)
 
-    def without(self, gone: Sequence[int]) -> "Crowd":
+    def without(self, gone: Sequence[int]) -> "PackingProblem":
         """The same bodies, of which some are in nobody's way and stay where they are."""
         fewer = copy.copy(self)
         away = np.zeros(len(self.stiffness), bool)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-from models.physics_corrector.certify.packing_problem import Crowd
+from models.physics_corrector.certify.packing_problem import PackingProblem
 from stable_data.scene import FloatArray, IntArray
 
 HARD = 3.0
@@ -29,7 +29,7 @@ _ALONG = 0.35  # cosine between a way out and a directional relation that it ser
 
 
 @dataclass(slots=True)
-class Forces:
+class ConstraintForces:
     """What the constraints push with, kept from one step to the next as a start: most of them change little.
 
     Attributes:
@@ -43,18 +43,18 @@ class Forces:
     edges: FloatArray
 
     @classmethod
-    def none(cls, crowd: Crowd) -> "Forces":
+    def none(cls, crowd: PackingProblem) -> "ConstraintForces":
         """None on any body of a crowd."""
         return cls(np.zeros(len(crowd.first)), np.zeros(2 * len(crowd.orders)), np.zeros(4 * len(crowd.stiffness)))
 
 
 def project(
-    crowd: Crowd,
+    crowd: PackingProblem,
     shifts: FloatArray,
     aims: FloatArray,
     steps: int,
     order_price: float | FloatArray = HARD,
-    forces: Forces | None = None,
+    forces: ConstraintForces | None = None,
 ) -> tuple[FloatArray, bool]:
     """Moves bodies apart.
 
@@ -70,7 +70,7 @@ def project(
         The shifts, (B, 2), and whether the crowd is parted.
     """
     best, is_parted = shifts, False
-    forces = forces or Forces.none(crowd)
+    forces = forces or ConstraintForces.none(crowd)
     prices = np.broadcast_to(np.asarray(order_price, float), len(crowd.orders))
     near, beyond = crowd.near(shifts, _NEAR)
     for _ in range(steps):
@@ -88,19 +88,19 @@ def project(
     return best, is_parted
 
 
-def is_free_of_overlap(crowd: Crowd, shifts: FloatArray) -> bool:
+def is_free_of_overlap(crowd: PackingProblem, shifts: FloatArray) -> bool:
     """Does nothing of a crowd meet, and is all of it where it is allowed?"""
     return bool(crowd.overlap(shifts).max(initial=0.0) <= FREE and crowd.outside(shifts).max(initial=0.0) <= FREE)
 
 
 def _step(
-    crowd: Crowd,
+    crowd: PackingProblem,
     shifts: FloatArray,
     near: IntArray,
     beyond: FloatArray,
     aims: FloatArray,
     order_prices: FloatArray,
-    forces: Forces,
+    forces: ConstraintForces,
 ) -> FloatArray:
     rows, bounds = _planes(crowd, near, beyond, order_prices)
     sides, edge_rows, edge_bounds = _edges(crowd, shifts)
@@ -123,7 +123,9 @@ def _step(
     return moved
 
 
-def _planes(crowd: Crowd, near: IntArray, beyond: FloatArray, order_prices: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _planes(
+    crowd: PackingProblem, near: IntArray, beyond: FloatArray, order_prices: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """One half-plane for each near pair of slabs: normals (N, 2), bounds (N,)."""
     chosen = beyond.argmax(axis=1)
     overlapping = np.flatnonzero(np.take_along_axis(beyond, chosen[:, None], axis=1)[:, 0] < 0)
@@ -167,7 +169,7 @@ def _way_out(normals: FloatArray, cost: FloatArray, axis: FloatArray | None) -> 
     return np.asarray(pick[int(total.argmin())])
 
 
-def _wanted_axes(crowd: Crowd, order_prices: FloatArray) -> dict[tuple[int, int], FloatArray]:
+def _wanted_axes(crowd: PackingProblem, order_prices: FloatArray) -> dict[tuple[int, int], FloatArray]:
     """For pairs of bodies with a directional relation that is dear: where the first is, seen from the second."""
     axes: dict[tuple[int, int], FloatArray] = {}
     for k in np.flatnonzero(order_prices > _DEAR).tolist():
@@ -177,7 +179,7 @@ def _wanted_axes(crowd: Crowd, order_prices: FloatArray) -> dict[tuple[int, int]
     return axes
 
 
-def _edges(crowd: Crowd, shifts: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+def _edges(crowd: PackingProblem, shifts: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     """The edges of the table that bodies are near: numbers of side and body, half-planes, bounds."""
     num = len(crowd.stiffness)
     sides: list[IntArray] = []
@@ -194,7 +196,7 @@ def _edges(crowd: Crowd, shifts: FloatArray) -> tuple[IntArray, FloatArray, Floa
 
 
 def _solved(
-    crowd: Crowd,
+    crowd: PackingProblem,
     first: IntArray,
     second: IntArray,
     rows: FloatArray,

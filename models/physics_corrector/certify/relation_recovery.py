@@ -4,7 +4,7 @@ import numpy as np
 
 from models.physics_corrector.certify.grid_search import least_blocked
 from models.physics_corrector.certify.inflation import RELEASED
-from models.physics_corrector.certify.packing_problem import Crowd
+from models.physics_corrector.certify.packing_problem import PackingProblem
 from models.physics_corrector.certify.projection import HARD, is_free_of_overlap, project
 from stable_data.scene import FloatArray
 
@@ -12,7 +12,7 @@ _STEPS, _FEW_STEPS = 16, 4
 _PLACES = 2  # that are tried for a body
 
 
-def polished(crowd: Crowd, shifts: FloatArray, aims: FloatArray) -> FloatArray:
+def polished(crowd: PackingProblem, shifts: FloatArray, aims: FloatArray) -> FloatArray:
     """Back to relations that were given up, then nearer to the aims, without passing one body by another.
 
     Args:
@@ -29,7 +29,7 @@ def polished(crowd: Crowd, shifts: FloatArray, aims: FloatArray) -> FloatArray:
     return _nearer(crowd, shifts, aims, _STEPS)
 
 
-def repaired(crowd: Crowd, shifts: FloatArray, aims: FloatArray, tries: int) -> FloatArray:
+def repaired(crowd: PackingProblem, shifts: FloatArray, aims: FloatArray, tries: int) -> FloatArray:
     """Puts bodies of broken directional relations where those hold, and lets others make room.
 
     Args:
@@ -60,7 +60,7 @@ def repaired(crowd: Crowd, shifts: FloatArray, aims: FloatArray, tries: int) -> 
     return _nearer(crowd, shifts, aims, _STEPS)
 
 
-def _elsewhere(crowd: Crowd, shifts: FloatArray, aims: FloatArray, k: int, order: int) -> list[FloatArray]:
+def _elsewhere(crowd: PackingProblem, shifts: FloatArray, aims: FloatArray, k: int, order: int) -> list[FloatArray]:
     """Shifts of all where one body is where a directional relation holds, and may be in others."""
     even = np.ones((len(shifts), len(shifts)))
     found = []
@@ -71,12 +71,12 @@ def _elsewhere(crowd: Crowd, shifts: FloatArray, aims: FloatArray, k: int, order
     return found
 
 
-def _nearer(crowd: Crowd, shifts: FloatArray, aims: FloatArray, steps: int) -> FloatArray:
+def _nearer(crowd: PackingProblem, shifts: FloatArray, aims: FloatArray, steps: int) -> FloatArray:
     prices = np.where(crowd.broken(shifts), RELEASED, HARD)
     return _better(crowd, shifts, project(crowd, shifts, aims, steps, prices))
 
 
-def _better(crowd: Crowd, shifts: FloatArray, other: tuple[FloatArray, bool]) -> FloatArray:
+def _better(crowd: PackingProblem, shifts: FloatArray, other: tuple[FloatArray, bool]) -> FloatArray:
     """Other shifts where they part the crowd and break no more relations, else these."""
     moved, is_parted = other
     good = is_parted and is_free_of_overlap(crowd, moved) and crowd.broken(moved).sum() <= crowd.broken(shifts).sum()

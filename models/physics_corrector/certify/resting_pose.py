@@ -7,9 +7,9 @@ import numpy as np
 import shapely
 from shapely.ops import nearest_points
 
-from models.physics_corrector.certify.mesh_queries import Meshes
+from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.static_stability import FALLS, STEADY, centre_of_mass, stands_alone, steadiness
-from models.physics_corrector.certify.support_inference import Carried, beyond
+from models.physics_corrector.certify.support_inference import SupportEdge, beyond
 from stable_data.metrics.collision import TOLERANCE
 from stable_data.scene import FloatArray
 from stable_data.scene_graph.relations import INSIDE_SLACK
@@ -42,7 +42,7 @@ _FOOT, _HIGHER = 1e-3, 0.03  # height of its foot; and how much higher than it w
 _MOST = 60  # places that are tried at each turn
 
 
-def is_at_rest(meshes: Meshes, poses: FloatArray, k: int, pose: FloatArray, others: Sequence[int]) -> bool:
+def is_at_rest(meshes: MeshQueries, poses: FloatArray, k: int, pose: FloatArray, others: Sequence[int]) -> bool:
     """Is an object at a pose (4,) free of others, and does one of them or the table carry it?"""
     near = meshes.near(k, pose, others, poses, TOLERANCE)
     if any(meshes.penetrates(k, pose, j, poses[j]) for j in near):
@@ -54,7 +54,7 @@ def is_at_rest(meshes: Meshes, poses: FloatArray, k: int, pose: FloatArray, othe
 
 
 @dataclass(frozen=True, slots=True)
-class Rest:
+class RestingPose:
     """Where something rests.
 
     Attributes:
@@ -67,8 +67,8 @@ class Rest:
 
 
 def resting_pose(
-    meshes: Meshes, poses: FloatArray, k: int, carried: Carried, done: Sequence[int], waiting: Sequence[int] = ()
-) -> Rest | None:
+    meshes: MeshQueries, poses: FloatArray, k: int, carried: SupportEdge, done: Sequence[int], waiting: Sequence[int] = ()
+) -> RestingPose | None:
     """A pose at which an object rests in or on what carries it and stays there, near to where it is.
 
     Args:
@@ -85,7 +85,7 @@ def resting_pose(
     everyone = [*done, *waiting]
     is_well = _is_carried(meshes, poses, k, poses[k], carried) and is_at_rest(meshes, poses, k, poses[k], everyone)
     if is_well and steadiness(meshes, k, poses[k], everyone, poses) >= STEADY:
-        return Rest(np.array(poses[k]), True)
+        return RestingPose(np.array(poses[k]), True)
     best, cost = _cheapest(meshes, poses, k, carried, done)
     if best is None:
         return None
@@ -94,11 +94,11 @@ def resting_pose(
         top = meshes.box(carried.parent, poses[carried.parent])[1][2]
         if not (carried.is_in and best[2] < top):
             return None
-    return Rest(best, cost < _TOPPLES)
+    return RestingPose(best, cost < _TOPPLES)
 
 
 def _cheapest(
-    meshes: Meshes, poses: FloatArray, k: int, carried: Carried, done: Sequence[int]
+    meshes: MeshQueries, poses: FloatArray, k: int, carried: SupportEdge, done: Sequence[int]
 ) -> tuple[FloatArray | None, float]:
     """The pose at which an object rests that costs least to take, (4,), and what it costs, metres; None where there is none."""
     best: FloatArray | None = None
@@ -126,7 +126,7 @@ def _cheapest(
     return best, least
 
 
-def _lowered(meshes: Meshes, poses: FloatArray, k: int, carried: Carried, done: Sequence[int]) -> Iterator[FloatArray]:
+def _lowered(meshes: MeshQueries, poses: FloatArray, k: int, carried: SupportEdge, done: Sequence[int]) -> Iterator[FloatArray]:
     """Poses to which an object comes down, those that turn and move it least first."""
     if not stands_alone(meshes.shapes[k]):
         yield from _leaning(meshes, poses, k, carried, done)
@@ -153,7 +153,7 @@ def _aligning(yaw: float) -> Sequence[float]:
     return (turn,) if abs(turn) > 1e-3 else ()
 
 
-def _sunk(meshes: Meshes, poses: FloatArray, k: int, pose: FloatArray, done: Sequence[int]) -> FloatArray:
+def _sunk(meshes: MeshQueries, poses: FloatArray, k: int, pose: FloatArray, done: Sequence[int]) -> FloatArray:
     """Where an object slides to from a pose without turning, steeper than friction would hold it."""
     there = np.array([pose[0], pose[1], meshes.lowered(k, pose, done, poses), pose[3]])
     floor = float(meshes.shapes[k].size[2]) / 2
@@ -169,7 +169,7 @@ def _sunk(meshes: Meshes, poses: FloatArray, k: int, pose: FloatArray, done: Seq
     return there
 
 
-def _leaning(meshes: Meshes, poses: FloatArray, k: int, carried: Carried, done: Sequence[int]) -> Iterator[FloatArray]:
+def _leaning(meshes: MeshQueries, poses: FloatArray, k: int, carried: SupportEdge, done: Sequence[int]) -> Iterator[FloatArray]:
     """Poses at which what cannot stand leans: put down in its carrier, then slid the way it would tip, until it meets something."""
     start, middle = _start_and_middle(meshes, poses, k, carried)
     width = float(np.ptp(meshes.shapes[carried.parent].footprint, axis=0).min())
@@ -197,7 +197,7 @@ def _leaning(meshes: Meshes, poses: FloatArray, k: int, carried: Carried, done: 
             yield pose
 
 
-def _is_carried(meshes: Meshes, poses: FloatArray, k: int, pose: FloatArray, carried: Carried) -> bool:
+def _is_carried(meshes: MeshQueries, poses: FloatArray, k: int, pose: FloatArray, carried: SupportEdge) -> bool:
     """By outline and height: is an object in its container, or over what carries it?"""
     p = carried.parent
     low, high = meshes.box(p, poses[p])
@@ -210,14 +210,14 @@ def _is_carried(meshes: Meshes, poses: FloatArray, k: int, pose: FloatArray, car
     return outside <= 0.0
 
 
-def _region(meshes: Meshes, poses: FloatArray, p: int) -> shapely.Polygon:
+def _region(meshes: MeshQueries, poses: FloatArray, p: int) -> shapely.Polygon:
     """Where over a carrier the centre of what it carries is wanted."""
     outline = shapely.Polygon(meshes.shapes[p].posed_footprint(poses[p]))
     inner = (outline.buffer(-inset) for inset in _INSETS)
     return next(r for r in (*inner, outline.envelope) if not r.is_empty)
 
 
-def _start_and_middle(meshes: Meshes, poses: FloatArray, k: int, carried: Carried) -> tuple[FloatArray, FloatArray]:
+def _start_and_middle(meshes: MeshQueries, poses: FloatArray, k: int, carried: SupportEdge) -> tuple[FloatArray, FloatArray]:
     """The place over its carrier that is nearest to an object, and the carrier's middle, two (2,), metres."""
     region, start = _region(meshes, poses, carried.parent), poses[k, :2].copy()
     if not shapely.contains_xy(region, *start):
@@ -225,7 +225,7 @@ def _start_and_middle(meshes: Meshes, poses: FloatArray, k: int, carried: Carrie
     return start, np.array([region.centroid.x, region.centroid.y])
 
 
-def _candidates(meshes: Meshes, poses: FloatArray, k: int, carried: Carried) -> Iterator[FloatArray]:
+def _candidates(meshes: MeshQueries, poses: FloatArray, k: int, carried: SupportEdge) -> Iterator[FloatArray]:
     """Poses from which an object is lowered, those that turn and move it least first."""
     pose, region = poses[k].copy(), _region(meshes, poses, carried.parent)
     start, middle = _start_and_middle(meshes, poses, k, carried)

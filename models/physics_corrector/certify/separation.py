@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.physics_corrector.certify.inflation import grown
-from models.physics_corrector.certify.packing_problem import Crowd
+from models.physics_corrector.certify.packing_problem import PackingProblem
 from models.physics_corrector.certify.projection import project
 from models.physics_corrector.certify.relation_recovery import polished, repaired
 from models.physics_corrector.certify.subset_packing import fitted
@@ -15,7 +15,7 @@ _STEPS = 16
 _GROWTH_STEPS = (3, 6)  # at each size, until it parts
 
 
-def part(crowd: Crowd, aims: FloatArray, spare: Sequence[int], tries: int) -> tuple[FloatArray, list[int]] | None:
+def part(crowd: PackingProblem, aims: FloatArray, spare: Sequence[int], tries: int) -> tuple[FloatArray, list[int]] | None:
     """Finds shifts at which nothing meets, near the aims and true to the directional relations as far as that goes.
 
     Args:

@@ -12,17 +12,17 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import shapely
 
-from models.physics_corrector.certify.layout_state import Layout
-from models.physics_corrector.certify.mesh_queries import Meshes
+from models.physics_corrector.certify.layout_state import LayoutState
+from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.packing_problem import AXES, holds
 from models.physics_corrector.certify.resting_pose import is_at_rest
-from models.physics_corrector.certify.settle_trial import Trial
-from models.physics_corrector.certify.support_inference import TABLE_TOP, Carried, beyond, wanted_carriers
+from models.physics_corrector.certify.settle_trial import SettleTrial
+from models.physics_corrector.certify.support_inference import TABLE_TOP, SupportEdge, beyond, wanted_carriers
 from stable_data.metrics.audit import BOUNDS_SLACK
 from stable_data.metrics.collision import TOLERANCE
 from stable_data.scene import FloatArray, Relation
 from stable_data.scene_graph.relations import INSIDE_SLACK
-from stable_data.simulation.settling import MOVE_LIMIT, TURN_LIMIT, Body
+from stable_data.simulation.settling import MOVE_LIMIT, TURN_LIMIT, RigidBody
 
 _VERDICT, _LOOK = 4.0, 1.5  # seconds that things are let go: to say that they stay, and to see where they fall
 _ROUNDS, _PATIENCE = 4, 3  # how often everything is let go, and how often an object is put elsewhere
@@ -43,7 +43,7 @@ _ASKEW = (0.0, 0.7, -0.7)  # and how much a thing that leans is turned from the 
 _BROKEN = 0.15  # what a lost directional relation costs, metres
 
 
-class Resting:
+class SettleRepair:
     """Makes a clean layout rest in the engine, as far as it can.
 
     Args:
@@ -54,7 +54,9 @@ class Resting:
         places: At how many an object is tried in the engine at most.
     """
 
-    def __init__(self, layout: Layout, meshes: Meshes, bodies: Sequence[Body], orders: Sequence[Relation], places: int) -> None:
+    def __init__(
+        self, layout: LayoutState, meshes: MeshQueries, bodies: Sequence[RigidBody], orders: Sequence[Relation], places: int
+    ) -> None:
         self._layout, self._meshes, self._bodies, self._places = layout, meshes, bodies, places
         self._meant = set(wanted_carriers(layout.scene))
         self._seen: dict[tuple[tuple[int, ...], bytes], list[int]] = {}
@@ -96,7 +98,7 @@ class Resting:
             moved += self._seen[key]
         return moved
 
-    def _moving(self, trial: Trial) -> list[int]:
+    def _moving(self, trial: SettleTrial) -> list[int]:
         stays = trial.stays(self._layout.poses, _VERDICT, MOVE_LIMIT, TURN_LIMIT)
         moved = [k for k, stay in zip(trial.free, stays.tolist(), strict=True) if not stay]
         for k in moved:
@@ -131,9 +133,9 @@ class Resting:
         trial = self._trial([k], self._around(*self._box([k]), _BESIDE))
         return trial.all_stay(self._layout.poses, _VERDICT, MOVE_LIMIT, TURN_LIMIT)
 
-    def _trial(self, free: Sequence[int], held: Sequence[int]) -> Trial:
+    def _trial(self, free: Sequence[int], held: Sequence[int]) -> SettleTrial:
         held = [j for j in held if j not in free]
-        return Trial(self._bodies, self._layout.poses, free, held, self._layout.scene.table)
+        return SettleTrial(self._bodies, self._layout.poses, free, held, self._layout.scene.table)
 
     def _around(self, low: FloatArray, high: FloatArray, gap: float) -> list[int]:
         """What is so near to a box, two (3,) metres."""
@@ -150,7 +152,7 @@ class Resting:
                 return True
             if not self._may_leave(k):
                 return False
-            layout.carried[k] = Carried()
+            layout.carried[k] = SupportEdge()
         reach = _FARTHEST + float(np.linalg.norm(layout.shapes[k].size))
         if self._tried(k, self._on_the_table(k), layout.poses[k, :3] - reach, layout.poses[k, :3] + reach):
             return True
@@ -282,7 +284,7 @@ class Resting:
         pose[2] = layout.shapes[k].size[2] / 2
         alone = layout.poses.copy()
         alone[k] = pose
-        trial = Trial(self._bodies, alone, [k], [], layout.scene.table)
+        trial = SettleTrial(self._bodies, alone, [k], [], layout.scene.table)
         candidates = []
         if trial.all_stay(alone, _VERDICT, MOVE_LIMIT, TURN_LIMIT):
             angles = 2 * np.pi * np.arange(_AROUND) / _AROUND

@@ -8,15 +8,15 @@ import numpy as np
 from models.physics_corrector.certify.slab_outline import BoolArray
 from stable_data.scene import FloatArray, Tabletop
 from stable_data.simulation.mujoco_import import mujoco
-from stable_data.simulation.settling import Body, EngineOptions, compile_bodies, let_sleep, without_log_file
+from stable_data.simulation.settling import PhysicsOptions, RigidBody, compile_bodies, let_sleep, without_log_file
 
-_OPTIONS = EngineOptions()  # as for the verdict of stability
+_OPTIONS = PhysicsOptions()  # as for the verdict of stability
 _SAMPLE = 0.02  # seconds between looks
 _STILL, _PATIENCE = 2e-4, 15  # what is slower than this, metres a second, for so many looks has come to rest
 _ARM = 0.05  # metres from the centre at which turning counts as speed
 
 
-class Trial:
+class SettleTrial:
     """Some objects of a layout in the engine.
 
     Args:
@@ -32,7 +32,7 @@ class Trial:
 
     def __init__(
         self,
-        bodies: Sequence[Body],
+        bodies: Sequence[RigidBody],
         poses: FloatArray,
         free: Sequence[int],
         held: Sequence[int],
@@ -41,7 +41,7 @@ class Trial:
         self.free = list(free)
         self._stride = max(1, round(_SAMPLE / _OPTIONS.timestep))
 
-        def at(k: int, *, movable: bool) -> Body:
+        def at(k: int, *, movable: bool) -> RigidBody:
             x, y, z, yaw = poses[k].tolist()
             return replace(bodies[k], position=(x, y, z), yaw=yaw, movable=movable)
 

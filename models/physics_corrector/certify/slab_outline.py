@@ -34,7 +34,7 @@ _EVENLY = 2 * np.pi * np.arange(NUM_AROUND) / NUM_AROUND
 
 
 @dataclass(frozen=True, eq=False)
-class Slabs:
+class SlabOutline:
     """Convex outlines by height.
 
     Attributes:
@@ -73,26 +73,26 @@ class Slabs:
         """Lowest and highest corner seen from above, two (2,), metres."""
         return self.corners.min(axis=(0, 1)), self.corners.max(axis=(0, 1))
 
-    def placed(self, yaw: float, offset: FloatArray) -> "Slabs":
+    def placed(self, yaw: float, offset: FloatArray) -> "SlabOutline":
         """The slabs turned by an angle and moved by a vector (3,), metres."""
         c, s = np.cos(yaw), np.sin(yaw)
         normals = self.normals @ np.array([[c, s], [-s, c]])
-        return Slabs(
+        return SlabOutline(
             normals, self.offsets + normals @ offset[:2], self.bottoms + offset[2], self.tops + offset[2], self.is_within
         )
 
 
-_slabs: "WeakKeyDictionary[Shape, Slabs]" = WeakKeyDictionary()
+_slabs: "WeakKeyDictionary[Shape, SlabOutline]" = WeakKeyDictionary()
 
 
-def slabs_of(shape: Shape) -> Slabs:
+def slabs_of(shape: Shape) -> SlabOutline:
     """The slabs of a shape in its yaw frame, its bottom at height 0; computed once."""
     if shape not in _slabs:
         _slabs[shape] = _cut(shape)
     return _slabs[shape]
 
 
-def joined(stacks: Sequence[Slabs]) -> Slabs:
+def joined(stacks: Sequence[SlabOutline]) -> SlabOutline:
     """The slabs of several things that move as one."""
     if len(stacks) == 1:
         return stacks[0]
@@ -107,13 +107,13 @@ def joined(stacks: Sequence[Slabs]) -> Slabs:
     return _stacked(outlines, ranges)
 
 
-def rectangle(low: FloatArray, high: FloatArray) -> Slabs:
+def rectangle(low: FloatArray, high: FloatArray) -> SlabOutline:
     """A prism over an upright rectangle given by two corners (2,), from the table up without end."""
     corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
     return _stacked([corners], [(-np.inf, np.inf)])
 
 
-def _cut(shape: Shape) -> Slabs:
+def _cut(shape: Shape) -> SlabOutline:
     bottom = -float(shape.size[2]) / 2
     vertices, height = shape.vertices, float(shape.size[2])
     levels = np.append(_LEVELS[height - 1e-6 > _LEVELS], height) if height > 1e-6 else np.array([0.0, 1e-6])
@@ -157,7 +157,7 @@ def _extreme(points: FloatArray) -> FloatArray:
     return np.concatenate([picked, points[beyond.any(axis=1)]])
 
 
-def _stacked(outlines: Sequence[FloatArray], ranges: Sequence[tuple[float, float]]) -> Slabs:
+def _stacked(outlines: Sequence[FloatArray], ranges: Sequence[tuple[float, float]]) -> SlabOutline:
     """Slabs around clouds of points (K, 2); neighbours that are alike become one."""
     hulls = [_hull(points) for points in outlines]
     merged: list[tuple[FloatArray, float, float]] = []
@@ -173,7 +173,7 @@ def _stacked(outlines: Sequence[FloatArray], ranges: Sequence[tuple[float, float
     )
     is_within &= ~is_within.T | np.triu(np.ones_like(is_within))
     lows, highs = np.array([low for _, low, _ in merged]), np.array([high for _, _, high in merged])
-    return Slabs(normals, offsets, lows, highs, is_within)
+    return SlabOutline(normals, offsets, lows, highs, is_within)
 
 
 def _hull(points: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.optimize
 import shapely
 
-from models.physics_corrector.certify.mesh_queries import Meshes
+from models.physics_corrector.certify.mesh_queries import MeshQueries
 from stable_data.geometry.mesh import unit_normals
 from stable_data.geometry.shape import Shape
 from stable_data.scene import FloatArray, IntArray
@@ -61,7 +61,7 @@ def stands_alone(shape: Shape) -> bool:
     return _alone[shape]
 
 
-def steadiness(meshes: Meshes, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> float:
+def steadiness(meshes: MeshQueries, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> float:
     """How steady an object is at a pose: the tangent of the slope at which it would tip; see ``STEADY`` and ``FALLS``.
 
     Args:
@@ -84,14 +84,14 @@ def steadiness(meshes: Meshes, k: int, pose: FloatArray, others: Sequence[int], 
     return base
 
 
-def _middle(meshes: Meshes, k: int, pose: FloatArray) -> FloatArray:
+def _middle(meshes: MeshQueries, k: int, pose: FloatArray) -> FloatArray:
     """Centre of mass of an object at a pose, (3,), metres."""
     c, s = np.cos(pose[3]), np.sin(pose[3])
     x, y, z = centre_of_mass(meshes.shapes[k])
     return np.array([c * x - s * y, s * x + c * y, z]) + pose[:3]
 
 
-def _base(meshes: Meshes, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> float:
+def _base(meshes: MeshQueries, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> float:
     """How far inside the hull of what carries an object its centre of mass is, seen from above, by its height over that."""
     points = meshes.bearing(k, pose, others, poses)
     if not len(points):
@@ -107,7 +107,7 @@ def _inside(points: FloatArray, middle: FloatArray) -> float:
 
 
 def _leaning(
-    meshes: Meshes, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray
+    meshes: MeshQueries, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Where an object nearly touches others or the table, (C, 3) metres, and the way it is pushed there, (C, 3) unit."""
     shape, posed = meshes.shapes[k], meshes.shapes[k].posed(pose)

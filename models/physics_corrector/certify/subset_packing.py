@@ -6,7 +6,7 @@ import numpy as np
 
 from models.physics_corrector.certify.grid_search import least_blocked
 from models.physics_corrector.certify.inflation import RELEASED, grown
-from models.physics_corrector.certify.packing_problem import Crowd
+from models.physics_corrector.certify.packing_problem import PackingProblem
 from models.physics_corrector.certify.projection import project
 from stable_data.scene import FloatArray
 
@@ -17,7 +17,7 @@ _ROUNDS = 2  # in which all of those are tried
 _SHARES = (0.2, 0.4, 0.6)  # of the bodies that are left out for a while
 
 
-def fitted(crowd: Crowd, aims: FloatArray, spare: Sequence[int]) -> tuple[FloatArray, list[int]] | None:
+def fitted(crowd: PackingProblem, aims: FloatArray, spare: Sequence[int]) -> tuple[FloatArray, list[int]] | None:
     """Finds shifts at which nothing meets once as few bodies as possible are left out.
 
     Large things are placed first and small ones into what is left; where some find no place, that is weighed against leaving
@@ -51,13 +51,13 @@ def fitted(crowd: Crowd, aims: FloatArray, spare: Sequence[int]) -> tuple[FloatA
     return best
 
 
-def _without(crowd: Crowd, aims: FloatArray, out: Sequence[int]) -> tuple[FloatArray, list[int]] | None:
+def _without(crowd: PackingProblem, aims: FloatArray, out: Sequence[int]) -> tuple[FloatArray, list[int]] | None:
     """Parts a crowd without some bodies, then puts back those for which there is room."""
     shifts, is_parted = grown(crowd.without(out), np.zeros_like(aims), aims, _GROWTH_STEPS)
     return _put_back(crowd, aims, shifts, list(out)) if is_parted else None
 
 
-def _put_back(crowd: Crowd, aims: FloatArray, shifts: FloatArray, out: list[int]) -> tuple[FloatArray, list[int]]:
+def _put_back(crowd: PackingProblem, aims: FloatArray, shifts: FloatArray, out: list[int]) -> tuple[FloatArray, list[int]]:
     """Bodies that were left out to the nearest free places, or to where others make room for them, the largest first."""
     even = np.ones((len(shifts), len(shifts)))
     for _ in range(_ROUNDS):
@@ -76,6 +76,6 @@ def _put_back(crowd: Crowd, aims: FloatArray, shifts: FloatArray, out: list[int]
     return shifts, out
 
 
-def _room(crowd: Crowd, k: int) -> float:
+def _room(crowd: PackingProblem, k: int) -> float:
     """Area over which a body may shift, square metres: the less, the larger it is."""
     return float(np.prod(crowd.high[k] - crowd.low[k]))

@@ -13,7 +13,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import shapely
 
-from models.physics_corrector.certify.mesh_queries import Meshes
+from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.slab_outline import BoolArray
 from models.physics_corrector.certify.static_stability import STEADY, stands_alone, steadiness
 from stable_data.geometry.shape import Shape
@@ -47,7 +47,7 @@ _TOWARDS, _ASIDE = (
 
 
 @dataclass(frozen=True, slots=True)
-class Carried:
+class SupportEdge:
     """What carries an object.
 
     Attributes:
@@ -138,20 +138,20 @@ def beyond(point: FloatArray, outline: FloatArray) -> float:
     return float(((point - outline) * normals).sum(axis=1).max())
 
 
-def wanted_carriers(scene: Scene) -> Mapping[int, Carried]:
+def wanted_carriers(scene: Scene) -> Mapping[int, SupportEdge]:
     """What the scene's own relations say that objects are on or in; never a circle. Objects on the table are left out."""
     number = {o.instance: k for k, o in enumerate(scene.objects)}
-    found: dict[int, Carried] = {}
+    found: dict[int, SupportEdge] = {}
     for relation in scene.relations:
         if relation.kind not in (RelationKind.ON, RelationKind.IN) or relation.target == TABLE:
             continue
         child, parent = number.get(relation.subject), number.get(relation.target)
         if child is not None and parent is not None and child not in found and child not in _above(found, parent):
-            found[child] = Carried(parent, relation.kind is RelationKind.IN)
+            found[child] = SupportEdge(parent, relation.kind is RelationKind.IN)
     return found
 
 
-def carriers_of(meshes: Meshes, poses: FloatArray, wanted: Mapping[int, Carried]) -> list[list[Carried]]:
+def carriers_of(meshes: MeshQueries, poses: FloatArray, wanted: Mapping[int, SupportEdge]) -> list[list[SupportEdge]]:
     """What may carry each object, the likeliest first. The first ones are never a circle.
 
     Args:
@@ -170,25 +170,25 @@ def carriers_of(meshes: Meshes, poses: FloatArray, wanted: Mapping[int, Carried]
 
 
 def _ranked(
-    meshes: Meshes, poses: FloatArray, boxes: Sequence[tuple[FloatArray, FloatArray]], k: int, others: Sequence[int]
-) -> list[Carried]:
+    meshes: MeshQueries, poses: FloatArray, boxes: Sequence[tuple[FloatArray, FloatArray]], k: int, others: Sequence[int]
+) -> list[SupportEdge]:
     """What may carry an object, among others or the table, the likeliest first; at least the table."""
     low, leans = float(boxes[k][0][2]), not stands_alone(meshes.shapes[k])
     if low <= TOLERANCE and not leans:
-        return [Carried()]
+        return [SupportEdge()]
     found = [option for p in others if (option := _carried_by(meshes, poses, boxes, k, p)) is not None]
     exact = sorted((float(meshes.shapes[p].size[:2].prod()), p, carried) for p, (carried, is_exact) in found if is_exact)
     if exact and steadiness(meshes, k, poses[k], [p for _, p, _ in exact], poses) >= STEADY:
         return [exact[0][2]]
     if not found and leans:
         leant = [(near, p) for p in others if (near := _leant_in(meshes, poses, boxes, k, p)) is not None]
-        return [Carried(p, True) for _, p in sorted(leant)] or [Carried()]
+        return [SupportEdge(p, True) for _, p in sorted(leant)] or [SupportEdge()]
     ranked = [(_effort(meshes, poses, k, p) + _UNSTEADY * is_exact, p, carried) for p, (carried, is_exact) in found]
-    ranked.append((low + (_LYING if leans else _DOWN), TABLE_TOP, Carried()))
+    ranked.append((low + (_LYING if leans else _DOWN), TABLE_TOP, SupportEdge()))
     return [carried for _, _, carried in sorted(ranked, key=lambda option: option[:2])]
 
 
-def _effort(meshes: Meshes, poses: FloatArray, k: int, p: int) -> float:
+def _effort(meshes: MeshQueries, poses: FloatArray, k: int, p: int) -> float:
     """How far an object would have to go to come down on another one, metres: noise leaves heights truer than places."""
     outline = shapely.Polygon(meshes.shapes[p].posed_footprint(poses[p]))
     here, middle = poses[k, :2], np.array([outline.centroid.x, outline.centroid.y])
@@ -201,12 +201,12 @@ def _effort(meshes: Meshes, poses: FloatArray, k: int, p: int) -> float:
 
 
 def _carried_by(
-    meshes: Meshes,
+    meshes: MeshQueries,
     poses: FloatArray,
     boxes: Sequence[tuple[FloatArray, FloatArray]],
     k: int,
     p: int,
-) -> tuple[int, tuple[Carried, bool]] | None:
+) -> tuple[int, tuple[SupportEdge, bool]] | None:
     """How one object could carry another, and whether that rests on it as it is; None where it could not."""
     (low, high), (other_low, other_high) = boxes[k], boxes[p]
     if low[2] < other_low[2] - _SUNK or low[2] > other_high[2] + _GAP:
@@ -224,19 +224,19 @@ def _carried_by(
     fits = is_within and own.intersection(over).area >= _FITS * own.area
     touches = meshes.cross(k, poses[k] - (0.0, 0.0, _TOUCH, 0.0), p, poses[p])
     if touches and is_over and not meshes.penetrates(k, poses[k], p, poses[p]):
-        return p, (Carried(p, is_within), True)
+        return p, (SupportEdge(p, is_within), True)
     if fits:
-        return p, (Carried(p, True), False)
+        return p, (SupportEdge(p, True), False)
     touches = touches or meshes.cross(k, poses[k], p, poses[p])
     if touches and (is_within or depth <= max(_SUNKEN, _HALF * float(other_high[2] - other_low[2]))):
-        return p, (Carried(p, is_within), False)
+        return p, (SupportEdge(p, is_within), False)
     if is_over and (is_within or depth <= _RIM):
-        return p, (Carried(p, is_within), False)
+        return p, (SupportEdge(p, is_within), False)
     return None
 
 
 def _leant_in(
-    meshes: Meshes,
+    meshes: MeshQueries,
     poses: FloatArray,
     boxes: Sequence[tuple[FloatArray, FloatArray]],
     k: int,
@@ -252,7 +252,7 @@ def _leant_in(
     return outside
 
 
-def _above(found: Mapping[int, Carried], k: int) -> list[int]:
+def _above(found: Mapping[int, SupportEdge], k: int) -> list[int]:
     """An object and what carries it, directly and through others."""
     chain = [k]
     while k in found and found[k].parent != TABLE_TOP:

@@ -13,7 +13,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from models.physics_corrector.flow.flow_matching import Flow
+from models.physics_corrector.flow.flow_matching import FlowMatching
 from models.physics_corrector.flow.presets import CorrectorSettings
 from models.physics_corrector.flow.velocity_network import VelocityNetwork
 from stable_data.atomic_files import put_file
@@ -39,7 +39,7 @@ class Checkpoint:
 
     settings: CorrectorSettings
     network: VelocityNetwork
-    flow: Flow
+    flow: FlowMatching
     notes: Mapping[str, str]
 
 

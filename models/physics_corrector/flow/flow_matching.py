@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from models.physics_corrector.flow.condition import Condition
-from models.physics_corrector.flow.pose_coordinates import Coordinates
+from models.physics_corrector.flow.pose_coordinates import PoseCoordinates
 from stable_data.errors import ConfigError
 
 Source: TypeAlias = Literal["coarse", "gaussian"]
@@ -39,7 +39,7 @@ class FlowSettings:
         steps: Steps of the solver from t = 0 to 1; the last two solvers ask the network twice a step.
     """
 
-    coordinates: Coordinates = field(default_factory=Coordinates)
+    coordinates: PoseCoordinates = field(default_factory=PoseCoordinates)
     source: Source = "coarse"
     sigma: float = 0.2
     self_condition: float = 0.5
@@ -60,7 +60,7 @@ class FlowSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Path:
+class FlowPath:
     """A point on each scene's path.
 
     Attributes:
@@ -75,7 +75,7 @@ class Path:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
+class FlowPrediction:
     """What the network makes of a point on a path.
 
     Attributes:
@@ -89,7 +89,7 @@ class Prediction:
 
 
 @dataclass(frozen=True, slots=True)
-class Flow:
+class FlowMatching:
     """Draws paths to learn from, and follows the learned field. Knows no network, only a function of :data:`Velocity`."""
 
     settings: FlowSettings
@@ -106,7 +106,7 @@ class Flow:
 
     def path(
         self, condition: Condition, targets: Tensor, generator: torch.Generator | None = None, t: Tensor | None = None
-    ) -> Path:
+    ) -> FlowPath:
         """A point on the linear path to each scene's target.
 
         Args:
@@ -122,11 +122,11 @@ class Flow:
         if t is None:
             t = torch.rand(len(y_0), device=y_0.device, generator=generator)
         velocity = torch.where(movable, coordinates.difference(y_0, y_1), 0)
-        return Path(y_0 + t[:, None, None] * velocity, t, velocity)
+        return FlowPath(y_0 + t[:, None, None] * velocity, t, velocity)
 
     def predict(
-        self, network: Velocity, path: Path, condition: Condition, generator: torch.Generator | None = None
-    ) -> Prediction:
+        self, network: Velocity, path: FlowPath, condition: Condition, generator: torch.Generator | None = None
+    ) -> FlowPrediction:
         """The network's velocity and clean estimate at a point on the path, for training.
 
         Self-conditioning as in Analog Bits: for a share of the calls the network is asked once without gradient, and its clean
@@ -139,7 +139,7 @@ class Flow:
             with torch.no_grad():
                 y1_hat = self.clean(path.y, path.t, network(path.y, path.t, condition, ranks, None))
         velocity = network(path.y, path.t, condition, ranks, y1_hat)
-        return Prediction(velocity, self.poses(self.clean(path.y, path.t, velocity), condition))
+        return FlowPrediction(velocity, self.poses(self.clean(path.y, path.t, velocity), condition))
 
     @staticmethod
     def clean(y: Tensor, t: Tensor, velocity: Tensor) -> Tensor:

@@ -24,7 +24,7 @@ def wrap(angle: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True, slots=True)
-class Coordinates:
+class PoseCoordinates:
     """How a pose is written for the network.
 
     Attributes:

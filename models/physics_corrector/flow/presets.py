@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, get_args, get_origin, get_type_hints
 
-from models.physics_corrector.flow.flow_matching import Flow, FlowSettings
-from models.physics_corrector.flow.pose_coordinates import Coordinates
-from models.physics_corrector.flow.velocity_network import NetworkSettings, VelocityNetwork
+from models.physics_corrector.flow.flow_matching import FlowMatching, FlowSettings
+from models.physics_corrector.flow.pose_coordinates import PoseCoordinates
+from models.physics_corrector.flow.velocity_network import VelocityNetwork, VelocityNetworkSettings
 from stable_data.config_diff import differences, flat
 from stable_data.errors import ConfigError
 
@@ -21,12 +21,12 @@ class CorrectorSettings:
         flow: How paths are drawn and followed.
     """
 
-    network: NetworkSettings = field(default_factory=NetworkSettings)
+    network: VelocityNetworkSettings = field(default_factory=VelocityNetworkSettings)
     flow: FlowSettings = field(default_factory=FlowSettings)
 
-    def build(self) -> tuple[VelocityNetwork, Flow]:
+    def build(self) -> tuple[VelocityNetwork, FlowMatching]:
         """An untrained network, and the flow that trains and samples it."""
-        return VelocityNetwork(self.network, self.flow.coordinates), Flow(self.flow)
+        return VelocityNetwork(self.network, self.flow.coordinates), FlowMatching(self.flow)
 
     def to_json(self) -> str:
         """As JSON, keys sorted."""
@@ -56,12 +56,12 @@ PRESETS: Mapping[str, CorrectorSettings] = {
     "paper": CorrectorSettings(),
     # Its smaller sibling: what the weights in the repository are.
     "embedded": CorrectorSettings(
-        NetworkSettings(channels=96, levels=3, heads=4, context_channels=96, time_channels=192, code_channels=32)
+        VelocityNetworkSettings(channels=96, levels=3, heads=4, context_channels=96, time_channels=192, code_channels=32)
     ),
     # The set transformer at about the same cost as each.
-    "paper_set": CorrectorSettings(NetworkSettings("set_transformer", levels=8, heads=8, time_channels=512)),
+    "paper_set": CorrectorSettings(VelocityNetworkSettings("set_transformer", levels=8, heads=8, time_channels=512)),
     "embedded_set": CorrectorSettings(
-        NetworkSettings(
+        VelocityNetworkSettings(
             "set_transformer",
             channels=128,
             levels=5,
@@ -89,7 +89,7 @@ def preset(name: str) -> CorrectorSettings:
 
 def absolute(settings: CorrectorSettings) -> CorrectorSettings:
     """The same in the paper's absolute coordinates: metres and radians as they are."""
-    flow = asdict(settings.flow) | {"coordinates": Coordinates("absolute", 1.0, 1.0)}
+    flow = asdict(settings.flow) | {"coordinates": PoseCoordinates("absolute", 1.0, 1.0)}
     return CorrectorSettings(settings.network, FlowSettings(**flow))
 
 

@@ -19,7 +19,7 @@ from torch import Tensor, nn
 
 from models.physics_corrector.flow import object_encoding
 from models.physics_corrector.flow.condition import Condition
-from models.physics_corrector.flow.pose_coordinates import Coordinates
+from models.physics_corrector.flow.pose_coordinates import PoseCoordinates
 from models.physics_corrector.flow.set_transformer import SetTransformer
 from models.physics_corrector.flow.unet import UNet1d
 from stable_data.errors import ConfigError
@@ -32,7 +32,7 @@ _LIMITS = {"channels": 4096, "levels": 64, "heads": 64, "num_features": 4096, "n
 
 
 @dataclass(frozen=True, slots=True)
-class NetworkSettings:
+class VelocityNetworkSettings:
     """The shape of a velocity network.
 
     Attributes:
@@ -85,7 +85,7 @@ class VelocityNetwork(nn.Module):
         coordinates: The coordinates that it reads and writes.
     """
 
-    def __init__(self, settings: NetworkSettings, coordinates: Coordinates) -> None:
+    def __init__(self, settings: VelocityNetworkSettings, coordinates: PoseCoordinates) -> None:
         super().__init__()
         self.settings, self.coordinates = settings, coordinates
         width, context, time = settings.channels, settings.context_channels, settings.time_channels

@@ -7,7 +7,7 @@ from torch import Tensor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pairs:
+class ObjectPairs:
     """Pairs of objects of the same scene, E of them, in the order of scene, first, second.
 
     Attributes:
@@ -24,18 +24,18 @@ class Pairs:
         """Number of pairs."""
         return len(self.scene)
 
-    def take(self, pairs: Tensor) -> "Pairs":
+    def take(self, pairs: Tensor) -> "ObjectPairs":
         """Some of the pairs, by index or mask."""
-        return Pairs(self.scene[pairs], self.first[pairs], self.second[pairs])
+        return ObjectPairs(self.scene[pairs], self.first[pairs], self.second[pairs])
 
-    def both_ways(self) -> "Pairs":
+    def both_ways(self) -> "ObjectPairs":
         """Every pair twice, (2E): as it is, and with first and second exchanged."""
         scene, first, second = self.scene, self.first, self.second
-        return Pairs(torch.cat([scene, scene]), torch.cat([first, second]), torch.cat([second, first]))
+        return ObjectPairs(torch.cat([scene, scene]), torch.cat([first, second]), torch.cat([second, first]))
 
 
 @torch.no_grad()
-def near_pairs(poses: Tensor, half_extents: Tensor, mask: Tensor) -> Pairs:
+def near_pairs(poses: Tensor, half_extents: Tensor, mask: Tensor) -> ObjectPairs:
     """Pairs whose boxes, turned by their yaws, meet.
 
     Heights and circles are compared first; what they leave is separated along the four sides of the two boxes, which is exact.
@@ -56,7 +56,7 @@ def near_pairs(poses: Tensor, half_extents: Tensor, mask: Tensor) -> Pairs:
     is_near &= apart[..., 2].abs() <= half_extents[:, first, 2] + half_extents[:, second, 2]
     is_near &= apart[..., :2].square().sum(dim=-1) <= (radius[:, first] + radius[:, second]).square()
     scene, pair = is_near.nonzero(as_tuple=True)
-    pairs = Pairs(scene, first[pair], second[pair])
+    pairs = ObjectPairs(scene, first[pair], second[pair])
     meet = _rectangles_meet(
         apart[scene, pair, :2], *(_rectangle(poses, half_extents, scene, k) for k in (pairs.first, pairs.second))
     )

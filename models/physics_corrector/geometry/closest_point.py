@@ -11,15 +11,15 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from models.physics_corrector.geometry.scene_batch import SceneBatch
-from models.physics_corrector.geometry.shape_tensors import Geometry
+from models.physics_corrector.geometry.scene_batch import LayoutBatch
+from models.physics_corrector.geometry.shape_tensors import ShapeTensors
 
 _SAMPLES_AT_ONCE = 1 << 21
 """How many samples are looked at together: what the search holds in memory at most, some 100 MB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Queries:
+class ClosestPointQueries:
     """Samples of one object asked in another object of the same scene, E times.
 
     Attributes:
@@ -36,12 +36,14 @@ class Queries:
         """Number of queries."""
         return len(self.scene)
 
-    def take(self, queries: Tensor | slice) -> "Queries":
+    def take(self, queries: Tensor | slice) -> "ClosestPointQueries":
         """Some of the queries, by index, mask or slice."""
-        return Queries(self.scene[queries], self.guest[queries], self.host[queries])
+        return ClosestPointQueries(self.scene[queries], self.guest[queries], self.host[queries])
 
 
-def posed_distance(poses: Tensor, batch: SceneBatch, geometry: Geometry, queries: Queries, points: Tensor) -> Tensor:
+def posed_distance(
+    poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, queries: ClosestPointQueries, points: Tensor
+) -> Tensor:
     """D_host at points of the guests, differentiable with respect to the poses.
 
     Args:
@@ -64,9 +66,9 @@ def posed_distance(poses: Tensor, batch: SceneBatch, geometry: Geometry, queries
 @torch.no_grad()
 def closest_sample(
     poses: Tensor,
-    batch: SceneBatch,
-    geometry: Geometry,
-    queries: Queries,
+    batch: LayoutBatch,
+    geometry: ShapeTensors,
+    queries: ClosestPointQueries,
     samples: Tensor,
     limit: Tensor,
     *,
@@ -99,9 +101,9 @@ def closest_sample(
 
 def _closest(
     poses: Tensor,
-    batch: SceneBatch,
-    geometry: Geometry,
-    queries: Queries,
+    batch: LayoutBatch,
+    geometry: ShapeTensors,
+    queries: ClosestPointQueries,
     samples: Tensor,
     limit: Tensor,
     is_unsigned: bool,
@@ -126,7 +128,9 @@ def _closest(
     return first, smallest
 
 
-def _places(poses: Tensor, batch: SceneBatch, geometry: Geometry, queries: Queries, samples: Tensor) -> list[Tensor]:
+def _places(
+    poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, queries: ClosestPointQueries, samples: Tensor
+) -> list[Tensor]:
     """Samples of the guests in the unit frame of their hosts' grids, x, y and z, (E, P) each."""
     turn, offset = _in_host(poses, queries)
     c, s = turn.cos(), turn.sin()
@@ -142,7 +146,7 @@ def _places(poses: Tensor, batch: SceneBatch, geometry: Geometry, queries: Queri
     return places
 
 
-def _in_host(poses: Tensor, queries: Queries) -> tuple[Tensor, Tensor]:
+def _in_host(poses: Tensor, queries: ClosestPointQueries) -> tuple[Tensor, Tensor]:
     """Pose of the guest in the host's yaw frame: yaw (E,) and position (E, 3)."""
     guest, host = poses[queries.scene, queries.guest], poses[queries.scene, queries.host]
     x, y, z = (guest[:, :3] - host[:, :3]).unbind(1)

@@ -1,8 +1,8 @@
 """Scenes as padded tensors: what network, losses, training and `certify` share.
 
 What varies from scene to scene is here; what belongs to a shape lies once in
-:class:`~models.physics_corrector.geometry.shape_tensors.Geometry` and is pointed to. A whole training set fits in one batch of
-some tens of megabytes: ``take`` cuts minibatches from it.
+:class:`~models.physics_corrector.geometry.shape_tensors.ShapeTensors` and is pointed to. A whole training set fits in one
+batch of some tens of megabytes: ``take`` cuts minibatches from it.
 
 Padding: ``mask`` alone says what it is. It holds zeros, -2 in ``parent``, and nothing may depend on it.
 """
@@ -16,7 +16,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from models.physics_corrector.geometry.shape_tensors import ShapeTable
+from models.physics_corrector.geometry.shape_tensors import ShapeCollector
 from stable_data.geometry.shape import Shape
 from stable_data.scene import TABLE, Scene, SceneObject
 
@@ -28,7 +28,7 @@ NO_PARENT = -2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SceneBatch:
+class LayoutBatch:
     """B scenes of at most N objects.
 
     Attributes:
@@ -59,11 +59,11 @@ class SceneBatch:
     def from_scenes(
         cls,
         scenes: Sequence[Scene],
-        shapes: ShapeTable,
+        shapes: ShapeCollector,
         *,
         is_fixed: Callable[[SceneObject], bool] | None = None,
         num_slots: int = 0,
-    ) -> "SceneBatch":
+    ) -> "LayoutBatch":
         """Scenes with their shapes.
 
         Args:
@@ -90,15 +90,15 @@ class SceneBatch:
         """True where there is an object that may move, (B, N) bool."""
         return self.mask & ~self.is_fixed
 
-    def to(self, device: torch.device | str) -> "SceneBatch":
+    def to(self, device: torch.device | str) -> "LayoutBatch":
         """The same on a device."""
         return self._each(lambda value: value.to(device))
 
-    def take(self, scenes: Tensor) -> "SceneBatch":
+    def take(self, scenes: Tensor) -> "LayoutBatch":
         """Some of the scenes, by index (S,) int64 or mask (B,) bool."""
         return self._each(lambda value: value[scenes])
 
-    def _each(self, change: Callable[[Tensor], Tensor]) -> "SceneBatch":
+    def _each(self, change: Callable[[Tensor], Tensor]) -> "LayoutBatch":
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return replace(self, **{name: change(value) for name, value in values.items() if value is not None})
 
@@ -115,7 +115,8 @@ def padded(
         num_slots: N, at least; more where a scene has more objects.
 
     Returns:
-        ``poses``, ``mask``, ``sizes``, ``is_fixed``, ``parent``, ``table``, ``zone`` and ``has_zone`` of a :class:`SceneBatch`.
+        ``poses``, ``mask``, ``sizes``, ``is_fixed``, ``parent``, ``table``, ``zone`` and ``has_zone`` of a
+        :class:`LayoutBatch`.
     """
     lead = (len(scenes), max([num_slots, *(len(scene.objects) for scene in scenes)]))
     poses, sizes = np.zeros((*lead, 4), np.float32), np.zeros((*lead, 3), np.float32)

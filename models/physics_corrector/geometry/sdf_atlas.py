@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from stable_data.geometry.sdf.grid import Atlas, SdfGrid
+from stable_data.geometry.sdf.grid import GridAtlas, SdfGrid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +38,7 @@ class SdfAtlas:
     @classmethod
     def from_grids(cls, grids: Sequence[SdfGrid]) -> "SdfAtlas":
         """Puts grids into one buffer, in their order."""
-        atlas = Atlas.from_grids(grids)
+        atlas = GridAtlas.from_grids(grids)
         return cls(
             torch.from_numpy(atlas.values),
             torch.from_numpy(atlas.offset),

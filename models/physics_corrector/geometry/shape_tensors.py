@@ -39,7 +39,7 @@ _FLATTEST = 1e-3  # least extent of a stand-in's box, as a share of its largest
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Geometry:
+class ShapeTensors:
     """The shapes that scenes point to, K of them.
 
     Attributes:
@@ -61,9 +61,9 @@ class Geometry:
     surface: Tensor
     bottom: Tensor
 
-    def to(self, device: torch.device | str) -> "Geometry":
+    def to(self, device: torch.device | str) -> "ShapeTensors":
         """The same on a device."""
-        return Geometry(*(getattr(self, name).to(device) for name in self.__slots__))
+        return ShapeTensors(*(getattr(self, name).to(device) for name in self.__slots__))
 
     def __len__(self) -> int:
         """Number of shapes."""
@@ -93,8 +93,8 @@ class Geometry:
         return factor * distance, factor[:, None] * (affine[:, :, :3] * slope[:, :, None]).sum(dim=1)
 
 
-class ShapeTable:
-    """Collects the shapes of scenes, each once, and makes a :class:`Geometry` of them.
+class ShapeCollector:
+    """Collects the shapes of scenes, each once, and makes a :class:`ShapeTensors` of them.
 
     Args:
         store: Meshes of the assets.
@@ -140,11 +140,11 @@ class ShapeTable:
             self._shape_order[key] = len(self._shapes) - 1
         return self._shape_order[key]
 
-    def geometry(self) -> Geometry:
+    def geometry(self) -> ShapeTensors:
         """All shapes so far; indices given before stay right in a later one."""
         grids = [self._grids[key] for key in self._grid_order]
         shapes = self._shapes
-        return Geometry(
+        return ShapeTensors(
             atlas=SdfAtlas.from_grids(grids),
             grid_index=torch.tensor([s.grid_index for s in shapes], dtype=torch.int64),
             unit_from_yaw=_stacked([s.unit_from_yaw for s in shapes], (3, 4)),
@@ -196,7 +196,7 @@ class ShapeTable:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shape:
-    """One shape's entries of :class:`Geometry`."""
+    """One shape's entries of :class:`ShapeTensors`."""
 
     grid_index: int
     unit_from_yaw: FloatArray

@@ -26,7 +26,7 @@ _STEEP = 0.3  # sine of the slope from which on a thing that is upside down is m
 
 
 @dataclass(frozen=True, slots=True)
-class Hollow:
+class ContainerInterior:
     """A cup, and what is free inside it: a cylinder that widens towards the rim.
 
     Attributes:
@@ -48,7 +48,7 @@ class Hollow:
     below: float
 
 
-def hollow_of(o: SceneObject, shape: Shape) -> Hollow | None:
+def hollow_of(o: SceneObject, shape: Shape) -> ContainerInterior | None:
     """What is free inside a thing; None where it has no walls all around.
 
     Args:
@@ -84,10 +84,10 @@ def hollow_of(o: SceneObject, shape: Shape) -> Hollow | None:
     reach = float(outline.exterior.distance(shapely.Point(x, y))) + INSIDE_SLACK
     z, radius = o.position[2], float(circle.length)
     opens = max(radius, float(shapely.maximum_inscribed_circle(mouth).length))
-    return Hollow(middle, radius, opens, reach, z + floor, z + height / 2, z - height / 2)
+    return ContainerInterior(middle, radius, opens, reach, z + floor, z + height / 2, z - height / 2)
 
 
-def is_inside(o: SceneObject, hollow: Hollow, store: AssetStore) -> bool:
+def is_inside(o: SceneObject, hollow: ContainerInterior, store: AssetStore) -> bool:
     """Is a thing in a cup?
 
     Its middle is over the cup, as the scene graph asks, its bottom below the rim and above the cup's; and where it leans out,
@@ -113,7 +113,7 @@ def _foot(shape: Shape) -> FloatArray:
     return np.asarray((low.min(axis=0) + low.max(axis=0))[:2] / 2)
 
 
-def is_long(o: SceneObject, hollow: Hollow, store: AssetStore) -> bool:
+def is_long(o: SceneObject, hollow: ContainerInterior, store: AssetStore) -> bool:
     """Is a thing slender, and longer than a hollow is wide and deep, so that it leans there rather than lies?"""
     mesh = store.mesh_of(o)
     if mesh is None or o.scale is None:
@@ -122,7 +122,7 @@ def is_long(o: SceneObject, hollow: Hollow, store: AssetStore) -> bool:
     return bool(along > _SLENDER * across and along > _STICKS_OUT * max(hollow.rim - hollow.floor, 2 * hollow.radius))
 
 
-def stood(sticks: Sequence[SceneObject], hollow: Hollow, store: AssetStore) -> list[SceneObject]:
+def stood(sticks: Sequence[SceneObject], hollow: ContainerInterior, store: AssetStore) -> list[SceneObject]:
     """Long things put into a hollow, as many as have room.
 
     One alone leans across, from the foot of one side to the rim of the other: in a wide bowl it would else tip over the rim. Of

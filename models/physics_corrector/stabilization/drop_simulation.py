@@ -13,18 +13,18 @@ import shapely
 from scipy.spatial.transform import Rotation
 from shapely.ops import nearest_points
 
-from models.physics_corrector.certify.mesh_queries import Meshes
+from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.corrector import named
-from models.physics_corrector.stabilization.container_insertion import Hollow, hollow_of, is_inside, is_long, stood
+from models.physics_corrector.stabilization.container_insertion import ContainerInterior, hollow_of, is_inside, is_long, stood
 from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError
 from stable_data.geometry.shape import Shape
 from stable_data.scene import RelationKind, Scene, SceneObject
 from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.scene_geometry import RestPose, at_rest
-from stable_data.simulation.settling import EngineOptions, settle
+from stable_data.simulation.settling import PhysicsOptions, settle
 
-_SETTLING = EngineOptions(settle_seconds=1.5, watch_seconds=0.02, rest_speed=2e-3)
+_SETTLING = PhysicsOptions(settle_seconds=1.5, watch_seconds=0.02, rest_speed=2e-3)
 _STRAYED, _TOPPLED = 0.05, 45.0  # what goes farther in a hollow, metres, or turns more, degrees, was not let go well
 _TIPPED = 5.0  # nor what turns more on a thing, degrees
 _INSET = 0.01  # how far inside its carrier's outline the middle of what is let go is at least, metres
@@ -32,7 +32,7 @@ _SNAP = 1.5e-4  # a tilt that moves no corner farther than this, metres, is none
 
 
 @dataclass(frozen=True, slots=True)
-class LetDown:
+class DropResult:
     """A scene in which things were let go.
 
     Attributes:
@@ -64,7 +64,7 @@ class LetDown:
         return replace(self.scene, objects=tuple(objects))
 
 
-def let_down(scene: Scene, new: Set[str], fixed: Set[str], store: AssetStore) -> LetDown:
+def let_down(scene: Scene, new: Set[str], fixed: Set[str], store: AssetStore) -> DropResult:
     """Lets go what is new and is to be on or in something, what is lowest first.
 
     Args:
@@ -96,7 +96,7 @@ def let_down(scene: Scene, new: Set[str], fixed: Set[str], store: AssetStore) ->
         waiting -= names
         scene = replace(scene, objects=tuple(came.get(o.instance, o) for o in scene.objects))
         went_with |= dict.fromkeys(came, went_with.get(carrier, carrier))
-    return LetDown(scene, went_with)
+    return DropResult(scene, went_with)
 
 
 def leaning_in(scene: Scene, cup: str, names: Set[str], fixed: Set[str], store: AssetStore) -> Scene | None:
@@ -174,7 +174,9 @@ def _let_go(
     return came
 
 
-def _leaning(scene: Scene, cup: str, names: Set[str], fixed: Set[str], hollow: Hollow, store: AssetStore) -> list[SceneObject]:
+def _leaning(
+    scene: Scene, cup: str, names: Set[str], fixed: Set[str], hollow: ContainerInterior, store: AssetStore
+) -> list[SceneObject]:
     """The long ones of some things and of what is in a cup, put into it; those that are there already before the others."""
     inside = [
         o for o in scene.objects if o.instance in names or (o.instance not in fixed | {cup} and is_inside(o, hollow, store))
@@ -186,7 +188,7 @@ def _leaning(scene: Scene, cup: str, names: Set[str], fixed: Set[str], hollow: H
 
 def _lowered(scene: Scene, shapes: Sequence[Shape], first: int) -> Scene:
     """A scene whose objects from a number on are well over its first one, come down on it and on each other."""
-    meshes = Meshes([s if s.is_exact else Shape(s.vertices, s.faces) for s in shapes])
+    meshes = MeshQueries([s if s.is_exact else Shape(s.vertices, s.faces) for s in shapes])
     poses = scene.poses()
     outline = _outline(scene.objects[0], shapes[0])
     inner = outline.buffer(-_INSET)

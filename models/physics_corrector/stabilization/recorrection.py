@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from models.physics_corrector.certify import Certified, Certifier, Status
-from models.physics_corrector.corrector import Came, Correction, Fixed, PhysicsCorrector, certified_from, named, told
+from models.physics_corrector.certify import CertificationResult, Certifier, CorrectionStatus
+from models.physics_corrector.corrector import Correction, Fixed, InputScene, PhysicsCorrector, certified_from, named, told
 from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError
 from stable_data.scene import Scene
@@ -11,7 +11,7 @@ from stable_data.simulation.collision_bodies import bodies_of
 
 
 def gone_on(
-    corrector: PhysicsCorrector, done: Correction, came: Came, scene: Scene, fixed: Fixed, store: AssetStore
+    corrector: PhysicsCorrector, done: Correction, came: InputScene, scene: Scene, fixed: Fixed, store: AssetStore
 ) -> Correction | None:
     """Certifies a scene that was made of a result, and asks the physics engine of it.
 
@@ -37,7 +37,9 @@ def gone_on(
     return _with(done, told(came, again, named(scene, shapes)))
 
 
-def put_elsewhere(corrector: PhysicsCorrector, done: Correction, came: Came, fixed: Fixed, store: AssetStore) -> Correction:
+def put_elsewhere(
+    corrector: PhysicsCorrector, done: Correction, came: InputScene, fixed: Fixed, store: AssetStore
+) -> Correction:
     """Puts what the physics engine moves where it stays, as far as such places are found.
 
     Args:
@@ -50,7 +52,7 @@ def put_elsewhere(corrector: PhysicsCorrector, done: Correction, came: Came, fix
     assert done.certified is not None
     scene, shapes, _ = store.resolved(done.certified)
     certifier = Certifier(scene, shapes, replace(corrector.options, fixed=corrector.options.fixed | fixed))
-    clean = Certified(scene, Status.CERTIFIED, audit=done.audit, rest=done.rest)
+    clean = CertificationResult(scene, CorrectionStatus.CERTIFIED, audit=done.audit, rest=done.rest)
     return _with(done, told(came, certifier.rested(clean, bodies_of(scene, shapes, store)), named(scene, shapes)))
 
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.physics_corrector.certify import Certified, Dropped, Status
-from models.physics_corrector.corrector import Came, Correction, Fixed, PhysicsCorrector, named, told
+from models.physics_corrector.certify import CertificationResult, CorrectionStatus, DroppedObject
+from models.physics_corrector.corrector import Correction, Fixed, InputScene, PhysicsCorrector, named, told
 from models.physics_corrector.stabilization.drop_simulation import leaning_in
 from models.physics_corrector.stabilization.recorrection import gone_on, put_elsewhere
 from stable_data.assets.store import AssetStore
@@ -19,7 +19,7 @@ from stable_data.metrics.audit import audit_scene
 from stable_data.scene import RelationKind, Scene, Stage
 from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.scene_geometry import at_rest
-from stable_data.simulation.settling import EngineOptions, SettleResult, settle
+from stable_data.simulation.settling import PhysicsOptions, SettleResult, settle
 
 _LEANS = 2  # how often what moves may take another tilt
 _LEFT_OUT = 3  # how often things are left out, where others move without them
@@ -27,7 +27,7 @@ _NEEDED = 4  # at how many times as many places things are tried where one is of
 _STRAYED, _TOPPLED = 0.05, 60.0  # what went farther, metres, or turned more, degrees, has fallen and leans on nothing
 
 
-def steadied(corrector: PhysicsCorrector, done: Correction, came: Came, fixed: Fixed, store: AssetStore) -> Correction:
+def steadied(corrector: PhysicsCorrector, done: Correction, came: InputScene, fixed: Fixed, store: AssetStore) -> Correction:
     """A correction of which the engine is asked; what it moves leans, or is put elsewhere, or at last left out.
 
     Args:
@@ -41,13 +41,13 @@ def steadied(corrector: PhysicsCorrector, done: Correction, came: Came, fixed: F
         The correction, with the engine's verdict where it could be asked; its figures of movement and relations are from the
         start. Task objects are not left out: a scene whose own do not stay is unsteady.
     """
-    if done.certified is None or done.status is Status.UNKNOWN:
+    if done.certified is None or done.status is CorrectionStatus.UNKNOWN:
         return done
     fixed = fixed | corrector.options.fixed
     quick = replace(corrector, options=replace(corrector.options, places=0))
     scene, shapes, _ = store.resolved(done.certified)
     try:
-        rest = settle(bodies_of(scene, shapes, store), scene.table, EngineOptions(hurries=True))
+        rest = settle(bodies_of(scene, shapes, store), scene.table, PhysicsOptions(hurries=True))
     except MeshError:
         return done
     done = replace(done, rest=rest if rest.stable is not None else None)
@@ -80,7 +80,9 @@ def _restless_cups(done: Correction, fixed: Fixed) -> list[tuple[str, set[str]]]
     return [(cup, {r.subject for r in inside if r.target == cup}) for cup in dict.fromkeys(r.target for r in inside)]
 
 
-def _left_out(corrector: PhysicsCorrector, done: Correction, came: Came, fixed: Fixed, store: AssetStore) -> Correction | None:
+def _left_out(
+    corrector: PhysicsCorrector, done: Correction, came: InputScene, fixed: Fixed, store: AssetStore
+) -> Correction | None:
     """The correction without what does not stay; None where the rest does not either, or is the task's or must be there."""
     assert done.certified is not None
     assert done.rest is not None
@@ -90,14 +92,14 @@ def _left_out(corrector: PhysicsCorrector, done: Correction, came: Came, fixed: 
         gone = [o for o in scene.objects if o.instance in names]
         if any(o.stage is Stage.TASK or o.instance in fixed for o in gone):
             return None
-        dropped += [Dropped(o.instance, f"it, or what carries it, would not stay: {rest.reason}") for o in gone]
+        dropped += [DroppedObject(o.instance, f"it, or what carries it, would not stay: {rest.reason}") for o in gone]
         scene, shapes, _ = store.resolved(replace(scene, objects=tuple(o for o in scene.objects if o not in gone)))
         if not scene.objects:
             return None
         audit, rest = audit_scene(scene, shapes), settle(bodies_of(scene, shapes, store), scene.table)
         if rest.stable and audit.card().clean:  # nothing had moved: what was clean is clean without it
             reason = "; ".join(f"{d.instance} dropped: {d.reason}" for d in dropped)
-            left = Certified(scene, Status.DROPPED, reason, tuple(dropped), audit, rest)
+            left = CertificationResult(scene, CorrectionStatus.DROPPED, reason, tuple(dropped), audit, rest)
             return told(came, left, named(scene, shapes), raw=done.raw, card_raw=done.card_raw)
         if not rest.unsteady:
             return None
@@ -130,7 +132,7 @@ def _leaning(done: Correction, store: AssetStore, fixed: Fixed) -> Scene | None:
 
 
 def _again(
-    corrector: PhysicsCorrector, done: Correction, came: Came, scene: Scene, fixed: Fixed, store: AssetStore
+    corrector: PhysicsCorrector, done: Correction, came: InputScene, scene: Scene, fixed: Fixed, store: AssetStore
 ) -> Correction | None:
     """The correction gone on with from a scene; None where no more of it stays then."""
     again = gone_on(corrector, done, came, scene, fixed, store)

@@ -19,11 +19,11 @@ from safetensors.torch import save_file
 from torch import Tensor
 from tqdm import tqdm
 
-from models.physics_corrector.geometry.scene_batch import SceneBatch
+from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.geometry.sdf_atlas import SdfAtlas
-from models.physics_corrector.geometry.shape_tensors import Geometry, GridKey, ShapeTable, grids_from_rows
-from models.physics_corrector.training.feature_table import PointFeatures, ShapeKey, point_features
-from stable_data.assets.run_assets import TableAssets
+from models.physics_corrector.geometry.shape_tensors import GridKey, ShapeCollector, ShapeTensors, grids_from_rows
+from models.physics_corrector.training.feature_table import FeatureTable, ShapeKey, point_features
+from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
@@ -56,8 +56,8 @@ class TrainingSet:
         encoder: Fingerprint of the encoder of the features; empty where there are none.
     """
 
-    batch: SceneBatch
-    geometry: Geometry
+    batch: LayoutBatch
+    geometry: ShapeTensors
     stage: Tensor
     split: Tensor
     scene_ids: tuple[str, ...]
@@ -75,7 +75,7 @@ class TrainingSet:
 
 
 @dataclass(frozen=True, slots=True)
-class RunScenes:
+class TrainingScenes:
     """Where the scenes of a training set come from.
 
     Attributes:
@@ -107,7 +107,7 @@ class RunScenes:
 
     def store(self) -> AssetStore:
         """The meshes of the run."""
-        return AssetStore(TableAssets(RunFolder(self.uri), self.cache / "meshes"))
+        return AssetStore(RunAssets(RunFolder(self.uri), self.cache / "meshes"))
 
     def load(self, features: FeatureSource) -> TrainingSet:
         """The training set: read where it was kept, else computed and kept.
@@ -144,7 +144,7 @@ class RunScenes:
     def _made(self, fingerprint: str) -> tuple[TrainingSet, list[ShapeKey]]:
         run = RunFolder(self.uri)
         scenes, splits, counts = clean_targets(self.uri)
-        shapes = ShapeTable(
+        shapes = ShapeCollector(
             self.store(),
             num_surface=self.num_surface,
             num_bottom=self.num_bottom,
@@ -152,7 +152,7 @@ class RunScenes:
             points=_points(run),
         )
         parts = [
-            SceneBatch.from_scenes([scene], shapes, num_slots=_most(scenes))
+            LayoutBatch.from_scenes([scene], shapes, num_slots=_most(scenes))
             for scene in tqdm(scenes, desc="scenes", unit="scene", leave=False)
         ]
         stage = torch.full((len(scenes), _most(scenes)), -1)
@@ -200,7 +200,7 @@ def clean_targets(uri: str) -> tuple[list[Scene], list[int], dict[str, int]]:
     return scenes, splits, counts
 
 
-def shape_keys(scenes: Sequence[Scene], batch: SceneBatch) -> list[ShapeKey]:
+def shape_keys(scenes: Sequence[Scene], batch: LayoutBatch) -> list[ShapeKey]:
     """What each shape of the scenes' geometry is made of, by its place there."""
     keys: dict[int, ShapeKey] = {}
     for scene, indices in zip(scenes, batch.shape_index.tolist(), strict=True):
@@ -211,7 +211,7 @@ def shape_keys(scenes: Sequence[Scene], batch: SceneBatch) -> list[ShapeKey]:
     return [keys[index] for index in range(len(keys))]
 
 
-def _with_features(made: TrainingSet, features: PointFeatures) -> TrainingSet:
+def _with_features(made: TrainingSet, features: FeatureTable) -> TrainingSet:
     values = torch.from_numpy(features.values)[made.batch.shape_index]
     counts = {**made.counts, "shapes_without_near_feature": features.num_far}
     return replace(made, batch=replace(made.batch, features=values), counts=counts, encoder=features.fingerprint)
@@ -225,11 +225,11 @@ def _used(scenes: Sequence[Scene]) -> set[str]:
     return {o.asset_id for scene in scenes for o in scene.objects if o.asset_id is not None}
 
 
-def _joined(parts: Sequence[SceneBatch]) -> SceneBatch:
-    names = [f.name for f in fields(SceneBatch) if f.name != "features"]
+def _joined(parts: Sequence[LayoutBatch]) -> LayoutBatch:
+    names = [f.name for f in fields(LayoutBatch) if f.name != "features"]
     if not parts:
-        return _joined([SceneBatch.from_scenes([], ShapeTable(AssetStore(_NoAssets())), num_slots=1)])
-    return SceneBatch(**{name: torch.cat([getattr(part, name) for part in parts]) for name in names})
+        return _joined([LayoutBatch.from_scenes([], ShapeCollector(AssetStore(_NoAssets())), num_slots=1)])
+    return LayoutBatch(**{name: torch.cat([getattr(part, name) for part in parts]) for name in names})
 
 
 class _NoAssets:
@@ -261,8 +261,8 @@ def _points(run: RunFolder) -> dict[str, FloatArray]:
 
 def _write(path: Path, made: TrainingSet, keys: Sequence[ShapeKey]) -> None:
     """Keeps a training set without its features, in one step."""
-    tensors = {f"batch.{f.name}": getattr(made.batch, f.name) for f in fields(SceneBatch) if f.name != "features"}
-    tensors |= {f"geometry.{name}": getattr(made.geometry, name) for name in Geometry.__slots__ if name != "atlas"}
+    tensors = {f"batch.{f.name}": getattr(made.batch, f.name) for f in fields(LayoutBatch) if f.name != "features"}
+    tensors |= {f"geometry.{name}": getattr(made.geometry, name) for name in ShapeTensors.__slots__ if name != "atlas"}
     tensors |= {f"atlas.{name}": getattr(made.geometry.atlas, name) for name in SdfAtlas.__slots__}
     tensors |= {"stage": made.stage, "split": made.split}
     about: dict[str, Any] = {"scene_ids": made.scene_ids, "counts": dict(made.counts), "fingerprint": made.fingerprint}
@@ -283,13 +283,13 @@ def _read(path: Path) -> tuple[TrainingSet, list[ShapeKey]] | None:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
     except (OSError, SafetensorError):
         return None
-    batch = SceneBatch(**{f.name: tensors[f"batch.{f.name}"] for f in fields(SceneBatch) if f.name != "features"})
+    batch = LayoutBatch(**{f.name: tensors[f"batch.{f.name}"] for f in fields(LayoutBatch) if f.name != "features"})
     atlas = SdfAtlas(*(tensors[f"atlas.{name}"] for name in SdfAtlas.__slots__))
-    parts = {name: tensors[f"geometry.{name}"] for name in Geometry.__slots__ if name != "atlas"}
+    parts = {name: tensors[f"geometry.{name}"] for name in ShapeTensors.__slots__ if name != "atlas"}
     keys = [ShapeKey(asset_id, tuple(scale), tuple(tilt)) for asset_id, scale, tilt in about["keys"]]
     made = TrainingSet(
         batch,
-        Geometry(atlas=atlas, **parts),
+        ShapeTensors(atlas=atlas, **parts),
         tensors["stage"],
         tensors["split"],
         tuple(about["scene_ids"]),

@@ -32,7 +32,7 @@ class ShapeKey:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PointFeatures:
+class FeatureTable:
     """Features of shapes.
 
     Attributes:
@@ -46,7 +46,7 @@ class PointFeatures:
     num_far: int
 
 
-def point_features(run: RunFolder, keys: Sequence[ShapeKey]) -> PointFeatures:
+def point_features(run: RunFolder, keys: Sequence[ShapeKey]) -> FeatureTable:
     """The feature of each shape: of its asset's rows the one whose aspect, then tilt, is nearest.
 
     Raises:
@@ -76,7 +76,7 @@ def point_features(run: RunFolder, keys: Sequence[ShapeKey]) -> PointFeatures:
             )
         values[n], angle = of_asset[key.asset_id].nearest(key)
         num_far += angle > _FAR
-    return PointFeatures(values, fingerprints[0], num_far)
+    return FeatureTable(values, fingerprints[0], num_far)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,10 +22,10 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from models.physics_corrector.geometry.broad_phase import Pairs, near_pairs
-from models.physics_corrector.geometry.closest_point import Queries, closest_sample, posed_distance
-from models.physics_corrector.geometry.scene_batch import SceneBatch
-from models.physics_corrector.geometry.shape_tensors import STRETCH, Geometry
+from models.physics_corrector.geometry.broad_phase import ObjectPairs, near_pairs
+from models.physics_corrector.geometry.closest_point import ClosestPointQueries, closest_sample, posed_distance
+from models.physics_corrector.geometry.scene_batch import LayoutBatch
+from models.physics_corrector.geometry.shape_tensors import STRETCH, ShapeTensors
 
 _HIGHER = 5e-3  # a support's bottom is not higher than the bottom it carries, but for this much, metres
 
@@ -102,7 +102,7 @@ def flow_loss(velocity: Tensor, target: Tensor, mask: Tensor) -> Tensor:
 
 
 def physics_losses(
-    poses: Tensor, batch: SceneBatch, geometry: Geometry, settings: LossSettings = LossSettings()
+    poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, settings: LossSettings = LossSettings()
 ) -> PhysicsLosses:
     """All physical terms of predicted clean poses.
 
@@ -131,7 +131,7 @@ def physics_losses(
     return PhysicsLosses(*(getattr(terms, field.name) / settings.length_unit**2 for field in fields(terms)))
 
 
-def colliding_pairs(poses: Tensor, batch: SceneBatch, geometry: Geometry, clearance: float = 0.0) -> Pairs:
+def colliding_pairs(poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, clearance: float = 0.0) -> ObjectPairs:
     """Pairs that may be closer than a clearance: all that can contribute to `object_object`, and few more.
 
     Args:
@@ -148,7 +148,9 @@ def colliding_pairs(poses: Tensor, batch: SceneBatch, geometry: Geometry, cleara
     return pairs.take(~is_fixed)
 
 
-def object_object(poses: Tensor, batch: SceneBatch, geometry: Geometry, pairs: Pairs, clearance: float = 0.0) -> Tensor:
+def object_object(
+    poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, pairs: ObjectPairs, clearance: float = 0.0
+) -> Tensor:
     """L_obj-obj: Σ_{i<j} max(0, −dist_sdf(i, j))².
 
     Args:
@@ -162,7 +164,7 @@ def object_object(poses: Tensor, batch: SceneBatch, geometry: Geometry, pairs: P
         (B,), square metres.
     """
     ways = pairs.both_ways()
-    queries = Queries(ways.scene, ways.first, ways.second)
+    queries = ClosestPointQueries(ways.scene, ways.first, ways.second)
     limit = poses.new_full((len(queries),), clearance)
     sample, distance = closest_sample(poses, batch, geometry, queries, geometry.surface, limit)
     depth = (clearance - distance).clamp_min(0).reshape(2, -1)
@@ -175,7 +177,7 @@ def object_object(poses: Tensor, batch: SceneBatch, geometry: Geometry, pairs: P
     return poses.new_zeros(len(poses)).index_add(0, queries.scene, share * deepest.square())
 
 
-def object_table(poses: Tensor, batch: SceneBatch) -> Tensor:
+def object_table(poses: Tensor, batch: LayoutBatch) -> Tensor:
     """L_obj-table: Σ_i max(0, −dist_sdf(i, τ))², (B,), square metres.
 
     Args:
@@ -186,7 +188,7 @@ def object_table(poses: Tensor, batch: SceneBatch) -> Tensor:
     return torch.where(batch.is_movable, sunk, 0).square().sum(dim=1)
 
 
-def support_candidates(poses: Tensor, batch: SceneBatch, reach: float) -> Queries:
+def support_candidates(poses: Tensor, batch: LayoutBatch, reach: float) -> ClosestPointQueries:
     """The objects of S_i, for every object i that may move; the tabletop comes on top.
 
     Args:
@@ -204,10 +206,10 @@ def support_candidates(poses: Tensor, batch: SceneBatch, reach: float) -> Querie
     bottom, top = poses[..., 2] - half[..., 2], poses[..., 2] + half[..., 2]
     is_below = (bottom[lower] <= bottom[upper] + _HIGHER) & (top[lower] >= bottom[upper] - reach)
     ways = ways.take(is_below & batch.is_movable[upper])
-    return Queries(ways.scene, ways.first, ways.second)
+    return ClosestPointQueries(ways.scene, ways.first, ways.second)
 
 
-def support(poses: Tensor, batch: SceneBatch, geometry: Geometry, settings: LossSettings = LossSettings()) -> Tensor:
+def support(poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, settings: LossSettings = LossSettings()) -> Tensor:
     """L_sup: Σ_i max(0, gap(i, z_i) − ε)², gap(i, z_i) = min_s∈S_i min_b∈B_i |D_s(b)|.
 
     Args:
@@ -245,7 +247,7 @@ def support(poses: Tensor, batch: SceneBatch, geometry: Geometry, settings: Loss
     return poses.new_zeros(len(poses)).index_add(0, scene, excess.square())
 
 
-def bounds(poses: Tensor, batch: SceneBatch, geometry: Geometry) -> Tensor:
+def bounds(poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors) -> Tensor:
     """The extra: squared lengths by which samples reach over the table's edges or into the restricted zone, the farthest each.
 
     Args:

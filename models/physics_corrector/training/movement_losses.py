@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from models.physics_corrector.flow.pose_coordinates import wrap
-from models.physics_corrector.geometry.scene_batch import SceneBatch
+from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from stable_data.scene_graph.relations import NEAREST, REACH
 
 _YAW_ARM = 0.1  # metres that a radian of yaw counts, as in the project's EMD
@@ -18,7 +18,7 @@ _EASE = 2e-3  # below this length a movement costs its square, metres
 _MARGIN = 5e-3  # by which an order is to hold, where it did, metres
 
 
-def movement(poses: Tensor, coarse: Tensor, batch: SceneBatch) -> Tensor:
+def movement(poses: Tensor, coarse: Tensor, batch: LayoutBatch) -> Tensor:
     """How far objects were moved along the table and turned: Σ_i (√(|Δxy|² + (0.1 m/rad Δr)² + ε²) − ε), ε = 2 mm.
 
     It grows with the length and not with its square: one object that goes all the way is no worse than two that go half of it.
@@ -36,7 +36,7 @@ def movement(poses: Tensor, coarse: Tensor, batch: SceneBatch) -> Tensor:
     return ((squared + _EASE**2).sqrt() - _EASE).sum(1)
 
 
-def order(poses: Tensor, coarse: Tensor, batch: SceneBatch) -> Tensor:
+def order(poses: Tensor, coarse: Tensor, batch: LayoutBatch) -> Tensor:
     """By how much directional relations of the coarse layout are broken.
 
     Two objects that the scene graph would link are beside each other along x or y, whichever they are farther apart along; the
@@ -62,7 +62,7 @@ def order(poses: Tensor, coarse: Tensor, batch: SceneBatch) -> Tensor:
     return poses.new_zeros(len(poses)).index_add(0, scene, missing.square())
 
 
-def _linked(coarse: Tensor, batch: SceneBatch) -> tuple[Tensor, Tensor, Tensor]:
+def _linked(coarse: Tensor, batch: LayoutBatch) -> tuple[Tensor, Tensor, Tensor]:
     """Pairs that the scene graph links by direction, each once: scene, first and second object, (E,) int64.
 
     As there, each object has its nearest ones within reach; what carries the other is above or below it instead.

@@ -15,7 +15,7 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from models.physics_corrector.flow.pose_coordinates import wrap
-from models.physics_corrector.geometry.scene_batch import SceneBatch
+from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from stable_data.errors import ConfigError
 
 Kind: TypeAlias = Literal["small", "jitter", "swap", "pile", "height", "edge"]
@@ -84,7 +84,7 @@ class PerturbationSettings:
 
 
 def perturb(
-    batch: SceneBatch, settings: PerturbationSettings, generator: torch.Generator, kind: Kind | None = None
+    batch: LayoutBatch, settings: PerturbationSettings, generator: torch.Generator, kind: Kind | None = None
 ) -> tuple[Tensor, Tensor]:
     """Coarse poses for clean ones.
 
@@ -114,7 +114,7 @@ def perturb(
     return _with_carried(batch, moved, is_together), kinds
 
 
-def reassign(coarse: Tensor, batch: SceneBatch) -> Tensor:
+def reassign(coarse: Tensor, batch: LayoutBatch) -> Tensor:
     """Targets of a coarse layout: clean poses in which interchangeable objects took the nearest of their places.
 
     Interchangeable are movable objects of one shape on one parent that carry nothing themselves. The assignment of a group is
@@ -161,7 +161,7 @@ class _Draw:
         return torch.randn(shape, generator=self.generator, device=self.device)
 
 
-def _is_placed(batch: SceneBatch) -> Tensor:
+def _is_placed(batch: LayoutBatch) -> Tensor:
     """Whether the parent of an object is an object that is there, (B, N) bool."""
     return batch.mask & (batch.parent >= 0) & batch.mask.gather(1, batch.parent.clamp_min(0))
 
@@ -177,7 +177,7 @@ def _sigma(kinds: Tensor, settings: PerturbationSettings, draw: _Draw) -> Tensor
     return scale * draw.normal(len(kinds), 1).abs()
 
 
-def _structured(batch: SceneBatch, kinds: Tensor, is_root: Tensor, settings: PerturbationSettings, draw: _Draw) -> Tensor:
+def _structured(batch: LayoutBatch, kinds: Tensor, is_root: Tensor, settings: PerturbationSettings, draw: _Draw) -> Tensor:
     """What the kind of each scene adds to the jitter, (B, N, 4). Drawn for every scene, so that draws do not depend on kinds."""
     num_scenes, num_slots = batch.mask.shape
     rank, lot = draw.uniform(num_scenes, num_slots), draw.uniform(num_scenes, num_slots)
@@ -213,7 +213,7 @@ def _structured(batch: SceneBatch, kinds: Tensor, is_root: Tensor, settings: Per
     return offset
 
 
-def _over_edge(batch: SceneBatch, side: Tensor) -> Tensor:
+def _over_edge(batch: LayoutBatch, side: Tensor) -> Tensor:
     """The way from each object straight over the nearer edge along x or y, (B, N, 2): up to its own length beyond it."""
     xy, table = batch.poses[..., :2], batch.table[:, None]
     reach = torch.linalg.vector_norm(batch.sizes[..., :2], dim=-1, keepdim=True) * (side[..., 1:2] - 0.25)
@@ -223,7 +223,7 @@ def _over_edge(batch: SceneBatch, side: Tensor) -> Tensor:
     return way * torch.cat([is_x, ~is_x], -1)
 
 
-def _with_carried(batch: SceneBatch, moved: Tensor, is_together: Tensor) -> Tensor:
+def _with_carried(batch: LayoutBatch, moved: Tensor, is_together: Tensor) -> Tensor:
     """Coarse poses in which carried objects go with what carries them, yaw included, in the scenes where they do."""
     has_parent = _is_placed(batch)
     index = batch.parent.clamp_min(0)[..., None].expand_as(moved)
@@ -244,7 +244,7 @@ def _with_carried(batch: SceneBatch, moved: Tensor, is_together: Tensor) -> Tens
     return torch.where(is_movable, coarse, clean)
 
 
-def _depth(batch: SceneBatch, has_parent: Tensor) -> int:
+def _depth(batch: LayoutBatch, has_parent: Tensor) -> int:
     """How many objects lie on each other at most, the lowest not counted."""
     depth, index = torch.zeros_like(batch.parent), batch.parent.clamp_min(0)
     for level in range(batch.mask.shape[1]):

@@ -53,7 +53,7 @@ class PhysicsSchedule:
 
 
 @dataclass(frozen=True, slots=True)
-class TrainingSettings:
+class CorrectorTrainingSettings:
     """What shapes the weights; ``--set key=value`` or the table ``[train_corrector]`` of a TOML file.
 
     Attributes:
@@ -119,7 +119,7 @@ class TrainingSettings:
         if self.features not in get_args(FeatureSource):
             raise ConfigError(f"features is {self.features!r}, expected point or box", "config_invalid")
 
-    def resolved(self, num_scenes: int) -> "TrainingSettings":
+    def resolved(self, num_scenes: int) -> "CorrectorTrainingSettings":
         """The same with ``steps`` set, and without features where the network is to read none."""
         steps = self.steps or max(1, math.ceil(self.epochs * num_scenes / self.batch_size))
         network = self.corrector.network
@@ -152,7 +152,7 @@ NEAR = "embedded_set_near"
 """The preset that goes on from the weights of ``embedded_set``; ``initial`` names them."""
 
 
-def training_preset(name: str) -> TrainingSettings:
+def training_preset(name: str) -> CorrectorTrainingSettings:
     """Named settings: ``paper`` and ``paper_set`` as in the paper's appendix, ``embedded`` and ``embedded_set`` for a CPU.
 
     Raises:
@@ -162,10 +162,10 @@ def training_preset(name: str) -> TrainingSettings:
         return _near(training_preset("embedded_set"))
     corrector = preset(name)
     if name.startswith("paper"):
-        return TrainingSettings(corrector=corrector)
+        return CorrectorTrainingSettings(corrector=corrector)
     # What an hour of one core allows: few sampler steps, and for most of the run physics on what they give. The weights are far
     # above the paper's, whose physical terms are thousandths of L_flow here and hardly move a network in so few steps.
-    return TrainingSettings(
+    return CorrectorTrainingSettings(
         steps=12_000,
         epochs=0,
         batch_size=32,
@@ -181,7 +181,7 @@ def training_preset(name: str) -> TrainingSettings:
     )
 
 
-def _near(settings: TrainingSettings) -> TrainingSettings:
+def _near(settings: CorrectorTrainingSettings) -> CorrectorTrainingSettings:
     """Settings that teach a trained corrector to move little: no L_flow, and a price on what the sampler's poses move.
 
     What is clean and near is learned from the losses alone. Half the sampler's steps do: it has less far to go, and each step

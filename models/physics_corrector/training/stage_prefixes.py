@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from models.physics_corrector.geometry.scene_batch import NO_PARENT, SceneBatch
+from models.physics_corrector.geometry.scene_batch import NO_PARENT, LayoutBatch
 from stable_data.errors import ConfigError
 
 
@@ -30,7 +30,7 @@ class PrefixSettings:
             raise ConfigError(f"prefixes: {found}, expected shares that add up to at most 1", "config_invalid")
 
 
-def cut(batch: SceneBatch, stage: Tensor, settings: PrefixSettings, generator: torch.Generator) -> SceneBatch:
+def cut(batch: LayoutBatch, stage: Tensor, settings: PrefixSettings, generator: torch.Generator) -> LayoutBatch:
     """A prefix of each scene.
 
     A prefix without objects is replaced by the whole scene; where a stage adds nothing, nothing is fixed.
@@ -49,7 +49,7 @@ def cut(batch: SceneBatch, stage: Tensor, settings: PrefixSettings, generator: t
     return prefix(batch, stage, last, draws[1] < settings.fixed)
 
 
-def prefix(batch: SceneBatch, stage: Tensor, last: Tensor, is_frozen: Tensor) -> SceneBatch:
+def prefix(batch: LayoutBatch, stage: Tensor, last: Tensor, is_frozen: Tensor) -> LayoutBatch:
     """As `cut`, with the last stage (B,) int64 and whether earlier objects are fixed (B,) bool given."""
     is_staged = (stage >= 0).where(batch.mask, True).all(1)
     mask = batch.mask & ((stage <= last[:, None]) | ~is_staged[:, None])
@@ -61,7 +61,7 @@ def prefix(batch: SceneBatch, stage: Tensor, last: Tensor, is_frozen: Tensor) ->
     return replace(batch, mask=mask, is_fixed=batch.is_fixed | is_earlier, parent=torch.where(is_gone, NO_PARENT, parent))
 
 
-def compact(batch: SceneBatch) -> SceneBatch:
+def compact(batch: LayoutBatch) -> LayoutBatch:
     """The same scenes with their objects first and no more slots than the fullest one needs, at least one."""
     order = torch.argsort(~batch.mask, dim=1, stable=True)
     place = torch.argsort(order, dim=1)

@@ -18,15 +18,15 @@ from torch import Tensor, nn
 from models.physics_corrector.flow.checkpoint import load_corrector
 from models.physics_corrector.flow.condition import Condition
 from models.physics_corrector.flow.flow_matching import Velocity
-from models.physics_corrector.geometry.scene_batch import SceneBatch
+from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.training.dataset import TrainingSet
 from models.physics_corrector.training.losses import flow_loss, physics_losses
 from models.physics_corrector.training.movement_losses import movement, order
 from models.physics_corrector.training.perturbation import perturb, reassign
-from models.physics_corrector.training.settings import TrainingSettings
+from models.physics_corrector.training.settings import CorrectorTrainingSettings
 from models.physics_corrector.training.stage_prefixes import compact, cut
 from models.training.checkpoint import keep, kept
-from models.training.distributed import CPU, Place
+from models.training.distributed import CPU, ProcessContext
 from stable_data.errors import ConfigError
 
 LOGGED = ("flow", "physics", "object_object", "object_table", "support", "unrolled", "moved", "total")
@@ -34,7 +34,7 @@ LOGGED = ("flow", "physics", "object_object", "object_table", "support", "unroll
 sampled poses moved, metres a scene."""
 
 
-class Training:
+class CorrectorTrainer:
     """A corrector being trained.
 
     Args:
@@ -49,7 +49,7 @@ class Training:
         average: The exponential average of its weights, by name.
     """
 
-    def __init__(self, data: TrainingSet, settings: TrainingSettings, place: Place = CPU) -> None:
+    def __init__(self, data: TrainingSet, settings: CorrectorTrainingSettings, place: ProcessContext = CPU) -> None:
         self.settings, self.place = settings, place
         self.data, self._train = data.to(place.device), data.of_split(0)
         with torch.random.fork_rng():
@@ -88,7 +88,7 @@ class Training:
         *terms_of_step, stops = figures.tolist()
         return dict(zip(LOGGED, terms_of_step, strict=True)), stops > 0
 
-    def _chunks(self) -> Iterator[tuple[SceneBatch, float, torch.Generator]]:
+    def _chunks(self) -> Iterator[tuple[LayoutBatch, float, torch.Generator]]:
         """This process's chunks: their scenes, the share of the step's movable objects that is theirs, and their stream."""
         scenes = torch.from_numpy(self._drawn()).to(self.place.device)
         generator = self._generator(0)
@@ -112,7 +112,7 @@ class Training:
         words = np.random.SeedSequence([self.settings.seed, self.step, number]).generate_state(1, np.uint64)
         return torch.Generator(self.place.device).manual_seed(int(words[0] >> np.uint64(1)))
 
-    def _loss(self, batch: SceneBatch, share: float, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    def _loss(self, batch: LayoutBatch, share: float, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """What a chunk adds to the loss of the step, and its figures, (len(LOGGED),)."""
         settings = self.settings
         coarse, _ = perturb(batch, settings.perturbation, generator)
@@ -140,7 +140,7 @@ class Training:
         total = flow + physics + unrolled
         return total, torch.stack([flow, physics, *terms, unrolled, moved, total]).detach()
 
-    def _unrolled(self, batch: SceneBatch, coarse: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    def _unrolled(self, batch: LayoutBatch, coarse: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """What sampled poses add to the loss of the step, and by how much they moved, metres a scene."""
         settings, share = self.settings.losses, self.settings.physics.unroll_scenes
         poses = self._sampled(batch, coarse, generator)
@@ -153,7 +153,7 @@ class Training:
         return unrolled, moved.sum() / (share * self.settings.batch_size)
 
     def _physics(
-        self, poses: Tensor, batch: SceneBatch, weight: Tensor, share: float, near: Tensor | None = None
+        self, poses: Tensor, batch: LayoutBatch, weight: Tensor, share: float, near: Tensor | None = None
     ) -> tuple[Tensor, tuple[Tensor, ...]]:
         """Mean over the step's scenes of the weighted physical loss, and of its terms, from a share of the scenes.
 
@@ -172,7 +172,7 @@ class Training:
         terms = (losses.object_object, losses.object_table, losses.support)
         return scale * (weight * of_scene).sum(), tuple(scale * term.sum() for term in terms)
 
-    def _sampled(self, batch: SceneBatch, coarse: Tensor, generator: torch.Generator) -> Tensor:
+    def _sampled(self, batch: LayoutBatch, coarse: Tensor, generator: torch.Generator) -> Tensor:
         """Poses as inference samples them, (S, N, 4), with the gradient of the last steps."""
         condition = Condition.of(replace(batch, poses=coarse))
         start = generator if self.settings.corrector.flow.source == "gaussian" else None
@@ -249,7 +249,7 @@ class Training:
         return self.settings.flat() | {"data": self.data.fingerprint, "encoder": self.data.encoder}
 
 
-def _initial_state(settings: TrainingSettings, encoder: str) -> dict[str, Any]:
+def _initial_state(settings: CorrectorTrainingSettings, encoder: str) -> dict[str, Any]:
     """The weights that a training starts from.
 
     Raises:
@@ -274,10 +274,10 @@ def _initial_state(settings: TrainingSettings, encoder: str) -> dict[str, Any]:
 
 
 def train(
-    training: Training,
+    training: CorrectorTrainer,
     *,
     wants_stop: Callable[[], bool],
-    after: Callable[[Training, dict[str, float]], None],
+    after: Callable[[CorrectorTrainer, dict[str, float]], None],
 ) -> bool:
     """Steps until the run is as long as its settings say, or a process wants to stop.
 

@@ -14,11 +14,11 @@ import torch
 from torch import Tensor
 
 from models.physics_corrector.flow.condition import Condition
-from models.physics_corrector.flow.flow_matching import Flow, Velocity
+from models.physics_corrector.flow.flow_matching import FlowMatching, Velocity
 from models.physics_corrector.flow.pose_coordinates import wrap
-from models.physics_corrector.geometry.closest_point import Queries, closest_sample
-from models.physics_corrector.geometry.scene_batch import SceneBatch
-from models.physics_corrector.geometry.shape_tensors import Geometry
+from models.physics_corrector.geometry.closest_point import ClosestPointQueries, closest_sample
+from models.physics_corrector.geometry.scene_batch import LayoutBatch
+from models.physics_corrector.geometry.shape_tensors import ShapeTensors
 from models.physics_corrector.training.dataset import TrainingSet
 from models.physics_corrector.training.losses import colliding_pairs
 from models.physics_corrector.training.perturbation import KINDS, Kind, PerturbationSettings, perturb, reassign
@@ -43,7 +43,7 @@ _YAW_ARM = 0.1  # metres that a radian counts in the distance to the target
 
 
 @dataclass(frozen=True, slots=True)
-class HeldOut:
+class ValidationScenes:
     """Scenes of a validation card.
 
     Attributes:
@@ -60,7 +60,12 @@ class HeldOut:
 
 
 def validation_card(
-    velocity: Velocity, flow: Flow, held_out: HeldOut, settings: PerturbationSettings, seed: int, rows: Sequence[str] = ROWS
+    velocity: Velocity,
+    flow: FlowMatching,
+    held_out: ValidationScenes,
+    settings: PerturbationSettings,
+    seed: int,
+    rows: Sequence[str] = ROWS,
 ) -> Card:
     """Judges a corrector.
 
@@ -83,8 +88,8 @@ def validation_card(
 def _row(
     row: str,
     velocity: Velocity,
-    flow: Flow,
-    held_out: HeldOut,
+    flow: FlowMatching,
+    held_out: ValidationScenes,
     shapes: Sequence[Sequence[Shape]],
     settings: PerturbationSettings,
     seed: int,
@@ -108,7 +113,7 @@ def _row(
     return figures
 
 
-def grid_figures(poses: Tensor, coarse: Tensor, batch: SceneBatch, geometry: Geometry) -> Figures:
+def grid_figures(poses: Tensor, coarse: Tensor, batch: LayoutBatch, geometry: ShapeTensors) -> Figures:
     """What grids and poses tell of layouts: each figure per scene, then the mean over scenes.
 
     ``grid_oc`` and ``grid_oc_10mm`` are the shares of pairs whose samples reach deeper into each other than 0.5 and 10 mm;
@@ -122,7 +127,7 @@ def grid_figures(poses: Tensor, coarse: Tensor, batch: SceneBatch, geometry: Geo
     """
     pairs = colliding_pairs(poses, batch, geometry)
     ways = pairs.both_ways()
-    queries = Queries(ways.scene, ways.first, ways.second)
+    queries = ClosestPointQueries(ways.scene, ways.first, ways.second)
     limit = poses.new_zeros(len(queries))
     _, distance = closest_sample(poses, batch, geometry, queries, geometry.surface, limit)
     depth = torch.where(distance.isinf(), 0.0, -distance).reshape(2, -1).amax(0) if len(pairs) else poses.new_zeros(0)

@@ -11,8 +11,8 @@ from dataclasses import asdict
 from typing import Any, TypeAlias
 
 from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling
-from models.semantic_reasoner.language.required_objects import Required
-from models.semantic_reasoner.replies.grammar import CATEGORY, ReplyForm
+from models.semantic_reasoner.language.required_objects import ObjectRequirement
+from models.semantic_reasoner.replies.grammar import CATEGORY, ReplyGrammar
 from models.semantic_reasoner.text.prompt import Message
 
 Fields: TypeAlias = dict[str, Any]
@@ -218,29 +218,29 @@ def _number(fields: Mapping[str, Any], key: str, default: float) -> float:
     return value
 
 
-def _form(fields: Any) -> ReplyForm:
+def _form(fields: Any) -> ReplyGrammar:
     try:
-        asks = tuple(Required(**{**asked, "categories": tuple(asked["categories"])}) for asked in fields["asks"])
+        asks = tuple(ObjectRequirement(**{**asked, "categories": tuple(asked["categories"])}) for asked in fields["asks"])
         if not all(CATEGORY.fullmatch(c) for asked in asks for c in asked.categories):
             raise ValueError(f"a category is not {CATEGORY.pattern}")
-        form = ReplyForm(**{**fields, "names": tuple(fields["names"]), "asks": asks})
+        form = ReplyGrammar(**{**fields, "names": tuple(fields["names"]), "asks": asks})
         form.grammar()
     except (ArithmeticError, LookupError, TypeError, ValueError) as error:
         raise ValueError(f"{EXTENSION}.form is no form of replies ({error})") from error
     return form
 
 
-def _form_of_schema(response_format: Any) -> ReplyForm:
+def _form_of_schema(response_format: Any) -> ReplyGrammar:
     """The narrowest form that allows all that a schema of layouts allows."""
     try:
         properties = response_format["json_schema"]["schema"]["properties"]
         objects = properties["objects"]
         side = float(objects["items"]["properties"]["position"]["items"]["maximum"])
         names = tuple(map(str, properties["remove"]["items"]["enum"])) if "remove" in properties else ()
-        form = ReplyForm(side, side, bool(names), names, int(objects["minItems"]), int(objects["maxItems"]))
+        form = ReplyGrammar(side, side, bool(names), names, int(objects["minItems"]), int(objects["maxItems"]))
         form.grammar()
     except (ArithmeticError, LookupError, TypeError, ValueError):
-        return ReplyForm(_ANY_TABLE_CM, _ANY_TABLE_CM)
+        return ReplyGrammar(_ANY_TABLE_CM, _ANY_TABLE_CM)
     return form
 
 

@@ -16,7 +16,7 @@ from transformers import AutoModelForCausalLM, AutoTokenizer, PreTrainedModel, P
 from models.semantic_reasoner.engines.batched_decoding import ATTENTION, Decoder
 from models.semantic_reasoner.engines.incremental_batches import Conversation, converse
 from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling, too_long
-from models.semantic_reasoner.replies.grammar import ReplyForm
+from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from models.semantic_reasoner.text.reply_json import parse_reply
 from models.semantic_reasoner.text.tokenizer import chat_text
 from stable_data.errors import ConfigError
@@ -32,7 +32,7 @@ class _Sequence:
 
     index: int
     prompt: list[int]
-    form: ReplyForm
+    form: ReplyGrammar
     matcher: LLMatcher | None
     draws: np.random.Generator
     reply: list[int]

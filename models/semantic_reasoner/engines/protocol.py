@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from models.semantic_reasoner.engines.incremental_batches import Conversation, in_batches
-from models.semantic_reasoner.replies.grammar import ReplyForm
+from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from models.semantic_reasoner.text.prompt import Message
 
 OFF = (
@@ -53,7 +53,7 @@ class Request:
     """
 
     messages: tuple[Message, ...]
-    form: ReplyForm
+    form: ReplyGrammar
     seed: int = 0
 
 
@@ -108,7 +108,7 @@ class Engine(Protocol):
 
 
 @runtime_checkable
-class Converses(Protocol):
+class ConversationEngine(Protocol):
     """An engine that takes further requests while it completes others."""
 
     def converse(self, requests: Sequence[Request]) -> Conversation[Completion, Request]:
@@ -123,4 +123,4 @@ def conversation(engine: Engine, requests: Sequence[Request]) -> Conversation[Co
         engine: Any engine.
         requests: Those to begin with.
     """
-    return engine.converse(requests) if isinstance(engine, Converses) else in_batches(engine.complete, requests)
+    return engine.converse(requests) if isinstance(engine, ConversationEngine) else in_batches(engine.complete, requests)

@@ -25,7 +25,7 @@ _MAX_BYTES = 64 * 2**20  # of an entry
 
 
 @runtime_checkable
-class CompletesOneByOne(Protocol):
+class StreamingEngine(Protocol):
     """An engine that tells of each completion as it comes, so that it can be kept before the others are done."""
 
     def as_completed(self, requests: Sequence[Request]) -> Iterator[tuple[int, Completion]]:
@@ -192,7 +192,7 @@ class CachedEngine:
     def _ask(self, keys: list[str], requests: list[Request]) -> Iterator[tuple[str, Completion]]:
         if not requests:
             return
-        if isinstance(self.engine, CompletesOneByOne):
+        if isinstance(self.engine, StreamingEngine):
             for k, completion in self.engine.as_completed(requests):
                 yield keys[k], completion
         else:

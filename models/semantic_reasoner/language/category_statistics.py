@@ -13,8 +13,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from models.semantic_reasoner.language.noun_lookup import Nouns, words_of
-from models.semantic_reasoner.language.noun_phrases import Phrase, phrases
+from models.semantic_reasoner.language.noun_lookup import NounLookup, words_of
+from models.semantic_reasoner.language.noun_phrases import NounPhrase, phrases
 from models.semantic_reasoner.text.reply_json import layout_names
 from stable_data.errors import ConfigError
 from stable_data.scene import SceneObject, Stage, Vec3
@@ -84,11 +84,11 @@ class CategoryStatistics:
     tables: Mapping[str, int] = field(default_factory=dict)
 
     @cached_property
-    def nouns(self) -> Nouns:
+    def nouns(self) -> NounLookup:
         """What the categories may be called."""
-        return Nouns(self.categories)
+        return NounLookup(self.categories)
 
-    def is_doubtful(self, phrase: Phrase) -> bool:
+    def is_doubtful(self, phrase: NounPhrase) -> bool:
         """Do such words often speak of something that is not on the table?"""
         doubts = self.doubts.get(phrase.mention.noun, {})
         return doubts.get(phrase.before, doubts.get("*", False))
@@ -237,7 +237,7 @@ class _Counting:
 
     def statistics(self) -> CategoryStatistics:
         categories = {name: self._category(name) for name in sorted(self._sizes)}
-        return CategoryStatistics(categories, dict(self._words), self._doubts(Nouns(categories)), dict(self._tables))
+        return CategoryStatistics(categories, dict(self._words), self._doubts(NounLookup(categories)), dict(self._tables))
 
     def _category(self, name: str) -> Category:
         sizes = np.array(self._sizes[name], np.float64)
@@ -248,7 +248,7 @@ class _Counting:
         words = dict(self._described[name].most_common(_MOST_WORDS))
         return Category(len(sizes), extents, sides, round(self._carrying[name] / len(sizes), 4), words)
 
-    def _doubts(self, nouns: Nouns) -> dict[str, dict[str, bool]]:
+    def _doubts(self, nouns: NounLookup) -> dict[str, dict[str, bool]]:
         """Which words were said of things that were not there."""
         seen: dict[str, Counter[str]] = {}
         right: dict[str, Counter[str]] = {}

@@ -19,7 +19,7 @@ _WORD = re.compile(r"[^\W\d_]+|\d+")
 
 
 @dataclass(frozen=True, slots=True)
-class Word:
+class TextWord:
     """A word of a text.
 
     Attributes:
@@ -37,16 +37,16 @@ class Word:
     is_name: bool
 
 
-def words_of(text: str) -> tuple[Word, ...]:
+def words_of(text: str) -> tuple[TextWord, ...]:
     """The words of a text; ``mug's`` is two, ``make-up`` too."""
-    found: list[Word] = []
+    found: list[TextWord] = []
     last = 0
     for m in _WORD.finditer(text):
         between = text[last : m.start()]
         is_first = not found or re.search(r"[^\s'’_-]", between) is not None
         starts_sentence = not found or re.search(r"[.!?:;\n\"]", between) is not None
         found.append(
-            Word(
+            TextWord(
                 m[0].lower(), m.start(), m.end(), is_first, m[0][0].isupper() and not m[0][1:].isupper() and not starts_sentence
             )
         )
@@ -55,7 +55,7 @@ def words_of(text: str) -> tuple[Word, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class Mention:
+class NounMention:
     """A noun in a text.
 
     Attributes:
@@ -71,7 +71,7 @@ class Mention:
     is_plural: bool
 
 
-class Nouns:
+class NounLookup:
     """What the known categories may be called.
 
     A category is called by its own words, by the vocabulary's other names for it and by the ends of either (a ``cooking_pot``
@@ -124,9 +124,9 @@ class Nouns:
             self._meant[noun] = named or tuple(meant)
         return self._meant[noun]
 
-    def read(self, words: Sequence[Word]) -> list[Mention]:
+    def read(self, words: Sequence[TextWord]) -> list[NounMention]:
         """The nouns of a text, the longest that fit, in its order; of ``orange pitcher`` the pitcher alone."""
-        found: list[Mention] = []
+        found: list[NounMention] = []
         k = 0
         while k < len(words):
             mention = self._at(words, k)
@@ -140,7 +140,7 @@ class Nouns:
             k = mention.last + 1
         return found
 
-    def _at(self, words: Sequence[Word], k: int) -> Mention | None:
+    def _at(self, words: Sequence[TextWord], k: int) -> NounMention | None:
         for size in range(min(self._longest, len(words) - k), 0, -1):
             part = words[k : k + size]
             spelt = tuple(w.text for w in part)
@@ -148,7 +148,7 @@ class Nouns:
                 continue  # "the right-hand mirror" is no hand mirror
             if spelt in self._by_words and not any(w.is_first for w in part[1:]):
                 noun, is_many = self._by_words[spelt]
-                return Mention(k, k + size - 1, noun, is_many)
+                return NounMention(k, k + size - 1, noun, is_many)
         return None
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from models.semantic_reasoner.language.noun_lookup import Mention, Nouns, Word
+from models.semantic_reasoner.language.noun_lookup import NounLookup, NounMention, TextWord
 from models.semantic_reasoner.language.stop_words import COUNTS, DETERMINERS, FUNCTION_WORDS, HOMOGRAPHS, NONE_OF, word_set
 from stable_data.instructions import naming
 from stable_data.instructions.claims import mark
@@ -26,7 +26,7 @@ _ON_SIDE = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Phrase:
+class NounPhrase:
     """A noun phrase.
 
     Attributes:
@@ -40,7 +40,7 @@ class Phrase:
     """
 
     first: int
-    mention: Mention
+    mention: NounMention
     before: str
     modifiers: tuple[str, ...]
     count: int
@@ -48,7 +48,7 @@ class Phrase:
     clause: tuple[str, ...]
 
 
-def phrases(words: Sequence[Word], nouns: Nouns) -> Iterator[Phrase]:
+def phrases(words: Sequence[TextWord], nouns: NounLookup) -> Iterator[NounPhrase]:
     """The noun phrases of a text that speak of things of known categories, in its order.
 
     Args:
@@ -67,10 +67,10 @@ def phrases(words: Sequence[Word], nouns: Nouns) -> Iterator[Phrase]:
         modifiers = tuple(w for w in lead if w not in DETERMINERS and w not in COUNTS and not w.isdecimal() and w != "of")
         is_denied = bool({*lead, before} & NONE_OF) or count > MOST or 0 in counts
         clause = _clause(words, mention)
-        yield Phrase(k, mention, before, (*modifiers, *clause), count, is_denied, clause)
+        yield NounPhrase(k, mention, before, (*modifiers, *clause), count, is_denied, clause)
 
 
-def _opening(words: Sequence[Word], mention: Mention) -> tuple[int | None, list[int]]:
+def _opening(words: Sequence[TextWord], mention: NounMention) -> tuple[int | None, list[int]]:
     """Where the phrase of a noun starts, None where nothing opens it; and its numbers."""
     counts: list[int] = []
     first = None
@@ -88,7 +88,7 @@ def _opening(words: Sequence[Word], mention: Mention) -> tuple[int | None, list[
     return first, counts
 
 
-def _clause(words: Sequence[Word], mention: Mention) -> tuple[str, ...]:
+def _clause(words: Sequence[TextWord], mention: NounMention) -> tuple[str, ...]:
     """What a clause after a noun says of its place to tell it apart: ``that is on the left``; empty where there is none."""
     k = mention.last + 1
     if k >= len(words) or words[k].is_first or words[k].text not in _CLAUSE_OPENS:
@@ -101,7 +101,7 @@ def _clause(words: Sequence[Word], mention: Mention) -> tuple[str, ...]:
     return tuple(said) if said[-1] in _CLAUSE_ENDS else ()
 
 
-def marked(text: str, words: Sequence[Word], spoken: Sequence[Phrase]) -> str:
+def marked(text: str, words: Sequence[TextWord], spoken: Sequence[NounPhrase]) -> str:
     """A text with each phrase as its number, its clause included, as :mod:`stable_data.instructions.claims` reads it.
 
     Args:
@@ -110,15 +110,15 @@ def marked(text: str, words: Sequence[Word], spoken: Sequence[Phrase]) -> str:
         spoken: Phrases in it, in its order.
     """
     names = [str(k) for k in range(len(spoken))]
-    unnamed = naming.Name("", "", naming.Telling.NOUN)
+    unnamed = naming.ObjectName("", "", naming.Distinction.NOUN)
     said = [
-        naming.Mention(words[p.first].start, words[_last(words, p)].end, name, unnamed)
+        naming.ObjectMention(words[p.first].start, words[_last(words, p)].end, name, unnamed)
         for name, p in zip(names, spoken, strict=True)
     ]
     return mark(text, (), said, names)
 
 
-def _last(words: Sequence[Word], phrase: Phrase) -> int:
+def _last(words: Sequence[TextWord], phrase: NounPhrase) -> int:
     """Index of a phrase's last word; ``that is to the left of the jar`` is no clause of its own."""
     last = phrase.mention.last + len(phrase.clause)
     goes_on = last + 1 < len(words) and words[last + 1].text == "of" and not words[last + 1].is_first

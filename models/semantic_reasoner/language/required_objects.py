@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
-from models.semantic_reasoner.language.noun_lookup import Word, own_noun, words_of
-from models.semantic_reasoner.language.noun_phrases import Phrase, marked, phrases
+from models.semantic_reasoner.language.noun_lookup import TextWord, own_noun, words_of
+from models.semantic_reasoner.language.noun_phrases import NounPhrase, marked, phrases
 from models.semantic_reasoner.language.stop_words import FUNCTION_WORDS, word_set
 from stable_data.instructions.claims import emptied
 from stable_data.instructions.words import is_plural
@@ -20,7 +20,7 @@ _HEADS = word_set("opener handle lid rim cap button cover drawer spot place corn
 
 
 @dataclass(frozen=True, slots=True)
-class Required:
+class ObjectRequirement:
     """Objects that an instruction asks for.
 
     Attributes:
@@ -45,7 +45,7 @@ class Required:
         return len(found) >= self.at_least or any(is_plural(own_noun(c)) for c in found)
 
 
-def required(instruction: str, statistics: CategoryStatistics) -> tuple[Required, ...]:
+def required(instruction: str, statistics: CategoryStatistics) -> tuple[ObjectRequirement, ...]:
     """What an instruction asks for.
 
     Mentions of one noun are the same thing, unless words tell them apart (``the red mug ... the blue mug``) or one of them is
@@ -60,7 +60,7 @@ def required(instruction: str, statistics: CategoryStatistics) -> tuple[Required
         In the order of their first mention; empty where nothing known is named.
     """
     words = words_of(instruction)
-    found: dict[str, list[Phrase]] = {}
+    found: dict[str, list[NounPhrase]] = {}
     spoken = []
     for phrase in phrases(words, statistics.nouns):
         if (
@@ -75,16 +75,16 @@ def required(instruction: str, statistics: CategoryStatistics) -> tuple[Required
     asked = [_asked(instruction, words, same, statistics) for same in found.values()]
     text = marked(instruction, words, spoken)
     if emptied(text) or _EVERYTHING.search(text):
-        asked.append(Required("what is in or on it", ()))
+        asked.append(ObjectRequirement("what is in or on it", ()))
     return tuple(asked)
 
 
-def _is_wanted(words: Sequence[Word], phrase: Phrase) -> bool:
+def _is_wanted(words: Sequence[TextWord], phrase: NounPhrase) -> bool:
     """Is it something that is not there yet: ``make room for a laptop``?"""
     return phrase.before == "for" and words[phrase.first].text in ("a", "an", "another", "some")
 
 
-def _is_part_of_other(words: Sequence[Word], phrase: Phrase, statistics: CategoryStatistics) -> bool:
+def _is_part_of_other(words: Sequence[TextWord], phrase: NounPhrase, statistics: CategoryStatistics) -> bool:
     """Could the noun be but a part of the name of something else: ``the can opener``, ``a block of paper``, ``cotton pads``?"""
     mention, nouns = phrase.mention, statistics.nouns
     k = mention.last + 1
@@ -97,7 +97,9 @@ def _is_part_of_other(words: Sequence[Word], phrase: Phrase, statistics: Categor
     )
 
 
-def _asked(instruction: str, words: Sequence[Word], same: Sequence[Phrase], statistics: CategoryStatistics) -> Required:
+def _asked(
+    instruction: str, words: Sequence[TextWord], same: Sequence[NounPhrase], statistics: CategoryStatistics
+) -> ObjectRequirement:
     """What the mentions of one noun ask for."""
     others = [p for p in same if {"other", "another"} & {*p.modifiers, words[p.first].text}]
     told = {p.modifiers for p in same if p not in others and p.count == 1 and p.modifiers}
@@ -106,4 +108,4 @@ def _asked(instruction: str, words: Sequence[Word], same: Sequence[Phrase], stat
         count = max(count, len(told) + 1, 2)
     first = same[0]
     spelt = instruction[words[first.mention.first].start : words[first.mention.last].end]
-    return Required(spelt, statistics.nouns.categories_of(first.mention.noun), count)
+    return ObjectRequirement(spelt, statistics.nouns.categories_of(first.mention.noun), count)

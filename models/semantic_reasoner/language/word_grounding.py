@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
-from models.semantic_reasoner.language.noun_lookup import Mention, Word, words_of
+from models.semantic_reasoner.language.noun_lookup import NounMention, TextWord, words_of
 from models.semantic_reasoner.language.stop_words import (
     COUNTS,
     DETERMINERS,
@@ -70,7 +70,7 @@ _ALSO_CALLED = MappingProxyType(
 
 
 @dataclass(frozen=True, slots=True)
-class Grounded:
+class GroundedInstruction:
     """An instruction in words that are known.
 
     Attributes:
@@ -83,7 +83,7 @@ class Grounded:
 
 
 @dataclass(frozen=True, slots=True)
-class Span:
+class UnknownSpan:
     """Words of an instruction that name something unknown.
 
     Attributes:
@@ -98,7 +98,7 @@ class Span:
 
 
 @dataclass(eq=False)
-class Grounding:
+class WordGrounding:
     """Reads instructions for an engine with a closed vocabulary.
 
     Args:
@@ -114,7 +114,7 @@ class Grounding:
     near_in_class: float = NEAR_IN_CLASS
     _rows: npt.NDArray[np.float32] | None = field(default=None, init=False, repr=False)
 
-    def ground(self, instruction: str, item_id: str = "instruction") -> Grounded:
+    def ground(self, instruction: str, item_id: str = "instruction") -> GroundedInstruction:
         """An instruction with what is unknown read as what is known.
 
         Args:
@@ -127,7 +127,7 @@ class Grounding:
         words = words_of(instruction)
         if self._is_foreign(words):
             message = f"{item_id}: most words of {_shown(instruction)} are unknown, expected English; say it in English"
-            return Grounded(instruction, (Notice(item_id, STEP, "language_unknown", message),))
+            return GroundedInstruction(instruction, (Notice(item_id, STEP, "language_unknown", message),))
         notices, changes = [], []
         for span in self.unknown(words):
             start, end = words[span.first].start, words[span.last].end
@@ -143,7 +143,7 @@ class Grounding:
                 notices.append(Notice(item_id, STEP, "word_unknown", message))
         for start, end, noun in reversed(changes):
             instruction = f"{instruction[:start]}{noun}{instruction[end:]}"
-        return Grounded(instruction, tuple(dict.fromkeys(notices)))
+        return GroundedInstruction(instruction, tuple(dict.fromkeys(notices)))
 
     def table_type(self, table_type: str, item_id: str = "table") -> tuple[str, tuple[Notice, ...]]:
         """A kind of table as it is to be said: itself where it is known, else none, so that its size alone tells.
@@ -163,13 +163,13 @@ class Grounding:
 
     # --- what is unknown ---
 
-    def _is_foreign(self, words: Sequence[Word]) -> bool:
+    def _is_foreign(self, words: Sequence[TextWord]) -> bool:
         unknown = [w.text for w in words if not self._is_known(w) and not w.is_name]
         if 0 < len(unknown) == len(words) and not all(map(str.isascii, unknown)):
             return True  # a text without spaces between its words is one
         return len(unknown) >= _FEWEST and len(unknown) > LANGUAGE * len(words)
 
-    def _is_known(self, word: Word) -> bool:
+    def _is_known(self, word: TextWord) -> bool:
         text = word.text
         return (
             text in FUNCTION_WORDS
@@ -181,7 +181,7 @@ class Grounding:
             or is_verb(text)
         )
 
-    def unknown(self, words: Sequence[Word]) -> Iterator[Span]:
+    def unknown(self, words: Sequence[TextWord]) -> Iterator[UnknownSpan]:
         """The phrases of a text that name a thing that nobody knows, in its order."""
         mentions = self.statistics.nouns.read(words)
         heads = {m.last: m for m in mentions}
@@ -196,7 +196,7 @@ class Grounding:
                 yield span
             k = last + 1
 
-    def _chunk(self, words: Sequence[Word], k: int) -> tuple[int, int]:
+    def _chunk(self, words: Sequence[TextWord], k: int) -> tuple[int, int]:
         """The words around an unknown one that no word of grammar interrupts."""
         first = last = k
         while first > 0 and not words[first].is_first and _is_content(words[first - 1]):
@@ -205,7 +205,9 @@ class Grounding:
             last += 1
         return first, last
 
-    def _thing(self, words: Sequence[Word], k: int, first: int, last: int, heads: dict[int, Mention]) -> Span | None:
+    def _thing(
+        self, words: Sequence[TextWord], k: int, first: int, last: int, heads: dict[int, NounMention]
+    ) -> UnknownSpan | None:
         """What of a chunk names an unknown thing, if anything does."""
         head, following = words[last].text, words[last + 1].text if last + 1 < len(words) else ""
         known = heads.get(last)
@@ -223,12 +225,12 @@ class Grounding:
         is_opened = before in DETERMINERS or before in COUNTS or before.isdecimal() or before in _ORDINALS
         if not is_opened and before == "to":
             is_near = first > 1 and words[first - 2].text in _NEXT
-            return Span(begin, last, is_opened=False) if is_near else None
+            return UnknownSpan(begin, last, is_opened=False) if is_near else None
         if is_opened or before in PREPOSITIONS or before == "and" or is_verb(before):
-            return Span(begin, last, is_opened)
+            return UnknownSpan(begin, last, is_opened)
         return None
 
-    def _only_describes(self, word: Word) -> bool:
+    def _only_describes(self, word: TextWord) -> bool:
         """Is it a word of the training instructions that is part of no noun, such as ``red``?"""
         return (word.text in self.statistics.words or is_verb(word.text)) and word.text not in self.statistics.nouns.words
 
@@ -264,7 +266,7 @@ _ORDINALS = frozenset({"other", "another", "first", "second", "third", "last", "
 _NEXT = frozenset({"next", "close", "on", "in", "closer", "nearer", "nearest", "closest", "over", "up"})
 
 
-def _is_content(word: Word, after: bool = False) -> bool:
+def _is_content(word: TextWord, after: bool = False) -> bool:
     """Could it be part of a noun phrase? Before its noun ``chipped`` is, after it no form of a verb."""
     if word.text in FUNCTION_WORDS or word.text.isdecimal() or word.text.endswith("ly"):
         return False

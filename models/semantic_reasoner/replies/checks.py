@@ -16,11 +16,11 @@ from functools import lru_cache
 import numpy as np
 
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
-from models.semantic_reasoner.language.required_objects import Required, required
+from models.semantic_reasoner.language.required_objects import ObjectRequirement, required
 from models.semantic_reasoner.language.stated_relations import relations_not_held
 from models.semantic_reasoner.replies.grammar import MOST_OBJECTS
-from models.semantic_reasoner.text.prompt import Ask
-from models.semantic_reasoner.text.reply_json import LayoutObject, Reply
+from models.semantic_reasoner.text.prompt import ReasonerQuestion
+from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from stable_data.scene import FloatArray, Relation, SceneObject, Stage, Tabletop
 from stable_data.scene_graph.relations import yawed_rectangle
 from stable_data.scene_graph.support_from_boxes import ON_TABLE, bottom, carriers_of, top
@@ -29,7 +29,7 @@ _SHOWN = 8  # names in a message
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class ReplyFault:
     """Something wrong with a reply.
 
     Attributes:
@@ -86,16 +86,16 @@ class ReplyCheck:
         self._statistics, self._settings = statistics, settings
         self._required = lru_cache(maxsize=512)(lambda instruction: required(instruction, statistics))
 
-    def __call__(self, reply: Reply, ask: Ask, /) -> list[Fault]:
+    def __call__(self, reply: LayoutReply, ask: ReasonerQuestion, /) -> list[ReplyFault]:
         """The faults of a reply to a question."""
         return check(reply.objects, reply.removed, ask, self._statistics, self.asks(ask), self._settings)
 
-    def asks(self, ask: Ask) -> tuple[Required, ...]:
+    def asks(self, ask: ReasonerQuestion) -> tuple[ObjectRequirement, ...]:
         """What must be among the objects when the task objects are there."""
         return self._required(ask.instruction) if _asks_for_task(ask) else ()
 
 
-def form_check(reply: Reply, ask: Ask, /) -> list[Fault]:
+def form_check(reply: LayoutReply, ask: ReasonerQuestion, /) -> list[ReplyFault]:
     """The faults that can be told without knowing anything of categories: names, and edits that change nothing."""
     return list(name_faults(reply.objects, reply.removed, ask)) or list(_unchanged(reply.objects, reply.removed, ask))
 
@@ -103,11 +103,11 @@ def form_check(reply: Reply, ask: Ask, /) -> list[Fault]:
 def check(
     objects: Sequence[LayoutObject],
     removed: Sequence[str],
-    ask: Ask,
+    ask: ReasonerQuestion,
     statistics: CategoryStatistics,
-    asked_for: Sequence[Required],
+    asked_for: Sequence[ObjectRequirement],
     settings: CheckSettings = CheckSettings(),
-) -> list[Fault]:
+) -> list[ReplyFault]:
     """What is wrong with a reply.
 
     Args:
@@ -122,7 +122,7 @@ def check(
         The faults, hard ones first; empty where there is nothing to say. The same for the same input.
     """
     if len(objects) > settings.most_objects:  # the other checks compare each object with each
-        return [Fault("too_many", f"there are {len(objects)} objects; give at most {settings.most_objects}")]
+        return [ReplyFault("too_many", f"there are {len(objects)} objects; give at most {settings.most_objects}")]
     faults = list(name_faults(objects, removed, ask))
     if any(f.is_hard for f in faults):
         return faults  # without names nothing else can be told
@@ -147,13 +147,13 @@ def check(
     return sorted(faults, key=lambda f: not f.is_hard) or list(_unchanged(objects, removed, ask))
 
 
-def _asks_for_task(ask: Ask) -> bool:
+def _asks_for_task(ask: ReasonerQuestion) -> bool:
     return ask.wanted in (Stage.TASK, "whole")
 
 
 def _not_as_said(
-    layout: Sequence[SceneObject], kept: Sequence[LayoutObject], ask: Ask, statistics: CategoryStatistics
-) -> Iterator[Fault]:
+    layout: Sequence[SceneObject], kept: Sequence[LayoutObject], ask: ReasonerQuestion, statistics: CategoryStatistics
+) -> Iterator[ReplyFault]:
     """What the instruction says of the start and a layout breaks; of a later stage, what was so before it."""
     broken = relations_not_held(layout, ask.table, ask.instruction, statistics)
     if broken and ask.wanted in (Stage.IMPORTANT, Stage.SECONDARY):
@@ -162,16 +162,16 @@ def _not_as_said(
         broken = tuple(r for r in broken if r not in was)
     for r in broken:
         message = f"the instruction says {r}; place them so"
-        yield Fault("relation_not_held", message, is_hard=False, relation=r)
+        yield ReplyFault("relation_not_held", message, is_hard=False, relation=r)
 
 
-def _kept(objects: Sequence[LayoutObject], removed: Sequence[str], ask: Ask) -> list[LayoutObject]:
+def _kept(objects: Sequence[LayoutObject], removed: Sequence[str], ask: ReasonerQuestion) -> list[LayoutObject]:
     """What stays of the layout so far as it is."""
     gone = {*removed, *(o.instance for o in objects)} if ask.edits else set()
     return [o for o in ask.layout if o.instance not in gone]
 
 
-def _changed(ask: Ask) -> dict[str, LayoutObject]:
+def _changed(ask: ReasonerQuestion) -> dict[str, LayoutObject]:
     """What a reply may name as it is in the layout: only edits do."""
     return {o.instance: o for o in ask.layout} if ask.edits else {}
 
@@ -195,7 +195,7 @@ def _may_be_laid_so(one: LayoutObject, was: LayoutObject, s: CheckSettings) -> b
     return bool((now <= s.unusual * before).all() and now[-1] * s.unusual >= before[-1])
 
 
-def name_faults(objects: Sequence[LayoutObject], removed: Sequence[str], ask: Ask) -> Iterator[Fault]:
+def name_faults(objects: Sequence[LayoutObject], removed: Sequence[str], ask: ReasonerQuestion) -> Iterator[ReplyFault]:
     """What is wrong with the names of a reply, all of it hard: nobody can tell what such a reply means.
 
     Args:
@@ -206,20 +206,24 @@ def name_faults(objects: Sequence[LayoutObject], removed: Sequence[str], ask: As
     layout = [o.instance for o in ask.layout]
     names = [o.instance for o in objects]
     for name, count in _repeated(names):
-        yield Fault("instance_twice", f"{name} is there {count} times; give every object a number of its own")
+        yield ReplyFault("instance_twice", f"{name} is there {count} times; give every object a number of its own")
     for name in dict.fromkeys(names):
         if name in layout and not ask.edits:
-            yield Fault("instance_repeated", f"{name} is in the layout already; leave it out, or number a new one differently")
+            yield ReplyFault(
+                "instance_repeated", f"{name} is in the layout already; leave it out, or number a new one differently"
+            )
     for name in sorted(set(removed) - set(layout)):
-        yield Fault("removed_unknown", f"{name} is to be removed, but is not in the layout, which has {_some(layout, name)}")
+        yield ReplyFault(
+            "removed_unknown", f"{name} is to be removed, but is not in the layout, which has {_some(layout, name)}"
+        )
     for name, count in _repeated(removed):
-        yield Fault("removed_twice", f"{name} is removed {count} times; name it once")
+        yield ReplyFault("removed_twice", f"{name} is removed {count} times; name it once")
     for name in sorted(set(removed) & set(names)):
-        yield Fault(
+        yield ReplyFault(
             "removed_and_there", f"{name} is removed and given anew; do one of the two, or give what is new another number"
         )
     if removed and not ask.edits:
-        yield Fault("removed_unasked", "nothing may be removed here; leave out remove")
+        yield ReplyFault("removed_unasked", "nothing may be removed here; leave out remove")
 
 
 def _repeated(names: Sequence[str]) -> list[tuple[str, int]]:
@@ -235,15 +239,19 @@ def _some(known: Sequence[str], wanted: str) -> str:
 
 
 def _numbers(
-    objects: Sequence[LayoutObject], new: Sequence[SceneObject], layout: Sequence[SceneObject], ask: Ask, s: CheckSettings
-) -> Iterator[Fault]:
+    objects: Sequence[LayoutObject],
+    new: Sequence[SceneObject],
+    layout: Sequence[SceneObject],
+    ask: ReasonerQuestion,
+    s: CheckSettings,
+) -> Iterator[ReplyFault]:
     if not objects and ask.wanted in (Stage.TASK, "whole"):
-        yield Fault("empty", "there are no objects; give those that the instruction names and what carries them")
+        yield ReplyFault("empty", "there are no objects; give those that the instruction names and what carries them")
     width, depth = ask.table.size_xy
     taken = _standing(layout) / (width * depth)
     before = _standing([o.to_scene_object() for o in ask.layout]) / (width * depth) if ask.edits else 0.0
     if new and taken > max(s.crowding, before):
-        yield Fault(
+        yield ReplyFault(
             "crowded",
             f"what stands on the table takes {100 * taken:.0f} % of its {100 * width:.0f} x {100 * depth:.0f} cm; give fewer objects",
         )
@@ -257,12 +265,12 @@ def _standing(layout: Sequence[SceneObject]) -> float:
 # --- the table ----------------------------------------------------------------------------------------------------------------
 
 
-def _place(item: SceneObject, table: Tabletop, s: CheckSettings) -> Iterator[Fault]:
+def _place(item: SceneObject, table: Tabletop, s: CheckSettings) -> Iterator[ReplyFault]:
     corners = yawed_rectangle(item)
     (width, depth), (x, y, _) = table.size_xy, item.position
     over = 100 * max(-float(corners.min()), float(corners[:, 0].max()) - width, float(corners[:, 1].max()) - depth)
     if not (0 <= x <= width and 0 <= y <= depth) or over > s.overhang_cm:
-        yield Fault(
+        yield ReplyFault(
             "off_table",
             f"{item.instance} leaves the table by {over:.1f} cm; move it into 0 to {100 * width:.0f} by 0 to {100 * depth:.0f} cm, "
             "or leave it out",
@@ -274,14 +282,14 @@ def _place(item: SceneObject, table: Tabletop, s: CheckSettings) -> Iterator[Fau
         deep = 100 * _common_depth(corners, zone)
         if (x_min < x < x_max and y_min < y < y_max) or deep > s.overhang_cm:
             shown = ", ".join(f"{100 * v:.0f}" for v in table.restricted_zone)
-            yield Fault(
+            yield ReplyFault(
                 "in_restricted_zone",
                 f"{item.instance} reaches {deep:.1f} cm into [{shown}], where nothing may stand; put it elsewhere",
                 instance=item.instance,
             )
     if 100 * bottom(item) < -s.sunk_cm:
         sunk = -100 * bottom(item)
-        yield Fault(
+        yield ReplyFault(
             "below_table",
             f"{item.instance} is {sunk:.1f} cm below the table top; its z must be half its height on the table",
             instance=item.instance,
@@ -302,18 +310,18 @@ def _common_depth(one: FloatArray, other: FloatArray) -> float:
 # --- sizes --------------------------------------------------------------------------------------------------------------------
 
 
-def _size(item: LayoutObject, statistics: CategoryStatistics, s: CheckSettings) -> Iterator[Fault]:
+def _size(item: LayoutObject, statistics: CategoryStatistics, s: CheckSettings) -> Iterator[ReplyFault]:
     known = statistics.categories.get(item.category)
     if known is None or not known.count:
         words = item.category.replace("_", " ")
-        yield Fault("category_unknown", f"{item.instance}: no {words} is known, its size is not judged", is_hard=False)
+        yield ReplyFault("category_unknown", f"{item.instance}: no {words} is known, its size is not judged", is_hard=False)
         return
     own, least, most = sorted(item.size_cm), _in_cm(known.least), _in_cm(known.most)
     beyond = max(max(low / v, v / high) for v, low, high in zip(own, least, most, strict=True))
     if beyond > s.unusual:
         is_hard = beyond > (s.size_slack if known.count >= s.rare else s.rare_size_slack)
         found, low, high = (" x ".join(f"{v:.1f}" for v in sides) for sides in (own, least, most))
-        yield Fault(
+        yield ReplyFault(
             "size_implausible" if is_hard else "size_unusual",
             f"{item.instance} is {found} cm, such things are {low} to {high} cm, shortest side first; give it such a size",
             is_hard,
@@ -328,7 +336,9 @@ def _in_cm(lengths: Sequence[float]) -> list[float]:
 # --- one another --------------------------------------------------------------------------------------------------------------
 
 
-def _carried(new: Sequence[SceneObject], layout: Sequence[SceneObject], ask: Ask, still: Set[str]) -> Iterator[Fault]:
+def _carried(
+    new: Sequence[SceneObject], layout: Sequence[SceneObject], ask: ReasonerQuestion, still: Set[str]
+) -> Iterator[ReplyFault]:
     carriers = carriers_of(layout, ask.table)
     names = {o.instance for o in new} - still
     before: dict[str, str | None] = {}
@@ -339,14 +349,14 @@ def _carried(new: Sequence[SceneObject], layout: Sequence[SceneObject], ask: Ask
             continue
         below = _highest_below(item, layout)
         if item.instance in names:
-            yield Fault(
+            yield ReplyFault(
                 "floats",
                 f"{item.instance} is {100 * (bottom(item) - below):.1f} cm above everything; put it on the table or on another "
                 "object",
                 instance=item.instance,
             )
         elif before.get(item.instance) is not None:
-            yield Fault(
+            yield ReplyFault(
                 "loses_carrier",
                 f"{item.instance} rested on {before[item.instance]}, which is no longer under it; move or remove it too",
                 is_hard=False,
@@ -363,7 +373,9 @@ def _highest_below(item: SceneObject, layout: Sequence[SceneObject]) -> float:
     return max(heights)
 
 
-def _twice(new: Sequence[SceneObject], layout: Sequence[SceneObject], still: Set[str], s: CheckSettings) -> Iterator[Fault]:
+def _twice(
+    new: Sequence[SceneObject], layout: Sequence[SceneObject], still: Set[str], s: CheckSettings
+) -> Iterator[ReplyFault]:
     if len(layout) < 2 or not new:
         return
     size = np.array([o.size for o in layout])
@@ -378,29 +390,29 @@ def _twice(new: Sequence[SceneObject], layout: Sequence[SceneObject], still: Set
         if j < first + i and not {layout[first + i].instance, layout[j].instance} <= kept:
             name = layout[first + i].instance
             message = f"{name} is where {layout[j].instance} is; leave it out or put it elsewhere"
-            yield Fault("same_place", message, instance=name)
+            yield ReplyFault("same_place", message, instance=name)
 
 
 # --- edits --------------------------------------------------------------------------------------------------------------------
 
 
-def _renamed(objects: Sequence[LayoutObject], removed: Sequence[str], was: Mapping[str, LayoutObject]) -> Iterator[Fault]:
+def _renamed(objects: Sequence[LayoutObject], removed: Sequence[str], was: Mapping[str, LayoutObject]) -> Iterator[ReplyFault]:
     """Things that are taken away and given anew, though they are the same."""
     gone = {(was[name].category, was[name].description): name for name in removed if name in was}
     for o in objects:
         name = gone.get((o.category, o.description))
         if o.instance not in was and name is not None:
-            yield Fault(
+            yield ReplyFault(
                 "renamed",
                 f"{o.instance} is {name} by another name; give it as {name}, and leave that out of remove",
                 is_hard=False,
             )
 
 
-def _unchanged(objects: Sequence[LayoutObject], removed: Sequence[str], ask: Ask) -> Iterator[Fault]:
+def _unchanged(objects: Sequence[LayoutObject], removed: Sequence[str], ask: ReasonerQuestion) -> Iterator[ReplyFault]:
     was = _changed(ask)
     if ask.edits and not removed and all(was.get(o.instance) == o for o in objects):
-        yield Fault(
+        yield ReplyFault(
             "nothing_changed", "nothing is changed; give what the instruction asks for as it is afterwards", is_hard=False
         )
 
@@ -408,14 +420,14 @@ def _unchanged(objects: Sequence[LayoutObject], removed: Sequence[str], ask: Ask
 # --- the instruction ----------------------------------------------------------------------------------------------------------
 
 
-def _missing(layout: Sequence[SceneObject], required: Sequence[Required]) -> Iterator[Fault]:
+def _missing(layout: Sequence[SceneObject], required: Sequence[ObjectRequirement]) -> Iterator[ReplyFault]:
     categories = [o.category for o in layout]
     for asked in required:
         if asked.is_met_by(categories):
             continue
         there = sum(c in asked.categories for c in categories)
         wanted = " or ".join(c.replace("_", " ") for c in asked.categories[:5]) or "something in or on it"
-        yield Fault(
+        yield ReplyFault(
             "required_missing",
             f'the instruction speaks of "{asked.words}": give {asked.at_least} ({wanted}), {there if asked.categories else 0} found',
         )

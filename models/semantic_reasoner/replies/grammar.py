@@ -5,9 +5,9 @@ limits that follow from the table: a position is on it, nothing is larger than i
 What needs geometry (overlaps, supports) is for the checks.
 
 That a reply has what its instruction asks for, in any order and among other things, is no grammar of a size that could be
-used: it would have to tell every subset apart. An engine asks :meth:`ReplyForm.lacking` when a reply would end, and goes on
+used: it would have to tell every subset apart. An engine asks :meth:`ReplyGrammar.lacking` when a reply would end, and goes on
     under
-:meth:`ReplyForm.grammar_after`, which has one of what is lacking come next.
+:meth:`ReplyGrammar.grammar_after`, which has one of what is lacking come next.
 """
 
 import json
@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
-from models.semantic_reasoner.language.required_objects import Required
+from models.semantic_reasoner.language.required_objects import ObjectRequirement
 from models.semantic_reasoner.text.reply_json import parse_reply
 from stable_data.errors import SceneError
 from stable_data.json_text import is_unicode
@@ -43,7 +43,7 @@ _LETTER = r'[^\s"\\<\x00-\x1f\x7f]'
 
 
 @dataclass(frozen=True, slots=True)
-class ReplyForm:
+class ReplyGrammar:
     """The form of the replies to one request.
 
     Attributes:
@@ -63,7 +63,7 @@ class ReplyForm:
     names: tuple[str, ...] = ()
     at_least: int = 0
     at_most: int = MOST_OBJECTS
-    asks: tuple[Required, ...] = ()
+    asks: tuple[ObjectRequirement, ...] = ()
     binds: bool = True
 
     def __post_init__(self) -> None:
@@ -77,7 +77,7 @@ class ReplyForm:
             raise SceneError("layout to be edited has a name that is no UTF-8; rename the object", "name_invalid")
 
     @classmethod
-    def of_table(cls, table: Tabletop, **more: Any) -> "ReplyForm":
+    def of_table(cls, table: Tabletop, **more: Any) -> "ReplyGrammar":
         """The form of layouts on a table."""
         width, depth = (round(100 * s, 1) for s in table.size_xy)
         return cls(width, depth, **more)
@@ -154,7 +154,7 @@ def _closed(properties: dict[str, Any]) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=512)
-def _grammar(form: ReplyForm) -> str:
+def _grammar(form: ReplyGrammar) -> str:
     more = form.at_most - 1
     some = f'entry ("," entry){{{max(0, form.at_least - 1)},{more}}}' if more > 0 else "entry"
     listed = some if form.at_least else f"({some})?"
@@ -166,7 +166,7 @@ def _grammar(form: ReplyForm) -> str:
     return _with_entries(form, [f'start: "{{" {removed}"\\"objects\\":[" {listed} "]}}"'])
 
 
-def _grammar_after(form: ReplyForm, start: str, categories: tuple[str, ...]) -> str:
+def _grammar_after(form: ReplyGrammar, start: str, categories: tuple[str, ...]) -> str:
     more = f'("," entry){{0,{form.at_most - 1}}}' if form.at_most > 1 else ""
     first, names = "entry", []
     if categories:
@@ -192,7 +192,7 @@ def _entry(rule: str, name: str) -> str:
     )
 
 
-def _with_entries(form: ReplyForm, rules: list[str]) -> str:
+def _with_entries(form: ReplyGrammar, rules: list[str]) -> str:
     longest, highest = _up_to(form.longest_cm, 1), _up_to(HIGHEST_CM, 1)
     return "\n".join(
         [

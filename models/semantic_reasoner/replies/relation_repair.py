@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.semantic_reasoner.replies.checks import Fault
-from models.semantic_reasoner.text.prompt import Ask
-from models.semantic_reasoner.text.reply_json import LayoutObject, Reply
+from models.semantic_reasoner.replies.checks import ReplyFault
+from models.semantic_reasoner.text.prompt import ReasonerQuestion
+from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, SceneObject, Tabletop, Vec3
 from stable_data.scene_graph.relations import cell_of, yawed_rectangle
 from stable_data.scene_graph.support_from_boxes import bottom, carriers_of, top
@@ -34,8 +34,11 @@ _ABOVE_BOTTOM = 0.01  # where a thing in another one may lie, metres; how deep i
 
 
 def put_right(
-    reply: Reply, faults: Sequence[Fault], ask: Ask, check: Callable[[Reply, Ask], Sequence[Fault]]
-) -> tuple[Reply, tuple[Fault, ...]] | None:
+    reply: LayoutReply,
+    faults: Sequence[ReplyFault],
+    ask: ReasonerQuestion,
+    check: Callable[[LayoutReply, ReasonerQuestion], Sequence[ReplyFault]],
+) -> tuple[LayoutReply, tuple[ReplyFault, ...]] | None:
     """A reply with things moved until all that the instruction says of the start is so.
 
     Args:
@@ -56,7 +59,7 @@ def put_right(
             left = check(tried, ask)
             if len(left) < len(faults) and all(f.relation is not None for f in left):
                 message = f"{name} is moved so that {relation.subject} is {_words(relation)}, as the instruction says"
-                moved.append(Fault(MOVED, message, is_hard=False))
+                moved.append(ReplyFault(MOVED, message, is_hard=False))
                 reply, faults = tried, left
                 break
         else:
@@ -69,7 +72,7 @@ def _words(relation: Relation) -> str:
     return f"{kind} {relation.target.replace('_', ' ') if relation.kind is RelationKind.IS_AT else relation.target}"
 
 
-def _places(reply: Reply, relation: Relation, table: Tabletop) -> Iterator[tuple[str, Reply]]:
+def _places(reply: LayoutReply, relation: Relation, table: Tabletop) -> Iterator[tuple[str, LayoutReply]]:
     """What could be moved for a relation to hold, and the reply with it moved, the gentlest first."""
     there = {o.instance: o.to_scene_object() for o in reply.objects}
     if relation.subject not in there or (relation.kind is not RelationKind.IS_AT and relation.target not in there):

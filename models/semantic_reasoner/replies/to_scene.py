@@ -5,15 +5,17 @@ from dataclasses import replace
 
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.language.stated_relations import understood
-from models.semantic_reasoner.text.prompt import Ask
-from models.semantic_reasoner.text.reply_json import Reply
+from models.semantic_reasoner.text.prompt import ReasonerQuestion
+from models.semantic_reasoner.text.reply_json import LayoutReply
 from stable_data.metrics.alignment import members
 from stable_data.scene import Relation, Scene, SceneObject, Stage, TaskInfo
 from stable_data.scene_graph.staging import stage_scene
 from stable_data.scene_graph.support_from_boxes import carriers_of
 
 
-def accepted(reply: Reply, ask: Ask, statistics: CategoryStatistics | None = None) -> tuple[SceneObject, ...]:
+def accepted(
+    reply: LayoutReply, ask: ReasonerQuestion, statistics: CategoryStatistics | None = None
+) -> tuple[SceneObject, ...]:
     """The objects of a reply in SI units, each with its stage and what carries it.
 
     Args:
@@ -57,7 +59,9 @@ def with_task(
     return replace(scene, task=TaskInfo("", instruction, task_objects=named, relations=relations))
 
 
-def _stages(objects: tuple[SceneObject, ...], ask: Ask, statistics: CategoryStatistics | None) -> Mapping[str, Stage | None]:
+def _stages(
+    objects: tuple[SceneObject, ...], ask: ReasonerQuestion, statistics: CategoryStatistics | None
+) -> Mapping[str, Stage | None]:
     """The stages of a whole layout."""
     if statistics is None:
         statistics = CategoryStatistics.of_names(o.category for o in objects)

@@ -58,7 +58,7 @@ RETRY = "That answer cannot be used: {reason}. Answer again, JSON alone."
 
 
 @dataclass(frozen=True, slots=True)
-class Ask:
+class ReasonerQuestion:
     """One thing to ask of the reasoner.
 
     Attributes:
@@ -81,7 +81,7 @@ class Ask:
         return self.wanted == "edit"
 
 
-def messages(ask: Ask, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
+def messages(ask: ReasonerQuestion, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
     """The chat that asks for a stage.
 
     Args:
@@ -101,7 +101,7 @@ def messages(ask: Ask, refused: Sequence[tuple[str, str]] = ()) -> list[Message]
     return chat
 
 
-def question(ask: Ask) -> str:
+def question(ask: ReasonerQuestion) -> str:
     """The user's message."""
     instruction = checked_instruction(ask.instruction)
     width, depth = (f"{100 * s:.{DECIMALS}f}" for s in ask.table.size_xy)

@@ -1,8 +1,8 @@
 """Objects as a language model reads and writes them: JSON in centimetres and whole degrees.
 
-A reply is ``{"objects":[...]}``; an edit's reply names what goes first: ``{"remove":["mug_0"],"objects":[...]}``. Lengths have one
-decimal, angles none, so that text and :class:`LayoutObject` are inverses of each other: what was rendered parses to the same
-object, and what parsed renders to the same text.
+A reply is ``{"objects":[...]}``; an edit's reply names what goes first: ``{"remove":["mug_0"],"objects":[...]}``. Lengths have
+one decimal, angles none, so that text and :class:`LayoutObject` are inverses of each other: what was rendered parses to the
+same object, and what parsed renders to the same text.
 """
 
 import itertools
@@ -176,7 +176,7 @@ def _numbers(values: Vec3) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Reply:
+class LayoutReply:
     """What a reply says.
 
     Attributes:
@@ -188,7 +188,7 @@ class Reply:
     removed: tuple[str, ...] = ()
 
 
-def parse_reply(text: str) -> Reply:
+def parse_reply(text: str) -> LayoutReply:
     """The objects of a reply.
 
     Code fences, white space and words before the first brace are passed over, since models without constrained decoding add
@@ -220,7 +220,7 @@ def parse_reply(text: str) -> Reply:
     for key, entries in (("objects", data["objects"]), ("remove", removed)):
         if len(entries) > MOST_ENTRIES:
             raise SceneError(f'reply: "{key}" has {len(entries)} entries, expected at most {MOST_ENTRIES}', "reply_malformed")
-    return Reply(tuple(_parse(entry, k) for k, entry in enumerate(data["objects"])), tuple(removed))
+    return LayoutReply(tuple(_parse(entry, k) for k, entry in enumerate(data["objects"])), tuple(removed))
 
 
 def _parse(entry: Any, k: int) -> LayoutObject:

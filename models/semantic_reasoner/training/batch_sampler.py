@@ -6,8 +6,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from models.semantic_reasoner.training.settings import ReasonerTraining
-from models.semantic_reasoner.training.token_dataset import TokenSet
+from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
+from models.semantic_reasoner.training.token_dataset import TokenDataset
 from stable_data.scene import IntArray
 
 Rows: TypeAlias = list[list[int]]
@@ -34,7 +34,7 @@ class TokenBatch:
     target: IntArray
 
 
-def batch_of(data: TokenSet, rows: Sequence[Sequence[int]], pad: int) -> TokenBatch:
+def batch_of(data: TokenDataset, rows: Sequence[Sequence[int]], pad: int) -> TokenBatch:
     """The batch that some rows make.
 
     Args:
@@ -60,7 +60,7 @@ def batch_of(data: TokenSet, rows: Sequence[Sequence[int]], pad: int) -> TokenBa
     return TokenBatch(tokens, position, target)
 
 
-def batches_of_pass(data: TokenSet, settings: ReasonerTraining, number: int) -> list[Rows]:
+def batches_of_pass(data: TokenDataset, settings: ReasonerTrainingSettings, number: int) -> list[Rows]:
     """The batches of one pass: examples in any order, those of like length together so that little is padding.
 
     Args:
@@ -85,7 +85,7 @@ def batches_of_pass(data: TokenSet, settings: ReasonerTraining, number: int) -> 
     return [batches[k] for k in rng.permutation(len(batches))]
 
 
-def batches_in_order(data: TokenSet, members: IntArray, settings: ReasonerTraining) -> list[Rows]:
+def batches_in_order(data: TokenDataset, members: IntArray, settings: ReasonerTrainingSettings) -> list[Rows]:
     """Batches of some examples, shortest first, each in a row of its own: for evaluation."""
     return _cut([[k] for k in members.tolist()], data.length, settings)
 
@@ -116,7 +116,7 @@ def rows_of(lengths: IntArray, max_tokens: int, packs: bool) -> Rows:
     return rows
 
 
-def _cut(rows: Rows, length: IntArray, settings: ReasonerTraining) -> list[Rows]:
+def _cut(rows: Rows, length: IntArray, settings: ReasonerTrainingSettings) -> list[Rows]:
     """Rows, shortest first, cut into batches of at most so many rows and tokens, padding included."""
     widths = [int(length[row].sum()) for row in rows]
     most = settings.rows_per_batch or len(rows)
@@ -129,7 +129,7 @@ def _cut(rows: Rows, length: IntArray, settings: ReasonerTraining) -> list[Rows]
     return batches
 
 
-def padding_of(data: TokenSet, batches: Sequence[Rows]) -> float:
+def padding_of(data: TokenDataset, batches: Sequence[Rows]) -> float:
     """Share of the batches' places that are padding."""
     length = data.length
     places = tokens = 0

@@ -19,11 +19,11 @@ from transformers import PreTrainedTokenizerBase
 
 from models.semantic_reasoner.text.prompt import ANY_TABLE, FIXED, PROMPT_VERSION
 from models.semantic_reasoner.text.tokenizer import train_tokenizer
-from models.semantic_reasoner.training.examples import Example, edit_example_of, example_of, with_whole
+from models.semantic_reasoner.training.examples import TrainingExample, edit_example_of, example_of, with_whole
 from models.semantic_reasoner.training.hf_folder import read_tokenizer
-from models.semantic_reasoner.training.settings import ReasonerTraining
+from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
 from models.semantic_reasoner.training.table_crop import part_of_table
-from models.semantic_reasoner.training.token_dataset import TokenSet, read_tokens, write_tokens
+from models.semantic_reasoner.training.token_dataset import TokenDataset, read_tokens, write_tokens
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, SceneError
 from stable_data.scene import Stage
@@ -38,7 +38,7 @@ _TOKENIZER_EXAMPLES = 30_000  # enough for its words
 
 
 @dataclass(frozen=True, slots=True)
-class RunExamples:
+class ExampleSource:
     """Where a training's examples come from.
 
     Attributes:
@@ -50,7 +50,7 @@ class RunExamples:
 
     uri: str
     cache: Path
-    settings: ReasonerTraining
+    settings: ReasonerTrainingSettings
     every: int = 1
 
     def fingerprint(self) -> str:
@@ -98,7 +98,7 @@ class RunExamples:
             aside.replace(folder)
         return read_tokenizer(folder)
 
-    def load(self, split: Split, tokenizer: PreTrainedTokenizerBase) -> TokenSet:
+    def load(self, split: Split, tokenizer: PreTrainedTokenizerBase) -> TokenDataset:
         """A split as tokens: mapped where it was kept, else made and kept.
 
         Raises:
@@ -121,12 +121,12 @@ class RunExamples:
             )
         return found
 
-    def examples(self, split: Split) -> Iterator[Example]:
+    def examples(self, split: Split) -> Iterator[TrainingExample]:
         """The examples of a split in the order of the tables' files, edits last."""
         rows: Iterable[Row] = self._rows(self.uri, "samples", split)
         if split == "train" and self.settings.part_share:
             rows = map(self._perhaps_a_part, rows)
-        examples: Iterable[Example] = (example_of(row, self.settings.with_details) for row in rows)
+        examples: Iterable[TrainingExample] = (example_of(row, self.settings.with_details) for row in rows)
         if self._asks_whole:
             examples = with_whole(examples)
         if self.edits is not None:
@@ -153,7 +153,7 @@ class RunExamples:
             found["edit"] = len(TableFiles(self.edits, "edits", ["edit_id"], split))
         return found
 
-    def _is_on_any_table(self, example: Example) -> bool:
+    def _is_on_any_table(self, example: TrainingExample) -> bool:
         # Named by the example, so that it does not matter where in the table it lies.
         lot = content_id(self.settings.seed, example.scene_id, str(example.ask.wanted), example.ask.instruction)
         return int(lot, 16) / 16.0 ** len(lot) < self.settings.any_table_share

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
-from models.semantic_reasoner.text.prompt import ANY_TABLE, Ask, Message, Wanted, answer, messages
+from models.semantic_reasoner.text.prompt import ANY_TABLE, Message, ReasonerQuestion, Wanted, answer, messages
 from models.semantic_reasoner.text.reply_json import LayoutObject, layout_names, layout_objects
 from stable_data.scene import Stage, Tabletop
 from stable_data.scene_graph.staging import generation_order
@@ -11,7 +11,7 @@ from stable_data.storage.schemas import Row, object_from_row, task_from_row
 
 
 @dataclass(frozen=True, slots=True)
-class Example:
+class TrainingExample:
     """A question and its answer.
 
     Attributes:
@@ -22,7 +22,7 @@ class Example:
     """
 
     scene_id: str
-    ask: Ask
+    ask: ReasonerQuestion
     objects: tuple[LayoutObject, ...]
     removed: tuple[str, ...] | None = None
 
@@ -36,12 +36,12 @@ class Example:
         """The answer's text."""
         return answer(self.objects, self.removed)
 
-    def on_any_table(self) -> "Example":
+    def on_any_table(self) -> "TrainingExample":
         """The same without the kind of table, so that a model learns to go by its size."""
         return replace(self, ask=replace(self.ask, table=replace(self.ask.table, table_type=ANY_TABLE)))
 
 
-def example_of(row: Row, with_details: bool = False) -> Example:
+def example_of(row: Row, with_details: bool = False) -> TrainingExample:
     """The example that a row of ``samples`` makes.
 
     Args:
@@ -51,17 +51,17 @@ def example_of(row: Row, with_details: bool = False) -> Example:
     objects_in, objects_out = ([object_from_row(o) for o in row[key]] for key in ("objects_in", "objects_out"))
     names = layout_names([*objects_in, *objects_out])
     task = task_from_row(row["task"])
-    ask = Ask(
+    ask = ReasonerQuestion(
         "" if task is None else task.task,  # which cannot be asked, and is counted where it is left out
         _table(row),
         Stage(row["stage"]),
         layout_objects(objects_in, names),
         task if with_details else None,
     )
-    return Example(row["scene_id"], ask, layout_objects(objects_out, names))
+    return TrainingExample(row["scene_id"], ask, layout_objects(objects_out, names))
 
 
-def edit_example_of(row: Row) -> Example:
+def edit_example_of(row: Row) -> TrainingExample:
     """The example that a row of ``edits`` makes: the scene as it was is the layout so far, in the order of generation.
 
     Args:
@@ -71,12 +71,12 @@ def edit_example_of(row: Row) -> Example:
     present = generation_order(row["scene_id"], before)
     known = {o.instance for o in present}
     names = layout_names([*present, *(o for o in after if o.instance not in known)])
-    ask = Ask(row["instruction"], _table(row), "edit", layout_objects(present, names))
+    ask = ReasonerQuestion(row["instruction"], _table(row), "edit", layout_objects(present, names))
     changes = layout_objects(generation_order(row["scene_id"], after), names)
-    return Example(row["scene_id"], ask, changes, tuple(names[instance] for instance in row["removed"]))
+    return TrainingExample(row["scene_id"], ask, changes, tuple(names[instance] for instance in row["removed"]))
 
 
-def with_whole(examples: Iterable[Example]) -> Iterator[Example]:
+def with_whole(examples: Iterable[TrainingExample]) -> Iterator[TrainingExample]:
     """Examples and, after each last stage of a scene, its one-shot variant: the answer is the whole layout in one pass.
 
     Only the last stage of a scene says all: its layout so far and its own objects.
@@ -86,7 +86,7 @@ def with_whole(examples: Iterable[Example]) -> Iterator[Example]:
         if example.ask.wanted is Stage.SECONDARY:
             whole: Wanted = "whole"
             ask = replace(example.ask, wanted=whole, layout=())
-            yield Example(example.scene_id, ask, example.ask.layout + example.objects)
+            yield TrainingExample(example.scene_id, ask, example.ask.layout + example.objects)
 
 
 def _table(row: Row) -> Tabletop:

@@ -18,8 +18,8 @@ from transformers import AttentionInterface, PreTrainedModel
 from transformers.masking_utils import AttentionMaskInterface, sdpa_mask
 
 from models.semantic_reasoner.training.batch_sampler import IGNORED, TokenBatch
-from models.semantic_reasoner.training.settings import ReasonerTraining
-from models.training.distributed import Place
+from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
+from models.training.distributed import ProcessContext
 
 _HEAD_AT_ONCE = 1024  # tokens whose logits are there together where activations are not kept
 
@@ -37,7 +37,7 @@ class ReplyLoss(nn.Module):
         network: The network.
     """
 
-    def __init__(self, network: PreTrainedModel, settings: ReasonerTraining) -> None:
+    def __init__(self, network: PreTrainedModel, settings: ReasonerTrainingSettings) -> None:
         super().__init__()
         self.network = network
         self._settings = settings
@@ -74,7 +74,7 @@ class ReplyLoss(nn.Module):
     def _head(self, hidden: Tensor, target: Tensor) -> Tensor:
         return self._head_loss(self.network.lm_head, hidden, target)
 
-    def of_batch(self, batch: TokenBatch, place: Place) -> Tensor:
+    def of_batch(self, batch: TokenBatch, place: ProcessContext) -> Tensor:
         """The same of a batch."""
         position = torch.from_numpy(batch.position).to(place.device) if self._settings.packs else None
         loss: Tensor = self(*(torch.from_numpy(v).to(place.device) for v in (batch.tokens, batch.target)), position)
@@ -113,7 +113,7 @@ AttentionInterface.register(_ON_CPU, _attention_in_float32)
 AttentionMaskInterface.register(_ON_CPU, sdpa_mask)
 
 
-def put_in_place(loss: ReplyLoss, place: Place) -> None:
+def put_in_place(loss: ReplyLoss, place: ProcessContext) -> None:
     """Moves a network to where it is trained, in float32: whole, or this process's shard of each layer."""
     network: Any = loss.network
     if place.device.type == "cpu":

@@ -11,10 +11,12 @@ from torch import Tensor
 from transformers import PreTrainedModel, PreTrainedTokenizerBase, Qwen3Config, Qwen3ForCausalLM
 
 from models.semantic_reasoner.training.hf_folder import read_model
-from models.semantic_reasoner.training.settings import LoraSettings, NetworkSettings, ReasonerTraining
+from models.semantic_reasoner.training.settings import LanguageModelSettings, LoraSettings, ReasonerTrainingSettings
 
 
-def new_network(settings: NetworkSettings, tokenizer: PreTrainedTokenizerBase, max_tokens: int, seed: int) -> Qwen3ForCausalLM:
+def new_network(
+    settings: LanguageModelSettings, tokenizer: PreTrainedTokenizerBase, max_tokens: int, seed: int
+) -> Qwen3ForCausalLM:
     """A Qwen3 with weights drawn from a seed.
 
     Args:
@@ -93,7 +95,7 @@ def _hand_numbers_on(network: Qwen3ForCausalLM, width: int) -> None:
             output[number, columns.start + number] += 0.2
 
 
-class TrainedNetwork:
+class TrainableNetwork:
     """A network and what of it is trained.
 
     Args:
@@ -108,7 +110,7 @@ class TrainedNetwork:
         ConfigError: ``base`` is no model that can be read.
     """
 
-    def __init__(self, settings: ReasonerTraining, tokenizer: PreTrainedTokenizerBase) -> None:
+    def __init__(self, settings: ReasonerTrainingSettings, tokenizer: PreTrainedTokenizerBase) -> None:
         self._adapted: Any = None
         if settings.base:
             self.network = read_model(Path(settings.base).expanduser(), settings.max_tokens)
@@ -119,7 +121,7 @@ class TrainedNetwork:
             self.network = self._adapted.get_base_model()
         self.network.train()
 
-    def with_values(self, values: Mapping[str, Tensor]) -> "TrainedNetwork":
+    def with_values(self, values: Mapping[str, Tensor]) -> "TrainableNetwork":
         """The same with these values, by the names of :func:`trained`, in float32."""
         self.network.to(torch.float32)
         parameters = trained(self.network)
@@ -128,7 +130,7 @@ class TrainedNetwork:
                 parameters[name].copy_(value)
         return self
 
-    def to_keep(self, settings: ReasonerTraining) -> Any:
+    def to_keep(self, settings: ReasonerTrainingSettings) -> Any:
         """What is kept of it in the end: a model of transformers, or an adapter of peft. It cannot be trained on after that."""
         dtype = getattr(torch, settings.storage)
         if self._adapted is None:

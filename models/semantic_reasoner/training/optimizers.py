@@ -6,12 +6,12 @@ import torch
 from torch import Tensor, nn
 
 from models.semantic_reasoner.training.loss import sharded_as
-from models.semantic_reasoner.training.settings import ReasonerTraining
+from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
 
 _KEPT = ("step", "exp_avg", "exp_avg_sq", "momentum_buffer")  # what AdamW and Muon know of a parameter
 
 
-class Optimizers:
+class OptimizerSet:
     """AdamW, and Muon for the matrices between embeddings and head where the settings say so.
 
     Args:
@@ -19,7 +19,7 @@ class Optimizers:
         settings: Which, and how.
     """
 
-    def __init__(self, parameters: Mapping[str, nn.Parameter], settings: ReasonerTraining) -> None:
+    def __init__(self, parameters: Mapping[str, nn.Parameter], settings: ReasonerTrainingSettings) -> None:
         self._parameters = parameters
         turned = {name: p for name, p in parameters.items() if settings.optimizer == "muon" and is_hidden(name, p)}
         rest = [p for name, p in parameters.items() if name not in turned]

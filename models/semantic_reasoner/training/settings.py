@@ -13,7 +13,7 @@ Optimizer: TypeAlias = Literal["adamw", "muon"]
 
 
 @dataclass(frozen=True, slots=True)
-class NetworkSettings:
+class LanguageModelSettings:
     """A Qwen3 that is trained from scratch.
 
     Attributes:
@@ -93,7 +93,7 @@ class StageShares:
 
 
 @dataclass(frozen=True, slots=True)
-class ReasonerTraining:
+class ReasonerTrainingSettings:
     """What shapes the weights; ``--set key=value`` or the table ``[train_reasoner]`` of a TOML file.
 
     Attributes:
@@ -158,7 +158,7 @@ class ReasonerTraining:
     recomputes: bool = False
     compiles: bool = False
     shares: StageShares = field(default_factory=StageShares)
-    network: NetworkSettings = field(default_factory=NetworkSettings)
+    network: LanguageModelSettings = field(default_factory=LanguageModelSettings)
     lora: LoraSettings = field(default_factory=LoraSettings)
 
     def __post_init__(self) -> None:
@@ -181,7 +181,7 @@ class ReasonerTraining:
         if self.lora.rank and not self.base:
             raise ConfigError("lora.rank is set but base is empty, expected the model that it adapts", "config_invalid")
 
-    def resolved(self, num_batches: int) -> "ReasonerTraining":
+    def resolved(self, num_batches: int) -> "ReasonerTrainingSettings":
         """The same with ``steps`` set.
 
         Args:
@@ -201,7 +201,7 @@ class ReasonerTraining:
         return flat(asdict(self))
 
 
-EMBEDDED = ReasonerTraining(
+EMBEDDED = ReasonerTrainingSettings(
     optimizer="muon",
     learning_rate=3e-3,
     part_share=0.4,
@@ -212,7 +212,7 @@ EMBEDDED = ReasonerTraining(
 The first stage decides what a scene is about and is the hardest to get right, so it is shown most. An edit is a long question
 and a short answer, 374 tokens and 28 on the embedded world, against 37 and 58 of a first stage, so few of them are shown."""
 
-PAPER = ReasonerTraining(
+PAPER = ReasonerTrainingSettings(
     learning_rate=1e-5,
     max_tokens=5000,
     tokens_per_batch=4 * 5000,
@@ -235,7 +235,7 @@ GPUs, and the rate is constant. Nothing is learned of edits. ``base`` is yours t
 _PRESETS = {"embedded": EMBEDDED, "paper": PAPER}
 
 
-def training_preset(name: str) -> ReasonerTraining:
+def training_preset(name: str) -> ReasonerTrainingSettings:
     """Named settings.
 
     Raises:

@@ -13,14 +13,14 @@ from transformers import PreTrainedTokenizerBase
 
 from models.semantic_reasoner.text.prompt import WANTED
 from models.semantic_reasoner.text.tokenizer import chat_text
-from models.semantic_reasoner.training.examples import Example
+from models.semantic_reasoner.training.examples import TrainingExample
 from stable_data.errors import SceneError
 from stable_data.scene import IntArray
 
 Tokens: TypeAlias = npt.NDArray[np.int32]
 
 KINDS = tuple(WANTED)
-"""What can be asked for, in the order of :attr:`TokenSet.kind`."""
+"""What can be asked for, in the order of :attr:`TokenDataset.kind`."""
 
 _TOKENS, _INDEX = "tokens.bin", "index.npz"
 _KEPT = ("start", "reply", "kind", "too_long", "unasked")
@@ -28,7 +28,7 @@ _AT_ONCE = 512
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TokenSet:
+class TokenDataset:
     """Examples as tokens, one after another.
 
     Attributes:
@@ -68,7 +68,7 @@ class TokenSet:
 
 
 def _encoded(
-    examples: Iterable[Example], tokenizer: PreTrainedTokenizerBase, index: "_Index", max_tokens: int
+    examples: Iterable[TrainingExample], tokenizer: PreTrainedTokenizerBase, index: "_Index", max_tokens: int
 ) -> Iterator[Tokens]:
     """The tokens of the examples that can be used; the index is told of all."""
     for part in _batched(examples, _AT_ONCE):
@@ -82,7 +82,7 @@ def _encoded(
                 yield np.array([*prompt, *reply], "<i4")
 
 
-def _prompt(example: Example, tokenizer: PreTrainedTokenizerBase, index: "_Index") -> str | None:
+def _prompt(example: TrainingExample, tokenizer: PreTrainedTokenizerBase, index: "_Index") -> str | None:
     try:
         chat = example.prompt
     except SceneError:
@@ -91,7 +91,7 @@ def _prompt(example: Example, tokenizer: PreTrainedTokenizerBase, index: "_Index
     return chat_text(tokenizer, chat)
 
 
-def tokenized(examples: Iterable[Example], tokenizer: PreTrainedTokenizerBase, max_tokens: int) -> TokenSet:
+def tokenized(examples: Iterable[TrainingExample], tokenizer: PreTrainedTokenizerBase, max_tokens: int) -> TokenDataset:
     """Examples as tokens.
 
     Args:
@@ -107,7 +107,9 @@ def tokenized(examples: Iterable[Example], tokenizer: PreTrainedTokenizerBase, m
     return index.of_tokens(np.concatenate(parts) if parts else np.zeros(0, np.int32))
 
 
-def write_tokens(folder: Path, examples: Iterable[Example], tokenizer: PreTrainedTokenizerBase, max_tokens: int) -> TokenSet:
+def write_tokens(
+    folder: Path, examples: Iterable[TrainingExample], tokenizer: PreTrainedTokenizerBase, max_tokens: int
+) -> TokenDataset:
     """The same as :func:`tokenized`, kept in a folder and mapped from it: it never is in memory whole.
 
     Args:
@@ -141,7 +143,7 @@ def write_tokens(folder: Path, examples: Iterable[Example], tokenizer: PreTraine
     return made
 
 
-def read_tokens(folder: Path) -> TokenSet | None:
+def read_tokens(folder: Path) -> TokenDataset | None:
     """The set that :func:`write_tokens` kept, its tokens mapped; None where none was that can be read."""
     try:
         with np.load(folder / _INDEX, allow_pickle=False) as index:
@@ -151,7 +153,7 @@ def read_tokens(folder: Path) -> TokenSet | None:
         tokens = np.memmap(folder / _TOKENS, "<i4", "r") if total else np.zeros(0, np.int32)
     except (OSError, ValueError, KeyError, EOFError):
         return None
-    return TokenSet(tokens, **arrays) if is_whole else None
+    return TokenDataset(tokens, **arrays) if is_whole else None
 
 
 class _Index:
@@ -172,14 +174,14 @@ class _Index:
         self._kinds.append(kind)
         return True
 
-    def of_tokens(self, tokens: Tokens) -> TokenSet:
+    def of_tokens(self, tokens: Tokens) -> TokenDataset:
         start = np.concatenate([[0], np.cumsum(self._sizes, dtype=np.int64)]).astype(np.int64)
         reply = start[:-1] + np.array(self._prompts, np.int64)
-        return TokenSet(tokens, start, reply, np.array(self._kinds, np.int64), self.too_long, self.unasked)
+        return TokenDataset(tokens, start, reply, np.array(self._kinds, np.int64), self.too_long, self.unasked)
 
 
-def _batched(examples: Iterable[Example], size: int) -> Iterator[list[Example]]:
-    part: list[Example] = []
+def _batched(examples: Iterable[TrainingExample], size: int) -> Iterator[list[TrainingExample]]:
+    part: list[TrainingExample] = []
     for example in examples:
         part.append(example)
         if len(part) == size:

@@ -23,17 +23,17 @@ from transformers import PreTrainedTokenizerBase
 
 from models.semantic_reasoner.training.batch_sampler import Rows, batch_of, batches_in_order, batches_of_pass
 from models.semantic_reasoner.training.loss import ReplyLoss, gathered, put_in_place, sharded_as
-from models.semantic_reasoner.training.network import TrainedNetwork, trained
-from models.semantic_reasoner.training.optimizers import Optimizers
-from models.semantic_reasoner.training.settings import ReasonerTraining
-from models.semantic_reasoner.training.token_dataset import KINDS, TokenSet
+from models.semantic_reasoner.training.network import TrainableNetwork, trained
+from models.semantic_reasoner.training.optimizers import OptimizerSet
+from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
+from models.semantic_reasoner.training.token_dataset import KINDS, TokenDataset
 from models.training.checkpoint import keep, kept
-from models.training.distributed import CPU, Place
+from models.training.distributed import CPU, ProcessContext
 from stable_data.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True)
-class Identity:
+class CheckpointIdentity:
     """What a checkpoint goes with, beside the settings.
 
     Attributes:
@@ -48,7 +48,7 @@ class Identity:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class StepMetrics:
     """What a step says, of all processes.
 
     Attributes:
@@ -74,7 +74,7 @@ def _give_back() -> None:
         trim(0)
 
 
-class Training:
+class ReasonerTrainer:
     """A reasoner being trained.
 
     Args:
@@ -95,11 +95,11 @@ class Training:
 
     def __init__(
         self,
-        data: TokenSet,
-        settings: ReasonerTraining,
+        data: TokenDataset,
+        settings: ReasonerTrainingSettings,
         tokenizer: PreTrainedTokenizerBase,
-        place: Place = CPU,
-        identity: Identity = Identity(),
+        place: ProcessContext = CPU,
+        identity: CheckpointIdentity = CheckpointIdentity(),
     ) -> None:
         if settings.accumulate % place.world_size:
             raise ConfigError(
@@ -116,10 +116,10 @@ class Training:
             )
         self.data, self.settings, self.place, self.tokenizer = data, settings, place, tokenizer
         self._identity = identity
-        self.loss = ReplyLoss(TrainedNetwork(settings, tokenizer).network, settings)
+        self.loss = ReplyLoss(TrainableNetwork(settings, tokenizer).network, settings)
         put_in_place(self.loss, place)
         self._parameters = trained(self.loss.network)
-        self._optimizers = Optimizers(self._parameters, settings)
+        self._optimizers = OptimizerSet(self._parameters, settings)
         self.step = self.tokens = 0
         self._batches = self._from(0)
 
@@ -128,7 +128,7 @@ class Training:
         passes = (batches_of_pass(self.data, self.settings, number) for number in itertools.count())
         return itertools.islice(itertools.chain.from_iterable(passes), step * self.settings.accumulate, None)
 
-    def advance(self, wants_stop: bool = False, wants_save: bool = False) -> Step:
+    def advance(self, wants_stop: bool = False, wants_save: bool = False) -> StepMetrics:
         """One step.
 
         Args:
@@ -151,7 +151,7 @@ class Training:
         if self.step % _TRIM_EVERY == 0:
             _give_back()
         total, stops, saves = figures.tolist()
-        return Step(total, float(norm), stops > 0, saves > 0)
+        return StepMetrics(total, float(norm), stops > 0, saves > 0)
 
     @property
     def _pad(self) -> int:
@@ -166,7 +166,7 @@ class Training:
             torch.distributed.all_reduce(figures)
 
     @torch.no_grad()
-    def validate(self, data: TokenSet, most: int) -> dict[str, float]:
+    def validate(self, data: TokenDataset, most: int) -> dict[str, float]:
         """Nats a token of held-out replies, by kind.
 
         Args:
@@ -245,11 +245,11 @@ class Training:
 
 
 def train(
-    training: Training,
+    training: ReasonerTrainer,
     *,
     wants_stop: Callable[[], bool],
     wants_save: Callable[[], bool],
-    after: Callable[[Training, Step], None],
+    after: Callable[[ReasonerTrainer, StepMetrics], None],
 ) -> bool:
     """Steps until the run is as long as its settings say, or a process wants to stop.
 

@@ -5,7 +5,7 @@ import math
 from stable_data.embedded_world.families.tables import KITCHEN
 from stable_data.embedded_world.families.vessels import angular_grip, lid_knob, pouring_lip
 from stable_data.embedded_world.families.wording import bare, pick_words, worded
-from stable_data.embedded_world.modelling.family import Design, Draw, Family, Space
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import arc_points, disc, scaled
 from stable_data.embedded_world.modelling.solids import Ring, Solid, bar, box, circle, join, lathe, loft, rectangle, slab
 
@@ -30,7 +30,7 @@ def _stovetop_kettle(r: float, h: float, trim: str) -> Solid:
     return join([body, lid, spout, (arch + knob).painted(trim)])
 
 
-def kettle(draw: Draw) -> Design:
+def kettle(draw: VariantSampler) -> AssetDesign:
     """A kettle, its spout on the left."""
     is_electric = draw.pick(True, False)
     color, trim = pick_words(draw, "silver black, red black, cream oak, black copper, teal silver, white grey")
@@ -38,10 +38,10 @@ def kettle(draw: Draw) -> Design:
     solid = _electric_kettle(r, h, trim) if is_electric else _stovetop_kettle(1.3 * r, 0.62 * h, trim)
     words = "electric kettle on its base" if is_electric else "stovetop kettle with an arched handle"
     captions = worded(f"a {bare(color)} {words}", f"{color} tea kettle", f"{color} kettle with {trim} parts")
-    return Design(solid, "metal", color, captions, density=480.0)
+    return AssetDesign(solid, "metal", color, captions, density=480.0)
 
 
-def toaster(draw: Draw) -> Design:
+def toaster(draw: VariantSampler) -> AssetDesign:
     """A toaster with two slots, its lever on the right; some with toast in it."""
     width, depth, h = draw.between(0.25, 0.3), draw.between(0.15, 0.18), draw.between(0.17, 0.2)
     color, trim = pick_words(draw, "silver black, red silver, cream oak, black silver, teal silver, white black")
@@ -56,13 +56,13 @@ def toaster(draw: Draw) -> Design:
     solid = join([body, join([*slots, track]).painted("black"), *bread, join([feet, lever, dial]).painted(trim)])
     more = "toaster with two slices of toast" if bread else "two-slot toaster"
     captions = worded(f"a {bare(color)} {more}", f"{color} toaster with a lever", f"toaster in {color} and {trim}")
-    return Design(solid, "electronics", color, captions, density=250.0)
+    return AssetDesign(solid, "electronics", color, captions, density=250.0)
 
 
 _LID = ((1.0, -0.002), (1.04, 0.002), (1.04, 0.014), (0.9, 0.02))
 
 
-def blender(draw: Draw) -> Design:
+def blender(draw: VariantSampler) -> AssetDesign:
     """A jug on a motor, its handle on the right, its buttons in front."""
     w, low, h = draw.between(0.15, 0.18), draw.between(0.1, 0.14), draw.between(0.19, 0.24)
     color, is_round = draw.pick("black", "silver", "red", "white", "teal", "cream"), draw.pick(True, False)
@@ -86,7 +86,7 @@ def blender(draw: Draw) -> Design:
     light = "black" if color in ("silver", "white", "cream") else "silver"
     solid = join([base, collar.painted("black"), jug, join([lid, cap, grip]).painted("black"), join(panel).painted(light)])
     captions = worded(f"a {color} blender with a glass jug", f"{color} kitchen blender", "blender for smoothies")
-    return Design(solid, "electronics", color, captions, density=380.0)
+    return AssetDesign(solid, "electronics", color, captions, density=380.0)
 
 
 def _stand(w: float, d: float, h: float, low: float, head: float) -> Solid:
@@ -131,7 +131,7 @@ def _moka_pot(w: float, trim: str) -> Solid:
 _MACHINES = {"drip": (_drip_machine, 500.0), "espresso": (_espresso_machine, 550.0), "moka": (_moka_pot, 1200.0)}
 
 
-def coffee_maker(draw: Draw) -> Design:
+def coffee_maker(draw: VariantSampler) -> AssetDesign:
     """A drip machine with its jug, an espresso machine or a moka pot."""
     style, color, trim = pick_words(
         draw, "drip black silver, espresso red black, moka silver black, drip white red, espresso silver black, moka teal oak"
@@ -139,7 +139,7 @@ def coffee_maker(draw: Draw) -> Design:
     make, density = _MACHINES[style]
     name = {"drip": "filter coffee maker with a jug", "espresso": "espresso machine"}.get(style, "stovetop moka pot")
     captions = worded(f"a {bare(color)} {name}", f"{color} coffee maker", f"{style} coffee maker with {trim} parts")
-    return Design(make(draw.between(0.17, 0.2), trim), "electronics", color, captions, density=density)
+    return AssetDesign(make(draw.between(0.17, 0.2), trim), "electronics", color, captions, density=density)
 
 
 def _digital_scale(w: float) -> tuple[Solid, float, float, float]:
@@ -167,7 +167,7 @@ def _dial_scale(w: float) -> tuple[Solid, float, float, float]:
     return join([body, dial, disc(0.025, 0.0, 0.028).moved(z=h - 0.004)]), 0.55 * w, 0.0, h + 0.028
 
 
-def kitchen_scale(draw: Draw) -> Design:
+def kitchen_scale(draw: VariantSampler) -> AssetDesign:
     """A flat scale with a display, or one with a dial; its plate is on top."""
     style, color, plate = pick_words(
         draw,
@@ -180,14 +180,14 @@ def kitchen_scale(draw: Draw) -> Design:
     captions = worded(
         f"a {bare(color)} {style} kitchen scale", f"scale with a {bare(plate)} plate", f"{color} scale for baking"
     )
-    top = Space(2 * r - 0.004, 2 * r - 0.004, z, is_round=True, y=y)
-    return Design(body + pan.painted(plate), "electronics", color, captions, top=top, density=800.0)
+    top = SupportArea(2 * r - 0.004, 2 * r - 0.004, z, is_round=True, y=y)
+    return AssetDesign(body + pan.painted(plate), "electronics", color, captions, top=top, density=800.0)
 
 
 FAMILIES = (
-    Family("kettle", kettle, (KITCHEN,)),
-    Family("toaster", toaster, (KITCHEN,)),
-    Family("blender", blender, (KITCHEN,)),
-    Family("coffee_maker", coffee_maker, (KITCHEN,)),
-    Family("kitchen_scale", kitchen_scale, (KITCHEN,)),
+    AssetFamily("kettle", kettle, (KITCHEN,)),
+    AssetFamily("toaster", toaster, (KITCHEN,)),
+    AssetFamily("blender", blender, (KITCHEN,)),
+    AssetFamily("coffee_maker", coffee_maker, (KITCHEN,)),
+    AssetFamily("kitchen_scale", kitchen_scale, (KITCHEN,)),
 )

@@ -7,7 +7,7 @@ import numpy as np
 
 from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN, OFFICE
 from stable_data.embedded_world.families.wording import pick_words, worded
-from stable_data.embedded_world.modelling.family import Design, Draw, Family
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import BALL, Outline, disc, scaled, wedge
 from stable_data.embedded_world.modelling.solids import Ring, Solid, box, chain, circle, hull, join, lathe, loft, slab
 
@@ -31,7 +31,7 @@ def _cut_across(radius: float, height: float, places: Sequence[tuple[float, floa
     return chain([np.array([(s * x * radius, y * width, z * height) for s in (-1, 1) for y in (-0.5, 0.5)]) for x, z in places])
 
 
-def bread(draw: Draw) -> Design:
+def bread(draw: VariantSampler) -> AssetDesign:
     """A tin loaf along x, whole or cut, or a round loaf with a cross."""
     style, color, cut = pick_words(
         draw,
@@ -45,7 +45,7 @@ def bread(draw: Draw) -> Design:
         slash = _cut_across(r, h, ((0.7, 0.83), (0.4, 1.015)), 0.012)
         solid = lathe(scaled(profile, r, h), 32) + (slash + slash.turned(z=90)).painted(_CRUMB)
         captions = worded("a round loaf of bread with a cross on top", "round country bread", "crusty round loaf")
-        return Design(solid, "food", color, captions, density=300.0)
+        return AssetDesign(solid, "food", color, captions, density=300.0)
     outline, crumb = _slices(w, h), "#8f6a45" if cut == "dark" else _CRUMB
     ends = [(-length / 2, 0.9), (0.015 - length / 2, 1.0), (length / 2 - 0.015, 1.0), (length / 2, 0.9)]
     if style == "tin":
@@ -61,10 +61,10 @@ def bread(draw: Draw) -> Design:
         leaning = [slice_.turned(y=-lean).moved(0.2 * length + x) for lean, x in ((10, 0.165 * h), (20, 0.341 * h + 0.0107))]
         solid, words = join([_across(outline, ends), face, *leaning]), "sliced loaf"
     captions = worded(f"a {words} of {cut if cut != 'plain' else 'brown'} bread", "loaf of bread", f"bread, a {words}")
-    return Design(solid, "food", color, captions, density=280.0)
+    return AssetDesign(solid, "food", color, captions, density=280.0)
 
 
-def baguette(draw: Draw) -> Design:
+def baguette(draw: VariantSampler) -> AssetDesign:
     """A long loaf along x with slanted cuts; some are halved."""
     length, w, h = draw.between(0.38, 0.5), draw.between(0.055, 0.07), draw.between(0.042, 0.052)
     color, is_half, num = draw.pick("#bd8140", "#a86c30", "#cc9450"), draw.pick(False, True), draw.pick(5, 4)
@@ -83,10 +83,10 @@ def baguette(draw: Draw) -> Design:
     captions = worded(
         f"{kind} with a golden crust", f"crusty French bread, {kind}", f"{'cut ' if is_half else 'long '}baguette"
     )
-    return Design(join([_across(outline, places), slashes, *parts]), "food", color, captions, density=220.0)
+    return AssetDesign(join([_across(outline, places), slashes, *parts]), "food", color, captions, density=220.0)
 
 
-def bun(draw: Draw) -> Design:
+def bun(draw: VariantSampler) -> AssetDesign:
     """A round bun with seeds or a cross, or a long roll with a cut."""
     r, share, style = draw.between(0.04, 0.053), draw.between(0.88, 1.1), draw.pick("seeds", "cross", "long")
     word, color = pick_words(draw, "golden #c98d45, brown #9c6230, pale #dcb374, dark #7d4b28, golden #d19a52, brown #ab7038")
@@ -104,10 +104,10 @@ def bun(draw: Draw) -> Design:
         top = [slab(1.5 * r, 0.014, 0.006, 0.002).moved(z=0.8 * h - 0.0045)]
     solid = loft(rings) + join(top).painted("#f0dfb6")
     kind = {"seeds": "bun with sesame seeds", "cross": "bun with a cross on top"}.get(style, "long bread roll")
-    return Design(solid, "food", color, (f"a {word} {kind}", f"{word} bread bun", f"fresh {kind}"), density=250.0)
+    return AssetDesign(solid, "food", color, (f"a {word} {kind}", f"{word} bread bun", f"fresh {kind}"), density=250.0)
 
 
-def croissant(draw: Draw) -> Design:
+def croissant(draw: VariantSampler) -> AssetDesign:
     """A crescent of seven folds, open towards the viewer."""
     radius, thick, bend = draw.between(0.05, 0.062), draw.between(0.042, 0.052), draw.pick(96.0, 78.0, 64.0)
     word, color, fold = pick_words(draw, "golden #c98a3e #b07430, brown #a96a2e #8c5424, pale #d9a860 #c18e48")
@@ -126,10 +126,10 @@ def croissant(draw: Draw) -> Design:
         one = chain([ring(low, (0.85 + lean) * share), ring((low + high) / 2, 1.06 * share), ring(high, (0.85 - lean) * share)])
         parts.append(one.painted(fold) if k % 2 else one)
     captions = worded(f"a {word} croissant", f"{word} butter croissant", "crescent-shaped pastry")
-    return Design(join(parts), "food", color, captions, density=220.0)
+    return AssetDesign(join(parts), "food", color, captions, density=220.0)
 
 
-def cake(draw: Draw) -> Design:
+def cake(draw: VariantSampler) -> AssetDesign:
     """A small round cake, or a slice of one with its layers."""
     flavour, sponge, icing, is_slice = pick_words(
         draw,
@@ -154,7 +154,7 @@ def cake(draw: Draw) -> Design:
         balls = [ball.moved(0.68 * r, 0.0, h + 0.0006).turned(z=60 * k) for k in range(6)]
         parts = [body, join([top, *drops]).painted(icing), join(balls).painted(cherry)]
         name = f"small round {flavour} cake with cherries"
-    return Design(join(parts), "food", sponge, (f"a {name}", f"{flavour} cake", f"{name} for dessert"), density=450.0)
+    return AssetDesign(join(parts), "food", sponge, (f"a {name}", f"{flavour} cake", f"{name} for dessert"), density=450.0)
 
 
 def _torus(radius: float, width: float, profile: Outline, num: int = 14) -> Solid:
@@ -169,7 +169,7 @@ def _torus(radius: float, width: float, profile: Outline, num: int = 14) -> Soli
     return chain([*rings, rings[0], 0.9 * ahead + 0.1 * ahead.mean(axis=0)])
 
 
-def donut(draw: Draw) -> Design:
+def donut(draw: VariantSampler) -> AssetDesign:
     """A ring of dough, glazed or plain, some with sprinkles."""
     radius, width = draw.between(0.026, 0.031), draw.between(0.032, 0.038)
     word, glaze, extra = pick_words(
@@ -191,10 +191,10 @@ def donut(draw: Draw) -> Design:
             one = slab(0.008, 0.003, 0.003, 0.0006).turned(z=50 * k).moved(radius + out * width, 0.0, top - 0.0014)
             body += one.turned(z=turn).painted(colors[k % 4])
     kind = "plain donut" if word == "plain" else f"donut with {word} icing{' and sprinkles' if extra == 'sprinkles' else ''}"
-    return Design(body, "food", color, (f"a {kind}", f"{word} ring doughnut", f"sweet {word} donut"), density=380.0)
+    return AssetDesign(body, "food", color, (f"a {kind}", f"{word} ring doughnut", f"sweet {word} donut"), density=380.0)
 
 
-def muffin(draw: Draw) -> Design:
+def muffin(draw: VariantSampler) -> AssetDesign:
     """A muffin or a cupcake in a paper cup."""
     r, h, style = draw.between(0.025, 0.03), draw.between(0.04, 0.048), draw.pick("muffin", "cupcake")
     word, dough, paper, bits = pick_words(
@@ -214,7 +214,7 @@ def muffin(draw: Draw) -> Design:
         swirl.append((0.2, 1.3))
         parts = [lathe(scaled(swirl, r, r), 24), lathe(scaled(BALL, 0.008, 0.015), 12).moved(z=1.22 * r).painted(bits)]
     captions = worded(f"a {word} {style} in a {paper} paper cup", f"{word} {style}", f"sweet {word} {style}")
-    return Design(join([cup, join(parts).moved(z=h)]), "food", dough, captions, density=400.0)
+    return AssetDesign(join([cup, join(parts).moved(z=h)]), "food", dough, captions, density=400.0)
 
 
 def _gingerbread(size: float, icing: str) -> Solid:
@@ -234,7 +234,7 @@ def _gingerbread(size: float, icing: str) -> Solid:
     return join([*body, join([*(dot.moved(x * size, y * size) for x, y in spots), mouth, *cuffs]).painted(icing)])
 
 
-def cookie(draw: Draw) -> Design:
+def cookie(draw: VariantSampler) -> AssetDesign:
     """A biscuit that lies flat: with chips, with jam, filled, or a gingerbread man."""
     style, color, second = pick_words(
         draw,
@@ -261,16 +261,16 @@ def cookie(draw: Draw) -> Design:
         spots = [(x * r, (0.99 if x < 0.6 else 0.92) * h - 0.0028, angle) for x, angle in places]
         chips = [chip.turned(z=37 * angle).moved(x, 0.0, z).turned(z=angle) for x, z, angle in spots]
         solid = lathe(scaled(profile, r, h), 32) + join(chips).painted(second)
-    return Design(solid, "food", color, (f"a {name}", f"sweet {name}", f"baked {name}, a biscuit"), density=550.0)
+    return AssetDesign(solid, "food", color, (f"a {name}", f"sweet {name}", f"baked {name}, a biscuit"), density=550.0)
 
 
 FAMILIES = (
-    Family("bread", bread, (KITCHEN, DINING)),
-    Family("baguette", baguette, (KITCHEN, DINING)),
-    Family("bun", bun, (KITCHEN, DINING)),
-    Family("croissant", croissant, (KITCHEN, DINING)),
-    Family("cake", cake, (KITCHEN, DINING, COFFEE)),
-    Family("donut", donut, (KITCHEN, DINING, COFFEE, OFFICE)),
-    Family("muffin", muffin, (KITCHEN, DINING, COFFEE, OFFICE)),
-    Family("cookie", cookie, (KITCHEN, DINING, COFFEE)),
+    AssetFamily("bread", bread, (KITCHEN, DINING)),
+    AssetFamily("baguette", baguette, (KITCHEN, DINING)),
+    AssetFamily("bun", bun, (KITCHEN, DINING)),
+    AssetFamily("croissant", croissant, (KITCHEN, DINING)),
+    AssetFamily("cake", cake, (KITCHEN, DINING, COFFEE)),
+    AssetFamily("donut", donut, (KITCHEN, DINING, COFFEE, OFFICE)),
+    AssetFamily("muffin", muffin, (KITCHEN, DINING, COFFEE, OFFICE)),
+    AssetFamily("cookie", cookie, (KITCHEN, DINING, COFFEE)),
 )

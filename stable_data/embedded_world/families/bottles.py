@@ -3,12 +3,12 @@
 from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN, OFFICE
 from stable_data.embedded_world.families.vessels import banded_lathe, round_handle
 from stable_data.embedded_world.families.wording import an, called
-from stable_data.embedded_world.modelling.family import EITHER, Design, Draw, Family
+from stable_data.embedded_world.modelling.family import EITHER, AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import scaled
 from stable_data.embedded_world.modelling.solids import bar, join
 
 
-def bottle(draw: Draw) -> Design:
+def bottle(draw: VariantSampler) -> AssetDesign:
     """A closed glass bottle: wine, beer, oil, milk."""
     kind, wide, tall, throat, shoulder, color, label, cap = draw.pick(
         ("red wine", 38, 300, 14.5, 0.6, "#2c4434", "cream", "#6d2230"), ("beer", 31, 235, 13.0, 0.52, "amber", "gold", "silver"),
@@ -23,12 +23,12 @@ def bottle(draw: Draw) -> Design:
     bands = [(share * z, paint) for share, paint in ((0.18, label), (0.8, color))] if label != color else []
     top = [(1.14 * neck, 0.84 * height - 0.003), (1.14 * neck, height - 0.002), (1.14 * neck - 0.002, height)]
     captions = (f"a bottle of {kind}", "glass bottle with a cap", f"full {kind} bottle")
-    return Design(
+    return AssetDesign(
         banded_lathe(profile, bands) + banded_lathe(top, corners=24).painted(cap), "glass", color, captions, tilts=EITHER
     )
 
 
-def sauce_bottle(draw: Draw) -> Design:
+def sauce_bottle(draw: VariantSampler) -> AssetDesign:
     """A bottle of ketchup, mustard, soy sauce and the like."""
     kind, style, color, label, cap = draw.pick(
         ("ketchup", "squeeze", "#b32d2a", "white", "white"), ("mustard", "nozzle", "#e3b92c", "#c8372d", "#e3b92c"),
@@ -51,10 +51,10 @@ def sauce_bottle(draw: Draw) -> Design:
     body, top = (scaled(shape[style], radius, height) for shape in (shapes, caps))
     solid = banded_lathe(body, [(0.16 * height, label), (0.44 * height, color)]) + banded_lathe(top, corners=24).painted(cap)
     captions = (f"a bottle of {kind}", f"{style} bottle of {kind} sauce".replace("sauce sauce", "sauce"), f"full {kind} bottle")
-    return Design(solid, "plastic", color, captions, tilts=EITHER)
+    return AssetDesign(solid, "plastic", color, captions, tilts=EITHER)
 
 
-def water_bottle(draw: Draw) -> Design:
+def water_bottle(draw: VariantSampler) -> AssetDesign:
     """A bottle to drink from on the way: clear plastic, steel or for sports."""
     style, color, second, cap = draw.pick(
         ("plastic", "clear", "blue", "white"), ("steel", "teal", "teal", "black"), ("sports", "orange", "white", "black"),
@@ -79,10 +79,10 @@ def water_bottle(draw: Draw) -> Design:
         parts.append(bar(loop, 0.011, 0.004).painted(cap))
     name = called(color)
     captions = (f"{an(name)} {style} water bottle", f"{name} drinking bottle with {an(cap)} cap", f"{style} bottle of water")
-    return Design(join(parts), "plastic", color, captions, tilts=EITHER)
+    return AssetDesign(join(parts), "plastic", color, captions, tilts=EITHER)
 
 
-def thermos(draw: Draw) -> Design:
+def thermos(draw: VariantSampler) -> AssetDesign:
     """A vacuum flask with a cup for a lid."""
     color, lid, metal = draw.pick(
         ("green", "silver", "silver"), ("silver", "black", "silver"), ("red", "black", "silver"),
@@ -98,12 +98,12 @@ def thermos(draw: Draw) -> Design:
             round_handle((radius - 0.003, 0.2 * height), (radius - 0.003, 0.56 * height), 0.03, 0.014, 0.008).painted("black")
         )
     captions = (f"{an(color)} thermos{extra}", f"{color} vacuum flask with {an(lid)} lid", f"{color} flask for hot drinks")
-    return Design(join(parts), "metal", color, captions, density=850.0)
+    return AssetDesign(join(parts), "metal", color, captions, density=850.0)
 
 
 FAMILIES = (
-    Family("bottle", bottle, (DINING, COFFEE, KITCHEN)),
-    Family("sauce_bottle", sauce_bottle, (DINING, KITCHEN)),
-    Family("water_bottle", water_bottle, (DINING, COFFEE, KITCHEN, OFFICE)),
-    Family("thermos", thermos, (DINING, COFFEE, KITCHEN, OFFICE)),
+    AssetFamily("bottle", bottle, (DINING, COFFEE, KITCHEN)),
+    AssetFamily("sauce_bottle", sauce_bottle, (DINING, KITCHEN)),
+    AssetFamily("water_bottle", water_bottle, (DINING, COFFEE, KITCHEN, OFFICE)),
+    AssetFamily("thermos", thermos, (DINING, COFFEE, KITCHEN, OFFICE)),
 )

@@ -3,7 +3,7 @@
 from stable_data.embedded_world.families.tables import BATHROOM, COFFEE, DINING, DRESSING, KITCHEN, OFFICE
 from stable_data.embedded_world.families.vessels import banded_box, banded_lathe, banded_vessel, cup, well
 from stable_data.embedded_world.families.wording import an, called
-from stable_data.embedded_world.modelling.family import Design, Draw, Family, Space
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import front_panel, scaled
 from stable_data.embedded_world.modelling.solids import Solid, bar, box, join, loft, rectangle, slab, vessel
 
@@ -13,7 +13,7 @@ def _lid(width: float, depth: float, low: float, high: float) -> Solid:
     return loft([rectangle(width - e, depth - e, z, 0.008) for e, z in ((0.0, low), (0.0, high - 0.002), (0.004, high))])
 
 
-def basket(draw: Draw) -> Design:
+def basket(draw: VariantSampler) -> AssetDesign:
     """An open woven basket, round or oblong, with a grip at either end."""
     color, weave, word = draw.pick(
         ("#b98a55", "#9a6c3d", "wicker"), ("#d8b784", "#c19a63", "rattan"), ("#8a5d3b", "#70492d", "dark wicker"),
@@ -35,15 +35,15 @@ def basket(draw: Draw) -> Design:
         inner = [rectangle(width - cut - 2 * wall, depth - cut - 2 * wall, z, 0.02) for cut, z in ((low, floor), (0.0, height))]
         marks = [(ring, paint) for ring, (_, paint) in zip(rings[1:], paints, strict=False)]
         solid = banded_vessel([rings[0], rings[-1]], inner, marks)
-        hollow = Space(width - low - 2 * wall - 0.021, depth - low - 2 * wall - 0.021, floor, height - floor)
+        hollow = SupportArea(width - low - 2 * wall - 0.021, depth - low - 2 * wall - 0.021, floor, height - floor)
     loop = bar([(-0.04, -0.02), (-0.036, 0.02), (-0.02, 0.034), (0.02, 0.034), (0.036, 0.02), (0.04, -0.02)], 0.007, 0.009)
     grips = [loop.turned(z=90 * side).moved(side * (end - wall / 2 - 0.001), 0.0, height).painted(weave) for side in (-1, 1)]
     shape = "round" if is_round else "oblong"
     captions = (f"{an(shape)} {word} basket with two handles", f"open {word} basket", f"{shape} basket for keeping things in")
-    return Design(join([solid, *grips]), "fabric", color, captions, hollow=hollow, density=260.0)
+    return AssetDesign(join([solid, *grips]), "fabric", color, captions, hollow=hollow, density=260.0)
 
 
-def crate(draw: Draw) -> Design:
+def crate(draw: VariantSampler) -> AssetDesign:
     """An open box of slats between corner posts."""
     color, word, material = draw.pick(
         ("oak", "wooden", "wood"), ("walnut", "dark wooden", "wood"), ("#e2cfa5", "light wooden", "wood"),
@@ -61,11 +61,11 @@ def crate(draw: Draw) -> Design:
     x, y = width / 2 - board - post / 2 + 0.002, depth / 2 - board - post / 2 + 0.002
     parts += [box(post, post, height - 0.001).moved(sx * x, sy * y, 0.001) for sx in (-1, 1) for sy in (-1, 1)]
     captions = (f"a {word} crate made of slats", f"open {word} crate", f"{word} fruit box")
-    inside = Space(width - 2 * (board + post), depth - 2 * (board + post), 0.009, height - 0.009)
-    return Design(join(parts), material, color, captions, hollow=inside, density=400.0)
+    inside = SupportArea(width - 2 * (board + post), depth - 2 * (board + post), 0.009, height - 0.009)
+    return AssetDesign(join(parts), material, color, captions, hollow=inside, density=400.0)
 
 
-def storage_box(draw: Draw) -> Design:
+def storage_box(draw: VariantSampler) -> AssetDesign:
     """A closed box with a flat lid a little wider than itself."""
     color, lid, word = draw.pick(
         ("kraft", "kraft", "brown cardboard"), ("grey", "white", "grey"), ("white", "oak", "white"),
@@ -77,11 +77,11 @@ def storage_box(draw: Draw) -> Design:
     cover = _lid(width, depth, height - rim, height)
     tag = front_panel(0.3 * width, 0.24 * height, edge - depth / 2, 0.3 * height, "white" if color != "white" else "black")
     captions = (f"a {word} storage box with a lid", f"closed {word} box", f"{word} box with a label on the front")
-    top = Space(width - 0.012, depth - 0.012, height)
-    return Design(join([body, cover.painted(lid), tag]), "cardboard", color, captions, top=top, density=110.0)
+    top = SupportArea(width - 0.012, depth - 0.012, height)
+    return AssetDesign(join([body, cover.painted(lid), tag]), "cardboard", color, captions, top=top, density=110.0)
 
 
-def gift_box(draw: Draw) -> Design:
+def gift_box(draw: VariantSampler) -> AssetDesign:
     """A present: a lidded box with a ribbon around it and a bow."""
     color, ribbon = draw.pick(
         ("red", "gold"), ("white", "red"), ("navy", "silver"), ("pink", "white"), ("green", "red"), ("kraft", "teal")
@@ -97,10 +97,10 @@ def gift_box(draw: Draw) -> Design:
     bow = [part.painted(ribbon) for part in (*bands, loop, loop.turned(z=180), knot)]
     captions = (f"a {name} gift box with a {ribbon} ribbon", f"{name} present tied with a bow", f"{name} box wrapped as a gift")
     parts = [box(width - 0.004, depth - 0.004, height - 0.002), lid, *bow]
-    return Design(join(parts), "cardboard", color, captions, density=230.0)
+    return AssetDesign(join(parts), "cardboard", color, captions, density=230.0)
 
 
-def storage_bin(draw: Draw) -> Design:
+def storage_bin(draw: VariantSampler) -> AssetDesign:
     """An open box to keep things in, with a broad rim or a soft fold."""
     color, edge, word, material = draw.pick(
         ("grey", "#c4c8ca", "grey fabric", "fabric"), ("white", "white", "white plastic", "plastic"),
@@ -120,11 +120,11 @@ def storage_bin(draw: Draw) -> Design:
     )
     parts = [solid, grip, grip.turned(z=180)] + ([tag] if not flare else [])
     captions = (f"an open {word} storage bin", f"{word} box without a lid", f"{word} organizer bin with two grips")
-    hollow = Space(width - low - bevel - 0.001, depth - low - bevel - 0.001, 0.006, height - 0.006)
-    return Design(join(parts), material, color, captions, hollow=hollow, density=350.0)
+    hollow = SupportArea(width - low - bevel - 0.001, depth - low - bevel - 0.001, 0.006, height - 0.006)
+    return AssetDesign(join(parts), material, color, captions, hollow=hollow, density=350.0)
 
 
-def tin_box(draw: Draw) -> Design:
+def tin_box(draw: VariantSampler) -> AssetDesign:
     """A metal box with a lid for biscuits or tea, round or oblong."""
     use, color, lid, stripe = draw.pick(
         ("biscuit", "blue", "blue", "white"), ("tea", "green", "gold", "gold"), ("biscuit", "red", "red", "gold"),
@@ -142,13 +142,13 @@ def tin_box(draw: Draw) -> Design:
         wide, deep = 2 * half, 1.6 * half
         body = banded_box([(wide - 0.004, deep - 0.004, z) for z in (0.0, *(z for z, _ in marks), rim + 0.004)], 0.008, marks)
         cover = _lid(wide, deep, rim, height)
-        top = Space(wide - 0.015, deep - 0.015, height)
+        top = SupportArea(wide - 0.015, deep - 0.015, height)
     name = called(color)
     captions = (f"{an(shape)} {name} {use} tin with a lid", f"{name} metal tin", f"closed {use} tin in {name}")
-    return Design(body + cover.painted(lid), "tin", color, captions, top=top, density=420.0)
+    return AssetDesign(body + cover.painted(lid), "tin", color, captions, top=top, density=420.0)
 
 
-def paper_bag(draw: Draw) -> Design:
+def paper_bag(draw: VariantSampler) -> AssetDesign:
     """A standing bag of stiff paper: open with two handles, or with its top folded over."""
     color, accent, name = draw.pick(
         ("kraft", "brown", "brown"), ("white", "black", "white"), ("kraft", "white", "brown"),
@@ -160,7 +160,7 @@ def paper_bag(draw: Draw) -> Design:
         flap = box(width + 0.002, 0.017, 0.07 * height).moved(0.0, -0.002, 0.89 * height)
         tag = front_panel(0.6 * width, 0.26 * height, -depth / 2, 0.2 * height, accent)
         captions = (f"a {name} paper bag with its top folded over", f"closed {name} paper bag", f"{name} bag of coffee")
-        return Design(join([banded_box(rows, 0.0), flap, tag]), "paper", color, captions, density=330.0)
+        return AssetDesign(join([banded_box(rows, 0.0), flap, tag]), "paper", color, captions, density=330.0)
     width, depth, height, wall = draw.between(0.18, 0.25), draw.between(0.09, 0.12), draw.between(0.22, 0.3), 0.0018
     outer = [rectangle(width, depth, z) for z in (0.0, height)]
     inner = [rectangle(width - 2 * wall, depth - 2 * wall, z) for z in (0.003, height)]
@@ -170,16 +170,16 @@ def paper_bag(draw: Draw) -> Design:
     grips = [grip.moved(0.0, side * (depth / 2 + 0.001), height) for side in (-1, 1)]
     mark = front_panel(0.34 * width, 0.34 * width, -depth / 2, 0.34 * height, accent)
     captions = (f"an open {name} paper bag with handles", f"{name} shopping bag", f"standing {name} paper carrier bag")
-    hollow = Space(width - 2 * wall - 0.001, depth - 2 * wall - 0.001, 0.003, height - 0.003)
-    return Design(join([vessel(outer, inner), *grips, mark]), "paper", color, captions, hollow=hollow, density=400.0)
+    hollow = SupportArea(width - 2 * wall - 0.001, depth - 2 * wall - 0.001, 0.003, height - 0.003)
+    return AssetDesign(join([vessel(outer, inner), *grips, mark]), "paper", color, captions, hollow=hollow, density=400.0)
 
 
 FAMILIES = (
-    Family("basket", basket, (COFFEE, KITCHEN, DRESSING, BATHROOM)),
-    Family("crate", crate, (KITCHEN, COFFEE, OFFICE)),
-    Family("storage_box", storage_box, (OFFICE, DRESSING, BATHROOM, KITCHEN)),
-    Family("gift_box", gift_box, (COFFEE, DINING, OFFICE, DRESSING)),
-    Family("storage_bin", storage_bin, (OFFICE, DRESSING, BATHROOM, KITCHEN)),
-    Family("tin_box", tin_box, (KITCHEN, COFFEE, OFFICE)),
-    Family("paper_bag", paper_bag, (KITCHEN, OFFICE, COFFEE)),
+    AssetFamily("basket", basket, (COFFEE, KITCHEN, DRESSING, BATHROOM)),
+    AssetFamily("crate", crate, (KITCHEN, COFFEE, OFFICE)),
+    AssetFamily("storage_box", storage_box, (OFFICE, DRESSING, BATHROOM, KITCHEN)),
+    AssetFamily("gift_box", gift_box, (COFFEE, DINING, OFFICE, DRESSING)),
+    AssetFamily("storage_bin", storage_bin, (OFFICE, DRESSING, BATHROOM, KITCHEN)),
+    AssetFamily("tin_box", tin_box, (KITCHEN, COFFEE, OFFICE)),
+    AssetFamily("paper_bag", paper_bag, (KITCHEN, OFFICE, COFFEE)),
 )

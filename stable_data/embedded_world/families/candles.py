@@ -3,12 +3,12 @@
 import math
 
 from stable_data.embedded_world.families.tables import BATHROOM, COFFEE, DINING, DRESSING
-from stable_data.embedded_world.modelling.family import Design, Draw, Family
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import arc_points, rod, round_body, square_body
 from stable_data.embedded_world.modelling.solids import bar, box, join, slab, turned_vessel
 
 
-def candle(draw: Draw) -> Design:
+def candle(draw: VariantSampler) -> AssetDesign:
     """A candle: a pillar, a cone, a block, one with three wicks, or wax in a glass."""
     radius, height = draw.between(0.028, 0.042), draw.between(0.07, 0.15)
     style = draw.pick("pillar", "glass", "square", "wide", "glass", "cone")
@@ -25,7 +25,7 @@ def candle(draw: Draw) -> Design:
             "kraft" if color != "cream" else "walnut"
         )
         captions = (f"a scented candle in a {color} glass", f"{color} jar candle with a label", "candle in a glass")
-        return Design(join([cup, wax, label, wick.moved(z=level)]), "wax", color, captions)
+        return AssetDesign(join([cup, wax, label, wick.moved(z=level)]), "wax", color, captions)
     if style == "square":
         body = box(1.7 * radius, 1.7 * radius, height, 0.003)
     elif style == "cone":
@@ -45,10 +45,10 @@ def candle(draw: Draw) -> Design:
         style
     ]
     captions = (f"{color} {kind}", f"{color} candle", f"wax candle, {round(100 * height)} cm high")
-    return Design(join([body, *pools, *(wick.moved(x, y, height) for x, y in spots)]), "wax", color, captions)
+    return AssetDesign(join([body, *pools, *(wick.moved(x, y, height) for x, y in spots)]), "wax", color, captions)
 
 
-def candlestick(draw: Draw) -> Design:
+def candlestick(draw: VariantSampler) -> AssetDesign:
     """A candle in its stick: turned, short with a ring, or with three arms."""
     height, foot = draw.between(0.1, 0.15), draw.between(0.045, 0.054)
     style = draw.pick("turned", "plain", "three-armed", "turned", "chamber", "three-armed")
@@ -92,10 +92,10 @@ def candlestick(draw: Draw) -> Design:
     with_wax = f"with {wax} candles" if style == "three-armed" else f"with one candle, {wax}"
     material = "wood" if color == "walnut" else "metal"
     captions = (f"{color} {kind} {with_wax}", f"{color} candlestick", f"{material} candle holder")
-    return Design(join([*parts, *candles]), material, color, captions, density=None if material == "wood" else 1800.0)
+    return AssetDesign(join([*parts, *candles]), material, color, captions, density=None if material == "wood" else 1800.0)
 
 
-def tea_light(draw: Draw) -> Design:
+def tea_light(draw: VariantSampler) -> AssetDesign:
     """A tea light, bare or in a little holder."""
     style = draw.pick("bare", "glass", "cube", "saucer", "glass", "bare")
     color, wax = draw.pick("silver", "teal", "walnut", "white", "amber", "gold"), draw.pick("white", "cream", "pink", "white")
@@ -111,7 +111,7 @@ def tea_light(draw: Draw) -> Design:
     tin += round_body([(0.0015, height), (0.0013, height + 0.008)], 8).painted("black")
     if style == "bare":
         captions = (f"a small tea light with {wax} wax", f"{wax} tealight candle", "tea light in its tin cup")
-        return Design(tin, "wax", "silver", captions)
+        return AssetDesign(tin, "wax", "silver", captions)
     wide, rise = draw.between(0.03, 0.036), 0.006
     if style == "glass":
         tall, wall = draw.between(0.03, 0.045), 0.0035
@@ -125,7 +125,7 @@ def tea_light(draw: Draw) -> Design:
         holder = turned_vessel([(0.9 * wide, 0.0), (1.6 * wide, 0.014)], [(0.95 * wide, 0.007), (1.6 * wide - 0.004, 0.014)])
     kind = {"glass": "glass", "cube": "block", "saucer": "dish"}[style]
     captions = (f"a tea light in a {color} {kind}", f"{color} tealight holder", f"small candle in a {kind}")
-    return Design(
+    return AssetDesign(
         join([holder, tin.moved(z=rise)]),
         {"glass": "glass", "cube": "wood"}.get(style, "ceramic"),
         color,
@@ -134,7 +134,7 @@ def tea_light(draw: Draw) -> Design:
     )
 
 
-def diffuser(draw: Draw) -> Design:
+def diffuser(draw: VariantSampler) -> AssetDesign:
     """A scent bottle with reeds."""
     half, height, count = draw.between(0.028, 0.036), draw.between(0.07, 0.1), draw.pick(5, 7, 6)
     style, color = draw.pick("round", "square", "tapered"), draw.pick("clear", "amber", "white", "black", "teal", "pink")
@@ -157,14 +157,14 @@ def diffuser(draw: Draw) -> Design:
         f"{color} room fragrance with reeds",
         f"{style} scent bottle with sticks",
     )
-    return Design(
+    return AssetDesign(
         join([body, collar, label.painted("cream" if color != "white" else "kraft"), *sticks]), "glass", color, captions
     )
 
 
 FAMILIES = (
-    Family("candle", candle, (COFFEE, DINING, DRESSING, BATHROOM)),
-    Family("candlestick", candlestick, (COFFEE, DINING)),
-    Family("tea_light", tea_light, (COFFEE, DINING, BATHROOM)),
-    Family("diffuser", diffuser, (COFFEE, DRESSING, BATHROOM)),
+    AssetFamily("candle", candle, (COFFEE, DINING, DRESSING, BATHROOM)),
+    AssetFamily("candlestick", candlestick, (COFFEE, DINING)),
+    AssetFamily("tea_light", tea_light, (COFFEE, DINING, BATHROOM)),
+    AssetFamily("diffuser", diffuser, (COFFEE, DRESSING, BATHROOM)),
 )

@@ -10,7 +10,7 @@ import numpy as np
 
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.embedded_world.families import FAMILIES
-from stable_data.embedded_world.modelling.family import COLORS, DENSITY, Draw, Family, Space
+from stable_data.embedded_world.modelling.family import COLORS, DENSITY, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.solids import box, coats, mesh_of, volume
 from stable_data.errors import ConfigError
 from stable_data.geometry.gltf_writer import write_glb
@@ -20,7 +20,7 @@ from stable_data.scene import IntArray, QuatXyzw, Vec3
 NUM_VARIANTS = 6
 """Assets of each category."""
 
-BY_CATEGORY: Mapping[str, Family] = MappingProxyType({family.category: family for family in FAMILIES})
+BY_CATEGORY: Mapping[str, AssetFamily] = MappingProxyType({family.category: family for family in FAMILIES})
 """Every family, by category."""
 
 LICENCE = "Apache-2.0"
@@ -63,8 +63,8 @@ class Asset:
     unit: float
     is_z_up: bool
     paint: tuple[tuple[str, IntArray], ...]
-    top: Space | None
-    hollow: Space | None
+    top: SupportArea | None
+    hollow: SupportArea | None
 
     @property
     def category(self) -> str:
@@ -123,7 +123,7 @@ def asset(key: str) -> Asset:
     if key not in _KNOWN:
         raise ConfigError(f"asset {key!r} is not in the catalogue, expected one of {sorted(KEYS)}", "unknown_asset")
     variant = int(number)
-    design = BY_CATEGORY[category].design(Draw(category, variant))
+    design = BY_CATEGORY[category].design(VariantSampler(category, variant))
     mesh, parts, centre = mesh_of(design.solid)
     mass = (design.density or DENSITY[design.material]) * volume(mesh)
     rng = np.random.default_rng([*category.encode(), variant])
@@ -154,7 +154,7 @@ def _rgb(color: str) -> str:
     return COLORS.get(color, color)
 
 
-def _moved(space: Space | None, centre: list[float]) -> Space | None:
+def _moved(space: SupportArea | None, centre: list[float]) -> SupportArea | None:
     if space is None:
         return None
     return replace(space, x=space.x - centre[0], y=space.y - centre[1], z=space.z - centre[2])

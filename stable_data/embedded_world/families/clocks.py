@@ -6,7 +6,7 @@ from stable_data.embedded_world.families.displays import digits
 from stable_data.embedded_world.families.palette import PAPER
 from stable_data.embedded_world.families.tables import COFFEE, DRESSING, OFFICE
 from stable_data.embedded_world.families.wording import an
-from stable_data.embedded_world.modelling.family import Design, Draw, Family
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import panel, round_body, scaled, silhouette
 from stable_data.embedded_world.modelling.solids import Solid, bar, box, join, lathe, loft, rectangle, slab
 
@@ -21,7 +21,7 @@ def _dial(radius: float, z: float, face: str, hands: str) -> Solid:
     return join([disc, *marks, *bars])
 
 
-def desk_clock(draw: Draw) -> Design:
+def desk_clock(draw: VariantSampler) -> AssetDesign:
     """A clock to stand on a desk: a drum on a foot, a mantel clock or a digital block."""
     kind = draw.pick("round", "mantel", "digital")
     color = draw.pick("walnut", "white", "gold", "black", "oak", "teal")
@@ -45,10 +45,10 @@ def desk_clock(draw: Draw) -> Design:
             body = silhouette(scaled(arch, 1.15 * r, 1.15 * r), thick)
             solid = (body + front).moved(z=1.15 * r + 0.01) + slab(3.0 * r, thick + 0.02, 0.0104, 0.002)
     captions = (an(f"{color} {kind} desk clock"), f"{color} desk clock", f"{kind} clock for a desk")
-    return Design(solid, "wood", color, captions, density=500.0)
+    return AssetDesign(solid, "wood", color, captions, density=500.0)
 
 
-def alarm_clock(draw: Draw) -> Design:
+def alarm_clock(draw: VariantSampler) -> AssetDesign:
     """An alarm clock: with two bells, square, or with digits."""
     kind, r = draw.pick("twin-bell", "digital", "square"), draw.between(0.036, 0.055)
     color, thick = draw.pick("red", "black", "teal", "white", "pink", "silver"), draw.between(0.036, 0.05)
@@ -77,10 +77,10 @@ def alarm_clock(draw: Draw) -> Design:
         legs = [leg.moved(x * 0.55 * r, y * 0.3 * thick, 0.0) for x in (-1, 1) for y in (-1, 1)]
         solid = join([drum, top, join(legs).painted("silver")]).moved(z=1.32 * r)
     captions = (an(f"{color} {kind} alarm clock"), f"{color} alarm clock", f"{kind} alarm clock", "bedside clock with an alarm")
-    return Design(solid, "metal" if kind == "twin-bell" else "plastic", color, captions, density=700.0)
+    return AssetDesign(solid, "metal" if kind == "twin-bell" else "plastic", color, captions, density=700.0)
 
 
-def hourglass(draw: Draw) -> Design:
+def hourglass(draw: VariantSampler) -> AssetDesign:
     """Two glass bulbs with sand between two plates on posts."""
     radius, height, plate = draw.between(0.03, 0.04), draw.between(0.12, 0.17), 0.009
     color = draw.pick("walnut", "gold", "oak", "black", "silver", "white")
@@ -109,13 +109,13 @@ def hourglass(draw: Draw) -> Design:
         f"hourglass with {posts} posts",
     )
     material = "wood" if color in ("walnut", "oak") else "metal"
-    return Design(
+    return AssetDesign(
         join([ends, ends.moved(z=height - plate), glass, pile, upper, *rods]), material, color, captions, density=900.0
     )
 
 
 FAMILIES = (
-    Family("desk_clock", desk_clock, (OFFICE, DRESSING)),
-    Family("alarm_clock", alarm_clock, (OFFICE,)),
-    Family("hourglass", hourglass, (COFFEE, OFFICE)),
+    AssetFamily("desk_clock", desk_clock, (OFFICE, DRESSING)),
+    AssetFamily("alarm_clock", alarm_clock, (OFFICE,)),
+    AssetFamily("hourglass", hourglass, (COFFEE, OFFICE)),
 )

@@ -7,7 +7,7 @@ import numpy as np
 from stable_data.embedded_world.families.displays import WALLPAPERS, lit_screen
 from stable_data.embedded_world.families.tables import COFFEE, OFFICE
 from stable_data.embedded_world.families.wording import an
-from stable_data.embedded_world.modelling.family import Design, Draw, Family, Space
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import panel, prism, silhouette
 from stable_data.embedded_world.modelling.solids import Solid, box, join, lathe, loft, slab
 
@@ -23,7 +23,7 @@ def _keys(width: float, depth: float, z: float, columns: int, rows: int, caps: s
     return join([field, *bars, space])
 
 
-def laptop(draw: Draw) -> Design:
+def laptop(draw: VariantSampler) -> AssetDesign:
     """A laptop, open or closed."""
     width, kind = draw.between(0.29, 0.38), draw.pick("open", "open", "closed")
     depth, opening = width * draw.between(0.64, 0.7), draw.between(98.0, 122.0)
@@ -34,18 +34,18 @@ def laptop(draw: Draw) -> Design:
         lid = slab(width, depth, 0.0085, 0.002).moved(z=0.0115) + hinge
         logo = lathe([(0.02, 0.018), (0.02, 0.0206)]).moved(y=0.33 * depth).painted("white" if color != "white" else "grey")
         seam = box(width - 0.004, depth - 0.004, 0.004).moved(z=0.009).painted("black")
-        top = Space(0.9 * width, 0.65 * depth, 0.02, y=-0.13 * depth)
-        return Design(join([slab(width, depth, 0.0108, 0.002), seam, lid, logo]), "electronics", color, captions, top=top)
+        top = SupportArea(0.9 * width, 0.65 * depth, 0.02, y=-0.13 * depth)
+        return AssetDesign(join([slab(width, depth, 0.0108, 0.002), seam, lid, logo]), "electronics", color, captions, top=top)
     keys = _keys(0.86 * width, 0.44 * depth, 0.015, 13, 5, caps if color != "black" else "grey", 0.0).moved(y=0.12 * depth)
     pad = panel(0.34 * width, 0.25 * depth, 0.015, "#8d949a" if color != "grey" else "silver", y=-0.3 * depth)
     long = 0.94 * depth
     lid = slab(width, long, 0.008, 0.002) + lit_screen(0.95 * width, 0.9 * long, 0.008, draw.pick(*WALLPAPERS))
     screen = lid.moved(y=long / 2).turned(x=180 - opening).moved(0.0, depth / 2 - 0.009, 0.011)
     hinge = box(0.7 * width, 0.012, 0.016).moved(0.0, depth / 2 - 0.008, 0.002).painted("black")
-    return Design(join([slab(width, depth, 0.015, 0.003), keys, pad, hinge, screen]), "electronics", color, captions)
+    return AssetDesign(join([slab(width, depth, 0.015, 0.003), keys, pad, hinge, screen]), "electronics", color, captions)
 
 
-def monitor(draw: Draw) -> Design:
+def monitor(draw: VariantSampler) -> AssetDesign:
     """A computer monitor on its stand."""
     width, kind = draw.between(0.46, 0.62), draw.pick("wide", "ultra-wide", "square")
     height = {"wide": 0.57, "ultra-wide": 0.43, "square": 0.76}[kind] * width * (0.75 if kind == "square" else 1.0)
@@ -66,10 +66,10 @@ def monitor(draw: Draw) -> Design:
         foot += join(prism(legs, 0.0, 0.012).turned(z=turn).moved(y=0.03) for turn in (-122, 122))
     name = "computer monitor" if kind == "wide" else f"{kind} computer monitor"
     captions = (an(f"{color} {name} on a stand"), f"{color} monitor", f"computer screen with a {stand} foot")
-    return Design(join([head, neck, foot.moved(y=0.014)]), "electronics", color, captions, density=420.0)
+    return AssetDesign(join([head, neck, foot.moved(y=0.014)]), "electronics", color, captions, density=420.0)
 
 
-def tablet(draw: Draw) -> Design:
+def tablet(draw: VariantSampler) -> AssetDesign:
     """A tablet computer: flat, with a pencil beside its screen, or leaning in its cover."""
     kind, width = draw.pick("flat", "propped", "with a stylus"), draw.between(0.15, 0.18)
     depth, thick = width * draw.between(1.3, 1.5), draw.between(0.008, 0.01)
@@ -95,10 +95,10 @@ def tablet(draw: Draw) -> Design:
         solid += stylus.painted("white" if color != "white" else "grey")
     name = {"flat": "tablet", "propped": "tablet leaning in its cover", "with a stylus": "tablet with a stylus"}[kind]
     captions = (an(f"{color} {name}"), f"{color} tablet computer", f"touch-screen {name}")
-    return Design(solid, "electronics", color, captions, density=1500.0)
+    return AssetDesign(solid, "electronics", color, captions, density=1500.0)
 
 
-def keyboard(draw: Draw) -> Design:
+def keyboard(draw: VariantSampler) -> AssetDesign:
     """A computer keyboard, rising a little to the back."""
     kind = draw.pick("full-size", "compact", "tenkeyless")
     width, depth = (
@@ -123,10 +123,10 @@ def keyboard(draw: Draw) -> Design:
     board = join([box(width, depth, z - 0.003, 0.004).moved(z=0.003), *fields, escape])
     tilted = board.moved(y=depth / 2).turned(x=3.6).moved(y=-depth / 2, z=-0.0004)
     captions = (an(f"{kind} {color} keyboard with {caps} keys"), f"{color} keyboard", f"{kind} computer keyboard")
-    return Design(rise + tilted, "electronics", color, captions, density=900.0)
+    return AssetDesign(rise + tilted, "electronics", color, captions, density=900.0)
 
 
-def mouse(draw: Draw) -> Design:
+def mouse(draw: VariantSampler) -> AssetDesign:
     """A computer mouse, its buttons away from the viewer."""
     n, kind = draw.between(0.1, 0.125), draw.pick("wireless", "gaming", "slim")
     width, high = (
@@ -148,10 +148,10 @@ def mouse(draw: Draw) -> Design:
     if kind == "gaming":
         solid += loft([np.c_[1.02 * oval, np.full(28, z * high)] for z in (0.16, 0.28)]).painted(accent)
     captions = (an(f"{color} {kind} computer mouse"), f"{color} mouse", f"{kind} mouse with a scroll wheel")
-    return Design(solid, "electronics", color, captions, density=650.0)
+    return AssetDesign(solid, "electronics", color, captions, density=650.0)
 
 
-def mouse_pad(draw: Draw) -> Design:
+def mouse_pad(draw: VariantSampler) -> AssetDesign:
     """A mat for a mouse."""
     width, kind = draw.between(0.2, 0.27), draw.pick("rectangular", "round", "wrist-rest")
     depth, thick = width * draw.between(0.78, 0.88), draw.between(0.003, 0.005)
@@ -161,30 +161,30 @@ def mouse_pad(draw: Draw) -> Design:
         solid = lathe([(width / 2, 0.0), (width / 2, thick)]).painted(second) + lathe(
             [(0.47 * width, 0.001), (0.47 * width, thick + 0.0008)]
         )
-        top = Space(0.9 * width, 0.9 * width, thick + 0.0008, is_round=True)
+        top = SupportArea(0.9 * width, 0.9 * width, thick + 0.0008, is_round=True)
     else:
         solid = box(width, depth, thick, 0.012).painted(second) + box(width - 0.008, depth - 0.008, thick - 4e-4, 0.01).moved(
             z=0.0012
         )
-        top = Space(0.9 * width, 0.9 * depth, thick + 0.0008)
+        top = SupportArea(0.9 * width, 0.9 * depth, thick + 0.0008)
     if kind == "wrist-rest":
         arch = [(-0.028, 0.0), (0.028, 0.0), (0.026, 0.01), (0.016, 0.018), (0.0, 0.021), (-0.016, 0.018), (-0.026, 0.01)]
         solid += silhouette(arch, 0.92 * width).turned(z=90).moved(y=-depth / 2 + 0.02).painted(second)
-        top = Space(0.9 * width, 0.9 * depth - 0.06, thick + 0.0008, y=0.03)
+        top = SupportArea(0.9 * width, 0.9 * depth - 0.06, thick + 0.0008, y=0.03)
     name = "mouse pad with a wrist rest" if kind == "wrist-rest" else f"{kind} mouse pad"
     captions = (
         an(f"{color} {name}"),
         f"{color} mouse mat",
         f"{name} and {an(second)} edge" if kind == "wrist-rest" else f"{name} with {an(second)} edge",
     )
-    return Design(solid, "rubber", color, captions, top=top, density=500.0)
+    return AssetDesign(solid, "rubber", color, captions, top=top, density=500.0)
 
 
 FAMILIES = (
-    Family("laptop", laptop, (OFFICE, COFFEE)),
-    Family("monitor", monitor, (OFFICE,)),
-    Family("tablet", tablet, (OFFICE, COFFEE)),
-    Family("keyboard", keyboard, (OFFICE,)),
-    Family("mouse", mouse, (OFFICE,)),
-    Family("mouse_pad", mouse_pad, (OFFICE,)),
+    AssetFamily("laptop", laptop, (OFFICE, COFFEE)),
+    AssetFamily("monitor", monitor, (OFFICE,)),
+    AssetFamily("tablet", tablet, (OFFICE, COFFEE)),
+    AssetFamily("keyboard", keyboard, (OFFICE,)),
+    AssetFamily("mouse", mouse, (OFFICE,)),
+    AssetFamily("mouse_pad", mouse_pad, (OFFICE,)),
 )

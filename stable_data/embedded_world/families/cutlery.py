@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN
-from stable_data.embedded_world.modelling.family import Design, Draw, Family
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.solids import NUM_INSIDE, Solid, chain, circle, join, loft, rectangle, vessel
 
 
@@ -18,7 +18,7 @@ def _strip(stations: Sequence[tuple[float, float, float, float]]) -> Solid:
     return chain(rings)
 
 
-def _handle(draw: Draw, length: float) -> tuple[Solid, str, str]:
+def _handle(draw: VariantSampler, length: float) -> tuple[Solid, str, str]:
     """The handle of a spoon or fork from y = 0, its neck at 0.66 of the length; its colour and a word for it."""
     color, grip, word = draw.pick(
         ("silver", "", "steel"), ("gold", "", "golden"), ("silver", "black", "black-handled"),
@@ -34,7 +34,7 @@ def _handle(draw: Draw, length: float) -> tuple[Solid, str, str]:
     return wood + _strip([(0.38 * length, 0.0068, 0.008, 0.0036), *stations[4:]]), color, word
 
 
-def fork(draw: Draw) -> Design:
+def fork(draw: VariantSampler) -> AssetDesign:
     """A fork that lies on its back, its tines towards +y."""
     length, (num_tines, count) = draw.between(0.165, 0.205), draw.pick((4, "four"), (3, "three"))
     handle, color, word = _handle(draw, length)
@@ -47,10 +47,10 @@ def fork(draw: Draw) -> Design:
         prong = [(0.77 * length, 0.0, tine, 0.0026), (0.9 * length, 0.0008, tine, 0.0024), (length, 0.007, 0.7 * tine, 0.0018)]
         bars.append(_strip(prong).moved(x))
     captions = (f"a {word} fork with {count} tines", f"{word} table fork", f"{word} fork for eating")
-    return Design(join([handle, _strip(root), *bars]), "metal", color, captions, density=4000.0)
+    return AssetDesign(join([handle, _strip(root), *bars]), "metal", color, captions, density=4000.0)
 
 
-def spoon(draw: Draw) -> Design:
+def spoon(draw: VariantSampler) -> AssetDesign:
     """A spoon that lies on its back, its bowl towards +y."""
     kind, length = draw.pick(("soup", draw.between(0.18, 0.2)), ("tea", draw.between(0.135, 0.15)))
     handle, color, word = _handle(draw, length)
@@ -62,10 +62,10 @@ def spoon(draw: Draw) -> Design:
     root = length - 2.76 * half
     neck = _strip([(0.65 * length, 0.0073, 0.0066, 0.0034), (root + 0.002, 0.004, 0.0075, 0.0034)])
     captions = (f"a {word} {kind}spoon" if kind == "tea" else f"a {word} {kind} spoon", f"{word} spoon", "spoon for eating")
-    return Design(join([handle, neck, scoop]), "metal", color, captions, density=4000.0)
+    return AssetDesign(join([handle, neck, scoop]), "metal", color, captions, density=4000.0)
 
 
-def table_knife(draw: Draw) -> Design:
+def table_knife(draw: VariantSampler) -> AssetDesign:
     """A table knife that lies flat, its rounded blade towards +y."""
     color, grip, word = draw.pick(
         ("silver", "", "steel"), ("gold", "", "golden"), ("silver", "black", "black-handled"),
@@ -79,10 +79,10 @@ def table_knife(draw: Draw) -> Design:
     blade += [(0.95 * length, 0.0005, 0.8 * wide, 0.002), (length, 0.0005, 0.35 * wide, 0.002)]
     captions = (f"a {word} table knife", f"{word} dinner knife with a rounded blade", "knife for eating")
     solid = (handle.painted(grip) if grip else handle) + _strip(blade)
-    return Design(solid, "metal", color, captions, density=2000.0 if grip else 3200.0)
+    return AssetDesign(solid, "metal", color, captions, density=2000.0 if grip else 3200.0)
 
 
-def chopsticks(draw: Draw) -> Design:
+def chopsticks(draw: VariantSampler) -> AssetDesign:
     """A pair of chopsticks, their tips towards +y on a rest."""
     color, word, rest = draw.pick(
         ("bamboo", "bamboo", "white"), ("black", "black", "red"), ("walnut", "dark wooden", "blue"),
@@ -94,12 +94,12 @@ def chopsticks(draw: Draw) -> Design:
     block = loft([rectangle(w, d, z, 0.003) for w, d, z in ((0.05, 0.024, 0.0), (0.044, 0.014, rise + 0.0012))]).painted(rest)
     captions = (f"a pair of {word} chopsticks on a rest", f"{word} chopsticks", f"two chopsticks on a small {rest} rest")
     sticks = [stick.moved(-0.007).turned(z=-0.6), stick.moved(0.007).turned(z=0.6)]
-    return Design(join([*sticks, block.moved(0.0, 0.8 * length)]), "wood", color, captions)
+    return AssetDesign(join([*sticks, block.moved(0.0, 0.8 * length)]), "wood", color, captions)
 
 
 FAMILIES = (
-    Family("fork", fork, (DINING, KITCHEN)),
-    Family("spoon", spoon, (DINING, COFFEE, KITCHEN)),
-    Family("table_knife", table_knife, (DINING, KITCHEN)),
-    Family("chopsticks", chopsticks, (DINING,)),
+    AssetFamily("fork", fork, (DINING, KITCHEN)),
+    AssetFamily("spoon", spoon, (DINING, COFFEE, KITCHEN)),
+    AssetFamily("table_knife", table_knife, (DINING, KITCHEN)),
+    AssetFamily("chopsticks", chopsticks, (DINING,)),
 )

@@ -9,12 +9,12 @@ from stable_data.embedded_world.families.displays import WALLPAPERS
 from stable_data.embedded_world.families.palette import DARK_GLASS
 from stable_data.embedded_world.families.tables import COFFEE, DRESSING, OFFICE
 from stable_data.embedded_world.families.wording import an
-from stable_data.embedded_world.modelling.family import Design, Draw, Family
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import panel, prism, silhouette
 from stable_data.embedded_world.modelling.solids import bar, box, join, lathe, loft, rectangle, slab, turned_vessel
 
 
-def phone(draw: Draw) -> Design:
+def phone(draw: VariantSampler) -> AssetDesign:
     """A mobile phone that lies flat: its screen up, its back up, or with a keypad."""
     kind, width = draw.pick("screen up", "screen down", "keypad"), draw.between(0.068, 0.08)
     depth, thick = width * draw.between(1.98, 2.16), draw.between(0.0085, 0.011)
@@ -45,10 +45,10 @@ def phone(draw: Draw) -> Design:
         parts.append(panel(0.5 * width, 0.07 * depth, thick + 0.0012, "white", y=0.3 * depth, rise=0.0004))
         name = "smartphone with its screen on"
     captions = (an(f"{color} {name}"), f"{color} phone", f"{color} mobile phone")
-    return Design(join(parts), "electronics", color, captions, density=1500.0)
+    return AssetDesign(join(parts), "electronics", color, captions, density=1500.0)
 
 
-def charger_dock(draw: Draw) -> Design:
+def charger_dock(draw: VariantSampler) -> AssetDesign:
     """A stand or a pad to charge a phone on."""
     kind, width = draw.pick("leaning", "pad", "double"), draw.between(0.07, 0.085)
     color = draw.pick("black", "white", "oak", "silver", "walnut", "grey")
@@ -77,10 +77,10 @@ def charger_dock(draw: Draw) -> Design:
             solid += slab(1.1 * width, 1.05 * width, 0.012, 0.003).moved(0.96 * width, 0.012) + post + puck
             name = "charging station for a phone and a watch"
     captions = (an(f"{color} {name}"), f"{color} phone charger", f"{material} {name}")
-    return Design(solid, material, color, captions, density=900.0)
+    return AssetDesign(solid, material, color, captions, density=900.0)
 
 
-def power_bank(draw: Draw) -> Design:
+def power_bank(draw: VariantSampler) -> AssetDesign:
     """A battery to charge phones with, its sockets towards the viewer."""
     kind, width = draw.pick("flat", "chunky"), draw.between(0.062, 0.075)
     depth, thick = width * draw.between(1.8, 2.1), {"flat": 0.014, "chunky": 0.024}[kind] * draw.between(0.95, 1.15)
@@ -96,10 +96,10 @@ def power_bank(draw: Draw) -> Design:
     mark = [prism(points, thick - 0.001, thick + 0.0008) for points in (bolt, [(-x, -y + 0.002) for x, y in bolt])]
     solid = join([slab(width, depth, thick, 0.004), *lamps, *ports, label, join(mark).moved(y=0.25 * depth).painted("yellow")])
     captions = (an(f"{kind} {color} power bank"), f"{color} power bank", f"{color} portable charger")
-    return Design(solid, "electronics", color, captions, density=1500.0)
+    return AssetDesign(solid, "electronics", color, captions, density=1500.0)
 
 
-def remote_control(draw: Draw) -> Design:
+def remote_control(draw: VariantSampler) -> AssetDesign:
     """A remote control that lies flat, pointing away from the viewer."""
     kind, width = draw.pick("classic", "slim"), draw.between(0.038, 0.052)
     n, thick = draw.between(0.15, 0.2), draw.between(0.014, 0.02)
@@ -130,10 +130,10 @@ def remote_control(draw: Draw) -> Design:
     parts.append(lathe([(0.36 * width, thick - 0.001), (0.36 * width, thick + 0.0016)]).moved(y=y).painted(keys))
     parts.append(lathe([(0.15 * width, thick), (0.15 * width, thick + 0.003)], 20).moved(y=y).painted("grey"))
     captions = (an(f"{color} {kind} remote control"), f"{color} remote control", f"{kind} tv remote")
-    return Design(join(parts), "plastic", color, captions, density=800.0)
+    return AssetDesign(join(parts), "plastic", color, captions, density=800.0)
 
 
-def router(draw: Draw) -> Design:
+def router(draw: VariantSampler) -> AssetDesign:
     """A wireless router, its aerials at the back and its lights to the viewer."""
     width, count = draw.between(0.17, 0.24), draw.pick(2, 3, 4)
     depth, high, rise = width * draw.between(0.55, 0.7), draw.between(0.024, 0.036), draw.between(0.1, 0.16)
@@ -154,10 +154,10 @@ def router(draw: Draw) -> Design:
     lean = [(k - (count - 1) / 2) for k in range(count)]
     sticks = [stick.turned(y=8 * k).moved(k * step, 0.42 * depth, 0.4 * high) for k in lean]
     captions = (an(f"{color} router with {count} antennas"), f"{color} wireless router", f"wi-fi router with {count} aerials")
-    return Design(join([body, *slats, *dots, *sticks]), "electronics", color, captions, density=500.0)
+    return AssetDesign(join([body, *slats, *dots, *sticks]), "electronics", color, captions, density=500.0)
 
 
-def game_controller(draw: Draw) -> Design:
+def game_controller(draw: VariantSampler) -> AssetDesign:
     """A game controller with two sticks, its grips towards the viewer."""
     color, second = draw.pick("black", "white", "red", "blue", "grey", "purple"), draw.pick("#4a4f55", "silver", "#6b7177")
     aligned, pull = draw.pick(True, False), draw.between(0.045, 0.06)
@@ -180,10 +180,10 @@ def game_controller(draw: Draw) -> Design:
     pads += [slab(0.034, 0.014, 0.02, 0.003).moved(0.042 * x, 0.032, 0.018).painted(second) for x in (-1, 1)]
     pads.append(lathe([(0.007, 0.039), (0.007, 0.0416)], 20).moved(y=0.014).painted("silver" if color != "silver" else "grey"))
     captions = (an(f"{color} game controller"), f"{color} gamepad with two sticks", f"{color} controller for video games")
-    return Design(join([core, *grips, *pads]), "plastic", color, captions, density=700.0)
+    return AssetDesign(join([core, *grips, *pads]), "plastic", color, captions, density=700.0)
 
 
-def camera(draw: Draw) -> Design:
+def camera(draw: VariantSampler) -> AssetDesign:
     """A camera, its lens towards the viewer."""
     kind = draw.pick("reflex", "compact", "instant")
     color, trim = draw.pick("black", "silver", "red", "white", "teal", "pink"), draw.pick("black", "#7a5236")
@@ -231,10 +231,10 @@ def camera(draw: Draw) -> Design:
         parts += [stripe.moved((k - 5.2) * 0.0079).painted(c) for k, c in enumerate(("red", "yellow", "teal"))]
     what = {"reflex": "camera with a large lens", "compact": "compact camera", "instant": "instant camera"}[kind]
     captions = (an(f"{name} {what}"), f"{name} camera", f"{kind} camera for taking photos")
-    return Design(join(parts), "electronics", color, captions, density=900.0)
+    return AssetDesign(join(parts), "electronics", color, captions, density=900.0)
 
 
-def webcam(draw: Draw) -> Design:
+def webcam(draw: VariantSampler) -> AssetDesign:
     """A webcam on a foot or a tripod."""
     kind, r = draw.pick("ball", "bar"), draw.between(0.024, 0.03)
     color, stand = draw.pick("black", "white", "grey", "silver"), draw.pick("tripod", "foot", "clip")
@@ -260,10 +260,10 @@ def webcam(draw: Draw) -> Design:
     solid = join([head.turned(x=90).moved(z=low + 0.74 * r), *parts])
     captions = (an(f"{color} webcam on a {stand}"), f"{color} webcam", f"{kind}-shaped camera for video calls")
     low = min(float(part[:, 2].min()) for part in solid.parts)
-    return Design(solid.moved(z=-low), "electronics", color, captions, density=900.0)
+    return AssetDesign(solid.moved(z=-low), "electronics", color, captions, density=900.0)
 
 
-def desk_fan(draw: Draw) -> Design:
+def desk_fan(draw: VariantSampler) -> AssetDesign:
     """A fan on a foot, its blades behind a guard."""
     r, stem = draw.between(0.075, 0.12), draw.between(0.05, 0.11)
     color, second = draw.pick("white", "black", "silver", "teal", "red", "pink"), draw.pick("#6fa8d8", "grey", "cream")
@@ -279,17 +279,17 @@ def desk_fan(draw: Draw) -> Design:
     neck = box(0.24 * r, 0.2 * r, stem + 0.9 * r).moved(0.0, 0.22 * r, 0.012)
     button = lathe([(0.008, 0.0), (0.008, 0.03)], 16).moved(0.0, -0.5 * r + 0.06 * r).painted(second)
     captions = (an(f"{color} desk fan with {count} blades"), f"{color} table fan", f"small {color} fan on a round foot")
-    return Design(join([head, foot, neck, button]), "plastic", color, captions, density=600.0)
+    return AssetDesign(join([head, foot, neck, button]), "plastic", color, captions, density=600.0)
 
 
 FAMILIES = (
-    Family("phone", phone, (OFFICE, COFFEE, DRESSING)),
-    Family("charger_dock", charger_dock, (OFFICE,)),
-    Family("power_bank", power_bank, (OFFICE,)),
-    Family("remote_control", remote_control, (OFFICE, COFFEE)),
-    Family("router", router, (OFFICE,)),
-    Family("game_controller", game_controller, (OFFICE, COFFEE)),
-    Family("camera", camera, (OFFICE,)),
-    Family("webcam", webcam, (OFFICE,)),
-    Family("desk_fan", desk_fan, (OFFICE,)),
+    AssetFamily("phone", phone, (OFFICE, COFFEE, DRESSING)),
+    AssetFamily("charger_dock", charger_dock, (OFFICE,)),
+    AssetFamily("power_bank", power_bank, (OFFICE,)),
+    AssetFamily("remote_control", remote_control, (OFFICE, COFFEE)),
+    AssetFamily("router", router, (OFFICE,)),
+    AssetFamily("game_controller", game_controller, (OFFICE, COFFEE)),
+    AssetFamily("camera", camera, (OFFICE,)),
+    AssetFamily("webcam", webcam, (OFFICE,)),
+    AssetFamily("desk_fan", desk_fan, (OFFICE,)),
 )

@@ -8,11 +8,11 @@ import numpy as np
 from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN, OFFICE
 from stable_data.embedded_world.families.vessels import banded_lathe, banded_vessel, cup, well
 from stable_data.embedded_world.families.wording import an, called
-from stable_data.embedded_world.modelling.family import Design, Draw, Family, Space
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.solids import Solid, box, circle, join, loft, rectangle
 
 
-def _dish(radius: float, height: float, foot: float, rim: str, line: str) -> tuple[Solid, Space]:
+def _dish(radius: float, height: float, foot: float, rim: str, line: str) -> tuple[Solid, SupportArea]:
     """A round dish with a flat well and a straight rim, painted from the well outwards; equal dishes stack without touching."""
     floor, edge, inside = 0.0055, 0.0025, 24  # the floor is thicker than the rim is high over the same place
     outer = [circle(foot, 0.0), circle(radius, height - edge), circle(radius, height)]
@@ -23,7 +23,7 @@ def _dish(radius: float, height: float, foot: float, rim: str, line: str) -> tup
     return banded_vessel(outer, inner, linings=linings), well(low, floor)
 
 
-def plate(draw: Draw) -> Design:
+def plate(draw: VariantSampler) -> AssetDesign:
     """A plate that stacks on its like."""
     kind, low, high = draw.pick(("dinner plate", 0.125, 0.138), ("side plate", 0.092, 0.106))
     color, rim, line = draw.pick(
@@ -34,10 +34,10 @@ def plate(draw: Draw) -> Design:
     solid, top = _dish(radius, height, draw.pick(0.6, 0.72, 0.66) * radius, rim, line)
     name, trim = called(color), f" with {an(rim or line)} rim" if rim or line else ""
     captions = (f"a {name} {kind}{trim}", f"round {name} ceramic plate", f"{name} {kind} for a meal")
-    return Design(solid, "ceramic", color, captions, top, replace(top, height=height - top.z))
+    return AssetDesign(solid, "ceramic", color, captions, top, replace(top, height=height - top.z))
 
 
-def saucer(draw: Draw) -> Design:
+def saucer(draw: VariantSampler) -> AssetDesign:
     """A small plate for under a cup."""
     color, rim, line = draw.pick(
         ("white", "", "gold"), ("pink", "", ""), ("white", "blue", ""),
@@ -47,10 +47,10 @@ def saucer(draw: Draw) -> Design:
     solid, top = _dish(radius, height, draw.between(0.52, 0.6) * radius, rim, line)
     trim = f" with {an(rim or line)} rim" if rim or line else ""
     captions = (f"a {color} saucer{trim}", f"small {color} plate for under a teacup", f"{color} porcelain saucer")
-    return Design(solid, "ceramic", color, captions, top)
+    return AssetDesign(solid, "ceramic", color, captions, top)
 
 
-def bowl(draw: Draw) -> Design:
+def bowl(draw: VariantSampler) -> AssetDesign:
     """An open bowl: for rice, cereal, pasta, salad."""
     use, low, high, rise, belly, material = draw.pick(
         ("rice", 0.056, 0.065, 0.95, 0.86, "ceramic"), ("cereal", 0.07, 0.082, 0.82, 0.88, "ceramic"),
@@ -74,10 +74,10 @@ def bowl(draw: Draw) -> Design:
     shape = "deep" if rise > 0.75 else "wide"
     captions = (f"a {shape} {name} {use} bowl", f"{name} bowl for {use}", f"round {name} bowl")
     hollow, density = well(inner[0][0], floor, height - floor), {"metal": 2200.0, "ceramic": 1800.0}.get(material)
-    return Design(cup(outer, inner, lining), material, color, captions, hollow=hollow, density=density)
+    return AssetDesign(cup(outer, inner, lining), material, color, captions, hollow=hollow, density=density)
 
 
-def coaster(draw: Draw) -> Design:
+def coaster(draw: VariantSampler) -> AssetDesign:
     """A flat round, square or six-sided mat for a glass."""
     word, material, color, inset = draw.pick(
         ("cork", "wood", "#c9a06c", ""), ("slate", "ceramic", "#4a4e54", ""), ("marble", "ceramic", "white", "grey"),
@@ -93,10 +93,12 @@ def coaster(draw: Draw) -> Design:
     flat = 2 * (0.8 if inset else 0.97) * half * math.cos(math.pi / corners)
     captions = (f"a {name} {word} coaster", f"{word} coaster for a glass", f"small {name} mat for a drink")
     is_round = corners != 4
-    return Design(solid, material, color, captions, top=Space(flat, flat, thick + (0.0004 if inset else 0), is_round=is_round))
+    return AssetDesign(
+        solid, material, color, captions, top=SupportArea(flat, flat, thick + (0.0004 if inset else 0), is_round=is_round)
+    )
 
 
-def napkin(draw: Draw) -> Design:
+def napkin(draw: VariantSampler) -> AssetDesign:
     """A cloth folded into layers: oblong, square or three-cornered."""
     shape = draw.pick("oblong", "square", "triangular")
     color, stripe = draw.pick(
@@ -119,10 +121,10 @@ def napkin(draw: Draw) -> Design:
         line = box(0.008, side - 0.014, 0.0014).painted(stripe)
         layers += [line.moved(share * width, 0.003, top - 0.001) for share in (-0.3, -0.2)]
     captions = (f"a folded {name} cloth napkin", f"{shape} {name} napkin", f"{name} cloth for the table, folded")
-    return Design(join(layers), "fabric", color, captions)
+    return AssetDesign(join(layers), "fabric", color, captions)
 
 
-def placemat(draw: Draw) -> Design:
+def placemat(draw: VariantSampler) -> AssetDesign:
     """A thin mat to set a place on: oblong, round or eight-sided."""
     color, inner, word, material = draw.pick(
         ("navy", "blue", "blue", "fabric"), ("#b9a88c", "cream", "linen", "fabric"), ("bamboo", "oak", "bamboo", "wood"),
@@ -138,16 +140,16 @@ def placemat(draw: Draw) -> Design:
     else:
         width, depth, cut = draw.between(0.4, 0.45), draw.between(0.29, 0.32), 0.06 if shape == "eight-sided" else 0.002
         solid = box(width, depth, thick, cut) + box(width - 0.03, depth - 0.03, 0.0014, cut).moved(z=0.0016).painted(inner)
-        top = Space(width - 0.031 - cut, depth - 0.031 - cut, 0.003)
+        top = SupportArea(width - 0.031 - cut, depth - 0.031 - cut, 0.003)
     captions = (f"{an(shape)} {word} placemat", f"{word} table mat", f"flat {shape} {word} mat")
-    return Design(solid, material, color, captions, top=top)
+    return AssetDesign(solid, material, color, captions, top=top)
 
 
 FAMILIES = (
-    Family("plate", plate, (DINING, COFFEE, KITCHEN)),
-    Family("saucer", saucer, (DINING, COFFEE)),
-    Family("bowl", bowl, (DINING, COFFEE, KITCHEN)),
-    Family("coaster", coaster, (DINING, COFFEE, OFFICE)),
-    Family("napkin", napkin, (DINING, COFFEE)),
-    Family("placemat", placemat, (DINING, COFFEE)),
+    AssetFamily("plate", plate, (DINING, COFFEE, KITCHEN)),
+    AssetFamily("saucer", saucer, (DINING, COFFEE)),
+    AssetFamily("bowl", bowl, (DINING, COFFEE, KITCHEN)),
+    AssetFamily("coaster", coaster, (DINING, COFFEE, OFFICE)),
+    AssetFamily("napkin", napkin, (DINING, COFFEE)),
+    AssetFamily("placemat", placemat, (DINING, COFFEE)),
 )

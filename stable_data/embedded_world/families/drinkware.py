@@ -3,11 +3,11 @@
 from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN, OFFICE
 from stable_data.embedded_world.families.vessels import banded_lathe, cup, radius_at, round_handle, square_handle, well
 from stable_data.embedded_world.families.wording import an, called
-from stable_data.embedded_world.modelling.family import Design, Draw, Family
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import scaled
 
 
-def mug(draw: Draw) -> Design:
+def mug(draw: VariantSampler) -> AssetDesign:
     """A cup with a handle on its right."""
     style = draw.pick("straight", "tapered", "rounded")
     color, lining, dip = draw.pick(
@@ -25,10 +25,10 @@ def mug(draw: Draw) -> Design:
     body = cup(outer, inner, lining, bands=[(0.42 * height, dip)] if dip else ())
     word = f"{color} and {dip}" if dip else color
     captions = (f"{an(word)} {style} mug with a handle", f"{word} coffee mug", f"ceramic mug, {word}", "mug for hot drinks")
-    return Design(body + handle, "ceramic", color, captions, hollow=well(foot - wall, 0.007, height - 0.007))
+    return AssetDesign(body + handle, "ceramic", color, captions, hollow=well(foot - wall, 0.007, height - 0.007))
 
 
-def teacup(draw: Draw) -> Design:
+def teacup(draw: VariantSampler) -> AssetDesign:
     """A low wide cup on a small foot, thin-walled."""
     radius, height, wall = draw.between(0.042, 0.05), draw.between(0.052, 0.064), 0.0026
     color, lining, rim = draw.pick(
@@ -45,10 +45,10 @@ def teacup(draw: Draw) -> Design:
     trim = f" with {an(rim)} rim" if rim else ""
     captions = (f"a {color} teacup{trim}", f"{color} porcelain cup for tea", f"small wide {color} tea cup with a handle")
     solid = cup(outer, inner, lining, 0.88 * height, rim) + handle
-    return Design(solid, "ceramic", color, captions, hollow=well(0.4 * radius, floor, height - floor))
+    return AssetDesign(solid, "ceramic", color, captions, hollow=well(0.4 * radius, floor, height - floor))
 
 
-def tumbler(draw: Draw) -> Design:
+def tumbler(draw: VariantSampler) -> AssetDesign:
     """A tall cup without a handle: plastic, enamel, or of steel with a lid and a straw."""
     style = draw.pick("plastic", "lidded", "enamel")
     color = draw.pick("orange", "teal", "pink", "navy", "green", "purple")
@@ -66,19 +66,21 @@ def tumbler(draw: Draw) -> Design:
         f"{color} {style} cup with {an(edge[0][1])} rim",
     )
     material = "plastic" if style == "plastic" else "tin"
-    return Design(body, material, color, captions, hollow=well(foot - wall, 0.004, height - 0.004))
+    return AssetDesign(body, material, color, captions, hollow=well(foot - wall, 0.004, height - 0.004))
 
 
-def _travel_tumbler(draw: Draw, color: str, radius: float, height: float) -> Design:
+def _travel_tumbler(draw: VariantSampler, color: str, radius: float, height: float) -> AssetDesign:
     foot = draw.between(0.72, 0.82) * radius
     profile = [(foot - 0.002, 0.0), (foot, 0.002), (radius, 0.93 * height), (radius, height - 0.003), (radius - 0.003, height)]
     body = banded_lathe(profile, [(0.002, "silver"), (0.1 * height, color), (0.93 * height, "black")])
     straw = banded_lathe([(0.0038, 0.0), (0.0038, 0.07)], corners=12).painted(draw.pick("clear", "white", "black"))
     captions = (f"{an(color)} tumbler with a lid and a straw", f"insulated {color} travel tumbler", "cup with a straw")
-    return Design(body + straw.turned(y=8).moved(0.35 * radius, 0.0, height - 0.012), "metal", color, captions, density=650.0)
+    return AssetDesign(
+        body + straw.turned(y=8).moved(0.35 * radius, 0.0, height - 0.012), "metal", color, captions, density=650.0
+    )
 
 
-def drinking_glass(draw: Draw) -> Design:
+def drinking_glass(draw: VariantSampler) -> AssetDesign:
     """A glass for water or juice."""
     style = draw.pick("tall", "low", "rounded")
     color = draw.pick("clear", "#a9cfe0", "#cfe3c4", "clear", "#d9b878", "#c9c3d6")
@@ -91,10 +93,12 @@ def drinking_glass(draw: Draw) -> Design:
     inner = [(radius_at(outer, floor) - 1.3 * wall, floor), *((r - wall, z) for r, z in profile[1:])]
     name = called(color)
     captions = (f"a {style} {name} drinking glass", f"{name} water glass", f"empty {style} glass for drinks")
-    return Design(cup(outer, inner), "glass", color, captions, hollow=well(inner[0][0], floor, height - floor), density=1900.0)
+    return AssetDesign(
+        cup(outer, inner), "glass", color, captions, hollow=well(inner[0][0], floor, height - floor), density=1900.0
+    )
 
 
-def wine_glass(draw: Draw) -> Design:
+def wine_glass(draw: VariantSampler) -> AssetDesign:
     """A glass with a bowl on a stem."""
     use, wide, tall, lip = draw.pick(
         ("red wine", 1.0, 0.5, 0.74), ("white wine", 0.82, 0.5, 0.76), ("sparkling wine", 0.62, 0.6, 0.8),
@@ -109,10 +113,10 @@ def wine_glass(draw: Draw) -> Design:
     outer = [(foot, 0.0), (foot, 0.0016), (0.3 * foot, 0.0065), (stalk, 0.018), *bowl]
     inner = [(0.4 * radius, low + 0.15 * high), (radius - wall, low + 0.5 * high), (lip * radius - wall, height)]
     captions = (f"a stemmed glass for {use}", f"empty {use} glass on a thin stem", "wine glass with a round foot")
-    return Design(cup(outer, inner), "glass", color, captions, density=1800.0)
+    return AssetDesign(cup(outer, inner), "glass", color, captions, density=1800.0)
 
 
-def egg_cup(draw: Draw) -> Design:
+def egg_cup(draw: VariantSampler) -> AssetDesign:
     """A little cup on a foot, empty or with an egg in it."""
     color, lining = draw.pick(
         ("white", ""), ("yellow", "white"), ("oak", ""), ("blue", "white"), ("teal", "orange"), ("green", "white")
@@ -129,17 +133,19 @@ def egg_cup(draw: Draw) -> Design:
             .painted(draw.pick("#d9a878", "#f0e3d0"))
         )
         captions = (f"a {word} egg cup with an egg", f"boiled egg in a {word} egg cup", f"breakfast egg in a {word} cup")
-        return Design(banded_lathe(outer) + egg, material, color, captions, density=1100.0 if material == "ceramic" else 750.0)
+        return AssetDesign(
+            banded_lathe(outer) + egg, material, color, captions, density=1100.0 if material == "ceramic" else 750.0
+        )
     captions = (f"an empty {word} egg cup", f"small {word} cup for a boiled egg", f"{word} egg holder")
     solid = cup(outer, [(0.55 * radius, 0.58 * height), (radius - wall, height)], lining)
-    return Design(solid, material, color, captions, hollow=well(0.55 * radius, 0.58 * height, 0.42 * height))
+    return AssetDesign(solid, material, color, captions, hollow=well(0.55 * radius, 0.58 * height, 0.42 * height))
 
 
 FAMILIES = (
-    Family("mug", mug, (DINING, COFFEE, KITCHEN, OFFICE)),
-    Family("teacup", teacup, (DINING, COFFEE)),
-    Family("tumbler", tumbler, (DINING, COFFEE, KITCHEN, OFFICE)),
-    Family("drinking_glass", drinking_glass, (DINING, COFFEE, KITCHEN, OFFICE)),
-    Family("wine_glass", wine_glass, (DINING, COFFEE)),
-    Family("egg_cup", egg_cup, (DINING, KITCHEN)),
+    AssetFamily("mug", mug, (DINING, COFFEE, KITCHEN, OFFICE)),
+    AssetFamily("teacup", teacup, (DINING, COFFEE)),
+    AssetFamily("tumbler", tumbler, (DINING, COFFEE, KITCHEN, OFFICE)),
+    AssetFamily("drinking_glass", drinking_glass, (DINING, COFFEE, KITCHEN, OFFICE)),
+    AssetFamily("wine_glass", wine_glass, (DINING, COFFEE)),
+    AssetFamily("egg_cup", egg_cup, (DINING, KITCHEN)),
 )

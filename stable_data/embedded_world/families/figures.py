@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from stable_data.embedded_world.families.tables import COFFEE, DRESSING, OFFICE
-from stable_data.embedded_world.modelling.family import Design, Draw, Family
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import ellipsoid, rod, round_body
 from stable_data.embedded_world.modelling.solids import Solid, bar, box, join, lathe, loft, rectangle, slab
 
@@ -105,17 +105,17 @@ def _stones(clay: _Clay) -> list[Solid]:
 _FIGURES = {"cat": _cat, "owl": _owl, "rabbit": _rabbit, "bird": _bird, "elephant": _elephant, "stones": _stones}
 
 
-def figurine(draw: Draw) -> Design:
+def figurine(draw: VariantSampler) -> AssetDesign:
     """A little figure: a cat, an owl, a rabbit, a bird, an elephant, stacked stones."""
     kind = draw.pick(*_FIGURES)
     color = draw.pick("white", "black", "teal", "gold", "grey", "terracotta")
     parts = _FIGURES[kind](_Clay(draw.between(0.85, 1.2), "gold" if color == "black" else "black"))
     words = {"stones": "stack of balanced stones"}.get(kind, f"{kind} figurine")
     captions = (f"a small {color} {words}", f"{color} {words}", f"ceramic ornament, {words}", "little figure for a shelf")
-    return Design(join(parts), "ceramic", color, captions, density=1400.0)
+    return AssetDesign(join(parts), "ceramic", color, captions, density=1400.0)
 
 
-def piggy_bank(draw: Draw) -> Design:
+def piggy_bank(draw: VariantSampler) -> AssetDesign:
     """A money box shaped as a pig, its snout to -y."""
     s, plump = draw.between(0.85, 1.2), draw.between(0.9, 1.1)
     color, accent = draw.pick("pink", "white", "gold", "blue", "#e9b7b0", "teal"), draw.pick("red", "#b86a72", "black")
@@ -147,10 +147,10 @@ def piggy_bank(draw: Draw) -> Design:
     curl = ellipsoid(0.006 * s, 0.011 * s, 0.006 * s, 10).moved(0.0, 0.064 * s, 0.066 * s)
     name = {"#e9b7b0": "rosy"}.get(color, color)
     captions = (f"a {name} piggy bank with a slot in its back", f"{name} piggy bank", "money box shaped like a pig")
-    return Design(join([body, snout, *holes, *legs, *ears, *eyes, slot, curl]), "ceramic", color, captions, density=900.0)
+    return AssetDesign(join([body, snout, *holes, *legs, *ears, *eyes, slot, curl]), "ceramic", color, captions, density=900.0)
 
 
 FAMILIES = (
-    Family("figurine", figurine, (COFFEE, OFFICE, DRESSING)),
-    Family("piggy_bank", piggy_bank, (COFFEE, OFFICE, DRESSING)),
+    AssetFamily("figurine", figurine, (COFFEE, OFFICE, DRESSING)),
+    AssetFamily("piggy_bank", piggy_bank, (COFFEE, OFFICE, DRESSING)),
 )

@@ -8,7 +8,7 @@ import numpy as np
 from stable_data.embedded_world.families.palette import LEAF
 from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN, OFFICE
 from stable_data.embedded_world.families.wording import pick_words, worded
-from stable_data.embedded_world.modelling.family import Design, Draw, Family
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import BALL, HALF_BALL, disc, lying_lathe, prism, scaled
 from stable_data.embedded_world.modelling.solids import Ring, Solid, box, chain, circle, hull, join, lathe, loft, vessel
 
@@ -36,7 +36,7 @@ def _half(radius: float, height: float, pith: str, flesh: str, num: int) -> tupl
     return lathe(scaled(HALF_BALL, radius, height), 32), [face, pieces]
 
 
-def apple(draw: Draw) -> Design:
+def apple(draw: VariantSampler) -> AssetDesign:
     """An apple with a dimple and a stem; some have a leaf."""
     r, share = draw.between(0.034, 0.042), draw.between(0.8, 0.95)
     word, color = pick_words(draw, "red red, green #8fb548, yellow #e3c552, dark_red #8f2a36, green #a9bf4d, pale_red #c9604f")
@@ -48,10 +48,10 @@ def apple(draw: Draw) -> Design:
     captions = worded(
         f"a {word} apple{' with a leaf' if leaf else ' with a stem'}", f"{word} apple", f"fresh {word} apple, a fruit"
     )
-    return Design(join([body, _stem(0.87 * h, 0.13 * h + 0.011), *leaf]), "fruit", color, captions)
+    return AssetDesign(join([body, _stem(0.87 * h, 0.13 * h + 0.011), *leaf]), "fruit", color, captions)
 
 
-def orange(draw: Draw) -> Design:
+def orange(draw: VariantSampler) -> AssetDesign:
     """An orange, or half of one."""
     r, is_half = draw.between(0.035, 0.043), draw.pick(False, False, True)
     word, color = pick_words(draw, "ripe orange, bright #f08a24, dark #d9651f")
@@ -64,10 +64,10 @@ def orange(draw: Draw) -> Design:
         inside += [_leaf(0.035, 18).moved(z=h + 0.0003)] if draw.pick(True, False) else []
         body = lathe(scaled(BALL, r, h), 32)
         captions = worded(f"a {word} orange", "whole round orange", f"{word} orange, a fruit")
-    return Design(join([body, *inside]), "fruit", color, captions)
+    return AssetDesign(join([body, *inside]), "fruit", color, captions)
 
 
-def lemon(draw: Draw) -> Design:
+def lemon(draw: VariantSampler) -> AssetDesign:
     """A lemon or a lime on its side, or half of one."""
     r, stretch, is_half = draw.between(0.026, 0.031), draw.between(1.2, 1.4), draw.pick(False, True, False)
     word, color = pick_words(
@@ -83,10 +83,10 @@ def lemon(draw: Draw) -> Design:
         rings = [*curve, *((-x, y) for x, y in curve[::-1])]
         solid = lying_lathe([(x * stretch * r, y * r) for x, y in rings], corners=20)
         captions = worded(f"a {word} lemon", f"whole {word} lemon", f"fresh {word} lemon, a sour fruit")
-    return Design(solid, "fruit", color, captions)
+    return AssetDesign(solid, "fruit", color, captions)
 
 
-def banana(draw: Draw) -> Design:
+def banana(draw: VariantSampler) -> AssetDesign:
     """A banana that lies on its side, or a bunch of them joined at their stems."""
     length, thick, num = draw.between(0.15, 0.19), draw.between(0.032, 0.038), draw.pick(1, 3, 1, 2, 1, 4)
     word, color = pick_words(draw, "yellow #ecc93b, ripe_yellow #e3b733, greenish #c3c64a")
@@ -106,10 +106,10 @@ def banana(draw: Draw) -> Design:
     fan = [one.moved(x, y).turned(z=13 * k).moved(-x, -y) for k in range(num)]
     some = f"{word} banana{'s' if num > 1 else ''}"
     captions = worded(f"a bunch of {num} {some}" if num > 1 else f"a {some}", some, f"fresh {some}, a fruit")
-    return Design(join(fan).moved(z=0.4 * thick), "fruit", color, captions)
+    return AssetDesign(join(fan).moved(z=0.4 * thick), "fruit", color, captions)
 
 
-def pear(draw: Draw) -> Design:
+def pear(draw: VariantSampler) -> AssetDesign:
     """A pear with a stem."""
     r, share = draw.between(0.033, 0.039), draw.between(2.3, 2.7)
     word, color = pick_words(
@@ -121,10 +121,10 @@ def pear(draw: Draw) -> Design:
     parts = [lathe(scaled(profile, r, h), 32), _stem(h, 0.018, draw.between(8, 20))]
     parts += [_leaf(0.035, 20).moved(0.001, 0.0, h + 0.004)] if draw.pick(False, False, True) else []
     captions = worded(f"a {word} pear with a stem", f"ripe {word} pear", f"fresh pear, {word}")
-    return Design(join(parts), "fruit", color, captions)
+    return AssetDesign(join(parts), "fruit", color, captions)
 
 
-def avocado(draw: Draw) -> Design:
+def avocado(draw: VariantSampler) -> AssetDesign:
     """An avocado on its side, or half of one with its stone."""
     r, length, is_half = draw.between(0.028, 0.036), draw.between(0.088, 0.115), draw.pick(True, False)
     word, color = pick_words(
@@ -138,7 +138,7 @@ def avocado(draw: Draw) -> Design:
         solid = lying_lathe([((x - 0.5) * length, y * r) for x, y in shape], corners=20)
         end = lying_lathe([(0.0, 0.005), (0.004, 0.004)], corners=8).moved(length / 2 - 0.002, 0.0, r - 0.005).painted(_BARK)
         captions = worded(f"a {word} avocado", f"whole {word} avocado", "ripe avocado, a fruit")
-        return Design(solid + end, "fruit", color, captions)
+        return AssetDesign(solid + end, "fruit", color, captions)
     outline = np.array(
         [*((x - 0.35, y * r / length) for x, y in shape), *((x - 0.35, -y * r / length) for x, y in shape[::-1])]
     )
@@ -153,10 +153,10 @@ def avocado(draw: Draw) -> Design:
         "#7a4a28"
     )
     captions = worded("half of an avocado with its stone", f"halved {word} avocado", "cut avocado with a brown pit")
-    return Design(join([skin, flesh, seed.moved(-0.05 * length, 0.0, h)]), "fruit", color, captions)
+    return AssetDesign(join([skin, flesh, seed.moved(-0.05 * length, 0.0, h)]), "fruit", color, captions)
 
 
-def watermelon(draw: Draw) -> Design:
+def watermelon(draw: VariantSampler) -> AssetDesign:
     """A small striped watermelon, or half of one."""
     r, stretch, is_half = draw.between(0.078, 0.095), draw.between(1.0, 1.22), draw.pick(False, False, True)
     word, color, stripe = pick_words(draw, "green #86b257 #3a6b33, light_green #a3c26d #4d7d3d, dark_green #3f6e3a #24472a")
@@ -171,7 +171,7 @@ def watermelon(draw: Draw) -> Design:
         captions = worded(
             "half of a small watermelon, cut side up", "halved watermelon with red flesh and seeds", "cut watermelon"
         )
-        return Design(join([lathe(scaled(HALF_BALL, r, h), 48), rind, red, seeds]), "fruit", color, captions)
+        return AssetDesign(join([lathe(scaled(HALF_BALL, r, h), 48), rind, red, seeds]), "fruit", color, captions)
     degrees = np.array([-80, -60, -40, -20, -7, 7, 20, 40, 60, 80])
     curve = [(stretch * math.sin(a), math.cos(a)) for a in np.radians(degrees)]
     body = lying_lathe([(x * r, min(y, 0.99) * r) for x, y in curve], corners=24)
@@ -184,15 +184,15 @@ def watermelon(draw: Draw) -> Design:
         bands.append(hull(np.concatenate([*arcs, [(x * 0.8 * r, 0.0, 0.0) for x in (-1, 1)]]) * 1.006).turned(x=45 * k + 22.5))
     dark = join(bands).moved(z=middle).painted(stripe)
     captions = worded(f"a small {word} watermelon with stripes", f"whole {word} watermelon", "striped melon")
-    return Design(body + dark, "fruit", color, captions, density=920.0)
+    return AssetDesign(body + dark, "fruit", color, captions, density=920.0)
 
 
 FAMILIES = (
-    Family("apple", apple, (KITCHEN, DINING, COFFEE, OFFICE)),
-    Family("orange", orange, (KITCHEN, DINING, COFFEE)),
-    Family("lemon", lemon, (KITCHEN, DINING, COFFEE)),
-    Family("banana", banana, (KITCHEN, DINING, COFFEE)),
-    Family("pear", pear, (KITCHEN, DINING, COFFEE)),
-    Family("avocado", avocado, (KITCHEN, DINING)),
-    Family("watermelon", watermelon, (KITCHEN, DINING)),
+    AssetFamily("apple", apple, (KITCHEN, DINING, COFFEE, OFFICE)),
+    AssetFamily("orange", orange, (KITCHEN, DINING, COFFEE)),
+    AssetFamily("lemon", lemon, (KITCHEN, DINING, COFFEE)),
+    AssetFamily("banana", banana, (KITCHEN, DINING, COFFEE)),
+    AssetFamily("pear", pear, (KITCHEN, DINING, COFFEE)),
+    AssetFamily("avocado", avocado, (KITCHEN, DINING)),
+    AssetFamily("watermelon", watermelon, (KITCHEN, DINING)),
 )

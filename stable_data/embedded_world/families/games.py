@@ -5,14 +5,14 @@ import math
 import numpy as np
 
 from stable_data.embedded_world.families.tables import COFFEE, OFFICE
-from stable_data.embedded_world.modelling.family import Design, Draw, Family, Space
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import arc_points, ellipsoid, prism, round_body, silhouette
 from stable_data.embedded_world.modelling.solids import Solid, box, chain, join, loft, rectangle, slab
 
 _STICKERS = ("red", "white", "blue", "orange", "green", "yellow")
 
 
-def puzzle_cube(draw: Draw) -> Design:
+def puzzle_cube(draw: VariantSampler) -> AssetDesign:
     """A cube puzzle of coloured stickers, solved or mixed; on some the top layer is half turned."""
     size, layers = draw.between(0.05, 0.06), draw.pick(3, 3, 2, 3, 3, 2)
     state = draw.pick("solved", "mixed", "half-turned", "mixed", "half-turned", "solved")
@@ -45,7 +45,7 @@ def puzzle_cube(draw: Draw) -> Design:
         "colourful twisty puzzle cube",
         f"{color} puzzle cube with coloured stickers",
     )
-    return Design(solid, "plastic", color, captions, density=600.0)
+    return AssetDesign(solid, "plastic", color, captions, density=600.0)
 
 
 _LATITUDES = (-70, -56, -40, -24, -8, 8, 24, 40, 56, 72, 86)
@@ -93,7 +93,7 @@ def _patches(kind: str, more: float, radius: float, color: str) -> list[Solid]:
     return [patch, *upper, *lower]
 
 
-def toy_ball(draw: Draw) -> Design:
+def toy_ball(draw: VariantSampler) -> AssetDesign:
     """A small ball, flat where it rests."""
     radius = draw.between(0.034, 0.055)
     kind = draw.pick("football", "basketball", "beach ball", "tennis ball", "striped ball", "dotted ball")
@@ -114,10 +114,10 @@ def toy_ball(draw: Draw) -> Design:
         parts = _patches(kind, more, radius, accent)
     name = {"#c9d94f": "yellow-green"}.get(color, color)
     captions = (f"a small {name} {kind}", f"toy {kind}", f"{kind} in {name} and {accent}")
-    return Design(join([body, *parts]).moved(z=low), "rubber", color, captions, density=300.0)
+    return AssetDesign(join([body, *parts]).moved(z=low), "rubber", color, captions, density=300.0)
 
 
-def board_game(draw: Draw) -> Design:
+def board_game(draw: VariantSampler) -> AssetDesign:
     """The box of a board game, its lid printed."""
     width, depth = draw.pick((0.26, 0.26), (0.3, 0.2), (0.19, 0.13), (0.27, 0.19), (0.22, 0.22), (0.36, 0.24))
     height = draw.between(0.04, 0.068)
@@ -146,15 +146,15 @@ def board_game(draw: Draw) -> Design:
         "boxed family game",
     )
     solid = join([base.painted(ground), lid, title, board, *tiles, label])
-    top_space = Space(0.62 * width, 0.46 * depth, top + 0.0026, y=-0.13 * depth)
-    return Design(solid, "cardboard", color, captions, top=top_space, density=260.0)
+    top_space = SupportArea(0.62 * width, 0.46 * depth, top + 0.0026, y=-0.13 * depth)
+    return AssetDesign(solid, "cardboard", color, captions, top=top_space, density=260.0)
 
 
 _PIPS = {1: ((0, 0),), 2: ((-1, -1), (1, 1)), 3: ((-1, -1), (0, 0), (1, 1)), 4: ((-1, -1), (-1, 1), (1, -1), (1, 1))}
 _PIPS |= {5: (*_PIPS[4], (0, 0)), 6: (*_PIPS[4], (-1, 0), (1, 0))}
 
 
-def dice(draw: Draw) -> Design:
+def dice(draw: VariantSampler) -> AssetDesign:
     """A die with raised pips; on its lower face it has none."""
     size, up = draw.between(0.018, 0.03), draw.pick(6, 5, 4, 3, 2, 1)
     color, pip = draw.pick("white", "red", "blue", "black", "green", "oak"), "black"
@@ -169,7 +169,7 @@ def dice(draw: Draw) -> Design:
     sides = [pips(n).turned(x=90).turned(z=90 * k) for k, n in enumerate(numbers)]
     body = join([slab(size, size, size, 0.09 * size), *(face.moved(z=size / 2) for face in (*sides, pips(up)))])
     captions = (f"{color} die that shows {up}", f"{color} dice with {pip} pips", "die for board games", "six-sided die")
-    return Design(body, "wood" if color == "oak" else "plastic", color, captions)
+    return AssetDesign(body, "wood" if color == "oak" else "plastic", color, captions)
 
 
 def _suit(kind: str, size: float) -> list[Solid]:
@@ -191,7 +191,7 @@ def _suit(kind: str, size: float) -> list[Solid]:
     ]
 
 
-def card_deck(draw: Draw) -> Design:
+def card_deck(draw: VariantSampler) -> AssetDesign:
     """A pack of playing cards, in its box or as a loose stack; it lies along y."""
     is_boxed = draw.pick(True, False, True, True, False, True)
     suit = draw.pick("diamond", "heart", "spade", "club", "heart", "diamond")
@@ -216,10 +216,10 @@ def card_deck(draw: Draw) -> Design:
     mark = [one.moved(z=top - 0.0012).painted(tint) for one in _suit(suit, 0.0125)]
     words = f"box of playing cards with a {suit}" if is_boxed else "loose stack of playing cards"
     captions = (f"a {color} {words}", f"{color} deck of cards", "pack of playing cards", "card deck")
-    return Design(join([*parts, *mark]), "paper", color, captions)
+    return AssetDesign(join([*parts, *mark]), "paper", color, captions)
 
 
-def chess_piece(draw: Draw) -> Design:
+def chess_piece(draw: VariantSampler) -> AssetDesign:
     """A chess piece."""
     kind = draw.pick("pawn", "rook", "knight", "bishop", "queen", "king")
     color, s = draw.pick("cream", "black", "walnut", "white", "oak", "#5a3a2a"), draw.between(0.9, 1.35)
@@ -268,14 +268,14 @@ def chess_piece(draw: Draw) -> Design:
             parts += [box(0.0038, 0.0034, 0.0135).moved(z=neck + 0.02), box(0.0105, 0.0032, 0.0038).moved(z=neck + 0.0262)]
     name = {"#5a3a2a": "dark brown"}.get(color, color)
     captions = (f"{name} chess {kind}", f"{name} chess piece, a {kind}", f"wooden {kind} of a chess set")
-    return Design(join(parts).resized(s), "wood", color, captions)
+    return AssetDesign(join(parts).resized(s), "wood", color, captions)
 
 
 FAMILIES = (
-    Family("puzzle_cube", puzzle_cube, (COFFEE, OFFICE)),
-    Family("ball", toy_ball, (COFFEE, OFFICE)),
-    Family("board_game", board_game, (COFFEE, OFFICE)),
-    Family("dice", dice, (COFFEE, OFFICE)),
-    Family("card_deck", card_deck, (COFFEE, OFFICE)),
-    Family("chess_piece", chess_piece, (COFFEE, OFFICE)),
+    AssetFamily("puzzle_cube", puzzle_cube, (COFFEE, OFFICE)),
+    AssetFamily("ball", toy_ball, (COFFEE, OFFICE)),
+    AssetFamily("board_game", board_game, (COFFEE, OFFICE)),
+    AssetFamily("dice", dice, (COFFEE, OFFICE)),
+    AssetFamily("card_deck", card_deck, (COFFEE, OFFICE)),
+    AssetFamily("chess_piece", chess_piece, (COFFEE, OFFICE)),
 )

@@ -7,12 +7,12 @@ import numpy as np
 from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN
 from stable_data.embedded_world.families.vessels import banded_box, banded_lathe, well
 from stable_data.embedded_world.families.wording import an, called, pick_words, worded
-from stable_data.embedded_world.modelling.family import Design, Draw, Family
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import HALF_BALL, disc, front_panel, lying_lathe, prism, scaled, wedge
 from stable_data.embedded_world.modelling.solids import bar, box, circle, join, lathe, loft
 
 
-def jar(draw: Draw) -> Design:
+def jar(draw: VariantSampler) -> AssetDesign:
     """A closed glass jar full of something, with a wide lid."""
     food, color, label, lid = draw.pick(
         ("strawberry jam", "#9e2634", "white", "red"), ("honey", "#d39a2c", "cream", "gold"), ("pickles", "#7d8a42", "white", "green"),
@@ -25,10 +25,10 @@ def jar(draw: Draw) -> Design:
     cover = neck + 0.003
     solid += banded_lathe([(cover, 0.84 * height), (cover, height - 0.0015), (cover - 0.0015, height)]).painted(lid)
     captions = (f"a jar of {food} with {an(lid)} lid", f"glass jar full of {food}", f"closed {food} jar")
-    return Design(solid, "glass", color, captions, top=well(cover - 0.0015, height))
+    return AssetDesign(solid, "glass", color, captions, top=well(cover - 0.0015, height))
 
 
-def spice_jar(draw: Draw) -> Design:
+def spice_jar(draw: VariantSampler) -> AssetDesign:
     """A little jar of a spice."""
     spice, color = draw.pick(
         ("paprika", "#b5452a"), ("turmeric", "#d9a02b"), ("dried basil", "#6f7c45"),
@@ -45,10 +45,10 @@ def spice_jar(draw: Draw) -> Design:
         body += front_panel(1.2 * radius, 0.34 * height, -0.9 * radius, 0.24 * height, label)
     cap = [(0.86 * radius, 0.78 * height), (0.86 * radius, height - 0.001), (0.86 * radius - 0.001, height)]
     captions = (f"a small {shape} jar of {spice}", f"spice jar with {spice}", f"{spice} in a jar with {an(lid)} lid")
-    return Design(body + banded_lathe(cap).painted(lid), "glass", color, captions, density=900.0)
+    return AssetDesign(body + banded_lathe(cap).painted(lid), "glass", color, captions, density=900.0)
 
 
-def can(draw: Draw) -> Design:
+def can(draw: VariantSampler) -> AssetDesign:
     """A tin of food with a paper label between its rims."""
     food, label, stripe, wide, tall = draw.pick(
         ("tomatoes", "#c23a2e", "white", 37.5, 110), ("tuna", "blue", "white", 42.5, 40), ("beans", "teal", "gold", 37.5, 110),
@@ -60,10 +60,10 @@ def can(draw: Draw) -> Design:
     body = banded_lathe([*bead, *((r, height - z) for r, z in reversed(bead))], bands)
     lid = banded_lathe([(0.86 * radius, height - 0.004), (0.86 * radius, height + 0.0005)]).painted("grey")
     captions = (f"a tin of {food}", f"metal can of {food}", f"canned {food} with {an(called(label))} label")
-    return Design(body + lid, "tin", "silver", captions, top=well(0.86 * radius, height + 0.0005))
+    return AssetDesign(body + lid, "tin", "silver", captions, top=well(0.86 * radius, height + 0.0005))
 
 
-def soda_can(draw: Draw) -> Design:
+def soda_can(draw: VariantSampler) -> AssetDesign:
     """A drink can, narrow at both ends."""
     drink, color, stripe = draw.pick(
         ("cola", "red", "white"), ("lemonade", "yellow", "green"), ("orange soda", "orange", "white"),
@@ -76,10 +76,10 @@ def soda_can(draw: Draw) -> Design:
     bands = [(0.009, color), (0.34 * height, stripe), (0.56 * height, color), (height - 0.013, "silver")]
     tab = bar([(-0.0095, 0.0), (0.0095, 0.0)], 0.011, 0.003).turned(z=90).moved(0.0, 0.004, height + 0.0002).painted("#84898e")
     captions = (f"a {'slim ' * slim}can of {drink}", f"closed {color} soda can", f"drink can, {color}")
-    return Design(banded_lathe(profile, bands) + tab, "tin", "silver", captions)
+    return AssetDesign(banded_lathe(profile, bands) + tab, "tin", "silver", captions)
 
 
-def milk_carton(draw: Draw) -> Design:
+def milk_carton(draw: VariantSampler) -> AssetDesign:
     """A carton with a gable top."""
     drink, color, paint = draw.pick(
         ("milk", "white", "blue"), ("orange juice", "orange", "white"), ("oat milk", "cream", "teal"),
@@ -95,10 +95,10 @@ def milk_carton(draw: Draw) -> Design:
         cap = banded_lathe([(0.0125, -0.003), (0.0125, 0.009), (0.0115, 0.01)], corners=24).turned(x=slope)
         solid += cap.moved(0.0, -0.26 * side, body + 0.2 * side).painted(paint)
     captions = (f"a carton of {drink}", f"{drink} carton with a gable top", f"square paper carton of {drink}")
-    return Design(solid, "paper", color, captions, density=1000.0)
+    return AssetDesign(solid, "paper", color, captions, density=1000.0)
 
 
-def cereal_box(draw: Draw) -> Design:
+def cereal_box(draw: VariantSampler) -> AssetDesign:
     """A tall flat cardboard box with a picture of a bowl on it."""
     food, color, panel, accent = draw.pick(
         ("corn flakes", "yellow", "white", "red"), ("granola", "#c39a6b", "cream", "green"), ("cocoa puffs", "brown", "yellow", "white"),
@@ -112,10 +112,10 @@ def cereal_box(draw: Draw) -> Design:
     parts = [box(width, depth, height), front_panel(0.86 * width, cut * height, face, 0.06 * height, panel), picture]
     parts.append(front_panel(0.7 * width, 0.11 * height, face, 0.76 * height, accent))
     captions = (f"a box of {food}", f"{called(color)} cereal box", f"cardboard box of {food} with a picture")
-    return Design(join(parts), "cardboard", color, captions, density=140.0)
+    return AssetDesign(join(parts), "cardboard", color, captions, density=140.0)
 
 
-def cheese(draw: Draw) -> Design:
+def cheese(draw: VariantSampler) -> AssetDesign:
     """A wedge of cheese, with holes, mould or a rind, its cut side to the viewer."""
     style, color, rind = pick_words(
         draw,
@@ -156,10 +156,10 @@ def cheese(draw: Draw) -> Design:
         "gouda": "hard cheese with a rind",
     }
     name = names[style]
-    return Design(join(parts), "food", color, (f"a wedge of {name}", f"piece of {name}", "cheese wedge"), density=1000.0)
+    return AssetDesign(join(parts), "food", color, (f"a wedge of {name}", f"piece of {name}", "cheese wedge"), density=1000.0)
 
 
-def egg(draw: Draw) -> Design:
+def egg(draw: VariantSampler) -> AssetDesign:
     """An egg on its side, or half of a boiled one."""
     r, stretch, is_half = draw.between(0.02, 0.0235), draw.between(1.24, 1.4), draw.pick(False, False, True)
     word, color = pick_words(
@@ -185,20 +185,20 @@ def egg(draw: Draw) -> Design:
             .painted("#eda93a")
         )
         captions = worded("half of a boiled egg", "halved hard-boiled egg with a yellow yolk", "boiled egg, cut side up")
-        return Design(dome + yolk, "fruit", "#f4f0e6", captions, density=1030.0)
+        return AssetDesign(dome + yolk, "fruit", "#f4f0e6", captions, density=1030.0)
     solid = lying_lathe([(x * stretch * r, y * r) for x, y in shape], corners=20)
-    return Design(
+    return AssetDesign(
         solid, "fruit", color, (f"a {word} egg", f"raw {word} egg", f"chicken egg with a {word} shell"), density=1030.0
     )
 
 
 FAMILIES = (
-    Family("jar", jar, (DINING, KITCHEN)),
-    Family("spice_jar", spice_jar, (DINING, KITCHEN)),
-    Family("can", can, (DINING, KITCHEN)),
-    Family("soda_can", soda_can, (DINING, COFFEE, KITCHEN)),
-    Family("milk_carton", milk_carton, (DINING, KITCHEN)),
-    Family("cereal_box", cereal_box, (DINING, KITCHEN)),
-    Family("cheese", cheese, (KITCHEN, DINING)),
-    Family("egg", egg, (KITCHEN, DINING)),
+    AssetFamily("jar", jar, (DINING, KITCHEN)),
+    AssetFamily("spice_jar", spice_jar, (DINING, KITCHEN)),
+    AssetFamily("can", can, (DINING, KITCHEN)),
+    AssetFamily("soda_can", soda_can, (DINING, COFFEE, KITCHEN)),
+    AssetFamily("milk_carton", milk_carton, (DINING, KITCHEN)),
+    AssetFamily("cereal_box", cereal_box, (DINING, KITCHEN)),
+    AssetFamily("cheese", cheese, (KITCHEN, DINING)),
+    AssetFamily("egg", egg, (KITCHEN, DINING)),
 )

@@ -5,12 +5,12 @@ import math
 import numpy as np
 
 from stable_data.embedded_world.families.tables import BATHROOM, COFFEE, DRESSING, OFFICE
-from stable_data.embedded_world.modelling.family import Design, Draw, Family
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import lying_body, round_body, scaled, square_body
 from stable_data.embedded_world.modelling.solids import bar, box, chain, join, loft, rectangle, slab
 
 
-def comb(draw: Draw) -> Design:
+def comb(draw: VariantSampler) -> AssetDesign:
     """A comb that lies flat along x, its teeth to -y."""
     length, depth = draw.between(0.15, 0.185), draw.between(0.03, 0.042)
     style = draw.pick("pocket", "wide-tooth", "tail", "pocket", "wide-tooth", "handled")
@@ -36,10 +36,10 @@ def comb(draw: Draw) -> Design:
         style
     ]
     captions = (f"{color} {words}", f"{color} comb", f"flat hair comb made of {material}")
-    return Design(join([*parts, *teeth]), material, color, captions)
+    return AssetDesign(join([*parts, *teeth]), material, color, captions)
 
 
-def hair_brush(draw: Draw) -> Design:
+def hair_brush(draw: VariantSampler) -> AssetDesign:
     """A hair brush on its back, its bristles up, its handle to -y."""
     length, width = draw.between(0.2, 0.24), draw.between(0.055, 0.078)
     style = draw.pick("paddle", "oval", "oval", "paddle", "oval", "paddle")
@@ -69,7 +69,7 @@ def hair_brush(draw: Draw) -> Design:
         f"{color} hairbrush",
         f"{style} brush with a {cushion} cushion",
     )
-    return Design(
+    return AssetDesign(
         join([back, pillow.painted(cushion), handle, *tufts]),
         "wood" if color in ("walnut", "bamboo") else "plastic",
         color,
@@ -78,7 +78,7 @@ def hair_brush(draw: Draw) -> Design:
     )
 
 
-def hair_dryer(draw: Draw) -> Design:
+def hair_dryer(draw: VariantSampler) -> AssetDesign:
     """A hair dryer that lies on its side, its nozzle to +x and its handle to -y."""
     length, radius = draw.between(0.17, 0.21), draw.between(0.036, 0.043)
     color = draw.pick("black", "white", "pink", "red", "navy", "purple")
@@ -102,10 +102,10 @@ def hair_dryer(draw: Draw) -> Design:
     switch = box(0.012, 0.03, 0.006, 0.002).moved(-0.03, -0.085, 0.0275).painted(accent)
     parts = [barrel, lying_body(mouth).painted(accent), dark.painted("black"), grill.painted("grey"), handle, switch]
     captions = (f"{color} hair dryer with a flat {accent} nozzle", f"{color} hairdryer on its side", "blow dryer for the hair")
-    return Design(join(parts), "plastic", color, captions, density=480.0)
+    return AssetDesign(join(parts), "plastic", color, captions, density=480.0)
 
 
-def razor(draw: Draw) -> Design:
+def razor(draw: VariantSampler) -> AssetDesign:
     """A razor that lies on its head and its handle's end, its head to -y."""
     length, width = draw.between(0.125, 0.15), draw.between(0.038, 0.044)
     color = draw.pick("blue", "silver", "pink", "black", "orange", "white")
@@ -128,7 +128,7 @@ def razor(draw: Draw) -> Design:
         f"{color} razor",
         "shaving razor, lying flat",
     )
-    return Design(
+    return AssetDesign(
         join([handle, head.painted("black" if color != "black" else "grey"), *grips, *blades, cap]).turned(z=180),
         "metal" if color == "silver" else "plastic",
         color,
@@ -136,7 +136,7 @@ def razor(draw: Draw) -> Design:
     )
 
 
-def cotton_jar(draw: Draw) -> Design:
+def cotton_jar(draw: VariantSampler) -> AssetDesign:
     """A jar full of cotton balls or of cotton buds."""
     radius, height = draw.between(0.036, 0.044), draw.between(0.07, 0.09)
     has_buds = draw.pick(False, True, False, True, False, False)
@@ -158,10 +158,10 @@ def cotton_jar(draw: Draw) -> Design:
         contents = [puff.moved(around * x, around * y, 0.0 if k else 0.33 * size) for k, (x, y) in enumerate(spots)]
     words = "cotton buds" if has_buds else "cotton balls"
     captions = (f"a jar of {words}, {color}", f"jar of {words}", f"{color} glass of {words} with a {rim} foot")
-    return Design(join([glass, foot, filling, *contents]), "glass", color, captions, density=500.0)
+    return AssetDesign(join([glass, foot, filling, *contents]), "glass", color, captions, density=500.0)
 
 
-def tissue_box(draw: Draw) -> Design:
+def tissue_box(draw: VariantSampler) -> AssetDesign:
     """A box of tissues, one of them standing out of the slot."""
     is_cube = draw.pick(False, True, False, True, False, False)
     width, depth, height = (
@@ -183,14 +183,14 @@ def tissue_box(draw: Draw) -> Design:
     parts = [body, slot.painted("black"), chain(rings).painted("white")] + ([band] if color != "bamboo" else [])
     kind = "cube" if is_cube else "long box"
     captions = (f"a {kind} of tissues, {color}, one tissue standing out", f"{color} tissue box", "box of paper tissues")
-    return Design(join(parts), "cardboard", color, captions, density=150.0)
+    return AssetDesign(join(parts), "cardboard", color, captions, density=150.0)
 
 
 FAMILIES = (
-    Family("comb", comb, (BATHROOM, DRESSING)),
-    Family("hair_brush", hair_brush, (BATHROOM, DRESSING)),
-    Family("hair_dryer", hair_dryer, (BATHROOM, DRESSING)),
-    Family("razor", razor, (BATHROOM,)),
-    Family("cotton_jar", cotton_jar, (BATHROOM, DRESSING)),
-    Family("tissue_box", tissue_box, (BATHROOM, DRESSING, COFFEE, OFFICE)),
+    AssetFamily("comb", comb, (BATHROOM, DRESSING)),
+    AssetFamily("hair_brush", hair_brush, (BATHROOM, DRESSING)),
+    AssetFamily("hair_dryer", hair_dryer, (BATHROOM, DRESSING)),
+    AssetFamily("razor", razor, (BATHROOM,)),
+    AssetFamily("cotton_jar", cotton_jar, (BATHROOM, DRESSING)),
+    AssetFamily("tissue_box", tissue_box, (BATHROOM, DRESSING, COFFEE, OFFICE)),
 )

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 from stable_data.embedded_world.families.tables import COFFEE, DRESSING, OFFICE
 from stable_data.embedded_world.families.wording import an
-from stable_data.embedded_world.modelling.family import Design, Draw, Family
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import arc_points, disc, panel, scaled, silhouette
 from stable_data.embedded_world.modelling.solids import Solid, bar, box, join, lathe, slab, turned_vessel
 
@@ -19,7 +19,7 @@ def _shade(low: float, high: float, height: float, wall: float = 0.003) -> Solid
     return turned_vessel(outer, inner).turned(x=180)
 
 
-def desk_lamp(draw: Draw) -> Design:
+def desk_lamp(draw: VariantSampler) -> AssetDesign:
     """A lamp to work by: with joints, a gooseneck, a bar of light or a green glass shade."""
     kind, high = draw.pick("jointed", "gooseneck", "bar", "banker's"), draw.between(0.32, 0.42)
     glass = draw.pick("green", "red", "blue")
@@ -54,10 +54,10 @@ def desk_lamp(draw: Draw) -> Design:
         solid = base + (arms + shade.moved(z=-0.082).turned(y=-32).moved(x, 0.0, z)).turned(z=-90)
     name = {"bar": "LED desk lamp", "banker's": f"banker's lamp with a {glass} shade"}.get(kind, f"{kind} desk lamp").lower()
     captions = (an(f"{color} {name}"), f"{color} desk lamp", "lamp to read by")
-    return Design(solid, "electronics", color, captions)
+    return AssetDesign(solid, "electronics", color, captions)
 
 
-def table_lamp(draw: Draw) -> Design:
+def table_lamp(draw: VariantSampler) -> AssetDesign:
     """A lamp with a fabric shade on a turned, a round or a square body."""
     kind, high = draw.pick("vase", "ball", "column", "block"), draw.between(0.3, 0.45)
     color = draw.pick("white", "blue", "oak", "teal", "terracotta", "black")
@@ -80,10 +80,10 @@ def table_lamp(draw: Draw) -> Design:
     name = shade if not shade.startswith("#") else "beige"
     material = "wood" if color == "oak" else "ceramic"
     captions = (f"a table lamp with {an(color)} {kind} base", f"{color} table lamp", f"lamp with a {name} shade")
-    return Design(join([solid, stem, cover, knob]), material, color, captions, density=1000.0)
+    return AssetDesign(join([solid, stem, cover, knob]), material, color, captions, density=1000.0)
 
 
 FAMILIES = (
-    Family("desk_lamp", desk_lamp, (OFFICE,)),
-    Family("table_lamp", table_lamp, (OFFICE, COFFEE, DRESSING)),
+    AssetFamily("desk_lamp", desk_lamp, (OFFICE,)),
+    AssetFamily("table_lamp", table_lamp, (OFFICE, COFFEE, DRESSING)),
 )

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from stable_data.embedded_world.families.tables import BATHROOM, DRESSING
-from stable_data.embedded_world.modelling.family import LYING, Design, Draw, Family, Space
+from stable_data.embedded_world.modelling.family import LYING, AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import front_panel, lying_body, round_body, square_body
 from stable_data.embedded_world.modelling.solids import Solid, box, chain, circle, join, loft, slab, vessel
 
 _GLASS = "#c3d9e4"  # a mirror
 
 
-def perfume(draw: Draw) -> Design:
+def perfume(draw: VariantSampler) -> AssetDesign:
     """A scent bottle: flat, square, round, a drum, with a stopper."""
     width, height = draw.between(0.05, 0.068), draw.between(0.06, 0.085)
     style = draw.pick("flat", "square", "drum", "round", "eight-sided", "tapered")
@@ -52,10 +52,10 @@ def perfume(draw: Draw) -> Design:
         f"{name} perfume bottle with a {metal} cap",
         "scent bottle with a stopper",
     )
-    return Design(join([glass, neck, cap, *label]), "glass", color, captions)
+    return AssetDesign(join([glass, neck, cap, *label]), "glass", color, captions)
 
 
-def lipstick(draw: Draw) -> Design:
+def lipstick(draw: VariantSampler) -> AssetDesign:
     """An open lipstick, its slanted tip out; or one with its cap on."""
     radius, low = draw.between(0.0095, 0.0115), draw.between(0.03, 0.038)
     case, metal = draw.pick("black", "gold", "white", "navy", "pink", "silver"), draw.pick("gold", "silver", "copper")
@@ -74,10 +74,10 @@ def lipstick(draw: Draw) -> Design:
     shade = "red" if color in ("red", "#8e2f3a") else "rose"
     first = f"{words}, {shade}, in a {case} case" if is_open else f"{words} in a {case} case"
     captions = (first, f"{case} lipstick", "lipstick standing on its base")
-    return Design(join([base, *parts]), "plastic", case, captions)
+    return AssetDesign(join([base, *parts]), "plastic", case, captions)
 
 
-def nail_polish(draw: Draw) -> Design:
+def nail_polish(draw: VariantSampler) -> AssetDesign:
     """A little bottle with a long cap."""
     half, low, cap = draw.between(0.014, 0.018), draw.between(0.03, 0.038), draw.between(0.03, 0.042)
     color = draw.pick("red", "pink", "purple", "teal", "#c2405f", "navy")
@@ -89,10 +89,10 @@ def nail_polish(draw: Draw) -> Design:
     lid = round_body([(0.5 * half, low - 0.001), (0.52 * half, low + 0.002), (0.36 * half, low + cap)], 24).painted(tint)
     name = {"#c2405f": "raspberry"}.get(color, color)
     captions = (f"a small {style} bottle of {name} nail polish", f"{name} nail polish", f"nail varnish with a {tint} cap")
-    return Design(join([glass, lid]), "glass", color, captions)
+    return AssetDesign(join([glass, lid]), "glass", color, captions)
 
 
-def cream_jar(draw: Draw) -> Design:
+def cream_jar(draw: VariantSampler) -> AssetDesign:
     """A low jar with a wide lid."""
     radius, height = draw.between(0.028, 0.038), draw.between(0.034, 0.052)
     color = draw.pick("white", "clear", "pink", "amber", "teal", "cream")
@@ -103,12 +103,16 @@ def cream_jar(draw: Draw) -> Design:
     cover = [(1.0, split - 0.001), (1.02, split + 0.002), (1.02, height - 0.002), (0.97, height)]
     top = round_body([(r * radius, z) for r, z in cover]).painted(lid)
     captions = (f"a low {color} jar of face cream with a {lid} lid", f"{color} cream jar", f"{style} pot of skin cream")
-    return Design(
-        join([round_body(belly), top]), "glass", color, captions, top=Space(1.3 * radius, 1.3 * radius, height, is_round=True)
+    return AssetDesign(
+        join([round_body(belly), top]),
+        "glass",
+        color,
+        captions,
+        top=SupportArea(1.3 * radius, 1.3 * radius, height, is_round=True),
     )
 
 
-def makeup_palette(draw: Draw) -> Design:
+def makeup_palette(draw: VariantSampler) -> AssetDesign:
     """An open palette of powders, its lid with a mirror leaning back."""
     width, depth = draw.between(0.1, 0.15), draw.between(0.06, 0.08)
     columns, rows = draw.pick((4, 2), (5, 3), (3, 1), (4, 3), (6, 2), (2, 1))
@@ -128,10 +132,10 @@ def makeup_palette(draw: Draw) -> Design:
     cover = join([lid, glass]).turned(x=180 - opening).moved(0.0, depth / 2 - 0.004, 0.009)
     words = f"an open {color} makeup palette with {columns * rows} powders"
     captions = (words, f"{color} eyeshadow palette", "open makeup palette with a mirror in its lid")
-    return Design(join([base, *pans, cover]), "plastic", color, captions)
+    return AssetDesign(join([base, *pans, cover]), "plastic", color, captions)
 
 
-def makeup_brush(draw: Draw) -> Design:
+def makeup_brush(draw: VariantSampler) -> AssetDesign:
     """A brush for powder or shadow, standing on its handle's end."""
     length, radius = draw.between(0.15, 0.19), draw.between(0.0045, 0.006)
     style = draw.pick("powder", "flat", "pointed", "powder", "fan", "small")
@@ -153,10 +157,10 @@ def makeup_brush(draw: Draw) -> Design:
     hair = flattened([(1.0, neck - 0.001, 1.0), *bulge]).painted(tint)
     kind = {"powder": "powder brush", "fan": "fan brush", "small": "eyeshadow brush"}.get(style, f"{style} makeup brush")
     captions = (f"{color} {kind} with a {metal} collar", f"{color} makeup brush", f"cosmetic brush, {style}")
-    return Design(join([handle, collar, hair]), "wood", color, captions, tilts=LYING)
+    return AssetDesign(join([handle, collar, hair]), "wood", color, captions, tilts=LYING)
 
 
-def brush_holder(draw: Draw) -> Design:
+def brush_holder(draw: VariantSampler) -> AssetDesign:
     """An open pot for makeup brushes, with a foot and a lower part of other colours."""
     radius, height, wall = draw.between(0.036, 0.045), draw.between(0.09, 0.12), 0.0034
     corners = draw.pick(48, 8, 48, 8, 48, 8)
@@ -174,16 +178,16 @@ def brush_holder(draw: Draw) -> Design:
         f"{name} brush holder",
         "open holder for cosmetic brushes",
     )
-    return Design(
+    return AssetDesign(
         join([pot, foot]),
         "glass" if color == "clear" else "ceramic",
         color,
         captions,
-        hollow=Space(free, free, 0.008, height - 0.008, is_round=True),
+        hollow=SupportArea(free, free, 0.008, height - 0.008, is_round=True),
     )
 
 
-def mirror(draw: Draw) -> Design:
+def mirror(draw: VariantSampler) -> AssetDesign:
     """A mirror on a stand, round, oval or square, leaning back a little."""
     radius, lean = draw.between(0.075, 0.1), draw.between(8, 13)
     style = draw.pick("round", "square", "oval", "round", "eight-sided", "oval")
@@ -202,10 +206,10 @@ def mirror(draw: Draw) -> Design:
     face = face.turned(x=90 - lean).moved(0.0, 0.004 + 0.85 * aside, 0.018 + rise + half)
     captions = (f"{style} table mirror on a {color} stand", f"{color} vanity mirror", f"{style} makeup mirror with a foot")
     material = "wood" if color == "walnut" else "metal"
-    return Design(join([foot, stem, face]), material, color, captions, density=1100.0)
+    return AssetDesign(join([foot, stem, face]), material, color, captions, density=1100.0)
 
 
-def hand_mirror(draw: Draw) -> Design:
+def hand_mirror(draw: VariantSampler) -> AssetDesign:
     """A mirror that lies on its back, its handle to -y."""
     radius, grip = draw.between(0.05, 0.062), draw.between(0.1, 0.13)
     style = draw.pick("round", "oval", "square", "oval", "round", "rounded")
@@ -226,17 +230,17 @@ def hand_mirror(draw: Draw) -> Design:
     ]
     handle = lying_body(shape, 16).turned(z=-90).moved(0.0, 0.008 - tall * radius)
     captions = (f"{style} {color} hand mirror lying on its back", f"{color} hand mirror", f"hand-held mirror, {style}")
-    return Design(face + handle, "wood" if color == "walnut" else "plastic", color, captions)
+    return AssetDesign(face + handle, "wood" if color == "walnut" else "plastic", color, captions)
 
 
 FAMILIES = (
-    Family("perfume", perfume, (BATHROOM, DRESSING)),
-    Family("lipstick", lipstick, (BATHROOM, DRESSING)),
-    Family("nail_polish", nail_polish, (BATHROOM, DRESSING)),
-    Family("cream_jar", cream_jar, (BATHROOM, DRESSING)),
-    Family("makeup_palette", makeup_palette, (BATHROOM, DRESSING)),
-    Family("makeup_brush", makeup_brush, (BATHROOM, DRESSING)),
-    Family("brush_holder", brush_holder, (BATHROOM, DRESSING)),
-    Family("mirror", mirror, (BATHROOM, DRESSING)),
-    Family("hand_mirror", hand_mirror, (BATHROOM, DRESSING)),
+    AssetFamily("perfume", perfume, (BATHROOM, DRESSING)),
+    AssetFamily("lipstick", lipstick, (BATHROOM, DRESSING)),
+    AssetFamily("nail_polish", nail_polish, (BATHROOM, DRESSING)),
+    AssetFamily("cream_jar", cream_jar, (BATHROOM, DRESSING)),
+    AssetFamily("makeup_palette", makeup_palette, (BATHROOM, DRESSING)),
+    AssetFamily("makeup_brush", makeup_brush, (BATHROOM, DRESSING)),
+    AssetFamily("brush_holder", brush_holder, (BATHROOM, DRESSING)),
+    AssetFamily("mirror", mirror, (BATHROOM, DRESSING)),
+    AssetFamily("hand_mirror", hand_mirror, (BATHROOM, DRESSING)),
 )

@@ -7,7 +7,7 @@ from stable_data.embedded_world.families.displays import digits
 from stable_data.embedded_world.families.palette import PAPER
 from stable_data.embedded_world.families.tables import OFFICE
 from stable_data.embedded_world.families.wording import an
-from stable_data.embedded_world.modelling.family import Design, Draw, Family, Space
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import hoop, panel, prism, scaled, silhouette
 from stable_data.embedded_world.modelling.solids import (
     Solid,
@@ -25,7 +25,7 @@ from stable_data.embedded_world.modelling.solids import (
 _MADE_OF = {"oak": "wood", "bamboo": "wood", "walnut": "wood", "kraft": "cardboard", "silver": "metal"}  # plastic otherwise
 
 
-def file_tray(draw: Draw) -> Design:
+def file_tray(draw: VariantSampler) -> AssetDesign:
     """A letter tray, one or two levels high, open to the viewer."""
     width, depth, levels = draw.between(0.245, 0.27), draw.between(0.32, 0.35), draw.pick(1, 2, 2)
     color = draw.pick("black", "white", "oak", "blue", "grey", "silver")
@@ -44,11 +44,11 @@ def file_tray(draw: Draw) -> Design:
         solid, floor = join([level, level.moved(z=pitch), join(posts).painted("grey")]), pitch + wall
     height = "two-tier" if levels == 2 else "single"
     captions = (an(f"{height} {color} letter tray"), f"{color} file tray", f"{height} tray for papers")
-    inside = Space(width - 2 * wall - 0.004, depth - 2 * wall - 0.002, floor, front - wall)
-    return Design(solid, material, color, captions, hollow=inside, density=1500.0 if material == "metal" else None)
+    inside = SupportArea(width - 2 * wall - 0.004, depth - 2 * wall - 0.002, floor, front - wall)
+    return AssetDesign(solid, material, color, captions, hollow=inside, density=1500.0 if material == "metal" else None)
 
 
-def file_holder(draw: Draw) -> Design:
+def file_holder(draw: VariantSampler) -> AssetDesign:
     """A magazine holder, its low side towards the viewer."""
     width, depth, height = draw.between(0.08, 0.12), draw.between(0.23, 0.27), draw.between(0.27, 0.32)
     color = draw.pick("white", "oak", "black", "blue", "kraft", "red")
@@ -63,11 +63,11 @@ def file_holder(draw: Draw) -> Design:
     label = panel(0.5 * width, 0.032, 0.0, PAPER).turned(x=90).moved(0.0, 0.0002 - depth / 2, 0.6 * low)
     solid = join([box(width - 0.002, depth - 0.002, 0.005), *walls, *ends, label])
     captions = (an(f"{color} {material} magazine holder"), f"{color} file holder", f"{material} magazine file")
-    inside = Space(width - 2 * wall - 0.001, depth - 2 * wall - 0.002, 0.005, low - 0.005)
-    return Design(solid, material, color, captions, hollow=inside, density=600.0)
+    inside = SupportArea(width - 2 * wall - 0.001, depth - 2 * wall - 0.002, 0.005, low - 0.005)
+    return AssetDesign(solid, material, color, captions, hollow=inside, density=600.0)
 
 
-def pen_holder(draw: Draw) -> Design:
+def pen_holder(draw: VariantSampler) -> AssetDesign:
     """An open cup for pens."""
     radius, height, kind = draw.between(0.034, 0.046), draw.between(0.085, 0.115), draw.pick("round", "square", "six-sided")
     color, second = draw.pick("black", "oak", "white", "silver", "teal", "red"), draw.pick("gold", "grey", "cream", "navy")
@@ -85,8 +85,8 @@ def pen_holder(draw: Draw) -> Design:
         cup += vessel(band, [circle(r - 0.0012, z, inside) for z in (0.004, 0.2 * height)]).painted(second)
     captions = (an(f"{kind} {color} pen holder"), f"{color} pen cup", f"{kind} {material} pencil holder")
     room = 2 * (r - wall) * math.cos(math.pi / inside) if kind != "square" else math.sqrt(2) * (r - wall)
-    space = Space(room, room, 0.006, height - 0.006, is_round=kind != "square")
-    return Design(cup.turned(z=45 if kind == "square" else 0), material, color, captions, hollow=space)
+    space = SupportArea(room, room, 0.006, height - 0.006, is_round=kind != "square")
+    return AssetDesign(cup.turned(z=45 if kind == "square" else 0), material, color, captions, hollow=space)
 
 
 def _tub(width: float, depth: float, height: float, wall: float, floor: float) -> Solid:
@@ -95,7 +95,7 @@ def _tub(width: float, depth: float, height: float, wall: float, floor: float) -
     return vessel([rectangle(width, depth, z) for z in (0.0, height)], inner)
 
 
-def desk_organizer(draw: Draw) -> Design:
+def desk_organizer(draw: VariantSampler) -> AssetDesign:
     """A desk tidy with compartments of several heights."""
     width, depth, high = draw.between(0.19, 0.26), draw.between(0.11, 0.14), draw.between(0.09, 0.115)
     color = draw.pick("black", "oak", "white", "bamboo", "teal", "silver")
@@ -110,7 +110,7 @@ def desk_organizer(draw: Draw) -> Design:
         ]
         bin_ = _tub(0.5 * width, 0.8 * depth, low, wall, floor).moved(0.36 * width)
         solid = join([*cups, bin_, _tub(1.2 * width, 1.1 * depth, 0.018, 0.003, 0.0052).moved(0.035 * width, 0.06 * depth)])
-        space = Space(2 * r - 0.01, 2 * r - 0.01, floor, high - floor, is_round=True, x=-0.34 * width, y=0.2 * depth)
+        space = SupportArea(2 * r - 0.01, 2 * r - 0.01, floor, high - floor, is_round=True, x=-0.34 * width, y=0.2 * depth)
     else:
         left = 0.4 * width
         tall = _tub(left, depth, high, wall, floor).moved((left - width) / 2)
@@ -127,13 +127,13 @@ def desk_organizer(draw: Draw) -> Design:
             drawer += lathe([(0.007, 0.0), (0.007, 0.012)])
             pieces = [body, drawer.turned(x=90).moved(x, 0.0008 - depth / 2, low / 2)]
         solid = join([tall, back, *pieces])
-        space = Space(left - 2 * wall - 0.001, depth - 2 * wall - 0.001, floor, high - floor, x=(left - width) / 2)
+        space = SupportArea(left - 2 * wall - 0.001, depth - 2 * wall - 0.001, floor, high - floor, x=(left - width) / 2)
     name = f"{color} desk organizer {kind}" if kind != "stepped" else f"stepped {color} desk organizer"
     captions = (an(f"{name}"), f"{color} desk organizer", f"{material} desk tidy with compartments")
-    return Design(solid, material, color, captions, hollow=space, density=1000.0 if material == "metal" else None)
+    return AssetDesign(solid, material, color, captions, hollow=space, density=1000.0 if material == "metal" else None)
 
 
-def stapler(draw: Draw) -> Design:
+def stapler(draw: VariantSampler) -> AssetDesign:
     """A stapler, its long side along x, its mouth on the left."""
     n, kind = draw.between(0.115, 0.17), draw.pick("desktop", "compact", "long-arm")
     color = draw.pick("black", "red", "blue", "grey", "teal", "pink")
@@ -146,10 +146,10 @@ def stapler(draw: Draw) -> Design:
     arm = scaled(shape, n, 0.001 * k)
     solid = join([base, hinge.painted("silver"), silhouette(rail, 0.4 * wide).painted("silver"), silhouette(arm, 0.78 * wide)])
     captions = (an(f"{color} {kind} stapler"), f"{color} stapler", f"{kind} office stapler")
-    return Design(solid, "metal", color, captions, density=1500.0)
+    return AssetDesign(solid, "metal", color, captions, density=1500.0)
 
 
-def tape_dispenser(draw: Draw) -> Design:
+def tape_dispenser(draw: VariantSampler) -> AssetDesign:
     """A heavy desk dispenser with a roll of clear tape, its cutter on the left."""
     n, roll, wide = draw.between(0.125, 0.165), draw.between(0.028, 0.034), draw.between(0.05, 0.06)
     color, core = draw.pick("black", "red", "white", "blue", "teal", "grey"), draw.pick("white", "orange", "blue")
@@ -166,10 +166,10 @@ def tape_dispenser(draw: Draw) -> Design:
     cheeks = [cheek.moved(y=y * 0.38 * wide) for y in (-1, 1)]
     solid = join([foot, head, *cheeks, hub, (tape + strip).painted("#e9dcae"), blade.painted("silver")])
     captions = (an(f"{color} tape dispenser with a roll of tape"), f"{color} tape dispenser", "desk tape dispenser")
-    return Design(solid, "plastic", color, captions, density=1300.0)
+    return AssetDesign(solid, "plastic", color, captions, density=1300.0)
 
 
-def scissors(draw: Draw) -> Design:
+def scissors(draw: VariantSampler) -> AssetDesign:
     """Scissors that lie flat, a little open, their points away from the viewer."""
     n, opening = draw.between(0.15, 0.22), draw.between(6.0, 24.0)
     color, blunt = draw.pick("orange", "black", "blue", "red", "green", "purple"), draw.pick(0.001, 0.004)
@@ -186,10 +186,10 @@ def scissors(draw: Draw) -> Design:
     pivot = lathe([(0.026 * n, 0.0), (0.026 * n, 0.0062)]).painted("grey")
     size = "large" if n > 0.185 else "small"
     captions = (f"a pair of {size} scissors with {color} handles", f"{color} scissors", f"{size} office scissors")
-    return Design(join([*halves, pivot]), "metal", color, captions)
+    return AssetDesign(join([*halves, pivot]), "metal", color, captions)
 
 
-def ruler(draw: Draw) -> Design:
+def ruler(draw: VariantSampler) -> AssetDesign:
     """A straight ruler that lies flat, its scale towards the viewer."""
     color = draw.pick("oak", "clear", "silver", "yellow", "blue", "bamboo")
     material = _MADE_OF.get(color, "plastic")
@@ -205,10 +205,10 @@ def ruler(draw: Draw) -> Design:
     ]
     line = panel(n - 0.012, 0.0014, thick, ink, y=0.42 * width, rise=0.0004)
     captions = (an(f"{centimetres} cm {color} {material} ruler"), f"{color} ruler", f"{material} ruler")
-    return Design(join([body, line, *marks]), material, color, captions)
+    return AssetDesign(join([body, line, *marks]), material, color, captions)
 
 
-def calculator(draw: Draw) -> Design:
+def calculator(draw: VariantSampler) -> AssetDesign:
     """A pocket or desk calculator that lies flat, its display at the back."""
     width, thick = draw.between(0.075, 0.13), draw.between(0.01, 0.016)
     depth = width * draw.between(1.25, 1.75)
@@ -232,10 +232,10 @@ def calculator(draw: Draw) -> Design:
         solid = solid.moved(y=0.46 * depth).turned(x=rise).moved(y=-0.46 * depth, z=0.0024)
         solid += silhouette(side, 0.92 * width).turned(z=90)
     captions = (an(f"{color} {size} calculator with {keys} keys"), f"{color} calculator", f"{size} calculator")
-    return Design(solid, "electronics", color, captions, density=700.0)
+    return AssetDesign(solid, "electronics", color, captions, density=700.0)
 
 
-def hole_punch(draw: Draw) -> Design:
+def hole_punch(draw: VariantSampler) -> AssetDesign:
     """A two-hole punch, its lever lifted at the viewer's side."""
     width, depth = draw.between(0.1, 0.13), draw.between(0.1, 0.13)
     color, lift = draw.pick("black", "blue", "red", "grey", "green", "white"), draw.between(0.022, 0.034)
@@ -248,18 +248,18 @@ def hole_punch(draw: Draw) -> Design:
     guide = box(0.5 * width, 0.014, 0.004).moved(0.62 * width, 0.34 * depth, 0.004).painted("silver")
     solid = join([base, metal, guide, silhouette(scaled(lever, depth, 1.0), 0.86 * width).turned(z=90)])
     captions = (an(f"{color} two-hole punch"), f"{color} hole punch", "hole punch with a lever", "paper punch for binders")
-    return Design(solid, "metal", color, captions, density=1300.0)
+    return AssetDesign(solid, "metal", color, captions, density=1300.0)
 
 
 FAMILIES = (
-    Family("file_tray", file_tray, (OFFICE,)),
-    Family("file_holder", file_holder, (OFFICE,)),
-    Family("pen_holder", pen_holder, (OFFICE,)),
-    Family("desk_organizer", desk_organizer, (OFFICE,)),
-    Family("stapler", stapler, (OFFICE,)),
-    Family("tape_dispenser", tape_dispenser, (OFFICE,)),
-    Family("scissors", scissors, (OFFICE,)),
-    Family("ruler", ruler, (OFFICE,)),
-    Family("calculator", calculator, (OFFICE,)),
-    Family("hole_punch", hole_punch, (OFFICE,)),
+    AssetFamily("file_tray", file_tray, (OFFICE,)),
+    AssetFamily("file_holder", file_holder, (OFFICE,)),
+    AssetFamily("pen_holder", pen_holder, (OFFICE,)),
+    AssetFamily("desk_organizer", desk_organizer, (OFFICE,)),
+    AssetFamily("stapler", stapler, (OFFICE,)),
+    AssetFamily("tape_dispenser", tape_dispenser, (OFFICE,)),
+    AssetFamily("scissors", scissors, (OFFICE,)),
+    AssetFamily("ruler", ruler, (OFFICE,)),
+    AssetFamily("calculator", calculator, (OFFICE,)),
+    AssetFamily("hole_punch", hole_punch, (OFFICE,)),
 )

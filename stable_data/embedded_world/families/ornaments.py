@@ -6,12 +6,12 @@ import numpy as np
 
 from stable_data.embedded_world.families.tables import COFFEE, DINING, DRESSING, OFFICE
 from stable_data.embedded_world.families.wording import an
-from stable_data.embedded_world.modelling.family import Design, Draw, Family, Space
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import arc_points, ellipsoid, panel, prism, round_body, scaled, silhouette
 from stable_data.embedded_world.modelling.solids import Solid, bar, box, circle, join, lathe, loft, rectangle, vessel
 
 
-def decor_tray(draw: Draw) -> Design:
+def decor_tray(draw: VariantSampler) -> AssetDesign:
     """A small tray with a low rim, round, oval or eight-sided, with or without grips."""
     radius, height = draw.between(0.1, 0.14), draw.between(0.018, 0.032)
     style = draw.pick("round", "oval", "eight-sided", "round", "oval", "footed")
@@ -36,13 +36,13 @@ def decor_tray(draw: Draw) -> Design:
         edge = 0.975 * radius * (0.975 if style == "oval" else 0.924) - wall / 2
         parts += [grip.turned(z=90).moved(side * edge).painted(metal) for side in (-1, 1)]
     free = 2 * (0.95 * radius - wall / flat) * math.cos(math.pi / inside)
-    hollow = Space(free, free * flat, base + rise, height - base, is_round=True)
+    hollow = SupportArea(free, free * flat, base + rise, height - base, is_round=True)
     material = "wood" if color in ("walnut", "bamboo") else "metal"
     captions = (f"{style} {color} tray with a low rim", f"small {color} tray", f"decorative {material} tray")
-    return Design(join(parts), material, color, captions, hollow=hollow, density=None if material == "wood" else 1500.0)
+    return AssetDesign(join(parts), material, color, captions, hollow=hollow, density=None if material == "wood" else 1500.0)
 
 
-def snow_globe(draw: Draw) -> Design:
+def snow_globe(draw: VariantSampler) -> AssetDesign:
     """A glass ball with snow and firs in it on a foot; what is inside stands out of the glass a little, to be seen."""
     radius, foot = draw.between(0.034, 0.046), draw.between(0.02, 0.032)
     color, band = draw.pick("walnut", "red", "gold", "navy", "black", "white"), draw.pick("gold", "silver", "cream")
@@ -76,10 +76,10 @@ def snow_globe(draw: Draw) -> Design:
         "glass ball with snow in it",
         "snow globe souvenir",
     )
-    return Design(join([base, glass, snow, *firs, *flakes]), "glass", color, captions)
+    return AssetDesign(join([base, glass, snow, *firs, *flakes]), "glass", color, captions)
 
 
-def bookend(draw: Draw) -> Design:
+def bookend(draw: VariantSampler) -> AssetDesign:
     """A bookend, its upright plate on the left: a bent plate, a wedge, an arch, with a ball or a cat."""
     width, depth, height = draw.between(0.09, 0.12), draw.between(0.085, 0.11), draw.between(0.12, 0.16)
     style = draw.pick("plate", "wedge", "ball", "arch", "cat", "stairs")
@@ -129,7 +129,7 @@ def bookend(draw: Draw) -> Design:
         style, f"bookend with a {style}" if style != "arch" else "bookend with an arch"
     )
     captions = (f"{color} {words}", f"{color} bookend", f"{material} stand that keeps books upright")
-    return Design(join(parts), material, color, captions, density=1000.0 if material == "wood" else 2200.0)
+    return AssetDesign(join(parts), material, color, captions, density=1000.0 if material == "wood" else 2200.0)
 
 
 _LANDS = (
@@ -148,7 +148,7 @@ def _land(radius: float, longitude: float, latitude: float, reach: float) -> Sol
     return loft(rings).turned(y=90 - latitude, z=longitude)
 
 
-def globe(draw: Draw) -> Design:
+def globe(draw: VariantSampler) -> AssetDesign:
     """A globe on a foot, its axis held by an arc."""
     r, tilt = draw.between(0.065, 0.12), 23.5
     sea = draw.pick("blue", "#cdb98a", "navy", "teal", "black", "#8fc0dd")
@@ -166,10 +166,10 @@ def globe(draw: Draw) -> Design:
     stem = lathe([(0.011, 0.015), (0.008, height - outside + 0.004)], 20)
     name = {"#cdb98a": "antique", "#8fc0dd": "pale blue"}.get(sea, sea)
     captions = (an(f"{name} globe on a {wood} stand"), f"{name} globe", "desk globe with the continents", "model of the earth")
-    return Design(whole + foot + stem, "plastic", wood, captions, density=280.0)
+    return AssetDesign(whole + foot + stem, "plastic", wood, captions, density=280.0)
 
 
-def photo_frame(draw: Draw) -> Design:
+def photo_frame(draw: VariantSampler) -> AssetDesign:
     """A picture frame that leans back on its strut."""
     width, height = draw.pick((0.13, 0.18), (0.18, 0.13), (0.15, 0.2), (0.1, 0.15), (0.25, 0.2), (0.15, 0.15))
     color, kind = draw.pick("oak", "black", "white", "silver", "walnut", "gold"), draw.pick("landscape", "portrait")
@@ -196,13 +196,13 @@ def photo_frame(draw: Draw) -> Design:
     strut = silhouette([(foot - 0.012, 0.0), (foot, 0.0), (y, up), (y - 0.06 * height * slope - 0.003, 0.6 * height)], 0.03)
     way = "landscape" if width > height else "upright"
     captions = (an(f"{color} photo frame with a {kind} picture"), f"{color} picture frame", f"{way} photo in {an(color)} frame")
-    return Design(frame + strut.turned(z=90), "wood", color, captions)
+    return AssetDesign(frame + strut.turned(z=90), "wood", color, captions)
 
 
 FAMILIES = (
-    Family("decor_tray", decor_tray, (COFFEE, DINING, DRESSING)),
-    Family("snow_globe", snow_globe, (COFFEE, OFFICE, DRESSING)),
-    Family("bookend", bookend, (OFFICE, COFFEE)),
-    Family("globe", globe, (OFFICE,)),
-    Family("photo_frame", photo_frame, (OFFICE, DRESSING)),
+    AssetFamily("decor_tray", decor_tray, (COFFEE, DINING, DRESSING)),
+    AssetFamily("snow_globe", snow_globe, (COFFEE, OFFICE, DRESSING)),
+    AssetFamily("bookend", bookend, (OFFICE, COFFEE)),
+    AssetFamily("globe", globe, (OFFICE,)),
+    AssetFamily("photo_frame", photo_frame, (OFFICE, DRESSING)),
 )

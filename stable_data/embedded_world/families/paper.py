@@ -6,7 +6,7 @@ from itertools import pairwise
 from stable_data.embedded_world.families.palette import NEON, PAPER
 from stable_data.embedded_world.families.tables import COFFEE, OFFICE
 from stable_data.embedded_world.families.wording import an
-from stable_data.embedded_world.modelling.family import ON_EDGE, Design, Draw, Family, Space
+from stable_data.embedded_world.modelling.family import ON_EDGE, AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import disc, hoop, panel, prism, scaled, silhouette
 from stable_data.embedded_world.modelling.solids import Solid, box, join, lathe
 from stable_data.scene import UPRIGHT
@@ -32,7 +32,7 @@ def _volume(length: float, width: float, thickness: float, cover: float, inset: 
     return join([*boards, back, pages.painted(_PAGES)])
 
 
-def book(draw: Draw) -> Design:
+def book(draw: VariantSampler) -> AssetDesign:
     """A closed book that lies flat, its spine towards the viewer and its head on the left."""
     length, thickness = draw.between(0.175, 0.28), draw.between(0.015, 0.045)
     width = length * draw.between(0.66, 0.8)
@@ -40,7 +40,7 @@ def book(draw: Draw) -> Design:
     color = draw.pick("navy", "red", "teal", "brown", "green", "purple")
     second = draw.pick("cream", "gold", "white", "orange")
     cover, inset = (0.0014, 0.0006) if kind == "paperback" else (0.0028, 0.004)
-    solid, top = _volume(length, width, thickness, cover, inset), Space(0.96 * length, 0.96 * width, thickness)
+    solid, top = _volume(length, width, thickness, cover, inset), SupportArea(0.96 * length, 0.96 * width, thickness)
     if kind == "old leather-bound":
         ridge = silhouette([(-0.003, 0.001), (0.006, 0.001), (0.006, thickness - 0.001), (-0.003, thickness - 0.001)], 0.006)
         ridge = ridge.turned(z=-90).turned(z=180).painted("gold")
@@ -50,12 +50,12 @@ def book(draw: Draw) -> Design:
         picture = panel(0.5 * length, 0.84 * width, thickness, draw.pick("grey", "cream", "white"), 0.16 * length)
         label = panel(0.4 * length, 0.5 * thickness, 0.0, second, -0.15 * length).turned(x=90)
         solid += title + picture + label.moved(y=-width / 2, z=thickness / 2)
-        top = Space(0.84 * length, 0.84 * width, thickness + 0.0008, x=-0.01 * length)
+        top = SupportArea(0.84 * length, 0.84 * width, thickness + 0.0008, x=-0.01 * length)
     captions = (an(f"{color} {kind} book"), f"{color} book", f"{kind} book with {an(color)} cover", "a book to read")
-    return Design(solid, "paper", color, captions, top=top, tilts=(UPRIGHT, ON_EDGE), density=600.0)
+    return AssetDesign(solid, "paper", color, captions, top=top, tilts=(UPRIGHT, ON_EDGE), density=600.0)
 
 
-def notebook(draw: Draw) -> Design:
+def notebook(draw: VariantSampler) -> AssetDesign:
     """A notebook that lies flat, its spine on the left."""
     length, thickness = draw.between(0.14, 0.297), draw.between(0.009, 0.02)
     width = length * draw.between(0.68, 0.78)
@@ -80,10 +80,10 @@ def notebook(draw: Draw) -> Design:
         f"notebook with {an(kind)}",
         "notebook for notes",
     )
-    return Design((solid + title).turned(z=-90), "paper", color, captions, density=550.0)
+    return AssetDesign((solid + title).turned(z=-90), "paper", color, captions, density=550.0)
 
 
-def magazine(draw: Draw) -> Design:
+def magazine(draw: VariantSampler) -> AssetDesign:
     """A magazine that lies closed, or open in the middle."""
     width, depth = draw.between(0.19, 0.22), draw.between(0.26, 0.295)
     color = draw.pick("red", "teal", "navy", "white", "yellow", "pink")
@@ -109,12 +109,12 @@ def magazine(draw: Draw) -> Design:
         at = (0.4 * width, 0.16 * depth, thick)
         boxes = [panel(*at, c, x * 0.23 * width, -0.34 * depth, 0.0006) for x, c in ((-1, second), (1, PAPER))]
         solid = join([pages, *covers, back, title, image, *boxes])
-        top = Space(0.8 * width, 0.8 * depth, thick + 0.0006)
+        top = SupportArea(0.8 * width, 0.8 * depth, thick + 0.0006)
     captions = (an(f"{kind} magazine with {an(color)} cover"), f"{color} magazine", f"{kind} magazine lying flat")
-    return Design(solid, "paper", color, captions, top=top, density=500.0)
+    return AssetDesign(solid, "paper", color, captions, top=top, density=500.0)
 
 
-def newspaper(draw: Draw) -> Design:
+def newspaper(draw: VariantSampler) -> AssetDesign:
     """A newspaper, folded flat or rolled up."""
     kind, width = draw.pick("folded", "twice-folded", "rolled"), draw.between(0.28, 0.36)
     depth, thick = width * draw.between(0.66, 0.76), draw.between(0.009, 0.016)
@@ -152,16 +152,16 @@ def newspaper(draw: Draw) -> Design:
             *(_lines(0.19 * width, 0.64 * depth, thick, 11, x * width, -0.09 * depth) for x in (0.13, 0.34)),
         ]
         solid = join([solid, *print_])
-        top = Space(0.8 * width, 0.8 * depth, thick + 0.0005)
+        top = SupportArea(0.8 * width, 0.8 * depth, thick + 0.0005)
     captions = (
         an(f"{kind} newspaper"),
         f"{kind} daily paper",
         "newspaper with a headline" if top else "paper in a rubber band",
     )
-    return Design(solid, "paper", color, captions, top=top, density=400.0)
+    return AssetDesign(solid, "paper", color, captions, top=top, density=400.0)
 
 
-def envelope(draw: Draw) -> Design:
+def envelope(draw: VariantSampler) -> AssetDesign:
     """An envelope or a pile of letters, lying flat."""
     width, kind = draw.between(0.16, 0.235), draw.pick("addressed", "sealed", "bundle")
     depth, thick = width * draw.between(0.5, 0.7), 0.0022
@@ -192,10 +192,10 @@ def envelope(draw: Draw) -> Design:
         "sealed": (an(f"{name} envelope with a wax seal"), f"{name} envelope", "sealed letter"),
         "addressed": (an(f"{name} envelope with a stamp"), f"{name} envelope", "letter ready to post"),
     }[kind]
-    return Design(solid, "paper", color, captions)
+    return AssetDesign(solid, "paper", color, captions)
 
 
-def paper_stack(draw: Draw) -> Design:
+def paper_stack(draw: VariantSampler) -> AssetDesign:
     """Sheets of paper on a pile."""
     width, depth = draw.pick((0.21, 0.297), (0.216, 0.279), (0.148, 0.21))
     kind, thick = draw.pick("neat", "untidy", "clipped"), draw.between(0.004, 0.012)
@@ -217,11 +217,11 @@ def paper_stack(draw: Draw) -> Design:
         solid += (silhouette(side, 0.03).turned(z=90) + lever).moved(x).painted("black")
     detail = {"neat": "neat stack", "untidy": "untidy pile", "clipped": "clipped bundle"}[kind]
     captions = (an(f"{detail} of printed papers"), "stack of papers", f"{detail} of documents", "sheets of paper with text")
-    top = Space(0.8 * width, 0.8 * depth, z + 0.0004) if kind == "neat" else None
-    return Design(solid, "paper", "#f0eee8", captions, top=top)
+    top = SupportArea(0.8 * width, 0.8 * depth, z + 0.0004) if kind == "neat" else None
+    return AssetDesign(solid, "paper", "#f0eee8", captions, top=top)
 
 
-def sticky_notes(draw: Draw) -> Design:
+def sticky_notes(draw: VariantSampler) -> AssetDesign:
     """A pad or a cube of sticky notes."""
     side, kind = draw.between(0.05, 0.078), draw.pick("pad", "cube", "set")
     name = draw.pick("yellow", "pink", "green", "orange", "blue", "purple")
@@ -252,11 +252,11 @@ def sticky_notes(draw: Draw) -> Design:
     text = "sticky note cube in several colors" if kind == "cube" else f"{name} sticky note {kind}"
     plain = "colorful sticky notes" if kind == "cube" else f"{name} sticky notes"
     captions = (an(text), plain, "sticky notes for reminders", "block of self-adhesive notes")
-    top = Space(0.9 * side, 0.9 * side, z) if kind == "cube" else None
-    return Design(solid, "paper", color, captions, top=top)
+    top = SupportArea(0.9 * side, 0.9 * side, z) if kind == "cube" else None
+    return AssetDesign(solid, "paper", color, captions, top=top)
 
 
-def binder(draw: Draw) -> Design:
+def binder(draw: VariantSampler) -> AssetDesign:
     """A ring binder, its spine towards the viewer when it stands."""
     length, width, thickness = 0.318, draw.between(0.26, 0.29), draw.between(0.045, 0.08)
     color = draw.pick("black", "blue", "red", "green", "grey", "yellow")
@@ -271,10 +271,10 @@ def binder(draw: Draw) -> Design:
     thick = "thick" if thickness > 0.06 else "slim"
     captions = (an(f"{thick} {color} ring binder"), f"{color} binder", f"{color} lever arch file", "binder full of papers")
     solid, tilts = join([*boards, back, sheets, arch, front]), draw.pick((ON_EDGE, UPRIGHT), (UPRIGHT, ON_EDGE))
-    return Design(solid, "cardboard", color, captions, tilts=tilts, density=400.0)
+    return AssetDesign(solid, "cardboard", color, captions, tilts=tilts, density=400.0)
 
 
-def clipboard(draw: Draw) -> Design:
+def clipboard(draw: VariantSampler) -> AssetDesign:
     """A clipboard with sheets under its clip, which is at the back."""
     width, depth = draw.between(0.22, 0.24), draw.between(0.31, 0.34)
     color, papers = draw.pick("brown", "black", "blue", "clear", "red", "oak"), draw.between(0.002, 0.008)
@@ -288,17 +288,17 @@ def clipboard(draw: Draw) -> Design:
     clip = join([jaw, roll, tab.moved(0.0, y, z + 0.005)]).painted("silver")
     material = "wood" if color in ("brown", "oak") else "plastic"
     captions = (an(f"{color} clipboard with sheets of paper"), f"{color} clipboard", "clipboard with a metal clip")
-    return Design(join([box(width, depth, 0.0035, 0.01), sheets, written, clip]), material, color, captions)
+    return AssetDesign(join([box(width, depth, 0.0035, 0.01), sheets, written, clip]), material, color, captions)
 
 
 FAMILIES = (
-    Family("book", book, (OFFICE, COFFEE)),
-    Family("notebook", notebook, (OFFICE,)),
-    Family("magazine", magazine, (OFFICE, COFFEE)),
-    Family("newspaper", newspaper, (OFFICE, COFFEE)),
-    Family("envelope", envelope, (OFFICE,)),
-    Family("paper_stack", paper_stack, (OFFICE,)),
-    Family("sticky_notes", sticky_notes, (OFFICE,)),
-    Family("binder", binder, (OFFICE,)),
-    Family("clipboard", clipboard, (OFFICE,)),
+    AssetFamily("book", book, (OFFICE, COFFEE)),
+    AssetFamily("notebook", notebook, (OFFICE,)),
+    AssetFamily("magazine", magazine, (OFFICE, COFFEE)),
+    AssetFamily("newspaper", newspaper, (OFFICE, COFFEE)),
+    AssetFamily("envelope", envelope, (OFFICE,)),
+    AssetFamily("paper_stack", paper_stack, (OFFICE,)),
+    AssetFamily("sticky_notes", sticky_notes, (OFFICE,)),
+    AssetFamily("binder", binder, (OFFICE,)),
+    AssetFamily("clipboard", clipboard, (OFFICE,)),
 )

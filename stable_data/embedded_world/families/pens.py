@@ -5,7 +5,7 @@ import math
 from stable_data.embedded_world.families.palette import NEON, PAPER
 from stable_data.embedded_world.families.tables import OFFICE
 from stable_data.embedded_world.families.wording import an
-from stable_data.embedded_world.modelling.family import LYING, Design, Draw, Family
+from stable_data.embedded_world.modelling.family import LYING, AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import panel, scaled, silhouette
 from stable_data.embedded_world.modelling.solids import Profile, Solid, box, join, lathe, loft, rectangle, slab
 from stable_data.scene import FloatArray
@@ -18,7 +18,7 @@ def _rod(profile: Profile, floor: float, corners: int = 12) -> Solid:
     return lathe(profile, corners).turned(z=turn).moved(y=reach - floor)
 
 
-def pen(draw: Draw) -> Design:
+def pen(draw: VariantSampler) -> AssetDesign:
     """A pen that stands on its end, its point up."""
     length, r = draw.between(0.132, 0.148), draw.between(0.0046, 0.0062)
     kind = draw.pick("click ballpoint", "stick ballpoint", "fountain")
@@ -47,10 +47,10 @@ def pen(draw: Draw) -> Design:
             (clip.moved(0.0, 1.4 * r, 0.58 * length) + root.moved(0.0, 1.2 * r, 0.84 * length)).painted(trim),
         ]
     captions = (an(f"{color} {kind} pen"), f"{color} pen", f"{kind} pen with {trim} trim", "pen to write with")
-    return Design(join(pieces), "plastic", color, captions, tilts=LYING)
+    return AssetDesign(join(pieces), "plastic", color, captions, tilts=LYING)
 
 
-def pencil(draw: Draw) -> Design:
+def pencil(draw: VariantSampler) -> AssetDesign:
     """A pencil that stands on its end, its point up."""
     length, kind = draw.between(0.09, 0.19), draw.pick("with an eraser", "plain", "carpenter's")
     color = draw.pick("yellow", "green", "red", "blue", "black", "orange")
@@ -77,10 +77,10 @@ def pencil(draw: Draw) -> Design:
         f"sharpened {size} {name}",
         "wooden pencil for drawing",
     )
-    return Design(solid, "wood", color, captions, tilts=LYING)
+    return AssetDesign(solid, "wood", color, captions, tilts=LYING)
 
 
-def marker(draw: Draw) -> Design:
+def marker(draw: VariantSampler) -> AssetDesign:
     """A capped felt-tip marker that stands on its end, its cap up."""
     length, r, kind = draw.between(0.118, 0.142), draw.between(0.0075, 0.01), draw.pick("permanent", "whiteboard", "felt-tip")
     color = draw.pick("black", "red", "blue", "green", "orange", "purple")
@@ -105,10 +105,10 @@ def marker(draw: Draw) -> Design:
         f"{kind} marker pen in {color}",
         "thick felt pen",
     )
-    return Design(solid.moved(z=lift), "plastic", color, captions, tilts=LYING)
+    return AssetDesign(solid.moved(z=lift), "plastic", color, captions, tilts=LYING)
 
 
-def highlighter(draw: Draw) -> Design:
+def highlighter(draw: VariantSampler) -> AssetDesign:
     """A flat highlighter that stands on its end, its cap up."""
     length, width, thick = draw.between(0.105, 0.128), draw.between(0.02, 0.028), draw.between(0.011, 0.015)
     name = draw.pick("yellow", "pink", "green", "orange", "blue", "purple")
@@ -124,10 +124,10 @@ def highlighter(draw: Draw) -> Design:
     label = panel(0.5 * width, 0.5 * cut, 0.0, "black" if not dark else color).turned(x=-90).moved(0.0, thick / 2, 0.48 * cut)
     body = body.painted("black") if dark else body
     captions = (an(f"{name} highlighter"), f"fluorescent {name} highlighter pen", f"{name} text marker with its cap on")
-    return Design(join([body, cap, clip, label]), "plastic", color, captions, tilts=LYING, density=600.0)
+    return AssetDesign(join([body, cap, clip, label]), "plastic", color, captions, tilts=LYING, density=600.0)
 
 
-def eraser(draw: Draw) -> Design:
+def eraser(draw: VariantSampler) -> AssetDesign:
     """A rubber, lying flat."""
     n, kind = draw.between(0.042, 0.065), draw.pick("sleeve", "slanted", "two-color")
     width, thick = n * draw.between(0.38, 0.48), draw.between(0.011, 0.016)
@@ -143,13 +143,13 @@ def eraser(draw: Draw) -> Design:
         end = box(0.36 * n + 0.0004, width - 0.0004, thick - 0.0002).moved(0.32 * n).painted(second)
         solid, text = slab(0.64 * n, width, thick, 0.001).moved(-0.18 * n) + end, f"with {an(second)} end"
     captions = (an(f"{color} eraser {text}"), f"{color} eraser", f"small {color} rubber {text}", "pencil eraser")
-    return Design(solid, "rubber", color, captions)
+    return AssetDesign(solid, "rubber", color, captions)
 
 
 FAMILIES = (
-    Family("pen", pen, (OFFICE,)),
-    Family("pencil", pencil, (OFFICE,)),
-    Family("marker", marker, (OFFICE,)),
-    Family("highlighter", highlighter, (OFFICE,)),
-    Family("eraser", eraser, (OFFICE,)),
+    AssetFamily("pen", pen, (OFFICE,)),
+    AssetFamily("pencil", pencil, (OFFICE,)),
+    AssetFamily("marker", marker, (OFFICE,)),
+    AssetFamily("highlighter", highlighter, (OFFICE,)),
+    AssetFamily("eraser", eraser, (OFFICE,)),
 )

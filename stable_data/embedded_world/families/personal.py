@@ -6,12 +6,12 @@ import numpy as np
 
 from stable_data.embedded_world.families.tables import BATHROOM, COFFEE, DRESSING, OFFICE
 from stable_data.embedded_world.families.wording import an
-from stable_data.embedded_world.modelling.family import Design, Draw, Family, Space
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import lying_body, round_body, silhouette
 from stable_data.embedded_world.modelling.solids import bar, box, join, lathe, loft, rectangle, slab, turned_vessel
 
 
-def watch(draw: Draw) -> Design:
+def watch(draw: VariantSampler) -> AssetDesign:
     """A wrist watch, on its cushion or flat with its strap along y."""
     radius, on_cushion = draw.between(0.017, 0.021), draw.pick(True, False, False, True, False, True)
     color = draw.pick("brown", "black", "navy", "silver", "red", "gold")
@@ -43,7 +43,7 @@ def watch(draw: Draw) -> Design:
             f"{color} watch on its cushion",
             f"{metal} watch with a {dial} dial",
         )
-        return Design(join(parts), "fabric", "cream" if color != "gold" else "black", captions, density=900.0)
+        return AssetDesign(join(parts), "fabric", "cream" if color != "gold" else "black", captions, density=900.0)
     long = draw.between(0.09, 0.105)
     strap = slab(wide, long, 0.0035, 0.001)
     strip = join([strap.moved(y=long / 2 + 0.5 * radius), strap.moved(y=-long / 2 - 0.5 * radius)])
@@ -53,10 +53,12 @@ def watch(draw: Draw) -> Design:
         + [slab(0.004, 0.016, 0.006, 0.001).moved(i * (wide / 2 + 0.001), 0.5 * radius + long - 0.006) for i in (-1, 1)]
     )
     captions = (f"a wrist watch with a {color} strap, lying flat", f"{color} watch", f"{metal} wristwatch with a {dial} dial")
-    return Design(join([strip, *loops, buckle.painted(metal), head.moved(z=0.0005)]), material, color, captions, density=1500.0)
+    return AssetDesign(
+        join([strip, *loops, buckle.painted(metal), head.moved(z=0.0005)]), material, color, captions, density=1500.0
+    )
 
 
-def sunglasses(draw: Draw) -> Design:
+def sunglasses(draw: VariantSampler) -> AssetDesign:
     """Folded sunglasses that lie on their arms, lenses up."""
     wide, high = draw.between(0.05, 0.056), draw.between(0.04, 0.05)
     style = draw.pick("round", "square", "oval", "square", "round", "oval")
@@ -89,10 +91,10 @@ def sunglasses(draw: Draw) -> Design:
     reach = gap / 2 + wide / 2 + 0.0035
     hinges = [box(0.006, 0.02, 0.0135).moved(side * reach, edge + 0.006, 0.0) for side in (-1, 1)]
     captions = (f"folded {color} sunglasses with {style} lenses", f"{color} sunglasses", f"{style} sunglasses, folded up")
-    return Design(join([front, *arms, *hinges]), "plastic", color, captions)
+    return AssetDesign(join([front, *arms, *hinges]), "plastic", color, captions)
 
 
-def wallet(draw: Draw) -> Design:
+def wallet(draw: VariantSampler) -> AssetDesign:
     """A wallet that lies flat: folded with notes in it, with a clasp, or a holder with cards."""
     style = draw.pick("folded", "long", "cards", "folded", "long", "cards")
     color, metal = draw.pick("brown", "black", "red", "navy", "#b08a5e", "teal"), draw.pick("gold", "silver")
@@ -108,7 +110,7 @@ def wallet(draw: Draw) -> Design:
         ]
         pocket = box(0.9 * width, 0.5 * depth, 0.0018).moved(0.0, -0.2 * depth, thick - 0.0006)
         captions: tuple[str, ...] = (f"a {name} card holder with three cards", f"{name} card wallet", "slim wallet with cards")
-        return Design(join([leaf, *cards, pocket]), "fabric", color, captions, density=800.0)
+        return AssetDesign(join([leaf, *cards, pocket]), "fabric", color, captions, density=800.0)
     upper = slab(width - 0.003, depth - 0.002, thick - 0.001, 0.0025).moved(0.001, 0.0, thick - 0.0005)
     spine = lying_body(
         [(x, 0.007, thick - 0.0012, thick - 0.0012) for x in (-depth / 2 + 0.002, depth / 2 - 0.002)], 16
@@ -124,10 +126,10 @@ def wallet(draw: Draw) -> Design:
         parts.append(round_body([(0.0065, top), (0.0065, top + 0.0035)], 16).moved(0.0, 0.008 - depth / 2).painted(metal))
         words = "long purse with a clasp"
     captions = (f"a {name} {words}", f"{name} leather wallet", f"{style} wallet")
-    return Design(join(parts), "fabric", color, captions, density=550.0)
+    return AssetDesign(join(parts), "fabric", color, captions, density=550.0)
 
 
-def glasses_case(draw: Draw) -> Design:
+def glasses_case(draw: VariantSampler) -> AssetDesign:
     """A closed hard case for glasses."""
     n, width, high = draw.between(0.15, 0.172), draw.between(0.056, 0.07), draw.between(0.034, 0.05)
     color, kind = draw.pick("black", "brown", "navy", "red", "teal", "grey"), draw.pick("clamshell", "flap", "clamshell")
@@ -150,10 +152,10 @@ def glasses_case(draw: Draw) -> Design:
         solid += flap.turned(z=90).painted("kraft") + snap.painted("silver")
         detail = "with a flap"
     captions = (an(f"{color} glasses case {detail}"), f"{color} glasses case", "hard case for spectacles")
-    return Design(solid, "plastic", color, captions, density=280.0)
+    return AssetDesign(solid, "plastic", color, captions, density=280.0)
 
 
-def jewelry_box(draw: Draw) -> Design:
+def jewelry_box(draw: VariantSampler) -> AssetDesign:
     """A box for jewels with a lid, or with drawers."""
     width, depth, height = draw.between(0.14, 0.2), draw.between(0.1, 0.14), draw.between(0.07, 0.11)
     drawers = draw.pick(0, 2, 1, 3, 0, 2)
@@ -176,17 +178,17 @@ def jewelry_box(draw: Draw) -> Design:
         parts.append(box(0.018, 0.005, 0.024).moved(0.0, -depth / 2 - 0.0005, 0.66 * height).painted(metal))
     words = f"with {drawers} drawer{'s' if drawers > 1 else ''}" if drawers else "with a lid and a clasp"
     captions = (f"a small {color} jewelry box {words}", f"{color} jewelry box", f"box for jewels, {metal} fittings")
-    return Design(
+    return AssetDesign(
         join([body, lid, *feet, *parts]),
         "wood",
         color,
         captions,
-        top=Space(width - 0.012, depth - 0.012, height),
+        top=SupportArea(width - 0.012, depth - 0.012, height),
         density=350.0,
     )
 
 
-def ring_dish(draw: Draw) -> Design:
+def ring_dish(draw: VariantSampler) -> AssetDesign:
     """A little dish for rings, some with a cone that a ring is on."""
     radius, height = draw.between(0.045, 0.058), draw.between(0.014, 0.022)
     has_cone = draw.pick(True, False, True, False, True, False)
@@ -196,7 +198,7 @@ def ring_dish(draw: Draw) -> Design:
         [(0.6 * radius, 0.0), (0.66 * radius, 0.002), (radius, height)], [(0.62 * radius, 0.005), (radius - 0.004, height)]
     )
     free = 1.2 * radius
-    hollow: Space | None = Space(free, free, 0.005, height - 0.005, is_round=True)
+    hollow: SupportArea | None = SupportArea(free, free, 0.005, height - 0.005, is_round=True)
     if has_cone:
         top = draw.between(0.055, 0.075)
         cone = round_body([(0.016, 0.004), (0.014, 0.009), (0.0035, top - 0.002), (0.002, top)], 24)
@@ -207,17 +209,17 @@ def ring_dish(draw: Draw) -> Design:
         words = f"with a cone and a {metal} ring"
     else:
         dish += round_body([(0.6 * radius, 0.004), (0.6 * radius, 0.0056)], 32).painted(metal)
-        hollow = Space(free - 0.004, free - 0.004, 0.0056, height - 0.0056, is_round=True)
+        hollow = SupportArea(free - 0.004, free - 0.004, 0.0056, height - 0.0056, is_round=True)
         words = f"with a {metal} bottom"
     captions = (f"a small {color} ring dish {words}", f"{color} trinket dish", "dish for rings and earrings")
-    return Design(dish, "ceramic", color, captions, hollow=hollow)
+    return AssetDesign(dish, "ceramic", color, captions, hollow=hollow)
 
 
 FAMILIES = (
-    Family("watch", watch, (OFFICE, DRESSING)),
-    Family("sunglasses", sunglasses, (COFFEE, OFFICE, DRESSING)),
-    Family("wallet", wallet, (COFFEE, OFFICE, DRESSING)),
-    Family("glasses_case", glasses_case, (OFFICE,)),
-    Family("jewelry_box", jewelry_box, (DRESSING,)),
-    Family("ring_dish", ring_dish, (BATHROOM, DRESSING)),
+    AssetFamily("watch", watch, (OFFICE, DRESSING)),
+    AssetFamily("sunglasses", sunglasses, (COFFEE, OFFICE, DRESSING)),
+    AssetFamily("wallet", wallet, (COFFEE, OFFICE, DRESSING)),
+    AssetFamily("glasses_case", glasses_case, (OFFICE,)),
+    AssetFamily("jewelry_box", jewelry_box, (DRESSING,)),
+    AssetFamily("ring_dish", ring_dish, (BATHROOM, DRESSING)),
 )

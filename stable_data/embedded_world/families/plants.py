@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from stable_data.embedded_world.families.tables import BATHROOM, COFFEE, DINING, DRESSING, OFFICE
-from stable_data.embedded_world.modelling.family import Design, Draw, Family, Space
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import ellipsoid, rod, round_body, scaled
 from stable_data.embedded_world.modelling.solids import Solid, bar, box, chain, circle, join, loft, vessel
 
@@ -28,7 +28,7 @@ def _vase(style: str, radius: float, height: float, corners: int = 48) -> Solid:
     return vessel([circle(r, z, corners) for r, z in profile], [circle(r, z, corners // 3) for r, z in inner])
 
 
-def vase(draw: Draw) -> Design:
+def vase(draw: VariantSampler) -> AssetDesign:
     """An empty vase."""
     radius, height = draw.between(0.05, 0.065), draw.between(0.17, 0.26)
     style = draw.pick(*_VASES)
@@ -48,10 +48,12 @@ def vase(draw: Draw) -> Design:
             glaze
         )
     captions = (f"an empty {color} vase, {style}", f"{color} ceramic vase", f"{style} vase without flowers")
-    hollow = Space(0.68 * radius, 0.68 * radius, 0.45 * height, 0.55 * height, is_round=True) if style == "trumpet" else None
+    hollow = (
+        SupportArea(0.68 * radius, 0.68 * radius, 0.45 * height, 0.55 * height, is_round=True) if style == "trumpet" else None
+    )
     if style == "cylinder":
-        hollow = Space(1.05 * radius - 0.008, 1.05 * radius - 0.008, 0.02 * height, 0.98 * height, is_round=True)
-    return Design(body, "ceramic", color, captions, hollow=hollow, density=900.0)
+        hollow = SupportArea(1.05 * radius - 0.008, 1.05 * radius - 0.008, 0.02 * height, 0.98 * height, is_round=True)
+    return AssetDesign(body, "ceramic", color, captions, hollow=hollow, density=900.0)
 
 
 _CORNERS = ((1, -1), (1, 1), (-1, 1), (-1, -1))
@@ -90,7 +92,7 @@ def _flower(kind: str, tint: str) -> Solid:
     return join([*(p.painted(tint) for p in petals), core.painted("#5a3b22" if kind == "sunflower" else "yellow")])
 
 
-def flower_vase(draw: Draw) -> Design:
+def flower_vase(draw: VariantSampler) -> AssetDesign:
     """A vase with cut flowers: tulips, roses, daisies, sunflowers."""
     radius, height, count = draw.between(0.046, 0.058), draw.between(0.13, 0.18), draw.pick(5, 6, 4, 3, 6, 5)
     style = draw.pick("cylinder", "bulbous", "urn", "slender", "gourd", "trumpet")
@@ -117,7 +119,7 @@ def flower_vase(draw: Draw) -> Design:
         parts.append(leaf.moved(z=height - 0.003))
     kind = {"daisy": "daisies", "rose": f"{tint} roses", "tulip": f"{tint} tulips", "sunflower": "sunflowers"}[flower]
     captions = (f"a {color} vase with {kind}", f"vase of {kind}", f"bunch of {kind} in a vase", f"{color} flower vase")
-    return Design(join(parts), "glass" if color == "clear" else "ceramic", color, captions, density=700.0)
+    return AssetDesign(join(parts), "glass" if color == "clear" else "ceramic", color, captions, density=700.0)
 
 
 def _pot(radius: float, height: float, style: str) -> Solid:
@@ -136,7 +138,7 @@ def _pot(radius: float, height: float, style: str) -> Solid:
     return pot + round_body([(inside, height - 0.002), (inside, height + 0.002)], 24).painted("#4c382b")
 
 
-def potted_plant(draw: Draw) -> Design:
+def potted_plant(draw: VariantSampler) -> AssetDesign:
     """A plant in a pot: upright blades, arching leaves, a bush, a rosette, round leaves, big leaves on stalks."""
     radius, height = draw.between(0.045, 0.065), draw.between(0.07, 0.11)
     kind = draw.pick("snake plant", "fern", "bush", "succulent", "pilea", "monstera")
@@ -178,10 +180,10 @@ def potted_plant(draw: Draw) -> Design:
     words = {"bush": "leafy bush", "pilea": "plant with round leaves", "monstera": "plant with big leaves"}.get(kind, kind)
     captions = (f"a {words} in a {color} pot", f"potted {kind}", "green house plant", f"small plant in a {color} pot")
     density = 400.0 if kind == "bush" else 800.0  # its foliage is modelled as full
-    return Design(_pot(radius, height, pot) + foliage, "ceramic", color, captions, density=density)
+    return AssetDesign(_pot(radius, height, pot) + foliage, "ceramic", color, captions, density=density)
 
 
-def cactus(draw: Draw) -> Design:
+def cactus(draw: VariantSampler) -> AssetDesign:
     """A cactus in a small pot: a ribbed globe, a column with arms, flat pads."""
     radius, height = draw.between(0.032, 0.043), draw.between(0.045, 0.065)
     kind = draw.pick("round", "saguaro", "prickly", "column", "round", "saguaro")
@@ -225,12 +227,12 @@ def cactus(draw: Draw) -> Design:
         "potted cactus",
         "desert plant in a pot",
     )
-    return Design(_pot(radius, height, pot) + plant.moved(z=height), "ceramic", color, captions, density=900.0)
+    return AssetDesign(_pot(radius, height, pot) + plant.moved(z=height), "ceramic", color, captions, density=900.0)
 
 
 FAMILIES = (
-    Family("vase", vase, (COFFEE, DINING, OFFICE)),
-    Family("flower_vase", flower_vase, (COFFEE, DINING, OFFICE, DRESSING)),
-    Family("potted_plant", potted_plant, (COFFEE, DINING, OFFICE, DRESSING, BATHROOM)),
-    Family("cactus", cactus, (COFFEE, OFFICE, DRESSING)),
+    AssetFamily("vase", vase, (COFFEE, DINING, OFFICE)),
+    AssetFamily("flower_vase", flower_vase, (COFFEE, DINING, OFFICE, DRESSING)),
+    AssetFamily("potted_plant", potted_plant, (COFFEE, DINING, OFFICE, DRESSING, BATHROOM)),
+    AssetFamily("cactus", cactus, (COFFEE, OFFICE, DRESSING)),
 )

@@ -7,7 +7,7 @@ import numpy as np
 from stable_data.embedded_world.families.tables import DINING, KITCHEN
 from stable_data.embedded_world.families.vessels import INSCRIBED, angular_grip, pouring_lip, side_grips, well
 from stable_data.embedded_world.families.wording import bare, pick_words, worded
-from stable_data.embedded_world.modelling.family import Design, Draw, Family, Space
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import disc, scaled
 from stable_data.embedded_world.modelling.solids import (
     Solid,
@@ -23,14 +23,14 @@ from stable_data.embedded_world.modelling.solids import (
 )
 
 
-def _pot(radius: float, height: float, foot: float, wall: float = 0.0035) -> tuple[Solid, Space]:
+def _pot(radius: float, height: float, foot: float, wall: float = 0.0035) -> tuple[Solid, SupportArea]:
     """A round pan and the room in it; ``foot`` is the share of the radius that it stands on."""
     low, floor = foot * radius, foot * radius - wall - 0.003
     outer = [(low - 0.006, 0.0), (low, 0.006), (radius, height)]
     return turned_vessel(outer, [(floor, 0.005), (radius - wall, height)]), well(floor, 0.005, height - 0.005, INSCRIBED)
 
 
-def saucepan(draw: Draw) -> Design:
+def saucepan(draw: VariantSampler) -> AssetDesign:
     """A pan with a long handle on its right."""
     r, h, reach = draw.between(0.072, 0.1), draw.between(0.065, 0.115), draw.between(0.14, 0.19)
     color, grip = pick_words(draw, "silver black, copper silver, red black, black oak, cream oak, navy silver")
@@ -40,10 +40,10 @@ def saucepan(draw: Draw) -> Design:
     lip = [pouring_lip(0.995 * r, h, 0.008, 0.03)] if draw.pick(True, False) else []
     kind = "milk pan with a pouring lip" if lip else "sauce pot with one handle"
     captions = worded(f"a {bare(color)} saucepan with a long {grip} handle", f"{color} saucepan", f"{color} {kind}")
-    return Design(join([pot, *lip, neck, handle]), "metal", color, captions, hollow=hollow)
+    return AssetDesign(join([pot, *lip, neck, handle]), "metal", color, captions, hollow=hollow)
 
 
-def frying_pan(draw: Draw) -> Design:
+def frying_pan(draw: VariantSampler) -> AssetDesign:
     """A low pan with sloping sides and a long handle on its right."""
     r, h, reach = draw.between(0.1, 0.145), draw.between(0.034, 0.052), draw.between(0.16, 0.2)
     color, grip, coat = pick_words(
@@ -58,11 +58,11 @@ def frying_pan(draw: Draw) -> Design:
     captions = worded(
         f"a {size} {bare(color)} frying pan with a {grip} handle", f"{color} skillet", f"{size} pan for eggs, {color}"
     )
-    hollow = Space(free, free, 0.006, h - 0.006, is_round=True)
-    return Design(join([pan, lining, neck, handle]), "metal", color, captions, hollow=hollow)
+    hollow = SupportArea(free, free, 0.006, h - 0.006, is_round=True)
+    return AssetDesign(join([pan, lining, neck, handle]), "metal", color, captions, hollow=hollow)
 
 
-def cooking_pot(draw: Draw) -> Design:
+def cooking_pot(draw: VariantSampler) -> AssetDesign:
     """An open pot with a grip on either side."""
     r, share = draw.between(0.095, 0.13), draw.pick(0.85, 1.4, 1.1)
     h = share * r + draw.between(-0.006, 0.006)
@@ -73,10 +73,10 @@ def cooking_pot(draw: Draw) -> Design:
     captions = worded(
         f"a {size} {bare(color)} cooking pot with two {grip} handles", f"{color} {kind}", f"open {color} pot for soup"
     )
-    return Design(pot + ears.painted(grip), "metal", color, captions, hollow=hollow)
+    return AssetDesign(pot + ears.painted(grip), "metal", color, captions, hollow=hollow)
 
 
-def pot_lid(draw: Draw) -> Design:
+def pot_lid(draw: VariantSampler) -> AssetDesign:
     """A domed lid with a knob; it lies on its rim."""
     r, dome = draw.between(0.08, 0.13), draw.between(0.014, 0.038)
     color, knob, style = pick_words(
@@ -92,10 +92,10 @@ def pot_lid(draw: Draw) -> Design:
     said, end = bare(color), f"a {bare(knob)} {'handle' if style == 'loop' else 'knob'}"
     captions = worded(f"a round {said} pot lid with {end}", f"{said} lid of a pot", f"saucepan lid with {end}")
     solid = join([rim.painted("silver" if color == "clear" else color), cap, grip.painted(knob)])
-    return Design(solid, "metal", color, captions, density=900.0)
+    return AssetDesign(solid, "metal", color, captions, density=900.0)
 
 
-def oven_dish(draw: Draw) -> Design:
+def oven_dish(draw: VariantSampler) -> AssetDesign:
     """A rectangular or oval baking dish with a grip at either end."""
     w, share, h = draw.between(0.2, 0.31), draw.between(0.62, 0.78), draw.between(0.048, 0.072)
     color, shape = pick_words(
@@ -116,8 +116,8 @@ def oven_dish(draw: Draw) -> Design:
     said = f"{bare(color)}{'' if color in ('clear', 'terracotta') else ' ceramic'}"
     name = f"a {shape} {said} oven dish"
     captions = worded(name, f"{color} baking dish", f"{color} dish for baking lasagne")
-    solid, hollow = join([vessel(outer, inner), ear, ear.turned(z=180)]), Space(free, share * free, 0.006, h - 0.006)
-    return Design(solid, "glass" if color == "clear" else "ceramic", color, captions, hollow=hollow)
+    solid, hollow = join([vessel(outer, inner), ear, ear.turned(z=180)]), SupportArea(free, share * free, 0.006, h - 0.006)
+    return AssetDesign(solid, "glass" if color == "clear" else "ceramic", color, captions, hollow=hollow)
 
 
 _BOWLS = {  # outside and hollow, shares of the radius and of the height
@@ -129,7 +129,7 @@ _BOWLS = {  # outside and hollow, shares of the radius and of the height
 }
 
 
-def mixing_bowl(draw: Draw) -> Design:
+def mixing_bowl(draw: VariantSampler) -> AssetDesign:
     """A wide open bowl; some have a pouring lip."""
     r, h = draw.between(0.1, 0.135), draw.between(0.085, 0.125)
     color, material, shape = pick_words(
@@ -144,10 +144,10 @@ def mixing_bowl(draw: Draw) -> Design:
     )
     hollow = well(inner[0][0], inner[0][1], h - inner[0][1], INSCRIBED)
     density = 1100.0 if material == "metal" else None  # steel bowls are thinner than these walls
-    return Design(join([turned_vessel(outer, inner), *lip]), material, color, captions, hollow=hollow, density=density)
+    return AssetDesign(join([turned_vessel(outer, inner), *lip]), material, color, captions, hollow=hollow, density=density)
 
 
-def colander(draw: Draw) -> Design:
+def colander(draw: VariantSampler) -> AssetDesign:
     """A bowl full of holes with a grip on either side."""
     r, h = draw.between(0.1, 0.13), draw.between(0.09, 0.12)
     color, low, wall = draw.pick("silver", "red", "white", "green", "blue", "yellow"), 0.6 * r, 0.005
@@ -168,10 +168,10 @@ def colander(draw: Draw) -> Design:
         join([bowl, join(holes).painted("black"), side_grips(r, h - 0.008, 0.03, 0.035)]),
         well(low - wall - 0.003, 0.022, h - 0.022, INSCRIBED),
     )
-    return Design(solid, "metal", color, captions, hollow=hollow, density=1800.0)
+    return AssetDesign(solid, "metal", color, captions, hollow=hollow, density=1800.0)
 
 
-def measuring_cup(draw: Draw) -> Design:
+def measuring_cup(draw: VariantSampler) -> AssetDesign:
     """A jug with marks and a lip on its left, or a scoop with a flat handle on its right."""
     style, color, mark = pick_words(
         draw, "jug clear red, scoop silver black, jug clear blue, scoop red white, jug white teal, scoop copper black"
@@ -190,10 +190,10 @@ def measuring_cup(draw: Draw) -> Design:
         grip = angular_grip(0.86 * r, 0.55 * h, 0.7 * r, 0.3 * h, 0.014, 0.009)
         solid, kind = join([cup, pouring_lip(0.995 * r, h, 0.012, 0.03), grip, join(marks).painted(mark)]), "jug with a handle"
     captions = worded(f"a {bare(color)} measuring cup, a {kind}", f"{bare(color)} measuring {style}", "cup for measuring flour")
-    return Design(solid, "glass" if color == "clear" else "plastic", color, captions, hollow=hollow)
+    return AssetDesign(solid, "glass" if color == "clear" else "plastic", color, captions, hollow=hollow)
 
 
-def mortar(draw: Draw) -> Design:
+def mortar(draw: VariantSampler) -> AssetDesign:
     """A thick bowl with a pestle that leans to the right."""
     r, share, is_waisted = draw.between(0.05, 0.068), draw.between(1.2, 1.5), draw.pick(False, True)
     color, tool, stone = pick_words(
@@ -208,17 +208,17 @@ def mortar(draw: Draw) -> Design:
     captions = worded(
         f"a {color} {stone} mortar with a pestle", f"{stone} mortar and pestle", f"{color} mortar for grinding spices"
     )
-    return Design(bowl + pestle.painted(tool), "wood" if stone == "wood" else "ceramic", color, captions)
+    return AssetDesign(bowl + pestle.painted(tool), "wood" if stone == "wood" else "ceramic", color, captions)
 
 
 FAMILIES = (
-    Family("saucepan", saucepan, (KITCHEN,)),
-    Family("frying_pan", frying_pan, (KITCHEN, DINING)),
-    Family("cooking_pot", cooking_pot, (KITCHEN, DINING)),
-    Family("pot_lid", pot_lid, (KITCHEN, DINING)),
-    Family("oven_dish", oven_dish, (KITCHEN, DINING)),
-    Family("mixing_bowl", mixing_bowl, (KITCHEN, DINING)),
-    Family("colander", colander, (KITCHEN,)),
-    Family("measuring_cup", measuring_cup, (KITCHEN,)),
-    Family("mortar", mortar, (KITCHEN,)),
+    AssetFamily("saucepan", saucepan, (KITCHEN,)),
+    AssetFamily("frying_pan", frying_pan, (KITCHEN, DINING)),
+    AssetFamily("cooking_pot", cooking_pot, (KITCHEN, DINING)),
+    AssetFamily("pot_lid", pot_lid, (KITCHEN, DINING)),
+    AssetFamily("oven_dish", oven_dish, (KITCHEN, DINING)),
+    AssetFamily("mixing_bowl", mixing_bowl, (KITCHEN, DINING)),
+    AssetFamily("colander", colander, (KITCHEN,)),
+    AssetFamily("measuring_cup", measuring_cup, (KITCHEN,)),
+    AssetFamily("mortar", mortar, (KITCHEN,)),
 )

@@ -9,7 +9,7 @@ import numpy as np
 from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN
 from stable_data.embedded_world.families.vessels import Bands, banded_lathe, cup, radius_at, round_handle, square_handle, well
 from stable_data.embedded_world.families.wording import an, called
-from stable_data.embedded_world.modelling.family import Design, Draw, Family, Space
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import scaled
 from stable_data.embedded_world.modelling.solids import (
     Profile,
@@ -45,7 +45,7 @@ def _lidded(profile: Profile, bands: Bands, knob: float, color: str) -> Solid:
     return banded_lathe(profile, bands) + banded_lathe([(knob * r, top + knob * z) for r, z in ball], corners=24).painted(color)
 
 
-def teapot(draw: Draw) -> Design:
+def teapot(draw: VariantSampler) -> AssetDesign:
     """A pot with a spout on its left, a handle on its right and a lid."""
     style, belly, foot, rise = draw.pick(
         ("round", 0.5, 0.62, 1.5), ("tall", 0.3, 0.8, 2.0), ("squat", 0.45, 0.75, 1.15), ("straight-sided", 0.12, 0.98, 1.5)
@@ -66,10 +66,10 @@ def teapot(draw: Draw) -> Design:
     low, top = ((radius_at(profile, z * high) - 0.006, z * high) for z in (0.26, 0.84))
     handle = round_handle(low, top, draw.between(0.55, 0.7) * radius, 0.013, 0.009)
     captions = (f"{an(style)} {name} teapot with a lid", f"{name} tea pot with a spout", f"{style} ceramic teapot")
-    return Design(join([pot, handle, _spout(tube)]), "ceramic", color, captions, density=620.0)
+    return AssetDesign(join([pot, handle, _spout(tube)]), "ceramic", color, captions, density=620.0)
 
 
-def pitcher(draw: Draw) -> Design:
+def pitcher(draw: VariantSampler) -> AssetDesign:
     """An open jug with a lip on its left and a handle on its right."""
     style, foot, waist = draw.pick(("slender", 0.86, 0.84), ("bellied", 1.0, 0.72), ("conical", 1.06, 0.88))
     color, material = draw.pick(
@@ -87,10 +87,10 @@ def pitcher(draw: Draw) -> Design:
     handle = draw.pick(round_handle, square_handle)(low, high, draw.between(0.036, 0.045), 0.015, 0.009)
     captions = (f"a {style} {name} pitcher with a handle", f"{name} jug for water or juice", f"open {name} pitcher")
     solid, hollow = join([cup(outer, inner), handle, hull(np.array(beak))]), well(inner[1][0], floor, height - floor)
-    return Design(solid, material, color, captions, hollow=hollow, density=1400.0)
+    return AssetDesign(solid, material, color, captions, hollow=hollow, density=1400.0)
 
 
-def sugar_bowl(draw: Draw) -> Design:
+def sugar_bowl(draw: VariantSampler) -> AssetDesign:
     """A small lidded pot with two ears."""
     color, lid = draw.pick(
         ("white", "gold"), ("blue", "white"), ("cream", "brown"), ("pink", "white"), ("grey", "oak"), ("white", "green")
@@ -103,10 +103,10 @@ def sugar_bowl(draw: Draw) -> Design:
     side = round_handle(low, top, 0.013, 0.007, 0.005)
     captions = (f"a {color} sugar bowl with {an(lid)} lid", f"{color} sugar pot with two handles", f"{color} ceramic sugar jar")
     solid = join([_lidded(profile, [(high, lid)], 0.007, lid), side, side.turned(z=180)])
-    return Design(solid, "ceramic", color, captions, density=950.0)
+    return AssetDesign(solid, "ceramic", color, captions, density=950.0)
 
 
-def salt_shaker(draw: Draw) -> Design:
+def salt_shaker(draw: VariantSampler) -> AssetDesign:
     """A small shaker with holes in its cap."""
     style, color, cap = draw.pick(
         ("glass", "clear", "silver"), ("ceramic", "white", "white"), ("wood", "oak", "silver"),
@@ -125,10 +125,10 @@ def salt_shaker(draw: Draw) -> Design:
     word = {"wood": "wooden", "metal": "steel"}.get(style, style)
     salt = style == "glass"
     captions = (f"a small {word} salt shaker", f"{word} shaker full of salt", f"{word} salt cellar with holes in its {cap} top")
-    return Design(join([body, banded_lathe(dome).painted(cap), *ring]), style, "white" if salt else color, captions)
+    return AssetDesign(join([body, banded_lathe(dome).painted(cap), *ring]), style, "white" if salt else color, captions)
 
 
-def pepper_mill(draw: Draw) -> Design:
+def pepper_mill(draw: VariantSampler) -> AssetDesign:
     """A turned mill with a waist, a head and a knob."""
     color, head = draw.pick(
         ("walnut", "walnut"), ("oak", "oak"), ("black", "black"), ("oak", "black"), ("white", "oak"), ("red", "red")
@@ -140,10 +140,10 @@ def pepper_mill(draw: Draw) -> Design:
     knob = banded_lathe(scaled([(0.2, 0.92), (0.34, 0.95), (0.22, 1.0)], radius, height), corners=16)
     size, word = "tall" if height > 0.185 else "short", {"walnut": "dark wooden", "oak": "wooden"}.get(color, color)
     captions = (f"a {size} {word} pepper mill", f"{word} pepper grinder with a metal knob", f"turned {word} mill for pepper")
-    return Design(join([body, top, knob.painted("silver")]), "wood", color, captions)
+    return AssetDesign(join([body, top, knob.painted("silver")]), "wood", color, captions)
 
 
-def serving_tray(draw: Draw) -> Design:
+def serving_tray(draw: VariantSampler) -> AssetDesign:
     """A low tray, oblong with two grips or round."""
     color, word, material = draw.pick(
         ("oak", "wooden", "wood"), ("black", "black", "wood"), ("white", "white", "wood"),
@@ -163,13 +163,13 @@ def serving_tray(draw: Draw) -> Design:
         grip = bar(arch, width=0.01, thickness=0.01).turned(z=90).painted(draw.pick("black", "gold", "brown"))
         solid = join([solid, *(grip.moved(side * (width - wall) / 2, 0.0, height) for side in (-1, 1))])
         clear = sizes[0][0] + 0.013  # the corners are cut off
-        top = Space(width - clear, depth - clear, floor)
+        top = SupportArea(width - clear, depth - clear, floor)
     captions = (f"{an(shape)} {word} serving tray", f"{word} tray with a low rim", f"{word} tray for carrying drinks")
     density = 800.0 if material == "metal" else None
-    return Design(solid, material, color, captions, top, replace(top, height=height - floor), density=density)
+    return AssetDesign(solid, material, color, captions, top, replace(top, height=height - floor), density=density)
 
 
-def butter_dish(draw: Draw) -> Design:
+def butter_dish(draw: VariantSampler) -> AssetDesign:
     """A flat dish under an oblong lid with a knob."""
     color, lid, word = draw.pick(
         ("white", "white", "white"), ("oak", "white", "wooden and white"), ("blue", "cream", "blue and cream"),
@@ -182,10 +182,10 @@ def butter_dish(draw: Draw) -> Design:
     cover = loft([rectangle(width - e, depth - e, z, 0.01) for e, z in sides]).painted(lid)
     knob = slab(draw.between(0.024, 0.05), 0.018, 0.016, 0.004).moved(z=top - 0.001).painted("oak" if lid == "clear" else lid)
     captions = (f"{an(word)} butter dish with a lid", f"covered {word} butter dish", "lidded dish for butter")
-    return Design(join([base, cover, knob]), "ceramic", color, captions, density=700.0)
+    return AssetDesign(join([base, cover, knob]), "ceramic", color, captions, density=700.0)
 
 
-def cake_stand(draw: Draw) -> Design:
+def cake_stand(draw: VariantSampler) -> AssetDesign:
     """A flat round plate on a foot."""
     color, word, material = draw.pick(
         ("white", "white", "ceramic"), ("pink", "pink", "ceramic"), ("oak", "wooden", "wood"),
@@ -198,16 +198,16 @@ def cake_stand(draw: Draw) -> Design:
     profile += [(radius, height - 0.001), (radius - 0.001, height)]
     captions = (f"a {word} cake stand", f"round {word} cake plate on a foot", f"{word} stand for cakes")
     density = None if material == "wood" else 1100.0
-    return Design(banded_lathe(profile), material, color, captions, top=well(radius - 0.001, height), density=density)
+    return AssetDesign(banded_lathe(profile), material, color, captions, top=well(radius - 0.001, height), density=density)
 
 
 FAMILIES = (
-    Family("teapot", teapot, (DINING, COFFEE, KITCHEN)),
-    Family("pitcher", pitcher, (DINING, COFFEE, KITCHEN)),
-    Family("sugar_bowl", sugar_bowl, (DINING, COFFEE, KITCHEN)),
-    Family("salt_shaker", salt_shaker, (DINING, KITCHEN)),
-    Family("pepper_mill", pepper_mill, (DINING, KITCHEN)),
-    Family("serving_tray", serving_tray, (DINING, COFFEE, KITCHEN)),
-    Family("butter_dish", butter_dish, (DINING, KITCHEN)),
-    Family("cake_stand", cake_stand, (DINING, COFFEE, KITCHEN)),
+    AssetFamily("teapot", teapot, (DINING, COFFEE, KITCHEN)),
+    AssetFamily("pitcher", pitcher, (DINING, COFFEE, KITCHEN)),
+    AssetFamily("sugar_bowl", sugar_bowl, (DINING, COFFEE, KITCHEN)),
+    AssetFamily("salt_shaker", salt_shaker, (DINING, KITCHEN)),
+    AssetFamily("pepper_mill", pepper_mill, (DINING, KITCHEN)),
+    AssetFamily("serving_tray", serving_tray, (DINING, COFFEE, KITCHEN)),
+    AssetFamily("butter_dish", butter_dish, (DINING, KITCHEN)),
+    AssetFamily("cake_stand", cake_stand, (DINING, COFFEE, KITCHEN)),
 )

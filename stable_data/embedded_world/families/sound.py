@@ -6,12 +6,12 @@ from stable_data.embedded_world.families.displays import digits
 from stable_data.embedded_world.families.palette import DARK_GLASS
 from stable_data.embedded_world.families.tables import COFFEE, OFFICE
 from stable_data.embedded_world.families.wording import an
-from stable_data.embedded_world.modelling.family import Design, Draw, Family
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import arc_points, disc, panel, scaled, silhouette
 from stable_data.embedded_world.modelling.solids import bar, box, join, lathe, slab
 
 
-def headphones(draw: Draw) -> Design:
+def headphones(draw: VariantSampler) -> AssetDesign:
     """Headphones, folded flat on the table or hung on a stand."""
     kind, reach = draw.pick("flat", "stand"), draw.between(0.072, 0.082)
     color, second = draw.pick("black", "white", "red", "silver", "blue", "pink"), draw.pick("#4a4f55", "cream", "brown")
@@ -33,10 +33,10 @@ def headphones(draw: Draw) -> Design:
         solid = hung.moved(z=high + 0.03 - 1.06 * reach + 0.006) + join(metal).painted(draw.pick("oak", "silver", "black"))
     where = "on a stand" if kind == "stand" else "lying flat"
     captions = (f"{color} headphones {where}", f"{color} headphones", f"over-ear headphones {where}")
-    return Design(solid, "plastic", color, captions, density=600.0)
+    return AssetDesign(solid, "plastic", color, captions, density=600.0)
 
 
-def speaker(draw: Draw) -> Design:
+def speaker(draw: VariantSampler) -> AssetDesign:
     """A loudspeaker: a shelf box, a portable cylinder or a smart speaker."""
     kind, r = draw.pick("bookshelf", "portable", "smart"), draw.between(0.034, 0.045)
     color = draw.pick("black", "walnut", "grey", "white", "red", "blue")
@@ -74,10 +74,10 @@ def speaker(draw: Draw) -> Design:
         solid = join([solid, rubber, *(dot.turned(z=turn) for turn in (0, 90, 180, 270))])
         name = "smart speaker with a light ring"
     captions = (an(f"{color} {name}"), f"{color} speaker", f"{kind} loudspeaker")
-    return Design(solid, "electronics", color, captions, density=600.0)
+    return AssetDesign(solid, "electronics", color, captions, density=600.0)
 
 
-def microphone(draw: Draw) -> Design:
+def microphone(draw: VariantSampler) -> AssetDesign:
     """A microphone on a desk stand."""
     kind, r = draw.pick("capsule", "ball-head", "studio"), draw.between(0.022, 0.03)
     color, mesh = draw.pick("black", "silver", "white", "red"), draw.pick("grey", "silver", "gold")
@@ -103,10 +103,10 @@ def microphone(draw: Draw) -> Design:
         head = join([body, grille, bar(yoke, 0.014, 0.006, 8), pin]).moved(z=stem + 0.6 * r)
     rod = lathe([(0.006, 0.01), (0.006, stem + 0.004)]).painted("grey")
     captions = (an(f"{color} {kind} microphone on a desk stand"), f"{color} microphone", "microphone for recording a voice")
-    return Design(join([base, rod, head]), "electronics", color, captions)
+    return AssetDesign(join([base, rod, head]), "electronics", color, captions)
 
 
-def radio(draw: Draw) -> Design:
+def radio(draw: VariantSampler) -> AssetDesign:
     """A portable radio with a handle or an aerial."""
     kind, width = draw.pick("retro", "portable", "clock"), draw.between(0.17, 0.25)
     high, depth = width * {"retro": 0.66, "portable": 0.56, "clock": 0.42}[kind], width * draw.between(0.3, 0.38)
@@ -138,12 +138,12 @@ def radio(draw: Draw) -> Design:
         solid += rod.moved(0.38 * width, 0.3 * depth, high - 0.006).painted("silver")
     detail = "a handle" if kind == "retro" else "a silver aerial"
     captions = (an(f"{color} {kind} radio with {detail}"), f"{color} radio", f"{kind} radio")
-    return Design(solid, "electronics", color, captions, density=450.0)
+    return AssetDesign(solid, "electronics", color, captions, density=450.0)
 
 
 FAMILIES = (
-    Family("headphones", headphones, (OFFICE,)),
-    Family("speaker", speaker, (OFFICE, COFFEE)),
-    Family("microphone", microphone, (OFFICE,)),
-    Family("radio", radio, (OFFICE,)),
+    AssetFamily("headphones", headphones, (OFFICE,)),
+    AssetFamily("speaker", speaker, (OFFICE, COFFEE)),
+    AssetFamily("microphone", microphone, (OFFICE,)),
+    AssetFamily("radio", radio, (OFFICE,)),
 )

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 from stable_data.embedded_world.families.palette import WINDOW
 from stable_data.embedded_world.families.tables import BATHROOM, COFFEE, OFFICE
-from stable_data.embedded_world.modelling.family import Design, Draw, Family, Space
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import arc_points, ellipsoid, rod, round_body, silhouette
 from stable_data.embedded_world.modelling.solids import Solid, box, chain, circle, join, loft, rectangle, slab
 
@@ -51,36 +51,36 @@ def _arch(size: float) -> Solid:
     return join(parts)
 
 
-def toy_block(draw: Draw) -> Design:
+def toy_block(draw: VariantSampler) -> AssetDesign:
     """A building block: a cube with letters, a brick with studs, a column, a roof, an arch."""
     size = draw.between(0.035, 0.05)
     kind = draw.pick("cube", "studs", "column", "roof", "arch", "cube")
     color, accent = draw.pick("oak", "red", "blue", "yellow", "green", "#e9c79a"), draw.pick("red", "blue", "green", "purple")
     name = {"#e9c79a": "pale"}.get(color, color)
-    top: Space | None = None
+    top: SupportArea | None = None
     if kind == "cube":
         letter = draw.pick(*"HTLE")
         body = _letter_cube(size, letter, accent)
-        words, top = f"cube with the letter {letter.lower()}", Space(0.88 * size, 0.88 * size, size)
+        words, top = f"cube with the letter {letter.lower()}", SupportArea(0.88 * size, 0.88 * size, size)
     elif kind == "studs":
         body, words = _studded_brick(size), "brick with eight studs"
     elif kind == "column":
         body = round_body([(0.46 * size, 0.0), (0.46 * size, 1.6 * size)])
-        words, top = "round column", Space(0.8 * size, 0.8 * size, 1.6 * size, is_round=True)
+        words, top = "round column", SupportArea(0.8 * size, 0.8 * size, 1.6 * size, is_round=True)
     elif kind == "roof":
         body = silhouette([(-size, 0.0), (size, 0.0), (size, 0.003), (0.002, size), (-0.002, size), (-size, 0.003)], 0.9 * size)
         words = "roof-shaped block"
     else:
-        body, words, top = _arch(size), "arch", Space(1.6 * size, 0.55 * size, 0.95 * size)
+        body, words, top = _arch(size), "arch", SupportArea(1.6 * size, 0.55 * size, 0.95 * size)
     captions = (
         f"{name} wooden toy block, {words}" if kind != "studs" else f"{name} toy {words}",
         f"{name} building block",
         f"toy block, {words}",
     )
-    return Design(body, "plastic" if kind == "studs" else "wood", color, captions, top=top)
+    return AssetDesign(body, "plastic" if kind == "studs" else "wood", color, captions, top=top)
 
 
-def stacking_rings(draw: Draw) -> Design:
+def stacking_rings(draw: VariantSampler) -> AssetDesign:
     """Rings of falling size on a post."""
     count, radius, rise = draw.pick(5, 4, 6, 5, 4, 6), draw.between(0.042, 0.055), draw.between(0.015, 0.019)
     color, is_wood = draw.pick("white", "oak", "yellow", "bamboo", "red", "blue"), draw.pick(False, True, False)
@@ -101,10 +101,10 @@ def stacking_rings(draw: Draw) -> Design:
         "stacking rings",
         "tower of rings on a post",
     )
-    return Design(join(parts), "wood" if is_wood else "plastic", color, captions, density=450.0)
+    return AssetDesign(join(parts), "wood" if is_wood else "plastic", color, captions, density=450.0)
 
 
-def rubber_duck(draw: Draw) -> Design:
+def rubber_duck(draw: VariantSampler) -> AssetDesign:
     """A bath duck, its beak to -y."""
     s = draw.between(0.8, 1.25)
     color = draw.pick("yellow", "pink", "blue", "yellow", "white", "#f2d36b")
@@ -145,10 +145,10 @@ def rubber_duck(draw: Draw) -> Design:
     name = {"#f2d36b": "yellow"}.get(color, color)
     look = "" if extra == "nothing" else f" with {extra}"
     captions = (f"a {name} rubber duck{look}", f"{name} bath duck", "toy duck for the bath", "rubber duck")
-    return Design(join(parts).resized(s), "rubber", color, captions, density=350.0)
+    return AssetDesign(join(parts).resized(s), "rubber", color, captions, density=350.0)
 
 
-def teddy_bear(draw: Draw) -> Design:
+def teddy_bear(draw: VariantSampler) -> AssetDesign:
     """A sitting bear."""
     s, plump = draw.between(0.95, 1.5), draw.between(0.92, 1.1)
     color, light = draw.pick("brown", "#c79a6a", "cream", "grey", "#8a5a3c", "pink"), draw.pick("cream", "#e6cfa8", "white")
@@ -185,10 +185,10 @@ def teddy_bear(draw: Draw) -> Design:
         "stuffed toy bear",
         "plush bear",
     )
-    return Design(join(parts).resized(s), "fabric", color, captions)
+    return AssetDesign(join(parts).resized(s), "fabric", color, captions)
 
 
-def toy_robot(draw: Draw) -> Design:
+def toy_robot(draw: VariantSampler) -> AssetDesign:
     """A robot with lamps on its chest, its face to -y."""
     s, color = draw.between(0.85, 1.3), draw.pick("silver", "red", "teal", "yellow", "blue", "grey")
     accent, glow = draw.pick("navy", "black", "orange", "white"), draw.pick("yellow", "green", "red")
@@ -240,10 +240,10 @@ def toy_robot(draw: Draw) -> Design:
             .painted(accent)
         )
     captions = (f"a {color} toy robot with an antenna", f"{color} robot with {glow} eyes", "little toy robot", "tin robot")
-    return Design(join(parts).resized(s), "tin", color, captions, density=600.0)
+    return AssetDesign(join(parts).resized(s), "tin", color, captions, density=600.0)
 
 
-def toy_house(draw: Draw) -> Design:
+def toy_house(draw: VariantSampler) -> AssetDesign:
     """A little house with a roof, a door and windows, its door to -y."""
     width, depth, wall = draw.between(0.075, 0.11), draw.between(0.06, 0.085), draw.between(0.05, 0.08)
     style, floors = draw.pick("gable", "hip", "gable", "tower", "gable", "hip"), 2 if wall > 0.065 else 1
@@ -294,14 +294,14 @@ def toy_house(draw: Draw) -> Design:
         "little wooden house",
         f"toy house with {'two floors' if floors == 2 else 'one floor'}",
     )
-    return Design(join(parts), "wood", color, captions, density=400.0)
+    return AssetDesign(join(parts), "wood", color, captions, density=400.0)
 
 
 FAMILIES = (
-    Family("toy_block", toy_block, (COFFEE, OFFICE)),
-    Family("stacking_rings", stacking_rings, (COFFEE, OFFICE)),
-    Family("rubber_duck", rubber_duck, (COFFEE, OFFICE, BATHROOM)),
-    Family("teddy_bear", teddy_bear, (COFFEE, OFFICE)),
-    Family("toy_robot", toy_robot, (COFFEE, OFFICE)),
-    Family("toy_house", toy_house, (COFFEE, OFFICE)),
+    AssetFamily("toy_block", toy_block, (COFFEE, OFFICE)),
+    AssetFamily("stacking_rings", stacking_rings, (COFFEE, OFFICE)),
+    AssetFamily("rubber_duck", rubber_duck, (COFFEE, OFFICE, BATHROOM)),
+    AssetFamily("teddy_bear", teddy_bear, (COFFEE, OFFICE)),
+    AssetFamily("toy_robot", toy_robot, (COFFEE, OFFICE)),
+    AssetFamily("toy_house", toy_house, (COFFEE, OFFICE)),
 )

@@ -7,7 +7,7 @@ import numpy as np
 from stable_data.embedded_world.families.tables import DINING, KITCHEN
 from stable_data.embedded_world.families.vessels import INSCRIBED, angular_grip, lid_knob, side_grips, well
 from stable_data.embedded_world.families.wording import bare, pick_words, worded
-from stable_data.embedded_world.modelling.family import LYING, Design, Draw, Family, Space
+from stable_data.embedded_world.modelling.family import LYING, AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import disc, prism
 from stable_data.embedded_world.modelling.solids import (
     Solid,
@@ -32,7 +32,7 @@ def _stood_up(solid: Solid) -> Solid:
 _BOARDS = {"white": "white plastic", "bamboo": "bamboo"}
 
 
-def cutting_board(draw: Draw) -> Design:
+def cutting_board(draw: VariantSampler) -> AssetDesign:
     """A flat board, its grip on the left."""
     style, color, second = pick_words(
         draw,
@@ -40,15 +40,15 @@ def cutting_board(draw: Draw) -> Design:
     )
     width, thick = draw.between(0.26, 0.35), draw.between(0.012, 0.026)
     depth, half, edge = width * draw.between(0.58, 0.7), width / 2, 0.002
-    board, more, top = slab(width, depth, thick, 0.003), [], Space(width - 0.01, depth - 0.01, thick)
+    board, more, top = slab(width, depth, thick, 0.003), [], SupportArea(width - 0.01, depth - 0.01, thick)
     if style == "round":
         half = depth = 0.38 * width
         board = lathe([(half - edge, 0.0), (half, edge), (half, thick - edge), (half - edge, thick)])
-        top = Space(1.9 * half, 1.9 * half, thick, is_round=True)
+        top = SupportArea(1.9 * half, 1.9 * half, thick, is_round=True)
     if style in ("striped", "plain"):
         x, wide = (0.3, 0.07) if style == "striped" else (0.46, 0.08)
         more = [slab(wide * width, depth + 0.001, thick + 0.0005, edge).moved(s * x * width) for s in (-1, 1)]
-        top = Space((1.94 * x - wide) * width, depth - 0.01, thick)
+        top = SupportArea((1.94 * x - wide) * width, depth - 0.01, thick)
     else:
         across, reach = (0.9 * depth, 0.045) if style == "handled" else (0.06, 0.1)
         rail = slab(reach + 0.02, 0.02, thick - 0.001, 0.003).moved(0.01 - half - reach / 2)
@@ -58,7 +58,7 @@ def cutting_board(draw: Draw) -> Design:
     captions = worded(
         f"a {style} {said} cutting board", f"{said} chopping board", f"{style} {color} board for cutting vegetables"
     )
-    return Design(solid, "plastic" if color == "white" else "wood", color, captions, top=top)
+    return AssetDesign(solid, "plastic" if color == "white" else "wood", color, captions, top=top)
 
 
 _BLADES = {  # length, depth of the blade and its outline from heel to back, shares of both
@@ -70,7 +70,7 @@ _BLADES = {  # length, depth of the blade and its outline from heel to back, sha
 }
 
 
-def kitchen_knife(draw: Draw) -> Design:
+def kitchen_knife(draw: VariantSampler) -> AssetDesign:
     """A knife that lies on its side, its handle towards the viewer, its edge to the left."""
     style, grip = pick_words(draw, "chef black, paring red, cleaver walnut, bread black, santoku oak, chef navy")
     length, deep, outline = _BLADES[style]
@@ -84,10 +84,10 @@ def kitchen_knife(draw: Draw) -> Design:
     captions = worded(
         f"a {name} with a {grip} handle", f"{size} kitchen knife with a {grip} handle", f"sharp {name} for cooking"
     )
-    return Design(join([blade, bolster, handle.painted(grip), *rivets]), "metal", "silver", captions)
+    return AssetDesign(join([blade, bolster, handle.painted(grip), *rivets]), "metal", "silver", captions)
 
 
-def ladle(draw: Draw) -> Design:
+def ladle(draw: VariantSampler) -> AssetDesign:
     """A soup ladle on the end of its handle; laid down, its bowl opens towards the handle."""
     r, length = draw.between(0.034, 0.046), draw.between(0.24, 0.3)
     color, grip = pick_words(draw, "silver silver, silver black, black black, oak oak, red red, copper walnut")
@@ -99,10 +99,10 @@ def ladle(draw: Draw) -> Design:
     hold = bar([(0.55 * length, 0.007), (length + 0.01, 0.007)], 0.02, 0.0139).painted(grip)
     captions = worded(f"a {bare(color)} soup ladle with a long handle", f"{color} ladle with a {grip} grip", "ladle for soup")
     solid, material = _stood_up(bowl + (stick + hold).turned(z=90)), "wood" if color == "oak" else "metal"
-    return Design(solid, material, color, captions, tilts=LYING)
+    return AssetDesign(solid, material, color, captions, tilts=LYING)
 
 
-def spatula(draw: Draw) -> Design:
+def spatula(draw: VariantSampler) -> AssetDesign:
     """A turner on the end of its handle."""
     style, color, grip = pick_words(
         draw, "slotted silver black, rubber red oak, flat oak oak, slotted black red, rubber teal silver, flat walnut walnut"
@@ -121,10 +121,10 @@ def spatula(draw: Draw) -> Design:
     name = f"{color} rubber spatula" if style == "rubber" else f"{style} {bare(color)} spatula"
     captions = worded(f"a {name} with a {grip} handle", f"{color} spatula", f"{style} spatula for cooking")
     solid = _stood_up(head + (stick + hold).turned(z=90).painted(grip))
-    return Design(solid, "plastic" if style == "rubber" else "wood", color, captions, tilts=LYING)
+    return AssetDesign(solid, "plastic" if style == "rubber" else "wood", color, captions, tilts=LYING)
 
 
-def wooden_spoon(draw: Draw) -> Design:
+def wooden_spoon(draw: VariantSampler) -> AssetDesign:
     """A spoon for stirring on the end of its handle."""
     color, tip = pick_words(draw, "oak oak, walnut walnut, bamboo red, oak teal, bamboo bamboo, walnut black")
     r, length, stretch = draw.between(0.023, 0.032), draw.between(0.19, 0.26), draw.pick(1.0, 1.5, 1.25)
@@ -136,10 +136,10 @@ def wooden_spoon(draw: Draw) -> Design:
     end = bar([(root + 0.8 * length, 0.006), (root + length + 0.006, 0.006)], 0.0145, 0.012).painted(tip)
     shape = {1.0: "round", 1.5: "long"}.get(stretch, "oval")
     captions = worded(f"a wooden spoon with a {shape} bowl", f"{color} cooking spoon", f"{shape} wooden spoon for stirring")
-    return Design(_stood_up(vessel(outer, inner) + (stick + end).turned(z=90)), "wood", color, captions, tilts=LYING)
+    return AssetDesign(_stood_up(vessel(outer, inner) + (stick + end).turned(z=90)), "wood", color, captions, tilts=LYING)
 
 
-def whisk(draw: Draw) -> Design:
+def whisk(draw: VariantSampler) -> AssetDesign:
     """A whisk that lies along x, its wires on the left."""
     r, long, hold = draw.between(0.026, 0.036), draw.between(0.11, 0.15), draw.between(0.1, 0.13)
     wire, grip = pick_words(draw, "silver silver, silver black, red silver, silver oak, black black, teal silver")
@@ -151,10 +151,10 @@ def whisk(draw: Draw) -> Design:
     # Lying it rests on two of its wires and on the end of its handle.
     lean = math.degrees(math.atan((0.87 * r + 0.0013 - 0.011) / (0.78 * long + hold)))
     captions = worded(f"a whisk with a {bare(grip)} handle", f"{wire} balloon whisk", "kitchen whisk for beating eggs")
-    return Design((wires + handle).turned(y=-90).turned(y=lean).grounded(), "metal", grip, captions)
+    return AssetDesign((wires + handle).turned(y=-90).turned(y=lean).grounded(), "metal", grip, captions)
 
 
-def rolling_pin(draw: Draw) -> Design:
+def rolling_pin(draw: VariantSampler) -> AssetDesign:
     """A rolling pin along x."""
     r, half, is_french = draw.between(0.021, 0.032), draw.between(0.11, 0.15), draw.pick(False, True, False)
     color, grip = pick_words(draw, "oak oak, walnut walnut, walnut oak, oak red, bamboo walnut, grey oak")
@@ -168,10 +168,10 @@ def rolling_pin(draw: Draw) -> Design:
     kind = "tapered French rolling pin" if is_french else f"rolling pin with {grip} handles"
     said, material = ("grey marble", "marble") if color == "grey" else (color, "wooden")
     captions = worded(f"a {said} {kind}", f"{material} rolling pin", "rolling pin for dough")
-    return Design(join(pin).turned(y=90).grounded(), "wood", color, captions)
+    return AssetDesign(join(pin).turned(y=90).grounded(), "wood", color, captions)
 
 
-def grater(draw: Draw) -> Design:
+def grater(draw: VariantSampler) -> AssetDesign:
     """A box grater with a grip on top."""
     width, depth, h = draw.between(0.09, 0.12), draw.between(0.07, 0.085), draw.between(0.17, 0.22)
     trim, holes, is_arch = draw.pick("black", "red", "silver"), draw.pick("round", "slots"), draw.pick(True, True, False)
@@ -187,10 +187,10 @@ def grater(draw: Draw) -> Design:
     base = box(width + 0.004, depth + 0.004, 0.012, 0.007)
     solid = join([loft(rings), join(front).painted("black"), join([base, cap, grip.moved(z=h + 0.006)]).painted(trim)])
     captions = worded(f"a four-sided box grater with a {bare(trim)} handle", "cheese grater", f"steel grater with {trim} trim")
-    return Design(solid, "metal", "silver", captions, density=300.0)
+    return AssetDesign(solid, "metal", "silver", captions, density=300.0)
 
 
-def utensil_holder(draw: Draw) -> Design:
+def utensil_holder(draw: VariantSampler) -> AssetDesign:
     """An open crock for spoons and spatulas."""
     style, color = pick_words(draw, "crock cream, bucket silver, square oak, labelled blue, crock terracotta, square white")
     r, h, foot = draw.between(0.052, 0.066), draw.between(0.13, 0.175), {"bucket": 0.8, "crock": 0.94}.get(style, 1.0)
@@ -200,7 +200,7 @@ def utensil_holder(draw: Draw) -> Design:
         cup = vessel(
             *([rectangle(w, w, z, b) for z in zs] for w, b, zs in ((2 * r, 0.008, (0.0, h)), (free, 0.006, (0.008, h))))
         )
-        hollow = Space(free - 0.007, free - 0.007, 0.008, h - 0.008)
+        hollow = SupportArea(free - 0.007, free - 0.007, 0.008, h - 0.008)
         parts = [slab(r, 0.3 * h, 0.002, 0.0008).turned(x=90).moved(0.0, 0.0005 - r, 0.55 * h).painted("black")]
     else:
         cup = turned_vessel([(low - 0.004, 0.0), (low, 0.004), (r, h)], [(low - wall, 0.008), (r - wall, h)])
@@ -215,7 +215,7 @@ def utensil_holder(draw: Draw) -> Design:
     material = {"silver": "metal", "oak": "wood"}.get(color, "ceramic")
     kind = {"square": "square jar", "labelled": "jar with a label"}.get(style, style)
     captions = worded(f"a {color} {material} utensil holder", f"{color} {kind} for cooking spoons", "kitchen utensil jar")
-    return Design(join([cup, *parts]), material, color, captions, hollow=hollow)
+    return AssetDesign(join([cup, *parts]), material, color, captions, hollow=hollow)
 
 
 def _waisted(width: float, depth: float, height: float) -> Solid:
@@ -224,7 +224,7 @@ def _waisted(width: float, depth: float, height: float) -> Solid:
     return join([box(width - depth, 0.72 * depth, height), end.moved((width - depth) / 2), end.moved((depth - width) / 2)])
 
 
-def dish_sponge(draw: Draw) -> Design:
+def dish_sponge(draw: VariantSampler) -> AssetDesign:
     """A sponge with a scouring side on top."""
     w, d, h = draw.between(0.085, 0.12), draw.between(0.055, 0.075), draw.between(0.024, 0.04)
     color, scour, shape = pick_words(
@@ -242,18 +242,18 @@ def dish_sponge(draw: Draw) -> Design:
         f"{color} kitchen sponge",
         f"{color} and {scour} sponge for washing up",
     )
-    return Design(soft + rough.painted(scour), "foam", color, captions)
+    return AssetDesign(soft + rough.painted(scour), "foam", color, captions)
 
 
 FAMILIES = (
-    Family("cutting_board", cutting_board, (KITCHEN, DINING)),
-    Family("kitchen_knife", kitchen_knife, (KITCHEN,)),
-    Family("ladle", ladle, (KITCHEN, DINING)),
-    Family("spatula", spatula, (KITCHEN,)),
-    Family("wooden_spoon", wooden_spoon, (KITCHEN, DINING)),
-    Family("whisk", whisk, (KITCHEN,)),
-    Family("rolling_pin", rolling_pin, (KITCHEN,)),
-    Family("grater", grater, (KITCHEN,)),
-    Family("utensil_holder", utensil_holder, (KITCHEN,)),
-    Family("dish_sponge", dish_sponge, (KITCHEN,)),
+    AssetFamily("cutting_board", cutting_board, (KITCHEN, DINING)),
+    AssetFamily("kitchen_knife", kitchen_knife, (KITCHEN,)),
+    AssetFamily("ladle", ladle, (KITCHEN, DINING)),
+    AssetFamily("spatula", spatula, (KITCHEN,)),
+    AssetFamily("wooden_spoon", wooden_spoon, (KITCHEN, DINING)),
+    AssetFamily("whisk", whisk, (KITCHEN,)),
+    AssetFamily("rolling_pin", rolling_pin, (KITCHEN,)),
+    AssetFamily("grater", grater, (KITCHEN,)),
+    AssetFamily("utensil_holder", utensil_holder, (KITCHEN,)),
+    AssetFamily("dish_sponge", dish_sponge, (KITCHEN,)),
 )

@@ -8,7 +8,7 @@ import numpy as np
 from stable_data.embedded_world.families.palette import LEAF
 from stable_data.embedded_world.families.tables import DINING, KITCHEN
 from stable_data.embedded_world.families.wording import pick_words, worded
-from stable_data.embedded_world.modelling.family import Design, Draw, Family
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import BALL, disc, lying_lathe, prism, scaled
 from stable_data.embedded_world.modelling.solids import Solid, bar, box, circle, hull, join, lathe, loft
 
@@ -18,7 +18,7 @@ def _lobe(radius: float, height: float, profile: Sequence[tuple[float, float, fl
     return loft([circle(r * radius, z * height, corners) + np.array([x * radius, 0.0, 0.0]) for x, r, z in profile])
 
 
-def tomato(draw: Draw) -> Design:
+def tomato(draw: VariantSampler) -> AssetDesign:
     """A tomato with its green star."""
     r, share = draw.between(0.03, 0.043), draw.pick(0.72, 0.86, 1.1)
     word, color = pick_words(draw, "red #c8352c, red #b92d2a, orange #e0762c, yellow #e5b93a, dark_red #7d2b2b, red #d2452f")
@@ -28,10 +28,10 @@ def tomato(draw: Draw) -> Design:
     stalk = lathe([(0.0026, h - 0.002), (0.002, h + 0.008)], 8)
     shape = {0.72: "flat", 1.1: "plum"}.get(share, "round")
     captions = worded(f"a {shape} {word} tomato", f"ripe {word} tomato", f"{shape} tomato with a green stem")
-    return Design(lathe(scaled(BALL, r, h), 32) + join([*star, stalk]).painted(LEAF), "fruit", color, captions)
+    return AssetDesign(lathe(scaled(BALL, r, h), 32) + join([*star, stalk]).painted(LEAF), "fruit", color, captions)
 
 
-def potato(draw: Draw) -> Design:
+def potato(draw: VariantSampler) -> AssetDesign:
     """A lumpy potato that lies on a flat side."""
     length, width, height = draw.between(0.075, 0.12), draw.between(0.05, 0.065), draw.between(0.042, 0.055)
     word, color = pick_words(draw, "brown #b08a55, yellow #d3b36b, red #a3584c, brown #9c7748, pale #cfb98a, dark #7c5c3c")
@@ -49,10 +49,10 @@ def potato(draw: Draw) -> Design:
     captions = worded(
         f"a {word} potato", f"{'long' if length > 0.1 else 'small'} {word} potato", f"raw potato with {word} skin"
     )
-    return Design(solid.moved(z=0.36 * height), "fruit", color, captions)
+    return AssetDesign(solid.moved(z=0.36 * height), "fruit", color, captions)
 
 
-def carrot(draw: Draw) -> Design:
+def carrot(draw: VariantSampler) -> AssetDesign:
     """A carrot along x, its thick end and its greens on the right."""
     r, length, has_leaves = draw.between(0.013, 0.02), draw.between(0.14, 0.2), draw.pick(True, True, False)
     word, color = pick_words(
@@ -70,10 +70,10 @@ def carrot(draw: Draw) -> Design:
         greens.append(stalk.turned(z=turn).moved(length, 0.0, 0.75 * r))
     kind = "with its leaves" if has_leaves else "without leaves"
     captions = worded(f"a {word} carrot {kind}", f"{word} carrot", f"raw {word} carrot, a root vegetable")
-    return Design(join([body, join(greens).painted(LEAF)]), "fruit", color, captions)
+    return AssetDesign(join([body, join(greens).painted(LEAF)]), "fruit", color, captions)
 
 
-def cucumber(draw: Draw) -> Design:
+def cucumber(draw: VariantSampler) -> AssetDesign:
     """A cucumber along x; some are cut, with slices leaning at the cut."""
     r, length, is_cut = draw.between(0.019, 0.025), draw.between(0.2, 0.28), draw.pick(False, True)
     word, color = pick_words(draw, "dark_green #3f6a35, green #55803f, green #4a7a3b")
@@ -90,10 +90,10 @@ def cucumber(draw: Draw) -> Design:
     body = lying_lathe(scaled(shape, length, r), corners=20)
     kind, more = ("cut", " with two slices") if is_cut else ("whole", "")
     captions = worded(f"a {kind} {word} cucumber{more}", f"{kind} cucumber{more}", f"fresh {word} cucumber")
-    return Design(join([body, *parts]), "fruit", color, captions)
+    return AssetDesign(join([body, *parts]), "fruit", color, captions)
 
 
-def onion(draw: Draw) -> Design:
+def onion(draw: VariantSampler) -> AssetDesign:
     """An onion with a dry neck and ribs in its skin."""
     r, share, is_long = draw.between(0.03, 0.042), draw.between(1.7, 2.0), draw.pick(False, True, False)
     word, color, stripe = pick_words(
@@ -110,10 +110,10 @@ def onion(draw: Draw) -> Design:
     wide = [circle(x * r + 0.0009, z * h, 32) * (1.0, 0.11, 1.0) for x, z in profile[1:6]]
     ribs = join([loft(wide).turned(z=angle) for angle in (11, 56, 101, 146)]).painted(stripe)
     captions = worded(f"a {word} onion", f"whole {word} onion", f"{'long' if is_long else 'round'} {word} onion with dry skin")
-    return Design(lathe(scaled(profile, r, h), 32) + ribs, "fruit", color, captions)
+    return AssetDesign(lathe(scaled(profile, r, h), 32) + ribs, "fruit", color, captions)
 
 
-def bell_pepper(draw: Draw) -> Design:
+def bell_pepper(draw: VariantSampler) -> AssetDesign:
     """A lobed pepper with a stem."""
     r, h, num = draw.between(0.034, 0.043), draw.between(0.068, 0.095), draw.pick(4, 3)
     word, color = pick_words(
@@ -128,10 +128,10 @@ def bell_pepper(draw: Draw) -> Design:
     captions = worded(
         f"a {word} bell pepper", f"{'tall' if h > 2 * r else 'squat'} {word} pepper", f"fresh {word} sweet pepper"
     )
-    return Design(solid, "fruit", color, captions, density=450.0)
+    return AssetDesign(solid, "fruit", color, captions, density=450.0)
 
 
-def eggplant(draw: Draw) -> Design:
+def eggplant(draw: VariantSampler) -> AssetDesign:
     """An eggplant along x, its green cap on the right."""
     r, length = draw.between(0.032, 0.045), draw.between(0.16, 0.23)
     word, color = pick_words(
@@ -152,10 +152,10 @@ def eggplant(draw: Draw) -> Design:
         f"{word} aubergine",
         f"{'long' if length > 0.2 else 'small'} {word} eggplant",
     )
-    return Design(body + top, "fruit", color, captions, density=550.0)
+    return AssetDesign(body + top, "fruit", color, captions, density=550.0)
 
 
-def pumpkin(draw: Draw) -> Design:
+def pumpkin(draw: VariantSampler) -> AssetDesign:
     """A ribbed pumpkin with a stem."""
     r, share, num = draw.between(0.06, 0.1), draw.pick(0.62, 0.8, 0.95), draw.pick(9, 8)
     word, color = pick_words(
@@ -172,16 +172,16 @@ def pumpkin(draw: Draw) -> Design:
     lobes = [lobe.turned(z=360 / num * k) for k in range(num)]
     size = "flat" if share < 0.7 else "round"
     captions = worded(f"a small {size} {word} pumpkin", f"{word} pumpkin with ribs and a stem", f"{size} {word} squash")
-    return Design(join([*lobes, core, stalk]), "fruit", color, captions, density=600.0)
+    return AssetDesign(join([*lobes, core, stalk]), "fruit", color, captions, density=600.0)
 
 
 FAMILIES = (
-    Family("tomato", tomato, (KITCHEN, DINING)),
-    Family("potato", potato, (KITCHEN, DINING)),
-    Family("carrot", carrot, (KITCHEN, DINING)),
-    Family("cucumber", cucumber, (KITCHEN, DINING)),
-    Family("onion", onion, (KITCHEN, DINING)),
-    Family("bell_pepper", bell_pepper, (KITCHEN, DINING)),
-    Family("eggplant", eggplant, (KITCHEN, DINING)),
-    Family("pumpkin", pumpkin, (KITCHEN, DINING)),
+    AssetFamily("tomato", tomato, (KITCHEN, DINING)),
+    AssetFamily("potato", potato, (KITCHEN, DINING)),
+    AssetFamily("carrot", carrot, (KITCHEN, DINING)),
+    AssetFamily("cucumber", cucumber, (KITCHEN, DINING)),
+    AssetFamily("onion", onion, (KITCHEN, DINING)),
+    AssetFamily("bell_pepper", bell_pepper, (KITCHEN, DINING)),
+    AssetFamily("eggplant", eggplant, (KITCHEN, DINING)),
+    AssetFamily("pumpkin", pumpkin, (KITCHEN, DINING)),
 )

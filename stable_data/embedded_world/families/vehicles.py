@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from stable_data.embedded_world.families.palette import WINDOW
 from stable_data.embedded_world.families.tables import COFFEE, OFFICE
-from stable_data.embedded_world.modelling.family import Design, Draw, Family
+from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import ellipsoid, lying_body, round_body, silhouette
 from stable_data.embedded_world.modelling.solids import Solid, box, join, slab
 
@@ -19,7 +19,7 @@ def _wheels(spots: Sequence[float], aside: float, radius: float, wide: float, co
     return [wheel.moved(x, side * aside) for x in spots for side in (-1, 1)]
 
 
-def toy_car(draw: Draw) -> Design:
+def toy_car(draw: VariantSampler) -> AssetDesign:
     """A toy car on four wheels, its front to -y."""
     style = draw.pick("sedan", "truck", "van", "racing car", "beetle", "pickup")
     color, tyre = draw.pick("red", "blue", "yellow", "green", "orange", "purple"), draw.pick("black", "grey", "walnut")
@@ -77,10 +77,10 @@ def toy_car(draw: Draw) -> Design:
         f"{color} toy car",
         "little car on four wheels",
     )
-    return Design(whole.resized(s).turned(z=-90), "plastic", color, captions, density=650.0)
+    return AssetDesign(whole.resized(s).turned(z=-90), "plastic", color, captions, density=650.0)
 
 
-def toy_train(draw: Draw) -> Design:
+def toy_train(draw: VariantSampler) -> AssetDesign:
     """A locomotive, some with a wagon, its front to -y."""
     s, has_wagon = draw.between(0.9, 1.15), draw.pick(True, False, True, False, True, False)
     color = draw.pick("red", "blue", "green", "black", "oak", "yellow")
@@ -113,10 +113,10 @@ def toy_train(draw: Draw) -> Design:
         parts += [floor, walls, *load, hook, *_wheels((-0.124, -0.08), 0.019, 0.0105, 0.007, roof, accent)]
     words = "with a wagon" if has_wagon else "with a chimney"
     captions = (f"{color} toy train {words}", f"{color} toy locomotive", "little steam engine on wheels", "wooden toy train")
-    return Design(join(parts).resized(s).turned(z=-90), "wood", color, captions)
+    return AssetDesign(join(parts).resized(s).turned(z=-90), "wood", color, captions)
 
 
 FAMILIES = (
-    Family("toy_car", toy_car, (COFFEE, OFFICE)),
-    Family("toy_train", toy_train, (COFFEE, OFFICE)),
+    AssetFamily("toy_car", toy_car, (COFFEE, OFFICE)),
+    AssetFamily("toy_train", toy_train, (COFFEE, OFFICE)),
 )

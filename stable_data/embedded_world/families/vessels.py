@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from stable_data.embedded_world.modelling.family import Space
+from stable_data.embedded_world.modelling.family import SupportArea
 from stable_data.embedded_world.modelling.solids import (
     NUM_AROUND,
     NUM_INSIDE,
@@ -111,7 +111,7 @@ def cup(outer: Profile, inner: Profile, lining: str = "", rim: float = 0.0, rim_
     return banded_vessel(rings, [circle(r, z, NUM_INSIDE) for r, z in inner], paints, linings)
 
 
-def well(radius: float, z: float, height: float = 0.0, free: float = SNUG) -> Space:
+def well(radius: float, z: float, height: float = 0.0, free: float = SNUG) -> SupportArea:
     """A round place inside a ring with corners.
 
     Args:
@@ -120,7 +120,7 @@ def well(radius: float, z: float, height: float = 0.0, free: float = SNUG) -> Sp
         height: Up to the rim, metres.
         free: Share of the radius that is free between the corners.
     """
-    return Space(2 * free * radius, 2 * free * radius, z, height, is_round=True)
+    return SupportArea(2 * free * radius, 2 * free * radius, z, height, is_round=True)
 
 
 def round_handle(low: Point, high: Point, reach: float, width: float, thickness: float) -> Solid:

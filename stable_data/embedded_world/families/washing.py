@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from stable_data.embedded_world.families.tables import BATHROOM, DRESSING, KITCHEN
-from stable_data.embedded_world.modelling.family import EITHER, LYING, Design, Draw, Family, Space
+from stable_data.embedded_world.modelling.family import EITHER, LYING, AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import front_panel, lying_body, round_body, square_body
 from stable_data.embedded_world.modelling.solids import Solid, bar, box, chain, circle, join, loft, rectangle, slab, vessel
 
@@ -28,7 +28,7 @@ def _folded(width: float, depth: float, thickness: float) -> Solid:
     return loft([np.stack([outline[:, 0], np.full(12, y), outline[:, 1]], axis=1) for y in (-depth / 2, depth / 2)])
 
 
-def toothbrush(draw: Draw) -> Design:
+def toothbrush(draw: VariantSampler) -> AssetDesign:
     """A toothbrush on its handle's end, its flat back to -y."""
     length, thick = draw.between(0.165, 0.195), draw.between(0.95, 1.25)
     color = draw.pick("blue", "green", "bamboo", "pink", "white", "purple")
@@ -49,10 +49,10 @@ def toothbrush(draw: Draw) -> Design:
     kind = "bamboo toothbrush" if is_wood else f"{color} toothbrush"
     detail = "wooden toothbrush with a plain handle" if is_wood else f"plastic toothbrush, its grip {accent}"
     captions = (f"a slim {kind}", kind, detail, "brush for the teeth")
-    return Design(body, "wood" if is_wood else "plastic", color, captions, tilts=LYING)
+    return AssetDesign(body, "wood" if is_wood else "plastic", color, captions, tilts=LYING)
 
 
-def toothbrush_cup(draw: Draw) -> Design:
+def toothbrush_cup(draw: VariantSampler) -> AssetDesign:
     """A cup for toothbrushes: round, tapered, square, on a foot of another colour."""
     radius, height, wall = draw.between(0.034, 0.041), draw.between(0.095, 0.118), 0.0034
     style = draw.pick("straight", "tapered", "square", "footed", "waisted", "eight-sided")
@@ -62,7 +62,7 @@ def toothbrush_cup(draw: Draw) -> Design:
         side = 1.85 * radius
         outer = [rectangle(side, side, z, 0.007) for z in (0.0, height)]
         cup = vessel(outer, [rectangle(side - 2 * wall, side - 2 * wall, z, 0.005) for z in (0.007, height)])
-        hollow = Space(1.7 * inner_at, 1.7 * inner_at, 0.007, height - 0.007, is_round=True)
+        hollow = SupportArea(1.7 * inner_at, 1.7 * inner_at, 0.007, height - 0.007, is_round=True)
     else:
         foot, waist = {"tapered": (0.8, 0.9), "waisted": (0.96, 0.84)}.get(style, (1.0, 1.0))
         corners, inside = (8, 8) if style == "eight-sided" else (48, 16)
@@ -71,7 +71,7 @@ def toothbrush_cup(draw: Draw) -> Design:
         inner = [circle(radius * s - wall, z, inside) for s, z in ((foot, 0.007), (waist, half), (1.0, height))]
         cup = vessel(outer, inner)
         free = 2 * (radius * min(foot, waist) - wall) * math.cos(math.pi / inside)
-        hollow = Space(free, free, 0.007, height - 0.007, is_round=True)
+        hollow = SupportArea(free, free, 0.007, height - 0.007, is_round=True)
     if style == "footed":
         cup += round_body([(radius + 0.002, 0.0), (radius + 0.002, 0.0065)]).painted("bamboo")
     captions = (
@@ -79,10 +79,10 @@ def toothbrush_cup(draw: Draw) -> Design:
         f"{color} toothbrush holder",
         f"ceramic bathroom tumbler, {color} and {style}",
     )
-    return Design(cup, "ceramic", color, captions, hollow=hollow)
+    return AssetDesign(cup, "ceramic", color, captions, hollow=hollow)
 
 
-def toothpaste(draw: Draw) -> Design:
+def toothpaste(draw: VariantSampler) -> AssetDesign:
     """A tube that lies along x, its cap on the left."""
     length, radius = draw.between(0.135, 0.175), draw.between(0.016, 0.020)
     color = draw.pick("white", "red", "blue", "white", "green", "white")
@@ -103,10 +103,10 @@ def toothpaste(draw: Draw) -> Design:
     tip = [(left, 0.52 * radius, 0.55 * radius, middle), (left + 0.019, 0.62 * radius, 0.62 * radius, middle)]
     stripe = lying_body([section(0.16, 0.0009), section(0.72, 0.0009)]).painted(band)
     captions = (f"a tube of toothpaste, {color} with a {band} band", f"{color} toothpaste tube", f"toothpaste, its cap {cap}")
-    return Design(join([tube, lying_body(tip, 16).painted(cap), stripe]), "plastic", color, captions)
+    return AssetDesign(join([tube, lying_body(tip, 16).painted(cap), stripe]), "plastic", color, captions)
 
 
-def soap(draw: Draw) -> Design:
+def soap(draw: VariantSampler) -> AssetDesign:
     """A bar of soap: oval, round or a block, with a raised field."""
     length, height = draw.between(0.07, 0.092), draw.between(0.022, 0.03)
     style = draw.pick("oval", "rectangular", "round", "rounded", "oval", "rectangular")
@@ -130,10 +130,10 @@ def soap(draw: Draw) -> Design:
         body = square_body(profile, 0.5 if style == "rounded" else 0.16, 0.62)
         field = square_body([(0.5 * half, 0.5 * height), (0.48 * half, height + 0.0012)], 0.15, 0.4)
     captions = (f"a bar of {name} soap, {style}", f"{name} soap", f"{style} bar of hand soap", "scented soap bar")
-    return Design(join([body, field]), "wax", color, captions)
+    return AssetDesign(join([body, field]), "wax", color, captions)
 
 
-def soap_dish(draw: Draw) -> Design:
+def soap_dish(draw: VariantSampler) -> AssetDesign:
     """A shallow dish with ribs on its floor."""
     width, height = draw.between(0.12, 0.14), draw.between(0.02, 0.03)
     depth = draw.between(0.085, 0.098)
@@ -155,16 +155,16 @@ def soap_dish(draw: Draw) -> Design:
     ribs = [box(0.005, reach * depth, 0.0045, 0.0008).moved(k * 0.017, 0.0, floor - 0.001) for k in (-2, -1, 0, 1, 2)]
     top = floor + 0.0035
     captions = (f"{style} {color} soap dish with ribs", f"{color} soap dish", f"shallow {style} dish for a bar of soap")
-    return Design(
+    return AssetDesign(
         join([vessel(outer, inner), *ribs]),
         "wood" if color == "bamboo" else "ceramic",
         color,
         captions,
-        hollow=Space(0.068, reach * depth, top, height - top),
+        hollow=SupportArea(0.068, reach * depth, top, height - top),
     )
 
 
-def soap_dispenser(draw: Draw) -> Design:
+def soap_dispenser(draw: VariantSampler) -> AssetDesign:
     """A bottle with a pump, its spout to -y."""
     radius, height = draw.between(0.031, 0.038), draw.between(0.105, 0.135)
     style = draw.pick("round", "square", "tapered", "bulbous", "six-sided", "straight")
@@ -195,10 +195,10 @@ def soap_dispenser(draw: Draw) -> Design:
         f"{color} pump dispenser",
         f"liquid hand soap, {pump} pump",
     )
-    return Design(join([body, _pump(height, 0.024, pump)]), "plastic", color, captions)
+    return AssetDesign(join([body, _pump(height, 0.024, pump)]), "plastic", color, captions)
 
 
-def shampoo_bottle(draw: Draw) -> Design:
+def shampoo_bottle(draw: VariantSampler) -> AssetDesign:
     """A tall bottle with a flip cap and a label, flat in front or round."""
     half, height = draw.between(0.032, 0.04), draw.between(0.17, 0.22)
     style, flat = draw.pick("oval", "round", "square", "shouldered", "tapered", "oval"), draw.between(0.55, 0.68)
@@ -225,10 +225,10 @@ def shampoo_bottle(draw: Draw) -> Design:
     ).painted(cap)
     name = {"#6d4a86": "violet"}.get(color, color)
     captions = (f"a tall {name} bottle of shampoo with a {cap} cap", f"{name} shampoo bottle", f"{style} bottle of shower gel")
-    return Design(join([body, sticker, lid]), "plastic", color, captions, tilts=EITHER)
+    return AssetDesign(join([body, sticker, lid]), "plastic", color, captions, tilts=EITHER)
 
 
-def lotion_bottle(draw: Draw) -> Design:
+def lotion_bottle(draw: VariantSampler) -> AssetDesign:
     """A lotion: a tube on its cap, a flat oval bottle with a disc cap, or one with a pump."""
     half, height = draw.between(0.027, 0.034), draw.between(0.13, 0.17)
     style = draw.pick("tube", "oval", "pump", "tube", "pump", "oval")
@@ -249,10 +249,10 @@ def lotion_bottle(draw: Draw) -> Design:
         if style == "pump":
             cap, words = _pump(0.95 * height, 0.02, accent), "lotion bottle with a pump"
     captions = (f"{color} {words}", f"{color} body lotion", f"skin lotion, {color} and {accent}")
-    return Design(join([bottle, band.painted(accent), cap.painted(accent)]), "plastic", color, captions)
+    return AssetDesign(join([bottle, band.painted(accent), cap.painted(accent)]), "plastic", color, captions)
 
 
-def deodorant(draw: Draw) -> Design:
+def deodorant(draw: VariantSampler) -> AssetDesign:
     """A deodorant: a flat stick, a roll-on with a domed cap, a spray can."""
     style = draw.pick("stick", "roll-on", "spray", "stick", "spray", "roll-on")
     color = draw.pick("white", "blue", "black", "teal", "purple", "green")
@@ -290,10 +290,10 @@ def deodorant(draw: Draw) -> Design:
         cap = [(0.93 * half, 0.8 * height), (0.93 * half, 0.95 * height), (0.8 * half, height)]
         parts = [round_body(can, 32), round_body(band, 32).painted(accent), round_body(cap, 32).painted(accent)]
     captions = (f"{style} deodorant in {color} and {accent}", f"{color} deodorant", f"deodorant {style}")
-    return Design(join(parts), "plastic", color, captions, tilts=EITHER if style == "spray" else (EITHER[0],))
+    return AssetDesign(join(parts), "plastic", color, captions, tilts=EITHER if style == "spray" else (EITHER[0],))
 
 
-def towel(draw: Draw) -> Design:
+def towel(draw: VariantSampler) -> AssetDesign:
     """A towel, folded in layers or rolled."""
     width, depth = draw.between(0.2, 0.26), draw.between(0.14, 0.18)
     is_rolled, layers = draw.pick(False, True, False, False, True, False), draw.pick(2, 3, 4)
@@ -308,7 +308,7 @@ def towel(draw: Draw) -> Design:
         ]
         flap = slab(width - 0.004, 0.05, 0.009, 0.003).turned(x=-38).moved(0.0, -0.72 * radius, 0.9 * middle + 0.62 * radius)
         captions = (f"a rolled {color} towel", f"{color} towel in a roll", "rolled bath towel")
-        return Design(join([roll, *coils, flap]), "fabric", color, captions)
+        return AssetDesign(join([roll, *coils, flap]), "fabric", color, captions)
     thick = draw.between(0.014, 0.019)
     pitch = thick - 0.0008
     sheets = [_folded(width - 0.004 * (k % 2), depth - 0.006 * (k % 2), thick).moved(z=k * pitch) for k in range(layers)]
@@ -317,19 +317,19 @@ def towel(draw: Draw) -> Design:
     height = thick + (layers - 1) * pitch
     band = box(0.022, depth - 0.01, 0.004).moved(0.25 * width, 0.0, height - 0.003).painted(stripe)
     captions = (f"a folded {color} towel, its stripe {stripe}", f"{color} hand towel, folded", "towel folded in layers")
-    top = Space(0.5 * width, 0.7 * depth, height, x=-0.08 * width)
-    return Design(join([*sheets, *turns, band]), "fabric", color, captions, top=top)
+    top = SupportArea(0.5 * width, 0.7 * depth, height, x=-0.08 * width)
+    return AssetDesign(join([*sheets, *turns, band]), "fabric", color, captions, top=top)
 
 
 FAMILIES = (
-    Family("toothbrush", toothbrush, (BATHROOM,)),
-    Family("toothbrush_cup", toothbrush_cup, (BATHROOM,)),
-    Family("toothpaste", toothpaste, (BATHROOM,)),
-    Family("soap", soap, (BATHROOM,)),
-    Family("soap_dish", soap_dish, (BATHROOM,)),
-    Family("soap_dispenser", soap_dispenser, (BATHROOM, KITCHEN)),
-    Family("shampoo_bottle", shampoo_bottle, (BATHROOM,)),
-    Family("lotion_bottle", lotion_bottle, (BATHROOM, DRESSING)),
-    Family("deodorant", deodorant, (BATHROOM, DRESSING)),
-    Family("towel", towel, (BATHROOM,)),
+    AssetFamily("toothbrush", toothbrush, (BATHROOM,)),
+    AssetFamily("toothbrush_cup", toothbrush_cup, (BATHROOM,)),
+    AssetFamily("toothpaste", toothpaste, (BATHROOM,)),
+    AssetFamily("soap", soap, (BATHROOM,)),
+    AssetFamily("soap_dish", soap_dish, (BATHROOM,)),
+    AssetFamily("soap_dispenser", soap_dispenser, (BATHROOM, KITCHEN)),
+    AssetFamily("shampoo_bottle", shampoo_bottle, (BATHROOM,)),
+    AssetFamily("lotion_bottle", lotion_bottle, (BATHROOM, DRESSING)),
+    AssetFamily("deodorant", deodorant, (BATHROOM, DRESSING)),
+    AssetFamily("towel", towel, (BATHROOM,)),
 )

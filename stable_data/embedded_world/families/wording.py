@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from stable_data.embedded_world.modelling.family import Draw
+from stable_data.embedded_world.modelling.family import VariantSampler
 
 _NAMES: Mapping[str, str] = MappingProxyType(
     {
@@ -35,7 +35,7 @@ def bare(color: str) -> str:
     return {"silver": "stainless steel", "clear": "glass"}.get(color, color)
 
 
-def pick_words(draw: Draw, *options: str) -> list[str]:
+def pick_words(draw: VariantSampler, *options: str) -> list[str]:
     """The words of one of several options.
 
     Args:

@@ -15,7 +15,7 @@ import shapely.affinity
 from scipy.spatial.transform import Rotation
 
 from stable_data.embedded_world.families.catalogue import NUM_VARIANTS, asset
-from stable_data.embedded_world.modelling.family import Space
+from stable_data.embedded_world.modelling.family import SupportArea
 from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Vec3
 
 _TRIES = 40
@@ -26,7 +26,7 @@ _FOOT_SHARE = 0.25  # of a long thing's length is its foot
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
+class GroupItem:
     """One thing of a group.
 
     Attributes:
@@ -45,7 +45,7 @@ class Item:
     tilt_quat_xyzw: QuatXyzw = UPRIGHT
     scale: Vec3 = (1.0, 1.0, 1.0)
 
-    def moved(self, x: float, y: float, yaw: float = 0.0) -> "Item":
+    def moved(self, x: float, y: float, yaw: float = 0.0) -> "GroupItem":
         """The item of a group that is turned by ``yaw`` and then moved."""
         c, s = math.cos(yaw), math.sin(yaw)
         return replace(self, x=x + c * self.x - s * self.y, y=y + s * self.x + c * self.y, yaw=self.yaw + yaw)
@@ -75,11 +75,11 @@ def _extents(key: str, tilt_quat_xyzw: QuatXyzw) -> Vec3:
     return (x, y, z)
 
 
-Group: TypeAlias = list[Item]
+Group: TypeAlias = list[GroupItem]
 
 
 @dataclass(eq=False)
-class Kit:
+class GroupSampler:
     """The chance behind one scene, and the household that its things come from: cups of one scene are alike.
 
     Attributes:
@@ -130,11 +130,11 @@ class Kit:
         variant = self._owned.setdefault(category, int(self.rng.integers(NUM_VARIANTS)))
         return f"{category}/{variant}"
 
-    def item(self, key: str, x: float = 0.0, y: float = 0.0, yaw: float = 0.0, *, wobble: float = 0.0) -> Item:
+    def item(self, key: str, x: float = 0.0, y: float = 0.0, yaw: float = 0.0, *, wobble: float = 0.0) -> GroupItem:
         """A thing in its most usual resting tilt, a little larger or smaller than the catalogue's, turned by up to ``wobble``."""
-        return Item(key, x, y, yaw + self.around(wobble), asset(key).tilts[0], self.scale())
+        return GroupItem(key, x, y, yaw + self.around(wobble), asset(key).tilts[0], self.scale())
 
-    def single(self, *categories: str, wobble: float = 0.3) -> Item:
+    def single(self, *categories: str, wobble: float = 0.3) -> GroupItem:
         """A thing by itself, in any of its usual tilts, sometimes stretched along some axes."""
         key = self.key(*categories)
         tilts = asset(key).tilts
@@ -143,7 +143,7 @@ class Kit:
         if tilt == UPRIGHT and self.chance(_UNEVEN):
             x, y, z = (s * (1 + self.around(_STRETCH) * (k == self.rng.integers(3))) for k, s in enumerate(scale))
             scale = (round(x, 3), round(y, 3), round(z, 3))
-        return Item(key, 0.0, 0.0, self.around(wobble), tilt, scale)
+        return GroupItem(key, 0.0, 0.0, self.around(wobble), tilt, scale)
 
     def scale(self, spread: float = 0.06) -> Vec3:
         """A uniform scale near 1."""
@@ -151,11 +151,11 @@ class Kit:
         return (factor, factor, factor)
 
 
-Arrange: TypeAlias = Callable[[Kit], Group]
+Arrange: TypeAlias = Callable[[GroupSampler], Group]
 """Draws a group."""
 
 
-def row(items: Sequence[Item], gap: float) -> Group:
+def row(items: Sequence[GroupItem], gap: float) -> Group:
     """Things side by side along x, ``gap`` metres apart, around the origin; each keeps its y and yaw."""
     widths = [np.ptp(item.outline().bounds[0::2]) for item in items]
     start = -(sum(widths) + gap * (len(items) - 1)) / 2
@@ -166,14 +166,14 @@ def row(items: Sequence[Item], gap: float) -> Group:
     return placed
 
 
-def stack(items: Sequence[Item], kit: Kit, *, shift: float = 0.006, turn: float = 0.15) -> Group:
+def stack(items: Sequence[GroupItem], kit: GroupSampler, *, shift: float = 0.006, turn: float = 0.15) -> Group:
     """Things on one another, each a little askew, the first at the bottom."""
     first, *rest = items
     return [first, *(replace(o, x=first.x + kit.around(shift), y=first.y + kit.around(shift), yaw=o.yaw + kit.around(turn))
                      for o in rest)]  # fmt: skip
 
 
-def floor_of(item: Item, space: Space, margin: float = 0.0) -> shapely.Polygon:
+def floor_of(item: GroupItem, space: SupportArea, margin: float = 0.0) -> shapely.Polygon:
     """A top or a hollow of an upright item as an area, metres, group frame, narrower by ``margin`` on each side."""
     x, y = (max(side / 2 * s - margin, 1e-4) for side, s in zip((space.width, space.depth), item.scale, strict=False))
     if space.is_round:
@@ -186,7 +186,9 @@ def floor_of(item: Item, space: Space, margin: float = 0.0) -> shapely.Polygon:
     return shapely.Polygon(corners @ np.array([[c, s], [-s, c]]) + (item.x, item.y))
 
 
-def scattered(area: shapely.Polygon, items: Sequence[Item], kit: Kit, *, gap: float = 0.004, overhang: float = 0.0) -> Group:
+def scattered(
+    area: shapely.Polygon, items: Sequence[GroupItem], kit: GroupSampler, *, gap: float = 0.004, overhang: float = 0.0
+) -> Group:
     """Things that lie side by side in an area, in any order, each with its own yaw; those that find no place are left out.
 
     Args:
@@ -211,7 +213,7 @@ def scattered(area: shapely.Polygon, items: Sequence[Item], kit: Kit, *, gap: fl
     return placed
 
 
-def filled(container: Item, contents: Sequence[Item], kit: Kit, *, gap: float = 0.004) -> Group:
+def filled(container: GroupItem, contents: Sequence[GroupItem], kit: GroupSampler, *, gap: float = 0.004) -> Group:
     """A container and what lies in it, side by side; what finds no room is left out."""
     hollow = asset(container.key).hollow
     if hollow is None:
@@ -219,7 +221,9 @@ def filled(container: Item, contents: Sequence[Item], kit: Kit, *, gap: float = 
     return [container, *scattered(floor_of(container, hollow, 0.002), contents, kit, gap=gap)]
 
 
-def carrying(carrier: Item, things: Sequence[Item], kit: Kit, *, gap: float = 0.008, overhang: float = 0.0) -> Group:
+def carrying(
+    carrier: GroupItem, things: Sequence[GroupItem], kit: GroupSampler, *, gap: float = 0.008, overhang: float = 0.0
+) -> Group:
     """A thing and what stands on its top or, where it has none, in it; what finds no room is left out."""
     top = asset(carrier.key).top
     if top is None:
@@ -227,7 +231,7 @@ def carrying(carrier: Item, things: Sequence[Item], kit: Kit, *, gap: float = 0.
     return [carrier, *scattered(floor_of(carrier, top), things, kit, gap=gap, overhang=overhang)]
 
 
-def heaped(bowl: Item, things: Sequence[Item], kit: Kit) -> Group:
+def heaped(bowl: GroupItem, things: Sequence[GroupItem], kit: GroupSampler) -> Group:
     """A bowl and round things in a ring in it, as many as have room side by side; they roll together."""
     width, depth, _ = bowl.size
     widest = max((max(o.size[:2]) for o in things), default=0.0)
@@ -246,7 +250,7 @@ def heaped(bowl: Item, things: Sequence[Item], kit: Kit) -> Group:
     return [bowl, *ring]
 
 
-def leaning(cup: Item, keys: Sequence[str], kit: Kit) -> Group:
+def leaning(cup: GroupItem, keys: Sequence[str], kit: GroupSampler) -> Group:
     """A cup and long things that lean in it, each outwards to its own side, its foot near the middle."""
     hollow = asset(cup.key).hollow
     if hollow is None:
@@ -266,7 +270,7 @@ def leaning(cup: Item, keys: Sequence[str], kit: Kit) -> Group:
         x, y = _below(key, tilt, centre)
         c, s = math.cos(heading), math.sin(heading)
         there = (cup.x + foot * s - (c * x - s * y), cup.y - foot * c - (s * x + c * y))
-        group.append(Item(key, *there, heading, tilt))
+        group.append(GroupItem(key, *there, heading, tilt))
     return group
 
 

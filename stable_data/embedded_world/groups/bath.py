@@ -2,13 +2,13 @@
 
 from dataclasses import replace
 
-from stable_data.embedded_world.groups.arrangement import Group, Item, Kit, carrying, filled, leaning, row, stack
+from stable_data.embedded_world.groups.arrangement import Group, GroupItem, GroupSampler, carrying, filled, leaning, row, stack
 
 BOTTLES = ("lotion_bottle", "shampoo_bottle", "soap_dispenser", "deodorant", "perfume", "cream_jar", "cotton_jar")
 MAKEUP = ("lipstick", "nail_polish", "makeup_palette", "cream_jar", "perfume")
 
 
-def toothbrushes(kit: Kit) -> Group:
+def toothbrushes(kit: GroupSampler) -> Group:
     """A cup with toothbrushes that lean in it, the tube beside it."""
     group = leaning(
         kit.item(kit.key("toothbrush_cup", "tumbler")), [kit.key("toothbrush") for _ in range(kit.count(1, 3))], kit
@@ -19,45 +19,45 @@ def toothbrushes(kit: Kit) -> Group:
     return group
 
 
-def soap(kit: Kit) -> Group:
+def soap(kit: GroupSampler) -> Group:
     """A bar of soap on its dish."""
     dish = kit.item(kit.key("soap_dish"), wobble=0.3)
-    return [dish, Item(kit.key("soap"), dish.x, dish.y, dish.yaw + kit.around(0.15), scale=(0.9, 0.9, 0.9))]
+    return [dish, GroupItem(kit.key("soap"), dish.x, dish.y, dish.yaw + kit.around(0.15), scale=(0.9, 0.9, 0.9))]
 
 
-def bottles(kit: Kit) -> Group:
+def bottles(kit: GroupSampler) -> Group:
     """Bottles and jars in a row, tallest at one end."""
     items = sorted((kit.item(kit.key(*BOTTLES), wobble=0.2) for _ in range(kit.count(3, 5))), key=lambda o: -o.size[2])
     return row([replace(o, y=kit.around(0.006)) for o in items], kit.between(0.008, 0.025))
 
 
-def tray_of_bottles(kit: Kit) -> Group:
+def tray_of_bottles(kit: GroupSampler) -> Group:
     """A tray with bottles and jars on it."""
     things = [kit.item(kit.key(*BOTTLES), yaw=kit.around(0.4)) for _ in range(kit.count(3, 5))]
     return carrying(kit.item(kit.key("decor_tray", "serving_tray")), things, kit, gap=0.01)
 
 
-def perfumes(kit: Kit) -> Group:
+def perfumes(kit: GroupSampler) -> Group:
     """Perfumes and lipsticks in a vanity's row, evenly spaced."""
     kinds = kit.pick("perfume", "lipstick", "nail_polish", "cream_jar")
     items = [kit.item(kit.key(kinds), wobble=0.15) for _ in range(kit.count(3, 5))]
     return row(items, kit.between(0.01, 0.03))
 
 
-def brushes(kit: Kit) -> Group:
+def brushes(kit: GroupSampler) -> Group:
     """A holder with brushes that lean in it."""
     keys = [kit.key("makeup_brush") for _ in range(kit.count(2, 3))]
     return leaning(kit.item(kit.key("brush_holder", "pen_holder")), keys, kit)
 
 
-def makeup(kit: Kit) -> Group:
+def makeup(kit: GroupSampler) -> Group:
     """A palette with what goes with it around."""
     palette = kit.item(kit.key("makeup_palette"), wobble=0.3)
     items = [palette, *(kit.item(kit.key(*MAKEUP), wobble=0.4) for _ in range(kit.count(1, 3)))]
     return row(items, kit.between(0.015, 0.035))
 
 
-def jewelry(kit: Kit) -> Group:
+def jewelry(kit: GroupSampler) -> Group:
     """A jewellery box with a dish or a perfume on its lid or beside it."""
     box = kit.item(kit.key("jewelry_box"), wobble=0.15)
     thing = kit.item(kit.key("ring_dish", "watch", "perfume", "nail_polish"), wobble=1)
@@ -66,14 +66,14 @@ def jewelry(kit: Kit) -> Group:
     return row([box, thing], kit.between(0.02, 0.05))
 
 
-def towels(kit: Kit) -> Group:
+def towels(kit: GroupSampler) -> Group:
     """Folded towels on one another."""
     key = kit.own("towel")
-    pile = [Item(key) for _ in range(kit.count(2, 3))]
+    pile = [GroupItem(key) for _ in range(kit.count(2, 3))]
     return stack(pile, kit, shift=0.006, turn=0.06)
 
 
-def towel_basket(kit: Kit) -> Group:
+def towel_basket(kit: GroupSampler) -> Group:
     """A basket with soap, brushes and small bottles."""
     things = [
         kit.item(kit.key("soap", "cream_jar", "comb", "deodorant", "nail_polish", "toothpaste"), yaw=kit.around(3))
@@ -82,7 +82,7 @@ def towel_basket(kit: Kit) -> Group:
     return filled(kit.item(kit.key("basket", "storage_bin")), things, kit)
 
 
-def hair(kit: Kit) -> Group:
+def hair(kit: GroupSampler) -> Group:
     """A brush and a comb, or a hair dryer."""
     things = [
         kit.item(kit.key(kind), wobble=0.3)
@@ -91,12 +91,12 @@ def hair(kit: Kit) -> Group:
     return row(things, kit.between(0.02, 0.04))
 
 
-def mirror(kit: Kit) -> Group:
+def mirror(kit: GroupSampler) -> Group:
     """A mirror on its stand."""
     return [kit.item(kit.key("mirror"), wobble=0.15)]
 
 
-def tissues(kit: Kit) -> Group:
+def tissues(kit: GroupSampler) -> Group:
     """A box of tissues, perhaps with cotton beside it."""
     box = kit.item(kit.key("tissue_box"), wobble=0.15)
     return [box] if kit.chance(0.5) else row([box, kit.item(kit.key("cotton_jar", "lotion_bottle"))], kit.between(0.02, 0.05))

@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 from stable_data.embedded_world.families.catalogue import asset
-from stable_data.embedded_world.groups.arrangement import Group, Item, Kit, carrying, filled, leaning, row, stack
+from stable_data.embedded_world.groups.arrangement import Group, GroupItem, GroupSampler, carrying, filled, leaning, row, stack
 from stable_data.embedded_world.modelling.family import ON_EDGE
 
 WRITING = ("pen", "pencil", "marker", "highlighter")
@@ -12,7 +12,7 @@ SMALL = ("eraser", "sticky_notes", "stapler", "tape_dispenser", "calculator", "h
 TOPPERS = ("mug", "glasses_case", "phone", "apple", "calculator", "alarm_clock", "puzzle_cube", "sticky_notes", "candle")
 
 
-def workstation(kit: Kit) -> Group:
+def workstation(kit: GroupSampler) -> Group:
     """A monitor, a keyboard before it, a mouse on the right, perhaps on a pad."""
     monitor, keyboard = kit.item(kit.key("monitor"), wobble=0.03), kit.item(kit.key("keyboard"), wobble=0.04)
     gap = monitor.size[1] / 2 + keyboard.size[1] / 2 + kit.between(0.05, 0.12)
@@ -28,7 +28,7 @@ def workstation(kit: Kit) -> Group:
     return [*group, mouse.moved(x, keyboard.y + kit.around(0.02))]
 
 
-def laptop(kit: Kit) -> Group:
+def laptop(kit: GroupSampler) -> Group:
     """A laptop, often with a mouse."""
     machine = kit.item(kit.key("laptop"), wobble=0.1)
     if kit.chance(0.45):
@@ -38,7 +38,7 @@ def laptop(kit: Kit) -> Group:
     return [machine, mouse.moved(x, -machine.size[1] * kit.between(0.05, 0.25))]
 
 
-def books(kit: Kit) -> Group:
+def books(kit: GroupSampler) -> Group:
     """A stack of books, the largest at the bottom, sometimes with a thing on top."""
     count = kit.count(2, 5)
     volumes = [kit.item(kit.key("book", "book", "notebook", "magazine")) for _ in range(count)]
@@ -48,7 +48,7 @@ def books(kit: Kit) -> Group:
     return _topped(pile, kit) if kit.chance(0.45) else pile
 
 
-def _topped(pile: Group, kit: Kit) -> Group:
+def _topped(pile: Group, kit: GroupSampler) -> Group:
     last = pile[-1]
     thing = kit.item(kit.key(*TOPPERS), wobble=3)
     width, depth, _ = thing.size
@@ -57,28 +57,28 @@ def _topped(pile: Group, kit: Kit) -> Group:
     return [*pile, replace(thing, x=last.x + kit.around(0.01), y=last.y + kit.around(0.01))]
 
 
-def standing_books(kit: Kit) -> Group:
+def standing_books(kit: GroupSampler) -> Group:
     """Books on their edge, side by side between bookends."""
-    volumes = [Item(kit.key("book"), tilt_quat_xyzw=ON_EDGE) for _ in range(kit.count(3, 5))]
+    volumes = [GroupItem(kit.key("book"), tilt_quat_xyzw=ON_EDGE) for _ in range(kit.count(3, 5))]
     volumes.sort(key=lambda o: -o.size[2])
     end = kit.key("bookend")
-    right = Item(end)
-    left = Item(end, yaw=math.pi)
+    right = GroupItem(end)
+    left = GroupItem(end, yaw=math.pi)
     return row([left, *volumes, right], 0.0006)
 
 
-def cup_of_pens(kit: Kit) -> Group:
+def cup_of_pens(kit: GroupSampler) -> Group:
     """A holder with two to four pens."""
     keys = [kit.key(*WRITING) for _ in range(kit.count(2, 4))]
     return leaning(kit.item(kit.key("pen_holder")), keys, kit)
 
 
-def mug_of_pens(kit: Kit) -> Group:
+def mug_of_pens(kit: GroupSampler) -> Group:
     """A mug that serves as a holder."""
     return leaning(kit.item(kit.key("mug"), yaw=kit.around(2)), [kit.key(*WRITING) for _ in range(kit.count(1, 3))], kit)
 
 
-def writing(kit: Kit) -> Group:
+def writing(kit: GroupSampler) -> Group:
     """A notebook or papers with a pen across, a pencil beside it."""
     sheet = kit.item(kit.key("notebook", "paper_stack", "clipboard", "magazine"), wobble=0.2)
     group: Group = [sheet]
@@ -93,19 +93,19 @@ def writing(kit: Kit) -> Group:
     return group
 
 
-def office_bits(kit: Kit) -> Group:
+def office_bits(kit: GroupSampler) -> Group:
     """Two or three small things side by side."""
     things = [kit.item(kit.key(kind), wobble=0.25) for kind in kit.some(kit.count(2, 3), *SMALL)]
     return row(things, kit.between(0.015, 0.04))
 
 
-def file_tray(kit: Kit) -> Group:
+def file_tray(kit: GroupSampler) -> Group:
     """A tray with papers or magazines in it or on it."""
     tray = kit.item(kit.key("file_tray"), wobble=0.05)
     return carrying(tray, [kit.item(kit.key("notebook", "envelope", "paper_stack", "magazine"))], kit)
 
 
-def organizer(kit: Kit) -> Group:
+def organizer(kit: GroupSampler) -> Group:
     """A storage bin with small things in it."""
     things = [
         kit.item(kit.key("eraser", "sticky_notes", "tape_dispenser", "calculator", "mouse"), yaw=kit.around(3))
@@ -114,21 +114,21 @@ def organizer(kit: Kit) -> Group:
     return filled(kit.item(kit.key("storage_bin", "basket")), things, kit)
 
 
-def boxes(kit: Kit) -> Group:
+def boxes(kit: GroupSampler) -> Group:
     """A smaller box on a larger one, perhaps a third."""
     pile = [kit.item(kit.key("storage_box", "gift_box", "tin_box", "board_game")) for _ in range(kit.count(2, 3))]
     pile.sort(key=lambda o: -min(o.size[:2]))
     return stack(pile, kit, shift=0.008, turn=0.25)
 
 
-def papers(kit: Kit) -> Group:
+def papers(kit: GroupSampler) -> Group:
     """Envelopes, papers and a clipboard on one another."""
     pile = [kit.item(kit.key("paper_stack", "envelope", "clipboard", "newspaper", "notebook")) for _ in range(kit.count(2, 3))]
     pile.sort(key=lambda o: -o.size[0] * o.size[1])
     return stack(pile, kit, shift=0.015, turn=0.3)
 
 
-def phone_dock(kit: Kit) -> Group:
+def phone_dock(kit: GroupSampler) -> Group:
     """A phone, a power bank or headphones lying together."""
     things = [
         kit.item(kit.key(kind), wobble=0.2)
@@ -137,7 +137,7 @@ def phone_dock(kit: Kit) -> Group:
     return row(things, kit.between(0.02, 0.04))
 
 
-def ornaments(kit: Kit) -> Group:
+def ornaments(kit: GroupSampler) -> Group:
     """A frame, a plant, a clock: what makes a desk somebody's own."""
     kinds = ("photo_frame", "cactus", "potted_plant", "desk_clock", "figurine", "globe", "puzzle_cube", "snow_globe")
     return row([kit.item(kit.key(kind), wobble=0.3) for kind in kit.some(kit.count(1, 2), *kinds)], kit.between(0.02, 0.06))

@@ -5,8 +5,8 @@ import math
 from stable_data.embedded_world.families.catalogue import asset
 from stable_data.embedded_world.groups.arrangement import (
     Group,
-    Item,
-    Kit,
+    GroupItem,
+    GroupSampler,
     carrying,
     filled,
     heaped,
@@ -21,19 +21,19 @@ FRUIT = ("apple", "orange", "lemon", "pear", "tomato", "avocado")
 SWEET = ("muffin", "donut", "cookie", "croissant", "cake")
 
 
-def place_setting(kit: Kit) -> Group:
+def place_setting(kit: GroupSampler) -> Group:
     """A plate with what lies on it, cutlery at its sides, something to drink from behind; all of the scene's own household."""
-    plate = Item(kit.own("plate"), yaw=kit.around(3))
+    plate = GroupItem(kit.own("plate"), yaw=kit.around(3))
     width = plate.size[0]
     group: Group = []
     if kit.decided("placemat", 0.4):
-        group.append(Item(kit.own("placemat")))
+        group.append(GroupItem(kit.own("placemat")))
     group.append(plate)
     extra = kit.pick("bowl", "napkin", "none", "bread", "none") if not kit.decided("bowls", 0.4) else "bowl"
-    if extra == "bowl" and Item(kit.own("bowl")).size[0] < 0.9 * width:
-        group.append(Item(kit.own("bowl"), yaw=kit.around(3)))
-    elif extra == "napkin" and max(Item(kit.own("napkin")).size[:2]) < 0.8 * width:
-        group.append(Item(kit.own("napkin"), yaw=kit.around(0.1)))
+    if extra == "bowl" and GroupItem(kit.own("bowl")).size[0] < 0.9 * width:
+        group.append(GroupItem(kit.own("bowl"), yaw=kit.around(3)))
+    elif extra == "napkin" and max(GroupItem(kit.own("napkin")).size[:2]) < 0.8 * width:
+        group.append(GroupItem(kit.own("napkin"), yaw=kit.around(0.1)))
     elif extra == "bread":
         group.append(kit.item(kit.key("bun", "croissant"), kit.around(0.01), kit.around(0.01), kit.around(3)))
     side = width / 2 + 0.018
@@ -45,56 +45,56 @@ def place_setting(kit: Kit) -> Group:
         if kit.chance(0.5):
             group.append(_upright_along_y(kit.own("spoon"), side + 0.042, kit))
     drink = kit.own(_drink(kit))
-    reach = Item(drink).size[0] / 2
-    group.append(Item(drink, side + reach * 0.4, width / 2 + reach + kit.between(0.0, 0.02), kit.around(0.6)))
+    reach = GroupItem(drink).size[0] / 2
+    group.append(GroupItem(drink, side + reach * 0.4, width / 2 + reach + kit.between(0.0, 0.02), kit.around(0.6)))
     return group
 
 
-def _drink(kit: Kit) -> str:
+def _drink(kit: GroupSampler) -> str:
     for category in ("wine_glass", "drinking_glass", "tumbler"):
         if kit.decided(f"drink {category}", 0.45):
             return category
     return "mug"
 
 
-def _upright_along_y(key: str, x: float, kit: Kit) -> Item:
+def _upright_along_y(key: str, x: float, kit: GroupSampler) -> GroupItem:
     """A thing that lies flat with its long side along y, at a place beside a plate."""
-    width, depth, _ = Item(key).size
-    return Item(key, x, kit.around(0.008), (math.pi / 2 if width > depth else 0.0) + kit.around(0.05))
+    width, depth, _ = GroupItem(key).size
+    return GroupItem(key, x, kit.around(0.008), (math.pi / 2 if width > depth else 0.0) + kit.around(0.05))
 
 
-def tea_for_two(kit: Kit) -> Group:
+def tea_for_two(kit: GroupSampler) -> Group:
     """A teapot between two cups on saucers, with sugar or something sweet."""
     pot = kit.item(kit.key("teapot"), yaw=kit.around(0.5))
     reach = max(pot.size[:2]) / 2 + 0.085
     group: Group = [pot]
     for side in (-1, 1):
-        saucer = Item(kit.own("saucer"), side * (reach + 0.01), -0.04 * kit.between(0.5, 1.5), kit.around(3))
-        group += [saucer, Item(kit.own("teacup"), saucer.x, saucer.y, kit.around(0.8))]
+        saucer = GroupItem(kit.own("saucer"), side * (reach + 0.01), -0.04 * kit.between(0.5, 1.5), kit.around(3))
+        group += [saucer, GroupItem(kit.own("teacup"), saucer.x, saucer.y, kit.around(0.8))]
     if kit.chance(0.6):
         group.append(kit.item(kit.key("sugar_bowl"), kit.around(0.03), -reach - 0.02, kit.around(0.5)))
     return group
 
 
-def tea_tray(kit: Kit) -> Group:
+def tea_tray(kit: GroupSampler) -> Group:
     """A tray with a pot, cups and something sweet on it."""
     things = [kit.item(kit.key("teapot", "pitcher"), wobble=0.4)]
-    things += [Item(kit.own("teacup", "mug"), yaw=kit.around(0.6)) for _ in range(kit.count(1, 2))]
+    things += [GroupItem(kit.own("teacup", "mug"), yaw=kit.around(0.6)) for _ in range(kit.count(1, 2))]
     things += [kit.item(kit.key("sugar_bowl", "muffin", "donut"), wobble=0.5)]
     return carrying(kit.item(kit.key("serving_tray")), things, kit)
 
 
-def breakfast_tray(kit: Kit) -> Group:
+def breakfast_tray(kit: GroupSampler) -> Group:
     """A tray with a plate that holds something, and a drink: things on things on a tray."""
-    tray, plate = kit.item(kit.key("serving_tray")), Item(kit.own("saucer", "plate"), yaw=kit.around(3))
-    placed = carrying(tray, [plate, Item(kit.own("mug", "teacup"), yaw=kit.around(0.6))], kit)
+    tray, plate = kit.item(kit.key("serving_tray")), GroupItem(kit.own("saucer", "plate"), yaw=kit.around(3))
+    placed = carrying(tray, [plate, GroupItem(kit.own("mug", "teacup"), yaw=kit.around(0.6))], kit)
     for there in placed[1:]:
         if there.key == plate.key:
             placed.append(kit.item(kit.key(*SWEET[:4], "apple", "bun"), there.x, there.y, kit.around(3)))
     return placed
 
 
-def fruit_bowl(kit: Kit) -> Group:
+def fruit_bowl(kit: GroupSampler) -> Group:
     """A bowl with two to five fruits."""
     kinds = [kit.key(*FRUIT) for _ in range(kit.count(2, 5))]
     return heaped(
@@ -102,101 +102,101 @@ def fruit_bowl(kit: Kit) -> Group:
     )
 
 
-def bread_basket(kit: Kit) -> Group:
+def bread_basket(kit: GroupSampler) -> Group:
     """A basket with buns or fruit side by side."""
     kinds = kit.pick("bun", "croissant", "apple", "orange", "egg", "muffin")
     basket = kit.item(kit.key("basket"))
     return filled(basket, [kit.item(kit.key(kinds), yaw=kit.around(3)) for _ in range(kit.count(2, 4))], kit, gap=0.006)
 
 
-def centrepiece(kit: Kit) -> Group:
+def centrepiece(kit: GroupSampler) -> Group:
     """Flowers or a candle between two candles, symmetric."""
     middle = kit.item(kit.key("flower_vase", "vase", "potted_plant", "candlestick"), wobble=3)
     candle = kit.own("candle", "candlestick", "tea_light")
-    return row([Item(candle), middle, Item(candle)], kit.between(0.03, 0.07))
+    return row([GroupItem(candle), middle, GroupItem(candle)], kit.between(0.03, 0.07))
 
 
-def wine(kit: Kit) -> Group:
+def wine(kit: GroupSampler) -> Group:
     """A bottle and one to three glasses before it."""
     bottle = kit.item(kit.key("bottle"), yaw=kit.around(3))
-    glasses = [Item(kit.own("wine_glass", "drinking_glass"), yaw=kit.around(3)) for _ in range(kit.count(1, 3))]
+    glasses = [GroupItem(kit.own("wine_glass", "drinking_glass"), yaw=kit.around(3)) for _ in range(kit.count(1, 3))]
     reach = bottle.size[0] / 2 + max(g.size[0] for g in glasses) / 2 + kit.between(0.02, 0.05)
     first = -math.pi / 2 + kit.around(0.5)
     spread = [first + (k - (len(glasses) - 1) / 2) * 1.15 for k in range(len(glasses))]
     return [bottle, *(g.moved(reach * math.cos(a), reach * math.sin(a)) for g, a in zip(glasses, spread, strict=True))]
 
 
-def salt_and_pepper(kit: Kit) -> Group:
+def salt_and_pepper(kit: GroupSampler) -> Group:
     """The two mills, close together."""
     return row([kit.item(kit.key("salt_shaker")), kit.item(kit.key("pepper_mill"))], kit.between(0.01, 0.03))
 
 
-def plates(kit: Kit) -> Group:
+def plates(kit: GroupSampler) -> Group:
     """A stack of equal plates or bowls."""
     key = kit.own("plate", "plate", "saucer", "bowl")
-    return stack([Item(key, yaw=kit.around(3)) for _ in range(kit.count(2, 5))], kit, shift=0.001, turn=3)
+    return stack([GroupItem(key, yaw=kit.around(3)) for _ in range(kit.count(2, 5))], kit, shift=0.001, turn=3)
 
 
-def cutlery(kit: Kit) -> Group:
+def cutlery(kit: GroupSampler) -> Group:
     """Spare cutlery side by side, not quite parallel."""
     keys = [kit.own(kind) for kind in kit.some(kit.count(2, 3), "fork", "spoon", "table_knife")]
     lying = [_upright_along_y(key, 0.0, kit) for key in keys]
     return row(lying, kit.between(0.008, 0.02))
 
 
-def cake(kit: Kit) -> Group:
+def cake(kit: GroupSampler) -> Group:
     """A cake or buns on a stand or a plate."""
     sweet = kit.item(kit.key("cake", "muffin", "donut", "croissant"), yaw=kit.around(3))
     return carrying(kit.item(kit.key("cake_stand", "plate"), yaw=kit.around(3)), [sweet], kit, overhang=0.3)
 
 
-def plate_of_sweets(kit: Kit) -> Group:
+def plate_of_sweets(kit: GroupSampler) -> Group:
     """A plate with two or three small sweet things side by side."""
-    plate = Item(kit.own("plate"), yaw=kit.around(3))
+    plate = GroupItem(kit.own("plate"), yaw=kit.around(3))
     kind = kit.pick("cookie", "donut", "muffin")
     return carrying(plate, [kit.item(kit.key(kind), yaw=kit.around(3)) for _ in range(kit.count(2, 4))], kit, gap=0.003)
 
 
-def cup_on_saucer(kit: Kit) -> Group:
+def cup_on_saucer(kit: GroupSampler) -> Group:
     """A cup on its saucer, perhaps with a spoon in it."""
     saucer = kit.item(kit.own("saucer"), yaw=kit.around(3))
-    cup = Item(kit.own("teacup"), yaw=kit.around(0.8), scale=saucer.scale)
+    cup = GroupItem(kit.own("teacup"), yaw=kit.around(0.8), scale=saucer.scale)
     return [saucer, cup]
 
 
-def mug_on_coaster(kit: Kit) -> Group:
+def mug_on_coaster(kit: GroupSampler) -> Group:
     """A mug or glass on a coaster, a little off its middle."""
     drink = kit.item(kit.key("mug", "tumbler", "drinking_glass"), kit.around(0.004), kit.around(0.004), kit.around(0.8))
     return [kit.item(kit.key("coaster"), wobble=0.3), drink]
 
 
-def napkins(kit: Kit) -> Group:
+def napkins(kit: GroupSampler) -> Group:
     """A pile of napkins."""
-    return stack([Item(kit.own("napkin")) for _ in range(kit.count(2, 3))], kit, shift=0.003, turn=0.08)
+    return stack([GroupItem(kit.own("napkin")) for _ in range(kit.count(2, 3))], kit, shift=0.003, turn=0.08)
 
 
-def lying_bottle(kit: Kit) -> Group:
+def lying_bottle(kit: GroupSampler) -> Group:
     """A bottle that lies on its side."""
-    return [Item(kit.key("bottle"), yaw=kit.between(0.5, 2.6), tilt_quat_xyzw=LAID)]
+    return [GroupItem(kit.key("bottle"), yaw=kit.between(0.5, 2.6), tilt_quat_xyzw=LAID)]
 
 
-def spoons_in_cup(kit: Kit) -> Group:
+def spoons_in_cup(kit: GroupSampler) -> Group:
     """Chopsticks or spoons that lean in a cup; the wooden kind that is kept standing."""
     return leaning(kit.item(kit.key("tumbler", "utensil_holder")), [kit.key("wooden_spoon", "spatula") for _ in range(2)], kit)
 
 
-def leftovers(kit: Kit) -> Group:
+def leftovers(kit: GroupSampler) -> Group:
     """After a meal: a plate askew with cutlery on it, and a cup."""
-    plate = Item(kit.own("plate"), yaw=kit.around(3))
+    plate = GroupItem(kit.own("plate"), yaw=kit.around(3))
     top = asset(plate.key).hollow or asset(plate.key).top
     cutlery_on_it = [_upright_along_y(kit.own(kind), 0.02 * side, kit) for kind, side in (("fork", -1), ("table_knife", 1))]
     inside = [o for o in cutlery_on_it if top is not None and max(o.size[:2]) < 0.95 * top.width]
-    cup = Item(kit.own("mug", "tumbler"), plate.size[0] / 2 + 0.07, kit.around(0.05), kit.around(2))
+    cup = GroupItem(kit.own("mug", "tumbler"), plate.size[0] / 2 + 0.07, kit.around(0.05), kit.around(2))
     return [plate, *inside, cup]
 
 
-def glasses(kit: Kit) -> Group:
+def glasses(kit: GroupSampler) -> Group:
     """Equal glasses in a small cluster."""
     key = kit.own("drinking_glass", "tumbler", "wine_glass")
-    area = Item(key).outline().buffer(1.6 * Item(key).size[0])
-    return scattered(area, [Item(key, yaw=kit.around(3)) for _ in range(kit.count(2, 4))], kit, gap=0.012)
+    area = GroupItem(key).outline().buffer(1.6 * GroupItem(key).size[0])
+    return scattered(area, [GroupItem(key, yaw=kit.around(3)) for _ in range(kit.count(2, 4))], kit, gap=0.012)

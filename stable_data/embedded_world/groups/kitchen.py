@@ -5,8 +5,8 @@ from dataclasses import replace
 
 from stable_data.embedded_world.groups.arrangement import (
     Group,
-    Item,
-    Kit,
+    GroupItem,
+    GroupSampler,
     carrying,
     filled,
     heaped,
@@ -20,7 +20,7 @@ VEGETABLES = ("carrot", "cucumber", "onion", "potato", "tomato", "bell_pepper", 
 STANDING = ("jar", "can", "bottle", "spice_jar", "sauce_bottle", "milk_carton", "soda_can")
 
 
-def chopping(kit: Kit) -> Group:
+def chopping(kit: GroupSampler) -> Group:
     """A board with a knife and vegetables on it, more beside it."""
     board = kit.item(kit.key("cutting_board"), wobble=0.1)
     knife = kit.item(kit.key("kitchen_knife"))
@@ -36,7 +36,7 @@ def chopping(kit: Kit) -> Group:
     return group
 
 
-def bread_board(kit: Kit) -> Group:
+def bread_board(kit: GroupSampler) -> Group:
     """A board with a loaf and a knife or cheese."""
     board = kit.item(kit.key("cutting_board"), wobble=0.1)
     things = [
@@ -46,7 +46,7 @@ def bread_board(kit: Kit) -> Group:
     return carrying(board, things, kit, overhang=0.3)
 
 
-def pan_with_spatula(kit: Kit) -> Group:
+def pan_with_spatula(kit: GroupSampler) -> Group:
     """A pan, with something in it or a spatula beside it."""
     pan = kit.item(kit.key("frying_pan"), wobble=0.6)
     if kit.chance(0.5):
@@ -56,7 +56,7 @@ def pan_with_spatula(kit: Kit) -> Group:
     return [pan]
 
 
-def pot(kit: Kit) -> Group:
+def pot(kit: GroupSampler) -> Group:
     """A pot, open, with food in it, or with a ladle that leans in it."""
     vessel = kit.item(kit.key("cooking_pot", "saucepan"), wobble=0.5)
     choice = kit.pick("ladle", "food", "none")
@@ -69,12 +69,12 @@ def pot(kit: Kit) -> Group:
     return [vessel]
 
 
-def pot_and_lid(kit: Kit) -> Group:
+def pot_and_lid(kit: GroupSampler) -> Group:
     """A pot with its lid beside it."""
     return row([kit.item(kit.key("cooking_pot", "saucepan")), kit.item(kit.key("pot_lid"))], kit.between(0.02, 0.05))
 
 
-def mixing(kit: Kit) -> Group:
+def mixing(kit: GroupSampler) -> Group:
     """A mixing bowl with a spatula that leans in it or eggs, and what goes into it beside it."""
     bowl = kit.item(kit.key("mixing_bowl"), yaw=kit.around(3))
     group = leaning(bowl, [kit.key("spatula", "wooden_spoon")], kit) if kit.chance(0.4) else heaped(bowl, _eggs(kit), kit)
@@ -83,24 +83,24 @@ def mixing(kit: Kit) -> Group:
     return [*group, beside.moved(reach, kit.around(0.05))]
 
 
-def _eggs(kit: Kit) -> list[Item]:
+def _eggs(kit: GroupSampler) -> list[GroupItem]:
     return [kit.item(kit.key("egg")) for _ in range(kit.count(2, 3))]
 
 
-def jars(kit: Kit) -> Group:
+def jars(kit: GroupSampler) -> Group:
     """Jars, tins and bottles in a row against the wall, some alike."""
     keys = [kit.key(*STANDING) if kit.chance(0.6) else kit.own("spice_jar", "jar") for _ in range(kit.count(3, 5))]
-    return row([Item(key, 0.0, kit.around(0.008), kit.around(0.4)) for key in keys], kit.between(0.008, 0.025))
+    return row([GroupItem(key, 0.0, kit.around(0.008), kit.around(0.4)) for key in keys], kit.between(0.008, 0.025))
 
 
-def tray_of_bottles(kit: Kit) -> Group:
+def tray_of_bottles(kit: GroupSampler) -> Group:
     """A tray with oil, sauce and spices."""
     kinds = ("sauce_bottle", "bottle", "spice_jar", "salt_shaker", "pepper_mill", "jar")
     things = [kit.item(kit.key(*kinds), yaw=kit.around(3)) for _ in range(kit.count(3, 5))]
     return carrying(kit.item(kit.key("serving_tray", "decor_tray")), things, kit, gap=0.012)
 
 
-def crate(kit: Kit) -> Group:
+def crate(kit: GroupSampler) -> Group:
     """A crate with jars, tins and bottles, or with fruit."""
     if kit.chance(0.5):
         things = [kit.item(kit.key("jar", "can", "bottle", "sauce_bottle", "soda_can"), yaw=kit.around(3)) for _ in range(5)]
@@ -109,7 +109,7 @@ def crate(kit: Kit) -> Group:
     return filled(kit.item(kit.key("crate")), things[: kit.count(2, 5)], kit, gap=0.012)
 
 
-def bowl_in_crate(kit: Kit) -> Group:
+def bowl_in_crate(kit: GroupSampler) -> Group:
     """A crate or tray that holds a bowl, which holds a fruit: nested three deep."""
     outer = kit.item(kit.key("crate", "serving_tray", "oven_dish"))
     bowl = kit.item(kit.key("bowl"), yaw=kit.around(3))
@@ -120,13 +120,13 @@ def bowl_in_crate(kit: Kit) -> Group:
     return group
 
 
-def utensils(kit: Kit) -> Group:
+def utensils(kit: GroupSampler) -> Group:
     """A holder with spoons and spatulas that lean in it."""
     keys = [kit.key("wooden_spoon", "spatula", "ladle") for _ in range(kit.count(2, 3))]
     return leaning(kit.item(kit.key("utensil_holder")), keys, kit)
 
 
-def appliance(kit: Kit) -> Group:
+def appliance(kit: GroupSampler) -> Group:
     """A toaster, kettle, blender, coffee maker or scale, sometimes with what goes with it."""
     kind = kit.pick("toaster", "kettle", "blender", "coffee_maker", "kitchen_scale")
     machine = kit.item(kit.key(kind), wobble=0.12)
@@ -138,13 +138,13 @@ def appliance(kit: Kit) -> Group:
     return row([machine, kit.item(kit.key(*company), wobble=0.5)], kit.between(0.03, 0.07))
 
 
-def vegetables(kit: Kit) -> Group:
+def vegetables(kit: GroupSampler) -> Group:
     """Vegetables in a colander, a basket or a baking dish."""
     dish = kit.item(kit.key("colander", "basket", "oven_dish"), wobble=0.4)
     return filled(dish, [kit.item(kit.key(*VEGETABLES), yaw=kit.around(3)) for _ in range(kit.count(2, 4))], kit)
 
 
-def loose_food(kit: Kit) -> Group:
+def loose_food(kit: GroupSampler) -> Group:
     """Two or three fruits or vegetables that lie about together."""
     kind = kit.pick("apple", "orange", "lemon", "potato", "onion", "tomato", "pear", "egg", "banana")
     items = [kit.item(kit.key(kind), yaw=kit.around(3)) for _ in range(kit.count(2, 3))]
@@ -152,27 +152,27 @@ def loose_food(kit: Kit) -> Group:
     return scattered(area, items, kit, gap=0.006)
 
 
-def shopping(kit: Kit) -> Group:
+def shopping(kit: GroupSampler) -> Group:
     """A paper bag or a box with things beside it."""
     bag = kit.item(kit.key("paper_bag", "cereal_box", "storage_box"), wobble=0.2)
     things = [kit.item(kit.key("milk_carton", "can", "bread", "cereal_box", "watermelon"), wobble=0.5)]
     return row([bag, *things], kit.between(0.02, 0.05))
 
 
-def mortar(kit: Kit) -> Group:
+def mortar(kit: GroupSampler) -> Group:
     """A mortar with spices beside it."""
     return row([kit.item(kit.key("mortar"), yaw=kit.around(3)), kit.item(kit.key("spice_jar"))], kit.between(0.02, 0.04))
 
 
-def bowls(kit: Kit) -> Group:
+def bowls(kit: GroupSampler) -> Group:
     """Equal bowls in one another."""
     key = kit.own("bowl")
-    return stack([Item(key, yaw=kit.around(3)) for _ in range(kit.count(2, 4))], kit, shift=0.001, turn=3)
+    return stack([GroupItem(key, yaw=kit.around(3)) for _ in range(kit.count(2, 4))], kit, shift=0.001, turn=3)
 
 
-def cans(kit: Kit) -> Group:
+def cans(kit: GroupSampler) -> Group:
     """Tins on one another and beside each other."""
     key = kit.own("can")
-    width = Item(key).size[0]
-    group = [Item(key), Item(key, width + kit.between(0.004, 0.02), kit.around(0.01))]
-    return [*group, Item(key, kit.around(0.004), kit.around(0.004), kit.around(3))] if kit.chance(0.6) else group
+    width = GroupItem(key).size[0]
+    group = [GroupItem(key), GroupItem(key, width + kit.between(0.004, 0.02), kit.around(0.01))]
+    return [*group, GroupItem(key, kit.around(0.004), kit.around(0.004), kit.around(3))] if kit.chance(0.6) else group

@@ -2,7 +2,16 @@
 
 from dataclasses import replace
 
-from stable_data.embedded_world.groups.arrangement import Group, Item, Kit, carrying, filled, row, scattered, stack
+from stable_data.embedded_world.groups.arrangement import (
+    Group,
+    GroupItem,
+    GroupSampler,
+    carrying,
+    filled,
+    row,
+    scattered,
+    stack,
+)
 
 DECOR = (
     "candle",
@@ -18,7 +27,7 @@ DECOR = (
 )
 
 
-def magazines(kit: Kit) -> Group:
+def magazines(kit: GroupSampler) -> Group:
     """Magazines in a pile, a remote control or glasses on top."""
     pile = [kit.item(kit.key("magazine", "newspaper", "book")) for _ in range(kit.count(2, 4))]
     pile.sort(key=lambda o: -o.size[0] * o.size[1])
@@ -32,7 +41,7 @@ def magazines(kit: Kit) -> Group:
     return group
 
 
-def remotes(kit: Kit) -> Group:
+def remotes(kit: GroupSampler) -> Group:
     """Remote controls and a game controller side by side."""
     things = [
         kit.item(kit.key(kit.pick("remote_control", "game_controller", "remote_control")), wobble=0.3)
@@ -41,7 +50,7 @@ def remotes(kit: Kit) -> Group:
     return row(things, kit.between(0.015, 0.04))
 
 
-def decor(kit: Kit) -> Group:
+def decor(kit: GroupSampler) -> Group:
     """One to three ornaments close together, the tallest in the middle."""
     things = sorted(
         (kit.item(kit.key(kind), wobble=0.6) for kind in kit.some(kit.count(1, 3), *DECOR)), key=lambda o: o.size[2]
@@ -51,7 +60,7 @@ def decor(kit: Kit) -> Group:
     return row([replace(o, y=kit.around(0.015)) for o in things], kit.between(0.012, 0.05))
 
 
-def candle_tray(kit: Kit) -> Group:
+def candle_tray(kit: GroupSampler) -> Group:
     """A small tray with candles and an ornament."""
     things = [
         kit.item(kit.key("candle", "tea_light", "diffuser", "figurine"), yaw=kit.around(3)) for _ in range(kit.count(2, 3))
@@ -59,7 +68,7 @@ def candle_tray(kit: Kit) -> Group:
     return carrying(kit.item(kit.key("decor_tray", "serving_tray")), things, kit, gap=0.015)
 
 
-def toys(kit: Kit) -> Group:
+def toys(kit: GroupSampler) -> Group:
     """Toys lying about."""
     kinds = ("toy_car", "toy_block", "rubber_duck", "puzzle_cube", "ball", "dice", "toy_train", "toy_robot", "stacking_rings")
     items = [kit.item(kit.key(kind), yaw=kit.around(3)) for kind in kit.some(kit.count(2, 4), *kinds)]
@@ -67,21 +76,21 @@ def toys(kit: Kit) -> Group:
     return scattered(area, items, kit, gap=0.01)
 
 
-def toy_bin(kit: Kit) -> Group:
+def toy_bin(kit: GroupSampler) -> Group:
     """A bin or basket with toys in it."""
     kinds = ("toy_car", "toy_block", "rubber_duck", "puzzle_cube", "dice")
     things = [kit.item(kit.key(*kinds), yaw=kit.around(3)) for _ in range(kit.count(2, 4))]
     return filled(kit.item(kit.key("storage_bin", "basket", "crate")), things, kit)
 
 
-def blocks(kit: Kit) -> Group:
+def blocks(kit: GroupSampler) -> Group:
     """Toy blocks on one another."""
     pile = [kit.item(kit.key("toy_block", "toy_block", "puzzle_cube"), yaw=kit.around(0.5)) for _ in range(kit.count(2, 3))]
     pile.sort(key=lambda o: -min(o.size[:2]))
     return stack(pile, kit, shift=0.003, turn=0.4)
 
 
-def board_game(kit: Kit) -> Group:
+def board_game(kit: GroupSampler) -> Group:
     """A game's box with cards or dice on it, or beside it."""
     box = kit.item(kit.key("board_game"), wobble=0.2)
     return carrying(
@@ -89,22 +98,24 @@ def board_game(kit: Kit) -> Group:
     )
 
 
-def chess(kit: Kit) -> Group:
+def chess(kit: GroupSampler) -> Group:
     """A few chess pieces."""
     items = [kit.item(kit.key("chess_piece")) for _ in range(kit.count(2, 4))]
     return scattered(items[0].outline().buffer(0.09), items, kit, gap=0.01)
 
 
-def glasses_and_keys(kit: Kit) -> Group:
+def glasses_and_keys(kit: GroupSampler) -> Group:
     """What comes out of the pockets."""
     kinds = kit.some(kit.count(2, 3), "sunglasses", "wallet", "watch", "phone", "glasses_case")
     return row([kit.item(kit.key(kind), wobble=0.5) for kind in kinds], kit.between(0.015, 0.04))
 
 
-def bedside(kit: Kit) -> Group:
+def bedside(kit: GroupSampler) -> Group:
     """A book with glasses or a phone on it, and a glass of water."""
     book = kit.item(kit.key("book"), wobble=0.2)
     on_it = kit.item(kit.key("phone", "glasses_case", "sunglasses", "watch"), kit.around(0.01), kit.around(0.01), kit.around(1))
-    glass = Item(kit.key("drinking_glass", "mug", "water_bottle"), book.size[0] / 2 + 0.06, kit.around(0.04), kit.around(2))
+    glass = GroupItem(
+        kit.key("drinking_glass", "mug", "water_bottle"), book.size[0] / 2 + 0.06, kit.around(0.04), kit.around(2)
+    )
     small = max(on_it.size[:2]) < 0.95 * max(book.size[:2])
     return [book, on_it, glass] if small else [book, glass]

@@ -1,7 +1,7 @@
 """What a family of assets is: a category and how its variants are drawn.
 
-A family's ``design`` makes one variant from a :class:`Draw`: a closed solid that stands on z = 0 and faces -y, metres, with
-what the rest of the world needs to know of it.
+A family's ``design`` makes one variant from a :class:`VariantSampler`: a closed solid that stands on z = 0 and faces -y,
+metres, with what the rest of the world needs to know of it.
 """
 
 import zlib
@@ -63,7 +63,7 @@ COLORS: Mapping[str, str] = MappingProxyType(
 
 
 @dataclass(frozen=True, slots=True)
-class Space:
+class SupportArea:
     """A level place where other things can be: the top of a book, the inside of a bowl. Metres, frame of the solid.
 
     Attributes:
@@ -86,7 +86,7 @@ class Space:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Design:
+class AssetDesign:
     """One variant of a family.
 
     Attributes:
@@ -104,13 +104,13 @@ class Design:
     material: str
     color: str
     captions: tuple[str, ...]
-    top: Space | None = None
-    hollow: Space | None = None
+    top: SupportArea | None = None
+    hollow: SupportArea | None = None
     tilts: tuple[QuatXyzw, ...] = STANDING
     density: float | None = None
 
 
-class Draw:
+class VariantSampler:
     """The chance behind one variant: the same for the same category and number.
 
     Args:
@@ -134,11 +134,11 @@ class Draw:
         return options[int(order[self._variant % len(options)])]
 
 
-Drawing: TypeAlias = Callable[[Draw], Design]
+Drawing: TypeAlias = Callable[[VariantSampler], AssetDesign]
 
 
 @dataclass(frozen=True, slots=True)
-class Family:
+class AssetFamily:
     """A category of assets.
 
     Attributes:

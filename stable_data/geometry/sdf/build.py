@@ -13,7 +13,7 @@ from stable_data.errors import MeshError
 from stable_data.geometry.mesh import Mesh, unit_normals
 from stable_data.geometry.sdf.exact import BoolArray, SignedDistance
 from stable_data.geometry.sdf.grid import SdfGrid, sample_grid
-from stable_data.geometry.sdf.narrow_band import Band, Lattice, unsigned_distances
+from stable_data.geometry.sdf.narrow_band import GridNodes, NarrowBand, unsigned_distances
 from stable_data.scene import FloatArray, IntArray, Vec3
 
 _NUM_PROBES = 512
@@ -108,7 +108,7 @@ def build_grid(
     lattice = _lattice(unit, wall, limits)
     if is_sheet:
         exact = SignedDistance(unit, is_sheet=True, shell_thickness=max(shell_thickness / extent, lattice.spacing))
-    band = Band.around(exact, lattice)
+    band = NarrowBand.around(exact, lattice)
     distance = unsigned_distances(exact, lattice, band)
     inside = np.zeros(lattice.shape, np.bool_) if is_sheet else _inside(exact, lattice, band, distance)
     values = exact.signed(distance, inside).astype(np.float16)
@@ -162,14 +162,14 @@ def wall_thickness(exact: SignedDistance) -> float:
     return float(np.percentile(travelled, _THIN_SHARE)) if len(travelled) else 0.0
 
 
-def _lattice(unit: Mesh, wall: float, limits: GridLimits) -> Lattice:
+def _lattice(unit: Mesh, wall: float, limits: GridLimits) -> GridNodes:
     """The nodes: as fine as the wall asks, within the limits, centred on the mesh's box."""
     low, high = unit.triangles.min(axis=(0, 1)), unit.triangles.max(axis=(0, 1))
     finest, coarsest = (_spacing(high - low, n, limits.padding) for n in (limits.max_nodes, limits.min_nodes))
     wanted = wall / limits.nodes_per_wall if wall > 0 else finest
     spacing = float(np.clip(wanted, finest, coarsest))
     shape = _shape(high - low, spacing, limits.padding)
-    return Lattice((low + high) / 2 - spacing * (np.array(shape) - 1) / 2, spacing, shape)
+    return GridNodes((low + high) / 2 - spacing * (np.array(shape) - 1) / 2, spacing, shape)
 
 
 def _shape(size: FloatArray, spacing: float, padding: int) -> tuple[int, int, int]:
@@ -187,7 +187,7 @@ def _spacing(size: FloatArray, num_nodes: int, padding: int) -> float:
     return high
 
 
-def _inside(exact: SignedDistance, lattice: Lattice, band: Band, distance: FloatArray) -> BoolArray:
+def _inside(exact: SignedDistance, lattice: GridNodes, band: NarrowBand, distance: FloatArray) -> BoolArray:
     """Side of every node.
 
     Two neighbours whose distances add up to more than what lies between them have no surface between them. So nodes farther
@@ -214,7 +214,7 @@ def _inside(exact: SignedDistance, lattice: Lattice, band: Band, distance: Float
     return inside.reshape(lattice.shape)
 
 
-def _behind_is_inside(exact: SignedDistance, lattice: Lattice, band: Band, left: IntArray) -> bool:
+def _behind_is_inside(exact: SignedDistance, lattice: GridNodes, band: NarrowBand, left: IntArray) -> bool:
     """Whether every sampled node of those that lies straight behind a face is inside: it is not where two faces coincide."""
     slot = np.searchsorted(band.nodes, left)
     slot = slot[band.is_behind[slot]]
@@ -224,7 +224,7 @@ def _behind_is_inside(exact: SignedDistance, lattice: Lattice, band: Band, left:
 
 
 def _sides(
-    exact: SignedDistance, lattice: Lattice, region: IntArray, num_regions: int, distance: FloatArray
+    exact: SignedDistance, lattice: GridNodes, region: IntArray, num_regions: int, distance: FloatArray
 ) -> tuple[BoolArray, BoolArray, bool]:
     """Whether each region is inside, (R + 1,); whether it leaks, so that its nodes must be asked; and whether none does."""
     voter = np.zeros(num_regions + 1, np.int64)
@@ -243,7 +243,7 @@ def _sides(
     return is_inside, is_doubtful, bool(is_whole.all() and (winding > -_DOUBT).all())
 
 
-def _met(lattice: Lattice, close: IntArray, away: FloatArray, distance: FloatArray, region: IntArray) -> IntArray:
+def _met(lattice: GridNodes, close: IntArray, away: FloatArray, distance: FloatArray, region: IntArray) -> IntArray:
     """For each node near the surface one that certainly lies on its side and in a region, flat index, or −1."""
     start = lattice.places(close)
     met = np.full(len(close), -1, np.int64)

@@ -52,7 +52,7 @@ class SdfGrid:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Atlas:
+class GridAtlas:
     """Many grids in one flat buffer, G of them, so that points of different grids are read together.
 
     Attributes:
@@ -70,7 +70,7 @@ class Atlas:
     spacing: FloatArray
 
     @classmethod
-    def from_grids(cls, grids: Sequence[SdfGrid]) -> "Atlas":
+    def from_grids(cls, grids: Sequence[SdfGrid]) -> "GridAtlas":
         """Puts grids into one buffer, in their order."""
         size = np.array([g.values.size for g in grids], np.int64)
         values = [g.values.ravel() for g in grids]
@@ -143,4 +143,4 @@ def sample_grid(grid: SdfGrid, points: FloatArray, scale: float = 1.0) -> tuple[
         Distances (P,) float64, negative inside, in the lengths of the points, and their derivative with respect to the points,
         (P, 3) float64.
     """
-    return Atlas.from_grids([grid]).sample_with_gradient(np.zeros(len(points), np.int64), points, scale)
+    return GridAtlas.from_grids([grid]).sample_with_gradient(np.zeros(len(points), np.int64), points, scale)

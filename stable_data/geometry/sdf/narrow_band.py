@@ -27,7 +27,7 @@ Float32Array = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lattice:
+class GridNodes:
     """Where the nodes of a grid are."""
 
     origin: FloatArray
@@ -49,7 +49,7 @@ class Lattice:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Band:
+class NarrowBand:
     """The nodes beside the surface, B of them, and what is exact about them.
 
     Attributes:
@@ -69,7 +69,7 @@ class Band:
     is_behind: BoolArray
 
     @classmethod
-    def around(cls, exact: SignedDistance, lattice: Lattice) -> "Band":
+    def around(cls, exact: SignedDistance, lattice: GridNodes) -> "NarrowBand":
         """The nodes of the cells that hold the surface, asked one by one."""
         nodes = _surface_nodes(exact.mesh.triangles, lattice)
         start = lattice.places(nodes)
@@ -80,7 +80,7 @@ class Band:
         return cls(nodes, distance, away, place, face, is_behind)
 
 
-def unsigned_distances(exact: SignedDistance, lattice: Lattice, band: Band) -> FloatArray:
+def unsigned_distances(exact: SignedDistance, lattice: GridNodes, band: NarrowBand) -> FloatArray:
     """Distance without sign at every node, exact in the band, the grid's shape.
 
     Every other node measures to the surface point of the nearest band node that lies close to the surface. Where the node is
@@ -106,7 +106,7 @@ def unsigned_distances(exact: SignedDistance, lattice: Lattice, band: Band) -> F
 
 
 def _best_of_neighbours(
-    near: IntArray, source: npt.NDArray[np.int32], at: Float32Array, place: Float32Array, lattice: Lattice
+    near: IntArray, source: npt.NDArray[np.int32], at: Float32Array, place: Float32Array, lattice: GridNodes
 ) -> npt.NDArray[np.int32]:
     """Of the surface points that a node and its six neighbours know the nearest to the node, for the nodes given, (K,)."""
     _, ny, nz = lattice.shape
@@ -164,7 +164,7 @@ def distance_to_faces(points: FloatArray, triangles: FloatArray) -> FloatArray:
     return np.sqrt(np.where(is_over, straight, squared))
 
 
-def _surface_nodes(triangles: FloatArray, lattice: Lattice) -> IntArray:
+def _surface_nodes(triangles: FloatArray, lattice: GridNodes) -> IntArray:
     """Flat indices, ascending, of the corners of every cell that a sample of the surface lies in."""
     mark = np.zeros(lattice.size, np.bool_)
     _, ny, nz = lattice.shape

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.baselines.mesatask import MesaTask
 from benchmarks.baselines.methods import METHODS
-from benchmarks.baselines.outcome import Method, Outcome
+from benchmarks.baselines.outcome import Baseline, BaselineResult
 from benchmarks.baselines.penalty import PenaltyDescent
 from benchmarks.baselines.settling import Settle
 from benchmarks.baselines.steerable import Steerable
@@ -16,13 +16,13 @@ from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.card import MetricCard
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject
 from stable_data.simulation.collision_bodies import parts_of
-from stable_data.simulation.settling import EngineOptions
+from stable_data.simulation.settling import PhysicsOptions
 from tests.models.physics_corrector.geometry.shapes import RADIUS, SIDE, scene, store, thing
 
-MOVERS: Mapping[str, Method] = {name: m for name, m in METHODS.items() if name != "mesatask_released"}
+MOVERS: Mapping[str, Baseline] = {name: m for name, m in METHODS.items() if name != "mesatask_released"}
 
 
-def corrected(method: Method, given: Scene) -> Outcome:
+def corrected(method: Baseline, given: Scene) -> BaselineResult:
     resolved, shapes, _ = store().resolved(given)
     return method.correct(resolved, shapes, store())
 
@@ -31,7 +31,7 @@ def card(given: Scene) -> MetricCard:
     return audit_scene(given, store().shapes(given)[0]).card()
 
 
-def moves(given: Scene, outcome: Outcome) -> list[float]:
+def moves(given: Scene, outcome: BaselineResult) -> list[float]:
     shift: list[float] = np.linalg.norm(outcome.scene.poses()[:, :3] - given.poses()[:, :3], axis=1).tolist()
     return shift
 
@@ -222,7 +222,7 @@ def test_settling_keeps_the_yaw_of_what_stays() -> None:
 
 def test_what_still_falls_has_not_settled() -> None:
     start = scene(thing("cube_0", (1.5, 0.4, SIDE / 2, 0.0)))
-    outcome = corrected(Settle(EngineOptions(settle_seconds=0.2, watch_seconds=0.1)), start)
+    outcome = corrected(Settle(PhysicsOptions(settle_seconds=0.2, watch_seconds=0.1)), start)
     assert not outcome.converged
     assert "still moves" in outcome.reason
     assert outcome.scene.objects[0].position[2] < 0

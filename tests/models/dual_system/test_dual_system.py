@@ -6,18 +6,27 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from models.dual_system.algorithm1 import Correct, Corrects, Generated, LoopSettings, Propose, Request, Retrieve, dual_system
-from models.dual_system.batching import together
-from models.physics_corrector.certify import CertifyOptions, Status
+from models.dual_system.algorithm1 import (
+    CorrectionRequest,
+    Corrects,
+    GenerationResult,
+    LoopSettings,
+    ProposalRequest,
+    Request,
+    RetrievalRequest,
+    dual_system,
+)
+from models.dual_system.batching import run_batched
+from models.physics_corrector.certify import CertifyOptions, CorrectionStatus
 from models.physics_corrector.corrector import Correction, PhysicsCorrector
 from models.semantic_reasoner.engines.incremental_batches import Conversation, in_batches
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
-from models.semantic_reasoner.reasoner import Proposal, Refused
+from models.semantic_reasoner.reasoner import Proposal, RefusedReply
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import Wanted
-from models.semantic_reasoner.text.reply_json import LayoutObject, Reply
-from stable_data.assets.assignment import Furnished
-from stable_data.assets.retrieval import Unmatched
+from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
+from stable_data.assets.assignment import AssignedLayout
+from stable_data.assets.retrieval import UnmatchedQuery
 from stable_data.errors import ConfigError
 from stable_data.scene import Scene, Stage, Tabletop
 from stable_data.simulation.settling import SettleResult
@@ -38,45 +47,45 @@ def said(name: str, x: float, y: float, z: float = 5.0) -> LayoutObject:
 class Answers:
     """Answers with what is written down for each stage, the shapes of the same name, and a corrector that certifies."""
 
-    stages: Said | Callable[[Propose], Proposal]
+    stages: Said | Callable[[ProposalRequest], Proposal]
     corrector: PhysicsCorrector = field(default_factory=PhysicsCorrector)
     asked: list[Request] = field(default_factory=list)
     batches: list[int] = field(default_factory=list)  # of corrections
 
-    def propose(self, questions: Sequence[Propose]) -> Conversation[Proposal, Propose]:
+    def propose(self, questions: Sequence[ProposalRequest]) -> Conversation[Proposal, ProposalRequest]:
         return in_batches(self.proposed, questions)
 
-    def proposed(self, questions: Sequence[Propose]) -> list[Proposal]:
+    def proposed(self, questions: Sequence[ProposalRequest]) -> list[Proposal]:
         self.asked += questions
         if callable(self.stages):
             return [self.stages(q) for q in questions]
-        return [Proposal(Reply(tuple(self.stages[q.ask.wanted])), tries=1) for q in questions]
+        return [Proposal(LayoutReply(tuple(self.stages[q.ask.wanted])), tries=1) for q in questions]
 
-    def retrieve(self, questions: Sequence[Retrieve]) -> list[Furnished]:
+    def retrieve(self, questions: Sequence[RetrievalRequest]) -> list[AssignedLayout]:
         self.asked += questions
         return [self.furnished(q.scene) for q in questions]
 
-    def correct(self, questions: Sequence[Correct]) -> list[Correction]:
+    def correct(self, questions: Sequence[CorrectionRequest]) -> list[Correction]:
         self.asked += questions
         self.batches.append(len(questions))
         shapes = [store().resolved(q.scene)[1] for q in questions]
         return self.corrector.correct([q.scene for q in questions], shapes, [q.fixed for q in questions])
 
-    def furnished(self, scene: Scene) -> Furnished:
-        lost = {o.instance: Unmatched(f"nothing is like {o.category}") for o in scene.objects if o.category not in SHAPES}
+    def furnished(self, scene: Scene) -> AssignedLayout:
+        lost = {o.instance: UnmatchedQuery(f"nothing is like {o.category}") for o in scene.objects if o.category not in SHAPES}
         objects = tuple(
             replace(thing(o.instance, (*o.position, o.yaw), support=o.support), stage=o.stage)
             for o in scene.objects
             if o.instance not in lost
         )
-        return Furnished(replace(scene, objects=objects), lost)
+        return AssignedLayout(replace(scene, objects=objects), lost)
 
     def of(self, kind: type[Request]) -> list[Request]:
         return [r for r in self.asked if isinstance(r, kind)]
 
 
-def driven(answers: Answers, settings: LoopSettings | None = None, task: LayoutTask = TASK) -> Generated:
-    (made,) = together([dual_system(task, 7, settings or LoopSettings())], answers)
+def driven(answers: Answers, settings: LoopSettings | None = None, task: LayoutTask = TASK) -> GenerationResult:
+    (made,) = run_batched([dual_system(task, 7, settings or LoopSettings())], answers)
     return made
 
 
@@ -87,10 +96,10 @@ def staged(first: Sequence[LayoutObject], second: Sequence[LayoutObject], third:
 class Restless(Answers):
     """As if the engine left nothing still in the last correction while a thing of an earlier stage is there."""
 
-    def correct(self, questions: Sequence[Correct]) -> list[Correction]:
+    def correct(self, questions: Sequence[CorrectionRequest]) -> list[Correction]:
         return [self._told(q, done) for q, done in zip(questions, super().correct(questions), strict=True)]
 
-    def _told(self, q: Correct, done: Correction) -> Correction:
+    def _told(self, q: CorrectionRequest, done: Correction) -> Correction:
         assert done.certified is not None
         if not q.is_last:
             return done
@@ -100,7 +109,7 @@ class Restless(Answers):
             rest = SettleResult(("cube_1",), nothing[:, :3], nothing[:, 3:], far, far, 0.0, 9e3, 9.0, 0.0, 0.0, stable=False)
             return replace(done, rest=rest)
         left = tuple(o for o in done.certified.objects if o.instance != "cube_1")
-        return replace(done, certified=replace(done.certified, objects=left), status=Status.DROPPED)
+        return replace(done, certified=replace(done.certified, objects=left), status=CorrectionStatus.DROPPED)
 
 
 CROWDED = staged([said("cube_0", 50, 40)], [said("cube_1", 55, 40)], [said("ball_0", 45, 40)])
@@ -115,7 +124,7 @@ def test_what_nothing_keeps_still_is_left_out_though_it_stood_there_before() -> 
     assert made.correction is not None
     assert made.correction.rest is None
     assert [len(turn.corrections) for turn in made.turns] == [1, 1, 2]
-    assert [bool(r.fixed) for r in answers.of(Correct)] == [False, False, False, True]  # type: ignore[union-attr]
+    assert [bool(r.fixed) for r in answers.of(CorrectionRequest)] == [False, False, False, True]  # type: ignore[union-attr]
 
 
 def test_each_stage_is_told_what_the_corrector_made_of_those_before() -> None:
@@ -127,15 +136,15 @@ def test_each_stage_is_told_what_the_corrector_made_of_those_before() -> None:
     assert made.scene.task is not None
     assert made.scene.task.task_objects == ("cube_0",)
     assert all(turn.corrections[-1].card_after.clean for turn in made.turns)  # type: ignore[union-attr]
-    second, third = (r.ask.layout for r in answers.of(Propose)[1:])  # type: ignore[union-attr]
+    second, third = (r.ask.layout for r in answers.of(ProposalRequest)[1:])  # type: ignore[union-attr]
     corrected = made.turns[1].corrections[-1].certified
     assert corrected is not None
     assert len(second) == 1
     told = [o.position_cm for o in third]
     assert told == [tuple(pytest.approx(100 * v, abs=0.051) for v in o.position) for o in corrected.objects]
     assert told != [o.position_cm for o in (*CROWDED[Stage.TASK], *CROWDED[Stage.IMPORTANT])]
-    assert [r.is_last for r in answers.of(Correct)] == [False, False, True]  # type: ignore[union-attr]
-    assert [set(r.new) for r in answers.of(Correct)] == [{"cube_0"}, {"cube_1"}, {"ball_0"}]  # type: ignore[union-attr]
+    assert [r.is_last for r in answers.of(CorrectionRequest)] == [False, False, True]  # type: ignore[union-attr]
+    assert [set(r.new) for r in answers.of(CorrectionRequest)] == [{"cube_0"}, {"cube_1"}, {"ball_0"}]  # type: ignore[union-attr]
     assert made.start.poses()[:, :2].tolist() == [[0.5, 0.4], [0.55, 0.4], [0.45, 0.4]]
 
 
@@ -158,16 +167,16 @@ def test_earlier_stages_move_only_as_far_as_they_may(limit: float) -> None:
 def test_a_closing_correction_moves_what_is_there_only_as_far_as_it_may(limit: float, held: set[str]) -> None:
     """The last stage has no answer, so what is there is corrected once more, for the engine to be asked of it."""
 
-    def stages(request: Propose) -> Proposal:
+    def stages(request: ProposalRequest) -> Proposal:
         if request.ask.wanted is Stage.SECONDARY:
             return Proposal(None, failure="no reply can be used", code="reply_unusable")
-        return Proposal(Reply(tuple(CROWDED[request.ask.wanted])), tries=1)
+        return Proposal(LayoutReply(tuple(CROWDED[request.ask.wanted])), tries=1)
 
     answers = Answers(stages)
     made = driven(answers, LoopSettings(earlier_move=limit))
     assert made.scene is not None
-    last = answers.of(Correct)[-1]
-    assert isinstance(last, Correct)
+    last = answers.of(CorrectionRequest)[-1]
+    assert isinstance(last, CorrectionRequest)
     assert last.is_last
     assert last.fixed == held
 
@@ -205,16 +214,16 @@ def test_a_task_object_without_an_asset_is_a_failure_that_says_so() -> None:
     assert made.failure is not None
     assert made.failure.code == "asset_unmatched"
     assert "elephant_0; nothing is like elephant" in made.failure.message
-    seeds = [r.seed for r in answers.of(Propose)]  # type: ignore[union-attr]
+    seeds = [r.seed for r in answers.of(ProposalRequest)]  # type: ignore[union-attr]
     assert len(set(seeds)) == len(seeds) == 2
 
 
 def test_a_stage_that_has_no_answer_costs_no_more_than_itself() -> None:
-    def stages(request: Propose) -> Proposal:
+    def stages(request: ProposalRequest) -> Proposal:
         if request.ask.wanted is Stage.IMPORTANT:
             return Proposal(None, failure="the endpoint is down", code="endpoint_down")
         name = "cube_0" if request.ask.wanted is Stage.TASK else "ball_0"
-        return Proposal(Reply((said(name, 20 if name == "cube_0" else 70, 40),)))
+        return Proposal(LayoutReply((said(name, 20 if name == "cube_0" else 70, 40),)))
 
     made = driven(Answers(stages))
     assert made.scene is not None
@@ -230,7 +239,7 @@ def test_a_stage_that_has_no_answer_costs_no_more_than_itself() -> None:
 def test_the_corrector_is_asked_when_the_settings_say(corrects: str, count: int) -> None:
     answers = Answers(CROWDED)
     made = driven(answers, LoopSettings(corrects=corrects))  # type: ignore[arg-type]
-    assert len(answers.of(Correct)) == count
+    assert len(answers.of(CorrectionRequest)) == count
     assert made.scene is not None
     assert len(made.scene.objects) == 3
     assert (made.scene.poses() == made.start.poses()).all() == (corrects == "never")
@@ -242,7 +251,7 @@ def test_a_full_table_ends_the_schedule() -> None:
     assert made.scene is not None
     assert len(made.scene.objects) == 2
     assert [n.code for n in made.warnings] == ["table_full"]
-    assert [r.is_last for r in answers.of(Correct)] == [False, True]  # type: ignore[union-attr]
+    assert [r.is_last for r in answers.of(CorrectionRequest)] == [False, True]  # type: ignore[union-attr]
 
 
 def test_one_shot_is_one_stage() -> None:
@@ -250,8 +259,8 @@ def test_one_shot_is_one_stage() -> None:
     made = driven(answers, LoopSettings(schedule=("whole",)))
     assert made.scene is not None
     assert [o.stage for o in made.scene.objects] == [Stage.TASK, Stage.IMPORTANT]
-    assert [r.is_last for r in answers.of(Correct)] == [True]  # type: ignore[union-attr]
-    assert [set(r.new) for r in answers.of(Correct)] == [{o.instance for o in made.start.objects}]  # type: ignore[union-attr]
+    assert [r.is_last for r in answers.of(CorrectionRequest)] == [True]  # type: ignore[union-attr]
+    assert [set(r.new) for r in answers.of(CorrectionRequest)] == [{o.instance for o in made.start.objects}]  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize(
@@ -267,20 +276,20 @@ def test_scenes_side_by_side_are_what_they_are_alone() -> None:
     settings = [LoopSettings(), LoopSettings(earlier_move=0.001), LoopSettings(corrects="end")]
     loops = [dual_system(task, k, own) for k, (task, own) in enumerate(zip(tasks, settings, strict=True))]
     answers = Answers(CROWDED)
-    side_by_side = together(loops, answers)
+    side_by_side = run_batched(loops, answers)
     assert answers.batches == [2, 2, 1, 3, 1]  # the one that corrects at the end meets the last stage of the others
     for k, (task, own) in enumerate(zip(tasks, settings, strict=True)):
         assert side_by_side[k].scene == driven(Answers(CROWDED), own, task).scene
 
 
-def holding(name: str, instruction: str) -> Generated:
+def holding(name: str, instruction: str) -> GenerationResult:
     """A scene whose instruction takes a thing out of a bowl."""
     inside = replace(said(name, 50, 40, 9.0), size_cm=(10.0, 10.0, 10.0))
     bowl = LayoutObject("bowl_0", "a bowl", (16.0, 16.0, 8.0), (50.0, 40.0, 4.0), 0)
     answers = Answers(staged([bowl, inside], [], []))
     task = LayoutTask("scene", instruction, TABLE)
     statistics = CategoryStatistics.of_names(["ball", "bowl", "plate"])
-    (made,) = together([dual_system(task, 7, LoopSettings(tries=3), statistics)], answers)
+    (made,) = run_batched([dual_system(task, 7, LoopSettings(tries=3), statistics)], answers)
     assert made.scene is not None
     assert [str(r.kind) for r in made.scene.task.relations] == ["in"]  # type: ignore[union-attr]
     return made
@@ -311,21 +320,21 @@ IN_THE_BOWL = (
 @pytest.mark.parametrize(
     "last",
     [
-        Proposal(None, failure="4 answers could not be used", code="reply_unusable", refused=(Refused("x", ()),)),
+        Proposal(None, failure="4 answers could not be used", code="reply_unusable", refused=(RefusedReply("x", ()),)),
         Proposal(None, failure="the question timed out", code="timeout"),
-        Proposal(Reply((said("elephant_0", 20, 20),)), tries=1),
+        Proposal(LayoutReply((said("elephant_0", 20, 20),)), tries=1),
     ],
     ids=["reply_unusable", "timeout", "asset_unmatched"],
 )
 def test_an_earlier_try_counts_where_the_last_one_fails(last: Proposal) -> None:
-    replies = iter([Proposal(Reply(IN_THE_BOWL), tries=1), last])
+    replies = iter([Proposal(LayoutReply(IN_THE_BOWL), tries=1), last])
 
-    def stages(question: Propose) -> Proposal:
-        return next(replies) if question.ask.wanted is Stage.TASK else Proposal(Reply(()), tries=1)
+    def stages(question: ProposalRequest) -> Proposal:
+        return next(replies) if question.ask.wanted is Stage.TASK else Proposal(LayoutReply(()), tries=1)
 
     task = LayoutTask("scene", "Take the plate out of the bowl.", TABLE)
     loop = dual_system(task, 7, LoopSettings(tries=2), CategoryStatistics.of_names(["ball", "bowl", "plate", "elephant"]))
-    (made,) = together([loop], Answers(stages))
+    (made,) = run_batched([loop], Answers(stages))
     assert made.failure is None
     assert made.scene is not None
     assert [o.instance for o in made.scene.objects] == ["bowl_0", "plate_0"]
@@ -338,14 +347,14 @@ def test_an_earlier_try_counts_where_the_last_one_fails(last: Proposal) -> None:
 
 def test_of_tries_that_lack_something_the_one_counts_that_lacks_least() -> None:
     corner = tuple(replace(o, position_cm=(20.0, 15.0, o.position_cm[2])) for o in IN_THE_BOWL)
-    replies = iter([Proposal(Reply(corner), tries=1), Proposal(Reply(IN_THE_BOWL), tries=1)])
+    replies = iter([Proposal(LayoutReply(corner), tries=1), Proposal(LayoutReply(IN_THE_BOWL), tries=1)])
 
-    def stages(question: Propose) -> Proposal:
-        return next(replies) if question.ask.wanted is Stage.TASK else Proposal(Reply(()), tries=1)
+    def stages(question: ProposalRequest) -> Proposal:
+        return next(replies) if question.ask.wanted is Stage.TASK else Proposal(LayoutReply(()), tries=1)
 
     task = LayoutTask("scene", "Take the plate out of the bowl that is in the front left corner.", TABLE)
     loop = dual_system(task, 7, LoopSettings(tries=2), CategoryStatistics.of_names(["ball", "bowl", "plate"]))
-    (made,) = together([loop], Answers(stages))
+    (made,) = run_batched([loop], Answers(stages))
     assert made.scene is not None
     assert [turn.code for turn in made.turns[:2]] == ["", "relation_lost"]
     assert made.scene["bowl_0"].position[0] < 0.3
@@ -355,7 +364,7 @@ def test_what_is_pushed_out_of_its_corner_is_asked_for_again() -> None:
     pushing = staged([said("cube_0", 33, 20)], [said("ball_0", 28, 20)], [])
     task = LayoutTask("scene", "Lift the cube that is in the front left corner.", TABLE)
     loop = dual_system(task, 7, LoopSettings(tries=2), CategoryStatistics.of_names(["ball", "cube"]))
-    (made,) = together([loop], Answers(pushing))
+    (made,) = run_batched([loop], Answers(pushing))
     assert [(str(turn.wanted), turn.code) for turn in made.turns] == [
         ("task", ""),
         ("important", "relation_lost"),

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.physics_corrector.certify import Status
+from models.physics_corrector.certify import CorrectionStatus
 from models.physics_corrector.corrector import PhysicsCorrector, certified_from, movement, starting_point
 from models.physics_corrector.flow.checkpoint import load_corrector, save_corrector
 from models.physics_corrector.learned_flow import LearnedFlow, load_flow, weights_fingerprint
@@ -202,7 +202,7 @@ def test_where_the_flow_leaves_no_room_the_layout_itself_decides() -> None:
     scene, shapes = laid(("one", BOOK, 0.08, 0.11, 0.0), ("other", BOOK, 0.235, 0.11, 0.0), size=(0.32, 0.22))
     raw = scene.with_poses(scene.poses() + np.array([0.0, 0.0, 0.0, np.pi / 4]))  # turned so, none has room
     done = certified_from(scene, raw, shapes)
-    assert done.status is Status.CERTIFIED
+    assert done.status is CorrectionStatus.CERTIFIED
     assert not done.dropped
 
 

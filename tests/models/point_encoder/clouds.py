@@ -4,9 +4,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from models.point_encoder.cloud import Cloud, Preprocessing
+from models.point_encoder.cloud import PointCloud, Preprocessing
 from models.point_encoder.encoder import PointEncoder
-from models.point_encoder.level import Level
+from models.point_encoder.level import VoxelLevel
 from models.point_encoder.serialization import CURVES
 from models.point_encoder.transformer import TransformerConfig
 from stable_data.geometry.shape import Shape
@@ -29,17 +29,17 @@ def tiny_encoder(config: TransformerConfig = TINY, preprocessing: Preprocessing 
     return PointEncoder(config, preprocessing or Preprocessing(num_points=128, grid_size=1 / 4)).eval()
 
 
-def box_cloud(x: float, y: float, z: float, num_points: int = 128) -> Cloud:
-    return Cloud.of_shape(Shape.box((x, y, z)), num_points)
+def box_cloud(x: float, y: float, z: float, num_points: int = 128) -> PointCloud:
+    return PointCloud.of_shape(Shape.box((x, y, z)), num_points)
 
 
-def clouds() -> list[Cloud]:
+def clouds() -> list[PointCloud]:
     return [box_cloud(0.1, 0.1, 0.1), box_cloud(0.3, 0.02, 0.05), box_cloud(0.2, 0.2, 0.01), box_cloud(0.04, 0.05, 0.4)]
 
 
-def shuffled(cloud: Cloud, rng: np.random.Generator) -> Cloud:
+def shuffled(cloud: PointCloud, rng: np.random.Generator) -> PointCloud:
     order = rng.permutation(len(cloud.points))
-    return Cloud(cloud.points[order], cloud.normals[order], cloud.size)
+    return PointCloud(cloud.points[order], cloud.normals[order], cloud.size)
 
 
 def random_voxels(num_each: tuple[int, ...], span: int, seed: int = 0) -> tuple[Tensor, Tensor]:
@@ -54,5 +54,5 @@ def random_voxels(num_each: tuple[int, ...], span: int, seed: int = 0) -> tuple[
     return torch.cat(coords)[order], torch.cat(batch)[order]
 
 
-def level_of(num_each: tuple[int, ...], span: int, seed: int = 0) -> Level:
-    return Level.of_voxels(*random_voxels(num_each, span, seed), CURVES, with_margin=False)[0]
+def level_of(num_each: tuple[int, ...], span: int, seed: int = 0) -> VoxelLevel:
+    return VoxelLevel.of_voxels(*random_voxels(num_each, span, seed), CURVES, with_margin=False)[0]

@@ -2,7 +2,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from models.point_encoder.blocks import PatchAttention, Pooling, SubMConv3d
+from models.point_encoder.blocks import PatchAttention, SubMConv3d, VoxelPooling
 from tests.models.point_encoder.clouds import level_of
 
 
@@ -46,7 +46,7 @@ def test_attention_is_softmax_over_each_patch() -> None:
 
 
 def test_pooling_keeps_the_largest_of_the_voxels_that_merge() -> None:
-    layer = Pooling(3, 3, torch.nn.Identity())
+    layer = VoxelPooling(3, 3, torch.nn.Identity())
     features, cluster = torch.randn(6, 3), torch.tensor([0, 0, 1, 2, 2, 2])
     largest = torch.stack([layer.proj(features)[cluster == n].amax(0) for n in range(3)])
     assert torch.allclose(layer(features, cluster, 3), functional.gelu(largest))

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.point_encoder.cloud import MODELNET, SCANNET, SONATA, Cloud, Preprocessing, voxelised
+from models.point_encoder.cloud import MODELNET, SCANNET, SONATA, PointCloud, Preprocessing, voxelised
 from models.point_encoder.encoder import FEATURE_CHANNELS, PointEncoder
 from models.point_encoder.transformer import EMBEDDED
 from stable_data.errors import ConfigError, MeshError
@@ -78,14 +78,14 @@ def test_a_cloud_of_another_number_of_points_is_refused() -> None:
 def test_points_of_a_voxel_are_averaged() -> None:
     points = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], np.float32)
     normals = np.eye(3, dtype=np.float32)[[0, 1, 2, 2]]
-    found = voxelised([Cloud(points, normals, np.array([2, 1, 1], np.float32))], Preprocessing(4, "extent", 0.5))
+    found = voxelised([PointCloud(points, normals, np.array([2, 1, 1], np.float32))], Preprocessing(4, "extent", 0.5))
     assert found.coords.tolist() == [[0, 0, 0], [2, 0, 0], [4, 0, 0]]
     assert torch.allclose(found.features[1], torch.tensor([0.05, 0.0, 0.0, 0.5, 0.5, 0.0]))
 
 
 def test_a_face_at_the_end_of_the_box_falls_into_one_layer_of_voxels(rng: np.random.Generator) -> None:
     points = np.concatenate([np.full((500, 1), 0.15) + rng.normal(0, 1e-8, (500, 1)), rng.uniform(-0.1, 0.1, (500, 2))], axis=1)
-    cloud = Cloud(points.astype(np.float32), np.zeros((500, 3), np.float32), np.full(3, 0.3, np.float32))
+    cloud = PointCloud(points.astype(np.float32), np.zeros((500, 3), np.float32), np.full(3, 0.3, np.float32))
     assert len(voxelised([cloud], Preprocessing()).coords[:, 0].bincount()) == 1
 
 
@@ -106,7 +106,7 @@ def test_other_channels_than_the_network_takes_are_refused() -> None:
 def test_a_cloud_without_shape_is_refused(points: npt.NDArray[np.float32], size: tuple[int, int, int]) -> None:
     points = points.astype(np.float32)
     with pytest.raises(MeshError, match="cloud has"):
-        Cloud(points, points, np.array(size, np.float32))
+        PointCloud(points, points, np.array(size, np.float32))
 
 
 def test_other_widths_are_projected_to_whitened_codes() -> None:

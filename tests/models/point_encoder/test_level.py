@@ -3,7 +3,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.point_encoder.level import Level
+from models.point_encoder.level import VoxelLevel
 from models.point_encoder.serialization import CURVES
 from tests.models.point_encoder.clouds import level_of, random_voxels
 
@@ -40,7 +40,7 @@ def test_patches_are_those_of_flash_attention(num_each: tuple[int, ...], size: i
     assert found == set(naive_patches(level, curve, size))
 
 
-def naive_patches(level: Level, curve: int, size: int) -> list[tuple[int, ...]]:
+def naive_patches(level: VoxelLevel, curve: int, size: int) -> list[tuple[int, ...]]:
     patches = []
     for cloud in range(len(level.lengths)):
         rows = (level.batch == cloud).nonzero()[:, 0]
@@ -67,7 +67,7 @@ def test_both_ways_of_pooling_merge_the_same_voxels(num_each: tuple[int, ...]) -
 def test_codes_of_a_pooled_level_are_those_of_its_coordinates() -> None:
     level = level_of((200,), 16)
     coarse, _ = level.pooled(CURVES, by_code=True)
-    fresh, rows = Level.of_voxels(coarse.coords, coarse.batch, CURVES, with_margin=False)
+    fresh, rows = VoxelLevel.of_voxels(coarse.coords, coarse.batch, CURVES, with_margin=False)
     assert coarse.coords.amax() == 7  # of the depth that is expected
     assert coarse.codes[:, rows].equal(fresh.codes)
 
@@ -76,8 +76,8 @@ def test_codes_of_a_pooled_level_are_those_of_its_coordinates() -> None:
 def test_a_level_does_not_depend_on_the_order_of_its_voxels(with_margin: bool) -> None:
     coords, batch = random_voxels((30, 1, 17), 6)
     order = torch.randperm(len(batch), generator=torch.Generator().manual_seed(1))
-    first, rows = Level.of_voxels(coords, batch, CURVES, with_margin=with_margin)
-    second, _ = Level.of_voxels(coords[order], batch[order], CURVES, with_margin=with_margin)
+    first, rows = VoxelLevel.of_voxels(coords, batch, CURVES, with_margin=with_margin)
+    second, _ = VoxelLevel.of_voxels(coords[order], batch[order], CURVES, with_margin=with_margin)
     assert first.coords.equal(second.coords)
     assert first.codes.equal(second.codes)
     assert first.coords.equal(coords[rows])

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from stable_data.metrics.alignment import Reference
-from stable_data.metrics.matching import Required
+from stable_data.metrics.alignment import AlignmentReference
+from stable_data.metrics.matching import RequiredObject
 from stable_data.scene import Relation, RelationKind, Tabletop
 
 FILE = Path(__file__).with_suffix(".jsonl")
@@ -25,7 +25,7 @@ class Handwritten:
 
     instruction: str
     table: Tabletop
-    reference: Reference
+    reference: AlignmentReference
     unknown: tuple[str, ...]
 
 
@@ -37,8 +37,8 @@ def read_handwritten() -> tuple[Handwritten, ...]:
 
 def _of(name: str, row: dict[str, Any]) -> Handwritten:
     kinds = [entry if isinstance(entry, list) else [entry] for entry in row["objects"]]
-    required = tuple(Required(str(k), tuple(categories)) for k, categories in enumerate(kinds))
+    required = tuple(RequiredObject(str(k), tuple(categories)) for k, categories in enumerate(kinds))
     relations = tuple(Relation(str(a), RelationKind(kind), str(b)) for a, kind, b in row["relations"])
     width, depth = row["table_size_cm"]
     table = Tabletop(row["table_type"], (width / 100, depth / 100))
-    return Handwritten(row["instruction"], table, Reference(name, required, relations), tuple(row["unknown"]))
+    return Handwritten(row["instruction"], table, AlignmentReference(name, required, relations), tuple(row["unknown"]))

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.semantic_reasoner.editing import EditedScene, Editing, apply_edit, editing
+from models.semantic_reasoner.editing import EditPrompt, EditResult, apply_edit, editing
 from models.semantic_reasoner.text.prompt import messages
-from models.semantic_reasoner.text.reply_json import LayoutObject, Reply, parse_reply
+from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply, parse_reply
 from models.semantic_reasoner.training.examples import edit_example_of
 from stable_data.embedded_world.edit_table import edit_rows
 from stable_data.errors import SceneError
@@ -45,8 +45,8 @@ def shown(name: str) -> LayoutObject:
     return next(o for o in editing(SCENE).layout if o.instance == name)
 
 
-def edit(*objects: LayoutObject, remove: tuple[str, ...] = ()) -> EditedScene:
-    return apply_edit(SCENE, Reply(objects, remove))
+def edit(*objects: LayoutObject, remove: tuple[str, ...] = ()) -> EditResult:
+    return apply_edit(SCENE, LayoutReply(objects, remove))
 
 
 def test_the_layout_is_in_the_order_of_generation() -> None:
@@ -143,14 +143,14 @@ def test_new_things_get_names_of_their_own_and_what_carries_them() -> None:
 @pytest.mark.parametrize(
     ("reply", "reason"),
     [
-        (Reply((), ("mug_7",)), "mug_7 is to be removed, but is not in the layout, which has mug_0, mug_1"),
-        (Reply((), ("lamp_0",)), "which has tray_0, mug_0, spoon_0, mug_1"),
-        (Reply((), ("mug_0", "mug_0")), "mug_0 is removed 2 times"),
-        (Reply((shown("mug_0"), shown("mug_0"))), "mug_0 is there 2 times"),
-        (Reply((shown("mug_0"),), ("mug_0",)), "mug_0 is removed and given anew"),
+        (LayoutReply((), ("mug_7",)), "mug_7 is to be removed, but is not in the layout, which has mug_0, mug_1"),
+        (LayoutReply((), ("lamp_0",)), "which has tray_0, mug_0, spoon_0, mug_1"),
+        (LayoutReply((), ("mug_0", "mug_0")), "mug_0 is removed 2 times"),
+        (LayoutReply((shown("mug_0"), shown("mug_0"))), "mug_0 is there 2 times"),
+        (LayoutReply((shown("mug_0"),), ("mug_0",)), "mug_0 is removed and given anew"),
     ],
 )
-def test_a_reply_that_cannot_be_meant_is_refused_with_a_reason(reply: Reply, reason: str) -> None:
+def test_a_reply_that_cannot_be_meant_is_refused_with_a_reason(reply: LayoutReply, reason: str) -> None:
     with pytest.raises(SceneError) as caught:
         apply_edit(SCENE, reply)
     assert caught.value.code == "edit_refused"
@@ -191,22 +191,24 @@ def test_the_answer_of_an_example_makes_the_scene_that_it_was_made_of() -> None:
     assert kinds == {"add", "remove", "replace", "move", "restyle"}
 
 
-def _left(o: LayoutObject) -> Reply:
-    return Reply((replace(o, position_cm=(round(o.position_cm[0] - 1.0, 1), *o.position_cm[1:])),))
+def _left(o: LayoutObject) -> LayoutReply:
+    return LayoutReply((replace(o, position_cm=(round(o.position_cm[0] - 1.0, 1), *o.position_cm[1:])),))
 
 
 @pytest.mark.parametrize(
     ("reply_to", "kind"),
     [
-        (lambda shown_to: Reply(()), "none"),
-        (lambda shown_to: Reply((), (shown_to.layout[-1].instance,)), "remove"),
+        (lambda shown_to: LayoutReply(()), "none"),
+        (lambda shown_to: LayoutReply((), (shown_to.layout[-1].instance,)), "remove"),
         (lambda shown_to: _left(shown_to.layout[0]), "move"),
-        (lambda shown_to: Reply((replace(shown_to.layout[0], instance="zebra_0"),)), "add"),
-        (lambda shown_to: Reply((replace(shown_to.layout[0], description="another thing"),)), "restyle"),
-        (lambda s: Reply((replace(s.layout[0], instance="zebra_0"),), (s.layout[0].instance,)), "replace"),
+        (lambda shown_to: LayoutReply((replace(shown_to.layout[0], instance="zebra_0"),)), "add"),
+        (lambda shown_to: LayoutReply((replace(shown_to.layout[0], description="another thing"),)), "restyle"),
+        (lambda s: LayoutReply((replace(s.layout[0], instance="zebra_0"),), (s.layout[0].instance,)), "replace"),
     ],
 )
-def test_real_scenes_keep_what_is_not_named(shared_data: Path, reply_to: Callable[[Editing], Reply], kind: str) -> None:
+def test_real_scenes_keep_what_is_not_named(
+    shared_data: Path, reply_to: Callable[[EditPrompt], LayoutReply], kind: str
+) -> None:
     dataset = MesaTaskDataset(shared_data / "mesa_real")
     for scene_id in dataset.scene_ids[::10]:
         read = dataset.read(scene_id)[0]

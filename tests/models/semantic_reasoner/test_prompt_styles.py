@@ -4,9 +4,9 @@ from dataclasses import replace
 import pytest
 
 from models.semantic_reasoner.engines.scripted_engine import ScriptedEngine
-from models.semantic_reasoner.prompt_styles import MesaTaskDialect, StagedDialect, dialect_of
+from models.semantic_reasoner.prompt_styles import MesaTaskPromptStyle, StagedPromptStyle, prompt_style_of
 from models.semantic_reasoner.reasoner import SemanticReasoner
-from models.semantic_reasoner.text.prompt import Ask, messages
+from models.semantic_reasoner.text.prompt import ReasonerQuestion, messages
 from models.semantic_reasoner.text.reply_json import LayoutObject, render_objects
 from stable_data.errors import ConfigError, SceneError
 from stable_data.instructions.task_info import task_info_of
@@ -22,7 +22,7 @@ TASK = TaskInfo(
     ("3_soap_0", "4_soap_dish_0"),
     (Relation("3_soap_0", RelationKind.LEFT_OF, "4_soap_dish_0"),),
 )
-ASK = Ask(TASK.task, VANITY, "whole", details=TASK)
+ASK = ReasonerQuestion(TASK.task, VANITY, "whole", details=TASK)
 PEN = LayoutObject("pen_0", "a blue pen", (1.0, 14.0, 1.0), (20.0, 10.0, 0.5), 0)
 TOLD = (
     "The pen belongs in front {really}.\n(pen_0, is at, front left)\n\nTherefore, the scene layout is:\n**Final Answer**\n"
@@ -32,7 +32,7 @@ TOLD = (
 
 
 def test_mesatask_is_told_the_whole_task_info_and_no_answer() -> None:
-    (only,) = MesaTaskDialect().messages(ASK)
+    (only,) = MesaTaskPromptStyle().messages(ASK)
     assert only["role"] == "user"
     document = json.loads(only["content"][only["content"].index('{\n  "Environment"') :])
     told = task_info_of(document)
@@ -44,30 +44,30 @@ def test_mesatask_is_told_the_whole_task_info_and_no_answer() -> None:
 
 
 def test_mesatask_s_own_wording_can_be_given() -> None:
-    (only,) = MesaTaskDialect("As you were trained:").messages(ASK)
+    (only,) = MesaTaskPromptStyle("As you were trained:").messages(ASK)
     assert only["content"].startswith("As you were trained:\n{")
 
 
 def test_an_instruction_alone_will_do() -> None:
-    (only,) = MesaTaskDialect().messages(replace(ASK, details=None))
+    (only,) = MesaTaskPromptStyle().messages(replace(ASK, details=None))
     assert '"Task": "Put the soap into the dish."' in only["content"]
 
 
 def test_the_layout_follows_the_reasons() -> None:
-    assert MesaTaskDialect().parse(TOLD).objects == (PEN,)
+    assert MesaTaskPromptStyle().parse(TOLD).objects == (PEN,)
     for text, code in (
         ("no answer", "reply_malformed"),
         (render_objects([PEN]), "reply_malformed"),
         (TOLD[:-30], "reply_not_json"),
     ):
         with pytest.raises(SceneError) as caught:
-            MesaTaskDialect().parse(text)
+            MesaTaskPromptStyle().parse(text)
         assert caught.value.code == code
 
 
 def test_mesatask_knows_whole_layouts_alone() -> None:
     engine = ScriptedEngine(lambda _: TOLD)
-    reasoner = SemanticReasoner(engine, dialect=MesaTaskDialect())
+    reasoner = SemanticReasoner(engine, dialect=MesaTaskPromptStyle())
     whole, staged = reasoner.propose([ASK, replace(ASK, wanted=Stage.TASK)], [0, 1])
     assert whole.objects == (PEN,)
     assert (staged.reply, staged.code) == (None, "stage_unknown")
@@ -75,21 +75,21 @@ def test_mesatask_knows_whole_layouts_alone() -> None:
 
 def test_a_refused_answer_is_shown_with_its_reason() -> None:
     engine = ScriptedEngine(["nonsense", TOLD])
-    (found,) = SemanticReasoner(engine, dialect=MesaTaskDialect(), tells_reasons=True).propose([ASK], [0])
+    (found,) = SemanticReasoner(engine, dialect=MesaTaskPromptStyle(), tells_reasons=True).propose([ASK], [0])
     assert found.objects == (PEN,)
     assert found.refused[0].faults[0].code == "reply_malformed"
 
 
 def test_only_our_own_words_bind_the_answer() -> None:
-    assert StagedDialect().form(ASK).binds
-    assert not MesaTaskDialect().form(ASK).binds
-    assert StagedDialect().messages(ASK) == messages(ASK)
+    assert StagedPromptStyle().form(ASK).binds
+    assert not MesaTaskPromptStyle().form(ASK).binds
+    assert StagedPromptStyle().messages(ASK) == messages(ASK)
     edit = replace(ASK, wanted="edit", layout=(PEN,))
-    assert StagedDialect().form(edit).names == ("pen_0",)
+    assert StagedPromptStyle().form(edit).names == ("pen_0",)
 
 
 def test_dialects_by_name() -> None:
-    assert isinstance(dialect_of("stages"), StagedDialect)
-    assert isinstance(dialect_of("mesatask"), MesaTaskDialect)
+    assert isinstance(prompt_style_of("stages"), StagedPromptStyle)
+    assert isinstance(prompt_style_of("mesatask"), MesaTaskPromptStyle)
     with pytest.raises(ConfigError, match="expected stages or mesatask"):
-        dialect_of("klingon")
+        prompt_style_of("klingon")

@@ -3,13 +3,13 @@ from dataclasses import replace
 
 from models.semantic_reasoner.engines.protocol import Completion, Request
 from models.semantic_reasoner.reasoner import SemanticReasoner
-from models.semantic_reasoner.replies.checks import Fault, form_check
-from models.semantic_reasoner.text.prompt import Ask
-from models.semantic_reasoner.text.reply_json import LayoutObject, Reply, render_objects
+from models.semantic_reasoner.replies.checks import ReplyFault, form_check
+from models.semantic_reasoner.text.prompt import ReasonerQuestion
+from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply, render_objects
 from stable_data.scene import Stage, Tabletop
 
 TABLE = Tabletop("office_table", (1.12, 0.593))
-ASK = Ask("Put the mug on the book.", TABLE, Stage.TASK)
+ASK = ReasonerQuestion("Put the mug on the book.", TABLE, Stage.TASK)
 MUG = LayoutObject("mug_0", "a red mug", (9.0, 8.4, 10.0), (20.0, 30.5, 5.0), -15)
 GOOD, ODD, BAD = (render_objects([replace(MUG, description=d)]) for d in ("a good mug", "an odd mug", "a bad mug"))
 
@@ -29,11 +29,11 @@ class Told:
         return [a if isinstance(a, Completion) else Completion(a, 10, 5, cost=0.5) for a in answers]
 
 
-def faults(reply: Reply, ask: Ask) -> list[Fault]:
+def faults(reply: LayoutReply, ask: ReasonerQuestion) -> list[ReplyFault]:
     words = reply.objects[0].description if reply.objects else "nothing"
     if "bad" in words:
-        return [Fault("mug_bad", "mug_0 is bad; take another")]
-    return [Fault("mug_odd", "mug_0 is odd", is_hard=False)] if "odd" in words else []
+        return [ReplyFault("mug_bad", "mug_0 is bad; take another")]
+    return [ReplyFault("mug_odd", "mug_0 is odd", is_hard=False)] if "odd" in words else []
 
 
 def test_a_good_answer_is_taken_at_once() -> None:
@@ -111,13 +111,16 @@ def test_an_edit_that_does_something_oddly_is_better_than_one_that_does_nothing(
     nothing = render_objects([], ())
     odd = render_objects([replace(MUG, description="an odd, red mug")], ())
 
-    def check(reply: Reply, ask: Ask) -> list[Fault]:
-        return form_check(reply, ask) or [Fault("mug_odd", "odd", is_hard=False), Fault("mug_red", "red", is_hard=False)]
+    def check(reply: LayoutReply, ask: ReasonerQuestion) -> list[ReplyFault]:
+        return form_check(reply, ask) or [
+            ReplyFault("mug_odd", "odd", is_hard=False),
+            ReplyFault("mug_red", "red", is_hard=False),
+        ]
 
     (p,) = SemanticReasoner(Told([nothing], [odd], [nothing]), check, tries=3).propose([edit], [1])
     assert render_objects(p.objects, ()) == odd
     (p,) = SemanticReasoner(Told([nothing], [nothing]), check, tries=2).propose([edit], [1])
-    assert p.reply == Reply((), ())
+    assert p.reply == LayoutReply((), ())
     assert [f.code for f in p.faults] == ["nothing_changed"]
 
 
@@ -125,13 +128,13 @@ def test_what_is_faulty_in_every_answer_is_left_out_in_the_end_and_what_rests_on
     plate, bowl = replace(MUG, instance="plate_0"), replace(MUG, instance="bowl_0", description="a bowl")
     answers = [render_objects(objects) for objects in ([MUG, plate, bowl], [MUG, plate], [plate, bowl])]
 
-    def check(reply: Reply, ask: Ask) -> list[Fault]:
+    def check(reply: LayoutReply, ask: ReasonerQuestion) -> list[ReplyFault]:
         names = {o.instance for o in reply.objects}
         if "mug_0" not in names:
-            return [Fault("required_missing", "there is no mug")]
+            return [ReplyFault("required_missing", "there is no mug")]
         if "plate_0" in names:
-            return [Fault("off_table", "plate_0 leaves the table", instance="plate_0")]
-        return [Fault("floats", "bowl_0 is in the air", instance="bowl_0")] if "bowl_0" in names else []
+            return [ReplyFault("off_table", "plate_0 leaves the table", instance="plate_0")]
+        return [ReplyFault("floats", "bowl_0 is in the air", instance="bowl_0")] if "bowl_0" in names else []
 
     (p,) = SemanticReasoner(Told(*([a] for a in answers)), check, tries=3).propose([ASK], [1])
     assert [o.instance for o in p.objects] == ["mug_0"]
@@ -149,9 +152,9 @@ def test_what_is_faulty_in_every_answer_is_left_out_in_the_end_and_what_rests_on
 def test_a_long_later_list_is_taken_without_the_few_that_cannot_stay() -> None:
     """One of eight is not worth asking again for; one of seven is, and so is anything that the first stage lacks."""
 
-    def check(reply: Reply, ask: Ask) -> list[Fault]:
+    def check(reply: LayoutReply, ask: ReasonerQuestion) -> list[ReplyFault]:
         gone = [o.instance for o in reply.objects if o.description == "a bad mug"]
-        return [Fault("same_place", f"{name} is where another is", instance=name) for name in gone]
+        return [ReplyFault("same_place", f"{name} is where another is", instance=name) for name in gone]
 
     bad = replace(MUG, instance="mug_9", description="a bad mug")
     eight = render_objects([bad, *(replace(MUG, instance=f"mug_{k}") for k in range(7))])

@@ -21,7 +21,7 @@ from transformers import BertConfig, BertModel, MPNetConfig, MPNetModel, PreTrai
 
 from models.text_encoder import SentenceEncoder, load_default, packaged_folder, read_folder
 from stable_data.assets.catalog import AssetLibrary
-from stable_data.assets.retrieval import Match, Query, Retriever, Unmatched
+from stable_data.assets.retrieval import AssetMatch, AssetQuery, Retriever, UnmatchedQuery
 from stable_data.embedded_world.families.catalogue import KEYS, asset
 from stable_data.errors import ConfigError
 from tests.stable_data.assets.bag_of_words import thing
@@ -130,10 +130,16 @@ def test_what_is_meant_is_near_what_is_said(encoder: SentenceEncoder) -> None:
     ]
     tool = Retriever([AssetLibrary("shelf", tuple(shelf)).embedded(encoder)], encoder)
     size = (0.1, 0.1, 0.1)
-    wanted = [Query("cup for coffee", size, "mug"), Query("skillet", size, "frying_pan"), Query("a lamp for a desk", size)]
-    answers = tool.retrieve([*wanted, Query("a live elephant", size), Query("espresso machine", size, "coffee_maker")])
-    assert [a.asset_id for a in answers if isinstance(a, Match)] == ["mug", "pan", "lamp"]
-    assert all(isinstance(a, Unmatched) for a in answers[3:])
+    wanted = [
+        AssetQuery("cup for coffee", size, "mug"),
+        AssetQuery("skillet", size, "frying_pan"),
+        AssetQuery("a lamp for a desk", size),
+    ]
+    answers = tool.retrieve(
+        [*wanted, AssetQuery("a live elephant", size), AssetQuery("espresso machine", size, "coffee_maker")]
+    )
+    assert [a.asset_id for a in answers if isinstance(a, AssetMatch)] == ["mug", "pan", "lamp"]
+    assert all(isinstance(a, UnmatchedQuery) for a in answers[3:])
 
 
 def test_things_of_the_embedded_world_are_found_by_other_words(encoder: SentenceEncoder) -> None:
@@ -145,14 +151,15 @@ def test_things_of_the_embedded_world_are_found_by_other_words(encoder: Sentence
     )
     other_words = {a.asset_id: a.raw["captions"][1] for a in made if len(a.raw["captions"]) > 1}
     tool = Retriever([AssetLibrary("world", shelf).embedded(encoder)], encoder)
-    answers = tool.retrieve([Query(other_words[a.asset_id], a.extents, a.category) for a in shelf])
+    answers = tool.retrieve([AssetQuery(other_words[a.asset_id], a.extents, a.category) for a in shelf])
     kinds = [
-        (answer.category if isinstance(answer, Match) else "", a.category) for answer, a in zip(answers, shelf, strict=True)
+        (answer.category if isinstance(answer, AssetMatch) else "", a.category)
+        for answer, a in zip(answers, shelf, strict=True)
     ]
     assert sum(found == wanted for found, wanted in kinds) > 0.95 * len(shelf)
     size = (0.2, 0.2, 0.2)
     absurd = ["a live elephant", "a grand piano", "a bicycle", "a fire extinguisher", "an aeroplane", "a running chainsaw"]
-    assert all(isinstance(answer, Unmatched) for answer in tool.retrieve([Query(text, size) for text in absurd]))
+    assert all(isinstance(answer, UnmatchedQuery) for answer in tool.retrieve([AssetQuery(text, size) for text in absurd]))
 
 
 def test_lower_case_is_made_where_the_folder_says_so(tmp_path: Path) -> None:

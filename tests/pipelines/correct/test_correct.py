@@ -14,7 +14,7 @@ from pipelines.correct.job import correct
 from pipelines.correct.scene_shard import SceneShard
 from pipelines.correct.settings import CorrectSettings
 from pipelines.correct.shard import CorrectWork
-from pipelines.execution.ray_executor import Workers
+from pipelines.execution.ray_executor import WorkerPool
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset, write_scene
@@ -27,7 +27,7 @@ from stable_data.storage.schemas import scene_from_row
 from tests.pipelines.runs import ROOT, content
 
 SMALL = CorrectSettings(weights="none", scenes_per_shard=2, num_pictures=0, position_convention="box_centre")
-ALONE = Workers()
+ALONE = WorkerPool()
 
 
 def on_top_of_each_other(scene: Scene) -> Scene:

@@ -14,7 +14,7 @@ from models.point_encoder import save as save_encoder
 from models.point_encoder.checkpoint import DEFAULT_WEIGHTS as ENCODER
 from pipelines.correct.job import correct
 from pipelines.correct.settings import CorrectSettings
-from pipelines.execution.ray_executor import Workers
+from pipelines.execution.ray_executor import WorkerPool
 from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset, write_annotations, write_scene
 from stable_data.scene import Scene
@@ -58,7 +58,7 @@ def odd(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def run(odd: Path, tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     out = tmp_path_factory.mktemp("odd_out") / "out"
-    correct(str(odd), str(out), SETTINGS, Workers(), report=False)
+    correct(str(odd), str(out), SETTINGS, WorkerPool(), report=False)
     return RunFolder(str(out))
 
 
@@ -115,7 +115,7 @@ def test_two_hundred_objects(dataset: Path, tmp_path: Path) -> None:
     )
     write_scene(tmp_path / "data", many, annotations=source.annotations)
     shutil.copytree(dataset / "Assets_library", tmp_path / "data" / "Assets_library")
-    manifest = correct(str(tmp_path / "data"), str(tmp_path / "out"), SETTINGS, Workers(), report=False)
+    manifest = correct(str(tmp_path / "data"), str(tmp_path / "out"), SETTINGS, WorkerPool(), report=False)
     assert manifest["counts"]["by_status"] == {"certified": 1}
     (row,) = rows_of(RunFolder(str(tmp_path / "out")), "scenes").values()
     assert (row["num_objects"], row["clean"]) == (200, True)
@@ -127,5 +127,5 @@ def test_weights_that_cannot_be_used_leave_nothing_behind(odd: Path, tmp_path: P
     save_encoder(tiny_encoder(), tmp_path / ENCODER.name)
     for file, message in ((weights, "was trained on the features of encoder"), (ENCODER, "says nothing of its settings")):
         with pytest.raises(ConfigError, match=message):
-            correct(str(odd), str(tmp_path / "out"), replace(SETTINGS, weights=str(file)), Workers())
+            correct(str(odd), str(tmp_path / "out"), replace(SETTINGS, weights=str(file)), WorkerPool())
     assert not (tmp_path / "out").exists()

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.edit.settings import EditSettings
-from pipelines.execution.ray_executor import Workers
+from pipelines.execution.ray_executor import WorkerPool
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import Row
 
 SMALL = EditSettings(weights="none", scenes_per_shard=4, num_pictures=0, position_convention="box_centre")
-ALONE = Workers()
+ALONE = WorkerPool()
 EMPTY = '{"remove":[],"objects":[]}'
 
 

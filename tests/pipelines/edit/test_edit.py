@@ -17,13 +17,13 @@ from typer.testing import CliRunner
 
 import stable_data.storage.run_folder as shards
 from models.semantic_reasoner.editing import apply_edit, editing
-from models.semantic_reasoner.text.reply_json import Reply, render_objects
+from models.semantic_reasoner.text.reply_json import LayoutReply, render_objects
 from pipelines.__main__ import app
 from pipelines.correct.scene_shard import SceneShard
 from pipelines.edit.assets import AssetFinder
 from pipelines.edit.job import edit
 from pipelines.edit.shard import EditWork
-from pipelines.sources.edits import WantedEdit, read_edits
+from pipelines.sources.edits import EditRequest, read_edits
 from pipelines.sources.scenes import FolderSource
 from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset
@@ -147,7 +147,7 @@ def test_a_thing_of_another_size_is_the_same_mesh_scaled(
     (instance,) = [i for i, name in shown.names.items() if name == last.instance]
     x, y, z = (s * f for s, f in zip(scene[instance].size, factors, strict=True))
     resized = replace(last, size_cm=(round(100 * x, 1), round(100 * y, 1), round(100 * z, 1)))
-    done = AssetFinder(source).with_assets(apply_edit(scene, Reply((resized,))), "edit", 0)
+    done = AssetFinder(source).with_assets(apply_edit(scene, LayoutReply((resized,))), "edit", 0)
     now, was = done.scene[instance], scene[instance]
     assert (now.asset_id, now.tilt_quat_xyzw) == (was.asset_id, was.tilt_quat_xyzw)
     assert now.scale is not None
@@ -279,9 +279,9 @@ def test_edits_are_numbered_by_scene(tmp_path: Path) -> None:
     lines = [{"scene_id": s, "instruction": f" {s} {k} "} for k, s in enumerate(("a", "b", "a"))]
     found = read_edits(file_of([*lines, ""], tmp_path / "e.jsonl"), {"a", "b"})
     assert found.edits == (
-        WantedEdit("a_edit1", "a", "a 0"),
-        WantedEdit("b_edit1", "b", "b 1"),
-        WantedEdit("a_edit2", "a", "a 2"),
+        EditRequest("a_edit1", "a", "a 0"),
+        EditRequest("b_edit1", "b", "b 1"),
+        EditRequest("a_edit2", "a", "a 2"),
     )
     assert found.ids == ["a_edit1", "b_edit1", "a_edit2"]
     for nothing in (tmp_path / "no.jsonl", file_of([""], tmp_path / "empty.jsonl")):

@@ -20,7 +20,7 @@ from pipelines.__main__ import app
 from pipelines.edit.job import edit
 from pipelines.edit.settings import EditSettings
 from pipelines.edit.shard import seed_of
-from pipelines.sources.edits import WantedEdit, read_edits
+from pipelines.sources.edits import EditRequest, read_edits
 from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.storage.run_folder import RunFolder
@@ -217,7 +217,7 @@ def test_an_endpoint_is_asked_with_a_key_that_is_nowhere_on_disk(
 
 
 def test_a_seed_is_of_the_edit_and_not_of_its_shard() -> None:
-    one = WantedEdit("a_edit1", "a", "Move it.")
+    one = EditRequest("a_edit1", "a", "Move it.")
     assert seed_of(one, 0) == seed_of(replace(one, reply=EMPTY), 0)
     others = [replace(one, edit_id="b"), replace(one, scene_id="b"), replace(one, instruction="Move them.")]
     assert len({seed_of(one, 0), seed_of(one, 1), *(seed_of(other, 0) for other in others)}) == 5
@@ -239,7 +239,7 @@ def test_requests_are_the_same_however_edits_are_cut(
     assert sorted(r.seed for r in firsts) == sorted(first_seed(e) for e in found)
 
 
-def first_seed(wanted: WantedEdit) -> int:
+def first_seed(wanted: EditRequest) -> int:
     """Of the first try, as the reasoner makes it of the seed of a question."""
     engine = Told({"": EMPTY})
     SemanticReasoner(engine, tries=1).propose(

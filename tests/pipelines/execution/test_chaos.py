@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.chaos import Disturbed, Nodes, Victim, below, compared, planned
+from benchmarks.chaos import DisturbedCommand, Nodes, Victim, below, compared, planned
 from pipelines.generate.shard import GenerateWork
-from pipelines.sources.assets import AssetShelf
+from pipelines.sources.assets import AssetLibraries
 from stable_data.storage.run_folder import RunFolder
 from tests.pipelines.scripts import one_thing_a_stage
 
@@ -51,7 +51,7 @@ def test_killed_drivers_workers_and_nodes_lose_no_row_and_make_none_twice(
     dataset: Path, own_cache: None, tmp_path: Path
 ) -> None:
     script, tasks = tmp_path / "script.json", tmp_path / "tasks.jsonl"
-    script.write_text(json.dumps(one_thing_a_stage(AssetShelf([str(dataset)]).libraries[0].assets[1:4])))
+    script.write_text(json.dumps(one_thing_a_stage(AssetLibraries([str(dataset)]).libraries[0].assets[1:4])))
     rows = [{"scene_id": f"scene_{n}", "instruction": "Lift it.", "table_type": "office_table"} for n in range(NUM_SCENES)]
     tasks.write_text("".join(json.dumps(row | {"table_size_cm": [120, 60]}) + "\n" for row in rows))
     command = [sys.executable, "-m", "pipelines", "generate", "--tasks", str(tasks), "--assets", str(dataset)]
@@ -61,7 +61,7 @@ def test_killed_drivers_workers_and_nodes_lose_no_row_and_make_none_twice(
         for name, kills in (("clean", 0), ("disturbed", KILLS)):
             out = str(tmp_path / name)
             here = [*command, "--out", out, "--address", nodes.address]
-            run = Disturbed(here, out, GenerateWork.TABLES[-1], NUM_SCENES // PER_SHARD, nodes, rng, DELAY_SECONDS)
+            run = DisturbedCommand(here, out, GenerateWork.TABLES[-1], NUM_SCENES // PER_SHARD, nodes, rng, DELAY_SECONDS)
             course = run.run(planned(kills, rng))
     finally:
         nodes.close()

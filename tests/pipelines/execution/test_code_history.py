@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pipelines.execution import code_history
-from pipelines.execution.ray_executor import Workers
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess.shard import preprocess
 from pipelines.train.run import refuse_changes
 from stable_data import __version__
@@ -35,7 +35,7 @@ def begun_with(run: Path, out: Path, **code: object) -> Path:
 
 def test_a_run_of_one_code_says_nothing(bare: Path, bare_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = begun_with(bare_run, tmp_path / "out")
-    preprocess(str(bare), str(out), SMALL, Workers(), report=False)
+    preprocess(str(bare), str(out), SMALL, WorkerPool(), report=False)
     assert (manifest_of(out)["code_version"], manifest_of(out)["code_versions"]) == (NOW, [NOW])
     assert "other code" not in capsys.readouterr().err
 
@@ -46,7 +46,7 @@ def test_a_run_goes_on_with_other_sources_and_names_both(
 ) -> None:
     out = begun_with(bare_run, tmp_path / "out", code_version=OTHER, **was)
     for number in range(2):  # what is mixed stays so
-        preprocess(str(bare), str(out), SMALL, Workers())
+        preprocess(str(bare), str(out), SMALL, WorkerPool())
         assert content(out) == content(bare_run)
         assert (manifest_of(out)["code_version"], manifest_of(out)["code_versions"]) == (NOW, [OTHER, NOW])
         lines = [line for line in capsys.readouterr().err.splitlines() if "other code" in line]
@@ -66,14 +66,14 @@ def test_code_that_makes_nothing_is_not_named(
     (out / "manifest.json").write_text(
         json.dumps(manifest_of(out) | {"code_version": OTHER, "code_versions": [OTHER]}), "utf-8"
     )
-    preprocess(str(bare), str(out), SMALL, Workers(), report=False)
+    preprocess(str(bare), str(out), SMALL, WorkerPool(), report=False)
     assert (manifest_of(out)["code_version"], manifest_of(out)["code_versions"]) == (OTHER, [OTHER])
     assert "other code" not in capsys.readouterr().err
 
 
 def test_the_code_that_is_gone_back_to_is_named_last(bare: Path, bare_run: Path, tmp_path: Path) -> None:
     out = begun_with(bare_run, tmp_path / "out", code_version=OTHER, code_versions=[NOW, OTHER])
-    preprocess(str(bare), str(out), SMALL, Workers(), report=False)
+    preprocess(str(bare), str(out), SMALL, WorkerPool(), report=False)
     assert manifest_of(out)["code_versions"] == [OTHER, NOW]
 
 
@@ -81,7 +81,7 @@ def test_another_version_is_refused(bare: Path, bare_run: Path, tmp_path: Path) 
     out = begun_with(bare_run, tmp_path / "out", code_version="0.0.9+000000000000")
     before = content(out)
     with pytest.raises(ConfigError, match=rf"code_version: 0\.0\.9 -> {__version__}\); choose a new folder") as caught:
-        preprocess(str(bare), str(out), SMALL, Workers(), report=False)
+        preprocess(str(bare), str(out), SMALL, WorkerPool(), report=False)
     assert caught.value.code == "config_changed"
     assert content(out) == before
 

@@ -12,21 +12,21 @@ import ray
 
 from models.semantic_reasoner.engines.protocol import Request
 from models.semantic_reasoner.engines.registry import EngineSettings
-from models.semantic_reasoner.replies.grammar import ReplyForm
+from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from models.semantic_reasoner.staged_layout import LayoutTask
 from pipelines.execution import engine_pool as module
 from pipelines.execution.engine_pool import engine_pool
-from pipelines.execution.ray_executor import Workers
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
-from pipelines.sources.generation_tasks import Tasks
+from pipelines.sources.generation_tasks import TaskSource
 from stable_data.errors import ConfigError
 from stable_data.scene import Tabletop
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
 DESK = Tabletop("office_table", (1.2, 0.6))
-ONE = Tasks("tasks", [LayoutTask("task_0", "Lift it.", DESK)])
+ONE = TaskSource("tasks", [LayoutTask("task_0", "Lift it.", DESK)])
 
 
 @pytest.fixture
@@ -59,7 +59,7 @@ def test_engines_take_their_parts_of_a_gpu_and_answer(settings: EngineSettings, 
     assert len(pool.actors) == 2
     assert free_gpus(0) == 0
     for seed in (0, 1):  # one for each engine
-        request = Request(({"role": "user", "content": "Lift it."},), ReplyForm.of_table(DESK), seed)
+        request = Request(({"role": "user", "content": "Lift it."},), ReplyGrammar.of_table(DESK), seed)
         assert [found.text for found in pool.complete([request])] == ["lifted"]
 
 
@@ -97,7 +97,7 @@ def test_a_run_that_wants_gpus_that_no_machine_has_ends_with_one_line(
     with pytest.raises(
         ConfigError, match=r"^engines=1 with engine_gpus=1000 want 1000 GPUs, but this machine has \d+, "
     ) as caught:
-        generate(ONE, str(tmp_path / "out"), asked, Workers(1), [str(dataset)])
+        generate(ONE, str(tmp_path / "out"), asked, WorkerPool(1), [str(dataset)])
     assert caught.value.code == "engine_pool"
     assert not ray.is_initialized()
 
@@ -105,6 +105,6 @@ def test_a_run_that_wants_gpus_that_no_machine_has_ends_with_one_line(
 def test_engines_without_workers_are_refused_before_anything_is_written(settings: EngineSettings, tmp_path: Path) -> None:
     asked = GenerateSettings(settings, weights="none", num_pictures=0, engines=2)
     with pytest.raises(ConfigError, match=r"engines is 2, .* take workers, or leave engines at 0") as caught:
-        generate(ONE, str(tmp_path / "out"), asked, Workers())
+        generate(ONE, str(tmp_path / "out"), asked, WorkerPool())
     assert caught.value.code == "config_invalid"
     assert not (tmp_path / "out").exists()

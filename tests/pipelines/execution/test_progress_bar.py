@@ -16,13 +16,13 @@ from models.semantic_reasoner.staged_layout import LayoutTask
 from pipelines.correct.scene_shard import SceneShard
 from pipelines.execution import progress_bar
 from pipelines.execution.engine_pool import engine_pool
-from pipelines.execution.progress_bar import LiveBar, OwnTally, SharedTally, Telling, Where
-from pipelines.execution.ray_executor import Workers
+from pipelines.execution.progress_bar import LocalTally, ProgressBar, ProgressReporter, SharedTally, Where
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import GenerateWork
-from pipelines.sources.assets import AssetShelf
-from pipelines.sources.generation_tasks import Tasks
+from pipelines.sources.assets import AssetLibraries
+from pipelines.sources.generation_tasks import TaskSource
 from stable_data.errors import ConfigError
 from stable_data.scene import Tabletop
 from tests.pipelines.runs import content
@@ -42,7 +42,7 @@ def own_ray() -> Iterator[None]:
 @pytest.fixture
 def settings(dataset: Path, own_cache: None, tmp_path: Path) -> GenerateSettings:
     script = tmp_path / "script.json"
-    script.write_text(json.dumps(one_thing_a_stage(AssetShelf([str(dataset)]).libraries[0].assets[1:4])))
+    script.write_text(json.dumps(one_thing_a_stage(AssetLibraries([str(dataset)]).libraries[0].assets[1:4])))
     return GenerateSettings(EngineSettings(f"scripted:{script}"), weights="none", num_pictures=0)
 
 
@@ -54,7 +54,7 @@ def until(is_so: Callable[[], bool]) -> None:
         time.sleep(0.01)
 
 
-class Kept(OwnTally):
+class Kept(LocalTally):
     """Keeps all that it is told, and knows what it was asked last."""
 
     def __init__(self) -> None:
@@ -72,7 +72,7 @@ class Kept(OwnTally):
 
 
 def test_a_tally_adds_up_what_is_told_last_of_each_shard() -> None:
-    tally = OwnTally()
+    tally = LocalTally()
     tally.note("a", {"propose": 3})
     tally.note("b", {"propose": 1, "judge": 2})
     tally.note("a", {"propose": 1, "judge": 2})
@@ -84,7 +84,7 @@ def test_a_tally_adds_up_what_is_told_last_of_each_shard() -> None:
 def test_who_is_not_heard_of_any_more_is_not_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 100.0
     monkeypatch.setattr(progress_bar, "perf_counter", lambda: now)
-    tally = OwnTally()
+    tally = LocalTally()
     tally.note("lost", {"propose": 3})
     now += 50
     tally.note("alive", {"correct": 1})
@@ -98,19 +98,19 @@ def test_who_is_not_heard_of_any_more_is_not_counted(monkeypatch: pytest.MonkeyP
 def test_a_shard_is_told_of_again_and_again_and_its_end_in_any_case(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress_bar, "_TELL_SECONDS", 0.01)
     tally = Kept()
-    with Telling(tally, "a", propose=2) as tell:
+    with ProgressReporter(tally, "a", propose=2) as tell:
         until(lambda: tally.told.count({"propose": 2}) > 2)
         tell(propose=1, judge=1)
         until(lambda: tally.told[-1] == {"propose": 1, "judge": 1})
     assert tally.told[-1] == tally.total() == {}
-    with suppress(ConfigError), Telling(tally, "a", propose=2):
+    with suppress(ConfigError), ProgressReporter(tally, "a", propose=2):
         until(lambda: tally.total() == {"propose": 2})
         raise ConfigError("the shard is given up")
     assert tally.total() == {}
 
 
 def test_a_tally_that_is_lost_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Lost(OwnTally):
+    class Lost(LocalTally):
         def note(self, shard_id: str, where: Where) -> None:
             asked.append("note")
             raise ConnectionError("gone")
@@ -122,7 +122,7 @@ def test_a_tally_that_is_lost_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(progress_bar, "_TELL_SECONDS", 0.01)
     monkeypatch.setattr(progress_bar, "_LOG_SECONDS", 0.01)
     asked: list[str] = []
-    with LiveBar("generate", "scene", 1, 0, Lost()) as bar, Telling(Lost(), "a", propose=1):
+    with ProgressBar("generate", "scene", 1, 0, Lost()) as bar, ProgressReporter(Lost(), "a", propose=1):
         until(lambda: set(asked) == {"note", "total"})
         bar.count(1, 0, 0)
 
@@ -133,7 +133,7 @@ def test_the_bar_shows_what_is_in_place_and_where_the_rest_is(
     monkeypatch.setattr(progress_bar, "_LOG_SECONDS", 0.01)
     tally = Kept()
     tally.note("a", {"propose": 3, "correct": 1, "judge": 0})
-    with LiveBar("generate", "scene", 10, 2, tally) as bar:
+    with ProgressBar("generate", "scene", 10, 2, tally) as bar:
         until(lambda: len(tally.asked) > 2)  # what was heard before is shown by then
         bar.count(4, 1, 1)
         heard = len(tally.asked)
@@ -159,25 +159,25 @@ def test_workers_tell_a_tally_on_ray_which_is_there_again_when_it_is_lost(own_ra
         return False
 
     until(lambda: has({}))  # another, that has heard of nothing
-    with Telling(tally, "a", propose=2):
+    with ProgressReporter(tally, "a", propose=2):
         until(lambda: has({"propose": 2}))
     assert tally.total() == {}
 
 
 @pytest.mark.ray
-@pytest.mark.parametrize("workers", [Workers(), Workers(1)], ids=["here", "ray"])
+@pytest.mark.parametrize("workers", [WorkerPool(), WorkerPool(1)], ids=["here", "ray"])
 def test_a_run_tells_where_its_scenes_are(
-    workers: Workers, settings: GenerateSettings, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    workers: WorkerPool, settings: GenerateSettings, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[dict[str, int]] = []
 
-    def look(bar: LiveBar) -> None:
+    def look(bar: ProgressBar) -> None:
         assert bar._tally is not None
         while not seen and not bar._end.wait(0.01):
             seen.extend(filter(None, [bar._tally.total()]))
 
-    monkeypatch.setattr(LiveBar, "_look", look)
-    generate(Tasks("tasks", list(TASKS)), str(tmp_path / "out"), settings, workers, [str(dataset)])
+    monkeypatch.setattr(ProgressBar, "_look", look)
+    generate(TaskSource("tasks", list(TASKS)), str(tmp_path / "out"), settings, workers, [str(dataset)])
     assert sum(seen[0].values()) == 2
 
 
@@ -185,7 +185,7 @@ def test_scenes_are_told_of_where_they_are(
     settings: GenerateSettings, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     queues: list[dict[str, int]] = []
-    monkeypatch.setattr(Telling, "__call__", lambda _, **where: queues.append(where))
+    monkeypatch.setattr(ProgressReporter, "__call__", lambda _, **where: queues.append(where))
     GenerateWork(str(tmp_path), (str(dataset),), settings)(SceneShard("0" * 16, TASKS))
     assert [k for n, k in enumerate(queues) if k not in queues[:n]] == [
         {"propose": 2, "correct": 0, "judge": 0},

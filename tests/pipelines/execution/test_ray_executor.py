@@ -14,7 +14,7 @@ import ray
 from tqdm import tqdm
 
 from pipelines.execution import ray_executor
-from pipelines.execution.ray_executor import Apart, Loss, Workers, alone, limited
+from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, alone, limited
 from stable_data.errors import ConfigError
 
 
@@ -93,29 +93,29 @@ class _Remote:
 
 
 def test_this_process_gives_results_in_order() -> None:
-    assert list(Workers().run(Double(), [1, 2, 3])) == [2, 4, 6]
+    assert list(WorkerPool().run(Double(), [1, 2, 3])) == [2, 4, 6]
 
 
 @pytest.mark.ray
 def test_ray_does_every_shard_once() -> None:
-    assert sorted(Workers(2).run(Double(), list(range(12)))) == list(range(0, 24, 2))
+    assert sorted(WorkerPool(2).run(Double(), list(range(12)))) == list(range(0, 24, 2))
 
 
 @pytest.mark.ray
 def test_an_error_of_the_run_itself_comes_back_as_it_is() -> None:
     with pytest.raises(ConfigError, match="the disk is full") as caught:
-        list(Workers(1).run(Double(), [1, 13]))
+        list(WorkerPool(1).run(Double(), [1, 13]))
     assert caught.value.code == "output_unwritable"
 
 
 @pytest.mark.ray
 def test_a_shard_that_kills_its_worker_is_run_again_alone() -> None:
-    assert sorted(Workers(2).run(Hostile(), [0, 1, 2])) == ["0 together", "1 alone", "2 together"]
+    assert sorted(WorkerPool(2).run(Hostile(), [0, 1, 2])) == ["0 together", "1 alone", "2 together"]
 
 
 @pytest.mark.ray
 def test_a_first_death_may_have_come_from_outside(tmp_path: Path) -> None:
-    assert list(Workers(1).run(Unlucky(tmp_path / "mark"), [0])) == ["together"]
+    assert list(WorkerPool(1).run(Unlucky(tmp_path / "mark"), [0])) == ["together"]
 
 
 @pytest.fixture
@@ -132,7 +132,7 @@ def cluster() -> Iterator[Any]:
 
 @pytest.mark.ray
 def test_a_local_run_leaves_a_cluster_of_the_same_machine_alone(cluster: Any) -> None:
-    assert list(Workers(1).run(Double(), [1])) == [2]  # the head there has no core
+    assert list(WorkerPool(1).run(Double(), [1])) == [2]  # the head there has no core
 
 
 @pytest.mark.ray
@@ -140,7 +140,7 @@ def test_a_local_run_leaves_a_cluster_of_the_same_machine_alone(cluster: Any) ->
 def test_a_node_that_is_lost_does_not_count_against_its_shard(cluster: Any, tmp_path: Path) -> None:
     for _ in range(2):
         cluster.add_node(num_cpus=1)
-    found = Workers(2, cluster.address).run(Sinking(tmp_path / "mark"), [0, 1, 2])
+    found = WorkerPool(2, cluster.address).run(Sinking(tmp_path / "mark"), [0, 1, 2])
     assert sorted(found) == ["0 together", "1 together", "2 together"]
 
 
@@ -159,10 +159,10 @@ def test_a_cluster_without_any_node_is_waited_for_and_given_up_in_the_end(
     monkeypatch.setattr(ray_executor, "_LOOK_SECONDS", 0.2)
     monkeypatch.setattr(ray_executor, "_PATIENCE_SECONDS", 1.2)
     with pytest.raises(ConfigError, match=r"had no core for 0\.02 min, expected one at least; .*run again") as caught:
-        list(Workers(1, cluster.address).run(Double(), [1]))
+        list(WorkerPool(1, cluster.address).run(Double(), [1]))
     assert caught.value.code == "cluster_empty"
     monkeypatch.setattr(ray_executor, "_PATIENCE_SECONDS", 120.0)
-    assert sorted(Workers(0, cluster.address).run(Double(), [1, 2, 3])) == [2, 4, 6]
+    assert sorted(WorkerPool(0, cluster.address).run(Double(), [1, 2, 3])) == [2, 4, 6]
     assert said[1] == "the cluster has no core at the moment; waiting for a node, up to 2 min"
 
 
@@ -177,7 +177,7 @@ def test_nodes_that_are_lost_again_and_again_are_borne_for_longer_but_not_for_ev
 
 @pytest.mark.ray
 def test_a_shard_that_loses_every_worker_is_named_once_the_rest_is_done() -> None:
-    results = Workers(1).run(Doomed(), [7, 8, 9])
+    results = WorkerPool(1).run(Doomed(), [7, 8, 9])
     assert sorted(islice(results, 2)) == [8, 9]
     with pytest.raises(
         ConfigError, match=r"1 of 3 shards were lost, each with 4 workers .*: 7 \(WorkerCrashedError\)"
@@ -189,14 +189,14 @@ def test_a_shard_that_loses_every_worker_is_named_once_the_rest_is_done() -> Non
 @pytest.mark.ray
 def test_an_item_that_takes_too_long_ends_its_worker_alone() -> None:
     began = time.monotonic()
-    assert sorted(Workers(2).run(Slow(), [0, 1, 2, 3])) == ["0 together", "1 together", "2 alone", "3 together"]
+    assert sorted(WorkerPool(2).run(Slow(), [0, 1, 2, 3])) == ["0 together", "1 together", "2 alone", "3 together"]
     assert time.monotonic() - began < 60
 
 
 @pytest.mark.ray
 def test_what_nobody_foresaw_in_a_task_is_one_line() -> None:
     with pytest.raises(ConfigError, match="5: KeyError: 5; please report this") as caught:
-        list(Workers(1).run(Odd(), [5]))
+        list(WorkerPool(1).run(Odd(), [5]))
     assert "\n" not in str(caught.value)
 
 
@@ -206,7 +206,7 @@ def test_ray_that_stops_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
 
     run = object.__new__(ray_executor._RayRun)
     run.__dict__ |= {
-        "_workers": Workers(1),
+        "_workers": WorkerPool(1),
         "_shards": [1],
         "_started_ray": False,
         "_empty_since": None,
@@ -222,11 +222,11 @@ def test_ray_that_stops_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_cluster_gets_as_many_shards_as_it_has_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ray, "cluster_resources", lambda: {"CPU": 64.0})
     run = object.__new__(ray_executor._RayRun)
-    for workers, width in ((Workers(0, "auto"), 128), (Workers(5, "auto"), 5), (Workers(2), 4)):
+    for workers, width in ((WorkerPool(0, "auto"), 128), (WorkerPool(5, "auto"), 5), (WorkerPool(2), 4)):
         run.__dict__ |= {"_workers": workers}
         assert run._width() == width
     monkeypatch.setattr(ray, "cluster_resources", dict)  # nodes are still to come
-    run.__dict__ |= {"_workers": Workers(0, "auto")}
+    run.__dict__ |= {"_workers": WorkerPool(0, "auto")}
     assert run._width() == 1
 
 
@@ -241,7 +241,7 @@ def test_a_cluster_gets_the_checkout_unless_a_job_brought_it(monkeypatch: pytest
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1", "nowhere"])
 def test_a_cluster_that_is_not_there_is_an_error_of_one_line(address: str) -> None:
     with pytest.raises(ConfigError, match="cannot be reached"):
-        list(Workers(1, address=address).run(Double(), [1]))
+        list(WorkerPool(1, address=address).run(Double(), [1]))
 
 
 def test_a_cluster_that_wants_a_token_says_how_to_show_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -252,7 +252,7 @@ def test_a_cluster_that_wants_a_token_says_how_to_show_it(monkeypatch: pytest.Mo
     with pytest.raises(
         ConfigError, match=r"cannot be reached \(Failed to connect\); it wants a token: set RAY_AUTH_MODE=token"
     ):
-        ray_executor.connect(Workers(1, address="auto"))
+        ray_executor.connect(WorkerPool(1, address="auto"))
 
 
 def test_an_item_alone_gives_its_result() -> None:
@@ -260,12 +260,12 @@ def test_an_item_alone_gives_its_result() -> None:
 
 
 def test_an_item_alone_that_dies_says_so() -> None:
-    assert alone(os.abort, seconds=60) is Loss.CRASHED
+    assert alone(os.abort, seconds=60) is ProcessFailure.CRASHED
 
 
 def test_an_item_alone_that_hangs_is_stopped_and_says_so() -> None:
     began = time.monotonic()
-    assert alone(time.sleep, 300, seconds=1) is Loss.TIMED_OUT
+    assert alone(time.sleep, 300, seconds=1) is ProcessFailure.TIMED_OUT
     assert time.monotonic() - began < 60
 
 
@@ -279,12 +279,12 @@ def test_an_error_of_an_item_alone_comes_back() -> None:
 
 
 def test_one_process_serves_until_a_call_ends_it() -> None:
-    with Apart() as apart:
+    with IsolatedProcess() as apart:
         first, second = (apart.call(os.getpid, seconds=60) for _ in range(2))
         assert first == second != os.getpid()
-        assert apart.call(os.abort, seconds=60) is Loss.CRASHED
+        assert apart.call(os.abort, seconds=60) is ProcessFailure.CRASHED
         assert apart.call(os.getpid, seconds=60) not in (first, os.getpid())
-        assert apart.call(time.sleep, 300, seconds=1) is Loss.TIMED_OUT
+        assert apart.call(time.sleep, 300, seconds=1) is ProcessFailure.TIMED_OUT
         assert apart.call(abs, -3, seconds=60) == 3
 
 

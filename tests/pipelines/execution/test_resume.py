@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from benchmarks.chaos import busy_workers
-from pipelines.execution.ray_executor import Workers
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess import shard as job
 from pipelines.preprocess.plan import PreprocessSettings
 from pipelines.preprocess.shard import preprocess
@@ -25,7 +25,7 @@ from tests.pipelines.runs import ROOT, SMALL, command_of, content, run_cli
 
 def test_a_complete_run_is_left_alone(dataset: Path, clean_run: Path) -> None:
     before = {p: p.stat().st_mtime_ns for p in clean_run.glob("*/part-*.parquet")}
-    preprocess(str(dataset), str(clean_run), SMALL, Workers())
+    preprocess(str(dataset), str(clean_run), SMALL, WorkerPool())
     assert {p: p.stat().st_mtime_ns for p in clean_run.glob("*/part-*.parquet")} == before
 
 
@@ -34,14 +34,14 @@ def test_what_is_missing_is_done_again(tiny: Path, tiny_run: Path, tmp_path: Pat
     shutil.copytree(tiny_run, out)
     for table in ("scenes", "assets"):  # the last tables of a shard
         next(iter(sorted((out / table).glob("part-*")))).unlink()
-    preprocess(str(tiny), str(out), SMALL, Workers())
+    preprocess(str(tiny), str(out), SMALL, WorkerPool())
     assert content(out) == content(tiny_run)
 
 
 def test_a_changed_setting_stops_with_was_and_now(dataset: Path, clean_run: Path) -> None:
     changed = PreprocessSettings(**(SMALL.shaping() | {"important_threshold": 0.05}), num_pictures=0)
     with pytest.raises(ConfigError, match=r"important_threshold: 0\.02 -> 0\.05"):
-        preprocess(str(dataset), str(clean_run), changed, Workers())
+        preprocess(str(dataset), str(clean_run), changed, WorkerPool())
 
 
 def test_a_changed_input_stops(tiny: Path, tiny_run: Path, tmp_path: Path) -> None:
@@ -51,12 +51,12 @@ def test_a_changed_input_stops(tiny: Path, tiny_run: Path, tmp_path: Path) -> No
     layout = next(copied.glob("Layout_info/*/*/layout.json"))
     layout.write_text(layout.read_text("utf-8") + "\n", "utf-8")
     with pytest.raises(ConfigError, match=r"\(inputs.layouts: \w+ -> \w+\)"):
-        preprocess(str(copied), str(out), SMALL, Workers())
+        preprocess(str(copied), str(out), SMALL, WorkerPool())
 
 
 def test_a_second_run_into_the_same_folder_is_refused(dataset: Path, clean_run: Path) -> None:
     with RunFolder(str(clean_run)).locked(), pytest.raises(ConfigError, match="another run is writing here"):
-        preprocess(str(dataset), str(clean_run), SMALL, Workers())
+        preprocess(str(dataset), str(clean_run), SMALL, WorkerPool())
 
 
 def test_a_full_disk_ends_with_one_line_and_the_run_can_go_on(
@@ -76,16 +76,16 @@ def test_a_full_disk_ends_with_one_line_and_the_run_can_go_on(
     out = tmp_path / "out"
     monkeypatch.setattr(shards, "_write_local", fills_up)
     with pytest.raises(ConfigError, match="No space left on device"):
-        preprocess(str(tiny), str(out), SMALL, Workers())
+        preprocess(str(tiny), str(out), SMALL, WorkerPool())
     monkeypatch.undo()
-    preprocess(str(tiny), str(out), SMALL, Workers())
+    preprocess(str(tiny), str(out), SMALL, WorkerPool())
     assert content(out) == content(tiny_run)
 
 
 def test_a_manifest_that_is_no_object_is_refused(tiny: Path, tmp_path: Path) -> None:
     (tmp_path / "manifest.json").write_text("[1]", "utf-8")
     with pytest.raises(ConfigError, match="not a JSON object"):
-        preprocess(str(tiny), str(tmp_path), SMALL, Workers())
+        preprocess(str(tiny), str(tmp_path), SMALL, WorkerPool())
 
 
 def test_an_older_table_is_refused(dataset: Path, clean_run: Path, tmp_path: Path) -> None:
@@ -94,7 +94,7 @@ def test_an_older_table_is_refused(dataset: Path, clean_run: Path, tmp_path: Pat
     manifest = json.loads((out / "manifest.json").read_text("utf-8"))
     (out / "manifest.json").write_text(json.dumps(manifest | {"table_version": 0}), "utf-8")
     with pytest.raises(ConfigError, match=f"table_version: 0 -> {TABLE_VERSION}"):
-        preprocess(str(dataset), str(out), SMALL, Workers())
+        preprocess(str(dataset), str(out), SMALL, WorkerPool())
 
 
 def test_a_table_that_lost_a_shard_gets_it_again(bare: Path, bare_run: Path, tmp_path: Path) -> None:
@@ -103,7 +103,7 @@ def test_a_table_that_lost_a_shard_gets_it_again(bare: Path, bare_run: Path, tmp
         shutil.copytree(bare_run, out)
         shard = next(iter(RunFolder(str(out)).shard_ids("scenes")))
         (out / table / f"part-{shard}.parquet").unlink()
-        preprocess(str(bare), str(out), SMALL, Workers())
+        preprocess(str(bare), str(out), SMALL, WorkerPool())
         assert content(out) == content(bare_run)
         shutil.rmtree(out)
 
@@ -116,7 +116,7 @@ def test_a_changed_annotation_stops(tiny: Path, tiny_run: Path, tmp_path: Path) 
     annotations = json.loads(path.read_text("utf-8"))
     path.write_text(json.dumps({uid: entry | {"mass": 7.0} for uid, entry in annotations.items()}), "utf-8")
     with pytest.raises(ConfigError, match=r"\(inputs.annotations: \w+ -> \w+\)"):
-        preprocess(str(copied), str(out), SMALL, Workers())
+        preprocess(str(copied), str(out), SMALL, WorkerPool())
 
 
 def test_another_dataset_of_the_same_content_stops(bare: Path, bare_run: Path, tmp_path: Path) -> None:
@@ -124,7 +124,7 @@ def test_another_dataset_of_the_same_content_stops(bare: Path, bare_run: Path, t
     shutil.copytree(bare, copied)
     shutil.copytree(bare_run, out)
     with pytest.raises(ConfigError, match="dataset: data -> renamed"):  # rows say which one they are from
-        preprocess(str(copied), str(out), SMALL, Workers())
+        preprocess(str(copied), str(out), SMALL, WorkerPool())
 
 
 def test_shards_without_a_manifest_are_refused(bare: Path, bare_run: Path, tmp_path: Path) -> None:
@@ -132,7 +132,7 @@ def test_shards_without_a_manifest_are_refused(bare: Path, bare_run: Path, tmp_p
     shutil.copytree(bare_run, out)
     (out / "manifest.json").unlink()
     with pytest.raises(ConfigError, match=r"holds .*scenes.* but no manifest.json"):
-        preprocess(str(bare), str(out), SMALL, Workers())
+        preprocess(str(bare), str(out), SMALL, WorkerPool())
 
 
 def test_shards_of_another_run_are_refused(bare: Path, bare_run: Path, tmp_path: Path) -> None:
@@ -141,14 +141,14 @@ def test_shards_of_another_run_are_refused(bare: Path, bare_run: Path, tmp_path:
     shard = next(iter(RunFolder(str(out)).shard_ids("scenes")))
     shutil.copy(out / "scenes" / f"part-{shard}.parquet", out / "scenes" / "part-0123456789abcdef.parquet")
     with pytest.raises(ConfigError, match=r"scenes: 1 shards are not of this run \['0123456789abcdef'\] and 0 are missing"):
-        preprocess(str(bare), str(out), SMALL, Workers())
+        preprocess(str(bare), str(out), SMALL, WorkerPool())
     assert json.loads((out / "manifest.json").read_text("utf-8"))["status"] == "running"
 
 
 def test_a_scene_that_ends_nowhere_stops(bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(job.PreprocessShard, "item", lambda *_: {})
     with pytest.raises(ConfigError, match=r"1 scenes such as \w+ are not exactly one row of scenes or failures"):
-        preprocess(str(bare), str(tmp_path / "out"), SMALL, Workers())
+        preprocess(str(bare), str(tmp_path / "out"), SMALL, WorkerPool())
 
 
 def test_a_cut_shard_ends_with_one_line_and_once_deleted_is_done_again(bare: Path, bare_run: Path, tmp_path: Path) -> None:
@@ -157,9 +157,9 @@ def test_a_cut_shard_ends_with_one_line_and_once_deleted_is_done_again(bare: Pat
     cut = next(iter((out / "samples").glob("part-*")))
     cut.write_bytes(cut.read_bytes()[:100])
     with pytest.raises(ConfigError, match=rf"{cut} cannot be read .*delete it and run again"):
-        preprocess(str(bare), str(out), SMALL, Workers())
+        preprocess(str(bare), str(out), SMALL, WorkerPool())
     cut.unlink()
-    preprocess(str(bare), str(out), SMALL, Workers())
+    preprocess(str(bare), str(out), SMALL, WorkerPool())
     assert content(out) == content(bare_run)
 
 
@@ -169,7 +169,7 @@ def test_a_report_that_fails_leaves_a_complete_run(bare: Path, tmp_path: Path, m
 
     monkeypatch.setattr(job, "write_report", fail)
     with pytest.raises(ValueError, match="no page"):
-        preprocess(str(bare), str(tmp_path), SMALL, Workers())
+        preprocess(str(bare), str(tmp_path), SMALL, WorkerPool())
     assert json.loads((tmp_path / "manifest.json").read_text("utf-8"))["status"] == "complete"
 
 

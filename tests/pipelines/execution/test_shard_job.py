@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pipelines.execution.item_progress import Progress
+from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.shard_job import OF_DATASET, Rows, count_items, rows_or_failure
 from pipelines.generate.answers import NOT_OF_A_SCENE
 from stable_data.errors import ConfigError, Notice
@@ -27,7 +27,7 @@ class FailsOnce:
 
 
 def test_an_error_of_an_item_from_outside_is_its_row() -> None:
-    (row,) = rows_or_failure("scene_1", Progress("read"), FailsOnce())["failures"]
+    (row,) = rows_or_failure("scene_1", ItemProgress("read"), FailsOnce())["failures"]
     assert (row["id"], row["step"], row["code"]) == ("scene_1", "read", "unexpected")
     assert "Input/output error" in row["message"]
 
@@ -35,8 +35,8 @@ def test_an_error_of_an_item_from_outside_is_its_row() -> None:
 def test_an_error_that_is_the_runs_is_no_row_and_another_time_there_is_none() -> None:
     make = FailsOnce()
     with pytest.raises(OSError, match="Input/output error"):
-        rows_or_failure("scene_1", Progress("read"), make, of_the_run=NOT_OF_A_SCENE)
-    assert rows_or_failure("scene_1", Progress("read"), make, of_the_run=NOT_OF_A_SCENE) == {"scenes": []}
+        rows_or_failure("scene_1", ItemProgress("read"), make, of_the_run=NOT_OF_A_SCENE)
+    assert rows_or_failure("scene_1", ItemProgress("read"), make, of_the_run=NOT_OF_A_SCENE) == {"scenes": []}
 
 
 def run_of(out: Path, scenes: list[str], failures: list[str], of_assets: Sequence[str] = ()) -> RunFolder:

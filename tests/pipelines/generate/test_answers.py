@@ -6,7 +6,7 @@ import pytest
 
 from models.physics_corrector.certify import CertifyOptions
 from models.physics_corrector.corrector import Correction, PhysicsCorrector
-from pipelines.generate.answers import Certifier, Certifying
+from pipelines.generate.answers import LocalCertifier, PendingCertification
 from stable_data.metrics.audit import audit_scene
 from stable_data.rotations import rotation_matrix
 from stable_data.scene import Relation, RelationKind, Scene
@@ -29,8 +29,8 @@ def pencils() -> Scene:
 
 
 def corrected(built: Scene, *, new: frozenset[str] = STICKS, raw: Scene | None = None, settles: bool = False) -> Correction:
-    certifier = Certifier(PhysicsCorrector(options=CertifyOptions(twice=False)), store())
-    return certifier(Certifying(built, raw, frozenset(), new, settles))
+    certifier = LocalCertifier(PhysicsCorrector(options=CertifyOptions(twice=False)), store())
+    return certifier(PendingCertification(built, raw, frozenset(), new, settles))
 
 
 def height_of(done: Correction, name: str) -> float:

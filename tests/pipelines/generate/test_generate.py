@@ -13,12 +13,12 @@ from models.semantic_reasoner.engines.registry import EMBEDDED, EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import WANTED
-from pipelines.execution.ray_executor import Workers
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.generate.job import describe_generation, generate
 from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import GenerateWork
-from pipelines.sources.assets import AssetShelf
-from pipelines.sources.generation_tasks import Tasks, sampled
+from pipelines.sources.assets import AssetLibraries
+from pipelines.sources.generation_tasks import TaskSource, sampled
 from stable_data.assets.run_assets import run_store
 from stable_data.assets.store import AssetStore
 from stable_data.embedded_world.sampling import sampled_task
@@ -35,17 +35,17 @@ from tests.pipelines.scripts import entry
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
-ALONE = Workers()
+ALONE = WorkerPool()
 DESK = Tabletop("office_table", (1.2, 0.6))
 
 
 @pytest.fixture(scope="module")
-def shelf(dataset: Path, own_cache: None) -> AssetShelf:
-    return AssetShelf([str(dataset)])
+def shelf(dataset: Path, own_cache: None) -> AssetLibraries:
+    return AssetLibraries([str(dataset)])
 
 
 @pytest.fixture(scope="module")
-def settings(shelf: AssetShelf, tmp_path_factory: pytest.TempPathFactory) -> GenerateSettings:
+def settings(shelf: AssetLibraries, tmp_path_factory: pytest.TempPathFactory) -> GenerateSettings:
     """An engine that puts each stage's thing into that of the stage before, but for some words."""
     first, second, third = shelf.libraries[0].assets[1:4]
     odd = entry(first, 60.0, "elephant_0", "an elephant with a trunk as long as a river")
@@ -64,8 +64,8 @@ def settings(shelf: AssetShelf, tmp_path_factory: pytest.TempPathFactory) -> Gen
     )
 
 
-def tasks(*words: str) -> Tasks:
-    return Tasks("tasks", [LayoutTask(f"task_{n}", said, DESK) for n, said in enumerate(words)])
+def tasks(*words: str) -> TaskSource:
+    return TaskSource("tasks", [LayoutTask(f"task_{n}", said, DESK) for n, said in enumerate(words)])
 
 
 MIXED = replace(
@@ -95,7 +95,7 @@ def test_each_task_is_a_scene_or_a_failure(made: Path) -> None:
     assert (counts["scenes"], counts["failed_scenes"], counts["failures"]) == (3, 3, 3)
 
 
-def test_what_is_accepted_is_clean_by_an_audit_of_its_own_and_at_rest(made: Path, shelf: AssetShelf) -> None:
+def test_what_is_accepted_is_clean_by_an_audit_of_its_own_and_at_rest(made: Path, shelf: AssetLibraries) -> None:
     store = AssetStore(shelf)
     for row in rows_of(made, "scenes"):
         scene = scene_from_row(row)
@@ -138,7 +138,7 @@ def test_a_run_in_which_nothing_could_be_made_ends_well(dataset: Path, settings:
     assert (tmp_path / "out" / "report" / "index.html").is_file()
 
 
-def two_side_by_side(shelf: AssetShelf, script: Path) -> tuple[str, str]:
+def two_side_by_side(shelf: AssetLibraries, script: Path) -> tuple[str, str]:
     """Writes a script that puts two things on every table, the first to the left; gives what they are called."""
     first, second = shelf.libraries[0].assets[1:3]
     assert first.category != second.category
@@ -151,7 +151,7 @@ def two_side_by_side(shelf: AssetShelf, script: Path) -> tuple[str, str]:
 
 
 def test_what_an_instruction_says_of_the_start_and_does_not_hold_is_named(
-    dataset: Path, settings: GenerateSettings, shelf: AssetShelf, tmp_path: Path
+    dataset: Path, settings: GenerateSettings, shelf: AssetLibraries, tmp_path: Path
 ) -> None:
     """Of two claims that exclude each other one is broken, whatever is made of them; nothing is said where all is as it is said."""
     one, other = two_side_by_side(shelf, tmp_path / "script.json")
@@ -178,7 +178,7 @@ def test_what_an_instruction_says_of_the_start_and_does_not_hold_is_named(
     [("clean and aws >= 1", {"task_1"}), ("clean and (aws is None or aws >= 1)", {"task_0", "task_1"})],
 )
 def test_an_instruction_that_says_nothing_of_the_start_is_accepted_where_the_rule_takes_what_is_unknown(
-    dataset: Path, settings: GenerateSettings, shelf: AssetShelf, tmp_path: Path, accept: str, accepted: set[str]
+    dataset: Path, settings: GenerateSettings, shelf: AssetLibraries, tmp_path: Path, accept: str, accepted: set[str]
 ) -> None:
     one, other = two_side_by_side(shelf, tmp_path / "script.json")
     asked = tasks(
@@ -264,7 +264,7 @@ def test_a_shard_that_is_missing_is_made_again(
 def test_ray_gives_the_same_bytes_as_this_process(
     dataset: Path, settings: GenerateSettings, made: Path, tmp_path: Path
 ) -> None:
-    generate(MIXED, str(tmp_path), settings, Workers(2), [str(dataset)])
+    generate(MIXED, str(tmp_path), settings, WorkerPool(2), [str(dataset)])
     assert content(tmp_path) == content(made)
 
 
@@ -272,7 +272,7 @@ def test_ray_gives_the_same_bytes_as_this_process(
 def test_engines_that_workers_share_give_the_same_scenes(
     dataset: Path, settings: GenerateSettings, made: Path, tmp_path: Path
 ) -> None:
-    generate(MIXED, str(tmp_path), replace(settings, engines=1), Workers(2), [str(dataset)])
+    generate(MIXED, str(tmp_path), replace(settings, engines=1), WorkerPool(2), [str(dataset)])
     for table in ("scenes", "failures", "turns"):  # in other shards, as other settings
         assert sorted(map(str, rows_of(tmp_path, table))) == sorted(map(str, rows_of(made, table)))
 
@@ -281,7 +281,7 @@ def test_engines_that_workers_share_give_the_same_scenes(
 def test_shared_engines_that_cannot_be_loaded_are_said_in_one_line(dataset: Path, tmp_path: Path) -> None:
     broken = GenerateSettings(EngineSettings("openai:gpt"), weights="none", engines=1)
     with pytest.raises(ConfigError, match="base_url"):
-        generate(tasks("Lift it."), str(tmp_path), broken, Workers(1), [str(dataset)])
+        generate(tasks("Lift it."), str(tmp_path), broken, WorkerPool(1), [str(dataset)])
 
 
 def test_a_shard_over_which_workers_died_gives_the_same_rows(
@@ -355,11 +355,11 @@ def test_what_a_run_chose_by_itself_can_be_named_when_it_goes_on(
 
 def test_no_task_at_all_is_refused_before_anything_is_written(settings: GenerateSettings, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="holds no task"):
-        generate(Tasks.of("tasks", MIXED.lost), str(tmp_path / "out"), settings, ALONE)
+        generate(TaskSource.of("tasks", MIXED.lost), str(tmp_path / "out"), settings, ALONE)
     assert not (tmp_path / "out").exists()
 
 
-def test_the_run_holds_the_assets_that_it_uses(made: Path, shelf: AssetShelf) -> None:
+def test_the_run_holds_the_assets_that_it_uses(made: Path, shelf: AssetLibraries) -> None:
     """It is looked at and exported without the libraries."""
     used = {o["asset_id"] for table in ("scenes", "rejected") for row in rows_of(made, table) for o in row["objects"]}
     assert {row["asset_id"] for row in rows_of(made, "assets")} == {row["asset_id"] for row in rows_of(made, "meshes")} == used

@@ -17,12 +17,12 @@ from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import WANTED
 from pipelines.correct.scene_shard import SceneShard
-from pipelines.execution.ray_executor import Workers
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.generate import answers, shard
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
-from pipelines.sources.assets import AssetShelf
-from pipelines.sources.generation_tasks import Tasks
+from pipelines.sources.assets import AssetLibraries
+from pipelines.sources.generation_tasks import TaskSource
 from stable_data.errors import ConfigError
 from stable_data.scene import Stage, Tabletop
 from stable_data.storage.run_folder import RunFolder
@@ -35,10 +35,10 @@ from tests.pipelines.scripts import one_thing_a_stage
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
-ALONE = Workers()
+ALONE = WorkerPool()
 DESK = Tabletop("office_table", (1.2, 0.6))
 PLAIN = GenerateSettings(weights="none", scenes_per_shard=1, num_pictures=0)
-FOUR = Tasks("tasks", [LayoutTask(f"task_{n}", f"Lift it {n} times.", DESK) for n in range(4)])
+FOUR = TaskSource("tasks", [LayoutTask(f"task_{n}", f"Lift it {n} times.", DESK) for n in range(4)])
 
 
 def ids(run: Path, table: str) -> set[str]:
@@ -46,7 +46,7 @@ def ids(run: Path, table: str) -> set[str]:
 
 
 def test_a_library_with_holes_costs_no_task_and_gives_nothing_that_is_broken(dataset: Path, tmp_path: Path) -> None:
-    whole = AssetShelf([str(dataset)]).libraries[0].assets[1:4]
+    whole = AssetLibraries([str(dataset)]).libraries[0].assets[1:4]
     script = tmp_path / "script.json"
     script.write_text(json.dumps(one_thing_a_stage(whole)))
     holes = tmp_path / "holes"
@@ -68,7 +68,7 @@ def test_a_library_with_holes_costs_no_task_and_gives_nothing_that_is_broken(dat
 
 
 def test_a_task_object_whose_asset_is_broken_and_has_no_like_is_a_failure_that_says_so(dataset: Path, tmp_path: Path) -> None:
-    whole = AssetShelf([str(dataset)]).libraries[0].assets[1:4]
+    whole = AssetLibraries([str(dataset)]).libraries[0].assets[1:4]
     script = tmp_path / "script.json"
     script.write_text(json.dumps(one_thing_a_stage(whole[::-1])))
     holes = tmp_path / "holes"
@@ -86,7 +86,7 @@ def test_an_asset_that_ends_whoever_reads_it_is_passed_over_where_workers_died(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Were it read in this process, the tests would end here."""
-    chosen = AssetShelf([str(dataset)]).libraries[0].assets[1:4]
+    chosen = AssetLibraries([str(dataset)]).libraries[0].assets[1:4]
     script = tmp_path / "script.json"
     script.write_text(json.dumps(one_thing_a_stage(chosen)))
     monkeypatch.setenv(HOSTILE, chosen[0].asset_id)
@@ -112,7 +112,7 @@ def test_an_asset_that_ends_whoever_reads_it_is_passed_over_where_workers_died(
 def test_an_endpoint_that_dies_halfway_stops_the_run_with_one_line_and_costs_no_task(
     death: Act, dataset: Path, tmp_path: Path
 ) -> None:
-    script = one_thing_a_stage(AssetShelf([str(dataset)]).libraries[0].assets[1:4])
+    script = one_thing_a_stage(AssetLibraries([str(dataset)]).libraries[0].assets[1:4])
     answers = {words: json.dumps(reply) for words, reply in script.items()}
     left, lock = [0], Lock()
 
@@ -141,7 +141,7 @@ def test_an_endpoint_that_dies_halfway_stops_the_run_with_one_line_and_costs_no_
 
 def test_an_endpoint_that_is_down_for_one_stage_leaves_no_hole(dataset: Path, tmp_path: Path) -> None:
     """It answers again before the scene is finished; the scene is made anew when the run goes on, with all its stages."""
-    script = one_thing_a_stage(AssetShelf([str(dataset)]).libraries[0].assets[1:4])
+    script = one_thing_a_stage(AssetLibraries([str(dataset)]).libraries[0].assets[1:4])
     answers = {words: json.dumps(reply) for words, reply in script.items()}
     is_down = [True]
 
@@ -164,7 +164,7 @@ def test_an_endpoint_that_is_down_for_one_stage_leaves_no_hole(dataset: Path, tm
 def test_what_nobody_foresaw_costs_one_scene(step: str, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a correction, which is of one scene, and in what is done for many scenes at once."""
     script = tmp_path / "script.json"
-    script.write_text(json.dumps(one_thing_a_stage(AssetShelf([str(dataset)]).libraries[0].assets[1:4])))
+    script.write_text(json.dumps(one_thing_a_stage(AssetLibraries([str(dataset)]).libraries[0].assets[1:4])))
     settings = replace(PLAIN, engine=EngineSettings(f"scripted:{script}"), scenes_per_shard=4, accept="clean", settle=False)
     real = getattr(answers, step)
 
@@ -186,7 +186,7 @@ def test_a_full_disk_is_nobodys_scene(
     module: ModuleType, step: str, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     script = tmp_path / "script.json"
-    script.write_text(json.dumps(one_thing_a_stage(AssetShelf([str(dataset)]).libraries[0].assets[1:4])))
+    script.write_text(json.dumps(one_thing_a_stage(AssetLibraries([str(dataset)]).libraries[0].assets[1:4])))
     settings = replace(PLAIN, engine=EngineSettings(f"scripted:{script}"))
 
     def fails(*_: Any) -> Any:

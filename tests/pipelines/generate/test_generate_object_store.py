@@ -11,12 +11,12 @@ import pytest
 
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.staged_layout import LayoutTask
-from pipelines.execution.ray_executor import Workers
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import GenerateWork
-from pipelines.sources.assets import AssetShelf
-from pipelines.sources.generation_tasks import Tasks
+from pipelines.sources.assets import AssetLibraries
+from pipelines.sources.generation_tasks import TaskSource
 from stable_data.errors import ConfigError
 from stable_data.scene import Tabletop
 from stable_data.storage.run_folder import RunFolder
@@ -72,7 +72,7 @@ def store() -> Iterator[tuple[Refusing, str]]:
 @pytest.fixture(scope="module")
 def settings(dataset: Path, own_cache: None, tmp_path_factory: pytest.TempPathFactory) -> GenerateSettings:
     """An engine that puts one thing on the table in each stage; nothing is learned, and the physics engine is not asked."""
-    assets = AssetShelf([str(dataset)]).libraries[0].assets[1:4]
+    assets = AssetLibraries([str(dataset)]).libraries[0].assets[1:4]
     path = tmp_path_factory.mktemp("script") / "script.json"
     path.write_text(json.dumps(one_thing_a_stage(assets)))
     return GenerateSettings(
@@ -83,7 +83,7 @@ def settings(dataset: Path, own_cache: None, tmp_path_factory: pytest.TempPathFa
 @pytest.fixture(scope="module")
 def local(dataset: Path, settings: GenerateSettings, tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     out = str(tmp_path_factory.mktemp("local") / "run")
-    generate(Tasks("tasks", TASKS), out, settings, Workers(), [str(dataset)])
+    generate(TaskSource("tasks", TASKS), out, settings, WorkerPool(), [str(dataset)])
     return RunFolder(out)
 
 
@@ -97,7 +97,7 @@ def test_a_store_that_refuses_some_requests_gets_the_same_rows(
 ) -> None:
     refusing, uri = store
     refusing.share = 0.05
-    manifest = generate(Tasks("tasks", TASKS), uri, settings, Workers(), [str(dataset)])
+    manifest = generate(TaskSource("tasks", TASKS), uri, settings, WorkerPool(), [str(dataset)])
     assert manifest["counts"]["scenes"] == len(TASKS)
     assert refusing.refused >= 5
     assert_same(RunFolder(uri), local)
@@ -117,11 +117,11 @@ def test_a_store_that_is_gone_ends_the_run_with_one_line_and_what_is_there_stays
 
     monkeypatch.setattr(RunFolder, "write_shard", goes_away)
     with pytest.raises(ConfigError, match=r"cannot be written .*then run again") as caught:
-        generate(Tasks("tasks", TASKS), uri, settings, Workers(), [str(dataset)])
+        generate(TaskSource("tasks", TASKS), uri, settings, WorkerPool(), [str(dataset)])
     assert caught.value.code == "output_unwritable"
     assert "\n" not in str(caught.value)
     monkeypatch.undo()
     refusing.share = 0.0
     assert len(RunFolder(uri).shard_ids("scenes")) == 1
-    generate(Tasks("tasks", TASKS), uri, settings, Workers(), [str(dataset)])
+    generate(TaskSource("tasks", TASKS), uri, settings, WorkerPool(), [str(dataset)])
     assert_same(RunFolder(uri), local)

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 import torch
 
-from models.point_encoder import Cloud, Preprocessing, load, save
+from models.point_encoder import PointCloud, Preprocessing, load, save
 from models.point_encoder.cloud import MODELNET
-from pipelines.execution.item_progress import Progress
-from pipelines.execution.ray_executor import Workers
+from pipelines.execution.item_progress import ItemProgress
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess.features import FeatureUse, ShapeUse, encoder_of, feature_rows, fingerprint_of
 from pipelines.preprocess.plan import PreprocessSettings, plan_run
 from pipelines.preprocess.shard import describe_plan, preprocess
@@ -49,7 +49,7 @@ def with_features(weights: Path) -> PreprocessSettings:
 def run(tiny: Path, with_features: PreprocessSettings, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run over the one scene, features and all."""
     out = tmp_path_factory.mktemp("features") / "out"
-    preprocess(str(tiny), str(out), with_features, Workers())
+    preprocess(str(tiny), str(out), with_features, WorkerPool())
     return out
 
 
@@ -66,7 +66,7 @@ def test_every_object_with_a_mesh_has_its_feature(tiny: Path, run: Path, weights
         found = features.of(o.asset_id, o.scale, o.tilt_quat_xyzw)
         snapped = np.array(aspect_of(aspect_steps(o.scale))) * max(o.scale)
         shape = Shape.from_mesh(store.asset(o.asset_id).mesh, tuple(snapped.tolist()), o.tilt_quat_xyzw)
-        wanted = encoder.encode([Cloud.of_shape(shape, encoder.preprocessing.num_points)])
+        wanted = encoder.encode([PointCloud.of_shape(shape, encoder.preprocessing.num_points)])
         assert np.allclose(found, wanted.codes[0], atol=1e-4)  # the scale of all uses is not this one's
         assert np.linalg.norm(found) > 0
         log_extents = features.log_extents[feature_key(o.asset_id, o.scale, o.tilt_quat_xyzw)]
@@ -85,10 +85,10 @@ def test_the_manifest_and_the_report_say_which_encoder(run: Path, weights: Path)
 
 def test_features_are_added_to_a_run_without(tiny: Path, with_features: PreprocessSettings, run: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    preprocess(str(tiny), str(out), replace(with_features, features="none"), Workers())
+    preprocess(str(tiny), str(out), replace(with_features, features="none"), WorkerPool())
     before = content(out)
     assert not any(name.startswith("features/") for name in before)
-    preprocess(str(tiny), str(out), with_features, Workers())
+    preprocess(str(tiny), str(out), with_features, WorkerPool())
     assert content(out) == content(run)
     assert before.items() <= content(out).items()
 
@@ -97,7 +97,7 @@ def test_what_is_missing_is_made_again(tiny: Path, with_features: PreprocessSett
     out = tmp_path / "out"
     shutil.copytree(run, out)
     next(iter(sorted((out / "features").glob("part-*")))).unlink()
-    preprocess(str(tiny), str(out), with_features, Workers())
+    preprocess(str(tiny), str(out), with_features, WorkerPool())
     assert content(out) == content(run)
 
 
@@ -116,7 +116,7 @@ def test_another_encoder_is_refused(tiny: Path, with_features: PreprocessSetting
     was = fingerprint_of(with_features.features)
     for features, now in ((str(other), fingerprint_of(str(other))), ("none", None)):
         with pytest.raises(ConfigError, match=f"encoder: {was} -> {now}"):
-            preprocess(str(tiny), str(run), replace(with_features, features=features), Workers())
+            preprocess(str(tiny), str(run), replace(with_features, features=features), WorkerPool())
     dataset = MesaTaskDataset(tiny)
     shards = [
         {shard.shard_id for shard in plan_run(dataset, with_features, fingerprint).shards if shard.features}
@@ -138,7 +138,7 @@ def test_where_the_encoder_lies_is_no_setting_that_shapes_rows(
     out, moved = tmp_path / "out", tmp_path / "moved.safetensors"
     shutil.copytree(run, out)
     shutil.copy(weights, moved)
-    preprocess(str(tiny), str(out), replace(with_features, features=str(moved)), Workers())
+    preprocess(str(tiny), str(out), replace(with_features, features=str(moved)), WorkerPool())
     assert content(out) == content(run)
 
 
@@ -146,8 +146,8 @@ def test_a_feature_does_not_depend_on_the_others(tiny: Path, with_features: Prep
     store, encoder = AssetStore(MesaTaskDataset(tiny)), load(Path(with_features.features))
     asset_id = next(iter(sorted(tiny.glob("Assets_library/*.glb")))).stem
     shapes = (ShapeUse((0, 0, 0), UPRIGHT, 0.1), ShapeUse((0, 4, 9), UPRIGHT, 0.1), ShapeUse((0, 4, 9), LAID, 0.2))
-    rows = feature_rows(FeatureUse(asset_id, "", shapes), store, encoder, Progress("read"))
-    backwards = feature_rows(FeatureUse(asset_id, "", shapes[::-1]), store, encoder, Progress("read"))[::-1]
+    rows = feature_rows(FeatureUse(asset_id, "", shapes), store, encoder, ItemProgress("read"))
+    backwards = feature_rows(FeatureUse(asset_id, "", shapes[::-1]), store, encoder, ItemProgress("read"))[::-1]
     assert len({row["feature"].tobytes() for row in rows}) == len(shapes)  # aspect and tilt both tell
     for row, other in zip(rows, backwards, strict=True):
         assert row["feature"].tobytes() == other["feature"].tobytes()
@@ -158,7 +158,7 @@ def test_an_encoder_that_takes_no_such_cloud_costs_the_feature_not_the_asset(tin
     weights = tmp_path / "fine.safetensors"
     save(tiny_encoder(preprocessing=Preprocessing(num_points=128, normalise="centre", grid_size=1e-7)), weights)
     out = tmp_path / "out"
-    manifest = preprocess(str(tiny), str(out), replace(SMALL, features=str(weights)), Workers())
+    manifest = preprocess(str(tiny), str(out), replace(SMALL, features=str(weights)), WorkerPool())
     assert manifest["counts"]["failures_by_code"] == {"cloud_too_large": manifest["counts"]["assets"]}
     assert manifest["counts"]["failures_by_step"] == {"features": manifest["counts"]["assets"]}
     assert manifest["counts"]["failed_assets"] == manifest["counts"]["features"] == 0
@@ -166,7 +166,7 @@ def test_an_encoder_that_takes_no_such_cloud_costs_the_feature_not_the_asset(tin
 
 def test_a_dataset_without_meshes_has_an_empty_table(bare: Path, with_features: PreprocessSettings, tmp_path: Path) -> None:
     for _ in range(2):
-        assert preprocess(str(bare), str(tmp_path), with_features, Workers())["counts"]["features"] == 0
+        assert preprocess(str(bare), str(tmp_path), with_features, WorkerPool())["counts"]["features"] == 0
     with pytest.raises(ConfigError, match="holds no features"):
         read_features(RunFolder(str(tmp_path)))
 
@@ -183,7 +183,7 @@ def test_published_weights_are_named_with_what_they_were_trained_on(tmp_path: Pa
 )
 def test_an_encoder_that_cannot_be_used_stops_the_run(bare: Path, tmp_path: Path, features: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        preprocess(str(bare), str(tmp_path), replace(SMALL, features=features), Workers())
+        preprocess(str(bare), str(tmp_path), replace(SMALL, features=features), WorkerPool())
     with pytest.raises(ConfigError, match=message):
         describe_plan(str(bare), replace(SMALL, features=features))
 
@@ -192,7 +192,7 @@ def test_without_features_torch_is_not_loaded(bare: Path, tmp_path: Path) -> Non
     code = (
         "import sys; from pipelines.preprocess.shard import preprocess; from pipelines.execution.ray_executor import Workers; "
         "from tests.pipelines.runs import SMALL; "
-        f"preprocess({str(bare)!r}, {str(tmp_path)!r}, SMALL, Workers(), report=False); print('torch' in sys.modules)"
+        f"preprocess({str(bare)!r}, {str(tmp_path)!r}, SMALL, WorkerPool(), report=False); print('torch' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     assert done.stdout.split() == ["False"], done.stderr

@@ -9,9 +9,9 @@ from typing import Any
 import polars as pl
 import pytest
 
-from pipelines.execution.ray_executor import Loss, Workers
+from pipelines.execution.ray_executor import ProcessFailure, WorkerPool
 from pipelines.preprocess import shard as job
-from pipelines.preprocess.plan import PreprocessSettings, Shard
+from pipelines.preprocess.plan import DatasetShard, PreprocessSettings
 from pipelines.preprocess.shard import PreprocessShard, preprocess
 from stable_data.errors import ConfigError
 from stable_data.geometry.gltf_reader import load_glb
@@ -43,7 +43,9 @@ def test_what_nobody_foresaw_is_a_failure_of_its_step(
         monkeypatch.setattr(MesaTaskDataset, "read", fail)
     else:
         monkeypatch.setattr(f"pipelines.preprocess.scene.{broken}", fail)
-    manifest = preprocess(str(root), str(tmp_path / "out"), SMALL, Workers())  # auto: its check of positions reads scenes, too
+    manifest = preprocess(
+        str(root), str(tmp_path / "out"), SMALL, WorkerPool()
+    )  # auto: its check of positions reads scenes, too
     assert manifest["counts"]["failures_by_step"] == {step: 1}
     row = RunFolder(str(tmp_path / "out")).table("failures").to_pylist()[0]
     assert row["code"] == "unexpected"
@@ -61,7 +63,7 @@ def test_a_mesh_that_nobody_foresaw_is_one_asset_lost(tiny: Path, tmp_path: Path
     monkeypatch.setattr("stable_data.assets.store.load_glb", loaded)
     root = tmp_path / "data"
     shutil.copytree(tiny, root)  # a place that no process knows
-    preprocess(str(root), str(tmp_path / "out"), SMALL, Workers())
+    preprocess(str(root), str(tmp_path / "out"), SMALL, WorkerPool())
     run = RunFolder(str(tmp_path / "out"))
     assert [(r["id"], r["step"], r["code"]) for r in run.table("failures").to_pylist()] == [(hostile, "mesh", "unexpected")]
     assert run.table("scenes").to_pylist()[0]["num_without_mesh"] >= 1
@@ -94,16 +96,20 @@ def test_items_that_end_or_hold_their_process_are_failures(bare: Path, tmp_path:
 def test_a_check_of_positions_that_dies_stops_with_what_to_set(
     bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(job, "alone", lambda *_, seconds: Loss.CRASHED)
+    monkeypatch.setattr(job, "alone", lambda *_, seconds: ProcessFailure.CRASHED)
     with pytest.raises(ConfigError, match=r"crashed over a layout or mesh; set position_convention to box_centre"):
-        preprocess(str(bare), str(tmp_path / "out"), SMALL, Workers(1))
+        preprocess(str(bare), str(tmp_path / "out"), SMALL, WorkerPool(1))
 
 
-@pytest.mark.parametrize(("loss", "message"), [(Loss.CRASHED, "is the file hostile"), (Loss.TIMED_OUT, "took over 600 s")])
-def test_how_a_process_ended_is_the_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loss: Loss, message: str) -> None:
+@pytest.mark.parametrize(
+    ("loss", "message"), [(ProcessFailure.CRASHED, "is the file hostile"), (ProcessFailure.TIMED_OUT, "took over 600 s")]
+)
+def test_how_a_process_ended_is_the_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loss: ProcessFailure, message: str
+) -> None:
     monkeypatch.setattr("pipelines.execution.shard_job.alone", lambda *_, seconds, prepare: loss)
     work = PreprocessShard("nowhere", str(tmp_path), PreprocessSettings())
-    work(Shard("0" * 16, scenes=("office_table_0001",)), isolated=True)
+    work(DatasetShard("0" * 16, scenes=("office_table_0001",)), isolated=True)
     [row] = RunFolder(str(tmp_path)).table("failures").to_pylist()
     assert (row["id"], row["code"]) == ("office_table_0001", str(loss))
     assert message in row["message"]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipelines.preprocess.plan import Plan, PreprocessSettings, Shard, plan_run
+from pipelines.preprocess.plan import DatasetShard, PreprocessPlan, PreprocessSettings, plan_run
 from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset, write_text_features
 from stable_data.scene import QuatXyzw
@@ -26,15 +26,15 @@ def root(tiny: Path, tmp_path: Path) -> Path:
     return copied
 
 
-def plan(root: Path, settings: PreprocessSettings = ONE_EACH) -> Plan:
+def plan(root: Path, settings: PreprocessSettings = ONE_EACH) -> PreprocessPlan:
     return plan_run(MesaTaskDataset(root), settings)
 
 
-def asset_shards(planned: Plan) -> dict[str, Shard]:
+def asset_shards(planned: PreprocessPlan) -> dict[str, DatasetShard]:
     return {shard.assets[0].asset_id: shard for shard in planned.shards if shard.assets}
 
 
-def scene_ids(planned: Plan) -> list[str]:
+def scene_ids(planned: PreprocessPlan) -> list[str]:
     return [shard.shard_id for shard in planned.shards if shard.scenes]
 
 

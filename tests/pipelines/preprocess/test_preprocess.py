@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipelines.execution.ray_executor import Workers
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess.plan import PreprocessSettings
 from pipelines.preprocess.shard import TABLES, preprocess
 from stable_data.assets.catalog import library_of_run
@@ -130,12 +130,12 @@ def test_a_run_that_cannot_start_says_why_in_one_line(
 
 def test_a_run_into_an_object_store_gives_the_same_rows(tiny: Path, tiny_run: Path) -> None:
     with object_store() as uri:
-        preprocess(str(tiny), uri, SMALL, Workers())
+        preprocess(str(tiny), uri, SMALL, WorkerPool())
         stored, local = RunFolder(uri), RunFolder(str(tiny_run))
         for table in TABLES:
             assert stored.table(table).equals(local.table(table)), table
         assert stored.read_bytes("report/index.html") is not None
-        preprocess(str(tiny), uri, SMALL, Workers())  # resumes: nothing to do
+        preprocess(str(tiny), uri, SMALL, WorkerPool())  # resumes: nothing to do
 
 
 def test_a_task_writer_writes_the_tasks_and_is_asked_once(bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -157,7 +157,7 @@ def write(scene, relations):
     shutil.copytree(bare, root, ignore=shutil.ignore_patterns("task_info.json"))
     settings = replace(SMALL, task_writer="my_writer:write", task_cache=str(tmp_path / "cache"))
     for number in range(2):
-        preprocess(str(root), str(tmp_path / f"out{number}"), settings, Workers())
+        preprocess(str(root), str(tmp_path / f"out{number}"), settings, WorkerPool())
     rows = RunFolder(str(tmp_path / "out0")).table("scenes", ["task"]).to_pylist()
     assert {r["task"]["origin"] for r in rows} == {"model"}
     assert sys.modules["my_writer"].calls == len(rows)
@@ -176,7 +176,7 @@ def test_positions_that_mean_the_mesh_centre_are_converted(tiny: Path, tmp_path:
             low, high = yaw_frame_box(mesh.vertices, o.scale, lean)
             entry["size"] = (100 * (high - low)).tolist()
     path.write_text(json.dumps(layout), "utf-8")
-    preprocess(str(root), str(tmp_path / "out"), replace(SMALL, position_convention="mesh_centre"), Workers())
+    preprocess(str(root), str(tmp_path / "out"), replace(SMALL, position_convention="mesh_centre"), WorkerPool())
     row = RunFolder(str(tmp_path / "out")).table("scenes").to_pylist()[0]
     scene, moved = dataset.read(row["scene_id"])[0], 0
     for was, now in zip(scene.objects, row["objects"], strict=True):
@@ -190,7 +190,7 @@ def test_positions_that_mean_the_mesh_centre_are_converted(tiny: Path, tmp_path:
 
 
 @dataclass(frozen=True)
-class Elsewhere(Workers):
+class Elsewhere(WorkerPool):
     """Workers whose folder is another one than the caller's, as on a cluster."""
 
     folder: str = ""
@@ -214,11 +214,11 @@ def test_a_replaced_mesh_is_read_anew_by_a_process_that_knows_the_old_one(tiny: 
     root = tmp_path / "data"
     shutil.copytree(tiny, root)
     settings = replace(SMALL, position_convention="box_centre")
-    preprocess(str(root), str(tmp_path / "before"), settings, Workers())
+    preprocess(str(root), str(tmp_path / "before"), settings, WorkerPool())
     before = RunFolder(str(tmp_path / "before")).table("assets").to_pylist()[0]
     block = box(1.0, 2.0, 3.0)
     (root / "Assets_library" / f"{before['asset_id']}.glb").write_bytes(write_glb(Mesh(block.vertices, block.faces)))
-    preprocess(str(root), str(tmp_path / "after"), settings, Workers())
+    preprocess(str(root), str(tmp_path / "after"), settings, WorkerPool())
     after = {r["asset_id"]: r for r in RunFolder(str(tmp_path / "after")).table("assets").to_pylist()}[before["asset_id"]]
     assert after["mesh_sha256"] != before["mesh_sha256"]
     assert after["extents"] == pytest.approx([1.0, 2.0, 3.0])
@@ -230,11 +230,11 @@ def test_scene_folders_without_a_layout_are_failures(bare: Path, tmp_path: Path)
     table_type = next(root.glob("Layout_info/*"))
     (table_type / "empty_1").mkdir()
     (table_type / "empty_2").mkdir()
-    manifest = preprocess(str(root), str(out), SMALL, Workers())
+    manifest = preprocess(str(root), str(out), SMALL, WorkerPool())
     rows = RunFolder(str(out)).table("failures").to_pylist()
     assert [(r["id"], r["code"]) for r in rows] == [("empty_1", "layout_missing"), ("empty_2", "layout_missing")]
     assert (manifest["num_scenes"], manifest["counts"]["scenes"], manifest["counts"]["failed_scenes"]) == (3, 1, 2)
-    assert preprocess(str(root), str(out), SMALL, Workers())["counts"] == manifest["counts"]
+    assert preprocess(str(root), str(out), SMALL, WorkerPool())["counts"] == manifest["counts"]
 
 
 def test_assets_without_a_mesh_are_warned_of(bare_run: Path, bare: Path) -> None:
@@ -250,7 +250,7 @@ def test_text_features_come_along(tiny: Path, tmp_path: Path) -> None:
     shutil.copytree(tiny, root)
     uid = min(used_assets(tiny))
     write_text_features(root / "sbert_text_features.pkl", [uid], np.array([[0.6, 0.8]]))
-    preprocess(str(root), str(tmp_path / "out"), SMALL, Workers())
+    preprocess(str(root), str(tmp_path / "out"), SMALL, WorkerPool())
     found = {r["asset_id"]: r["text_embedding"] for r in RunFolder(str(tmp_path / "out")).table("assets").to_pylist()}
     assert found.pop(uid) == pytest.approx([0.6, 0.8])
     assert list(found.values()) == [None, None]
@@ -265,7 +265,7 @@ def test_a_run_is_a_library_that_leaves_out_what_the_annotators_did(tiny: Path, 
     annotations[marked] |= {"mark_deletion": True, "licence": "CC0-1.0"}
     annotations[composite] |= {"is_composite": "yes", "onTable": 0}
     path.write_text(json.dumps(annotations), "utf-8")
-    preprocess(str(root), str(tmp_path / "out"), SMALL, Workers())
+    preprocess(str(root), str(tmp_path / "out"), SMALL, WorkerPool())
     of_run, of_folder = library_of_run(RunFolder(str(tmp_path / "out"))), library_of_folder(root)
     assert {a.asset_id: a.is_offered for a in of_run.assets} == {marked: False, composite: False, kept: True}
     same = {a.asset_id: a for a in of_folder.assets}
@@ -279,7 +279,9 @@ def test_a_run_is_a_library_that_leaves_out_what_the_annotators_did(tiny: Path, 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_mesa_real_is_accounted_for(shared_data: Path, tmp_path: Path) -> None:
-    manifest = preprocess(str(shared_data / "mesa_real"), str(tmp_path / "out"), PreprocessSettings(num_pictures=0), Workers())
+    manifest = preprocess(
+        str(shared_data / "mesa_real"), str(tmp_path / "out"), PreprocessSettings(num_pictures=0), WorkerPool()
+    )
     assert manifest["counts"]["scenes"] == manifest["num_scenes"] == 120
     assert manifest["counts"]["failures"] == 0
     assert manifest["counts"]["samples"] == 360

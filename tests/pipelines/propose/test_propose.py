@@ -26,9 +26,9 @@ from pipelines.propose.job import propose
 from pipelines.propose.settings import ProposeSettings
 from pipelines.propose.shard import Proposer
 from pipelines.settings import resolve
-from pipelines.sources.assets import AssetShelf
+from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.tasks import read_tasks
-from stable_data.assets.assignment import furnish
+from stable_data.assets.assignment import assign_assets
 from stable_data.assets.ranking import RetrievalSettings
 from stable_data.errors import ConfigError, Notice
 from stable_data.mesatask import MesaTaskDataset
@@ -43,11 +43,11 @@ pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 @pytest.fixture(scope="module")
-def shelf(dataset: Path, own_cache: None) -> AssetShelf:
-    return AssetShelf([str(dataset)])
+def shelf(dataset: Path, own_cache: None) -> AssetLibraries:
+    return AssetLibraries([str(dataset)])
 
 
-def scripted(folder: Path, shelf: AssetShelf, **more: Any) -> ProposeSettings:
+def scripted(folder: Path, shelf: AssetLibraries, **more: Any) -> ProposeSettings:
     """An engine that answers each stage with one thing, but for some words."""
     first, second, third = shelf.libraries[0].assets[1:4]
     odd = entry(first, 60.0, "elephant_0", "an elephant with a trunk as long as a river")
@@ -82,7 +82,7 @@ def files(out: Path) -> dict[str, bytes]:
     return {p.relative_to(out).as_posix(): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file() and p.name != ".lock"}
 
 
-def test_each_task_is_a_scene_or_a_failure(dataset: Path, shelf: AssetShelf, tmp_path: Path) -> None:
+def test_each_task_is_a_scene_or_a_failure(dataset: Path, shelf: AssetLibraries, tmp_path: Path) -> None:
     rows = [
         GOOD,
         "no JSON",
@@ -141,7 +141,7 @@ def test_each_task_is_a_scene_or_a_failure(dataset: Path, shelf: AssetShelf, tmp
 
 
 def test_a_run_that_was_stopped_goes_on(
-    dataset: Path, shelf: AssetShelf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    dataset: Path, shelf: AssetLibraries, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = scripted(tmp_path, shelf, pictures=False)
     tasks = task_file(tmp_path, [{**GOOD, "scene_id": f"scene_{k}"} for k in range(5)])
@@ -171,7 +171,7 @@ def test_a_run_that_was_stopped_goes_on(
     assert caught.value.code == "config_changed"
 
 
-def test_what_rests_on_a_thing_without_an_asset_is_left_out_too(shelf: AssetShelf) -> None:
+def test_what_rests_on_a_thing_without_an_asset_is_left_out_too(shelf: AssetLibraries) -> None:
     asset = shelf.libraries[0].assets[1]
 
     def thing(name: str, words: str, z: float, support: str, stage: Stage) -> SceneObject:
@@ -183,15 +183,15 @@ def test_what_rests_on_a_thing_without_an_asset_is_left_out_too(shelf: AssetShel
         thing("b", asset.words, 0.15, "elephant", Stage.SECONDARY),
     )
     scene = Scene("one", Tabletop("office_table", (1.2, 0.6)), objects)
-    (found,) = furnish([scene], shelf.retriever())
+    (found,) = assign_assets([scene], shelf.retriever())
     assert [o.instance for o in found.scene.objects] == ["a"]
     assert set(found.unmatched) == {"elephant"}
     assert [n.code for n in found.notices] == ["carrier_left_out", "asset_unmatched"]
-    assert not furnish([Scene("two", scene.table, ())], shelf.retriever())[0].notices
+    assert not assign_assets([Scene("two", scene.table, ())], shelf.retriever())[0].notices
 
 
-def test_the_first_library_serves_and_a_run_is_one(tiny: Path, tiny_run: Path, dataset: Path, shelf: AssetShelf) -> None:
-    both = AssetShelf([str(tiny_run), str(dataset)])
+def test_the_first_library_serves_and_a_run_is_one(tiny: Path, tiny_run: Path, dataset: Path, shelf: AssetLibraries) -> None:
+    both = AssetLibraries([str(tiny_run), str(dataset)])
     names = [library.name for library in both.libraries]
     assert names == [tiny_run.name, dataset.name]
     first, rest = ({a.asset_id for a in library.assets} for library in both.libraries)
@@ -209,15 +209,15 @@ def test_the_first_library_serves_and_a_run_is_one(tiny: Path, tiny_run: Path, d
             theirs.is_container,
         )
         assert ours.extents_z_up == pytest.approx(theirs.extents_z_up, rel=1e-3)
-    (library,) = AssetShelf([str(tiny), str(dataset)]).libraries  # the second has nothing that the first has not
+    (library,) = AssetLibraries([str(tiny), str(dataset)]).libraries  # the second has nothing that the first has not
     assert library.name == str(tiny)  # both folders are called data
     with pytest.raises(ConfigError):
-        AssetShelf([str(tiny / "nowhere")])
+        AssetLibraries([str(tiny / "nowhere")])
 
 
 def test_the_embedded_library_serves_where_others_have_nothing(dataset: Path) -> None:
-    own, rest = AssetShelf([str(dataset), "embedded"]).libraries
-    (alone,) = AssetShelf().libraries
+    own, rest = AssetLibraries([str(dataset), "embedded"]).libraries
+    (alone,) = AssetLibraries().libraries
     first = {a.asset_id for a in own.assets}
     assert {a.asset_id for a in rest.assets} == {a.asset_id for a in alone.assets} - first
     assert rest.name == alone.name == "embedded"
@@ -225,11 +225,11 @@ def test_the_embedded_library_serves_where_others_have_nothing(dataset: Path) ->
 
 def test_a_folder_of_assets_alone_is_a_library(dataset: Path, tmp_path: Path) -> None:
     shutil.copytree(dataset, tmp_path / "assets", ignore=shutil.ignore_patterns("Layout_info"))
-    assert len(AssetShelf([str(tmp_path / "assets")]).libraries[0])
+    assert len(AssetLibraries([str(tmp_path / "assets")]).libraries[0])
 
 
 def test_an_engine_that_is_off_ends_the_run_and_costs_no_task(
-    dataset: Path, shelf: AssetShelf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    dataset: Path, shelf: AssetLibraries, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings, out = scripted(tmp_path, shelf, pictures=False), tmp_path / "out"
     tasks = task_file(tmp_path, [{**GOOD, "scene_id": f"scene_{k}"} for k in range(3)])
@@ -247,7 +247,7 @@ def test_an_engine_that_is_off_ends_the_run_and_costs_no_task(
     assert propose(tasks, str(out), settings, [str(dataset)])["counts"]["scenes"] == 3
 
 
-def test_a_task_has_the_same_seed_wherever_it_stands(shelf: AssetShelf) -> None:
+def test_a_task_has_the_same_seed_wherever_it_stands(shelf: AssetLibraries) -> None:
     asked: list[tuple[str, int]] = []
 
     def reply(request: Request) -> str:
@@ -407,7 +407,7 @@ def command(*words: str) -> tuple[int, str]:
     return done.exit_code, done.output
 
 
-def test_the_command_lays_out_one_scene(dataset: Path, shelf: AssetShelf, tmp_path: Path) -> None:
+def test_the_command_lays_out_one_scene(dataset: Path, shelf: AssetLibraries, tmp_path: Path) -> None:
     engine = scripted(tmp_path, shelf).engine.engine
     where = ["--assets", str(dataset), "--engine", engine, "--out", str(tmp_path / "out")]
     size = ["--table", "Office Table", "--size", "120", "60", "--restricted", "0", "40", "40", "60"]

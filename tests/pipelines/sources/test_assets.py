@@ -9,13 +9,13 @@ import pytest
 
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.staged_layout import LayoutTask
-from pipelines.execution.ray_executor import Workers
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
 from pipelines.preprocess.plan import file_digest
 from pipelines.sources import assets
-from pipelines.sources.assets import AssetShelf
-from pipelines.sources.generation_tasks import Tasks
+from pipelines.sources.assets import AssetLibraries
+from pipelines.sources.generation_tasks import TaskSource
 from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.errors import ConfigError
 from stable_data.mesatask.asset_catalog import library_of_folder
@@ -26,14 +26,14 @@ from tests.pipelines.scripts import one_thing_a_stage
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
-ALONE = Workers()
+ALONE = WorkerPool()
 DESK = Tabletop("office_table", (1.2, 0.6))
-TASKS = Tasks("tasks", [LayoutTask(f"task_{n}", f"Lift it {n} times.", DESK) for n in range(2)])
+TASKS = TaskSource("tasks", [LayoutTask(f"task_{n}", f"Lift it {n} times.", DESK) for n in range(2)])
 
 
 def fingerprint(*places: Path | str) -> str:
     """Of the first library of new shelves."""
-    return next(iter(AssetShelf([str(place) for place in places]).fingerprints.values()))
+    return next(iter(AssetLibraries([str(place) for place in places]).fingerprints.values()))
 
 
 @pytest.fixture
@@ -87,7 +87,7 @@ def test_files_are_read_once_and_only_by_who_asks(library: Path, monkeypatch: py
         return file_digest(path)
 
     monkeypatch.setattr(assets, "file_digest", digest)
-    shelf = AssetShelf([str(library)])
+    shelf = AssetLibraries([str(library)])
     assert not read  # no worker needs it
     assert shelf.fingerprints == shelf.fingerprints
     assert sorted(read) == sorted((library / "Assets_library").glob("*.glb"))
@@ -122,7 +122,7 @@ def test_the_embedded_library_is_known_by_what_made_it(library: Path, tmp_path: 
 
 @pytest.mark.parametrize("change", ["replaced", "added"])
 def test_a_run_does_not_go_on_with_other_meshes(library: Path, dataset: Path, tmp_path: Path, change: str) -> None:
-    engine = one_thing_a_stage(AssetShelf([str(library)]).libraries[0].assets[:3])
+    engine = one_thing_a_stage(AssetLibraries([str(library)]).libraries[0].assets[:3])
     script = tmp_path / "script.json"
     script.write_text(json.dumps(engine))
     plain = GenerateSettings(weights="none", scenes_per_shard=1, num_pictures=0, accept="", settle=False)

@@ -20,17 +20,17 @@ from typer.testing import CliRunner
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.text.prompt import PROMPT_VERSION
 from models.semantic_reasoner.training.batch_sampler import batches_of_pass
-from models.semantic_reasoner.training.dataset import RunExamples
+from models.semantic_reasoner.training.dataset import ExampleSource
 from models.semantic_reasoner.training.hf_folder import write_model
 from models.semantic_reasoner.training.network import new_network
-from models.semantic_reasoner.training.settings import LoraSettings, ReasonerTraining, StageShares
+from models.semantic_reasoner.training.settings import LoraSettings, ReasonerTrainingSettings, StageShares
 from models.semantic_reasoner.training.token_dataset import KINDS
 from pipelines.__main__ import app
-from pipelines.execution.ray_executor import Workers
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess.shard import preprocess
 from pipelines.settings import SECTIONS
 from pipelines.train.estimate import plan_of
-from pipelines.train.reasoner import STATE, TrainReasoner, Watch
+from pipelines.train.reasoner import STATE, ReasonerMonitoring, ReasonerTrainingJob
 from stable_data.embedded_world.edit_table import write_edits
 from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
@@ -39,7 +39,7 @@ from tests.pipelines.runs import ROOT, SMALL
 
 SETTINGS = replace(TINY, steps=6, tokens_per_batch=1500, max_tokens=2000, accumulate=2, any_table_share=0.5)
 ONE_SHOT = StageShares(task=0.0, important=0.0, secondary=0.0, whole=1.0)
-WATCH = Watch(log_every=2, validate_every=4, validate_examples=2)
+WATCH = ReasonerMonitoring(log_every=2, validate_every=4, validate_examples=2)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def run(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The samples of four scenes, two tasks each, some in the split validation; without meshes, so that it is quickly done."""
     root, out = (tmp_path_factory.mktemp("samples") / name for name in ("data", "run"))
     shutil.copytree(dataset, root, ignore=shutil.ignore_patterns("Assets_library"))
-    preprocess(str(root), str(out), replace(SMALL, train_share=0.6, validation_share=0.4, tasks_per_scene=2), Workers())
+    preprocess(str(root), str(out), replace(SMALL, train_share=0.6, validation_share=0.4, tasks_per_scene=2), WorkerPool())
     return out
 
 
@@ -55,7 +55,7 @@ def run(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def cache(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a training makes of the run first."""
     root = tmp_path_factory.mktemp("cache")
-    source = RunExamples(str(run), root / "cache", SETTINGS)
+    source = ExampleSource(str(run), root / "cache", SETTINGS)
     for split in ("train", "validation"):
         source.load(split, source.tokenizer())
     return root
@@ -71,15 +71,15 @@ def out(cache: Path, tmp_path: Path) -> Path:
 def base(cache: Path, run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a model of random weights."""
     folder = tmp_path_factory.mktemp("base") / "qwen"
-    words = RunExamples(str(run), cache / "cache", SETTINGS).tokenizer()
+    words = ExampleSource(str(run), cache / "cache", SETTINGS).tokenizer()
     write_model(folder, new_network(TINY.network, words, 2000, seed=5), words, {})
     return folder
 
 
 def job(
-    run: Path, out: Path, settings: ReasonerTraining = SETTINGS, minutes: float = 0.0, watch: Watch = WATCH
-) -> TrainReasoner:
-    return TrainReasoner(str(run), out, settings, watch, minutes)
+    run: Path, out: Path, settings: ReasonerTrainingSettings = SETTINGS, minutes: float = 0.0, watch: ReasonerMonitoring = WATCH
+) -> ReasonerTrainingJob:
+    return ReasonerTrainingJob(str(run), out, settings, watch, minutes)
 
 
 def weights(out: Path) -> dict[str, torch.Tensor]:
@@ -97,7 +97,7 @@ def test_a_training_leaves_weights_logs_and_manifest(run: Path, out: Path) -> No
     assert "nats a token important" in line
     notes = json.loads((out / "weights" / "reasoner.json").read_text("utf-8"))
     assert (notes["steps"], notes["is_done"], notes["prompt_version"]) == (6, True, PROMPT_VERSION)
-    assert notes["data"] == RunExamples(str(run), out, SETTINGS).fingerprint()
+    assert notes["data"] == ExampleSource(str(run), out, SETTINGS).fingerprint()
     assert notes["tokens"] > 0
     assert notes["settings"]["network"]["hidden"] == TINY.network.hidden
     assert set(notes["figures"]) == {f"validation/{kind}" for kind in ("task", "important", "secondary")}
@@ -244,7 +244,7 @@ def test_other_settings_and_data_are_refused_and_named(run: Path, out: Path, tmp
 
 
 def test_only_the_splits_that_may_be_seen_are_read(run: Path, tmp_path: Path) -> None:
-    source = RunExamples(str(run), tmp_path, replace(SETTINGS, any_table_share=0.0))
+    source = ExampleSource(str(run), tmp_path, replace(SETTINGS, any_table_share=0.0))
     table = RunFolder(str(run)).table("samples", ["scene_id", "split"]).to_pydict()
     split_of = dict(zip(table["scene_id"], table["split"], strict=True))
     for split in ("train", "validation"):
@@ -254,7 +254,7 @@ def test_only_the_splits_that_may_be_seen_are_read(run: Path, tmp_path: Path) ->
 
 
 def test_the_kind_of_table_is_left_out_in_training_alone(run: Path, tmp_path: Path) -> None:
-    source = RunExamples(str(run), tmp_path, replace(SETTINGS, any_table_share=1.0))
+    source = ExampleSource(str(run), tmp_path, replace(SETTINGS, any_table_share=1.0))
     assert {e.ask.table.table_type for e in source.examples("train")} == {"table"}
     assert "table" not in {e.ask.table.table_type for e in source.examples("validation")}
     none = replace(source, settings=replace(SETTINGS, any_table_share=0.0))
@@ -268,8 +268,10 @@ def test_tokens_are_kept_by_all_that_shapes_them(run: Path, tmp_path: Path) -> N
         replace(SETTINGS, with_details=True),
         replace(SETTINGS, shares=ONE_SHOT),
     )
-    words = RunExamples(str(run), tmp_path, SETTINGS).tokenizer()
-    found = [RunExamples(str(run), tmp_path, way).load("train", words) for way in (*ways, replace(SETTINGS, learning_rate=1.0))]
+    words = ExampleSource(str(run), tmp_path, SETTINGS).tokenizer()
+    found = [
+        ExampleSource(str(run), tmp_path, way).load("train", words) for way in (*ways, replace(SETTINGS, learning_rate=1.0))
+    ]
     assert len(list(tmp_path.glob("train-*"))) == len(ways)
     wholes = int((found[3].kind == KINDS.index("whole")).sum())
     assert 3 * wholes == len(found[3]) - wholes == len(found[0])
@@ -285,13 +287,13 @@ def drafted(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_edits_are_learned_from_where_they_are(run: Path, drafted: Path, tmp_path: Path) -> None:
-    plain = RunExamples(str(run), tmp_path / "cache", SETTINGS)
+    plain = ExampleSource(str(run), tmp_path / "cache", SETTINGS)
     both = Path(shutil.copytree(run, tmp_path / "both"))
     shutil.copytree(drafted / "edits", both / "edits")
     ways = [
-        RunExamples(str(both), tmp_path / "cache", SETTINGS),
-        RunExamples(str(run), tmp_path / "cache", replace(SETTINGS, edits=str(drafted))),
-        RunExamples(str(run), tmp_path / "cache", replace(SETTINGS, edits=str(drafted / "edits"))),
+        ExampleSource(str(both), tmp_path / "cache", SETTINGS),
+        ExampleSource(str(run), tmp_path / "cache", replace(SETTINGS, edits=str(drafted))),
+        ExampleSource(str(run), tmp_path / "cache", replace(SETTINGS, edits=str(drafted / "edits"))),
     ]
     rows = RunFolder(str(drafted)).table("edits").to_pylist()
     for split in ("train", "validation"):
@@ -312,7 +314,7 @@ def test_edits_are_learned_from_where_they_are(run: Path, drafted: Path, tmp_pat
 def test_edits_have_a_share_of_their_own_and_are_watched(run: Path, drafted: Path, tmp_path: Path) -> None:
     settings = replace(SETTINGS, steps=2, edits=str(drafted))
     assert "nats a token edit" in job(run, tmp_path / "out", settings).run()
-    source = RunExamples(str(run), tmp_path / "out" / "cache", settings)
+    source = ExampleSource(str(run), tmp_path / "out" / "cache", settings)
     data = source.load("train", source.tokenizer())
     edits = set((data.kind == KINDS.index("edit")).nonzero()[0].tolist())
     assert len(edits) == source.num_examples("train")["edit"] - int(data.too_long[KINDS.index("edit")])

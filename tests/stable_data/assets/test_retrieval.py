@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from stable_data.assets import retrieval
 from stable_data.assets.catalog import Asset, AssetLibrary, RestingTilt
 from stable_data.assets.ranking import RetrievalSettings
-from stable_data.assets.retrieval import Answer, Match, Query, Retriever, Unmatched
+from stable_data.assets.retrieval import Answer, AssetMatch, AssetQuery, Retriever, UnmatchedQuery
 from stable_data.assets.text_embeddings import Rows
 from stable_data.errors import ConfigError, SceneError
 from stable_data.mesatask.asset_catalog import library_of_folder
@@ -27,7 +27,7 @@ CUBE = (0.1, 0.1, 0.1)
 
 
 def found(answer: Answer) -> str:
-    assert isinstance(answer, Match), answer
+    assert isinstance(answer, AssetMatch), answer
     return answer.asset_id
 
 
@@ -36,14 +36,14 @@ def retriever(*assets: Asset, **values: object) -> Retriever:
 
 
 def ask(tool: Retriever, text: str, size: Vec3 = CUBE, category: str | None = None, key: str = "", seed: int = 0) -> Answer:
-    return tool.retrieve([Query(text, size, category, key)], seed)[0]
+    return tool.retrieve([AssetQuery(text, size, category, key)], seed)[0]
 
 
 def test_words_decide() -> None:
     tool = retriever(thing("mug", "a red mug"), thing("bowl", "a red bowl"), thing("fork", "a steel fork"))
     assert found(ask(tool, "a red bowl")) == "bowl"
     answer = ask(tool, "a steel fork", (0.3, 0.3, 0.3))
-    assert isinstance(answer, Match)
+    assert isinstance(answer, AssetMatch)
     assert answer.library == "first"
     assert (answer.text_score, answer.size_score, answer.score) == pytest.approx((1, 1, 1))
     assert answer.scale + answer.size == pytest.approx((0.3,) * 6)
@@ -55,8 +55,10 @@ def test_only_what_is_carried_leans() -> None:
     seen, leant = RestingTilt(LAID, (0.1, 2.0, 0.1), 3), RestingTilt(tilt, (0.1, 0.5, 2.0))
     tool = retriever(Asset("brush", "brush", "a red brush", (0.1, 0.1, 2.0), (seen, leant)))
     for leans in (False, True):
-        answers = tool.retrieve([Query("a red brush", size, leans=leans) for size in ((0.01, 0.05, 0.2), (0.01, 0.2, 0.01))])
-        standing, lying = (answer for answer in answers if isinstance(answer, Match))
+        answers = tool.retrieve(
+            [AssetQuery("a red brush", size, leans=leans) for size in ((0.01, 0.05, 0.2), (0.01, 0.2, 0.01))]
+        )
+        standing, lying = (answer for answer in answers if isinstance(answer, AssetMatch))
         assert standing.tilt_quat_xyzw == (tilt if leans else LAID)
         assert lying.tilt_quat_xyzw == LAID
         assert standing.size_score > 0.99 or not leans
@@ -65,7 +67,7 @@ def test_only_what_is_carried_leans() -> None:
 def test_the_score_is_nine_parts_text_and_one_part_size() -> None:
     answer = ask(retriever(thing("a", "a red mug", (3.0, 4.0, 0.0))), "a blue mug", (4.0, 3.0, 0.0))
     text = float(np.dot(*BagOfWords()(["a red mug", "a blue mug"])))
-    assert isinstance(answer, Match)
+    assert isinstance(answer, AssetMatch)
     assert answer.text_score == pytest.approx(text, abs=1e-6)
     assert answer.size_score == pytest.approx(24 / 25)
     assert answer.score == pytest.approx(0.9 * text + 0.1 * 24 / 25, abs=1e-6)
@@ -81,7 +83,7 @@ def test_of_equal_words_the_proportions_decide_and_the_size_does_not() -> None:
 def test_what_is_not_there_is_reported_with_the_nearest() -> None:
     tool = retriever(thing("mug", "a red mug"), thing("fork", "one steel fork"))
     answer = ask(tool, "some red elephant")
-    assert isinstance(answer, Unmatched)
+    assert isinstance(answer, UnmatchedQuery)
     assert (answer.nearest, answer.library) == ("mug", "first")
     text = float(np.dot(*BagOfWords()(["a red mug", "some red elephant"])))
     assert answer.text_score == pytest.approx(text, abs=1e-6)
@@ -94,7 +96,7 @@ def test_what_is_not_there_is_reported_with_the_nearest() -> None:
 @given(st.floats(-1.0, 1.0))
 def test_the_floor_is_of_the_text_score(floor: float) -> None:
     answer = ask(retriever(thing("mug", "a red mug"), floor=floor), "a green mug")
-    assert isinstance(answer, Match) == (answer.text_score >= floor)
+    assert isinstance(answer, AssetMatch) == (answer.text_score >= floor)
 
 
 def test_annotations_and_licences_keep_assets_out_and_take_no_place() -> None:
@@ -132,12 +134,12 @@ def test_the_first_library_that_has_a_match_serves() -> None:
     first = library(thing("cup", "a red cup"), name="unseen")
     second = library(thing("mug", "a red mug"), thing("fork", "steel fork"), name="usual")
     tool = Retriever([first, second], encoder)
-    answers = tool.retrieve([Query(text, CUBE) for text in ("a red mug", "steel fork", "no such thing", "red cup")])
+    answers = tool.retrieve([AssetQuery(text, CUBE) for text in ("a red mug", "steel fork", "no such thing", "red cup")])
     assert [answers[k].library for k in (0, 1, 3)] == ["unseen", "usual", "unseen"]
     assert [found(answers[k]) for k in (0, 1, 3)] == ["cup", "fork", "cup"]
-    reverse = Retriever([second, first], encoder).retrieve([Query(text, CUBE) for text in ("a red mug", "no such thing")])
+    reverse = Retriever([second, first], encoder).retrieve([AssetQuery(text, CUBE) for text in ("a red mug", "no such thing")])
     assert found(reverse[0]) == "mug"
-    assert isinstance(answers[2], Unmatched)
+    assert isinstance(answers[2], UnmatchedQuery)
     assert reverse[1].text_score == answers[2].text_score  # the nearest of all libraries, whatever their order
 
 
@@ -145,13 +147,13 @@ def test_words_are_encoded_once_and_answered_alike(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(retrieval, "_MOST_TEXTS", 3)
     encoder = BagOfWords()
     tool = Retriever([library(thing("cup", "a red cup"), thing("fork", "steel fork"))], encoder)
-    first = tool.retrieve([Query(text, CUBE) for text in ("a red cup", "steel fork", "a red cup")])
+    first = tool.retrieve([AssetQuery(text, CUBE) for text in ("a red cup", "steel fork", "a red cup")])
     assert encoder.asked == ["a red cup", "steel fork"]
-    again = tool.retrieve([Query(text, CUBE) for text in ("steel fork", "a cup", "a red cup")])
+    again = tool.retrieve([AssetQuery(text, CUBE) for text in ("steel fork", "a cup", "a red cup")])
     assert encoder.asked == ["a red cup", "steel fork", "a cup"]
     assert [again[2], again[0]] == first[:2]
-    tool.retrieve([Query("a fork", CUBE)])  # one too many: the first is forgotten
-    assert tool.retrieve([Query("a red cup", CUBE)]) == first[:1]
+    tool.retrieve([AssetQuery("a fork", CUBE)])  # one too many: the first is forgotten
+    assert tool.retrieve([AssetQuery("a red cup", CUBE)]) == first[:1]
     assert encoder.asked[3:] == ["a fork", "a red cup"]
 
 
@@ -176,7 +178,7 @@ def test_the_category_is_heard_with_the_words() -> None:
 
 def test_a_query_without_words_or_category_is_reported() -> None:
     answer = ask(retriever(thing("mug", "a red mug")), " \n", category="")
-    assert isinstance(answer, Unmatched)
+    assert isinstance(answer, UnmatchedQuery)
     assert "neither words nor a category" in answer.reason
 
 
@@ -197,9 +199,9 @@ def test_every_equal_comes_up_over_seeds_and_about_as_often() -> None:
 
 def test_equal_queries_differ_by_their_keys_alone() -> None:
     tool = retriever(*TWINS)
-    same = tool.retrieve([Query("a red mug", CUBE, key="scene")] * 40)
+    same = tool.retrieve([AssetQuery("a red mug", CUBE, key="scene")] * 40)
     assert len({found(answer) for answer in same}) == 1
-    apart = tool.retrieve([Query("a red mug", CUBE, key=f"scene/{k}") for k in range(40)])
+    apart = tool.retrieve([AssetQuery("a red mug", CUBE, key=f"scene/{k}") for k in range(40)])
     assert {found(answer) for answer in apart} == {asset.asset_id for asset in TWINS}
 
 
@@ -243,7 +245,7 @@ def crowd() -> list[Asset]:
 
 CROWD = AssetLibrary("crowd", tuple(crowd())).embedded(Noise())
 CROWD_QUERIES = [
-    Query(f"thing {k}", tuple(np.random.default_rng(k).uniform(0.1, 1.0, 3).tolist()), "abcd"[k % 4], str(k))
+    AssetQuery(f"thing {k}", tuple(np.random.default_rng(k).uniform(0.1, 1.0, 3).tolist()), "abcd"[k % 4], str(k))
     for k in range(300)
 ]
 
@@ -260,7 +262,7 @@ def test_a_batch_answers_as_each_query_alone_in_any_order(top_k: int | None) -> 
 def test_what_a_query_is_to_go_without_is_as_if_it_were_not_there() -> None:
     tool = Retriever([CROWD], Noise())
     first = tool.retrieve(CROWD_QUERIES, seed=4)
-    barred = {a.asset_id for a in first if isinstance(a, Match)}
+    barred = {a.asset_id for a in first if isinstance(a, AssetMatch)}
     left = tuple(a for a in CROWD.assets if a.asset_id not in barred)
     few = Retriever([AssetLibrary("crowd", left).embedded(Noise())], Noise())
     second = tool.retrieve([replace(query, without=frozenset(barred)) for query in CROWD_QUERIES], seed=4)
@@ -272,21 +274,21 @@ def test_what_a_query_is_to_go_without_is_as_if_it_were_not_there() -> None:
 def test_a_query_that_may_have_nothing_is_reported() -> None:
     everything = frozenset(asset.asset_id for asset in CROWD.assets)
     (answer,) = Retriever([CROWD], Noise()).retrieve([replace(CROWD_QUERIES[0], without=everything)])
-    assert answer == Unmatched("it is to go without all that the libraries have")
+    assert answer == UnmatchedQuery("it is to go without all that the libraries have")
 
 
 def test_the_floor_is_the_same_to_the_last_bit_alone_and_in_a_batch() -> None:
     by_text = RetrievalSettings(size_weight=0.0, margin=0.0, floor=-1.0)
-    queries = [Query(f"unlike {k}", CUBE) for k in range(130)]
+    queries = [AssetQuery(f"unlike {k}", CUBE) for k in range(130)]
     best = [answer.text_score for answer in Retriever([CROWD], Noise(), by_text).retrieve(queries)]
     for k in range(0, len(queries), 9):
         at, above = (
             Retriever([CROWD], Noise(), replace(by_text, floor=floor)) for floor in (best[k], float(np.nextafter(best[k], 2)))
         )
         for asked, place in ((queries, k), ([queries[k]], 0)):
-            assert isinstance(at.retrieve(asked)[place], Match)
+            assert isinstance(at.retrieve(asked)[place], AssetMatch)
             refused = above.retrieve(asked)[place]
-            assert isinstance(refused, Unmatched)
+            assert isinstance(refused, UnmatchedQuery)
             assert refused.text_score == best[k]
 
 
@@ -303,7 +305,7 @@ def test_the_best_is_what_a_plain_loop_finds(top_k: int | None) -> None:
             for a in CROWD.assets
         ]
         score = 0.9 * text + 0.1 * np.array(cosines)
-        assert isinstance(answer, Match)
+        assert isinstance(answer, AssetMatch)
         assert answer.score == pytest.approx(score[allowed].max(), abs=1e-6)
 
 
@@ -312,11 +314,11 @@ def test_a_bottle_stands_unless_the_box_asks_for_a_laid_one() -> None:
     tilts = {}
     for size in [(0.1, 0.1, 0.4), (0.1, 0.1, 0.1), (0.12, 0.14, 0.11), (0.1, 0.4, 0.1), (0.1, 0.3, 0.12)]:
         answer = ask(tool, "a green bottle", size)
-        assert isinstance(answer, Match)
+        assert isinstance(answer, AssetMatch)
         tilts[size] = answer.tilt_quat_xyzw
     assert list(tilts.values()) == [UPRIGHT, UPRIGHT, UPRIGHT, LAID, LAID]
     laid = ask(tool, "a green bottle", (0.1, 0.4, 0.1))
-    assert isinstance(laid, Match)
+    assert isinstance(laid, AssetMatch)
     assert laid.size + laid.scale == pytest.approx((0.1, 0.4, 0.1, 0.1, 0.1, 0.1))
     assert laid.size_score == pytest.approx(1)
 
@@ -330,8 +332,8 @@ def test_scaling_is_even_unless_asked_and_never_distorts_beyond_the_limit(wanted
     asset = thing("a", "a box", box)
     even = ask(retriever(asset), "a box", wanted)
     stretched = ask(retriever(asset, stretch=True, max_distortion=limit), "a box", wanted)
-    assert isinstance(even, Match)
-    assert isinstance(stretched, Match)
+    assert isinstance(even, AssetMatch)
+    assert isinstance(stretched, AssetMatch)
     assert even.scale[0] == even.scale[1] == even.scale[2]
     assert even.size == pytest.approx([even.scale[0] * edge for edge in box])
     assert even.note == ""
@@ -348,7 +350,7 @@ def test_scaling_is_even_unless_asked_and_never_distorts_beyond_the_limit(wanted
 def test_what_leans_is_scaled_evenly_and_says_so() -> None:
     lean = RestingTilt((0.6, 0.0, 0.0, 0.8), (1.0, 1.2, 1.3), 5)
     answer = ask(retriever(Asset("a", "", "a box", (1.0, 1.0, 1.0), (lean,)), stretch=True), "a box", (0.1, 0.1, 0.2))
-    assert isinstance(answer, Match)
+    assert isinstance(answer, AssetMatch)
     assert answer.scale[0] == answer.scale[1] == answer.scale[2]
     assert "it is flat or leans" in answer.note
 
@@ -356,14 +358,14 @@ def test_what_leans_is_scaled_evenly_and_says_so() -> None:
 @pytest.mark.parametrize("size", [(math.nan, 1, 1), (1, math.inf, 1), (0, 0, 0), (-1, 1, 1), (1, 1)])
 def test_a_query_without_a_box_is_refused(size: Vec3) -> None:
     with pytest.raises(SceneError, match=r"query 'a mug' has size .*, expected width, depth and height in metres"):
-        Query("a mug", size)
+        AssetQuery("a mug", size)
 
 
 def test_boxes_of_any_magnitude_are_answered() -> None:
     tool = retriever(thing("a", "a box", (1e-9, 2e-9, 1e-9)), thing("b", "a sheet", (300.0, 200.0, 0.0)))
     for size in [(1e-200, 2e-200, 1e-200), (1e200, 2e200, 1e200), (1.0, 0.0, 0.0)]:
         answer = ask(tool, "a box", size)
-        assert isinstance(answer, Match)
+        assert isinstance(answer, AssetMatch)
         assert min(answer.scale) > 0
         assert all(map(math.isfinite, answer.scale))
     assert found(ask(tool, "a sheet", (0.3, 0.2, 0.0))) == "b"
@@ -394,7 +396,7 @@ def test_a_datasets_own_features_are_used_if_they_are_this_encoders() -> None:
     assets = (thing("a", "a red mug", category="mug"), thing("b", "a blue bowl", category="bowl"))
     own = AssetLibrary("own", assets, BagOfWords()(["a red mug", "a blue bowl"]))
     answer = ask(Retriever([own], BagOfWords()), "a red mug", category="cup")
-    assert isinstance(answer, Match)
+    assert isinstance(answer, AssetMatch)
     assert answer.asset_id == "a"
     assert answer.text_score == pytest.approx(1)  # its words alone are compared
 
@@ -436,7 +438,7 @@ def test_mesa_real_finds_what_it_holds(shared_data: Path) -> None:
     encoder = BagOfWords()
     shelf = library_of_folder(shared_data / "mesa_real").embedded(encoder)
     offered = [asset for asset in shelf.assets if asset.is_offered]
-    queries = [Query(asset.description, asset.extents, asset.category) for asset in offered]
+    queries = [AssetQuery(asset.description, asset.extents, asset.category) for asset in offered]
     answers = Retriever([shelf], encoder).retrieve(queries)
     by_uid = {asset.asset_id: asset for asset in shelf.assets}
     for asset, answer in zip(offered, answers, strict=True):

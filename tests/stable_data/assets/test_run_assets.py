@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from stable_data.assets.annotation import AssetAnnotation
-from stable_data.assets.run_assets import TableAssets, run_annotations
+from stable_data.assets.run_assets import RunAssets, run_annotations
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, MeshError
 from stable_data.geometry.gltf_writer import write_glb
@@ -30,14 +30,14 @@ def run_of(root: Path, sha256: str | None = None) -> RunFolder:
 def test_meshes_come_from_the_table(tmp_path: Path) -> None:
     run = run_of(tmp_path / "run")
     for _ in range(2):  # made, then found
-        assets = TableAssets(run, tmp_path / "files")
+        assets = RunAssets(run, tmp_path / "files")
         assert np.allclose(AssetStore(assets).asset("cube").mesh.extents, (0.1, 0.2, 0.3))
         assert assets.asset_path("other") is None
     assert len(list((tmp_path / "files").iterdir())) == 1
 
 
 def test_files_are_written_when_they_are_asked_for(tmp_path: Path) -> None:
-    assets = TableAssets(run_of(tmp_path / "run"), tmp_path / "files")
+    assets = RunAssets(run_of(tmp_path / "run"), tmp_path / "files")
     assert not list((tmp_path / "files").iterdir())
     path = assets.asset_path("cube")
     assert path is not None
@@ -46,7 +46,7 @@ def test_files_are_written_when_they_are_asked_for(tmp_path: Path) -> None:
 
 def test_convex_parts_are_those_of_the_table(tmp_path: Path) -> None:
     """And not cut anew: one box would do."""
-    store = AssetStore(TableAssets(run_of(tmp_path / "run"), tmp_path / "files"))
+    store = AssetStore(RunAssets(run_of(tmp_path / "run"), tmp_path / "files"))
     parts = asset_parts("cube", store.asset("cube").mesh, store)
     assert [part.vertices[:, 0].mean().round(3) for part in parts] == [-0.025, 0.025]
     assert store.kept_parts("other") == ()
@@ -66,7 +66,7 @@ def test_annotations_come_from_the_table(tmp_path: Path) -> None:
 def test_a_content_that_is_no_name_is_refused(tmp_path: Path) -> None:
     """No path from data leaves the folder."""
     with pytest.raises(ConfigError, match="64 hex digits"):
-        TableAssets(run_of(tmp_path / "run", "../" * 20 + "out"), tmp_path / "files")
+        RunAssets(run_of(tmp_path / "run", "../" * 20 + "out"), tmp_path / "files")
 
 
 def test_a_run_cannot_put_its_mesh_in_the_place_of_another_run(tmp_path: Path) -> None:
@@ -77,24 +77,24 @@ def test_a_run_cannot_put_its_mesh_in_the_place_of_another_run(tmp_path: Path) -
     foreign = dict(row, glb=write_glb(Mesh(3 * box(1, 1, 1).vertices, box(1, 1, 1).faces)))
     sound = dict(row, asset_id="sound", glb=foreign["glb"], sha256=hashlib.sha256(foreign["glb"]).hexdigest())
     hostile.write_shard("meshes", "0" * 16, [foreign, sound, dict(row, asset_id="none", glb=None, sha256="f" * 64)])
-    assets = TableAssets(hostile, tmp_path / "files")
+    assets = RunAssets(hostile, tmp_path / "files")
     for asset_id in ("cube", "none"):
         with pytest.raises(MeshError, match=f"asset {asset_id}: the glb in table meshes does not have the hash") as caught:
             AssetStore(assets).asset(asset_id)
         assert caught.value.code == "mesh_differs"
     assert np.allclose(AssetStore(assets).asset("sound").mesh.extents, 3)
     assert [path.stem for path in (tmp_path / "files").iterdir()] == [sound["sha256"]]
-    assert AssetStore(TableAssets(honest, tmp_path / "files")).asset("cube").mesh.extents.max() < 1
+    assert AssetStore(RunAssets(honest, tmp_path / "files")).asset("cube").mesh.extents.max() < 1
 
 
 def test_a_file_that_was_changed_in_the_folder_is_written_again(tmp_path: Path) -> None:
     run = run_of(tmp_path / "run")
-    path = TableAssets(run, tmp_path / "files").asset_path("cube")
+    path = RunAssets(run, tmp_path / "files").asset_path("cube")
     assert path is not None
     path.write_bytes(b"poison")
-    assert np.allclose(AssetStore(TableAssets(run, tmp_path / "files")).asset("cube").mesh.extents, (0.1, 0.2, 0.3))
+    assert np.allclose(AssetStore(RunAssets(run, tmp_path / "files")).asset("cube").mesh.extents, (0.1, 0.2, 0.3))
 
 
 def test_a_run_without_meshes_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no table meshes"):
-        TableAssets(RunFolder(str(tmp_path)), tmp_path / "files")
+        RunAssets(RunFolder(str(tmp_path)), tmp_path / "files")

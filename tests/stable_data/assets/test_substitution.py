@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stable_data.assets.retrieval import Match
+from stable_data.assets.retrieval import AssetMatch
 from stable_data.assets.substitution import underside, with_asset, with_assets
 from stable_data.errors import SceneError
 from stable_data.scene import TABLE, UPRIGHT, SceneObject, Stage, Vec3
@@ -17,8 +17,8 @@ def wanted(name: str, low: float, size: Vec3 = (0.1, 0.1, 0.1), support: str | N
     )
 
 
-def match(height: float, category: str = "mug") -> Match:
-    return Match("uid", "lib", category, 0.9, 0.9, 0.9, LAID, (2.0, 2.0, 2.0), (0.2, 0.3, height))
+def match(height: float, category: str = "mug") -> AssetMatch:
+    return AssetMatch("uid", "lib", category, 0.9, 0.9, 0.9, LAID, (2.0, 2.0, 2.0), (0.2, 0.3, height))
 
 
 def top(o: SceneObject) -> float:
@@ -88,4 +88,4 @@ def test_supports_in_a_circle_are_refused() -> None:
 
 
 def test_an_upright_match_needs_no_tilt() -> None:
-    assert with_asset(wanted("cup", 0.0), Match("uid", "lib", "", 1, 1, 1, UPRIGHT, (1, 1, 1), (1, 1, 1))).tilt_angle == 0
+    assert with_asset(wanted("cup", 0.0), AssetMatch("uid", "lib", "", 1, 1, 1, UPRIGHT, (1, 1, 1), (1, 1, 1))).tilt_angle == 0

@@ -9,10 +9,10 @@ import shapely
 from stable_data.embedded_world import scenes
 from stable_data.embedded_world.families.catalogue import BY_CATEGORY, asset
 from stable_data.embedded_world.groups import bath, desk, dining, kitchen, lounge
-from stable_data.embedded_world.groups.arrangement import Item, Kit, filled, heaped, leaning, row, stack
-from stable_data.embedded_world.placing import Ground, compose, lowered
-from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES, Spot
-from stable_data.embedded_world.scenes import MadeScene, make_scene, plan_of, scene_id_of, table_type_of
+from stable_data.embedded_world.groups.arrangement import GroupItem, GroupSampler, filled, heaped, leaning, row, stack
+from stable_data.embedded_world.placing import TableOccupancy, compose, lowered
+from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES, Slot
+from stable_data.embedded_world.scenes import EmbeddedScene, make_scene, plan_of, scene_id_of, table_type_of
 from stable_data.embedded_world.settling import audit, bodies_of, instance_names, restless, unclean
 from stable_data.errors import ConfigError, SceneError
 from stable_data.scene import Tabletop
@@ -30,17 +30,17 @@ MODULES = {"bath": bath, "desk": desk, "dining": dining, "kitchen": kitchen, "lo
 
 
 @pytest.fixture(scope="module")
-def made() -> list[MadeScene]:
+def made() -> list[EmbeddedScene]:
     return [make_scene(number, seed=5) for number in range(12)]
 
 
 @pytest.fixture
-def kit(rng: np.random.Generator) -> Kit:
-    return Kit(rng)
+def kit(rng: np.random.Generator) -> GroupSampler:
+    return GroupSampler(rng)
 
 
 @pytest.mark.parametrize(("room", "name"), GROUPS)
-def test_group_is_of_known_things_each_carrier_before_what_it_carries(room: str, name: str, kit: Kit) -> None:
+def test_group_is_of_known_things_each_carrier_before_what_it_carries(room: str, name: str, kit: GroupSampler) -> None:
     for _ in range(6):
         group = getattr(MODULES[room], name)(kit)
         assert group
@@ -48,7 +48,7 @@ def test_group_is_of_known_things_each_carrier_before_what_it_carries(room: str,
         assert all(np.isfinite([item.x, item.y, item.yaw]).all() for item in group)
 
 
-def test_row_is_as_wide_as_its_things_and_gaps(kit: Kit) -> None:
+def test_row_is_as_wide_as_its_things_and_gaps(kit: GroupSampler) -> None:
     items = [kit.item(key) for key in ("mug/0", "mug/1", "mug/2")]
     placed = row(items, 0.03)
     bounds = shapely.union_all([item.outline() for item in placed]).bounds
@@ -56,51 +56,51 @@ def test_row_is_as_wide_as_its_things_and_gaps(kit: Kit) -> None:
     assert placed[0].outline().distance(placed[1].outline()) == pytest.approx(0.03)
 
 
-def test_stack_stays_over_its_first_thing(kit: Kit) -> None:
-    placed = stack([Item("book/0"), Item("book/1")], kit, shift=0.005)
+def test_stack_stays_over_its_first_thing(kit: GroupSampler) -> None:
+    placed = stack([GroupItem("book/0"), GroupItem("book/1")], kit, shift=0.005)
     assert abs(placed[1].x) <= 0.005
 
 
-def test_contents_lie_within_their_container_and_apart(kit: Kit) -> None:
-    crate = Item("crate/0", 0.2, 0.1, 0.4)
-    group = filled(crate, [Item("can/0", yaw=k) for k in range(20)], kit)
+def test_contents_lie_within_their_container_and_apart(kit: GroupSampler) -> None:
+    crate = GroupItem("crate/0", 0.2, 0.1, 0.4)
+    group = filled(crate, [GroupItem("can/0", yaw=k) for k in range(20)], kit)
     assert 2 <= len(group) < 21
     outlines = [item.outline() for item in group[1:]]
     assert all(crate.outline().contains(o) for o in outlines)
     assert all(not a.intersects(b) for k, a in enumerate(outlines) for b in outlines[k + 1 :])
 
 
-def test_heap_and_leaning_things_stay_in_what_holds_them(kit: Kit) -> None:
-    bowl = Item("bowl/0")
-    for item in heaped(bowl, [Item("egg/0")] * 3, kit)[1:]:
+def test_heap_and_leaning_things_stay_in_what_holds_them(kit: GroupSampler) -> None:
+    bowl = GroupItem("bowl/0")
+    for item in heaped(bowl, [GroupItem("egg/0")] * 3, kit)[1:]:
         assert bowl.outline().contains(shapely.Point(item.x, item.y))
-    holder = Item("pen_holder/0")
+    holder = GroupItem("pen_holder/0")
     hollow = asset("pen_holder/0").hollow
     assert hollow is not None
     group = leaning(holder, ["pen/0", "pen/1"], kit)
     assert len(group) == 3
-    assert all(item.tilt_quat_xyzw != Item("pen/0").tilt_quat_xyzw for item in group[1:])
+    assert all(item.tilt_quat_xyzw != GroupItem("pen/0").tilt_quat_xyzw for item in group[1:])
 
 
-def test_household_is_the_same_for_a_scene(kit: Kit) -> None:
+def test_household_is_the_same_for_a_scene(kit: GroupSampler) -> None:
     assert len({kit.own("plate") for _ in range(20)}) == 1
     assert len({kit.key("plate") for _ in range(60)}) > 1
     assert len({kit.decided("cloth", 0.5) for _ in range(20)}) == 1
 
 
-def test_group_that_does_not_fit_is_left_out(kit: Kit) -> None:
-    ground = Ground(Tabletop("office_table", (0.2, 0.2)))
-    assert ground.placed([Item("serving_tray/0")], Spot(dining.tea_tray), kit, 30) == []
+def test_group_that_does_not_fit_is_left_out(kit: GroupSampler) -> None:
+    ground = TableOccupancy(Tabletop("office_table", (0.2, 0.2)))
+    assert ground.placed([GroupItem("serving_tray/0")], Slot(dining.tea_tray), kit, 30) == []
 
 
 def test_lowered_things_are_just_clear() -> None:
-    low, high = lowered([Item("book/0"), Item("eraser/0")])
+    low, high = lowered([GroupItem("book/0"), GroupItem("eraser/0")])
     gap = high.z - high.shape.size[2] / 2 - (low.z + low.shape.size[2] / 2)
     assert 0 < gap < 2e-4
 
 
 @pytest.mark.parametrize("table_type", [*TABLES, *UNSEEN_TABLES])
-def test_composed_groups_are_apart_on_the_table_and_out_of_the_sink(table_type: str, kit: Kit) -> None:
+def test_composed_groups_are_apart_on_the_table_and_out_of_the_sink(table_type: str, kit: GroupSampler) -> None:
     plan = plan_of(table_type)
     zone = (0.3, 0.7, 0.1, 0.4) if plan.has_sink else None
     table = Tabletop(table_type, (plan.width[1], plan.depth[1]), zone)
@@ -130,7 +130,7 @@ def test_tables_are_taken_in_turn_and_one_in_25_is_unseen() -> None:
     assert scene_id_of(7, ("nightstand",)) == "nightstand_00007"
 
 
-def test_made_scenes_are_clean_at_rest_and_full(made: list[MadeScene]) -> None:
+def test_made_scenes_are_clean_at_rest_and_full(made: list[EmbeddedScene]) -> None:
     for one in made:
         card = audit(one.scene, one.placed).card()
         assert card.clean
@@ -139,17 +139,17 @@ def test_made_scenes_are_clean_at_rest_and_full(made: list[MadeScene]) -> None:
     assert 9 < np.mean([len(one.placed) for one in made]) < 20
 
 
-def test_made_scenes_are_stable_for_the_whole_verdict(made: list[MadeScene]) -> None:
+def test_made_scenes_are_stable_for_the_whole_verdict(made: list[EmbeddedScene]) -> None:
     for one in made[:4]:
         assert settle(bodies_of(one.scene, one.placed), one.scene.table).stable
 
 
-def test_scene_is_the_same_for_the_same_seed_and_another_for_another(made: list[MadeScene]) -> None:
+def test_scene_is_the_same_for_the_same_seed_and_another_for_another(made: list[EmbeddedScene]) -> None:
     assert make_scene(3, seed=5).scene == made[3].scene
     assert make_scene(3, seed=6).scene != made[3].scene
 
 
-def test_scene_has_a_task_of_its_own_objects_and_a_record(made: list[MadeScene]) -> None:
+def test_scene_has_a_task_of_its_own_objects_and_a_record(made: list[EmbeddedScene]) -> None:
     for one in made:
         task = one.scene.task
         assert task is not None

@@ -8,16 +8,16 @@ import pytest
 from typer.testing import CliRunner
 
 from stable_data.cli import app
-from stable_data.embedded_world.drafting import DRAFTERS, KINDS, Desk
+from stable_data.embedded_world.drafting import DRAFTERS, KINDS, SceneEditor
 from stable_data.embedded_world.edit_table import edit_rows, write_edits
 from stable_data.embedded_world.edits import as_settled
 from stable_data.embedded_world.families.catalogue import KEYS, asset
-from stable_data.embedded_world.groups.arrangement import Item, Kit
-from stable_data.embedded_world.placing import Placed
-from stable_data.embedded_world.scenes import MadeScene, graph_of
+from stable_data.embedded_world.groups.arrangement import GroupItem, GroupSampler
+from stable_data.embedded_world.placing import PlacedObject
+from stable_data.embedded_world.scenes import EmbeddedScene, graph_of
 from stable_data.embedded_world.settling import audit, unclean
 from stable_data.errors import SceneError
-from stable_data.instructions.naming import Namer
+from stable_data.instructions.naming import ObjectNamer
 from stable_data.scene import Scene, Tabletop
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, Row, arrow_table, object_from_row, scene_from_row
@@ -27,12 +27,12 @@ pytestmark = pytest.mark.sim
 
 
 @pytest.fixture(scope="module")
-def made() -> list[MadeScene]:
+def made() -> list[EmbeddedScene]:
     return made_scenes(2, 4, 5)
 
 
 @pytest.fixture(scope="module")
-def rows(made: list[MadeScene]) -> list[Row]:
+def rows(made: list[EmbeddedScene]) -> list[Row]:
     return [row_of(one) for one in made]
 
 
@@ -91,12 +91,12 @@ def test_what_is_drafted_is_mostly_clean_as_it_was_lowered(rows: list[Row], draf
     assert np.mean(clean) > 0.8
 
 
-def _placed(asset_id: str | None, scale: tuple[float, float, float] | None, keys: dict[str, str]) -> Placed:
+def _placed(asset_id: str | None, scale: tuple[float, float, float] | None, keys: dict[str, str]) -> PlacedObject:
     assert asset_id is not None
     assert scale is not None
     key = keys[asset_id]
     x, y, z = (s / asset(key).unit for s in scale)
-    return Placed(Item(key, scale=(x, y, z)))
+    return PlacedObject(GroupItem(key, scale=(x, y, z)))
 
 
 def test_the_same_scene_has_the_same_edits_and_another_seed_others(rows: list[Row]) -> None:
@@ -114,14 +114,14 @@ def test_a_scene_of_elsewhere_is_refused(rows: list[Row]) -> None:
         edit_rows(rows[0] | {"objects": rows[0]["objects"][:-1]})
 
 
-def test_a_table_without_room_ends_the_search(made: list[MadeScene]) -> None:
+def test_a_table_without_room_ends_the_search(made: list[EmbeddedScene]) -> None:
     one = made[0]
     width, depth = one.scene.table.size_xy
     full = replace(one.scene, table=Tabletop(one.scene.table.table_type, (width, depth), (0.0, width, 0.0, depth)))
     things = {o.instance: as_settled(thing, o) for o, thing in zip(one.scene.objects, one.placed, strict=True)}
     graph = graph_of(one.scene, audit(one.scene, one.placed), one.placed)
     carriers = frozenset(things)  # nothing can be put on anything either
-    desk = Desk(full, things, Namer(full, graph), Kit(np.random.default_rng(0)), carriers)
+    desk = SceneEditor(full, things, ObjectNamer(full, graph), GroupSampler(np.random.default_rng(0)), carriers)
     assert list(DRAFTERS["add"](desk)) == []
 
 

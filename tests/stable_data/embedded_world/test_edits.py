@@ -5,7 +5,7 @@ import pytest
 
 from stable_data.embedded_world.drafting import KINDS
 from stable_data.embedded_world.edits import make_edit
-from stable_data.embedded_world.scenes import MadeScene, make_scene
+from stable_data.embedded_world.scenes import EmbeddedScene, make_scene
 from stable_data.embedded_world.settling import audit, bodies_of, restless
 from stable_data.simulation.settling import settle
 
@@ -13,12 +13,12 @@ pytestmark = pytest.mark.sim
 
 
 @pytest.fixture(scope="module")
-def made() -> list[MadeScene]:
+def made() -> list[EmbeddedScene]:
     return [make_scene(number, seed=8) for number in (2, 4, 5)]
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_edit_of_every_kind_is_clean_and_changes_only_what_it_says(kind: str, made: list[MadeScene]) -> None:
+def test_edit_of_every_kind_is_clean_and_changes_only_what_it_says(kind: str, made: list[EmbeddedScene]) -> None:
     edits = [make_edit(one, np.random.default_rng(k), (kind,)) for k, one in enumerate(made)]
     found = [edit for edit in edits if edit is not None]
     assert found
@@ -42,7 +42,7 @@ def test_edit_of_every_kind_is_clean_and_changes_only_what_it_says(kind: str, ma
         assert not set("[]{}|") & set(edit.instruction)
 
 
-def test_edit_is_the_same_for_the_same_chance(made: list[MadeScene]) -> None:
+def test_edit_is_the_same_for_the_same_chance(made: list[EmbeddedScene]) -> None:
     one, other = (make_edit(made[0], np.random.default_rng(4)) for _ in range(2))
     assert one is not None
     assert other is not None

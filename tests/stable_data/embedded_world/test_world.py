@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipelines.execution.ray_executor import Workers
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.synth.job import synth
-from stable_data.embedded_world import World, scenes, world, write_world
+from stable_data.embedded_world import EmbeddedWorld, scenes, world, write_world
 from stable_data.embedded_world.families.catalogue import KEYS, asset
 from stable_data.embedded_world.scenes import make_scene, scene_id_of
-from stable_data.embedded_world.statistics import Counted, counted, near_duplicates
+from stable_data.embedded_world.statistics import SceneCounts, counted, near_duplicates
 from stable_data.embedded_world.world import TABLE_UID
 from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset
@@ -21,7 +21,7 @@ from stable_data.mesatask.layout import read_layout
 pytestmark = pytest.mark.sim
 
 NUM_WRITTEN = 3
-SMALL = World(seed=2, pictures=False, edits=True, whole_library=False)
+SMALL = EmbeddedWorld(seed=2, pictures=False, edits=True, whole_library=False)
 
 
 @pytest.fixture(scope="module")
@@ -100,23 +100,23 @@ def test_second_run_leaves_what_is_there_and_adds_what_is_missing(written: Path)
 @pytest.mark.ray
 def test_many_workers_write_the_same(written: Path, tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
-    assert synth(tmp_path / "out", NUM_WRITTEN, SMALL, Workers(2), lambda k, n: told.append((k, n))) == []
+    assert synth(tmp_path / "out", NUM_WRITTEN, SMALL, WorkerPool(2), lambda k, n: told.append((k, n))) == []
     assert _content(tmp_path / "out") == _content(written)
     assert told == [(NUM_WRITTEN, 0)]
 
 
 def test_whole_library_is_every_asset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(world, "KEYS", KEYS[:5])
-    world.open_world(tmp_path, 1, World(whole_library=True))
+    world.open_world(tmp_path, 1, EmbeddedWorld(whole_library=True))
     annotations = json.loads((tmp_path / "Asset_annotation.json").read_text())
     assert {asset(key).uid for key in KEYS[:5]} < set(annotations)
     assert len(annotations) == 7
 
 
 @pytest.mark.parametrize(
-    ("other", "change"), [(World(seed=3), "seed: 2 -> 3"), (replace(SMALL, edits=False), "edits: True -> False")]
+    ("other", "change"), [(EmbeddedWorld(seed=3), "seed: 2 -> 3"), (replace(SMALL, edits=False), "edits: True -> False")]
 )
-def test_other_settings_in_the_same_folder_are_refused(written: Path, other: World, change: str) -> None:
+def test_other_settings_in_the_same_folder_are_refused(written: Path, other: EmbeddedWorld, change: str) -> None:
     with pytest.raises(ConfigError, match=change) as caught:
         write_world(written, NUM_WRITTEN, other)
     assert caught.value.code == "config_changed"
@@ -141,9 +141,9 @@ def test_count_and_seed_below_the_least_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="number of scenes is 0"):
         write_world(tmp_path, 0)
     with pytest.raises(ConfigError, match="seed is -1"):
-        World(seed=-1)
+        EmbeddedWorld(seed=-1)
     with pytest.raises(ConfigError, match="table is 'bar'"):
-        World(tables=("bar",))
+        EmbeddedWorld(tables=("bar",))
 
 
 def test_scene_that_fails_is_recorded_and_the_others_are_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -170,7 +170,7 @@ def test_near_duplicates_are_the_same_things_in_the_same_places(written: Path) -
     dataset = MesaTaskDataset(written)
     found = [counted(dataset.read(scene_id)[0]) for scene_id in dataset.scene_ids]
     assert near_duplicates(found) == frozenset()
-    one: Counted = found[0]
+    one: SceneCounts = found[0]
     close = replace(one, scene_id="close", positions=one.positions + 0.01)
     far = replace(one, scene_id="far", positions=one.positions + np.array([0.03, 0.0, 0.0]))
     assert near_duplicates([one, close, far]) == {one.scene_id, "close"}

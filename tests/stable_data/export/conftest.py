@@ -2,7 +2,7 @@
 
 import pytest
 
-from stable_data.assets.run_assets import TableAssets
+from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
 from stable_data.storage.run_folder import RunFolder
 from tests.stable_data.export.runs import write_run
@@ -15,4 +15,4 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 
 @pytest.fixture(scope="session")
 def store(run: RunFolder, tmp_path_factory: pytest.TempPathFactory) -> AssetStore:
-    return AssetStore(TableAssets(run, tmp_path_factory.mktemp("files")))
+    return AssetStore(RunAssets(run, tmp_path_factory.mktemp("files")))

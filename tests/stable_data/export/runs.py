@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from stable_data.assets.run_assets import TableAssets
+from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
 from stable_data.embedded_world.families.catalogue import asset
 from stable_data.geometry.convex_decomposition import convex_parts
@@ -14,7 +14,7 @@ from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.card import MetricCard
 from stable_data.scene import QuatXyzw, Scene, SceneObject, Tabletop, TaskInfo, Vec3
-from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import settle
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, Row, card_row, scene_row
@@ -86,7 +86,7 @@ def write_run(root: Path, scenes: Sequence[Scene] = SCENES) -> RunFolder:
     run.write_shard("assets", "0" * 16, [row for row, _ in rows])
     for number, (_, row) in enumerate(rows):
         run.write_shard("meshes", f"{number:016x}", [row])
-    store = AssetStore(TableAssets(run, root.with_name(f"{root.name}-files")))
+    store = AssetStore(RunAssets(run, root.with_name(f"{root.name}-files")))
     blank = dict.fromkeys(SCHEMAS["scenes"].names) | {"source": "test", "split": "train", "pairs": [], "verdicts": []}
     for start in range(0, len(scenes), 2):
         shard, part = f"{start:016x}", scenes[start : start + 2]
@@ -99,12 +99,12 @@ def write_run(root: Path, scenes: Sequence[Scene] = SCENES) -> RunFolder:
 
 def settled_row(scene: Scene, store: AssetStore) -> Row:
     """Where the engine left a scene."""
-    rest = settle(SolidScene.of(scene, store).bodies, scene.table)
+    rest = settle(SceneGeometry.of(scene, store).bodies, scene.table)
     poses = zip(rest.names, rest.positions.tolist(), rest.quats_xyzw.tolist(), strict=True)
     return {"scene_id": scene.scene_id, "poses": [{"instance": n, "position": p, "quat_xyzw": q} for n, p, q in poses]}
 
 
-def posed(solid: SolidScene, instance: str) -> Mesh:
+def posed(solid: SceneGeometry, instance: str) -> Mesh:
     """An object as triangles in the world."""
     k = [o.instance for o in solid.scene.objects].index(instance)
     return Mesh(solid.shapes[k].posed(solid.scene.poses()[k]), solid.shapes[k].faces)

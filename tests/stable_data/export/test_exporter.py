@@ -15,8 +15,8 @@ from stable_data.export import exporter
 from stable_data.export.exporter import export_run
 from stable_data.export.formats import FORMATS
 from stable_data.scene import Scene, SceneObject
-from stable_data.simulation.run_reader import NEEDED, Choice, RunScenes, SettledPoses
-from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.simulation.run_reader import NEEDED, RunScenes, SceneSelection, SettledPoses
+from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import settle
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import scene_row
@@ -60,7 +60,7 @@ def test_a_scene_that_the_format_cannot_name_is_a_line_and_status_1(run: RunFold
 
 @pytest.mark.parametrize("name", sorted(FORMATS))
 def test_an_export_that_was_stopped_goes_on(name: str, run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    choice = Choice(scene_ids=("empty", "falling"))
+    choice = SceneSelection(scene_ids=("empty", "falling"))
     export_run(run, tmp_path / "whole", name, choice)
 
     def one_and_no_more(scenes: RunScenes) -> Iterator[Scene]:
@@ -82,28 +82,28 @@ def test_an_export_that_was_stopped_goes_on(name: str, run: RunFolder, tmp_path:
 @pytest.mark.parametrize(
     ("choice", "expected"),
     [
-        (Choice(), [s.scene_id for s in SCENES]),
-        (Choice(where="num_objects >= 2"), [ODD, "falling"]),
-        (Choice(scene_ids=("empty", ODD)), [ODD, "empty"]),
-        (Choice(where="num_objects < 6", limit=1), ["falling"]),
-        (Choice(limit=0), []),
+        (SceneSelection(), [s.scene_id for s in SCENES]),
+        (SceneSelection(where="num_objects >= 2"), [ODD, "falling"]),
+        (SceneSelection(scene_ids=("empty", ODD)), [ODD, "empty"]),
+        (SceneSelection(where="num_objects < 6", limit=1), ["falling"]),
+        (SceneSelection(limit=0), []),
     ],
 )
-def test_scenes_are_chosen(choice: Choice, expected: list[str], run: RunFolder) -> None:
+def test_scenes_are_chosen(choice: SceneSelection, expected: list[str], run: RunFolder) -> None:
     scenes = RunScenes(run, choice)
     assert [scene.scene_id for scene in scenes] == expected
     assert len(scenes) == len(expected)
 
 
 def test_what_nobody_foresaw_loses_one_scene(run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    written = SolidScene.of
+    written = SceneGeometry.of
 
-    def fail(scene: Scene, *rest: object) -> SolidScene:
+    def fail(scene: Scene, *rest: object) -> SceneGeometry:
         if scene.scene_id == "falling":
             raise IndexError("list index\nout of range")
         return written(scene, *rest)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(SolidScene, "of", fail)
+    monkeypatch.setattr(SceneGeometry, "of", fail)
     result = command(run.uri, tmp_path / "out", "--format", "glb")
     assert result.exit_code == SOME_FAILED
     assert "not exported: falling: unexpected IndexError: list index out of range; please report it\n" in result.stderr
@@ -111,7 +111,7 @@ def test_what_nobody_foresaw_loses_one_scene(run: RunFolder, tmp_path: Path, mon
 
 
 def test_settled_poses_come_from_the_table(run: RunFolder) -> None:
-    scenes = RunScenes(run, Choice(settled=True))
+    scenes = RunScenes(run, SceneSelection(settled=True))
     for scene in scenes:
         solid = scenes.solid(scene)
         rest = settle(solid.bodies, scene.table)
@@ -202,7 +202,7 @@ def test_a_run_on_an_object_store_is_exported_the_same(run: RunFolder, tmp_path:
         for path in Path(run.root).glob("*/part-*.parquet"):
             remote.write_bytes(path.relative_to(run.root).as_posix(), path.read_bytes())
         for source, out in ((run, tmp_path / "local"), (remote, tmp_path / "remote")):
-            assert export_run(source, out, "mjcf", Choice(settled=True, where="num_objects > 0")).made == 2
+            assert export_run(source, out, "mjcf", SceneSelection(settled=True, where="num_objects > 0")).made == 2
     here, there = content(tmp_path / "local"), content(tmp_path / "remote")
     assert here.pop(exporter.MANIFEST_FILE) != there.pop(exporter.MANIFEST_FILE)  # it says from where
     assert here == there
@@ -217,7 +217,7 @@ def test_the_library_exports_without_torch(run: RunFolder, tmp_path: Path) -> No
 
 
 def test_objects_keep_their_place_in_the_order(run: RunFolder) -> None:
-    scenes = RunScenes(run, Choice(settled=True))
-    solid = SolidScene.of(at_rest(), scenes.store, SettledPoses(run).of(ODD))
+    scenes = RunScenes(run, SceneSelection(settled=True))
+    solid = SceneGeometry.of(at_rest(), scenes.store, SettledPoses(run).of(ODD))
     assert [o.instance for o in solid.scene.objects] == [o.instance for o in at_rest().objects]
     assert replace(solid.scene, objects=()) == replace(at_rest(), objects=())

@@ -9,7 +9,7 @@ import trimesh
 from stable_data.assets.store import AssetStore
 from stable_data.export import glb
 from stable_data.scene import Scene
-from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.simulation.scene_geometry import SceneGeometry
 from tests.stable_data.export.runs import EMPTY, ODD_INSTANCE, at_rest, posed
 
 Z_UP = trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0])
@@ -17,7 +17,7 @@ Z_UP = trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0])
 
 def load(scene: Scene, store: AssetStore, out: Path) -> trimesh.Scene:
     """A scene written, and read by trimesh, turned back to z up."""
-    glb.write(SolidScene.of(scene, store), out)
+    glb.write(SceneGeometry.of(scene, store), out)
     loaded = trimesh.load(glb.place(scene, out))
     loaded.apply_transform(Z_UP)
     return loaded
@@ -25,7 +25,7 @@ def load(scene: Scene, store: AssetStore, out: Path) -> trimesh.Scene:
 
 def test_names_poses_and_extents_are_the_scenes(store: AssetStore, tmp_path: Path) -> None:
     scene = at_rest()
-    loaded, solid = load(scene, store, tmp_path), SolidScene.of(scene, store)
+    loaded, solid = load(scene, store, tmp_path), SceneGeometry.of(scene, store)
     assert set(loaded.graph.nodes_geometry) == {"table", "restricted_zone", *(o.instance for o in scene.objects)}
     for o in scene.objects:
         world_from_node, geometry = loaded.graph[o.instance]
@@ -57,12 +57,12 @@ def test_an_empty_scene_is_a_table(store: AssetStore, tmp_path: Path) -> None:
 
 
 def test_the_same_scene_gives_the_same_bytes(store: AssetStore) -> None:
-    first, second = (glb.scene_glb(SolidScene.of(at_rest(), store)) for _ in range(2))
+    first, second = (glb.scene_glb(SceneGeometry.of(at_rest(), store)) for _ in range(2))
     assert first == second
 
 
 @pytest.mark.parametrize("name", ["a/b", "..", "", "x" * 300])
 def test_any_name_of_a_scene_is_a_file_of_the_folder(name: str, store: AssetStore, tmp_path: Path) -> None:
     scene = Scene(name, EMPTY.table, ())
-    glb.write(SolidScene.of(scene, store), tmp_path)
+    glb.write(SceneGeometry.of(scene, store), tmp_path)
     assert len(list(tmp_path.iterdir())) == 1

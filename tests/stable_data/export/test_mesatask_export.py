@@ -14,8 +14,8 @@ from stable_data.export.exporter import export_run
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import Scene
 from stable_data.simulation.collision_bodies import asset_parts
-from stable_data.simulation.run_reader import Choice
-from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.simulation.run_reader import SceneSelection
+from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.storage.run_folder import RunFolder
 from tests.stable_data.export.runs import at_rest, falling, write_run
 
@@ -32,14 +32,14 @@ def plain_run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 @pytest.fixture(scope="module")
 def folder(plain_run: RunFolder, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("out") / "dataset"
-    assert export_run(plain_run, out, "mesatask", Choice()).made == 2
+    assert export_run(plain_run, out, "mesatask", SceneSelection()).made == 2
     return out
 
 
 @pytest.mark.parametrize("scene", [PLAIN, falling()], ids=["plain", "falling"])
 def test_our_reader_reads_the_same_scene(scene: Scene, folder: Path) -> None:
     dataset = MesaTaskDataset(folder)
-    found = SolidScene.of(dataset.read(scene.scene_id)[0], AssetStore(dataset)).scene
+    found = SceneGeometry.of(dataset.read(scene.scene_id)[0], AssetStore(dataset)).scene
     assert [o.instance for o in found.objects] == [o.instance for o in scene.objects]
     assert found.table == scene.table
     assert found.task == (scene.task and replace(scene.task, relations=()))
@@ -71,7 +71,7 @@ def test_the_slow_reference_judges_it(plain_run: RunFolder, tmp_path: Path) -> N
     judge = Path(__file__).resolve().parents[4] / "shared" / "judge" / "folder.py"
     if not judge.is_file():
         pytest.skip("the reference beside the checkout (../shared/judge) is absent")
-    export_run(plain_run, tmp_path / "out", "mesatask", Choice(scene_ids=("falling",), settled=True))
+    export_run(plain_run, tmp_path / "out", "mesatask", SceneSelection(scene_ids=("falling",), settled=True))
     command = [sys.executable, str(judge), str(tmp_path / "out")]
     environment = os.environ | {"JUDGE_TOLERANCE_M": "0.001"}
     done = subprocess.run(command, capture_output=True, text=True, env=environment)

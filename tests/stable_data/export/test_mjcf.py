@@ -17,7 +17,7 @@ from stable_data.geometry.shape import Shape
 from stable_data.scene import FloatArray, Scene
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.mujoco_model import CAMERAS, VISUAL_GROUP, body_name
-from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import compile_bodies, hull_volume, settle
 from tests.stable_data.export.runs import EMPTY, SCENES, at_rest, falling
 
@@ -60,7 +60,7 @@ def xyzw(poses: Any) -> FloatArray:
 
 @pytest.mark.parametrize("scene", [at_rest(), falling()], ids=["at rest", "falling"])
 def test_mujoco_alone_finds_what_the_verdict_found(scene: Scene, store: AssetStore, tmp_path: Path) -> None:
-    solid = SolidScene.of(scene, store)
+    solid = SceneGeometry.of(scene, store)
     mjcf.write(solid, tmp_path)
     found, rest = read(mjcf.place(scene, tmp_path)), settle(solid.bodies, scene.table)
     assert found["names"] == [body_name(o.instance) for o in scene.objects]
@@ -76,7 +76,7 @@ def test_mujoco_alone_finds_what_the_verdict_found(scene: Scene, store: AssetSto
 
 @pytest.mark.parametrize("scene", SCENES, ids=["at rest", "falling", "empty"])
 def test_the_model_is_the_one_of_the_verdict_to_the_last_bit(scene: Scene, store: AssetStore, tmp_path: Path) -> None:
-    solid = SolidScene.of(scene, store)
+    solid = SceneGeometry.of(scene, store)
     mjcf.write(solid, tmp_path)
     read_back, own = mujoco.MjModel.from_xml_path(str(mjcf.place(scene, tmp_path))), compile_bodies(solid.bodies, scene.table)
     for name in (
@@ -103,7 +103,7 @@ def test_the_model_is_the_one_of_the_verdict_to_the_last_bit(scene: Scene, store
 
 def test_what_is_seen_is_the_mesh_where_the_object_is(store: AssetStore, tmp_path: Path) -> None:
     scene = at_rest()
-    solid = SolidScene.of(scene, store)
+    solid = SceneGeometry.of(scene, store)
     mjcf.write(solid, tmp_path)
     model = mujoco.MjModel.from_xml_path(str(mjcf.place(scene, tmp_path)))
     data = mujoco.MjData(model)
@@ -130,13 +130,13 @@ def box_of(corners: Any) -> FloatArray:
 
 def test_settled_poses_are_those_that_the_engine_left(store: AssetStore, tmp_path: Path) -> None:
     scene = falling()
-    before = SolidScene.of(scene, store)
+    before = SceneGeometry.of(scene, store)
     rest = settle(before.bodies, scene.table)
     left = {
         name: (tuple(position), tuple(quat))
         for name, position, quat in zip(rest.names, rest.positions.tolist(), rest.quats_xyzw.tolist(), strict=True)
     }
-    after = SolidScene.of(scene, store, left)
+    after = SceneGeometry.of(scene, store, left)
     moved = [
         np.linalg.norm(np.subtract(o.position, p.position)) for o, p in zip(scene.objects, after.scene.objects, strict=True)
     ]
@@ -159,16 +159,16 @@ def mujoco_matrix(quat_xyzw: FloatArray) -> FloatArray:
 
 
 def test_a_part_that_two_scenes_share_is_one_file(store: AssetStore, tmp_path: Path) -> None:
-    mjcf.write(SolidScene.of(at_rest(), store), tmp_path)
+    mjcf.write(SceneGeometry.of(at_rest(), store), tmp_path)
     files = {path: path.stat().st_mtime_ns for path in (tmp_path / "assets").rglob("*.obj")}
     again = Scene("again", at_rest().table, at_rest().objects)
-    mjcf.write(SolidScene.of(again, store), tmp_path)
+    mjcf.write(SceneGeometry.of(again, store), tmp_path)
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "assets").rglob("*.obj")} == files
 
 
 def test_versions_with_other_defaults_are_told_what_the_verdict_had(store: AssetStore, tmp_path: Path) -> None:
     """Before version 4 MuJoCo found one contact point for two meshes, and no version leaves a blown-up scene as it is."""
-    mjcf.write(SolidScene.of(at_rest(), store), tmp_path)
+    mjcf.write(SceneGeometry.of(at_rest(), store), tmp_path)
     flag = ElementTree.parse(mjcf.place(at_rest(), tmp_path)).find("option/flag")  # noqa: S314 - our own file
     assert flag is not None
     assert flag.attrib == {"autoreset": "disable", "multiccd": "enable"}
@@ -182,5 +182,5 @@ def test_a_scene_takes_the_place_of_nothing_else(name: str, tmp_path: Path) -> N
 
 
 def test_an_empty_scene_is_a_table(store: AssetStore, tmp_path: Path) -> None:
-    mjcf.write(SolidScene.of(EMPTY, store), tmp_path)
+    mjcf.write(SceneGeometry.of(EMPTY, store), tmp_path)
     assert read(mjcf.place(EMPTY, tmp_path))["names"] == []

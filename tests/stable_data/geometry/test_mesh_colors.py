@@ -28,7 +28,7 @@ from stable_data.geometry.mesh_repair import repair
 from stable_data.scene import Scene, SceneObject, Tabletop
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.mujoco_model import VISUAL_GROUP, engine_spec
-from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.simulation.scene_geometry import SceneGeometry
 from tests.stable_data.glb_files import document_of, edited, rebuilt
 
 pytestmark = pytest.mark.sim
@@ -242,7 +242,7 @@ def test_what_an_instruction_calls_by_its_colour_is_seen_in_it(tmp_path: Path) -
     mesh = store.asset("a").mesh
     x, y, z = mesh.extents.tolist()
     o = SceneObject("1_laptop_0", "laptop", (0.5, 0.3, z / 2), 0.4, (x, y, z), asset_id="a", scale=(1.0, 1.0, 1.0))
-    solid = SolidScene.of(Scene("desk_0000", Tabletop("office_table", (1.0, 0.6), None), (o,)), store)
+    solid = SceneGeometry.of(Scene("desk_0000", Tabletop("office_table", (1.0, 0.6), None), (o,)), store)
     wanted = {colour for colour, _ in asset(key).paint}
     assert {colour for colour, _ in solid.paint(0)} == wanted
     model = engine_spec(solid).compile()

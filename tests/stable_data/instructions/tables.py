@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stable_data.instructions.kind import Told
-from stable_data.instructions.naming import Namer
-from stable_data.instructions.situation import Situation
+from stable_data.instructions.kind import TaskDraft
+from stable_data.instructions.naming import ObjectNamer
+from stable_data.instructions.situation import TaskContext
 from stable_data.scene import UPRIGHT, QuatXyzw, Scene, SceneObject, Tabletop, Vec3
 from stable_data.scene_graph.relations import SceneGraph, scene_graph
 
@@ -41,13 +41,13 @@ class Table:
     scene: Scene
     graph: SceneGraph
 
-    def situation(self, rng: np.random.Generator) -> Situation:
+    def situation(self, rng: np.random.Generator) -> TaskContext:
         names = [o.instance for o in self.scene.objects]
-        return Situation(self.scene, self.graph, rng, names, [n for n in names if self.namer.names(n)])
+        return TaskContext(self.scene, self.graph, rng, names, [n for n in names if self.namer.names(n)])
 
     @property
-    def namer(self) -> Namer:
-        return Namer(self.scene, self.graph)
+    def namer(self) -> ObjectNamer:
+        return ObjectNamer(self.scene, self.graph)
 
     def instance(self, name: str) -> str:
         return next(o.instance for o in self.scene.objects if o.instance.split("_", 1)[1] == name)
@@ -196,7 +196,7 @@ STACKS = table(
 TABLES = (DINING, DESK, SHELF, KITCHEN, VANITY, PLAYROOM, STACKS)
 
 
-def told_somewhere(kind_name: str) -> list[tuple[Table, Told]]:
+def told_somewhere(kind_name: str) -> list[tuple[Table, TaskDraft]]:
     """What a kind of task tells of these tables, over several draws."""
     from stable_data.instructions import KINDS
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from stable_data.instructions.claims import Claim, emptied, mark, read_claims
+from stable_data.instructions.claims import StatedRelation, emptied, mark, read_claims
 from stable_data.scene import RelationKind
 
 IN, ON, FRONT = RelationKind.IN, RelationKind.ON, RelationKind.IN_FRONT_OF
@@ -16,37 +16,46 @@ def test_the_longest_types_are_marked_first() -> None:
 @pytest.mark.parametrize(
     ("marked", "claims"),
     [
-        ("take <0> out of <1>.", [Claim(0, IN, 1)]),
-        ("remove <0> from <1>.", [Claim(0, None, 1)]),
-        ("reach into <1> and take out <0>.", [Claim(0, IN, 1)]),
-        ("lift <0> that is to the right of <2> off <1>.", [Claim(0, ON, 1), Claim(0, RelationKind.RIGHT_OF, 2)]),
-        ("take <0>, which is in front of <2>, out of <1>.", [Claim(0, IN, 1), Claim(0, FRONT, 2)]),
-        ("clear <1> by lifting <0> and <2> off it.", [Claim(0, ON, 1), Claim(2, ON, 1)]),
-        ("<0> does not belong in <1>. take it out.", [Claim(0, IN, 1)]),
-        ("i need <0>. take it out of <1> and hand it over.", [Claim(0, IN, 1)]),
-        ("clear the space in front of <1> by moving <0> to the left.", [Claim(0, FRONT, 1)]),
-        ("<0> is in the way in front of <1>.", [Claim(0, FRONT, 1)]),
-        ("<0> in <1> is also in <2>. put it on <3>.", [Claim(0, IN, 1), Claim(0, IN, 2)]),
-        ("<0> is on <1> and in front of <2>, and in <3>.", [Claim(0, ON, 1), Claim(0, FRONT, 2), Claim(0, IN, 3)]),
-        ("<0> is on <1> and <2> is in <3>.", [Claim(0, ON, 1), Claim(2, IN, 3)]),
+        ("take <0> out of <1>.", [StatedRelation(0, IN, 1)]),
+        ("remove <0> from <1>.", [StatedRelation(0, None, 1)]),
+        ("reach into <1> and take out <0>.", [StatedRelation(0, IN, 1)]),
+        (
+            "lift <0> that is to the right of <2> off <1>.",
+            [StatedRelation(0, ON, 1), StatedRelation(0, RelationKind.RIGHT_OF, 2)],
+        ),
+        ("take <0>, which is in front of <2>, out of <1>.", [StatedRelation(0, IN, 1), StatedRelation(0, FRONT, 2)]),
+        ("clear <1> by lifting <0> and <2> off it.", [StatedRelation(0, ON, 1), StatedRelation(2, ON, 1)]),
+        ("<0> does not belong in <1>. take it out.", [StatedRelation(0, IN, 1)]),
+        ("i need <0>. take it out of <1> and hand it over.", [StatedRelation(0, IN, 1)]),
+        ("clear the space in front of <1> by moving <0> to the left.", [StatedRelation(0, FRONT, 1)]),
+        ("<0> is in the way in front of <1>.", [StatedRelation(0, FRONT, 1)]),
+        ("<0> in <1> is also in <2>. put it on <3>.", [StatedRelation(0, IN, 1), StatedRelation(0, IN, 2)]),
+        (
+            "<0> is on <1> and in front of <2>, and in <3>.",
+            [StatedRelation(0, ON, 1), StatedRelation(0, FRONT, 2), StatedRelation(0, IN, 3)],
+        ),
+        ("<0> is on <1> and <2> is in <3>.", [StatedRelation(0, ON, 1), StatedRelation(2, IN, 3)]),
         ("put <0> on <1> and in front of <2>.", []),
-        ("<3> with <0> on <1> is also in <2>.", [Claim(0, ON, 1), Claim(0, IN, 2)]),
+        ("<3> with <0> on <1> is also in <2>.", [StatedRelation(0, ON, 1), StatedRelation(0, IN, 2)]),
         ("move <0> away from <1>.", []),
         ("fill <0> from <1>.", []),
         ("get me a drop of <0> from <1>.", []),
-        ("take some of <0> from <1>.", [Claim(0, None, 1)]),
-        ("<0> should hold <1> instead of <2>. take <3> out first.", [Claim(2, IN, 0)]),
-        ("<0> should hold <1> instead of <2> and <4>. take <3> out first.", [Claim(2, IN, 0), Claim(4, IN, 0)]),
+        ("take some of <0> from <1>.", [StatedRelation(0, None, 1)]),
+        ("<0> should hold <1> instead of <2>. take <3> out first.", [StatedRelation(2, IN, 0)]),
+        (
+            "<0> should hold <1> instead of <2> and <4>. take <3> out first.",
+            [StatedRelation(2, IN, 0), StatedRelation(4, IN, 0)],
+        ),
         ("separate <0> from <1>: the former go left.", []),
         ("<0> belongs in <1> and <2> in <1>.", []),
         ("put <0> on <1>.", []),
-        ("lift <2>, then hand me <1> after taking <0> off it.", [Claim(0, ON, 1)]),
+        ("lift <2>, then hand me <1> after taking <0> off it.", [StatedRelation(0, ON, 1)]),
         ("arrange things so that the right-hand <0> is in front of <1>.", []),
         ("make sure that the small red <0> is on <1>.", []),
         ("put the right-hand <0>, <1> and <2> inside <3>.", []),
     ],
 )
-def test_claims_are_what_the_words_presuppose(marked: str, claims: list[Claim]) -> None:
+def test_claims_are_what_the_words_presuppose(marked: str, claims: list[StatedRelation]) -> None:
     assert list(read_claims(marked)) == claims
 
 

@@ -8,9 +8,9 @@ import pytest
 
 from stable_data.instructions import KINDS, NUM_PATTERNS
 from stable_data.instructions.deriving import SIMPLE_KINDS
-from stable_data.instructions.kind import SEVERAL, SINGLE, Kind, members
+from stable_data.instructions.kind import SEVERAL, SINGLE, TaskKind, members
 from stable_data.instructions.naming import mentions
-from stable_data.instructions.situation import Situation
+from stable_data.instructions.situation import TaskContext
 from stable_data.scene import RelationKind
 from stable_data.scene_graph.relations import relations_of
 from tests.stable_data.instructions.tables import DESK, DINING, SHELF, STACKS, TABLES, Table, Thing, table, told_somewhere
@@ -25,7 +25,7 @@ def test_there_are_many_kinds_and_patterns() -> None:
 
 
 @pytest.mark.parametrize("kind", SIMPLE_KINDS, ids=lambda k: k.name)
-def test_every_text_of_a_kind_names_every_role(kind: Kind) -> None:
+def test_every_text_of_a_kind_names_every_role(kind: TaskKind) -> None:
     used = [set(re.findall(r"\{(\w+)", text)) & {*SINGLE, *SEVERAL} for text in kind.texts]
     assert all(roles == used[0] for roles in used)
     mentioned = {role for line in (*kind.goal, *kind.actions) for role in re.findall(r"\{(\w+)", line)}
@@ -46,7 +46,7 @@ def test_every_kind_is_reachable_and_tells_the_truth(name: str) -> None:
         assert meant <= set(told.objects), told.text
 
 
-def objects_found(kind: Kind, one: Table) -> list[dict[str, tuple[str, ...]]]:
+def objects_found(kind: TaskKind, one: Table) -> list[dict[str, tuple[str, ...]]]:
     return [members(roles) for seed in range(6) for roles in kind.find(one.situation(np.random.default_rng(seed)))]
 
 
@@ -116,7 +116,7 @@ def test_steps_add_up_and_speak_of_different_things(name: str, least: int) -> No
 
 
 def test_pushes_stay_on_the_table_and_meet_nothing() -> None:
-    situation: Situation = STACKS.situation(np.random.default_rng(0))
+    situation: TaskContext = STACKS.situation(np.random.default_rng(0))
     for x in situation.loose:
         for side in (RelationKind.LEFT_OF, RelationKind.RIGHT_OF):
             assert not situation.can_slide(x, side, situation.margin(x, side))

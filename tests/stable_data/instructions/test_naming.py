@@ -2,7 +2,7 @@
 
 import pytest
 
-from stable_data.instructions.naming import Name, Telling, mentions, relation_held
+from stable_data.instructions.naming import Distinction, ObjectName, mentions, relation_held
 from stable_data.instructions.vocabulary import answers_to
 from stable_data.scene import RelationKind
 from tests.stable_data.instructions.tables import DINING, MUG, TABLES, Table, Thing, table
@@ -104,5 +104,5 @@ def test_mentions_are_the_longest_names_in_the_order_of_the_text() -> None:
 
 
 def test_short_names_end_with_their_noun() -> None:
-    assert Name("the red mug", "mug", Telling.LOOK).is_short
-    assert not Name("the mug that is on the book", "mug", Telling.CARRIER).is_short
+    assert ObjectName("the red mug", "mug", Distinction.LOOK).is_short
+    assert not ObjectName("the mug that is on the book", "mug", Distinction.CARRIER).is_short

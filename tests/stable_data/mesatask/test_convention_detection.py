@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stable_data.assets.store import AssetStore
-from stable_data.embedded_world import World, write_world
+from stable_data.embedded_world import EmbeddedWorld, write_world
 from stable_data.errors import SceneError
 from stable_data.mesatask import MesaTaskDataset, PositionConvention, to_box_centre, write_annotations, write_scene
 from stable_data.mesatask.convention_detection import position_convention
@@ -43,7 +43,7 @@ def written_by_mesh_centre(dataset: MesaTaskDataset, out: Path) -> MesaTaskDatas
 def leaning(tmp_path_factory: pytest.TempPathFactory) -> MesaTaskDataset:
     """Scenes with things that lean in cups and lie in bowls, where the height above the table says little."""
     out = tmp_path_factory.mktemp("leaning")
-    write_world(out, 9, World(pictures=False))
+    write_world(out, 9, EmbeddedWorld(pictures=False))
     return MesaTaskDataset(out)
 
 

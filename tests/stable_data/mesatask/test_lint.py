@@ -11,7 +11,7 @@ import pytest
 
 import stable_data.mesatask.lint
 from stable_data.assets.store import AssetStore
-from stable_data.embedded_world import World, write_world
+from stable_data.embedded_world import EmbeddedWorld, write_world
 from stable_data.errors import ConfigError
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset
@@ -75,7 +75,7 @@ def test_the_rows_are_written_as_a_table(few: LintResult, tmp_path: Path) -> Non
 
 
 def test_an_error_that_nobody_foresaw_is_one_scene_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_world(tmp_path, 2, World(pictures=False))
+    write_world(tmp_path, 2, EmbeddedWorld(pictures=False))
     first, second = MesaTaskDataset(tmp_path).scene_ids
 
     def audit(scene: Scene, shapes: Sequence[Shape]) -> Audit:
@@ -92,7 +92,7 @@ def test_an_error_that_nobody_foresaw_is_one_scene_lost(tmp_path: Path, monkeypa
 
 
 def test_an_audit_that_was_cut_short_is_a_warning_and_no_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_world(tmp_path, 1, World(pictures=False))
+    write_world(tmp_path, 1, EmbeddedWorld(pictures=False))
     monkeypatch.setattr("stable_data.metrics.audit.MAX_WORK", 0)
     result = lint_folder(tmp_path)
     assert [n.code for n in result.warnings] == ["audit_cut_short"]

@@ -13,10 +13,10 @@ from stable_data.embedded_world.scenes import make_scene
 from stable_data.errors import SceneError
 from stable_data.instructions import derive_task
 from stable_data.metrics import alignment
-from stable_data.metrics.alignment import Alignment, Reference, align, reference_of
+from stable_data.metrics.alignment import Alignment, AlignmentReference, align, reference_of
 from stable_data.metrics.alignment_summary import summarise_alignment
 from stable_data.metrics.audit import audit_scene
-from stable_data.metrics.matching import Matching, Required
+from stable_data.metrics.matching import ObjectMatching, RequiredObject
 from stable_data.metrics.reply_validity import ReplyTally
 from stable_data.scene import TABLE, Relation, RelationKind, Scene, SceneObject, Tabletop, TaskInfo, Vec3
 from stable_data.scene_graph.relations import direction_of, relations_of, scene_graph
@@ -137,7 +137,7 @@ def test_swapping_left_and_right_breaks_exactly_these() -> None:
 @given(dx=st.floats(-0.3, 0.3), dy=st.floats(-0.3, 0.3))
 def test_a_direction_holds_within_45_degrees(kind: RelationKind, dx: float, dy: float) -> None:
     scene = with_objects(thing("mug_0", (0.6, 0.45, 0.05)), thing("pen_0", (0.6 + dx, 0.45 + dy, 0.05)))
-    asked = Reference("r", (Required("p", ("pen",)), Required("m", ("mug",))), (Relation("p", kind, "m"),))
+    asked = AlignmentReference("r", (RequiredObject("p", ("pen",)), RequiredObject("m", ("mug",))), (Relation("p", kind, "m"),))
     along = {LEFT: -dx, RIGHT: dx, FRONT: -dy, BEHIND: dy}[kind]
     x, y = scene["pen_0"].position[0] - 0.6, scene["pen_0"].position[1] - 0.45
     across = abs(y) if kind in (LEFT, RIGHT) else abs(x)
@@ -152,8 +152,8 @@ def test_one_more_distractor_between_them_does_not_break_a_direction() -> None:
 
 
 def test_what_shall_be_on_a_thing_may_be_on_it_through_another_or_in_it_but_not_the_other_way_round() -> None:
-    asked = [Required("ball", ("ball",)), Required("tray", ("tray",))]
-    on, into = (Reference("r", tuple(asked), (Relation("ball", kind, "tray"),)) for kind in (ON, IN))
+    asked = [RequiredObject("ball", ("ball",)), RequiredObject("tray", ("tray",))]
+    on, into = (AlignmentReference("r", tuple(asked), (Relation("ball", kind, "tray"),)) for kind in (ON, IN))
     tray = thing("tray_0", (0.6, 0.45, 0.05), (0.3, 0.3, 0.1))
     between = thing("napkin_0", (0.6, 0.45, 0.11), (0.1, 0.1, 0.02))
     piled = with_objects(tray, between, thing("ball_0", (0.6, 0.45, 0.145), (0.05, 0.05, 0.05)))
@@ -186,8 +186,8 @@ def test_what_shall_be_on_a_thing_may_be_on_it_through_another_or_in_it_but_not_
     ids=str,
 )
 def test_every_kind_of_relation_is_judged(relation: Relation, holds: int) -> None:
-    required = tuple(Required(word[0], (word,)) for word in ("mug", "pen", "book", "card"))
-    assert align(SCENE, Reference("r", required, (relation,))).aws == holds
+    required = tuple(RequiredObject(word[0], (word,)) for word in ("mug", "pen", "book", "card"))
+    assert align(SCENE, AlignmentReference("r", required, (relation,))).aws == holds
 
 
 def block_scene(rng: np.random.Generator, count: int, kind: str = "toy_block") -> Scene:
@@ -208,9 +208,9 @@ def directions(scene: Scene, pairs: list[tuple[int, int]]) -> tuple[Relation, ..
     return tuple(found)
 
 
-def blocks_asked(scene: Scene, pairs: list[tuple[int, int]]) -> Reference:
-    required = tuple(Required(o.instance, (o.category,)) for o in scene.objects)
-    return Reference("blocks", required, directions(scene, pairs))
+def blocks_asked(scene: Scene, pairs: list[tuple[int, int]]) -> AlignmentReference:
+    required = tuple(RequiredObject(o.instance, (o.category,)) for o in scene.objects)
+    return AlignmentReference("blocks", required, directions(scene, pairs))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -257,7 +257,7 @@ def test_what_is_spoken_of_by_its_place_alone_may_be_anything_there_and_one_will
 
 
 def test_nothing_entailed_is_not_full_marks() -> None:
-    found = align(SCENE, Reference("r", (Required("m", ("mug",)),)))
+    found = align(SCENE, AlignmentReference("r", (RequiredObject("m", ("mug",)),)))
     assert (found.awt, found.aws, found.aws_graph) == (1, None, None)
     without_graph = reference_of(replace(SCENE, task=TASK))
     assert without_graph.graph is None
@@ -272,7 +272,7 @@ def test_an_empty_scene_has_nothing() -> None:
 
 
 def test_a_search_that_was_given_up_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(alignment, "match", lambda may_be, wishes: Matching({"pen_0": "pen_0"}, is_best=False))
+    monkeypatch.setattr(alignment, "match", lambda may_be, wishes: ObjectMatching({"pen_0": "pen_0"}, is_best=False))
     found = align(SCENE, REFERENCE)
     assert (found.awt, found.aws, found.aws_graph) == (0.25, None, None)
     assert "relations unknown" in str(found)
@@ -287,17 +287,17 @@ def test_references_that_cannot_be_judged_are_refused() -> None:
             reference_of(replace(SCENE, task=task))
         assert caught.value.code == "task_objects_unknown"
     with pytest.raises(SceneError, match="mug_0 is no required object") as caught:
-        Reference("r", (Required("p", ("pen",)),), (Relation("p", LEFT, "mug_0"),))
+        AlignmentReference("r", (RequiredObject("p", ("pen",)),), (Relation("p", LEFT, "mug_0"),))
     assert caught.value.code == "task_relation_unknown"
     with pytest.raises(SceneError, match="unlike names"):
-        Reference("r", (Required("p", ("pen",)), Required("p", ("mug",))))
+        AlignmentReference("r", (RequiredObject("p", ("pen",)), RequiredObject("p", ("mug",))))
     with pytest.raises(SceneError, match="one or more"):
-        Reference("r", ())
+        AlignmentReference("r", ())
 
 
 def test_a_set_is_pooled_by_scene_and_by_relation() -> None:
     without_mug = align(with_objects(PEN, BOOK, CARD, STONE), REFERENCE)
-    bare = align(SCENE, Reference("r", (Required("m", ("mug",)),)))
+    bare = align(SCENE, AlignmentReference("r", (RequiredObject("m", ("mug",)),)))
     summary = summarise_alignment([align(SCENE, REFERENCE), without_mug, bare, align(with_objects(), REFERENCE)])
     assert summary.awt == pytest.approx((1 + 0.75 + 1 + 0) / 4)
     assert summary.num_complete == 2

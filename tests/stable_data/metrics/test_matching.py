@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from stable_data.errors import SceneError
 from stable_data.metrics import matching
-from stable_data.metrics.matching import Required, Wish, candidates, closeness, match
+from stable_data.metrics.matching import DesiredRelation, RequiredObject, candidates, closeness, match
 from stable_data.scene import SceneObject
 
 
@@ -40,33 +40,33 @@ def test_categories_answer_to_each_other_by_whole_words(found: str, wanted: str,
 
 
 def test_one_object_is_one_required_object_at_most() -> None:
-    asked = [Required("a", ("mug",)), Required("b", ("mug",))]
+    asked = [RequiredObject("a", ("mug",)), RequiredObject("b", ("mug",))]
     assert len(match(candidates(asked, [thing("x", "mug")])).matches) == 1
 
 
 def test_the_most_objects_come_first_and_equal_categories_second() -> None:
-    asked = [Required("a", ("mug",)), Required("b", ("cup",))]
+    asked = [RequiredObject("a", ("mug",)), RequiredObject("b", ("cup",))]
     both = match(candidates(asked, [thing("x", "cup"), thing("y", "mug")]))
     assert both.matches == {"a": "y", "b": "x"}
     # The only mug must be the cup, or nothing is: two matches with no equal category come before one with it.
-    asked = [Required("a", ("mug",)), Required("b", ("coffee mug",))]
+    asked = [RequiredObject("a", ("mug",)), RequiredObject("b", ("coffee mug",))]
     assert len(match(candidates(asked, [thing("x", "mug"), thing("y", "cup")])).matches) == 2
 
 
 def test_equal_categories_come_before_relations() -> None:
-    asked = [Required("a", ("mug",))]
+    asked = [RequiredObject("a", ("mug",))]
     may_be = candidates(asked, [thing("x", "mug"), thing("y", "cup")])
-    assert match(may_be, [Wish(1, ({"a": {"y"}},))]).matches == {"a": "x"}
+    assert match(may_be, [DesiredRelation(1, ({"a": {"y"}},))]).matches == {"a": "x"}
 
 
 def test_any_of_several_categories_will_do() -> None:
-    asked = [Required("a", ("tumbler", "mug"))]
+    asked = [RequiredObject("a", ("tumbler", "mug"))]
     assert match(candidates(asked, [thing("x", "mug")])).matches == {"a": "x"}
     assert str(asked[0]) == "tumbler or mug"
 
 
 def test_anything_will_do_where_no_kind_is_said() -> None:
-    asked = [Required("a", ("mug",)), Required("b", ())]
+    asked = [RequiredObject("a", ("mug",)), RequiredObject("b", ())]
     there = [thing("x", "mug"), thing("y", "stapler")]
     assert match(candidates(asked, there)).matches == {"a": "x", "b": "y"}
     assert match(candidates(asked, there[:1])).matches == {"a": "x"}
@@ -75,12 +75,12 @@ def test_anything_will_do_where_no_kind_is_said() -> None:
 
 def test_an_object_of_kinds_without_words_is_refused() -> None:
     with pytest.raises(SceneError, match="expected words"):
-        Required("a", ("", "__"))
+        RequiredObject("a", ("", "__"))
 
 
 def test_nothing_there_matches_nothing() -> None:
-    asked = [Required("a", ("mug",))]
-    found = match(candidates(asked, []), [Wish(1, ())])
+    asked = [RequiredObject("a", ("mug",))]
+    found = match(candidates(asked, []), [DesiredRelation(1, ())])
     assert found.matches == {}
     assert found.is_best
 
@@ -90,7 +90,7 @@ def test_nothing_there_matches_nothing() -> None:
 def test_the_search_is_as_good_as_trying_all(seed: int, num_asked: int, num_there: int) -> None:
     rng = np.random.default_rng(seed)
     words = ("mug", "cup", "plate")
-    asked = [Required(f"r{k}", (str(rng.choice(words)),)) for k in range(num_asked)]
+    asked = [RequiredObject(f"r{k}", (str(rng.choice(words)),)) for k in range(num_asked)]
     there = [thing(f"o{k}", str(rng.choice(words))) for k in range(num_there)]
     may_be = candidates(asked, there)
     wishes = []
@@ -98,7 +98,7 @@ def test_the_search_is_as_good_as_trying_all(seed: int, num_asked: int, num_ther
         one, other = (f"r{k}" for k in rng.choice(num_asked, 2, replace=False))
         held = rng.random((num_there, num_there)) < 0.3
         options = tuple({one: {f"o{k}"}, other: {f"o{n}" for n in np.flatnonzero(held[k])}} for k in range(num_there))
-        wishes.append(Wish(int(rng.integers(1, 4)), options))
+        wishes.append(DesiredRelation(int(rng.integers(1, 4)), options))
 
     def score(matches: dict[str, str]) -> tuple[int, int, int]:
         equal = sum(may_be[r][o] == 2 for r, o in matches.items())
@@ -119,7 +119,9 @@ def test_a_search_that_is_given_up_says_so(monkeypatch: pytest.MonkeyPatch) -> N
     held = rng.random((24, 9, 9)) < 0.3
     ends = [rng.choice(9, 2, replace=False) for _ in held]
     wishes = [
-        Wish(1, tuple({f"r{i}": {f"o{k}"}, f"r{j}": {f"o{n}" for n in np.flatnonzero(row)}} for k, row in enumerate(table)))
+        DesiredRelation(
+            1, tuple({f"r{i}": {f"o{k}"}, f"r{j}": {f"o{n}" for n in np.flatnonzero(row)}} for k, row in enumerate(table))
+        )
         for (i, j), table in zip(ends, held, strict=True)
     ]
     monkeypatch.setattr(matching, "MAX_NODES", 0)

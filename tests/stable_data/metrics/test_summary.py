@@ -11,7 +11,7 @@ import pytest
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.card import MetricCard
-from stable_data.metrics.summary import Line, Summary, summarise
+from stable_data.metrics.summary import AuditSummary, SummaryLine, summarise
 from stable_data.scene import Scene
 from stable_data.storage import schemas
 from tests.scenes import Placed, ball_in_bowl, box, box_on_table, overlapping_balls, scene_of
@@ -100,7 +100,7 @@ def card_of(scenes: pl.DataFrame, scene_id: str) -> dict[str, Any]:
     return scenes.filter(pl.col("scene_id") == scene_id).row(0, named=True)
 
 
-def line(summary: Summary, label: str) -> Line:
+def line(summary: AuditSummary, label: str) -> SummaryLine:
     (found,) = (one for one in summary.lines if one.label == label)
     return found
 
@@ -138,7 +138,7 @@ def test_the_page_shows_counts_shares_and_unknowns() -> None:
 
 
 def test_a_line_of_nothing_has_no_share() -> None:
-    assert Line("x", 0, 0).share == 0.0
+    assert SummaryLine("x", 0, 0).share == 0.0
 
 
 def test_no_scenes_make_an_empty_page() -> None:

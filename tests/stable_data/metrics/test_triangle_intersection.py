@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stable_data.metrics.triangle_intersection import MeshPair, Surface, boxes, near_triangles
+from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles, boxes, near_triangles
 from stable_data.scene import FloatArray
 from tests.scenes import ball, bowl, box, sheet, triangles
 
@@ -127,4 +127,4 @@ def test_boxes_are_coordinates_first() -> None:
     low, high = boxes(soup)
     assert np.array_equal(low.T, soup.min(axis=1))
     assert np.array_equal(high.T, soup.max(axis=1))
-    assert np.array_equal(Surface(soup).box[0], soup.min(axis=(0, 1)))
+    assert np.array_equal(PosedTriangles(soup).box[0], soup.min(axis=(0, 1)))

@@ -18,7 +18,7 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, SceneError
 from stable_data.scene import FloatArray, Scene
 from stable_data.simulation.gym_env import HAND_RADIUS, HAND_SPEED, STEP_SECONDS, Observation, TabletopEnv, make_env
-from stable_data.simulation.scene_geometry import SolidScene
+from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.torch_dataset import TableDataset
 from tests.stable_data.export.runs import EMPTY, ODD, SCENES, TABLE, at_rest, falling, thing, write_run
@@ -41,7 +41,7 @@ def store(run: RunFolder) -> AssetStore:
 
 
 def env_of(scene: Scene, store: AssetStore, **settings: Any) -> TabletopEnv:
-    return TabletopEnv(SolidScene.of(scene, store), **settings)
+    return TabletopEnv(SceneGeometry.of(scene, store), **settings)
 
 
 def drawn(env: TabletopEnv, **rest: Any) -> Observation:

@@ -8,12 +8,12 @@ import pytest
 
 from stable_data.geometry.mesh import Mesh
 from stable_data.scene import FloatArray, Tabletop, Vec3
-from stable_data.simulation.settling import Body, EngineOptions, SettleResult, _run, compile_bodies, hull_volume, settle
+from stable_data.simulation.settling import PhysicsOptions, RigidBody, SettleResult, _run, compile_bodies, hull_volume, settle
 
 pytestmark = pytest.mark.sim
 
 TABLE = Tabletop("office_table", (1.0, 0.6))
-SHORT = EngineOptions(settle_seconds=0.4, watch_seconds=0.4)
+SHORT = PhysicsOptions(settle_seconds=0.4, watch_seconds=0.4)
 
 
 def box(x: float, y: float, z: float) -> Mesh:
@@ -23,8 +23,8 @@ def box(x: float, y: float, z: float) -> Mesh:
     return Mesh(corners, faces)
 
 
-def block(name: str, position: Vec3, *, size: Vec3 = (0.1, 0.1, 0.1), yaw: float = 0.0, movable: bool = True) -> Body:
-    return Body(name, (box(*size),), 0.5, position, yaw, movable)
+def block(name: str, position: Vec3, *, size: Vec3 = (0.1, 0.1, 0.1), yaw: float = 0.0, movable: bool = True) -> RigidBody:
+    return RigidBody(name, (box(*size),), 0.5, position, yaw, movable)
 
 
 def yaw_of(quat_xyzw: FloatArray) -> float:
@@ -66,17 +66,17 @@ def test_a_mass_that_no_thing_has_is_unknown_and_not_an_explosion(mass: float) -
 def test_what_has_gone_too_far_is_not_watched_in_a_hurry_and_what_stays_is() -> None:
     """The verdict is the same; what would come later is unknown."""
     falls, stays = block("a", (0.5, 0.3, 0.15)), block("a", (0.5, 0.3, 0.05))
-    hurried = settle([falls], TABLE, EngineOptions(hurries=True))
+    hurried = settle([falls], TABLE, PhysicsOptions(hurries=True))
     whole = settle([falls], TABLE)
     assert (hurried.stable, hurried.unsteady) == (whole.stable, whole.unsteady) == (False, ("a",))
     assert (hurried.drift_mm, hurried.jitter_mm) == (None, None)
     assert whole.drift_mm is not None
     assert hurried.settle_move_max_mm == pytest.approx(whole.settle_move_max_mm, rel=0.01)
-    same, other = settle([stays], TABLE, EngineOptions(hurries=True)), settle([stays], TABLE)
+    same, other = settle([stays], TABLE, PhysicsOptions(hurries=True)), settle([stays], TABLE)
     assert (same.stable, same.drift_mm, same.jitter_mm) == (True, other.drift_mm, other.jitter_mm)
 
 
-@pytest.mark.parametrize("speed", [EngineOptions().sleep_speed, 1e-3])
+@pytest.mark.parametrize("speed", [PhysicsOptions().sleep_speed, 1e-3])
 def test_what_sleeps_is_judged_as_what_is_looked_at(speed: float, monkeypatch: pytest.MonkeyPatch) -> None:
     num_awake = []
 
@@ -87,7 +87,7 @@ def test_what_sleeps_is_judged_as_what_is_looked_at(speed: float, monkeypatch: p
 
     monkeypatch.setattr("stable_data.simulation.settling._run", run)
     bodies = [block(str(k), (0.5, 0.3, 0.05 + 0.1 * k)) for k in range(3)]
-    awake, asleep = (settle(bodies, TABLE, EngineOptions(sleep_speed=s)) for s in (0.0, speed))
+    awake, asleep = (settle(bodies, TABLE, PhysicsOptions(sleep_speed=s)) for s in (0.0, speed))
     assert num_awake == [3, 3, 3, 0]
     assert awake.stable
     assert asleep.stable
@@ -101,7 +101,7 @@ def test_what_only_just_begins_to_fall_does_not_fall_asleep() -> None:
     turn = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
     pole = box(0.02, 0.02, 0.4)
     vertices = pole.vertices @ turn.T
-    result = settle([Body("pole", (Mesh(vertices, pole.faces),), 0.5, (0.5, 0.3, -float(vertices[:, 2].min())))], TABLE)
+    result = settle([RigidBody("pole", (Mesh(vertices, pole.faces),), 0.5, (0.5, 0.3, -float(vertices[:, 2].min())))], TABLE)
     assert result.stable is False
     assert result.settle_turn_max_deg == pytest.approx(87, abs=5)
 
@@ -138,7 +138,7 @@ def test_fixed_body_carries_and_stays() -> None:
 
 def test_hollow_of_convex_parts_holds_a_thing() -> None:
     walls = (box(0.2, 0.2, 0.01), *(Mesh(box(*s).vertices + c, box(*s).faces) for s, c in _walls()))
-    bodies = [Body("tray", walls, 1.0, (0.5, 0.3, 0.005)), block("a", (0.5, 0.3, 0.031), size=(0.04, 0.04, 0.04))]
+    bodies = [RigidBody("tray", walls, 1.0, (0.5, 0.3, 0.005)), block("a", (0.5, 0.3, 0.031), size=(0.04, 0.04, 0.04))]
     result = settle(bodies, TABLE, SHORT)
     assert result.positions[1, 2] == pytest.approx(0.03, abs=5e-4)
 
@@ -165,13 +165,13 @@ def is_unknown(result: SettleResult) -> bool:
 
 def test_body_without_a_solid_part_is_unknown_not_stable() -> None:
     flat = Mesh(box(0.1, 0.1, 0.1).vertices * (1, 1, 0), box(0.1, 0.1, 0.1).faces)
-    assert is_unknown(settle([Body("sheet", (flat,), 0.1, (0.5, 0.3, 0.1))], TABLE))
-    assert is_unknown(settle([Body("nothing", (), 0.1, (0.5, 0.3, 0.1))], TABLE))
+    assert is_unknown(settle([RigidBody("sheet", (flat,), 0.1, (0.5, 0.3, 0.1))], TABLE))
+    assert is_unknown(settle([RigidBody("nothing", (), 0.1, (0.5, 0.3, 0.1))], TABLE))
 
 
 def test_body_that_is_not_finite_is_unknown() -> None:
     nan = Mesh(box(0.1, 0.1, 0.1).vertices * np.nan, box(0.1, 0.1, 0.1).faces)
-    assert is_unknown(settle([Body("nan", (nan,), 0.1, (0.5, 0.3, 0.1))], TABLE))
+    assert is_unknown(settle([RigidBody("nan", (nan,), 0.1, (0.5, 0.3, 0.1))], TABLE))
 
 
 def test_pose_that_is_not_finite_is_unknown() -> None:
@@ -208,16 +208,16 @@ def test_what_is_not_known_to_stay_is_restless() -> None:
     falls, stays = block("a", (0.5, 0.3, 0.15)), block("b", (0.2, 0.3, 0.05))
     assert settle([falls, stays], TABLE, SHORT).num_restless == 1
     assert settle([stays], TABLE, SHORT).num_restless == 0
-    assert settle([stays, Body("nothing", (), 0.1, (0.5, 0.3, 0.1))], TABLE, SHORT).num_restless == 2
+    assert settle([stays, RigidBody("nothing", (), 0.1, (0.5, 0.3, 0.1))], TABLE, SHORT).num_restless == 2
 
 
 def test_body_without_mass_is_unknown() -> None:
-    assert is_unknown(settle([Body("a", (box(0.1, 0.1, 0.1),), 0.0, (0.5, 0.3, 0.1))], TABLE))
+    assert is_unknown(settle([RigidBody("a", (box(0.1, 0.1, 0.1),), 0.0, (0.5, 0.3, 0.1))], TABLE))
 
 
 def test_flat_part_beside_a_solid_one_is_left_out() -> None:
     flat = Mesh(box(0.1, 0.1, 0.1).vertices * (1, 1, 0), box(0.1, 0.1, 0.1).faces)
-    model = compile_bodies([Body("a", (flat, box(0.1, 0.1, 0.1)), 0.5, (0.5, 0.3, 0.05))], TABLE)
+    model = compile_bodies([RigidBody("a", (flat, box(0.1, 0.1, 0.1)), 0.5, (0.5, 0.3, 0.05))], TABLE)
     assert model.ngeom == 2  # the table and the solid part
     assert model.body_mass[1] == pytest.approx(0.5)
 

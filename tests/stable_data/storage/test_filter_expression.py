@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stable_data.errors import ConfigError
-from stable_data.storage.filter_expression import DEEPEST_QUERY, LONGEST_QUERY, parse_query
+from stable_data.storage.filter_expression import DEEPEST_QUERY, LONGEST_QUERY, parse_filter
 from stable_data.storage.schemas import SCHEMAS
 
 SCHEMA = pa.schema(
@@ -86,12 +86,12 @@ def truth(text: str, row: dict[str, Any]) -> bool | None:
 
 @given(CONDITIONS, ROWS)
 def test_a_row_passes_where_the_condition_is_surely_true(text: str, row: dict[str, Any]) -> None:
-    assert parse_query(text, SCHEMA).passes(row, SCHEMA) == (truth(text, row) is True)
+    assert parse_filter(text, SCHEMA).passes(row, SCHEMA) == (truth(text, row) is True)
 
 
 @given(CONDITIONS, st.lists(ROWS, max_size=6))
 def test_a_table_is_filtered_row_by_row(text: str, rows: list[dict[str, Any]]) -> None:
-    query = parse_query(text, SCHEMA)
+    query = parse_filter(text, SCHEMA)
     table = pa.Table.from_pylist(rows, SCHEMA)
     assert query.rows(table).to_pylist() == [row | {"many": None} for row in rows if query.passes(row, SCHEMA)]
 
@@ -115,7 +115,7 @@ def test_a_file_is_opened_where_its_statistics_leave_it_open(
 ) -> None:
     path, schema = tmp_path / "x.parquet", pa.schema([("x", pa.float64())])
     pq.write_table(pa.table({"x": [None, None, 0.5, 1.0, None, 0.2]}, schema), path, row_group_size=2)
-    query, [fragment] = parse_query(text, schema), ds.dataset(path).get_fragments()
+    query, [fragment] = parse_filter(text, schema), ds.dataset(path).get_fragments()
     assert ds.dataset(path).to_table(filter=query.expression)["x"].to_pylist() == values
     assert query.rows(pq.read_table(path))["x"].to_pylist() == values
     assert [group.id for group in fragment.subset(query.expression).row_groups] == groups
@@ -169,7 +169,7 @@ def test_a_file_is_opened_where_its_statistics_leave_it_open(
 )
 def test_what_is_no_condition_is_refused_in_one_line(text: str, words: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        parse_query(text, SCHEMA)
+        parse_filter(text, SCHEMA)
     assert caught.value.code == "query_invalid"
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -205,17 +205,17 @@ def test_long_conditions_are_answered(text: str, numbers: list[int]) -> None:
         {"n": None, "x": None, "ok": None, "kind": None},
     ]
     table = pa.Table.from_pylist(rows, SCHEMA)
-    assert parse_query(text, SCHEMA).rows(table)["n"].to_pylist() == [rows[number]["n"] for number in numbers]
+    assert parse_filter(text, SCHEMA).rows(table)["n"].to_pylist() == [rows[number]["n"] for number in numbers]
 
 
 def test_a_list_takes_both_zeros() -> None:
     table = pa.table({"x": [0.0, -0.0, None]}, pa.schema([("x", pa.float64())]))
     for text in ("x in [0.0, 1.0]", "x in [-0.0, 1.0]", "x in [1, 0]"):
-        assert parse_query(text, SCHEMA).rows(table).num_rows == 2
+        assert parse_filter(text, SCHEMA).rows(table).num_rows == 2
 
 
 def test_the_columns_of_the_card_can_be_asked_for() -> None:
-    query = parse_query("clean and num_stacked >= 2", SCHEMAS["scenes"])
+    query = parse_filter("clean and num_stacked >= 2", SCHEMAS["scenes"])
     assert query.columns == ("clean", "num_stacked")
     row = {"clean": True, "num_stacked": 2}
     assert query.passes(row, SCHEMAS["scenes"])
@@ -225,7 +225,7 @@ def test_the_columns_of_the_card_can_be_asked_for() -> None:
 
 def test_what_is_unknown_passes_where_it_is_asked_for_and_nowhere_else() -> None:
     schema = SCHEMAS["scenes"]
-    assert [parse_query("aws >= 1", schema).passes({"aws": aws}, schema) for aws in (None, 0.5, 1.0)] == [False, False, True]
-    lenient = parse_query("aws is None or aws >= 1", schema)
+    assert [parse_filter("aws >= 1", schema).passes({"aws": aws}, schema) for aws in (None, 0.5, 1.0)] == [False, False, True]
+    lenient = parse_filter("aws is None or aws >= 1", schema)
     assert [lenient.passes({"aws": aws}, schema) for aws in (None, 0.5, 1.0)] == [True, False, True]
-    assert not parse_query("(aws is None or aws >= 1) and stable", schema).passes({"aws": None, "stable": None}, schema)
+    assert not parse_filter("(aws is None or aws >= 1) and stable", schema).passes({"aws": None, "stable": None}, schema)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from models.physics_corrector.certify import CertifyOptions, Status, certify
+from models.physics_corrector.certify import CertifyOptions, CorrectionStatus, certify
 from stable_data.errors import ConfigError, SceneError
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import audit_scene
@@ -25,7 +25,7 @@ def moved(before: Scene, after: Scene) -> dict[str, float]:
 def test_two_cups_go_apart_and_no_farther() -> None:
     scene, shapes = laid(("a", CUP, 0.4, 0.3, 0.0), ("b", CUP, 0.46, 0.3, 0.0), ("c", CUP, 0.1, 0.1, 0.0))
     result = certify(scene, shapes)
-    assert result.status is Status.CERTIFIED
+    assert result.status is CorrectionStatus.CERTIFIED
     assert result.scene is not None
     assert result.audit is not None
     assert result.audit.card().clean
@@ -37,7 +37,7 @@ def test_two_cups_go_apart_and_no_farther() -> None:
 def test_what_is_clean_is_handed_back_as_it_is() -> None:
     scene, shapes = laid(("a", CUP, 0.4, 0.3, 0.0), ("b", CUP, 0.5, 0.3, 4e-4), ("c", box(0.05, 0.05, 0.05), 0.4, 0.3, 0.1))
     result = certify(scene, shapes)
-    assert result.status is Status.CERTIFIED
+    assert result.status is CorrectionStatus.CERTIFIED
     assert result.scene is scene
 
 
@@ -81,7 +81,7 @@ def test_plates_stay_stacked() -> None:
     stack = [(f"plate_{n}", PLATE, 0.3 + 0.001 * n, 0.3, 0.0121 * n) for n in range(4)]
     scene, shapes = laid(*stack, ("cup", CUP, 0.42, 0.3, 0.0))
     result = certify(scene, shapes)
-    assert result.status is Status.CERTIFIED
+    assert result.status is CorrectionStatus.CERTIFIED
     assert result.scene is not None
     offsets = [np.subtract(result.scene[f"plate_{n}"].position, result.scene["plate_0"].position) for n in range(4)]
     expected = [np.subtract(scene[f"plate_{n}"].position, scene["plate_0"].position) for n in range(4)]
@@ -92,7 +92,7 @@ def test_spoon_through_a_plate_comes_free() -> None:
     spoon = box(0.18, 0.02, 0.006)
     scene, shapes = laid(("plate", PLATE, 0.3, 0.3, 0.0), ("spoon", spoon, 0.42, 0.3, 0.003))
     result = certify(scene, shapes)
-    assert result.status is Status.CERTIFIED
+    assert result.status is CorrectionStatus.CERTIFIED
     assert result.audit is not None
     assert result.audit.card().max_penetration_mm == 0
 
@@ -101,7 +101,7 @@ def test_the_edge_and_the_restricted_zone_hold() -> None:
     things = (("a", CUP, 0.01, 0.3, 0.0), ("b", CUP, 0.4, 0.62, 0.0), ("c", CUP, 0.4, 0.3, 0.0))
     scene, shapes = laid(*things, zone=(0.35, 0.5, 0.25, 0.35))
     result = certify(scene, shapes)
-    assert result.status is Status.CERTIFIED
+    assert result.status is CorrectionStatus.CERTIFIED
     assert result.audit is not None
     assert result.audit.card().out_of_bounds_rate == 0
     assert result.scene is not None
@@ -129,7 +129,7 @@ def test_fixed_objects_are_obstacles() -> None:
     assert result.scene is not None
     assert result.scene["b"] == scene["b"]
     both = certify(scene, shapes, CertifyOptions(fixed=frozenset({"a", "b"})))
-    assert both.status is Status.INFEASIBLE
+    assert both.status is CorrectionStatus.INFEASIBLE
     assert "a is in b" in both.reason
     assert both.scene is None
 
@@ -139,25 +139,25 @@ def test_a_full_table_drops_the_smallest_or_says_so() -> None:
     small = ("small", box(0.1, 0.1, 0.05), 0.2, 0.2, 0.0)
     scene, shapes = laid(*tiles, small, size=(0.41, 0.41))
     result = certify(scene, shapes)
-    assert result.status is Status.DROPPED
+    assert result.status is CorrectionStatus.DROPPED
     assert result.audit is not None
     assert result.audit.card().clean
     assert [d.instance for d in result.dropped] == ["small"]
     assert "0.41" in result.dropped[0].reason
     refused = certify(scene, shapes, CertifyOptions(when_full="infeasible"))
-    assert refused.status is Status.INFEASIBLE
+    assert refused.status is CorrectionStatus.INFEASIBLE
     assert "small" in refused.reason
     task = replace(scene, objects=tuple(replace(o, stage=Stage.TASK) for o in scene.objects))
-    assert certify(task, shapes).status is Status.INFEASIBLE
+    assert certify(task, shapes).status is CorrectionStatus.INFEASIBLE
 
 
 def test_a_table_smaller_than_its_objects() -> None:
     scene, shapes = laid(("book", BOOK, 0.05, 0.05, 0.0), ("pen", box(0.05, 0.01, 0.01), 0.05, 0.05, 0.0), size=(0.1, 0.1))
     result = certify(scene, shapes)
-    assert result.status is Status.DROPPED
+    assert result.status is CorrectionStatus.DROPPED
     assert [d.instance for d in result.dropped] == ["book"]
     alone = certify(replace(scene, objects=scene.objects[:1]), shapes[:1])
-    assert (alone.status, alone.scene) == (Status.INFEASIBLE, None)
+    assert (alone.status, alone.scene) == (CorrectionStatus.INFEASIBLE, None)
     assert "no free place was found on the table of 0.10 x 0.10 m" in alone.reason
 
 
@@ -194,7 +194,7 @@ def test_movement_is_measured_from_the_original() -> None:
 def test_a_missing_mesh_is_never_a_pass() -> None:
     scene, shapes = laid(("a", CUP, 0.4, 0.3, 0.0), ("b", box(0.08, 0.08, 0.1), 0.46, 0.3, 0.0))
     result = certify(scene, [shapes[0], Shape.box((0.08, 0.08, 0.1))])
-    assert result.status is Status.UNKNOWN
+    assert result.status is CorrectionStatus.UNKNOWN
     assert "b" in result.reason
     assert result.scene is not None
     by_boxes = audit_scene(result.scene, shapes)
@@ -203,7 +203,7 @@ def test_a_missing_mesh_is_never_a_pass() -> None:
 
 def test_one_object_and_none() -> None:
     scene, shapes = laid(("a", CUP, 0.0, 0.3, 0.0))
-    assert certify(scene, shapes).status is Status.CERTIFIED
+    assert certify(scene, shapes).status is CorrectionStatus.CERTIFIED
     empty, none = laid()
     assert certify(empty, none).scene is empty
 
@@ -240,7 +240,7 @@ def test_whatever_it_is_given_nothing_collides_in_silence(laid_out: tuple[Scene,
     for options in (CertifyOptions(), CertifyOptions(fixed=fixed)):
         result = certify(scene, shapes, options)
         if result.scene is None:
-            assert result.status is Status.INFEASIBLE
+            assert result.status is CorrectionStatus.INFEASIBLE
             assert result.reason
             continue
         names = [o.instance for o in result.scene.objects]
@@ -249,7 +249,7 @@ def test_whatever_it_is_given_nothing_collides_in_silence(laid_out: tuple[Scene,
         audit = audit_scene(result.scene, [shape[name] for name in names])
         assert audit == result.audit
         assert audit.card().clean
-        assert (result.status is Status.DROPPED) == bool(result.dropped)
+        assert (result.status is CorrectionStatus.DROPPED) == bool(result.dropped)
         for name in options.fixed:
             assert result.scene[name] == scene[name]
         again = certify(result.scene, [shape[name] for name in names], options)

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.physics_corrector.certify.no_fit_polygon import Part, no_fit
-from models.physics_corrector.certify.packing_problem import AXES, Bodies, Crowd, Order
+from models.physics_corrector.certify.no_fit_polygon import RigidGroup, no_fit
+from models.physics_corrector.certify.packing_problem import AXES, BodyArrays, OrderConstraint, PackingProblem
 from models.physics_corrector.certify.projection import box_dual, is_free_of_overlap, project
 from models.physics_corrector.certify.relation_recovery import repaired
 from models.physics_corrector.certify.separation import part
@@ -16,18 +16,18 @@ from stable_data.scene import FloatArray, RelationKind
 
 
 def crowd_of(
-    sizes: list[tuple[float, float]], places: FloatArray, table: tuple[float, float], orders: tuple[Order, ...] = ()
-) -> Crowd:
+    sizes: list[tuple[float, float]], places: FloatArray, table: tuple[float, float], orders: tuple[OrderConstraint, ...] = ()
+) -> PackingProblem:
     """Rectangles at their middles on a table."""
     halves = np.array(sizes) / 2
-    parts = [Part(rectangle(-half, half), place) for half, place in zip(halves, places, strict=True)]
+    parts = [RigidGroup(rectangle(-half, half), place) for half, place in zip(halves, places, strict=True)]
     low, high = halves - places, np.array(table) - halves - places
-    bodies = Bodies(np.ones(len(sizes)), np.zeros_like(places), low, high)
-    return Crowd(no_fit(parts), np.arange(len(sizes)), bodies, orders, 5e-4)
+    bodies = BodyArrays(np.ones(len(sizes)), np.zeros_like(places), low, high)
+    return PackingProblem(no_fit(parts), np.arange(len(sizes)), bodies, orders, 5e-4)
 
 
-def order(first: int, second: int, kind: RelationKind, places: FloatArray) -> Order:
-    return Order(first, second, np.array(AXES[kind]), places[first] - places[second])
+def order(first: int, second: int, kind: RelationKind, places: FloatArray) -> OrderConstraint:
+    return OrderConstraint(first, second, np.array(AXES[kind]), places[first] - places[second])
 
 
 @settings(max_examples=60, deadline=None)

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from models.physics_corrector.certify import CertifyOptions, Status, certify
-from models.physics_corrector.certify.settle_trial import Trial
+from models.physics_corrector.certify import CertifyOptions, CorrectionStatus, certify
+from models.physics_corrector.certify.settle_trial import SettleTrial
 from stable_data.errors import SceneError
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.relations_kept import relations_kept
 from stable_data.scene import RelationKind, Scene
-from stable_data.simulation.settling import Body, settle
+from stable_data.simulation.settling import RigidBody, settle
 from tests.models.physics_corrector.certify.things import bowl, box, cylinder, laid, mesh_shape
 
 WALL, BOOK, CUP = box(0.1, 0.1, 0.1), box(0.2, 0.2, 0.03), cylinder(0.04, 0.1)
@@ -33,10 +33,10 @@ def solid(shape: Shape) -> Mesh:
     return Mesh(shape.vertices, shape.faces)
 
 
-def bodies(scene: Scene, shapes: list[Shape], **parts: Shape) -> list[Body]:
+def bodies(scene: Scene, shapes: list[Shape], **parts: Shape) -> list[RigidBody]:
     """Each object as its own hull, or as the part that is said, in its frame."""
     return [
-        Body(o.instance, (solid(parts.get(o.instance, shape)),), 0.2, o.position, o.yaw)
+        RigidBody(o.instance, (solid(parts.get(o.instance, shape)),), 0.2, o.position, o.yaw)
         for o, shape in zip(scene.objects, shapes, strict=True)
     ]
 
@@ -68,7 +68,7 @@ def test_what_falls_alone_leans_on_its_neighbour() -> None:
     assert settle(bodies(scene, shapes), scene.table).stable is False
     result = certify(scene, shapes, bodies=bodies(scene, shapes))
     assert result.scene is not None
-    assert result.status is Status.CERTIFIED
+    assert result.status is CorrectionStatus.CERTIFIED
     assert result.unsteady == ()
     assert settle(bodies(result.scene, shapes), scene.table).stable is True
     assert audit_scene(result.scene, shapes).card().clean
@@ -80,7 +80,7 @@ def test_what_falls_with_nothing_to_lean_on_is_named() -> None:
     scene, shapes = laid(("brick", tilted(), 0.3, 0.3, 0.0))
     result = certify(scene, shapes, bodies=bodies(scene, shapes))
     assert result.scene is scene
-    assert result.status is Status.CERTIFIED
+    assert result.status is CorrectionStatus.CERTIFIED
     assert result.unsteady == ("brick",)
 
 
@@ -115,7 +115,7 @@ def test_what_the_engine_leaves_no_room_for_leaves_its_carrier_only_where_nobody
     sliver = Shape(BOOK.vertices * (0.02, 0.02, 1.0), BOOK.faces)
     relations = (("cup", RelationKind.ON, "book"),) if is_meant else ()
     scene, shapes = laid(("book", BOOK, 0.3, 0.3, 0.0), ("cup", CUP, 0.36, 0.3, 0.03), relations=relations)
-    fixed = Body("book", (solid(sliver),), 50.0, scene["book"].position, movable=False)
+    fixed = RigidBody("book", (solid(sliver),), 50.0, scene["book"].position, movable=False)
     seen = [fixed, bodies(scene, shapes)[1]]
     result = certify(scene, shapes, bodies=seen)
     assert result.scene is not None
@@ -137,7 +137,7 @@ def test_what_is_deep_in_a_container_that_the_engine_takes_for_solid_stays_and_i
 def test_an_engine_that_cannot_be_asked_says_nothing() -> None:
     scene, shapes = laid(("a", CUP, 0.4, 0.3, 0.0))
     flat = Mesh(CUP.vertices * (1.0, 1.0, 0.0), CUP.faces)
-    result = certify(scene, shapes, bodies=[Body("a", (flat,), 1.0, scene["a"].position)])
+    result = certify(scene, shapes, bodies=[RigidBody("a", (flat,), 1.0, scene["a"].position)])
     assert result.scene is scene
     assert result.unsteady is None
     assert "the engine cannot be asked" in result.reason
@@ -165,7 +165,7 @@ def test_certify_alone_does_not_load_the_engine() -> None:
 def test_a_trial_lets_go_of_what_is_free_alone() -> None:
     scene, shapes = laid(("held", WALL, 0.2, 0.3, 0.3), ("falls", CUP, 0.2, 0.3, 0.45), ("stands", CUP, 0.6, 0.3, 0.0))
     poses = scene.poses()
-    trial = Trial(bodies(scene, shapes), poses, [1, 2], [0], scene.table)
+    trial = SettleTrial(bodies(scene, shapes), poses, [1, 2], [0], scene.table)
     assert trial.stays(poses, 1.0, 0.01, 5.0).tolist() == [False, True]
     assert not trial.all_stay(poses, 1.0, 0.01, 5.0)
     ended = trial.outcome(poses, 1.0)

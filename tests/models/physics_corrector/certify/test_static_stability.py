@@ -7,14 +7,14 @@ import pytest
 import trimesh
 
 from models.physics_corrector.certify import certify
-from models.physics_corrector.certify.mesh_queries import Meshes
+from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.static_stability import FALLS, STEADY, centre_of_mass, stands_alone, steadiness
 from models.physics_corrector.certify.support_inference import is_hollow
 from stable_data.geometry.convex_decomposition import convex_parts
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.shape import Shape
 from stable_data.scene import FloatArray, Scene
-from stable_data.simulation.settling import MOVE_LIMIT, TURN_LIMIT, Body, settle
+from stable_data.simulation.settling import MOVE_LIMIT, TURN_LIMIT, RigidBody, settle
 from tests.models.physics_corrector.certify.things import ball, bowl, box, cylinder, laid, mesh_shape
 
 TABLE_BOX, SAUCER = box(0.1, 0.1, 0.05), bowl(0.075, 0.015)
@@ -39,13 +39,13 @@ def how_steady(shapes: list[Shape], *places: tuple[float, float, float]) -> floa
     """Of the last of some things with their bottoms at places (x, y, z)."""
     poses = np.array([(x, y, z + float(s.size[2]) / 2, 0.0) for s, (x, y, z) in zip(shapes, places, strict=True)])
     k = len(shapes) - 1
-    return steadiness(Meshes(shapes), k, poses[k], range(k), poses)
+    return steadiness(MeshQueries(shapes), k, poses[k], range(k), poses)
 
 
-def bodies(scene: Scene, shapes: list[Shape]) -> list[Body]:
+def bodies(scene: Scene, shapes: list[Shape]) -> list[RigidBody]:
     cut = {id(s): convex_parts(Mesh(s.vertices, s.faces)).parts for s in shapes}
     shape = dict(zip((o.instance for o in scene.objects), shapes, strict=True))
-    return [Body(o.instance, cut[id(shape[o.instance])], 0.2, o.position, o.yaw) for o in scene.objects]
+    return [RigidBody(o.instance, cut[id(shape[o.instance])], 0.2, o.position, o.yaw) for o in scene.objects]
 
 
 def movers(scene: Scene, shapes: list[Shape]) -> list[str]:

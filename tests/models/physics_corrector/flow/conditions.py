@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from models.physics_corrector.flow.condition import Condition
 from models.physics_corrector.flow.flow_matching import FlowSettings
 from models.physics_corrector.flow.presets import CorrectorSettings
-from models.physics_corrector.flow.velocity_network import NetworkSettings, VelocityNetwork
+from models.physics_corrector.flow.velocity_network import VelocityNetwork, VelocityNetworkSettings
 
 NUM_FEATURES = 8
 PER_OBJECT = ("poses", "mask", "sizes", "is_fixed", "parent", "features")
@@ -28,7 +28,7 @@ SMALL: dict[str, Any] = {
 
 
 def small_settings(backbone: str = "unet1d", flow: FlowSettings | None = None, **changes: Any) -> CorrectorSettings:
-    return CorrectorSettings(NetworkSettings(**{**SMALL, "backbone": backbone, **changes}), flow or FlowSettings())
+    return CorrectorSettings(VelocityNetworkSettings(**{**SMALL, "backbone": backbone, **changes}), flow or FlowSettings())
 
 
 def awake_network(settings: CorrectorSettings, seed: int = 0) -> VelocityNetwork:

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from models.physics_corrector.flow.condition import Condition
-from models.physics_corrector.flow.flow_matching import Flow, FlowSettings, Solver, Source
-from models.physics_corrector.flow.pose_coordinates import Coordinates
+from models.physics_corrector.flow.flow_matching import FlowMatching, FlowSettings, Solver, Source
+from models.physics_corrector.flow.pose_coordinates import PoseCoordinates
 from stable_data.errors import ConfigError
 from tests.models.physics_corrector.flow.conditions import (
     NUM_FEATURES,
@@ -21,11 +21,11 @@ from tests.models.physics_corrector.flow.conditions import (
     small_settings,
 )
 
-ABSOLUTE = Coordinates("absolute", 1.0, 1.0)
+ABSOLUTE = PoseCoordinates("absolute", 1.0, 1.0)
 _SOURCES: tuple[tuple[Source, float], ...] = (("coarse", 0.5), ("gaussian", 0.0))
 FLOWS = [
-    Flow(FlowSettings(coordinates=coordinates, source=source, self_condition=p))
-    for coordinates in (Coordinates(), ABSOLUTE)
+    FlowMatching(FlowSettings(coordinates=coordinates, source=source, self_condition=p))
+    for coordinates in (PoseCoordinates(), ABSOLUTE)
     for source, p in _SOURCES
 ]
 flows = pytest.mark.parametrize("flow", FLOWS, ids=lambda f: f"{f.settings.coordinates.form}-{f.settings.source}")
@@ -45,7 +45,7 @@ def assert_same_poses(found: Tensor, expected: Tensor, atol: float = 1e-4) -> No
     torch.testing.assert_close(torch.atan2(turn.sin(), turn.cos()), torch.zeros_like(turn), atol=atol, rtol=0)
 
 
-def exact(flow: Flow, targets: Tensor) -> Callable[[Tensor, Tensor, Condition, Tensor, Tensor | None], Tensor]:
+def exact(flow: FlowMatching, targets: Tensor) -> Callable[[Tensor, Tensor, Condition, Tensor, Tensor | None], Tensor]:
     """The conditional velocity of the linear path that ends at the targets: (y_1 − y_t) / (1 − t)."""
 
     def velocity(y: Tensor, t: Tensor, scenes: Condition, ranks: Tensor, y1_hat: Tensor | None) -> Tensor:
@@ -57,7 +57,7 @@ def exact(flow: Flow, targets: Tensor) -> Callable[[Tensor, Tensor, Condition, T
 
 
 @flows
-def test_the_path_runs_from_the_source_to_the_target(flow: Flow) -> None:
+def test_the_path_runs_from_the_source_to_the_target(flow: FlowMatching) -> None:
     scenes = condition(2, 5)
     targets = torch.where(scenes.is_movable[..., None], targets_of(scenes), scenes.poses)
     at = [flow.path(scenes, targets, seeded(), torch.full((2,), t)) for t in (0.0, 0.5, 1.0)]
@@ -68,8 +68,8 @@ def test_the_path_runs_from_the_source_to_the_target(flow: Flow) -> None:
 
 def test_the_source_is_the_coarse_pose_with_noise() -> None:
     scenes = replace(condition(64, 64), is_fixed=torch.zeros(64, 64, dtype=torch.bool))
-    for coordinates in (Coordinates(), ABSOLUTE):
-        flow = Flow(FlowSettings(coordinates=coordinates, sigma=0.2))
+    for coordinates in (PoseCoordinates(), ABSOLUTE):
+        flow = FlowMatching(FlowSettings(coordinates=coordinates, sigma=0.2))
         noise = coordinates.difference(flow.start(scenes, draw=False), flow.start(scenes, seeded()))
         assert noise.mean().abs() < 0.01
         assert abs(noise.std().item() - 0.2) < 0.01
@@ -78,13 +78,13 @@ def test_the_source_is_the_coarse_pose_with_noise() -> None:
 
 def test_the_other_source_is_standard_gaussian() -> None:
     scenes = replace(condition(64, 64), is_fixed=torch.zeros(64, 64, dtype=torch.bool))
-    start = Flow(FlowSettings(source="gaussian")).start(scenes, seeded())
+    start = FlowMatching(FlowSettings(source="gaussian")).start(scenes, seeded())
     assert start.mean().abs() < 0.02
     assert abs(start.std().item() - 1) < 0.02
 
 
 @flows
-def test_the_exact_velocity_recovers_the_target_from_anywhere(flow: Flow) -> None:
+def test_the_exact_velocity_recovers_the_target_from_anywhere(flow: FlowMatching) -> None:
     scenes = condition(3, 5)
     targets = torch.where(scenes.is_movable[..., None], targets_of(scenes), scenes.poses)
     path = flow.path(scenes, targets, seeded())
@@ -94,7 +94,9 @@ def test_the_exact_velocity_recovers_the_target_from_anywhere(flow: Flow) -> Non
 @flows
 @pytest.mark.parametrize("solver", ["euler", "midpoint"])
 @pytest.mark.parametrize("steps", [1, 2, 7])
-def test_following_the_exact_velocity_reaches_the_target_in_any_number_of_steps(flow: Flow, solver: Solver, steps: int) -> None:
+def test_following_the_exact_velocity_reaches_the_target_in_any_number_of_steps(
+    flow: FlowMatching, solver: Solver, steps: int
+) -> None:
     scenes = condition(2, 5)
     targets = torch.where(scenes.is_movable[..., None], targets_of(scenes), scenes.poses)
     found = flow.sample(exact(flow, targets), scenes, generator=seeded(), steps=steps, solver=solver)
@@ -105,7 +107,7 @@ def test_following_the_exact_velocity_reaches_the_target_in_any_number_of_steps(
 
 @pytest.mark.parametrize(("solver", "order"), [("euler", 1), ("midpoint", 2), ("heun", 2)])
 def test_solvers_converge_with_their_order(solver: Solver, order: int) -> None:
-    flow = Flow(FlowSettings(coordinates=ABSOLUTE))
+    flow = FlowMatching(FlowSettings(coordinates=ABSOLUTE))
     scenes = replace(condition(1, 1), is_fixed=torch.zeros(1, 1, dtype=torch.bool))
     poses = torch.tensor([[[1.0, 1.0, 1.0, 0.0]]])
     scenes = replace(scenes, poses=poses)
@@ -117,9 +119,9 @@ def test_solvers_converge_with_their_order(solver: Solver, order: int) -> None:
     assert errors[0] / errors[1] == pytest.approx(2**order, rel=0.25)
 
 
-@pytest.mark.parametrize("coordinates", [Coordinates(), ABSOLUTE], ids=lambda c: c.form)
-def test_a_path_crosses_half_a_turn_the_short_way(coordinates: Coordinates) -> None:
-    flow = Flow(FlowSettings(coordinates=coordinates, sigma=0.0))
+@pytest.mark.parametrize("coordinates", [PoseCoordinates(), ABSOLUTE], ids=lambda c: c.form)
+def test_a_path_crosses_half_a_turn_the_short_way(coordinates: PoseCoordinates) -> None:
+    flow = FlowMatching(FlowSettings(coordinates=coordinates, sigma=0.0))
     scenes = replace(condition(1, 1), is_fixed=torch.zeros(1, 1, dtype=torch.bool))
     scenes = replace(scenes, poses=torch.tensor([[[0.5, 0.5, 0.0, math.pi - 0.1]]]))
     targets = torch.tensor([[[0.5, 0.5, 0.0, -math.pi + 0.3]]])
@@ -132,7 +134,7 @@ def test_a_path_crosses_half_a_turn_the_short_way(coordinates: Coordinates) -> N
 
 @flows
 @pytest.mark.parametrize("of", ["targets", "coarse"])
-def test_the_loss_is_unchanged_by_whole_turns(flow: Flow, of: str) -> None:
+def test_the_loss_is_unchanged_by_whole_turns(flow: FlowMatching, of: str) -> None:
     scenes = condition(3, 5)
     targets, turn = targets_of(scenes), torch.tensor([0.0, 0.0, 0.0, 2 * math.pi])
     turned = scenes if of == "targets" else replace(scenes, poses=scenes.poses + turn)
@@ -146,7 +148,7 @@ def test_the_loss_is_unchanged_by_whole_turns(flow: Flow, of: str) -> None:
 
 
 @flows
-def test_fixed_objects_never_move(flow: Flow) -> None:
+def test_fixed_objects_never_move(flow: FlowMatching) -> None:
     scenes = condition(4, 6)
     fixed = scenes.is_fixed
     assert fixed.any()
@@ -165,7 +167,7 @@ def test_fixed_objects_never_move(flow: Flow) -> None:
 
 
 @flows
-def test_targets_of_padding_are_not_looked_at(flow: Flow) -> None:
+def test_targets_of_padding_are_not_looked_at(flow: FlowMatching) -> None:
     scenes = padded(condition(2, 3), 2)
     targets = torch.cat([targets_of(condition(2, 3)), torch.full((2, 2, 4), math.nan)], 1)
     path = flow.path(scenes, targets, seeded())
@@ -176,7 +178,7 @@ def test_targets_of_padding_are_not_looked_at(flow: Flow) -> None:
 @pytest.mark.parametrize("backbone", ["unet1d", "set_transformer"])
 def test_correcting_does_not_depend_on_order_or_padding(backbone: str) -> None:
     settings = small_settings(backbone, FlowSettings(steps=3))
-    network, flow = awake_network(settings), Flow(settings.flow)
+    network, flow = awake_network(settings), FlowMatching(settings.flow)
     scenes = condition(2, 6)
     order = torch.tensor([3, 1, 5, 0, 2, 4])
     found = flow.sample(network, scenes)
@@ -194,7 +196,7 @@ def test_self_conditioning_asks_once_without_gradient_and_feeds_the_clean_estima
         asked.append((y1_hat, torch.is_grad_enabled()))
         return torch.ones_like(y)
 
-    flow = Flow(FlowSettings(self_condition=1.0))
+    flow = FlowMatching(FlowSettings(self_condition=1.0))
     path = flow.path(scenes, targets_of(scenes), seeded())
     flow.predict(field, path, scenes, seeded())
     assert [(fed is None, gradient) for fed, gradient in asked] == [(True, False), (False, True)]
@@ -202,7 +204,7 @@ def test_self_conditioning_asks_once_without_gradient_and_feeds_the_clean_estima
     torch.testing.assert_close(asked[1][0], path.y + (1 - path.t)[:, None, None])
 
     generator = seeded()
-    half, calls = Flow(FlowSettings(self_condition=0.5)), 200
+    half, calls = FlowMatching(FlowSettings(self_condition=0.5)), 200
     asked.clear()
     for _ in range(calls):
         half.predict(field, path, scenes, generator)
@@ -212,13 +214,13 @@ def test_self_conditioning_asks_once_without_gradient_and_feeds_the_clean_estima
     half.sample(field, scenes, steps=3)
     assert [fed is None for fed, _ in asked] == [True, False, False]
     asked.clear()
-    Flow(FlowSettings(self_condition=0.0)).sample(field, scenes, steps=3)
+    FlowMatching(FlowSettings(self_condition=0.0)).sample(field, scenes, steps=3)
     assert all(fed is None for fed, _ in asked)
 
 
 def test_gradients_flow_through_as_many_of_the_last_steps_as_asked() -> None:
     settings = small_settings(num_codes=0)
-    network, flow = awake_network(settings), Flow(settings.flow)
+    network, flow = awake_network(settings), FlowMatching(settings.flow)
     scenes = condition(2, 4)
     assert not flow.sample(network, scenes).requires_grad
     norms = []
@@ -231,7 +233,7 @@ def test_gradients_flow_through_as_many_of_the_last_steps_as_asked() -> None:
 
 
 def test_the_gradient_through_the_sampler_is_the_difference_quotient() -> None:
-    flow = Flow(FlowSettings(self_condition=0.5))
+    flow = FlowMatching(FlowSettings(self_condition=0.5))
     scenes = condition(1, 2)
     scale = torch.tensor(0.7, requires_grad=True)
 

@@ -7,10 +7,10 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.physics_corrector.flow.pose_coordinates import Coordinates, wrap
+from models.physics_corrector.flow.pose_coordinates import PoseCoordinates, wrap
 from stable_data.errors import ConfigError
 
-BOTH = [Coordinates(), Coordinates("absolute", 1.0, 1.0)]
+BOTH = [PoseCoordinates(), PoseCoordinates("absolute", 1.0, 1.0)]
 angles = st.floats(-20.0, 20.0)
 
 
@@ -42,7 +42,9 @@ def test_an_angle_in_range_comes_back_bit_for_bit(angle: float) -> None:
 
 @pytest.mark.parametrize("coordinates", BOTH, ids=lambda c: c.form)
 @given(x=st.floats(-2, 2), yaw=angles, coarse_x=st.floats(-2, 2), coarse_yaw=angles)
-def test_decoding_undoes_encoding(coordinates: Coordinates, x: float, yaw: float, coarse_x: float, coarse_yaw: float) -> None:
+def test_decoding_undoes_encoding(
+    coordinates: PoseCoordinates, x: float, yaw: float, coarse_x: float, coarse_yaw: float
+) -> None:
     poses, coarse = pose(x, yaw), pose(coarse_x, coarse_yaw)
     back = coordinates.decode(coordinates.encode(poses, coarse), coarse)
     torch.testing.assert_close(back[..., :3], poses[..., :3], atol=1e-12, rtol=0)
@@ -51,12 +53,12 @@ def test_decoding_undoes_encoding(coordinates: Coordinates, x: float, yaw: float
 
 def test_the_coarse_pose_is_the_origin_of_residual_coordinates() -> None:
     coarse = pose(0.3, 3.0)
-    assert not Coordinates().encode(coarse, coarse).any()
+    assert not PoseCoordinates().encode(coarse, coarse).any()
 
 
 @pytest.mark.parametrize("coordinates", BOTH, ids=lambda c: c.form)
 @given(a=angles, b=angles, turns=st.integers(-3, 3))
-def test_a_difference_takes_the_short_way_round(coordinates: Coordinates, a: float, b: float, turns: int) -> None:
+def test_a_difference_takes_the_short_way_round(coordinates: PoseCoordinates, a: float, b: float, turns: int) -> None:
     coarse = pose(0.0, 1.0)
     start, end = coordinates.encode(pose(0.1, a), coarse), coordinates.encode(pose(0.2, b + 2 * math.pi * turns), coarse)
     difference = coordinates.difference(start, end)
@@ -65,7 +67,7 @@ def test_a_difference_takes_the_short_way_round(coordinates: Coordinates, a: flo
 
 
 def test_what_a_network_reads_of_yaw_is_continuous_across_pi() -> None:
-    coordinates = Coordinates("absolute", 1.0, 1.0)
+    coordinates = PoseCoordinates("absolute", 1.0, 1.0)
     below, above = (coordinates.on_circle(pose(0.0, yaw)) for yaw in (math.pi - 1e-6, -math.pi + 1e-6))
     torch.testing.assert_close(below, above, atol=1e-5, rtol=0)
 
@@ -73,4 +75,4 @@ def test_what_a_network_reads_of_yaw_is_continuous_across_pi() -> None:
 @pytest.mark.parametrize("values", [("polar", 1.0, 1.0), ("residual", 0.0, 1.0), ("residual", 1.0, math.nan)])
 def test_coordinates_without_an_inverse_are_refused(values: tuple[str, float, float]) -> None:
     with pytest.raises(ConfigError, match="coordinates"):
-        Coordinates(*values)  # type: ignore[arg-type]
+        PoseCoordinates(*values)  # type: ignore[arg-type]

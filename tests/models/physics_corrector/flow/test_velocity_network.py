@@ -8,7 +8,7 @@ from torch import Tensor
 
 from models.physics_corrector.flow.condition import Condition
 from models.physics_corrector.flow.presets import PRESETS
-from models.physics_corrector.flow.velocity_network import NetworkSettings, VelocityNetwork, sinusoids
+from models.physics_corrector.flow.velocity_network import VelocityNetwork, VelocityNetworkSettings, sinusoids
 from stable_data.errors import ConfigError
 from tests.models.physics_corrector.flow.conditions import awake_network, condition, padded, permuted, query, small_settings
 
@@ -190,7 +190,7 @@ def test_a_network_without_features_reads_none() -> None:
 )
 def test_networks_that_cannot_be_built_are_refused(changes: dict[str, object]) -> None:
     with pytest.raises(ConfigError, match="network"):
-        NetworkSettings(**changes)  # type: ignore[arg-type]
+        VelocityNetworkSettings(**changes)  # type: ignore[arg-type]
 
 
 def test_presets_have_the_sizes_that_are_promised() -> None:

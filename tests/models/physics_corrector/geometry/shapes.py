@@ -5,8 +5,8 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from models.physics_corrector.geometry.scene_batch import SceneBatch
-from models.physics_corrector.geometry.shape_tensors import Geometry, ShapeTable
+from models.physics_corrector.geometry.scene_batch import LayoutBatch
+from models.physics_corrector.geometry.shape_tensors import ShapeCollector, ShapeTensors
 from stable_data.assets.store import AssetStore
 from stable_data.geometry.gltf_writer import write_glb
 from stable_data.geometry.mesh import Mesh
@@ -49,9 +49,9 @@ def store() -> AssetStore:
 
 
 @cache
-def table() -> ShapeTable:
+def table() -> ShapeCollector:
     """Where the shapes of all tests are collected."""
-    return ShapeTable(store(), num_surface=512, num_bottom=64)
+    return ShapeCollector(store(), num_surface=512, num_bottom=64)
 
 
 def thing(
@@ -76,7 +76,7 @@ def scene(*objects: SceneObject, zone: Rectangle | None = None) -> Scene:
 
 def batch_of(
     scenes: Sequence[Scene], *, is_fixed: Callable[[SceneObject], bool] | None = None, num_slots: int = 0
-) -> tuple[SceneBatch, Geometry]:
+) -> tuple[LayoutBatch, ShapeTensors]:
     """Scenes with the geometry of their shapes."""
-    batch = SceneBatch.from_scenes(scenes, table(), is_fixed=is_fixed, num_slots=num_slots)
+    batch = LayoutBatch.from_scenes(scenes, table(), is_fixed=is_fixed, num_slots=num_slots)
     return batch, table().geometry()

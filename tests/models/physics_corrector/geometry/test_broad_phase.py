@@ -6,7 +6,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.physics_corrector.geometry.broad_phase import Pairs, near_pairs
+from models.physics_corrector.geometry.broad_phase import ObjectPairs, near_pairs
 
 
 def random_boxes(seed: int, num_scenes: int = 3, num_objects: int = 6) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -17,7 +17,7 @@ def random_boxes(seed: int, num_scenes: int = 3, num_objects: int = 6) -> tuple[
     return torch.from_numpy(poses), torch.from_numpy(half), torch.from_numpy(rng.random((num_scenes, num_objects)) < 0.8)
 
 
-def listed(pairs: Pairs) -> list[tuple[int, int, int]]:
+def listed(pairs: ObjectPairs) -> list[tuple[int, int, int]]:
     """Scene, first, second of each pair."""
     return list(zip(pairs.scene.tolist(), pairs.first.tolist(), pairs.second.tolist(), strict=True))
 

@@ -2,7 +2,7 @@
 
 import torch
 
-from models.physics_corrector.geometry.scene_batch import NO_PARENT, ON_TABLE, SceneBatch
+from models.physics_corrector.geometry.scene_batch import NO_PARENT, ON_TABLE, LayoutBatch
 from tests.models.physics_corrector.geometry.shapes import batch_of, scene, table, thing
 
 SMALL = scene(thing("ball", (0.1, 0.2, 0.05, 0.3), support="table"))
@@ -39,5 +39,5 @@ def test_minibatches_are_cut_by_index_and_by_mask() -> None:
 
 def test_there_may_be_more_slots_than_objects_and_no_scene_at_all() -> None:
     assert batch_of([SMALL, LARGE], num_slots=7)[0].mask.shape == (2, 7)
-    assert SceneBatch.from_scenes([], table(), num_slots=4).poses.shape == (0, 4, 4)
-    assert SceneBatch.from_scenes([scene()], table()).poses.shape == (1, 0, 4)
+    assert LayoutBatch.from_scenes([], table(), num_slots=4).poses.shape == (0, 4, 4)
+    assert LayoutBatch.from_scenes([scene()], table()).poses.shape == (1, 0, 4)

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from models.physics_corrector.geometry.sdf_atlas import SdfAtlas
-from stable_data.geometry.sdf.grid import Atlas, SdfGrid
+from stable_data.geometry.sdf.grid import GridAtlas, SdfGrid
 
 
 def sphere_grid(radius: float, shape: tuple[int, int, int], spacing: float) -> SdfGrid:
@@ -29,7 +29,7 @@ def points_around(count: int, spread: float = 1.0) -> tuple[torch.Tensor, torch.
 def test_it_reads_what_the_numpy_atlas_reads_inside_and_outside() -> None:
     index, points = points_around(400)
     value, gradient = SdfAtlas.from_grids(GRIDS).sample_with_gradient(index, points)
-    expected, slope = Atlas.from_grids(GRIDS).sample_with_gradient(index.numpy(), points.numpy())
+    expected, slope = GridAtlas.from_grids(GRIDS).sample_with_gradient(index.numpy(), points.numpy())
     np.testing.assert_allclose(value, expected, atol=2e-7)  # origins are float32
     np.testing.assert_allclose(gradient, slope, atol=2e-5)
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from models.physics_corrector.geometry.shape_tensors import STRETCH, ShapeTable, grids_from_rows
+from models.physics_corrector.geometry.shape_tensors import STRETCH, ShapeCollector, grids_from_rows
 from stable_data.assets.store import aspect_of, aspect_steps
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.sdf.exact import SignedDistance
@@ -102,7 +102,7 @@ def test_the_gradient_is_that_of_finite_differences_and_of_the_tuple() -> None:
 
 
 def test_one_shape_is_kept_once_and_one_aspect_has_one_grid() -> None:
-    shapes = ShapeTable(store())
+    shapes = ShapeCollector(store())
     objects = [
         thing("cube", (0, 0, 0, 0)),
         thing("cube", (1, 1, 1, 1)),
@@ -115,7 +115,7 @@ def test_one_shape_is_kept_once_and_one_aspect_has_one_grid() -> None:
 
 
 def test_a_box_stands_in_for_a_missing_mesh() -> None:
-    shapes = ShapeTable(store())
+    shapes = ShapeCollector(store())
     o = SceneObject("1_ghost_0", "ghost", (0, 0, 0), 0.0, (0.1, 0.2, 0.4))
     index = shapes.index(o, store().shape(o)[0])
     points = torch.tensor([[0.0, 0, 0], [0.05, 0, 0], [0, 0, 0.2], [0, 0.15, 0.0], [0.04, 0.0, 0.0]])
@@ -124,7 +124,7 @@ def test_a_box_stands_in_for_a_missing_mesh() -> None:
 
 
 def test_a_stand_in_may_be_flat() -> None:
-    shapes = ShapeTable(store())
+    shapes = ShapeCollector(store())
     o = SceneObject("1_ghost_0", "ghost", (0, 0, 0), 0.0, (0.1, 0.2, 0.0))
     index = shapes.index(o, store().shape(o)[0])
     read = shapes.geometry().signed_distance(torch.tensor([index]), torch.tensor([[0.0, 0.0, 0.05]]))
@@ -139,7 +139,7 @@ def test_grids_of_the_table_are_taken_instead_of_built() -> None:
     grids = grids_from_rows(schemas.arrow_table("sdf", [row]).to_pylist())
     assert grids.keys() == {("ball", steps)}
     np.testing.assert_array_equal(grids["ball", steps].values, grid.values)
-    shapes = ShapeTable(store(), grids=grids)
+    shapes = ShapeCollector(store(), grids=grids)
     o = thing("ball", (0, 0, 0, 0), scale=(0.7, 0.7, 0.7))
     index = shapes.index(o, store().shape(o)[0])
     read = shapes.geometry().signed_distance(torch.tensor([index]), torch.tensor([[0.0, 0.0, 0.05]]))

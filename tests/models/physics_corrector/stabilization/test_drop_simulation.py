@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from models.physics_corrector.certify import certify
 from models.physics_corrector.stabilization.container_insertion import hollow_of, is_inside, is_long, stood
-from models.physics_corrector.stabilization.drop_simulation import LetDown, leaning_in, let_down
+from models.physics_corrector.stabilization.drop_simulation import DropResult, leaning_in, let_down
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import audit_scene
 from stable_data.rotations import rotation_matrix, stood_on_end
@@ -34,7 +34,7 @@ def with_relations(built: Scene, kind: RelationKind, *pairs: tuple[str, str]) ->
     return replace(built, relations=tuple(Relation(a, kind, b) for a, b in pairs))
 
 
-def let_go(built: Scene, fixed: frozenset[str] = NONE) -> LetDown:
+def let_go(built: Scene, fixed: frozenset[str] = NONE) -> DropResult:
     return let_down(store().resolved(built)[0], {r.subject for r in built.relations}, fixed, store())
 
 
@@ -270,7 +270,7 @@ def test_what_was_let_down_goes_where_its_carrier_goes(x: float, y: float, z: fl
     built = scene(
         thing("plate", (0.5, 0.4, 0.005, 0.2)), thing("cube", (0.55, 0.4, 0.06, 0.7)), thing("ball", (0.1, 0.1, 0.05, 0))
     )
-    let = LetDown(built, {"cube": "plate"})
+    let = DropResult(built, {"cube": "plate"})
     moved = built.with_poses(np.add(built.poses(), [[x, y, z, yaw], [other, 0, 0, 1], [other, 0, 0, other]]))
     after = let.followed(moved)
     assert (after["plate"], after["ball"]) == (moved["plate"], moved["ball"])

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from models.physics_corrector.certify import CertifyOptions, Status
-from models.physics_corrector.corrector import Came, Correction, PhysicsCorrector
+from models.physics_corrector.certify import CertifyOptions, CorrectionStatus
+from models.physics_corrector.corrector import Correction, InputScene, PhysicsCorrector
 from models.physics_corrector.stabilization import stabilize
 from models.physics_corrector.stabilization.recorrection import put_elsewhere
 from models.physics_corrector.stabilization.stabilize import steadied
@@ -26,7 +26,7 @@ def tilted(degrees: float) -> QuatXyzw:
 def steady(given: Scene, fixed: frozenset[str] = frozenset(), *, places: int = 100) -> Correction:
     resolved, shapes, _ = store().resolved(given)
     corrector = PhysicsCorrector(options=CertifyOptions(places=places))
-    came = Came(resolved, shapes, audit_scene(resolved, shapes))
+    came = InputScene(resolved, shapes, audit_scene(resolved, shapes))
     return steadied(corrector, corrector.certified(resolved, shapes, came.audit, None, fixed), came, fixed, store())
 
 
@@ -94,7 +94,7 @@ def test_background_that_nothing_keeps_still_is_left_out(stage: Stage) -> None:
     done = steady(scene(PLATE, replace(POLE, stage=stage)))
     assert done.certified is not None
     assert [o.instance for o in done.certified.objects] == ["plate"]
-    assert (done.status, [d.instance for d in done.dropped]) == (Status.DROPPED, ["cube"])
+    assert (done.status, [d.instance for d in done.dropped]) == (CorrectionStatus.DROPPED, ["cube"])
     assert "cube" in done.reason
     assert done.rest is not None
     assert done.rest.stable

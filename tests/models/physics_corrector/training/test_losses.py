@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.corrector_losses import all_pairs, copied_losses, our_losses, with_cubes
-from models.physics_corrector.geometry.scene_batch import SceneBatch
-from models.physics_corrector.geometry.shape_tensors import Geometry, ShapeTable
+from models.physics_corrector.geometry.scene_batch import LayoutBatch
+from models.physics_corrector.geometry.shape_tensors import ShapeCollector, ShapeTensors
 from models.physics_corrector.training.losses import (
     LossSettings,
     PhysicsLosses,
@@ -24,7 +24,7 @@ from models.physics_corrector.training.losses import (
     support,
 )
 from stable_data.assets.store import AssetStore
-from stable_data.embedded_world import World, write_world
+from stable_data.embedded_world import EmbeddedWorld, write_world
 from stable_data.mesatask import MesaTaskDataset
 from tests.models.physics_corrector.geometry.shapes import RADIUS, SIDE, batch_of, scene, thing
 
@@ -34,7 +34,7 @@ ALL = LossSettings(bounds_weight=1.0, clearance=2e-3)
 NAMES = ("ball", "cube", "plate", "bowl", "cube_2", "cloth")
 
 
-def shaken(seed: int, num_scenes: int = 2, num_slots: int = 0, spread: float = 0.1) -> tuple[SceneBatch, Geometry]:
+def shaken(seed: int, num_scenes: int = 2, num_slots: int = 0, spread: float = 0.1) -> tuple[LayoutBatch, ShapeTensors]:
     """Scenes of all shapes, piled up so that they collide, float, sink and stick out."""
     rng = np.random.default_rng(seed)
     scenes = []
@@ -46,7 +46,7 @@ def shaken(seed: int, num_scenes: int = 2, num_slots: int = 0, spread: float = 0
     return batch_of(scenes, num_slots=num_slots)
 
 
-def total(batch: SceneBatch, geometry: Geometry, chosen: LossSettings = ALL) -> tuple[torch.Tensor, torch.Tensor]:
+def total(batch: LayoutBatch, geometry: ShapeTensors, chosen: LossSettings = ALL) -> tuple[torch.Tensor, torch.Tensor]:
     """Weighted losses (B,) and their gradient (B, N, 4), float64."""
     poses = batch.poses.double().requires_grad_()
     losses = physics_losses(poses, batch, geometry, chosen).weighted(chosen)
@@ -54,7 +54,7 @@ def total(batch: SceneBatch, geometry: Geometry, chosen: LossSettings = ALL) -> 
     return losses.detach(), gradient
 
 
-def terms(batch: SceneBatch, geometry: Geometry, chosen: LossSettings = PAPER) -> PhysicsLosses:
+def terms(batch: LayoutBatch, geometry: ShapeTensors, chosen: LossSettings = PAPER) -> PhysicsLosses:
     """The losses, lengths in metres."""
     return physics_losses(batch.poses.double(), batch, geometry, replace(chosen, length_unit=1.0))
 
@@ -249,10 +249,10 @@ def test_scenes_without_objects_cost_nothing() -> None:
 
 @pytest.mark.slow
 def test_physically_clean_scenes_cost_nearly_nothing(tmp_path: Path) -> None:
-    write_world(tmp_path, 3, World(pictures=False))
+    write_world(tmp_path, 3, EmbeddedWorld(pictures=False))
     dataset = MesaTaskDataset(tmp_path)
-    shapes = ShapeTable(AssetStore(dataset))
-    batch = SceneBatch.from_scenes([dataset.read(scene_id)[0] for scene_id in dataset.scene_ids], shapes)
+    shapes = ShapeCollector(AssetStore(dataset))
+    batch = LayoutBatch.from_scenes([dataset.read(scene_id)[0] for scene_id in dataset.scene_ids], shapes)
     losses = physics_losses(batch.poses, batch, shapes.geometry(), LossSettings(length_unit=1e-3, bounds_weight=1))
     for value in (losses.object_object, losses.object_table, losses.support, losses.bounds):
         assert value.sqrt().max() < 0.5  # millimetres

@@ -5,7 +5,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.physics_corrector.geometry.scene_batch import SceneBatch
+from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.training.movement_losses import _linked, movement, order
 from stable_data.scene import RelationKind
 from stable_data.scene_graph.relations import scene_graph
@@ -48,7 +48,7 @@ def test_movement_does_not_care_who_goes() -> None:
     assert movement(one, BATCH.poses, BATCH) == pytest.approx(movement(two, BATCH.poses, BATCH), abs=3e-3)
 
 
-def balls(*places: tuple[float, float]) -> SceneBatch:
+def balls(*places: tuple[float, float]) -> LayoutBatch:
     return batch_of([scene(*(thing(f"ball_{n}", (x, y, RADIUS, 0.0)) for n, (x, y) in enumerate(places)))])[0]
 
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from models.physics_corrector.geometry.scene_batch import SceneBatch
+from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.training.perturbation import KINDS, Kind, PerturbationSettings, perturb, reassign
 from stable_data.errors import ConfigError
 from tests.models.physics_corrector.geometry.shapes import RADIUS
@@ -19,11 +19,11 @@ def generator(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
-def repeated(count: int) -> SceneBatch:
+def repeated(count: int) -> LayoutBatch:
     return rows(1).take(torch.zeros(count, dtype=torch.int64))
 
 
-def moves(batch: SceneBatch, settings: PerturbationSettings, kind: Kind, seed: int = 0) -> Tensor:
+def moves(batch: LayoutBatch, settings: PerturbationSettings, kind: Kind, seed: int = 0) -> Tensor:
     return perturb(batch, settings, generator(seed), kind)[0] - batch.poses
 
 

@@ -5,25 +5,25 @@ import pytest
 import torch
 
 from models.physics_corrector.flow.checkpoint import save_corrector
-from models.physics_corrector.flow.flow_matching import Flow
+from models.physics_corrector.flow.flow_matching import FlowMatching
 from models.physics_corrector.training.losses import LossSettings
-from models.physics_corrector.training.settings import NEAR, PhysicsSchedule, TrainingSettings, training_preset
-from models.physics_corrector.training.trainer import Training, train
-from models.training.distributed import Place
+from models.physics_corrector.training.settings import NEAR, CorrectorTrainingSettings, PhysicsSchedule, training_preset
+from models.physics_corrector.training.trainer import CorrectorTrainer, train
+from models.training.distributed import ProcessContext
 from stable_data.errors import ConfigError
 from tests.models.physics_corrector.training.training_scenes import TINY, training_set
 
 DATA = training_set()
 
 
-def trained(settings: TrainingSettings, steps: int, training: Training | None = None) -> Training:
-    training = Training(DATA, settings) if training is None else training
+def trained(settings: CorrectorTrainingSettings, steps: int, training: CorrectorTrainer | None = None) -> CorrectorTrainer:
+    training = CorrectorTrainer(DATA, settings) if training is None else training
     count = iter(range(steps + 1))
     train(training, wants_stop=lambda: next(count) >= steps - 1, after=lambda *_: None)
     return training
 
 
-def content(training: Training, path: Path) -> bytes:
+def content(training: CorrectorTrainer, path: Path) -> bytes:
     save_corrector(path, training.settings.corrector, training.average)
     return path.read_bytes()
 
@@ -35,7 +35,7 @@ def test_a_run_that_was_killed_and_resumed_gives_the_same_bytes(tmp_path: Path, 
     first = trained(settings, 3)
     first.save(tmp_path / "state.pt")
     trained(settings, 2, first)  # lost: it was killed before it was kept
-    second = Training(DATA, settings)
+    second = CorrectorTrainer(DATA, settings)
     assert second.resume(tmp_path / "state.pt")
     assert second.step == 3
     trained(settings, 8, second)
@@ -44,31 +44,31 @@ def test_a_run_that_was_killed_and_resumed_gives_the_same_bytes(tmp_path: Path, 
 
 
 def test_there_may_be_nothing_to_resume(tmp_path: Path) -> None:
-    assert not Training(DATA, TINY).resume(tmp_path / "state.pt")
+    assert not CorrectorTrainer(DATA, TINY).resume(tmp_path / "state.pt")
 
 
 def test_a_checkpoint_of_other_settings_or_data_is_refused(tmp_path: Path) -> None:
     trained(TINY, 1).save(tmp_path / "state.pt")
     other = replace(TINY, learning_rate=1e-5)
     with pytest.raises(ConfigError, match=r"learning_rate: 0.003 -> 1e-05"):
-        Training(DATA, other).resume(tmp_path / "state.pt")
+        CorrectorTrainer(DATA, other).resume(tmp_path / "state.pt")
     with pytest.raises(ConfigError, match=r"encoder:  -> another"):
-        Training(replace(DATA, encoder="another"), TINY).resume(tmp_path / "state.pt")
+        CorrectorTrainer(replace(DATA, encoder="another"), TINY).resume(tmp_path / "state.pt")
     (tmp_path / "state.pt").write_bytes(b"PK nothing")
     with pytest.raises(ConfigError, match="cannot be read"):
-        Training(DATA, TINY).resume(tmp_path / "state.pt")
+        CorrectorTrainer(DATA, TINY).resume(tmp_path / "state.pt")
 
 
 def test_the_loss_goes_down() -> None:
     settings = replace(TINY, steps=60, batch_size=12, chunk=12)
-    training, losses = Training(DATA, settings), []
+    training, losses = CorrectorTrainer(DATA, settings), []
     train(training, wants_stop=lambda: False, after=lambda _, figures: losses.append(figures["flow"]))
     assert training.step == 60
     assert sum(losses[-15:]) < 0.6 * sum(losses[:15])
 
 
 def test_only_the_training_split_is_drawn_and_each_pass_once() -> None:
-    training = Training(DATA, replace(TINY, batch_size=4))
+    training = CorrectorTrainer(DATA, replace(TINY, batch_size=4))
     drawn = []
     for step in range(6):
         training.step = step
@@ -80,15 +80,15 @@ def test_only_the_training_split_is_drawn_and_each_pass_once() -> None:
 
 def test_gradients_of_chunks_add_up_to_those_of_the_step() -> None:
     """The mean over objects and scenes does not depend on how a step is cut, but for its draws."""
-    training = Training(DATA, replace(TINY, batch_size=6, chunk=2))
+    training = CorrectorTrainer(DATA, replace(TINY, batch_size=6, chunk=2))
     shares = [share for _, share, _ in training._chunks()]
     assert len(shares) == 3
     assert sum(shares) == pytest.approx(1.0)
 
 
 def test_processes_share_the_chunks_of_a_step() -> None:
-    alone = list(Training(DATA, TINY)._chunks())
-    shared = [list(Training(DATA, TINY, Place(rank=rank, world_size=2))._chunks()) for rank in range(2)]
+    alone = list(CorrectorTrainer(DATA, TINY)._chunks())
+    shared = [list(CorrectorTrainer(DATA, TINY, ProcessContext(rank=rank, world_size=2))._chunks()) for rank in range(2)]
     merged = [shared[n % 2][n // 2] for n in range(len(alone))]
     for (one, share, generator), (other, same, like) in zip(alone, merged, strict=True):
         assert torch.equal(one.poses, other.poses)
@@ -99,7 +99,7 @@ def test_processes_share_the_chunks_of_a_step() -> None:
 def test_physics_counts_from_its_start_and_grows() -> None:
     settings = replace(TINY, physics=PhysicsSchedule(share=1.0, from_time=0.0, start=2, ramp=4))
     assert [settings.physics_at(step) for step in range(7)] == [0, 0, 0.25, 0.5, 0.75, 1, 1]
-    training = Training(DATA, settings)
+    training = CorrectorTrainer(DATA, settings)
     figures = [training.advance()[0] for _ in range(4)]
     assert [f["physics"] > 0 for f in figures] == [False, False, True, True]
     assert all(f["total"] == pytest.approx(f["flow"] + f["physics"], rel=1e-4) for f in figures)
@@ -111,7 +111,7 @@ def test_a_share_of_the_scenes_stands_for_all_of_them() -> None:
 
     def mean(share: float) -> float:
         schedule = PhysicsSchedule(share=share, from_time=0.0)
-        training = Training(DATA, replace(TINY, batch_size=32, chunk=32, learning_rate=1e-12, physics=schedule))
+        training = CorrectorTrainer(DATA, replace(TINY, batch_size=32, chunk=32, learning_rate=1e-12, physics=schedule))
         return sum(training.advance()[0]["object_table"] for _ in range(30)) / 30
 
     assert mean(0.25) == pytest.approx(mean(1.0), rel=0.35)
@@ -164,7 +164,7 @@ def test_box_features_make_a_network_that_reads_none() -> None:
 
 
 def test_a_loss_that_is_not_finite_stops_the_training() -> None:
-    training = Training(DATA, TINY)
+    training = CorrectorTrainer(DATA, TINY)
     with torch.no_grad():
         training.network.state_dict()["head.1.bias"].fill_(float("nan"))
     with pytest.raises(ConfigError, match="not finite"):
@@ -173,14 +173,14 @@ def test_a_loss_that_is_not_finite_stops_the_training() -> None:
 
 def test_training_makes_a_corrector_that_moves_things_where_they_belong() -> None:
     """Overfitted on two scenes, raw samples are nearer to the targets than what they came from."""
-    from models.physics_corrector.training.validation import HeldOut, validation_card
+    from models.physics_corrector.training.validation import ValidationScenes, validation_card
 
     data = training_set(2, 1)
     settings = replace(TINY, steps=150, batch_size=16, chunk=16, learning_rate=5e-3, cool_down=0.5).resolved(2)
-    training = Training(data, settings)
+    training = CorrectorTrainer(data, settings)
     train(training, wants_stop=lambda: False, after=lambda *_: None)
-    held_out = HeldOut(data, torch.tensor([0, 1, 0, 1, 0, 1]))
-    assert isinstance(training.flow, Flow)
+    held_out = ValidationScenes(data, torch.tensor([0, 1, 0, 1, 0, 1]))
+    assert isinstance(training.flow, FlowMatching)
     card = validation_card(training.averaged(), training.flow, held_out, settings.perturbation, 0, ("jitter",))["jitter"]
     before, after = card["coarse"]["target_distance_mm"], card["raw"]["target_distance_mm"]
     assert before is not None
@@ -191,7 +191,7 @@ def test_training_makes_a_corrector_that_moves_things_where_they_belong() -> Non
 def test_a_limit_lets_large_losses_count_as_their_logarithm() -> None:
     def figures(limit: float) -> dict[str, float]:
         schedule = PhysicsSchedule(share=1.0, from_time=0.0, limit=limit)
-        return Training(DATA, replace(TINY, physics=schedule)).advance()[0]
+        return CorrectorTrainer(DATA, replace(TINY, physics=schedule)).advance()[0]
 
     plain, small, large = figures(0.0), figures(1e-4), figures(1e6)
     assert large["physics"] == pytest.approx(plain["physics"], rel=1e-3)
@@ -220,9 +220,9 @@ def test_nearness_counts_on_sampled_poses_alone() -> None:
         replace(TINY, losses=bare, physics=replace(SAMPLED, unroll_share=0.5))
 
 
-def trained_network(settings: TrainingSettings) -> Training:
+def trained_network(settings: CorrectorTrainingSettings) -> CorrectorTrainer:
     """A training whose network moves things: an untrained one leaves them where they are."""
-    training = Training(DATA, settings)
+    training = CorrectorTrainer(DATA, settings)
     with torch.no_grad():
         training.network.state_dict()["head.1.weight"].normal_(0, 0.5, generator=torch.Generator().manual_seed(0))
     return training
@@ -237,7 +237,7 @@ def test_a_price_on_movement_keeps_things_where_they_are() -> None:
 
 def test_the_flow_counts_by_its_weight() -> None:
     def flow(weight: float) -> float:
-        return Training(DATA, replace(TINY, losses=LossSettings(flow_weight=weight))).advance()[0]["flow"]
+        return CorrectorTrainer(DATA, replace(TINY, losses=LossSettings(flow_weight=weight))).advance()[0]["flow"]
 
     assert flow(0.25) == pytest.approx(0.25 * flow(1.0))
 
@@ -246,23 +246,23 @@ def test_training_starts_from_the_weights_that_it_is_given(tmp_path: Path) -> No
     first = trained(TINY, 3)
     path = tmp_path / "first.safetensors"
     save_corrector(path, TINY.corrector, first.average)
-    second = Training(DATA, replace(TINY, initial=str(path), learning_rate=1e-4))
+    second = CorrectorTrainer(DATA, replace(TINY, initial=str(path), learning_rate=1e-4))
     for name, value in first.average.items():
         assert torch.equal(second.network.state_dict()[name], value)
         assert torch.equal(second.average[name], value)
     second.advance()
     assert not torch.equal(second.network.state_dict()["head.1.bias"], first.average["head.1.bias"])
     fewer_steps = replace(TINY.corrector, flow=replace(TINY.corrector.flow, steps=2))
-    Training(DATA, replace(TINY, initial=str(path), corrector=fewer_steps))  # how the flow is followed may differ
+    CorrectorTrainer(DATA, replace(TINY, initial=str(path), corrector=fewer_steps))  # how the flow is followed may differ
 
 
 def test_weights_of_another_network_or_encoder_are_no_start(tmp_path: Path) -> None:
     path = tmp_path / "first.safetensors"
-    save_corrector(path, TINY.corrector, Training(DATA, TINY).average, {"encoder_fingerprint": "another"})
+    save_corrector(path, TINY.corrector, CorrectorTrainer(DATA, TINY).average, {"encoder_fingerprint": "another"})
     with pytest.raises(ConfigError, match="encoder another"):
-        Training(DATA, replace(TINY, initial=str(path)))
+        CorrectorTrainer(DATA, replace(TINY, initial=str(path)))
     wider = replace(TINY.corrector, network=replace(TINY.corrector.network, levels=3))
     with pytest.raises(ConfigError, match=r"levels: 2 -> 3"):
-        Training(DATA, replace(TINY, initial=str(path), corrector=wider))
+        CorrectorTrainer(DATA, replace(TINY, initial=str(path), corrector=wider))
     with pytest.raises(ConfigError, match="cannot be read"):
-        Training(DATA, replace(TINY, initial=str(tmp_path / "none.safetensors")))
+        CorrectorTrainer(DATA, replace(TINY, initial=str(tmp_path / "none.safetensors")))

@@ -5,21 +5,21 @@ from dataclasses import replace
 import torch
 
 from models.physics_corrector.flow.presets import CorrectorSettings
-from models.physics_corrector.flow.velocity_network import NetworkSettings
-from models.physics_corrector.geometry.scene_batch import SceneBatch
+from models.physics_corrector.flow.velocity_network import VelocityNetworkSettings
+from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.training.dataset import TrainingSet
-from models.physics_corrector.training.settings import TrainingSettings
+from models.physics_corrector.training.settings import CorrectorTrainingSettings
 from stable_data.scene import Scene
 from tests.models.physics_corrector.geometry.shapes import RADIUS, SIDE, batch_of, scene, thing
 
-TINY = TrainingSettings(
+TINY = CorrectorTrainingSettings(
     steps=8,
     batch_size=8,
     chunk=3,
     learning_rate=3e-3,
     features="box",
     corrector=CorrectorSettings(
-        NetworkSettings(
+        VelocityNetworkSettings(
             "set_transformer",
             channels=32,
             levels=2,
@@ -50,7 +50,7 @@ def row(number: int) -> Scene:
 STAGES = torch.tensor([0, 1, 1, 2, 2])
 
 
-def rows(count: int, num_slots: int = 6) -> SceneBatch:
+def rows(count: int, num_slots: int = 6) -> LayoutBatch:
     return batch_of([row(n) for n in range(count)], num_slots=num_slots)[0]
 
 
@@ -63,7 +63,7 @@ def training_set(count: int = 6, held_out: int = 2) -> TrainingSet:
     return TrainingSet(batch, geometry, stage, split, tuple(f"row-{n}" for n in range(len(scenes))), {}, "made up")
 
 
-def with_fixed(batch: SceneBatch, place: int) -> SceneBatch:
+def with_fixed(batch: LayoutBatch, place: int) -> LayoutBatch:
     is_fixed = batch.is_fixed.clone()
     is_fixed[:, place] = True
     return replace(batch, is_fixed=is_fixed)

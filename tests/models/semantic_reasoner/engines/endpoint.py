@@ -14,12 +14,12 @@ from typing import Any
 
 from models.semantic_reasoner.engines.http_settings import HttpSettings
 from models.semantic_reasoner.engines.protocol import Request
-from models.semantic_reasoner.replies.grammar import ReplyForm
+from models.semantic_reasoner.replies.grammar import ReplyGrammar
 
-FORM = ReplyForm(120.0, 60.0)
+FORM = ReplyGrammar(120.0, 60.0)
 
 
-def ask(words: str, seed: int = 0, form: ReplyForm = FORM) -> Request:
+def ask(words: str, seed: int = 0, form: ReplyGrammar = FORM) -> Request:
     return Request(({"role": "user", "content": words},), form, seed)
 
 

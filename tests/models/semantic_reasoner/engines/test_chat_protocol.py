@@ -19,8 +19,8 @@ from models.semantic_reasoner.engines.chat_protocol import (
     strict_schema,
 )
 from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling
-from models.semantic_reasoner.language.required_objects import Required
-from models.semantic_reasoner.replies.grammar import ReplyForm
+from models.semantic_reasoner.language.required_objects import ObjectRequirement
+from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from models.semantic_reasoner.text.reply_json import LayoutObject, render_objects
 
 BEST = {name: ways[0] for name, ways in SPELLINGS.items()}
@@ -32,14 +32,14 @@ JSON = st.recursive(
     max_leaves=20,
 )
 FORMS = st.builds(
-    ReplyForm,
+    ReplyGrammar,
     st.integers(100, 3000).map(lambda mm: mm / 10),
     st.integers(100, 3000).map(lambda mm: mm / 10),
     st.booleans(),
     st.lists(st.sampled_from(["mug_0", "plate_1"]), unique=True).map(tuple),
     st.integers(0, 2),
     st.integers(2, 9),
-    st.sampled_from([(), (Required("both mugs", ("mug", "teacup"), 2), Required("in it", ()))]),
+    st.sampled_from([(), (ObjectRequirement("both mugs", ("mug", "teacup"), 2), ObjectRequirement("in it", ()))]),
 )
 
 
@@ -83,7 +83,7 @@ def test_any_body_is_a_request_or_a_clear_error(body: Any) -> None:
 
 @given(FORMS, st.integers(0, 2**63 - 1), st.floats(0, 2), st.floats(0, 1), st.integers(0, 100), st.integers(1, 9999))
 def test_what_is_sent_with_its_form_arrives(
-    form: ReplyForm, seed: int, temperature: float, top_p: float, top_k: int, longest: int
+    form: ReplyGrammar, seed: int, temperature: float, top_p: float, top_k: int, longest: int
 ) -> None:
     request = Request(({"role": "system", "content": "s"}, {"role": "user", "content": "é"}), form, seed)
     sampling = Sampling(temperature, top_p, top_k, longest)
@@ -93,7 +93,7 @@ def test_what_is_sent_with_its_form_arrives(
 
 
 @given(FORMS)
-def test_without_the_form_the_schema_gives_one_that_is_no_narrower(form: ReplyForm) -> None:
+def test_without_the_form_the_schema_gives_one_that_is_no_narrower(form: ReplyGrammar) -> None:
     request = Request(({"role": "user", "content": "x"},), form)
     arrived = request_of(request_body("m", request, Sampling(), BEST, with_form=False), Sampling())[0].form
     assert (arrived.at_least, arrived.at_most) == (form.at_least, form.at_most)
@@ -106,7 +106,7 @@ def test_without_the_form_the_schema_gives_one_that_is_no_narrower(form: ReplyFo
 @pytest.mark.parametrize("asks", [None, [{}], [{"words": "x", "categories": ["a|b"], "at_least": 1}]])
 def test_a_form_that_asks_for_what_is_no_category_is_refused(asks: Any) -> None:
     body = request_body(
-        "m", Request(({"role": "user", "content": "x"},), ReplyForm(90.0, 60.0)), Sampling(), BEST, with_form=True
+        "m", Request(({"role": "user", "content": "x"},), ReplyGrammar(90.0, 60.0)), Sampling(), BEST, with_form=True
     )
     body["stable_data"]["form"]["asks"] = asks
     with pytest.raises(ValueError, match="form"):
@@ -121,7 +121,7 @@ def test_a_request_without_a_form_may_have_any_layout() -> None:
 
 
 def test_the_strict_schema_has_no_keyword_that_openai_refuses_and_takes_every_reply() -> None:
-    form = ReplyForm(120.0, 60.0, edits=True, names=("mug_0",), at_least=1)
+    form = ReplyGrammar(120.0, 60.0, edits=True, names=("mug_0",), at_least=1)
     schema = strict_schema(form.schema())
     assert {"minLength", "maxLength"}.isdisjoint(_keywords(schema))
     assert {"minItems", "maximum", "pattern", "enum", "additionalProperties", "required"} <= _keywords(schema)

@@ -20,7 +20,7 @@ from models.semantic_reasoner.engines.http_engine import HttpEngine
 from models.semantic_reasoner.engines.http_settings import HttpSettings
 from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling
 from models.semantic_reasoner.engines.scripted_engine import ScriptedEngine
-from models.semantic_reasoner.replies.grammar import ReplyForm
+from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from stable_data.errors import ConfigError
 from tests.models.semantic_reasoner.engines.endpoint import ask
 
@@ -37,7 +37,7 @@ def test_an_engine_behind_the_server_answers_as_the_engine_itself() -> None:
     requests = [
         Request(
             ({"role": "system", "content": "s"}, {"role": "user", "content": f"request {k}"}),
-            ReplyForm(100.0 + k, 60.0, k % 2 == 0, ("mug_0",) * (k % 3 == 0), k % 3, 9),
+            ReplyGrammar(100.0 + k, 60.0, k % 2 == 0, ("mug_0",) * (k % 3 == 0), k % 3, 9),
             seed=k * 2**50,
         )
         for k in range(40)
@@ -155,7 +155,7 @@ def test_what_is_no_request_gets_a_clear_error(body: Any, status: int, words: st
 
 def test_a_schema_is_taken_and_its_limits_reach_the_engine() -> None:
     engine = ScriptedEngine(script)
-    form = ReplyForm(120.0, 60.0, True, ("mug_0",), 1, 5)
+    form = ReplyGrammar(120.0, 60.0, True, ("mug_0",), 1, 5)
     with serve(engine) as server:
         HttpEngine(server.settings(sends_form=False)).complete([ask("x", form=form)])
     (request,) = engine.requests

@@ -15,21 +15,21 @@ from models.semantic_reasoner.engines.http_settings import HttpSettings
 from models.semantic_reasoner.engines.protocol import Completion, Engine, Request, Sampling
 from models.semantic_reasoner.engines.registry import EMBEDDED, EngineSettings, load_engine
 from models.semantic_reasoner.engines.scripted_engine import ScriptedEngine
-from models.semantic_reasoner.replies.grammar import HIGHEST_CM, ReplyForm
+from models.semantic_reasoner.replies.grammar import HIGHEST_CM, ReplyGrammar
 from models.semantic_reasoner.replies.to_scene import accepted
-from models.semantic_reasoner.text.prompt import Ask, messages, question
+from models.semantic_reasoner.text.prompt import ReasonerQuestion, messages, question
 from models.semantic_reasoner.text.reply_json import LayoutObject, parse_reply, render_objects
 from models.semantic_reasoner.text.tokenizer import train_tokenizer
 from models.semantic_reasoner.training.network import new_network
-from models.semantic_reasoner.training.settings import NetworkSettings
+from models.semantic_reasoner.training.settings import LanguageModelSettings
 from stable_data.errors import ConfigError, SceneError
 from stable_data.scene import Stage, Tabletop
 
 TABLE = Tabletop("office_table", (1.12, 0.593))
-ASK = Ask("Put the red mug on the plate.", TABLE, Stage.TASK)
-FORM = ReplyForm.of_table(TABLE, at_least=1, at_most=1)
+ASK = ReasonerQuestion("Put the red mug on the plate.", TABLE, Stage.TASK)
+FORM = ReplyGrammar.of_table(TABLE, at_least=1, at_most=1)
 SHORT = Sampling(max_tokens=300)
-TINY = NetworkSettings(hidden=32, layers=2, heads=4, key_value_heads=2, head=8, intermediate=64, vocabulary=300)
+TINY = LanguageModelSettings(hidden=32, layers=2, heads=4, key_value_heads=2, head=8, intermediate=64, vocabulary=300)
 MUG = LayoutObject("mug_0", "a red mug", (9.0, 8.4, 10.0), (20.0, 30.5, 5.0), -15)
 KINDS = ["embedded", "transformers", "openai", "scripted", "vllm"]
 
@@ -91,7 +91,7 @@ def embedded() -> Engine:
     return load_engine(EngineSettings(sampling=SHORT))
 
 
-def request(seed: int, ask: Ask = ASK) -> Request:
+def request(seed: int, ask: ReasonerQuestion = ASK) -> Request:
     return Request(tuple(messages(ask)), FORM, seed)
 
 

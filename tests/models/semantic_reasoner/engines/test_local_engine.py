@@ -15,26 +15,26 @@ from models.semantic_reasoner.engines.local_engine import LocalEngine, _Sequence
 from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling
 from models.semantic_reasoner.engines.qwen3_step import Qwen3Step
 from models.semantic_reasoner.engines.vllm_engine import VllmEngine
-from models.semantic_reasoner.language.required_objects import Required
-from models.semantic_reasoner.replies.grammar import ReplyForm
-from models.semantic_reasoner.text.prompt import Ask, messages, question
+from models.semantic_reasoner.language.required_objects import ObjectRequirement
+from models.semantic_reasoner.replies.grammar import ReplyGrammar
+from models.semantic_reasoner.text.prompt import ReasonerQuestion, messages, question
 from models.semantic_reasoner.text.reply_json import LayoutObject, parse_reply, render_objects
 from models.semantic_reasoner.text.tokenizer import train_tokenizer
 from models.semantic_reasoner.training.network import new_network
-from models.semantic_reasoner.training.settings import NetworkSettings
+from models.semantic_reasoner.training.settings import LanguageModelSettings
 from stable_data.errors import ConfigError
 from stable_data.scene import Stage, Tabletop
 
-TINY = NetworkSettings(hidden=32, layers=2, heads=4, key_value_heads=2, head=8, intermediate=64, vocabulary=300)
+TINY = LanguageModelSettings(hidden=32, layers=2, heads=4, key_value_heads=2, head=8, intermediate=64, vocabulary=300)
 TABLE = Tabletop("office_table", (1.12, 0.593))
-FORM = ReplyForm.of_table(TABLE, at_most=2)
+FORM = ReplyGrammar.of_table(TABLE, at_most=2)
 SHORT = Sampling(max_tokens=400)
 MUG = LayoutObject("mug_0", "a red mug", (9.0, 8.4, 10.0), (20.0, 30.5, 5.0), -15)
 
 
 @pytest.fixture(scope="module")
 def tokenizer() -> PreTrainedTokenizerFast:
-    ask = Ask("Put the red mug on the table.", TABLE, Stage.TASK)
+    ask = ReasonerQuestion("Put the red mug on the table.", TABLE, Stage.TASK)
     return train_tokenizer([question(ask), render_objects([MUG])] * 4, 300)
 
 
@@ -43,8 +43,8 @@ def network(tokenizer: PreTrainedTokenizerFast) -> Qwen3ForCausalLM:
     return new_network(TINY, tokenizer, 1024, seed=3).eval()
 
 
-def request(seed: int, words: str = "Put the red mug on the table.", form: ReplyForm = FORM) -> Request:
-    return Request(tuple(messages(Ask(words, TABLE, Stage.TASK))), form, seed)
+def request(seed: int, words: str = "Put the red mug on the table.", form: ReplyGrammar = FORM) -> Request:
+    return Request(tuple(messages(ReasonerQuestion(words, TABLE, Stage.TASK))), form, seed)
 
 
 @torch.no_grad()
@@ -129,7 +129,7 @@ def test_a_reply_depends_on_its_seed_and_not_on_its_neighbours(
     assert len({c.text for c in LocalEngine(network, tokenizer, "tiny", SHORT).complete([request(s) for s in range(6)])}) > 1
 
 
-ASKS = (Required("two mugs", ("mug", "teacup"), 2), Required("the pen", ("pen",)))
+ASKS = (ObjectRequirement("two mugs", ("mug", "teacup"), 2), ObjectRequirement("the pen", ("pen",)))
 
 
 def test_a_reply_does_not_end_without_what_its_form_asks_for(
@@ -143,7 +143,7 @@ def test_a_reply_does_not_end_without_what_its_form_asks_for(
             logits[:, tokenizer.convert_tokens_to_ids('","size":[')] += 9
             return super()._drawn(logits, active)
 
-    form = ReplyForm.of_table(TABLE, at_most=5, asks=ASKS)
+    form = ReplyGrammar.of_table(TABLE, at_most=5, asks=ASKS)
     engine = Brief(network, tokenizer, "tiny", replace(SHORT, max_tokens=900), num_slots=4)
     said = [c for c in engine.complete([request(seed, form=form) for seed in range(12)]) if not c.code]
     assert len(said) > 3
@@ -167,7 +167,7 @@ def test_an_end_is_taken_back_by_whole_tokens(
     whole = render_objects([MUG] * count)
     reply = words(whole, add_special_tokens=False)["input_ids"]
     sequence = _Sequence(
-        0, [1], ReplyForm.of_table(TABLE, asks=ASKS), engine._matcher(FORM.grammar()), default_rng(0), [*reply]
+        0, [1], ReplyGrammar.of_table(TABLE, asks=ASKS), engine._matcher(FORM.grammar()), default_rng(0), [*reply]
     )
     assert engine._goes_on(sequence)
     kept = engine._text(sequence.reply)
@@ -193,7 +193,7 @@ def letters_tokenizer() -> PreTrainedTokenizerFast:
 def test_lists_end_at_the_model_s_own_odds(network: Qwen3ForCausalLM, tokenizer: PreTrainedTokenizerFast) -> None:
     """A temperature under 1 and ``top_p`` would cut an end of 6 % away."""
     engine = LocalEngine(network, tokenizer, "tiny", Sampling(temperature=0.5, top_p=0.9))
-    form = ReplyForm.of_table(TABLE)
+    form = ReplyGrammar.of_table(TABLE)
     end, more = (tokenizer.convert_tokens_to_ids(word) for word in ("}]}", '},{"instance":"'))
     logits = torch.full((1, engine._vocabulary), -9.0)
     logits[0, end], logits[0, more] = math.log(0.06), math.log(0.94)
@@ -211,7 +211,7 @@ def test_lists_end_at_the_model_s_own_odds(network: Qwen3ForCausalLM, tokenizer:
 def test_the_likeliest_reply_is_that_of_generate(network: Qwen3ForCausalLM, tokenizer: PreTrainedTokenizerFast) -> None:
     """Greedy and unbound, against the library's own loop."""
     chat = tokenizer.apply_chat_template(
-        messages(Ask("Put it.", TABLE, Stage.TASK)), tokenize=False, add_generation_prompt=True
+        messages(ReasonerQuestion("Put it.", TABLE, Stage.TASK)), tokenize=False, add_generation_prompt=True
     )
     ids = torch.tensor([tokenizer(chat)["input_ids"]])
     told = network.generate(ids, max_new_tokens=40, do_sample=False, attention_mask=torch.ones_like(ids))[0, ids.shape[1] :]

@@ -16,7 +16,7 @@ from models.semantic_reasoner.engines.http_engine import HttpEngine
 from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling
 from models.semantic_reasoner.engines.response_cache import CachedEngine, ResponseCache
 from models.semantic_reasoner.engines.scripted_engine import ScriptedEngine
-from models.semantic_reasoner.replies.grammar import ReplyForm
+from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from stable_data.errors import ConfigError
 from tests.models.semantic_reasoner.engines.endpoint import Act, ask, endpoint, said
 
@@ -45,7 +45,7 @@ def test_a_replay_is_equal_and_asks_nothing(tmp_path: Path) -> None:
 
 def test_all_that_shapes_a_reply_is_in_the_key() -> None:
     request = ask("x")
-    other_form = Request(request.messages, ReplyForm(119.0, 60.0))
+    other_form = Request(request.messages, ReplyGrammar(119.0, 60.0))
     keys = {
         ResponseCache.key("e", SAMPLING, request),
         ResponseCache.key("f", SAMPLING, request),

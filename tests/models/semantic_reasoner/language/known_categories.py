@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
-from models.semantic_reasoner.text.prompt import Ask, Wanted
+from models.semantic_reasoner.text.prompt import ReasonerQuestion, Wanted
 from models.semantic_reasoner.text.reply_json import LayoutObject
 from stable_data.scene import Rectangle, Stage, Tabletop, Vec3
 
@@ -110,5 +110,5 @@ def ask(
     size_xy: tuple[float, float] = (1.2, 0.6),
     zone: Rectangle | None = None,
     table_type: str = "office_table",
-) -> Ask:
-    return Ask(instruction, Tabletop(table_type, size_xy, zone), wanted, tuple(layout))
+) -> ReasonerQuestion:
+    return ReasonerQuestion(instruction, Tabletop(table_type, size_xy, zone), wanted, tuple(layout))

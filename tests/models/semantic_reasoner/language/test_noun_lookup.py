@@ -3,10 +3,10 @@ import itertools
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.semantic_reasoner.language.noun_lookup import Nouns, words_of
+from models.semantic_reasoner.language.noun_lookup import NounLookup, words_of
 from models.semantic_reasoner.language.noun_phrases import marked, phrases
 from models.semantic_reasoner.language.stop_words import FUNCTION_WORDS, is_verb
-from stable_data.instructions.claims import Claim, read_claims
+from stable_data.instructions.claims import StatedRelation, read_claims
 from stable_data.scene import RelationKind
 from tests.models.semantic_reasoner.language.known_categories import SIZES_CM, STATISTICS
 
@@ -54,7 +54,7 @@ def test_a_noun_means_what_it_names_and_else_what_ends_in_it() -> None:
 
 
 def test_nothing_is_read_where_nothing_is_known() -> None:
-    assert Nouns(()).read(words_of("the mug")) == []
+    assert NounLookup(()).read(words_of("the mug")) == []
 
 
 def test_phrases_are_marked_for_the_reader_of_claims() -> None:
@@ -63,7 +63,7 @@ def test_phrases_are_marked_for_the_reader_of_claims() -> None:
     spoken = list(phrases(words, NOUNS))
     assert [p.modifiers for p in spoken] == [("small", "red"), ("large",)]
     assert marked(text, words, spoken) == "take <0> out of <1>."
-    assert read_claims(marked(text, words, spoken)) == (Claim(0, RelationKind.IN, 1),)
+    assert read_claims(marked(text, words, spoken)) == (StatedRelation(0, RelationKind.IN, 1),)
 
 
 def test_verbs_are_known_in_their_forms() -> None:

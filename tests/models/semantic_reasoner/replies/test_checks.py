@@ -7,9 +7,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from models.semantic_reasoner.language.required_objects import required
-from models.semantic_reasoner.replies.checks import CheckSettings, Fault, check, form_check
-from models.semantic_reasoner.text.prompt import Ask
-from models.semantic_reasoner.text.reply_json import LayoutObject, Reply
+from models.semantic_reasoner.replies.checks import CheckSettings, ReplyFault, check, form_check
+from models.semantic_reasoner.text.prompt import ReasonerQuestion
+from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from stable_data.scene import Scene, SceneObject, Stage
 from stable_data.scene_graph.relations import supports
 from stable_data.scene_graph.support_from_boxes import GAP, carriers_of
@@ -18,7 +18,9 @@ from tests.models.semantic_reasoner.language.known_categories import SIZES_CM, S
 MUG, PLATE = thing("mug_0", 30, 30), thing("plate_0", 70, 30)
 
 
-def faults(*objects: LayoutObject, of: Ask | None = None, removed: tuple[str, ...] = (), **settings: Any) -> list[Fault]:
+def faults(
+    *objects: LayoutObject, of: ReasonerQuestion | None = None, removed: tuple[str, ...] = (), **settings: Any
+) -> list[ReplyFault]:
     asked = of or ask()
     return check(objects, removed, asked, STATISTICS, required(asked.instruction, STATISTICS), CheckSettings(**settings))
 
@@ -94,7 +96,7 @@ def test_what_is_only_unusual_is_named_and_passes() -> None:
 def test_an_unknown_category_has_no_verdict_on_its_size() -> None:
     monster = LayoutObject("gizmo_0", "a gizmo", (50.0, 40.0, 70.0), (95.0, 35.0, 35.0), 0)
     assert faults(MUG, PLATE, monster) == [
-        Fault("category_unknown", "gizmo_0: no gizmo is known, its size is not judged", is_hard=False)
+        ReplyFault("category_unknown", "gizmo_0: no gizmo is known, its size is not judged", is_hard=False)
     ]
 
 
@@ -224,7 +226,7 @@ def test_a_contradiction_names_what_is_not_met() -> None:
 
 def test_what_is_missing_is_said_with_what_would_do() -> None:
     (found,) = faults(thing("apple_0", 30, 30), thing("cup_0", 60, 30), of=ask("Put both cups away."))
-    assert found == Fault("required_missing", 'the instruction speaks of "cups": give 2 (cup or mug or teacup), 1 found')
+    assert found == ReplyFault("required_missing", 'the instruction speaks of "cups": give 2 (cup or mug or teacup), 1 found')
 
 
 @pytest.mark.parametrize("instruction", ["", "mug " * 10_000, "把杯子放在盘子上", "Lege die Tasse auf den Teller."])
@@ -318,7 +320,10 @@ def test_what_changes_keeps_its_name() -> None:
 )
 def test_form_is_checked_without_knowing_any_category(objects: list[LayoutObject], removed: list[str]) -> None:
     edit = ask("Take it.", "edit", [MUG, PLATE])
-    known, form = faults(*objects, of=edit, removed=tuple(removed)), form_check(Reply(tuple(objects), tuple(removed)), edit)
+    known, form = (
+        faults(*objects, of=edit, removed=tuple(removed)),
+        form_check(LayoutReply(tuple(objects), tuple(removed)), edit),
+    )
     assert form == known != []
 
 

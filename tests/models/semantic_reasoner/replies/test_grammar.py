@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from llguidance import LLMatcher, LLTokenizer
 
-from models.semantic_reasoner.language.required_objects import Required
-from models.semantic_reasoner.replies.grammar import MOST_NAMES, MOST_OBJECTS, ReplyForm, _up_to
+from models.semantic_reasoner.language.required_objects import ObjectRequirement
+from models.semantic_reasoner.replies.grammar import MOST_NAMES, MOST_OBJECTS, ReplyGrammar, _up_to
 from models.semantic_reasoner.text.reply_json import LayoutObject, render_objects
 from models.semantic_reasoner.text.tokenizer import train_tokenizer
 from stable_data.errors import SceneError
 
-FORM = ReplyForm(112.0, 59.3)
+FORM = ReplyGrammar(112.0, 59.3)
 MUG = LayoutObject("mug_0", "a red mug", (9.0, 8.0, 10.0), (20.0, 30.0, 5.0), -15)
 
 
@@ -24,7 +24,7 @@ def guide() -> LLTokenizer:
     return llguidance.hf.from_tokenizer(train_tokenizer(["put the red mug on the table"], 300))
 
 
-def accepts(guide: LLTokenizer, form: ReplyForm | str, text: str) -> bool:
+def accepts(guide: LLTokenizer, form: ReplyGrammar | str, text: str) -> bool:
     """Whether the grammar allows a text, from its first byte to its last."""
     grammar = form if isinstance(form, str) else form.grammar()
     matcher = LLMatcher(guide, LLMatcher.grammar_from_lark(grammar))
@@ -75,11 +75,11 @@ def test_what_cannot_be_on_the_table_is_not_allowed(guide: LLTokenizer, text: st
 
 
 def test_an_edit_takes_away_only_what_is_there(guide: LLTokenizer) -> None:
-    form = ReplyForm(112.0, 59.3, edits=True, names=("mug_0", "pen_1"))
+    form = ReplyGrammar(112.0, 59.3, edits=True, names=("mug_0", "pen_1"))
     assert accepts(guide, form, render_objects([MUG], []))
     assert accepts(guide, form, render_objects([], ["pen_1", "mug_0"]))
     assert not accepts(guide, form, render_objects([], ["pen_2"]))
-    assert accepts(guide, ReplyForm(112.0, 59.3, edits=True), render_objects([MUG], []))
+    assert accepts(guide, ReplyGrammar(112.0, 59.3, edits=True), render_objects([MUG], []))
 
 
 NAMES = st.lists(
@@ -93,7 +93,7 @@ NAMES = st.lists(
 @settings(max_examples=60)
 def test_names_of_any_characters_are_taken_as_they_are(guide: LLTokenizer, names: list[str]) -> None:
     *known, other = names
-    form = ReplyForm(112.0, 59.3, edits=True, names=tuple(known))
+    form = ReplyGrammar(112.0, 59.3, edits=True, names=tuple(known))
     assert accepts(guide, form, render_objects([MUG], known))
     assert not accepts(guide, form, render_objects([MUG], [other]))
 
@@ -111,27 +111,32 @@ def test_categories_of_any_characters_are_taken_as_they_are(guide: LLTokenizer, 
 
 def test_names_are_limited_in_number(guide: LLTokenizer) -> None:
     names = tuple(f"thing_{number}" for number in range(MOST_NAMES))
-    assert accepts(guide, ReplyForm(112.0, 59.3, edits=True, names=names), render_objects([], [names[0], names[-1]]))
+    assert accepts(guide, ReplyGrammar(112.0, 59.3, edits=True, names=names), render_objects([], [names[0], names[-1]]))
     for too_many in ((*names, "mug_0"), ("\ud800",)):
         with pytest.raises(SceneError, match=r"expected at most 1000|no UTF-8"):
-            ReplyForm(112.0, 59.3, edits=True, names=too_many)
+            ReplyGrammar(112.0, 59.3, edits=True, names=too_many)
 
 
 def test_the_number_of_objects_can_be_bounded(guide: LLTokenizer) -> None:
-    form = ReplyForm(112.0, 59.3, at_least=1, at_most=2)
+    form = ReplyGrammar(112.0, 59.3, at_least=1, at_most=2)
     assert [accepts(guide, form, render_objects([MUG] * n)) for n in range(4)] == [False, True, True, False]
 
 
 def test_what_is_asked_for_is_lacking_until_it_is_there() -> None:
     pen = replace(MUG, instance="pen_0")
-    form = ReplyForm(112.0, 59.3, at_most=4, asks=(Required("two mugs", ("mug", "teacup"), 2), Required("the pen", ("pen",))))
+    form = ReplyGrammar(
+        112.0,
+        59.3,
+        at_most=4,
+        asks=(ObjectRequirement("two mugs", ("mug", "teacup"), 2), ObjectRequirement("the pen", ("pen",))),
+    )
     assert form.lacking(render_objects([])) == ("mug", "teacup", "pen")
     assert form.lacking(render_objects([MUG, replace(MUG, instance="teacup_0")])) == ("pen",)
     assert form.lacking(render_objects([MUG, pen])) == ("mug", "teacup")
     assert form.lacking(render_objects([MUG, MUG, pen])) is None
     assert form.lacking(render_objects([pen] * 4)) is None  # there is no room for more
     assert replace(form, asks=()).lacking(render_objects([])) is None
-    anything = ReplyForm(112.0, 59.3, asks=(Required("what is on it", ()),))
+    anything = ReplyGrammar(112.0, 59.3, asks=(ObjectRequirement("what is on it", ()),))
     assert anything.lacking(render_objects([MUG])) == ()
     assert anything.lacking(render_objects([MUG, pen])) is None
 

@@ -7,10 +7,10 @@ import pytest
 
 from models.semantic_reasoner.engines.scripted_engine import ScriptedEngine
 from models.semantic_reasoner.reasoner import SemanticReasoner
-from models.semantic_reasoner.replies.checks import Fault, ReplyCheck
+from models.semantic_reasoner.replies.checks import ReplyCheck, ReplyFault
 from models.semantic_reasoner.replies.relation_repair import put_right
-from models.semantic_reasoner.text.prompt import Ask, answer
-from models.semantic_reasoner.text.reply_json import LayoutObject, Reply
+from models.semantic_reasoner.text.prompt import ReasonerQuestion, answer
+from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from tests.models.semantic_reasoner.language.known_categories import STATISTICS, ask, thing
 
 CHECK = ReplyCheck(STATISTICS)
@@ -18,8 +18,8 @@ MUG, PLATE = thing("mug_0", 20, 10), thing("plate_0", 70, 30)
 CUP, APPLE, TRAY = thing("cup_0", 30, 45), thing("apple_0", 70, 50), thing("serving_tray_0", 70, 30)
 
 
-def righted(objects: Sequence[LayoutObject], said: Ask) -> tuple[Reply, tuple[Fault, ...]] | None:
-    reply = Reply(tuple(objects))
+def righted(objects: Sequence[LayoutObject], said: ReasonerQuestion) -> tuple[LayoutReply, tuple[ReplyFault, ...]] | None:
+    reply = LayoutReply(tuple(objects))
     return put_right(reply, CHECK(reply, said), said, CHECK)
 
 
@@ -38,7 +38,7 @@ def righted(objects: Sequence[LayoutObject], said: Ask) -> tuple[Reply, tuple[Fa
 )
 def test_things_are_put_where_the_instruction_says(instruction: str, objects: list[LayoutObject]) -> None:
     said = ask(instruction)
-    assert {f.code for f in CHECK(Reply(tuple(objects)), said)} == {"relation_not_held"}
+    assert {f.code for f in CHECK(LayoutReply(tuple(objects)), said)} == {"relation_not_held"}
     found = righted(objects, said)
     assert found is not None
     reply, told = found

@@ -8,7 +8,7 @@ from models.semantic_reasoner.text.prompt import (
     LAYOUT,
     SYSTEM,
     WANTED,
-    Ask,
+    ReasonerQuestion,
     Wanted,
     details_of,
     messages,
@@ -19,7 +19,7 @@ from stable_data.errors import SceneError
 from stable_data.scene import MAX_INSTRUCTION, Stage, Tabletop, TaskInfo
 
 TABLE = Tabletop("office_table", (1.2, 0.6), (0.2, 0.45, 0.1, 0.3))
-ASK = Ask("Put the mug on the book.", TABLE, Stage.TASK)
+ASK = ReasonerQuestion("Put the mug on the book.", TABLE, Stage.TASK)
 MUG = LayoutObject("mug_0", "a red mug", (9.0, 8.0, 10.0), (20.0, 30.0, 5.0), -15)
 
 

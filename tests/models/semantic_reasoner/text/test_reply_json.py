@@ -11,7 +11,7 @@ from models.semantic_reasoner.text.reply_json import (
     LONGEST_REPLY,
     MOST_ENTRIES,
     LayoutObject,
-    Reply,
+    LayoutReply,
     layout_names,
     layout_objects,
     parse_reply,
@@ -38,7 +38,7 @@ MUG = LayoutObject("mug_0", "a mug", (1.0, 2.0, 3.0), (1.0, 2.0, 3.0), 0)
 def test_text_and_objects_are_inverses(layout: list[LayoutObject], removed: list[str]) -> None:
     text = render_objects(layout, removed)
     reply = parse_reply(text)
-    assert reply == Reply(tuple(layout), tuple(removed))
+    assert reply == LayoutReply(tuple(layout), tuple(removed))
     assert render_objects(reply.objects, reply.removed) == text
     assert json.loads(text)["remove"] == removed
 

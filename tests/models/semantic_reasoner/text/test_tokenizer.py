@@ -5,13 +5,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from transformers import AutoTokenizer, PreTrainedTokenizerFast
 
-from models.semantic_reasoner.text.prompt import FIXED, Ask, messages, question
+from models.semantic_reasoner.text.prompt import FIXED, ReasonerQuestion, messages, question
 from models.semantic_reasoner.text.reply_json import LayoutObject, render_objects
 from models.semantic_reasoner.text.tokenizer import scaffolding, train_tokenizer
 from stable_data.scene import Stage, Tabletop
 
 MUG = LayoutObject("mug_0", "a red mug", (9.0, 8.4, 10.0), (20.0, 130.5, 5.0), -15)
-ASK = Ask("Put the red mug on the table.", Tabletop("office_table", (1.2, 0.6)), Stage.IMPORTANT, (MUG,))
+ASK = ReasonerQuestion("Put the red mug on the table.", Tabletop("office_table", (1.2, 0.6)), Stage.IMPORTANT, (MUG,))
 
 
 @pytest.fixture(scope="module")

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from models.semantic_reasoner.text.prompt import ANY_TABLE, Ask
+from models.semantic_reasoner.text.prompt import ANY_TABLE, ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import parse_reply
-from models.semantic_reasoner.training.examples import Example, example_of, with_whole
-from pipelines.execution.ray_executor import Workers
+from models.semantic_reasoner.training.examples import TrainingExample, example_of, with_whole
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess.plan import PreprocessSettings
 from pipelines.preprocess.shard import preprocess
 from stable_data.errors import SceneError
@@ -26,24 +26,24 @@ def rows(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Ro
     for layout in sorted(root.glob("Layout_info/*/*/layout.json"))[10:]:
         shutil.rmtree(layout.parent)
     settings = PreprocessSettings(num_points=64, num_pictures=0, all_assets=False, features="none")
-    preprocess(str(root), str(out), settings, Workers())
+    preprocess(str(root), str(out), settings, WorkerPool())
     return rows_from_table(RunFolder(str(out)).table("samples"))
 
 
 @pytest.fixture(scope="module")
-def real(rows: list[Row]) -> list[Example]:
+def real(rows: list[Row]) -> list[TrainingExample]:
     return [example_of(row) for row in rows]
 
 
-def test_what_is_rendered_of_real_scenes_parses_to_the_same(real: list[Example]) -> None:
+def test_what_is_rendered_of_real_scenes_parses_to_the_same(real: list[TrainingExample]) -> None:
     assert len(real) >= 3
     for example in real:
         assert parse_reply(example.answer).objects == example.objects
     assert any(example.objects for example in real)
 
 
-def test_names_are_unique_over_a_scene_and_the_same_in_question_and_answer(real: list[Example]) -> None:
-    scenes: dict[str, list[Example]] = {}
+def test_names_are_unique_over_a_scene_and_the_same_in_question_and_answer(real: list[TrainingExample]) -> None:
+    scenes: dict[str, list[TrainingExample]] = {}
     for example in real:
         scenes.setdefault(example.scene_id, []).append(example)
     for of_scene in scenes.values():
@@ -54,7 +54,7 @@ def test_names_are_unique_over_a_scene_and_the_same_in_question_and_answer(real:
         assert {o.description for o in earlier} == {o.description for o in last.ask.layout}
 
 
-def test_the_one_shot_answer_is_the_last_stage_with_all_before_it(real: list[Example]) -> None:
+def test_the_one_shot_answer_is_the_last_stage_with_all_before_it(real: list[TrainingExample]) -> None:
     both = list(with_whole(real))
     whole = [e for e in both if e.ask.wanted == "whole"]
     assert [e for e in both if e.ask.wanted != "whole"] == real
@@ -82,7 +82,7 @@ def test_a_row_without_a_task_cannot_be_asked(rows: list[Row]) -> None:
         _ = example.prompt
 
 
-def test_the_kind_of_table_may_be_left_out(real: list[Example]) -> None:
+def test_the_kind_of_table_may_be_left_out(real: list[TrainingExample]) -> None:
     known, unknown = real[0], real[0].on_any_table()
     assert known.ask.table.table_type in known.prompt[-1]["content"]
     assert f"Table: {ANY_TABLE}, " in unknown.prompt[-1]["content"]
@@ -91,7 +91,9 @@ def test_the_kind_of_table_may_be_left_out(real: list[Example]) -> None:
 
 
 def test_an_edit_says_what_goes_first() -> None:
-    edit = Example("scene", Ask("Take the mug away", TABLE, "edit", (thing(0),)), (thing(1),), (thing(0).instance,))
+    edit = TrainingExample(
+        "scene", ReasonerQuestion("Take the mug away", TABLE, "edit", (thing(0),)), (thing(1),), (thing(0).instance,)
+    )
     assert list(json.loads(edit.answer)) == ["remove", "objects"]
     reply = parse_reply(edit.answer)
     assert (reply.removed, reply.objects) == ((thing(0).instance,), (thing(1),))

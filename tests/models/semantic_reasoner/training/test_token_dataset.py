@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.semantic_reasoner.text.prompt import Ask
+from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.training.batch_sampler import (
     IGNORED,
     batch_of,
@@ -16,8 +16,8 @@ from models.semantic_reasoner.training.batch_sampler import (
     padding_of,
     rows_of,
 )
-from models.semantic_reasoner.training.settings import ReasonerTraining, StageShares
-from models.semantic_reasoner.training.token_dataset import KINDS, TokenSet, read_tokens, tokenized, write_tokens
+from models.semantic_reasoner.training.settings import ReasonerTrainingSettings, StageShares
+from models.semantic_reasoner.training.token_dataset import KINDS, TokenDataset, read_tokens, tokenized, write_tokens
 from stable_data.scene import Stage
 from tests.models.semantic_reasoner.training.reasoner_examples import PACKED, TABLE, TINY, examples, token_set, tokenizer
 
@@ -95,7 +95,7 @@ def test_targets_are_the_reply_shifted_by_one_and_nothing_else() -> None:
 
 
 @pytest.mark.parametrize("settings", [TINY, PACKED, replace(TINY, rows_per_batch=2)])
-def test_a_pass_has_every_example_once_within_the_bounds(settings: ReasonerTraining) -> None:
+def test_a_pass_has_every_example_once_within_the_bounds(settings: ReasonerTrainingSettings) -> None:
     batches = batches_of_pass(DATA, settings, 0)
     assert sorted(flat(batches)) == list(range(24))
     for rows in batches:
@@ -133,11 +133,11 @@ def test_for_evaluation_each_example_has_a_row() -> None:
 
 
 def test_padding_is_counted() -> None:
-    data = TokenSet(np.zeros(6, np.int32), *(np.array(v) for v in ([0, 2, 6], [1, 3], [0, 0], [0], [0])))
+    data = TokenDataset(np.zeros(6, np.int32), *(np.array(v) for v in ([0, 2, 6], [1, 3], [0, 0], [0], [0])))
     assert padding_of(data, [[[0], [1]]]) == pytest.approx(2 / 8)
     assert padding_of(data, [[[0, 1]]]) == 0.0
 
 
 def test_an_ask_that_is_a_novel_is_not_asked() -> None:
-    example = replace(examples(1)[0], ask=Ask("word " * 1000, TABLE, Stage.TASK))
+    example = replace(examples(1)[0], ask=ReasonerQuestion("word " * 1000, TABLE, Stage.TASK))
     assert tokenized([example], tokenizer(), TINY.max_tokens).unasked.sum() == 1

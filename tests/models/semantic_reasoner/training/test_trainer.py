@@ -10,34 +10,39 @@ from transformers import AutoModelForCausalLM, AutoTokenizer
 from models.semantic_reasoner.training.batch_sampler import TokenBatch, batch_of
 from models.semantic_reasoner.training.hf_folder import read_model, read_tokenizer, write_model
 from models.semantic_reasoner.training.loss import ReplyLoss, put_in_place
-from models.semantic_reasoner.training.network import TrainedNetwork, new_network, trained
-from models.semantic_reasoner.training.settings import LoraSettings, NetworkSettings, ReasonerTraining, training_preset
-from models.semantic_reasoner.training.token_dataset import TokenSet
-from models.semantic_reasoner.training.trainer import Identity, Training, train
-from models.training.distributed import CPU, Place
+from models.semantic_reasoner.training.network import TrainableNetwork, new_network, trained
+from models.semantic_reasoner.training.settings import (
+    LanguageModelSettings,
+    LoraSettings,
+    ReasonerTrainingSettings,
+    training_preset,
+)
+from models.semantic_reasoner.training.token_dataset import TokenDataset
+from models.semantic_reasoner.training.trainer import CheckpointIdentity, ReasonerTrainer, train
+from models.training.distributed import CPU, ProcessContext
 from stable_data.errors import ConfigError
 from tests.models.semantic_reasoner.training.reasoner_examples import PACKED, TINY, examples, token_set, tokenizer
 
 DATA = token_set(12)
 
 
-def training(settings: ReasonerTraining = TINY, data: TokenSet = DATA) -> Training:
-    return Training(data, settings, tokenizer())
+def training(settings: ReasonerTrainingSettings = TINY, data: TokenDataset = DATA) -> ReasonerTrainer:
+    return ReasonerTrainer(data, settings, tokenizer())
 
 
-def advanced(settings: ReasonerTraining, steps: int) -> Training:
+def advanced(settings: ReasonerTrainingSettings, steps: int) -> ReasonerTrainer:
     made = training(settings)
     for _ in range(steps):
         made.advance()
     return made
 
 
-def same(a: Training, b: Training) -> bool:
+def same(a: ReasonerTrainer, b: ReasonerTrainer) -> bool:
     there = b.values()
     return all(torch.equal(value, there[name]) for name, value in a.values().items())
 
 
-def sharp(settings: ReasonerTraining = TINY) -> ReplyLoss:
+def sharp(settings: ReasonerTrainingSettings = TINY) -> ReplyLoss:
     """A network with weights so large that what it reads matters much."""
     network = new_network(TINY.network, tokenizer(), 512, seed=1)
     with torch.no_grad():
@@ -46,7 +51,7 @@ def sharp(settings: ReasonerTraining = TINY) -> ReplyLoss:
     return ReplyLoss(network, settings)
 
 
-def loss_of(settings: ReasonerTraining, rows: list[list[int]], pad: int = 0) -> torch.Tensor:
+def loss_of(settings: ReasonerTrainingSettings, rows: list[list[int]], pad: int = 0) -> torch.Tensor:
     return sharp(settings).of_batch(batch_of(DATA, rows, pad), CPU)
 
 
@@ -83,7 +88,7 @@ def test_packed_rows_have_the_gradients_of_separate_ones() -> None:
 
 @pytest.mark.parametrize(("settings", "rows"), [(TINY, [[0], [3]]), (PACKED, [[0, 1], [2, 3]])])
 def test_where_it_is_trained_the_loss_and_its_gradient_are_those_of_transformers(
-    settings: ReasonerTraining, rows: list[list[int]]
+    settings: ReasonerTrainingSettings, rows: list[list[int]]
 ) -> None:
     plain, placed = sharp(settings), sharp(settings)
     put_in_place(placed, CPU)
@@ -130,7 +135,7 @@ def test_another_target_in_the_prompt_is_no_other_loss() -> None:
 
 
 @pytest.mark.parametrize("settings", [TINY, PACKED])
-def test_what_is_computed_again_is_the_same(settings: ReasonerTraining) -> None:
+def test_what_is_computed_again_is_the_same(settings: ReasonerTrainingSettings) -> None:
     kept, again = training(settings), training(replace(settings, recomputes=True))
     for _ in range(3):
         assert kept.advance().loss == pytest.approx(again.advance().loss, rel=1e-6)
@@ -149,7 +154,7 @@ def test_compiling_without_a_compiler_is_said(monkeypatch: pytest.MonkeyPatch, t
 @pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")  # PyTorch's compiler calls what PyTorch gives up
 @pytest.mark.filterwarnings("ignore:The .grad attribute:UserWarning")  # and looks at what it was given
 @pytest.mark.parametrize("settings", [TINY, PACKED])
-def test_a_compiled_network_learns_the_same(settings: ReasonerTraining) -> None:
+def test_a_compiled_network_learns_the_same(settings: ReasonerTrainingSettings) -> None:
     plain, compiled = training(settings), training(replace(settings, compiles=True))
     for _ in range(3):
         assert plain.advance().loss == pytest.approx(compiled.advance().loss, rel=1e-4)
@@ -207,7 +212,7 @@ def test_a_loss_that_is_not_finite_ends_the_run() -> None:
 @pytest.mark.parametrize(
     "settings", [TINY, replace(PACKED, accumulate=2, precision="bfloat16"), replace(TINY, optimizer="muon")]
 )
-def test_a_run_that_was_killed_and_resumed_is_the_run_that_was_not(settings: ReasonerTraining, tmp_path: Path) -> None:
+def test_a_run_that_was_killed_and_resumed_is_the_run_that_was_not(settings: ReasonerTrainingSettings, tmp_path: Path) -> None:
     clean = advanced(settings, 12)  # several passes
     first = advanced(settings, 5)
     first.save(tmp_path / "state.pt")
@@ -256,7 +261,7 @@ def test_a_checkpoint_of_something_else_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"settings.learning_rate: 0.01 -> 0.5"):
         training(replace(TINY, learning_rate=0.5)).resume(path)
     with pytest.raises(ConfigError, match=r"identity.data:  -> other"):
-        Training(DATA, TINY, tokenizer(), CPU, Identity("other")).resume(path)
+        ReasonerTrainer(DATA, TINY, tokenizer(), CPU, CheckpointIdentity("other")).resume(path)
     state = torch.load(path, weights_only=True)
     del state["values"]
     torch.save(state, path)
@@ -269,12 +274,12 @@ def test_a_checkpoint_of_something_else_is_refused(tmp_path: Path) -> None:
 
 def test_processes_that_cannot_share_a_step_are_refused() -> None:
     with pytest.raises(ConfigError, match="accumulate is 1, expected a multiple of the 2 processes"):
-        Training(DATA, TINY, tokenizer(), Place(world_size=2))
+        ReasonerTrainer(DATA, TINY, tokenizer(), ProcessContext(world_size=2))
 
 
 @torch.no_grad()
 def test_a_new_network_can_hand_a_number_on() -> None:
-    settings = NetworkSettings(hidden=64, layers=2, heads=4, key_value_heads=2, head=16, vocabulary=300)
+    settings = LanguageModelSettings(hidden=64, layers=2, heads=4, key_value_heads=2, head=16, vocabulary=300)
     network, words = new_network(settings, tokenizer(), 512, seed=3), tokenizer()
     embeddings = network.get_input_embeddings().weight
     attention = network.model.layers[1].self_attn
@@ -293,7 +298,7 @@ def test_what_is_kept_loads_without_our_code(tmp_path: Path) -> None:
     made = advanced(TINY, 3)
     for storage in ("float32", "bfloat16"):
         settings = replace(TINY, storage=storage)
-        model = TrainedNetwork(settings, tokenizer()).with_values(made.values()).to_keep(settings)
+        model = TrainableNetwork(settings, tokenizer()).with_values(made.values()).to_keep(settings)
         write_model(tmp_path / storage, model, tokenizer(), {"steps": 3})
     tokens = torch.from_numpy(batch_of(DATA, [[4]], 0).tokens)
     here: Any = made.loss.network
@@ -334,7 +339,7 @@ def test_lora_trains_its_matrices_alone(base: Path, tmp_path: Path, merges: bool
     assert changed == set(trained(made.loss.network))
     assert all("lora_" in name for name in changed)
     assert losses[-1] < losses[0]
-    model = TrainedNetwork(settings, tokenizer()).with_values(made.values()).to_keep(settings)
+    model = TrainableNetwork(settings, tokenizer()).with_values(made.values()).to_keep(settings)
     write_model(tmp_path / "weights", model, tokenizer(), {})
     assert (tmp_path / "weights" / "adapter_config.json").is_file() is not merges
     loaded: Any = AutoModelForCausalLM.from_pretrained(tmp_path / "weights", dtype=torch.float32)
@@ -384,4 +389,4 @@ def test_presets_are_the_papers_and_ours() -> None:
 )
 def test_settings_that_cannot_run_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ConfigError):
-        ReasonerTraining(**wrong)
+        ReasonerTrainingSettings(**wrong)

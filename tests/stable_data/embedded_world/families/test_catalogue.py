@@ -18,7 +18,7 @@ from stable_data.geometry.gltf_reader import load_colliders, load_glb
 from stable_data.geometry.gltf_writer import write_glb
 from stable_data.geometry.mesh_repair import repair
 from stable_data.scene import Tabletop
-from stable_data.simulation.settling import Body, EngineOptions, settle
+from stable_data.simulation.settling import PhysicsOptions, RigidBody, settle
 
 pytestmark = pytest.mark.sim
 
@@ -65,8 +65,10 @@ def test_variants_of_a_family_differ_and_stand_still(category: str) -> None:
     one = made[sum(map(ord, category)) % NUM_VARIANTS]
     parts = yaw_frame_parts(one, (1.0, 1.0, 1.0), one.tilts[0])
     height = np.concatenate([part.vertices for part in parts])[:, 2].max()
-    options = EngineOptions(settle_seconds=0.5, watch_seconds=0.1)
-    result = settle([Body("it", parts, one.mass, (0.5, 0.5, height + 5e-5))], Tabletop("office_table", (1.0, 1.0)), options)
+    options = PhysicsOptions(settle_seconds=0.5, watch_seconds=0.1)
+    result = settle(
+        [RigidBody("it", parts, one.mass, (0.5, 0.5, height + 5e-5))], Tabletop("office_table", (1.0, 1.0)), options
+    )
     assert result.settle_move_max_mm is not None
     assert result.settle_move_max_mm < 3.0
     assert result.settle_turn_max_deg is not None

@@ -14,7 +14,7 @@ from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_repair import repair
 from stable_data.geometry.sdf.build import GridLimits, build_grid, probe_points, unit_mesh, wall_thickness
 from stable_data.geometry.sdf.exact import SignedDistance
-from stable_data.geometry.sdf.grid import Atlas, SdfGrid, sample_grid
+from stable_data.geometry.sdf.grid import GridAtlas, SdfGrid, sample_grid
 from stable_data.geometry.sdf.narrow_band import distance_to_faces
 from stable_data.scene import FloatArray
 
@@ -166,7 +166,7 @@ def test_build_is_deterministic() -> None:
 
 
 def test_atlas_reads_what_each_grid_reads(rng: np.random.Generator, grids: list[SdfGrid]) -> None:
-    atlas = Atlas.from_grids(grids)
+    atlas = GridAtlas.from_grids(grids)
     points, index = rng.uniform(-1, 1, (300, 3)), rng.integers(0, len(grids), 300)
     scale = rng.uniform(0.5, 2, 300)
     found, gradient = atlas.sample_with_gradient(index, points, scale)
@@ -186,7 +186,7 @@ def test_atlas_reads_the_nodes_themselves(grids: list[SdfGrid]) -> None:
 
 
 def test_empty_atlas_and_no_points_are_fine(grids: list[SdfGrid]) -> None:
-    assert len(Atlas.from_grids([])) == 0
+    assert len(GridAtlas.from_grids([])) == 0
     found, gradient = sample_grid(grids[0], np.zeros((0, 3)))
     assert found.shape == (0,)
     assert gradient.shape == (0, 3)
