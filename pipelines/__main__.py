@@ -398,8 +398,9 @@ def train_reasoner(
     minutes: Minutes = 0.0,
     workers: Trainers = 0,
     address: Address = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print examples, steps, memory and time, and stop.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="The same as JSON.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print examples, tokens, steps, memory and time, and stop.")
+    ] = False,
 ) -> None:
     """Train the Semantic Reasoner on the samples and edits of a run. Run again to go on where it was stopped.
 
@@ -415,11 +416,10 @@ def train_reasoner(
         raise ConfigError("preset paper fine-tunes a model: name its folder with --set base=DIR", "config_invalid")
     job = ReasonerTrainingJob(data, out, settings, minutes=minutes)
     count = _count(workers, address) if address or workers else 0
-    if dry_run or as_json:
-        from pipelines.train.estimate import page_of, plan_of
+    if dry_run:
+        from pipelines.train.estimate import plan_of
 
-        plan = plan_of(job, count)
-        typer.echo(json.dumps(plan, indent=2) if as_json else page_of(plan))
+        typer.echo(json.dumps(plan_of(job, count), indent=2))
         return
     typer.echo(job.run(count, address))
 

@@ -24,7 +24,7 @@ from transformers import PreTrainedTokenizerBase
 
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.text.prompt import PROMPT_VERSION
-from models.semantic_reasoner.training.batch_sampler import batches_of_pass
+from models.semantic_reasoner.training.batch_sampler import Rows, batches_of_pass
 from models.semantic_reasoner.training.dataset import ExampleSource, fingerprint_of
 from models.semantic_reasoner.training.hf_folder import NOTES, model_fingerprint, read_config, write_model
 from models.semantic_reasoner.training.network import TrainableNetwork
@@ -105,19 +105,12 @@ class ReasonerTrainingJob:
         base = self.settings.base
         if base:
             read_config(Path(base).expanduser(), self.settings.max_tokens)  # before anything takes long
-        if workers and self.settings.accumulate % workers:
-            raise ConfigError(
-                f"accumulate is {self.settings.accumulate}, expected a multiple of --workers {workers}: they share its batches",
-                "config_invalid",
-            )
+        self.check_workers(workers)
         self.source().fingerprint()
         folder = RunFolder(str(self._folder()))
         with folder.locked():
             tokenizer, data, held_out = self._read()
-            num_batches = len(batches_of_pass(data, self.settings, 0))
-            if not num_batches:
-                raise ConfigError("shares leave no example of those that there are, expected some", "config_invalid")
-            job = replace(self, settings=self.settings.resolved(num_batches), out=self._folder())
+            job = replace(self, settings=self.settings.resolved(len(self.batches(data))), out=self._folder())
             manifest = _manifest(job, tokenizer, data, held_out)
             refuse_changes(folder, manifest, ("job", "code_version", *asdict(CheckpointIdentity())))
             folder.write_bytes("manifest.json", as_json(manifest))
@@ -128,6 +121,29 @@ class ReasonerTrainingJob:
             else:
                 job.work(ProcessContext(here()))
             return _finish(folder, manifest, self.source().uri)
+
+    def check_workers(self, workers: int) -> None:
+        """Refuses a number of processes that cannot share a step's batches.
+
+        Raises:
+            ConfigError: ``accumulate`` is not a multiple of it.
+        """
+        if workers and self.settings.accumulate % workers:
+            raise ConfigError(
+                f"accumulate is {self.settings.accumulate}, expected a multiple of --workers {workers}: they share its batches",
+                "config_invalid",
+            )
+
+    def batches(self, data: TokenDataset) -> list[Rows]:
+        """Batches of the first pass.
+
+        Raises:
+            ConfigError: There are none.
+        """
+        batches = batches_of_pass(data, self.settings, 0)
+        if not batches:
+            raise ConfigError("shares leave no example of those that there are, expected some", "config_invalid")
+        return batches
 
     def work(self, place: ProcessContext) -> None:
         """The part of one process."""
