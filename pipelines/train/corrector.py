@@ -9,15 +9,10 @@ OUT/cache/                                  what was computed of the run's table
 """
 
 import json
-import signal
 import sys
-import threading
-import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
-
-from tqdm import tqdm
 
 from models.physics_corrector.flow.checkpoint import save_corrector
 from models.physics_corrector.training.dataset import TrainingScenes, TrainingSet
@@ -25,13 +20,12 @@ from models.physics_corrector.training.settings import CorrectorTrainingSettings
 from models.physics_corrector.training.trainer import CorrectorTrainer, train
 from models.physics_corrector.training.validation import Card, ValidationScenes, scalars, validation_card
 from models.training.distributed import ProcessContext
-from pipelines.train.run import as_json, event_log, here, on_signals, refuse_changes
+from pipelines.train.run import STATE, TrainingMonitor, as_json, here, refuse_changes
 from stable_data.code_version import code_version
 from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
 
 WEIGHTS = "weights/physics_corrector.safetensors"
-STATE = "checkpoint/state.pt"
 
 _FAST_ROWS = ("small", "jitter", "pile")
 
@@ -127,9 +121,38 @@ class CorrectorTrainingJob:
         data = source.load(self.settings.features) if data is None else data
         training = CorrectorTrainer(data, self.settings, place)
         training.resume(self.out / STATE)
-        with _Watcher(self, source, data, training) as watcher:
-            is_done = train(training, wants_stop=watcher.wants_stop, after=watcher.after)
-            watcher.close(is_done)
+        watch, settings = self.watch, self.settings
+        with TrainingMonitor(training, settings.steps, self.out, self.minutes, watch.log_every, watch.save_minutes) as monitor:
+
+            def after(_: CorrectorTrainer, figures: dict[str, float]) -> None:
+                monitor.count(figures, learning_rate=settings.learning_rate_at(training.step - 1))
+                if monitor.is_first and training.step % watch.card_every == 0 and training.step < settings.steps:
+                    monitor.log(_scalars(_card_of(training, data, source, watch.card_scenes, 0, _FAST_ROWS)))
+                if monitor.wants_save():
+                    monitor.save()
+
+            is_done = train(training, wants_stop=monitor.wants_stop, after=after)
+            if not monitor.is_first:
+                return
+            monitor.save()
+            self._save_weights(training, data)
+            if is_done:
+                card = _card_of(training, data, source, watch.final_scenes, watch.exact_scenes)
+                monitor.log(_scalars(card))
+                document = {"steps": training.step, "seed": self.settings.seed, "rows": card}
+                RunFolder(str(self.out)).write_bytes("card.json", as_json(document))
+
+    def _save_weights(self, training: CorrectorTrainer, data: TrainingSet) -> None:
+        notes = {
+            "steps": str(training.step),
+            "seed": str(self.settings.seed),
+            "data_fingerprint": data.fingerprint,
+            "encoder_fingerprint": data.encoder,
+            "features": self.settings.features,
+            "training": json.dumps(asdict(self.settings), sort_keys=True),
+            "code_version": code_version(),
+        }
+        save_corrector(self.out / WEIGHTS, self.settings.corrector, training.average, notes)
 
     def _folder(self) -> Path:
         if "://" in str(self.out):
@@ -137,94 +160,28 @@ class CorrectorTrainingJob:
         return self.out.expanduser().resolve()
 
 
-class _Watcher:
-    """Logs, cards, checkpoints and the end of one process's part; all but the end are the first process's."""
+def _card_of(
+    training: CorrectorTrainer,
+    data: TrainingSet,
+    source: TrainingScenes,
+    num_scenes: int,
+    num_exact: int,
+    rows: tuple[str, ...] | None = None,
+) -> Card:
+    """The validation card of the averaged weights; empty where no scene is held out."""
+    places = data.of_split(1)
+    places = (places if len(places) else data.of_split(2))[:num_scenes]
+    if not len(places):
+        return {}
+    scenes = source.scenes([data.scene_ids[n] for n in places[:num_exact].tolist()]) if num_exact else []
+    held_out = ValidationScenes(training.data, places, scenes, source.store() if scenes else None)
+    velocity = training.velocity(training.averaged())
+    chosen = {} if rows is None else {"rows": rows}
+    return validation_card(velocity, training.flow, held_out, training.settings.perturbation, 0, **chosen)
 
-    def __init__(
-        self, job: CorrectorTrainingJob, source: TrainingScenes, data: TrainingSet, training: CorrectorTrainer
-    ) -> None:
-        self._job, self._source, self._data, self._training = job, source, data, training
-        self._is_first = training.place.rank == 0
-        self._began = self._saved = time.monotonic()
-        self._sums: dict[str, float] = {}
-        self._stopped = threading.Event()
-        self._log = event_log(job.out / "logs", training.step) if self._is_first else None
-        self._bar = tqdm(total=job.settings.steps, initial=training.step, desc="train", unit="step", disable=not self._is_first)
 
-    def __enter__(self) -> "_Watcher":
-        self._restored = on_signals(self._stopped)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._restored.items():
-            signal.signal(number, handler)
-        self._bar.close()
-        if self._log is not None:
-            self._log.close()
-
-    def wants_stop(self) -> bool:
-        """Whether a signal came or the time is over."""
-        is_late = self._job.minutes > 0 and time.monotonic() - self._began > 60 * self._job.minutes
-        return is_late or self._stopped.is_set()
-
-    def after(self, training: CorrectorTrainer, figures: dict[str, float]) -> None:
-        """What is done after a step."""
-        watch, step = self._job.watch, training.step
-        self._bar.update(1)
-        if self._log is None:
-            return
-        for name, value in figures.items():
-            self._sums[name] = self._sums.get(name, 0.0) + value / watch.log_every
-        if step % watch.log_every == 0:
-            for name, value in self._sums.items():
-                self._log.add_scalar(f"loss/{name}", value, step)
-            self._log.add_scalar("learning_rate", training.settings.learning_rate_at(step - 1), step)
-            self._bar.set_postfix({name: f"{self._sums[name]:.3f}" for name in ("flow", "physics")}, refresh=False)
-            self._sums = {}
-        if step % watch.card_every == 0 and step < training.settings.steps:
-            self._add_card(self._card(watch.card_scenes, 0, _FAST_ROWS), step)
-        if time.monotonic() - self._saved > 60 * watch.save_minutes:
-            training.save(self._job.out / STATE)
-            self._saved = time.monotonic()
-
-    def close(self, is_done: bool) -> None:
-        """Keeps the checkpoint, and the weights with their card where the run is done."""
-        if not self._is_first:
-            return
-        training, job = self._training, self._job
-        training.save(job.out / STATE)
-        notes = {
-            "steps": str(training.step),
-            "seed": str(job.settings.seed),
-            "data_fingerprint": self._data.fingerprint,
-            "encoder_fingerprint": self._data.encoder,
-            "features": job.settings.features,
-            "training": json.dumps(asdict(job.settings), sort_keys=True),
-            "code_version": code_version(),
-        }
-        save_corrector(job.out / WEIGHTS, job.settings.corrector, training.average, notes)
-        if is_done:
-            card = self._card(job.watch.final_scenes, job.watch.exact_scenes)
-            self._add_card(card, training.step)
-            document = {"steps": training.step, "seed": job.settings.seed, "rows": card}
-            RunFolder(str(job.out)).write_bytes("card.json", as_json(document))
-
-    def _card(self, num_scenes: int, num_exact: int, rows: tuple[str, ...] | None = None) -> Card:
-        training, data = self._training, self._data
-        places = data.of_split(1)
-        places = (places if len(places) else data.of_split(2))[:num_scenes]
-        if not len(places):
-            return {}
-        scenes = self._source.scenes([data.scene_ids[n] for n in places[:num_exact].tolist()]) if num_exact else []
-        held_out = ValidationScenes(training.data, places, scenes, self._source.store() if scenes else None)
-        velocity = training.velocity(training.averaged())
-        chosen = {} if rows is None else {"rows": rows}
-        return validation_card(velocity, training.flow, held_out, training.settings.perturbation, 0, **chosen)
-
-    def _add_card(self, card: Card, step: int) -> None:
-        for name, value in scalars(card).items():
-            if self._log is not None:
-                self._log.add_scalar(f"card/{name}", value, step)
+def _scalars(card: Card) -> dict[str, float]:
+    return {f"card/{name}": value for name, value in scalars(card).items()}
 
 
 def _manifest(job: CorrectorTrainingJob, data: TrainingSet) -> dict[str, Any]:

@@ -10,16 +10,12 @@ OUT/cache/                       tokens and tokenizer; may be deleted
 """
 
 import json
-import signal
 import sys
-import threading
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from tqdm import tqdm
 from transformers import PreTrainedTokenizerBase
 
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
@@ -32,18 +28,15 @@ from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
 from models.semantic_reasoner.training.token_dataset import TokenDataset
 from models.semantic_reasoner.training.trainer import CheckpointIdentity, ReasonerTrainer, StepMetrics, train
 from models.training.distributed import ProcessContext
-from pipelines.train.run import as_json, event_log, here, on_signals, refuse_changes
+from pipelines.train.run import STATE, TrainingMonitor, as_json, here, refuse_changes
 from stable_data.code_version import code_version
 from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
 
 WEIGHTS = "weights"
-STATE = "checkpoint/state.pt"
 
 Judge: TypeAlias = Callable[[Any, PreTrainedTokenizerBase], Mapping[str, float]]
 """Figures of a model by what it generates, by name; the model is whole and of transformers or peft."""
-
-_COSTLY = 20  # a checkpoint is kept no more often than this many times what keeping it takes
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,9 +143,46 @@ class ReasonerTrainingJob:
         tokenizer, data, held_out = self._read()  # kept already: it is mapped
         training = ReasonerTrainer(data, self.settings, tokenizer, place, self.identity(tokenizer))
         training.resume(self.out / STATE)
-        with _Watcher(self, training, held_out) as watcher:
-            train(training, wants_stop=watcher.wants_stop, wants_save=watcher.wants_save, after=watcher.after)
-            watcher.close()
+        watch, settings = self.watch, self.settings
+        with TrainingMonitor(training, settings.steps, self.out, self.minutes, watch.log_every, watch.save_minutes) as monitor:
+
+            def after(_: ReasonerTrainer, step: StepMetrics) -> None:
+                rate = settings.learning_rate_at(training.step - 1)
+                monitor.count({"train": step.loss}, learning_rate=rate, gradient_norm=step.norm, tokens=training.tokens)
+                if training.step % watch.validate_every == 0 and training.step < settings.steps:
+                    figures = self._validate(training, held_out)
+                    if watch.judge is not None and place.world_size == 1:
+                        figures |= watch.judge(training.loss.network, tokenizer)
+                    monitor.log(figures)
+                if step.saves and not step.stops:  # in the end it is kept anyway
+                    monitor.save()
+
+            train(training, wants_stop=monitor.wants_stop, wants_save=monitor.wants_save, after=after)
+            monitor.save()
+            figures = self._validate(training, held_out)
+            values = training.values()  # all processes share in it
+            if monitor.is_first:
+                model = TrainableNetwork(self.settings, tokenizer).with_values(values).to_keep(self.settings)
+                if watch.judge is not None:
+                    figures |= watch.judge(model, tokenizer)
+                monitor.log(figures)
+                write_model(self.out / WEIGHTS, model, tokenizer, self._notes(training, figures))
+
+    def _validate(self, training: ReasonerTrainer, held_out: TokenDataset) -> dict[str, float]:
+        found = training.validate(held_out, self.watch.validate_examples)
+        return {f"validation/{kind}": value for kind, value in found.items()}
+
+    def _notes(self, training: ReasonerTrainer, figures: Mapping[str, float]) -> dict[str, Any]:
+        return {
+            "prompt_version": PROMPT_VERSION,
+            "code_version": code_version(),
+            "settings": asdict(self.settings),
+            **asdict(self.identity(training.tokenizer)),
+            "steps": training.step,
+            "is_done": training.step >= self.settings.steps,
+            "tokens": training.tokens,
+            "figures": figures,
+        }
 
     def identity(self, tokenizer: PreTrainedTokenizerBase) -> CheckpointIdentity:
         """What a checkpoint goes with."""
@@ -169,100 +199,6 @@ class ReasonerTrainingJob:
         if "://" in str(self.out):
             raise ConfigError(f"--out is {self.out}, expected a local folder", "output_invalid")
         return self.out.expanduser().resolve()
-
-
-class _Watcher:
-    """Logs, evaluations, checkpoints and the end of one process's part; files are the first process's."""
-
-    def __init__(self, job: ReasonerTrainingJob, training: ReasonerTrainer, held_out: TokenDataset) -> None:
-        self._job, self._training, self._held_out = job, training, held_out
-        self._is_first = training.place.rank == 0
-        self._began = self._saved = time.monotonic()
-        self._save_took = 0.0
-        self._sum = 0.0
-        self._figures: dict[str, float] = {}
-        self._stopped = threading.Event()
-        self._log = event_log(job.out / "logs", training.step) if self._is_first else None
-        self._bar = tqdm(total=job.settings.steps, initial=training.step, desc="train", unit="step", disable=not self._is_first)
-
-    def __enter__(self) -> "_Watcher":
-        self._restored = on_signals(self._stopped)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._restored.items():
-            signal.signal(number, handler)
-        self._bar.close()
-        if self._log is not None:
-            self._log.close()
-
-    def wants_stop(self) -> bool:
-        """Whether a signal came or the time is over."""
-        is_late = self._job.minutes > 0 and time.monotonic() - self._began > 60 * self._job.minutes
-        return is_late or self._stopped.is_set()
-
-    def wants_save(self) -> bool:
-        """Whether it is time for a checkpoint."""
-        pause = max(60 * self._job.watch.save_minutes, _COSTLY * self._save_took)
-        return self._is_first and time.monotonic() - self._saved > pause
-
-    def after(self, training: ReasonerTrainer, step: StepMetrics) -> None:
-        """What is done after a step."""
-        watch, number = self._job.watch, training.step
-        self._bar.update(1)
-        self._sum += step.loss
-        if number % watch.log_every == 0:
-            mean = self._sum / watch.log_every
-            self._sum = 0.0
-            self._add({"loss/train": mean, "gradient_norm": step.norm, "tokens": training.tokens})
-            self._add({"learning_rate": training.settings.learning_rate_at(number - 1)})
-            self._bar.set_postfix(loss=f"{mean:.3f}", refresh=False)
-        if number % watch.validate_every == 0 and number < training.settings.steps:
-            figures = self._validate()
-            if watch.judge is not None and training.place.world_size == 1:
-                figures |= watch.judge(training.loss.network, training.tokenizer)
-            self._add(figures)
-        if step.saves and not step.stops:  # in the end it is kept anyway
-            self._save()
-
-    def close(self) -> None:
-        """Keeps the checkpoint and the weights with their figures."""
-        training, job = self._training, self._job
-        self._save()
-        figures = self._validate()
-        values = training.values()
-        if not self._is_first:
-            return
-        model = TrainableNetwork(job.settings, training.tokenizer).with_values(values).to_keep(job.settings)
-        if job.watch.judge is not None:
-            figures |= job.watch.judge(model, training.tokenizer)
-        self._add(figures)
-        notes = {
-            "prompt_version": PROMPT_VERSION,
-            "code_version": code_version(),
-            "settings": asdict(job.settings),
-            **asdict(job.identity(training.tokenizer)),
-            "steps": training.step,
-            "is_done": training.step >= job.settings.steps,
-            "tokens": training.tokens,
-            "figures": figures,
-        }
-        write_model(job.out / WEIGHTS, model, training.tokenizer, notes)
-
-    def _validate(self) -> dict[str, float]:
-        found = self._training.validate(self._held_out, self._job.watch.validate_examples)
-        return {f"validation/{kind}": value for kind, value in found.items()}
-
-    def _save(self) -> None:
-        began = time.monotonic()
-        self._training.save(self._job.out / STATE)
-        self._saved = time.monotonic()
-        self._save_took = self._saved - began
-
-    def _add(self, figures: Mapping[str, float]) -> None:
-        if self._log is not None:
-            for name, value in figures.items():
-                self._log.add_scalar(name, value, self._training.step)
 
 
 def _manifest(

@@ -1,28 +1,129 @@
-"""What the trainings share: their manifest, their log, and how they are stopped."""
+"""What the trainings share: their manifest, their log, their checkpoints and how they are stopped."""
 
 import json
 import signal
 import threading
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, Self
 
 import torch
+from tqdm import tqdm
 
+from models.training.distributed import ProcessContext
 from pipelines.execution.code_history import record_code, take_over_code, with_release
 from stable_data.config_diff import differences, flat
 from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
 
+STATE = "checkpoint/state.pt"
+"""The checkpoint in a training's folder."""
 
-def event_log(folder: Path, step: int) -> Any:
+_COSTLY = 20  # a checkpoint is kept no more often than this many times what keeping it takes
+
+
+class MonitoredTraining(Protocol):
+    """A training as a monitor sees it."""
+
+    step: int
+    place: ProcessContext
+
+    def save(self, path: Path) -> None:
+        """Writes a checkpoint."""
+        ...
+
+
+class TrainingMonitor:
+    """Progress bar, log, checkpoints and the end of one process's part of a training. Used in a ``with`` statement.
+
+    Bar and log are the first process's.
+
+    Args:
+        training: The training, resumed.
+        steps: Length of the run.
+        out: Its folder.
+        minutes: After which it is to stop; 0 is no limit.
+        log_every: Steps between the losses that are logged, each a mean over them.
+        save_minutes: Between checkpoints.
+
+    Attributes:
+        is_first: Whether this process writes the files.
+    """
+
+    def __init__(
+        self, training: MonitoredTraining, steps: int, out: Path, minutes: float, log_every: int, save_minutes: float
+    ) -> None:
+        self._training, self._out, self._log_every = training, out, log_every
+        self._seconds, self._save_seconds = 60 * minutes, 60 * save_minutes
+        self.is_first = training.place.rank == 0
+        self._began = self._saved = time.monotonic()
+        self._save_took = 0.0
+        self._sums: dict[str, float] = {}
+        self._stopped = threading.Event()
+        self._log = _event_log(out / "logs", training.step) if self.is_first else None
+        self._bar = tqdm(total=steps, initial=training.step, desc="train", unit="step", disable=not self.is_first)
+
+    def __enter__(self) -> Self:
+        """Takes signals over, so that they end the run after its step."""
+        self._former_handlers = _on_signals(self._stopped)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Gives the signals back and closes bar and log."""
+        for number, handler in self._former_handlers.items():
+            signal.signal(number, handler)
+        self._bar.close()
+        if self._log is not None:
+            self._log.close()
+
+    def wants_stop(self) -> bool:
+        """Whether a signal came or the time is over."""
+        is_late = self._seconds > 0 and time.monotonic() - self._began > self._seconds
+        return is_late or self._stopped.is_set()
+
+    def wants_save(self) -> bool:
+        """Whether it is time for a checkpoint; only the first process decides."""
+        pause = max(self._save_seconds, _COSTLY * self._save_took)
+        return self.is_first and time.monotonic() - self._saved > pause
+
+    def count(self, losses: Mapping[str, float], **others: float) -> None:
+        """Counts a step.
+
+        Args:
+            losses: By name; their means over some steps are logged.
+            others: Figures of the step; the last ones are logged.
+        """
+        self._bar.update(1)
+        for name, value in losses.items():
+            self._sums[name] = self._sums.get(name, 0.0) + value / self._log_every
+        if self._training.step % self._log_every == 0:
+            self._bar.set_postfix({name: f"{value:.3f}" for name, value in self._sums.items()}, refresh=False)
+            self.log({f"loss/{name}": value for name, value in self._sums.items()} | others)
+            self._sums = {}
+
+    def log(self, figures: Mapping[str, float]) -> None:
+        """Logs figures of the training as it is."""
+        if self._log is not None:
+            for name, value in figures.items():
+                self._log.add_scalar(name, value, self._training.step)
+
+    def save(self) -> None:
+        """Writes the checkpoint."""
+        began = time.monotonic()
+        self._training.save(self._out / STATE)
+        self._saved = time.monotonic()
+        self._save_took = self._saved - began
+
+
+def _event_log(folder: Path, step: int) -> Any:
     """A writer of TensorBoard's files; what an earlier process logged of later steps is hidden."""
     from torch.utils.tensorboard import SummaryWriter
 
     return SummaryWriter(str(folder), purge_step=step + 1, flush_secs=20)
 
 
-def on_signals(stopped: threading.Event) -> dict[int, Any]:
+def _on_signals(stopped: threading.Event) -> dict[int, Any]:
     """Lets an interrupt or termination end the run after its step; gives the former handlers."""
     if threading.current_thread() is not threading.main_thread():
         return {}  # a worker of Ray: its driver passes the end on

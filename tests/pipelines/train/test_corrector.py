@@ -12,7 +12,8 @@ from models.physics_corrector.flow.presets import CorrectorSettings
 from models.physics_corrector.training.dataset import TrainingScenes
 from models.physics_corrector.training.settings import CorrectorTrainingSettings
 from pipelines.__main__ import app
-from pipelines.train.corrector import STATE, WEIGHTS, CorrectorMonitoring, CorrectorTrainingJob
+from pipelines.train.corrector import WEIGHTS, CorrectorMonitoring, CorrectorTrainingJob
+from pipelines.train.run import STATE
 from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS

@@ -30,7 +30,8 @@ from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess.shard import preprocess
 from pipelines.settings import SECTIONS
 from pipelines.train.estimate import plan_of
-from pipelines.train.reasoner import STATE, ReasonerMonitoring, ReasonerTrainingJob
+from pipelines.train.reasoner import ReasonerMonitoring, ReasonerTrainingJob
+from pipelines.train.run import STATE
 from stable_data.embedded_world.edit_table import write_edits
 from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
