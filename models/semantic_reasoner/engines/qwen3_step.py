@@ -1,7 +1,12 @@
-"""One token more for each sequence of a Qwen3, without the modules around its arithmetic.
+"""One more token for each sequence of a Qwen3, without the modules around its arithmetic.
 
-For the small network that comes with the toolkit most of a step's time goes into calling modules, not into multiplying: replies end
-one by one, and the last of a batch are decoded by ones and twos. The weights are the model's own, nothing is copied.
+In a small network most of a step's time goes into calling modules, not into multiplying. The weights are the model's own; nothing is
+copied.
+
+Measured with the embedded model, one thread on a shared two-core machine, bound to the form of replies, 12 interleaved pairs, medians:
+with one reply at a time a token takes 19 % more processor time (and 29 % more time) through the model's own modules. With 32 replies at
+a time the difference is lost in the noise (5 % less processor time, 4 % more time). The replies to 32 instructions are equal both ways,
+one at a time and all at once, those of greedy and of sampled decoding.
 """
 
 import torch
