@@ -14,7 +14,7 @@ from stable_data.embedded_world.groups.arrangement import Group, GroupItem, Grou
 from stable_data.embedded_world.plans import Slot, TablePlan
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.shape import Shape
-from stable_data.scene import FloatArray, QuatXyzw, Tabletop, Vec3
+from stable_data.scene import QuatXyzw, Tabletop, Vec3
 from stable_data.simulation.settling import RigidBody
 
 _MARGIN = 0.008  # between groups, metres
@@ -185,8 +185,3 @@ def _collider(thing: PlacedObject) -> fcl.CollisionObject:
     c, s = np.cos(thing.item.yaw), np.sin(thing.item.yaw)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return fcl.CollisionObject(tree, fcl.Transform(turn, np.array([thing.item.x, thing.item.y, thing.z])))
-
-
-def pose_of(thing: PlacedObject) -> FloatArray:
-    """x, y, z, yaw, (4,) float64."""
-    return np.array([thing.item.x, thing.item.y, thing.z, thing.item.yaw])

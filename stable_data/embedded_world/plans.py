@@ -20,14 +20,12 @@ class Slot:
         x: Lowest and highest place of its origin, shares of the table's width.
         y: The same along the table's depth.
         yaw: Which way it looks, radians.
-        may_miss: Leave it out where it does not fit.
     """
 
     arrange: Arrange
     x: tuple[float, float] = (0.05, 0.95)
     y: tuple[float, float] = (0.08, 0.92)
     yaw: float = 0.0
-    may_miss: bool = True
 
 
 Theme: TypeAlias = Callable[[GroupSampler, Tabletop], Sequence[Slot]]

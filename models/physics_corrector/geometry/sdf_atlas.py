@@ -75,11 +75,6 @@ class SdfAtlas:
             return read
         return self._read(grid_index, points, with_gradient=False)[0]
 
-    def sample_with_gradient(self, grid_index: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-        """As `sample`, and the derivative with respect to the points, (M, 3); neither is part of an autograd graph."""
-        with torch.no_grad():
-            return self._read(grid_index, points, with_gradient=True)
-
     def _read(self, grid_index: Tensor, points: Tensor, *, with_gradient: bool) -> tuple[Tensor, Tensor]:
         """Values (M,), and gradients (M, 3) where they are wanted."""
         shape, spacing = self.shape[grid_index], self.spacing[grid_index].to(points.dtype)

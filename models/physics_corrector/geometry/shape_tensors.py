@@ -84,14 +84,6 @@ class ShapeTensors:
         distance = self.atlas.sample(self.grid_index[shape_index], places)
         return self.metres_per_unit[shape_index] * distance
 
-    def signed_distance_with_gradient(self, shape_index: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-        """As `signed_distance`, and the derivative with respect to the points, (M, 3); neither is part of an autograd graph."""
-        affine = self.unit_from_yaw[shape_index].to(points.dtype)
-        places = (affine[:, :, :3] * points[:, None]).sum(dim=2) + affine[:, :, 3]
-        distance, slope = self.atlas.sample_with_gradient(self.grid_index[shape_index], places)
-        factor = self.metres_per_unit[shape_index]
-        return factor * distance, factor[:, None] * (affine[:, :, :3] * slope[:, :, None]).sum(dim=1)
-
 
 class ShapeCollector:
     """Collects the shapes of scenes, each once, and makes a :class:`ShapeTensors` of them.

@@ -6,7 +6,6 @@ trained on the samples, so that any text can be read and written, if at more tok
 
 import re
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 from tokenizers import AddedToken, Regex, Tokenizer, decoders, models, pre_tokenizers, trainers
 from transformers import PreTrainedTokenizerBase, PreTrainedTokenizerFast
@@ -102,9 +101,3 @@ def chat_text(tokenizer: PreTrainedTokenizerBase, messages: Sequence[Message], t
     # Qwen3's own template leaves room for a chain of thought unless it is told that there is none.
     told = tokenizer.apply_chat_template(list(messages), add_generation_prompt=True, enable_thinking=thinks, tokenize=False)
     return str(told)
-
-
-def load_tokenizer(folder: Path) -> PreTrainedTokenizerFast:
-    """The tokenizer that was saved in a folder."""
-    loaded: PreTrainedTokenizerFast = PreTrainedTokenizerFast.from_pretrained(folder)
-    return loaded
