@@ -206,11 +206,9 @@ def _left(o: LayoutObject) -> LayoutReply:
         (lambda s: LayoutReply((replace(s.layout[0], instance="zebra_0"),), (s.layout[0].instance,)), "replace"),
     ],
 )
-def test_real_scenes_keep_what_is_not_named(
-    shared_data: Path, reply_to: Callable[[EditPrompt], LayoutReply], kind: str
-) -> None:
-    dataset = MesaTaskDataset(shared_data / "mesa_real")
-    for scene_id in dataset.scene_ids[::10]:
+def test_real_scenes_keep_what_is_not_named(real_data: Path, reply_to: Callable[[EditPrompt], LayoutReply], kind: str) -> None:
+    dataset = MesaTaskDataset(real_data)
+    for scene_id in dataset.scene_ids:
         read = dataset.read(scene_id)[0]
         carriers = supports(read, {})
         scene = replace(read, objects=tuple(replace(o, support=carriers[o.instance]) for o in read.objects))

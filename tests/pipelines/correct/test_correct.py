@@ -192,10 +192,20 @@ def test_boxes_stand_in_and_it_is_said(bare: Path, tmp_path: Path) -> None:
     assert "unknown" in codes
 
 
-def test_broken_scenes_are_all_accounted_for(shared_data: Path, tmp_path: Path) -> None:
-    root = shared_data / "mesa_broken"
-    manifest = correct(str(root), str(tmp_path / "out"), SMALL, ALONE, report=False)
-    source = MesaTaskDataset(root)
+def test_real_scenes_with_defects_are_certified(real_data: Path, tmp_path: Path) -> None:
+    manifest = correct(str(real_data), str(tmp_path / "out"), SMALL, ALONE, report=False)
+    assert manifest["counts"]["by_status"] == {"certified": 12}
+    rows = rows_of(tmp_path / "out", "scenes")
+    assert all(row["clean"] for row in rows.values())
+    truth = json.loads((real_data / "truth.json").read_bytes())
+    assert {scene_id: len(row["objects"]) for scene_id, row in rows.items()} == {
+        scene_id: len(scene["objects"]) for scene_id, scene in truth.items()
+    }
+
+
+def test_broken_scenes_are_all_accounted_for(broken_data: Path, tmp_path: Path) -> None:
+    manifest = correct(str(broken_data), str(tmp_path / "out"), SMALL, ALONE, report=False)
+    source = MesaTaskDataset(broken_data)
     scenes, failures = set(rows_of(tmp_path / "out", "scenes")), RunFolder(str(tmp_path / "out")).table("failures").to_pylist()
     assert scenes | {row["id"] for row in failures} >= set(source.scene_ids)
     assert not scenes & {row["id"] for row in failures}

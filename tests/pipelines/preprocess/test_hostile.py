@@ -1,12 +1,10 @@
 """Hostile items: whatever one of them does, it is that item's row of failures, and the rest of the run is there."""
 
-import json
 import shutil
-import subprocess
+from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
-import polars as pl
 import pytest
 
 from pipelines.execution.ray_executor import ProcessFailure, WorkerPool
@@ -17,6 +15,7 @@ from stable_data.errors import ConfigError
 from stable_data.geometry.gltf_reader import load_glb
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.storage.run_folder import RunFolder
+from tests.broken_inputs import BROKEN_INPUTS
 from tests.pipelines.runs import SMALL, run_cli, used_assets
 
 WRITER = """
@@ -116,40 +115,32 @@ def test_how_a_process_ended_is_the_reason(
 
 
 @pytest.fixture(scope="module")
-def broken_run(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> subprocess.CompletedProcess[str]:
+def broken_run(broken_data: Path, tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     out = tmp_path_factory.mktemp("broken") / "out"
-    done = run_cli(shared_data / "mesa_broken", out, "--workers", "0")
-    done.args = out
-    return done
+    preprocess(str(broken_data), str(out), SMALL, WorkerPool())
+    return RunFolder(str(out))
 
 
-def test_mesa_broken_is_handled_case_by_case(shared_data: Path, broken_run: subprocess.CompletedProcess[str]) -> None:
-    root = shared_data / "mesa_broken"
-    assert broken_run.returncode == 1, broken_run.stderr
-    run = RunFolder(str(broken_run.args))
-    scenes = set(run.table("scenes", ["scene_id"])["scene_id"].to_pylist())
-    failures = pl.DataFrame(pl.from_arrow(run.table("failures")))
-    warnings = pl.DataFrame(pl.from_arrow(run.table("warnings")))
-    expected = json.loads((root / "expected.json").read_text("utf-8"))
-    assert scenes | (set(failures["id"]) & set(expected)) == set(expected)
-    codes: dict[str, str] = {}
-    for scene_id, case in expected.items():
-        if case["action"] == "reject":
-            assert scene_id not in scenes, case
-            rows = failures.filter(pl.col("id") == scene_id)
-            assert rows.height == 1, case
-            codes[scene_id] = rows["code"].item()
+def test_broken_inputs_are_handled_case_by_case(broken_run: RunFolder) -> None:
+    scenes = set(broken_run.table("scenes", ["scene_id"])["scene_id"].to_pylist())
+    failures, warnings = (defaultdict[str, list[str]](list) for _ in range(2))
+    for codes, table in ((failures, "failures"), (warnings, "warnings")):
+        for row in broken_run.table(table).to_pylist():
+            codes[row["id"]].append(row["code"])
+    assert scenes == {case.name for case in BROKEN_INPUTS if case.action != "reject"}
+    for case in BROKEN_INPUTS:
+        if case.action == "reject":
+            assert failures[case.name] == [case.layout_code]
+        elif case.action == "keep":
+            assert (failures[case.name], warnings[case.name]) == ([], [])
         else:
-            assert scene_id in scenes, case
-            rows = warnings.filter(pl.col("id") == scene_id)
-            assert (rows.height > 0) == (case["action"] == "keep_with_warning"), (case, rows)
-            if rows.height:
-                codes[scene_id] = rows["code"][0]
-    assert len(set(codes.values())) >= len(codes) - 1, "each case has its own reason"
+            assert failures[case.name] == []
+            assert (case.layout_code or case.mesh_code) in warnings[case.name]
 
 
-def test_objects_with_a_broken_mesh_are_kept_as_boxes_of_unknown_verdict(broken_run: subprocess.CompletedProcess[str]) -> None:
-    rows = {r["scene_id"]: r for r in RunFolder(str(broken_run.args)).table("scenes").to_pylist()}
-    assert rows["dining_table_0017"]["num_without_mesh"] == 1
-    assert rows["coffee_table_0052"]["num_without_mesh"] == 0
-    assert rows["bathroom_vanity_0003"]["num_without_mesh"] == 0
+def test_objects_with_a_broken_mesh_are_kept_as_boxes_of_unknown_verdict(broken_run: RunFolder) -> None:
+    rows = {r["scene_id"]: r for r in broken_run.table("scenes").to_pylist()}
+    without_mesh = {case.name for case in BROKEN_INPUTS if not case.is_mesh_usable}
+    assert {name for name, row in rows.items() if row["num_without_mesh"]} == without_mesh | {"unknown_uid"}
+    assert {rows[name]["num_without_mesh"] for name in without_mesh} == {1}
+    assert {rows[name]["clean"] for name in without_mesh} == {None}

@@ -174,9 +174,9 @@ def test_features_of_another_number_of_assets_are_refused() -> None:
         AssetLibrary("mine", (thing("a", "a mug"),), np.eye(2, dtype=np.float32))
 
 
-def test_mesa_real_is_a_library(shared_data: Path) -> None:
-    dataset = MesaTaskDataset(shared_data / "mesa_real")
-    scenes = [dataset.read(scene_id)[0] for scene_id in dataset.scene_ids[:40]]
+def test_a_real_folder_is_a_library(real_data: Path) -> None:
+    dataset = MesaTaskDataset(real_data)
+    scenes = [dataset.read(scene_id)[0] for scene_id in dataset.scene_ids]
     library = library_of_folder(dataset.root, scenes=scenes)
     assert len(library) + len(library.left_out) == len(dataset.asset_ids)
     filtered = [a for a in dataset.annotations.values() if a.mark_deletion or a.is_composite or not a.on_table]

@@ -434,9 +434,9 @@ def test_retrieval_is_light() -> None:
     assert not {"torch", "ray", "scipy", "shapely", "trimesh", "transformers"} & set(loaded)
 
 
-def test_mesa_real_finds_what_it_holds(shared_data: Path) -> None:
+def test_a_real_folder_finds_what_it_holds(real_data: Path) -> None:
     encoder = BagOfWords()
-    shelf = library_of_folder(shared_data / "mesa_real").embedded(encoder)
+    shelf = library_of_folder(real_data).embedded(encoder)
     offered = [asset for asset in shelf.assets if asset.is_offered]
     queries = [AssetQuery(asset.description, asset.extents, asset.category) for asset in offered]
     answers = Retriever([shelf], encoder).retrieve(queries)

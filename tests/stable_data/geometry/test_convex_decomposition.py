@@ -119,10 +119,10 @@ def test_the_budget_is_kept(max_parts: int) -> None:
 
 
 @pytest.mark.parametrize(("category", "radius"), [("bowl", 0.18), ("crate", 0.12), ("pot", 0.15)])
-def test_a_marble_lies_in_real_containers(shared_data: Path, category: str, radius: float) -> None:
-    notes = json.loads((shared_data / "mesa_real" / "Asset_annotation.json").read_text())
+def test_a_marble_lies_in_real_containers(real_data: Path, category: str, radius: float) -> None:
+    notes = json.loads((real_data / "Asset_annotation.json").read_text())
     asset_id = next(uid for uid, note in notes.items() if note["category"] == category)
-    mesh, _, _ = repair(load_glb(shared_data / "mesa_real" / "Assets_library" / f"{asset_id}.glb", asset_id)[0], asset_id)
+    mesh, _, _ = repair(load_glb(real_data / "Assets_library" / f"{asset_id}.glb", asset_id)[0], asset_id)
     parts, extent = convex_parts(mesh), mesh.extents.max()
     assert parts.overfill_max < 0.05 * extent
     assert holds_ball(parts, np.array([0.0, 0.0, mesh.extents[2] / 2]), radius * extent)

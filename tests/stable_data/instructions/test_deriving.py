@@ -119,8 +119,8 @@ def read(dataset: MesaTaskDataset, scene_id: str) -> tuple[Scene, SceneGraph]:
     return scene, scene_graph(scene, {}, containers=containers)
 
 
-def test_made_up_tasks_are_true_and_are_understood(shared_data: Path) -> None:
-    dataset = MesaTaskDataset(shared_data / "mesa_real")
+def test_made_up_tasks_are_true_and_are_understood(measured_data: Path) -> None:
+    dataset = MesaTaskDataset(measured_data)
     same_objects = same_relations = num_tasks = 0
     for scene_id in dataset.scene_ids:
         scene, graph = read(dataset, scene_id)
@@ -137,8 +137,8 @@ def test_made_up_tasks_are_true_and_are_understood(shared_data: Path) -> None:
     assert same_relations / num_tasks > 0.97
 
 
-def test_the_words_alone_mostly_tell_the_objects(shared_data: Path) -> None:
-    dataset = MesaTaskDataset(shared_data / "mesa_real")
+def test_the_words_alone_mostly_tell_the_objects(measured_data: Path) -> None:
+    dataset = MesaTaskDataset(measured_data)
     right = 0
     for scene_id in dataset.scene_ids:
         scene, graph = read(dataset, scene_id)

@@ -143,8 +143,8 @@ def test_named_instances_stay_as_they_are() -> None:
     assert (kept, [n.code for n in notices]) == (task, ["task_object_missing"])
 
 
-def test_recorded_task_objects_are_found(shared_data: Path) -> None:
-    root = shared_data / "mesa_real"
+def test_recorded_task_objects_are_found(measured_data: Path) -> None:
+    root = measured_data
     truths = json.loads((root / "truth.json").read_text())
     dataset = MesaTaskDataset(root)
     right = named = wanted = 0

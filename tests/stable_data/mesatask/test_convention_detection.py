@@ -30,8 +30,7 @@ def by_mesh_centre(scene: Scene, store: AssetStore) -> Scene:
     return replace(scene, objects=tuple(there(o) for o in scene.objects))
 
 
-def written_by_mesh_centre(dataset: MesaTaskDataset, out: Path) -> MesaTaskDataset:
-    store = AssetStore(dataset)
+def written_by_mesh_centre(dataset: MesaTaskDataset, store: AssetStore, out: Path) -> MesaTaskDataset:
     write_annotations(out, dataset.annotations)
     (out / "Assets_library").symlink_to(dataset.root / "Assets_library")
     for scene_id in dataset.scene_ids:
@@ -48,17 +47,18 @@ def leaning(tmp_path_factory: pytest.TempPathFactory) -> MesaTaskDataset:
 
 
 def test_embedded_scenes_place_box_centres_and_are_told_apart(leaning: MesaTaskDataset, tmp_path: Path) -> None:
-    assert position_convention(leaning, AssetStore(leaning)) is PositionConvention.BOX_CENTRE
-    other = written_by_mesh_centre(leaning, tmp_path)
-    assert position_convention(other, AssetStore(other)) is PositionConvention.MESH_CENTRE
+    store = AssetStore(leaning)
+    assert position_convention(leaning, store) is PositionConvention.BOX_CENTRE
+    other = written_by_mesh_centre(leaning, store, tmp_path)
+    assert position_convention(other, store) is PositionConvention.MESH_CENTRE  # the meshes are the same
 
 
-def test_real_scenes_are_told_apart(shared_data: Path, tmp_path: Path) -> None:
-    real = MesaTaskDataset(shared_data / "mesa_real")
+def test_real_scenes_are_told_apart(measured_data: Path, tmp_path: Path) -> None:
+    real = MesaTaskDataset(measured_data)
     store = AssetStore(real, max_bytes=2**30)
     assert position_convention(real, store, 16) is PositionConvention.BOX_CENTRE
-    other = written_by_mesh_centre(real, tmp_path)
-    assert position_convention(other, AssetStore(other, max_bytes=2**30), 16) is PositionConvention.MESH_CENTRE
+    other = written_by_mesh_centre(real, store, tmp_path)
+    assert position_convention(other, store, 16) is PositionConvention.MESH_CENTRE
 
 
 @pytest.mark.parametrize(("num_scenes", "looked_at"), [(1, 1), (4, 3), (9, 9), (20, 9)])

@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,12 +25,19 @@ from stable_data.mesatask import (
     yaw_frame_box,
 )
 from stable_data.scene import UPRIGHT, FloatArray, SceneObject
+from tests.broken_inputs import BROKEN_INPUTS, TOMATO, BrokenInput
 from tests.stable_data.mesatask.layouts import UID, entry, layout, make_dataset
 
 
 @pytest.fixture(scope="module")
-def real(shared_data: Path) -> MesaTaskDataset:
-    return MesaTaskDataset(shared_data / "mesa_real")
+def real(real_data: Path) -> MesaTaskDataset:
+    return MesaTaskDataset(real_data)
+
+
+@pytest.fixture(scope="module")
+def truth(real: MesaTaskDataset) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((real.root / "truth.json").read_bytes())
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -47,10 +55,9 @@ def meshes(real: MesaTaskDataset) -> Callable[[str], FloatArray]:
     return vertices
 
 
-def test_real_scenes_read_without_a_notice_and_write_back_as_they_stood(real: MesaTaskDataset) -> None:
-    assert len(real.scene_ids) == 120
+def test_real_scenes_read_without_a_notice_and_write_back_as_they_stood(real: MesaTaskDataset, truth: dict[str, Any]) -> None:
+    assert real.scene_ids == tuple(sorted(truth))
     assert not real.notices
-    num_tasks = 0
     for scene_id in real.scene_ids:
         scene, notices = real.read(scene_id)
         assert not notices
@@ -58,15 +65,14 @@ def test_real_scenes_read_without_a_notice_and_write_back_as_they_stood(real: Me
         assert written == json.loads(real.layout_path(scene_id).read_bytes())
         again, _ = read_layout(json.dumps(written), scene_id, scene.table.table_type, annotations=real.annotations)
         assert replace(again, task=scene.task) == scene
+        assert (scene.task is None) == (truth[scene_id]["task"] is None)
         if scene.task is not None:
-            num_tasks += 1
             assert write_task_info(scene.task, scene.table) == scene.task.source
-    assert num_tasks == 72
 
 
 def test_a_real_dataset_copied_by_the_writers_reads_as_the_same(real: MesaTaskDataset, tmp_path: Path) -> None:
     write_annotations(tmp_path, real.annotations)
-    ids = real.scene_ids[::10]
+    ids = real.scene_ids
     for scene_id in ids:
         write_scene(tmp_path, real.read(scene_id)[0], front_png=b"png")
     used = sorted({o.asset_id for scene_id in ids for o in real.read(scene_id)[0].objects if o.asset_id})
@@ -83,7 +89,7 @@ def test_a_real_dataset_copied_by_the_writers_reads_as_the_same(real: MesaTaskDa
 
 
 def test_moved_real_objects_read_back_where_they_were_put(real: MesaTaskDataset, rng: np.random.Generator) -> None:
-    for scene_id in real.scene_ids[::6]:
+    for scene_id in real.scene_ids:
         scene = real.read(scene_id)[0]
         moved = replace(scene, objects=tuple(_jittered(o, rng) if k % 2 else o for k, o in enumerate(scene.objects)))
         written = write_layout(moved)
@@ -106,9 +112,11 @@ def _jittered(o: SceneObject, rng: np.random.Generator) -> SceneObject:
     return o.moved((x, y, z), math.remainder(o.yaw + rng.normal(0, 1), 2 * math.pi))
 
 
-def test_sizes_of_real_scenes_fit_their_meshes(real: MesaTaskDataset, meshes: Callable[[str], FloatArray]) -> None:
+def test_sizes_of_real_scenes_fit_their_meshes(
+    real: MesaTaskDataset, meshes: Callable[[str], FloatArray], truth: dict[str, Any]
+) -> None:
     objects = [o for scene_id in real.scene_ids for o in real.read(scene_id)[0].objects]
-    assert len(objects) == 1462
+    assert len(objects) == sum(len(scene["objects"]) for scene in truth.values())
     for o in objects:
         assert o.scale is not None
         low, high = yaw_frame_box(meshes(o.asset_id or ""), o.scale, o.tilt_quat_xyzw)
@@ -116,8 +124,9 @@ def test_sizes_of_real_scenes_fit_their_meshes(real: MesaTaskDataset, meshes: Ca
         assert has_size(high - low, o.size)
 
 
-def test_real_scenes_place_box_centres(real: MesaTaskDataset, meshes: Callable[[str], FloatArray], shared_data: Path) -> None:
-    truth = json.loads((shared_data / "mesa_real" / "truth.json").read_bytes())
+def test_real_scenes_place_box_centres(
+    real: MesaTaskDataset, meshes: Callable[[str], FloatArray], truth: dict[str, Any]
+) -> None:
     for scene_id in real.scene_ids:
         for o in real.read(scene_id)[0].objects:
             settled = truth[scene_id]["objects"][o.instance]
@@ -126,43 +135,41 @@ def test_real_scenes_place_box_centres(real: MesaTaskDataset, meshes: Callable[[
             assert converted.position == pytest.approx(np.array(settled["aabb_center_cm"]) / 100, abs=1e-4)
 
 
-OTHER_CODE = {"objects_5000": "too_many_objects", "z_rotation_degrees": "z_rotation_disagrees"}
+@pytest.fixture(scope="module")
+def broken(broken_data: Path) -> MesaTaskDataset:
+    dataset = MesaTaskDataset(broken_data)
+    assert dataset.scene_ids == tuple(sorted(case.name for case in BROKEN_INPUTS))
+    return dataset
 
 
-def test_broken_scenes_are_refused_or_kept_as_expected(shared_data: Path) -> None:
-    dataset = MesaTaskDataset(shared_data / "mesa_broken")
-    expected = json.loads((shared_data / "mesa_broken" / "expected.json").read_bytes())
-    assert dataset.scene_ids == tuple(sorted(expected))
-    for scene_id, case in expected.items():
-        code = OTHER_CODE.get(case["code"], case["code"])
-        if case["action"] == "reject":
-            with pytest.raises(SceneError, match=f"^{scene_id}: ") as caught:
-                dataset.read(scene_id)
-            assert caught.value.code == code
-            continue
-        scene, notices = dataset.read(scene_id)
-        of_the_mesh = code.startswith("glb_") and code != "glb_missing"  # the mesh loader's to notice
-        assert [notice.code for notice in notices] == ([] if of_the_mesh or code == "control_ok" else [code])
-        assert len(scene.objects) == len(json.loads(dataset.layout_path(scene_id).read_bytes())["objects"])
+@pytest.mark.parametrize("case", BROKEN_INPUTS, ids=lambda case: case.name)
+def test_broken_scenes_are_refused_or_kept_as_expected(broken: MesaTaskDataset, case: BrokenInput) -> None:
+    if case.action == "reject":
+        with pytest.raises(SceneError, match=f"^{case.name}: ") as caught:
+            broken.read(case.name)
+        assert caught.value.code == case.layout_code
+        return
+    scene, notices = broken.read(case.name)
+    assert [notice.code for notice in notices] == ([] if case.layout_code is None else [case.layout_code])
+    assert len(scene.objects) == len(json.loads(broken.layout_path(case.name).read_bytes())["objects"])
 
 
-def test_broken_objects_fall_back_to_what_is_left(shared_data: Path) -> None:
-    dataset = MesaTaskDataset(shared_data / "mesa_broken")
-    objects = {code: dataset.read(scene_id)[0] for scene_id, code in _kept_cases(shared_data)}
-    assert objects["scale_zero"]["4_tomato_0"].scale is None
-    assert objects["scale_negative"]["4_tomato_0"].scale is None
-    assert objects["scale_factor_missing"]["4_tomato_0"].size == pytest.approx(objects["scale_zero"]["4_tomato_0"].size)
-    assert objects["rotation_wrong_length"]["4_tomato_0"].tilt_quat_xyzw == UPRIGHT
-    assert objects["rotation_not_unit"]["4_tomato_0"].tilt_quat_xyzw == UPRIGHT
-    assert objects["unknown_uid"]["4_tomato_0"].asset_id is None
-    assert objects["z_rotation_degrees"]["4_tomato_0"].yaw == pytest.approx(1.0)
-    assert objects["glb_missing"]["5_tomato_0"].asset_id == "e9017d3f52d3a02b1b91ad1f352b00e0"
-    assert objects["duplicate_instance"]["4_tomato_0"].asset_id != objects["duplicate_instance"]["4_tomato_1"].asset_id
-
-
-def _kept_cases(shared_data: Path) -> list[tuple[str, str]]:
-    expected = json.loads((shared_data / "mesa_broken" / "expected.json").read_bytes())
-    return [(scene_id, case["code"]) for scene_id, case in expected.items() if case["action"] != "reject"]
+def test_broken_objects_fall_back_to_what_is_left(broken: MesaTaskDataset) -> None:
+    scenes = {case.name: broken.read(case.name)[0] for case in BROKEN_INPUTS if case.action != "reject"}
+    tomatoes = {name: scene[TOMATO] for name, scene in scenes.items()}
+    whole = tomatoes["nothing_broken"]
+    for name in ("scale_zero", "scale_negative", "scale_factor_missing"):
+        assert tomatoes[name].scale is None
+        assert tomatoes[name].size == pytest.approx(whole.size)
+    for name in ("rotation_wrong_length", "rotation_not_unit"):
+        assert tomatoes[name].tilt_quat_xyzw == UPRIGHT
+        assert tomatoes[name].yaw == pytest.approx(whole.yaw)
+    assert tomatoes["unknown_uid"].asset_id is None
+    assert tomatoes["z_rotation_degrees"].yaw == pytest.approx(whole.yaw)
+    assert scenes["glb_missing"].objects[-1].asset_id is not None
+    first, *_, last = scenes["duplicate_instance"].objects
+    assert first.instance != last.instance
+    assert first.asset_id != last.asset_id
 
 
 def test_folders_that_are_no_dataset_are_told_apart(tmp_path: Path) -> None:

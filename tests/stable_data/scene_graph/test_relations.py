@@ -207,8 +207,8 @@ def _shifted(truth: dict[str, object]) -> set[str]:
     return moved
 
 
-def test_boxes_alone_find_nearly_every_recorded_parent(shared_data: Path) -> None:
-    root = shared_data / "mesa_real"
+def test_boxes_alone_find_nearly_every_recorded_parent(measured_data: Path) -> None:
+    root = measured_data
     truths = json.loads((root / "truth.json").read_text())
     dataset = MesaTaskDataset(root)
     hits = wrong = missed = 0

@@ -19,12 +19,10 @@ from tests.models.semantic_reasoner.training.reasoner_examples import TABLE, thi
 
 
 @pytest.fixture(scope="module")
-def rows(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
-    """The samples of a few real scenes, staged without their meshes."""
+def rows(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
+    """The samples of real scenes, staged without their meshes."""
     root, out = (tmp_path_factory.mktemp("real") / name for name in ("data", "run"))
-    shutil.copytree(shared_data / "mesa_real", root, ignore=shutil.ignore_patterns("Assets_library"))
-    for layout in sorted(root.glob("Layout_info/*/*/layout.json"))[10:]:
-        shutil.rmtree(layout.parent)
+    shutil.copytree(real_data, root, ignore=shutil.ignore_patterns("Assets_library"))
     settings = PreprocessSettings(num_points=64, num_pictures=0, all_assets=False, features="none")
     preprocess(str(root), str(out), settings, WorkerPool())
     return rows_from_table(RunFolder(str(out)).table("samples"))

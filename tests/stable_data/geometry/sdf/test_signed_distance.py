@@ -234,16 +234,16 @@ def test_no_faces_and_no_extent_are_refused() -> None:
         build_grid(sheet(), is_sheet=True, shell_thickness=-1.0)
 
 
-def test_hollow_of_real_open_vessels_is_outside(shared_data: Path) -> None:
+def test_hollow_of_real_open_vessels_is_outside(real_data: Path) -> None:
     vessels = []
-    for path in sorted((shared_data / "mesa_real" / "Assets_library").glob("*.glb"))[::6]:
+    for path in sorted((real_data / "Assets_library").glob("*.glb"))[::3]:
         mesh, report, _ = repair(load_glb(path, path.stem)[0], path.stem)
         unit, _ = unit_mesh(mesh)
         above = SignedDistance(unit).first_hit(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]]))[0]
         depth = unit.vertices[:, 2].max() - (1 - above)
         if np.isfinite(above) and depth > 0.3:
             vessels.append((unit, report.is_sheet, depth))
-    assert vessels
+    assert len(vessels) >= 3
     for unit, is_sheet, depth in vessels:
         grid = build_grid(unit, is_sheet=is_sheet)
         inside_hollow = np.array([[0.0, 0.0, unit.vertices[:, 2].max() - depth / 2]])
