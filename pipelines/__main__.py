@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from pipelines.retired import CommandGroup
 from stable_data.cli import (
     SOME_FAILED,
     Address,
@@ -23,7 +24,13 @@ from stable_data.cli import (
 )
 from stable_data.errors import ConfigError
 
-app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help="Jobs on tabletop scenes.")
+app = typer.Typer(
+    cls=CommandGroup,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Jobs on tabletop scenes.",
+)
 
 Scenes = Annotated[
     str, typer.Option(help="A folder in the MesaTask-10K format, or a run with a table scenes; every node must see it.")
@@ -193,60 +200,6 @@ def edit(
 
 @app.command()
 @with_clear_errors
-def propose(
-    out: Annotated[str, typer.Option(help="Run folder; OUT/dataset has the scenes in the MesaTask-10K format.")],
-    instruction: Annotated[str | None, typer.Option(help="What is to be done on the table; with --table and --size.")] = None,
-    table: Annotated[str | None, typer.Option(help="Kind of table, such as office_table.")] = None,
-    size: Annotated[tuple[float, float] | None, typer.Option(help="Width and depth of the table, centimetres.")] = None,
-    restricted: Annotated[
-        tuple[float, float, float, float] | None,
-        typer.Option(help="x_min x_max y_min y_max where nothing may stand, centimetres."),
-    ] = None,
-    tasks: Annotated[
-        Path | None,
-        typer.Option(
-            help="Many tasks: .jsonl, .csv or .parquet with instruction, table_type, table_size_cm and, if wanted, scene_id and "
-            "restricted_zone_cm."
-        ),
-    ] = None,
-    assets: Assets = None,
-    engine: Annotated[
-        str | None,
-        typer.Option(help="embedded, transformers:FOLDER, vllm:FOLDER, openai:MODEL or scripted:FILE; stronger than the file."),
-    ] = None,
-    config: Annotated[Path | None, typer.Option(help="TOML file; its table [propose] is read.")] = None,
-    set_: Settings = None,
-    one_shot: Annotated[bool, typer.Option("--one-shot", help="Ask for whole layouts at once, the paper's ablation.")] = False,
-    seed: Annotated[int | None, typer.Option(help="Of draws and choices; stronger than the file.")] = None,
-) -> None:
-    """Lay out scenes from instructions, without correcting them. Run again to go on where it was stopped.
-
-    Status 0: done. 1: some tasks could not be laid out; the table failures says which and why. 2: could not start.
-    """
-    from pipelines.propose.job import propose as run
-    from pipelines.propose.settings import ProposeSettings
-    from pipelines.settings import resolve
-    from pipelines.sources.tasks import one_task
-
-    one = (instruction, table, size)
-    if (tasks is None) == (instruction is None) or (tasks is None) != all(x is not None for x in one):
-        raise ConfigError("expected --tasks FILE, or --instruction TEXT with --table TYPE and --size W D", "usage")
-    asked = tasks if tasks is not None else one_task(instruction, table, size, restricted)
-    more = [f"engine.engine={json.dumps(engine)}"] * (engine is not None) + ["one_shot=true"] * one_shot
-    settings = resolve(ProposeSettings, "propose", config, [*(set_ or []), *more, *[f"seed={seed}"] * (seed is not None)])
-    manifest = run(asked, out, settings, assets or ())
-    counts = manifest["counts"]
-    failed = ", ".join(f"{code} {n}" for code, n in counts["failures_by_code"].items())
-    typer.echo(
-        f"{out}: {counts['scenes']} of {manifest['num_tasks']} tasks laid out, {counts['warnings']} warnings, "
-        f"{counts['failures']} failures{f' ({failed})' if failed else ''}; dataset/, proposals.jsonl, report/index.html"
-    )
-    if counts["failures"]:
-        raise typer.Exit(SOME_FAILED)
-
-
-@app.command()
-@with_clear_errors
 def generate(
     out: RunOut,
     tasks: Annotated[
@@ -261,8 +214,22 @@ def generate(
     ] = None,
     where: Annotated[str, typer.Option(help="Which scenes of a run, such as \"split == 'test'\".")] = "",
     count: Annotated[int | None, typer.Option(help="Draw so many tasks of the embedded world.")] = None,
+    instruction: Annotated[
+        str | None, typer.Option(help="One task: what is to be done on the table; with --table and --size.")
+    ] = None,
     table: Annotated[
-        list[str] | None, typer.Option(help="Kind of table to draw; may be repeated. All kinds by default.")
+        list[str] | None,
+        typer.Option(
+            help="Kind of table, such as office_table: that of --instruction, or those that --count draws, where it may be repeated; "
+            "there all kinds by default."
+        ),
+    ] = None,
+    size: Annotated[
+        tuple[float, float] | None, typer.Option(help="Width and depth of the table of --instruction, centimetres.")
+    ] = None,
+    restricted: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(help="x_min x_max y_min y_max where nothing may stand on the table of --instruction, centimetres."),
     ] = None,
     assets: Assets = None,
     engine: Annotated[
@@ -287,12 +254,18 @@ def generate(
     from pipelines.generate.job import generate as run
     from pipelines.generate.settings import GenerateSettings
     from pipelines.settings import resolve
-    from pipelines.sources.generation_tasks import of_file, of_scenes, sampled
+    from pipelines.sources.generation_tasks import of_file, of_instruction, of_scenes, sampled
 
-    if sum(source is not None for source in (tasks, scenes, count)) != 1:
-        raise ConfigError("expected one of --tasks FILE, --scenes DATA and --count N", "usage")
-    if (where and scenes is None) or (table and count is None):
-        raise ConfigError("--where belongs to --scenes, --table to --count; leave it out, or name those", "usage")
+    if sum(source is not None for source in (tasks, scenes, count, instruction)) != 1:
+        raise ConfigError("expected one of --tasks FILE, --scenes DATA, --count N and --instruction TEXT", "usage")
+    if where and scenes is None:
+        raise ConfigError("--where belongs to --scenes; leave it out, or name the scenes", "usage")
+    if table and count is None and instruction is None:
+        raise ConfigError("--table belongs to --count or --instruction; leave it out, or name one of those", "usage")
+    if (size or restricted) and instruction is None:
+        raise ConfigError("--size and --restricted belong to --instruction; leave them out, or name it", "usage")
+    if instruction is not None and (size is None or len(table or ()) != 1):
+        raise ConfigError("--instruction TEXT is without its table, expected one --table TYPE and --size W D", "usage")
     workers = _count(workers, address)
     asked = [f"engine.engine={json.dumps(engine)}"] * (engine is not None) + [f"seed={seed}"] * (seed is not None)
     settings = resolve(GenerateSettings, "generate", config, [*(set_ or []), *asked])
@@ -300,6 +273,8 @@ def generate(
         found = of_file(tasks)
     elif scenes is not None:
         found = of_scenes(scenes, where)
+    elif instruction is not None:
+        found = of_instruction(instruction, (table or [""])[0], size, restricted)
     else:
         found = sampled(count or 0, settings.seed, table or ())
     if dry_run:

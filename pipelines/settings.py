@@ -9,12 +9,13 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
 
+from pipelines.retired import refuse_retired
 from stable_data.config_diff import flat
 from stable_data.errors import ConfigError
 
 C = TypeVar("C")
 
-SECTIONS = ("preprocess", "correct", "edit", "propose", "generate", "train_corrector", "train_reasoner")
+SECTIONS = ("preprocess", "correct", "edit", "generate", "train_corrector", "train_reasoner")
 """Tables that a file may have: one for each job."""
 
 
@@ -87,6 +88,7 @@ def _section(file: Path, section: str) -> Mapping[str, Any]:
         raise ConfigError(f"{file}: cannot be read as TOML ({error})", "config_invalid") from error
     known = dict.fromkeys((section, *SECTIONS))
     for name in document:
+        refuse_retired(name)
         if name not in known:
             raise ConfigError(f"{file}: {name} is not a known table{_hint(name, known)}", "config_invalid")
     if section not in document:

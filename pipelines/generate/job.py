@@ -144,7 +144,7 @@ def describe_generation(tasks: TaskSource, settings: GenerateSettings, assets: S
         "num_tasks_lost": len(tasks.lost),
         "num_shards": len(_shards(tasks.tasks, settings, inputs)),
         "inputs": inputs,
-        "settings": asdict(settings),
+        "settings": asdict(settings) | settings.shaping(),
     }
 
 

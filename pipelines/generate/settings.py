@@ -7,7 +7,6 @@ from models.dual_system.algorithm1 import Corrects, LoopSettings
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings
 from models.semantic_reasoner.text.prompt import WANTED, Wanted
-from pipelines.propose.settings import plain_retrieval
 from stable_data.assets.ranking import RetrievalSettings
 from stable_data.errors import ConfigError
 from stable_data.scene import Stage
@@ -114,5 +113,7 @@ class GenerateSettings:
         """The settings that shape rows beside the reasoner's own: a run is resumed only under the same."""
         aside = ("engine", "reasoner", "num_pictures", "core_hour_price", "engines", "engine_gpus", "seconds_per_item")
         own = {k: v for k, v in asdict(self).items() if k not in aside}
+        licences = self.retrieval.licences
+        own["retrieval"]["licences"] = None if licences is None else sorted(licences)  # JSON has no sets
         # A shared engine answers batch by batch, which may round otherwise than a worker's own.
-        return own | {"retrieval": plain_retrieval(self.retrieval), "shares_engines": self.engines > 0}
+        return own | {"shares_engines": self.engines > 0}

@@ -1,4 +1,4 @@
-"""What the generate job is asked for: tasks of a file, of scenes that are there, or of nobody, drawn one by one where they are needed."""
+"""What the generate job is asked for: tasks of a file, of scenes that are there, of a command line, or drawn where they are needed."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from models.semantic_reasoner.staged_layout import LayoutTask, of_scene
-from pipelines.sources.tasks import read_tasks
+from pipelines.sources.tasks import STEP, read_tasks, task_of
 from stable_data.embedded_world.sampling import sampled_task
 from stable_data.embedded_world.scenes import plan_of, scene_id_of
 from stable_data.errors import ConfigError, Notice, SceneError
@@ -14,9 +14,6 @@ from stable_data.mesatask import MesaTaskDataset
 from stable_data.storage import schemas
 from stable_data.storage.filter_expression import parse_filter
 from stable_data.storage.run_folder import RunFolder
-
-STEP = "tasks"
-"""The step that notices of tasks name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +96,25 @@ def sampled(count: int, seed: int = 0, kinds: Sequence[str] = ()) -> TaskSource:
 def of_file(path: Path) -> TaskSource:
     """The tasks of a file, see :func:`pipelines.sources.tasks.read_tasks`, whose error it raises."""
     return TaskSource.of(path.name, read_tasks(path))
+
+
+def of_instruction(instruction: str, table_type: str, size_cm: object, restricted_cm: object = None) -> TaskSource:
+    """The one task of a command line; its scene is called ``task``.
+
+    Args:
+        instruction: What is to be done on the table.
+        table_type: Kind of table.
+        size_cm: Its width and depth.
+        restricted_cm: x_min, x_max, y_min, y_max where nothing may stand, or None.
+
+    Raises:
+        ConfigError: It is none (``tasks_invalid``).
+    """
+    row = {"instruction": instruction, "table_type": table_type, "table_size_cm": size_cm, "restricted_zone_cm": restricted_cm}
+    try:
+        return TaskSource("one instruction", [task_of(row, "task")])
+    except SceneError as error:
+        raise ConfigError(f"the task's {error}", "tasks_invalid") from error
 
 
 def of_scenes(place: str, where: str = "") -> TaskSource:

@@ -1,4 +1,4 @@
-"""What the propose job is asked: a file of tasks, read a row at a time, each of which becomes a task or says why not."""
+"""A file of tasks, read a row at a time: each row becomes a task or says why not."""
 
 import csv
 import math
@@ -20,7 +20,7 @@ KEYS = ("scene_id", "instruction", "table_type", "table_size_cm", "restricted_zo
 """Columns of the file; the first and the last may be left out."""
 
 STEP = "tasks"
-"""The step that a row's failure names."""
+"""The step that notices of tasks name."""
 
 LONGEST_CM = 1000.0
 """No table is wider or deeper."""
@@ -92,19 +92,6 @@ def task_of(row: Mapping[str, Any], scene_id: str) -> LayoutTask:
     name = _name(values.get("scene_id", scene_id), "scene_id", "task_invalid")
     kind = _name("_".join(str(table_type or "").lower().split()), "table_type", "table_invalid")
     return LayoutTask(name, instruction.strip(), tabletop(kind, values.get("table_size_cm"), values.get("restricted_zone_cm")))
-
-
-def one_task(instruction: str | None, table_type: str | None, size_cm: object, restricted_cm: object = None) -> LayoutTask:
-    """The task of a command line.
-
-    Raises:
-        ConfigError: It is none (``tasks_invalid``).
-    """
-    row = {"instruction": instruction, "table_type": table_type, "table_size_cm": size_cm, "restricted_zone_cm": restricted_cm}
-    try:
-        return task_of(row, "task")
-    except SceneError as error:
-        raise ConfigError(f"the task's {error}", "tasks_invalid") from error
 
 
 def tabletop(table_type: str, size_cm: object, restricted_cm: object = None) -> Tabletop:

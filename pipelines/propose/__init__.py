@@ -1,1 +1,0 @@
-"""Job propose: tasks become raw layouts."""
