@@ -1,6 +1,5 @@
 """Verbs and options that are gone: a command line that has one is answered with one line that says what to write instead."""
 
-from collections.abc import Sequence
 from typing import Any
 
 from typer.core import TyperGroup
@@ -18,21 +17,6 @@ RETIRED = {
 """What to write instead, by ``VERB`` or ``VERB --option``. A verb is also the name of its table in a file of settings."""
 
 
-def refuse_retired(verb: str, words: Sequence[str] = ()) -> None:
-    """Refuses names that are gone.
-
-    Args:
-        verb: The verb.
-        words: What follows it.
-
-    Raises:
-        ConfigError: The verb is gone, or one of its options is (``retired``).
-    """
-    for name in (verb, *(f"{verb} {word.partition('=')[0]}" for word in words)):
-        if name in RETIRED:
-            raise ConfigError(f"{name} is retired; write {RETIRED[name]}", "retired")
-
-
 class CommandGroup(TyperGroup):
     """The verbs of a command line; names that are gone are refused before any option is read."""
 
@@ -41,7 +25,10 @@ class CommandGroup(TyperGroup):
         """The command that words ask for, see the base class.
 
         Raises:
-            typer.Exit: With status 2, where a name is gone.
+            typer.Exit: With status 2, where the verb or one of its options is gone.
         """
-        refuse_retired(args[0], args[1:])
+        verb, *words = args
+        for name in (verb, *(f"{verb} {word.partition('=')[0]}" for word in words)):
+            if name in RETIRED:
+                raise ConfigError(f"{name} is retired; write {RETIRED[name]}", "retired")
         return super().resolve_command(ctx, args)

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from pipelines.retired import refuse_retired
+from pipelines.retired import RETIRED
 from stable_data.config_diff import flat
 from stable_data.errors import ConfigError
 
@@ -88,7 +88,8 @@ def _section(file: Path, section: str) -> Mapping[str, Any]:
         raise ConfigError(f"{file}: cannot be read as TOML ({error})", "config_invalid") from error
     known = dict.fromkeys((section, *SECTIONS))
     for name in document:
-        refuse_retired(name)
+        if name in RETIRED:
+            raise ConfigError(f"{file}: the table [{name}] is of a verb that is retired; write {RETIRED[name]}", "retired")
         if name not in known:
             raise ConfigError(f"{file}: {name} is not a known table{_hint(name, known)}", "config_invalid")
     if section not in document:

@@ -50,11 +50,14 @@ def test_there_are_commands_to_run() -> None:
     [pytest.param(c, marks=pytest.mark.slow) if c.startswith("make generate") else c for c in COMMANDS],
 )
 def test_every_command_runs_as_written(command: str, scenes: Path, tmp_path: Path) -> None:
-    if re.search("propose|generate", command) and not (EMBEDDED / "config.json").is_file():
+    if "generate" in command and not (EMBEDDED / "config.json").is_file():
         pytest.skip("the weights of the embedded reasoner are not in this checkout")
     places = {"/data/MesaTask-10K": scenes, "/data/mesatask-tables": tmp_path / "run", "s3://bucket/mesatask": tmp_path / "run"}
-    places |= {"/data/mesatask-clean": tmp_path / "clean", "/data/proposed": tmp_path / "proposed"}
-    places |= {"/data/scenes": tmp_path / "scenes"}
+    places |= {
+        "/data/mesatask-clean": tmp_path / "clean",
+        "/data/scenes": tmp_path / "scenes",
+        "/data/apple": tmp_path / "apple",
+    }
     places |= {"audit.parquet": tmp_path / "audit.parquet", "/data/world": tmp_path / "world"}
     few = {"--scenes 1000": "--scenes 3", "COUNT=1000": "COUNT=3"}  # as many as a test has time for
     for written, here in (places | few).items():

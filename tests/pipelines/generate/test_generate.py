@@ -8,21 +8,27 @@ from typing import Any
 
 import pytest
 from PIL import Image
+from typer.testing import CliRunner
 
 from models.semantic_reasoner.engines.registry import EMBEDDED, EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import WANTED
+from pipelines.__main__ import app
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.generate.job import describe_generation, generate
 from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import GenerateWork
+from pipelines.settings import resolve
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import TaskSource, sampled
+from stable_data.assets.ranking import RetrievalSettings
 from stable_data.assets.run_assets import run_store
 from stable_data.assets.store import AssetStore
+from stable_data.cli import app as stable_data
 from stable_data.embedded_world.sampling import sampled_task
 from stable_data.errors import ConfigError, Notice
+from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.audit import audit_scene
 from stable_data.scene import Scene, Stage, Tabletop
 from stable_data.simulation.collision_bodies import bodies_of
@@ -30,8 +36,10 @@ from stable_data.simulation.settling import settle
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import Row, scene_from_row
 from stable_data.storage.torch_dataset import TableStream
+from tests.models.semantic_reasoner.engines.endpoint import Act, endpoint
+from tests.models.semantic_reasoner.engines.endpoint import said as completion
 from tests.pipelines.runs import content
-from tests.pipelines.scripts import entry
+from tests.pipelines.scripts import entry, one_thing_a_stage
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -251,6 +259,91 @@ def test_the_ablations_correct_never_or_once(dataset: Path, settings: GenerateSe
     assert (row["move_max_mm"] > 10) is (corrects == "end")
 
 
+def test_layouts_that_are_not_corrected_become_a_folder_of_the_format(
+    dataset: Path, shelf: AssetLibraries, tmp_path: Path
+) -> None:
+    """By the command lines that docs/generate.md has."""
+    chosen = shelf.libraries[0].assets[1:4]
+    script, run, out = tmp_path / "script.json", tmp_path / "run", tmp_path / "out"
+    odd = {"Say nonsense": "what?", "That answer cannot be used": "what?", "Say nothing": {"objects": []}}
+    script.write_text(json.dumps(odd | one_thing_a_stage(chosen)))
+    row = {"instruction": "Lift it.", "table_type": "Office Table", "table_size_cm": [120, 60]}
+    asked = [
+        row | {"scene_id": "mine", "restricted_zone_cm": [60, 120, 0, 60]},
+        row,
+        *(row | {"instruction": said} for said in ("Say nonsense", "Say nothing", "word " * 500)),
+    ]
+    (tmp_path / "tasks.jsonl").write_text("".join(f"{json.dumps(one)}\n" for one in [*asked, row | {"colour": "red"}]))
+    raw = ["--set", "corrects=never", "--set", "accept=", "--set", "num_pictures=0"]
+    where = ["--workers", "0", "--assets", str(dataset), "--engine", f"scripted:{script}", "--out", str(run)]
+    done = CliRunner().invoke(app, ["generate", "--tasks", str(tmp_path / "tasks.jsonl"), *raw, *where])
+    assert done.exit_code == 1, done.output
+    assert "2 of 6 scenes accepted" in done.output
+    assert {row["id"]: row["code"] for row in rows_of(run, "failures")} == {
+        "task_000003": "reply_unusable",
+        "task_000004": "layout_empty",
+        "task_000005": "instruction_invalid",
+        "row 000006": "task_invalid",
+    }
+    assert [row["clean"] for row in rows_of(run, "scenes")] == [False, False]  # all three things are in one place
+    done = CliRunner().invoke(stable_data, ["export", str(run), str(out), "--format", "mesatask"])
+    assert done.exit_code == 0, done.output
+    made = MesaTaskDataset(out)
+    assert made.scene_ids == ("mine", "task_000002")
+    for scene_id in made.scene_ids:
+        scene, notices = made.read(scene_id)
+        assert not notices
+        assert [o.asset_id for o in scene.objects] == [asset.asset_id for asset in chosen]
+        assert [o.position[:2] for o in scene.objects] == [pytest.approx((0.2, 0.3))] * 3
+        assert scene.task is not None
+        assert (scene.task.task, scene.task.task_objects) == ("Lift it.", (f"{chosen[0].category}_0",))
+    assert made.read("mine")[0].table == Tabletop("office_table", (1.2, 0.6), (0.6, 1.2, 0.0, 0.6))
+    assert set(made.annotations) == {asset.asset_id for asset in chosen}
+    assert all(made.asset_path(asset.asset_id) for asset in chosen)
+
+
+def test_the_command_makes_a_scene_of_one_instruction(dataset: Path, settings: GenerateSettings, tmp_path: Path) -> None:
+    words = [
+        "--instruction",
+        "Lift it.",
+        "--table",
+        "Office Table",
+        "--size",
+        "120",
+        "60",
+        "--restricted",
+        "60",
+        "120",
+        "0",
+        "60",
+    ]
+    where = ["--workers", "0", "--assets", str(dataset), "--engine", settings.engine.engine, "--out", str(tmp_path)]
+    done = CliRunner().invoke(app, ["generate", *words, *where, "--set", "weights=none", "--set", "num_pictures=0"])
+    assert done.exit_code == 0, done.output
+    (row,) = rows_of(tmp_path, "scenes")
+    assert (row["scene_id"], row["clean"], row["stable"]) == ("task", True, True)
+    assert scene_from_row(row).table == Tabletop("office_table", (1.2, 0.6), (0.6, 1.2, 0.0, 0.6))
+
+
+def test_a_task_has_the_same_seeds_wherever_it_stands(shelf: AssetLibraries, dataset: Path, tmp_path: Path) -> None:
+    answers = {words: json.dumps(reply) for words, reply in one_thing_a_stage(shelf.libraries[0].assets[1:4]).items()}
+    many = tasks("Lift it.", "Turn it.", "Take it.")
+    heard: list[set[tuple[str, int]]] = []
+    for number, asked in enumerate((many, replace(many, tasks=many.tasks[1:2]))):
+
+        def plan(words: str, _: int, body: dict[str, Any]) -> Act:
+            heard[-1].add((words, body["seed"]))
+            return Act(body=completion(next(reply for wanted, reply in answers.items() if wanted in words)))
+
+        heard.append(set())
+        with endpoint(plan) as server:
+            engine = EngineSettings("openai:large", http=server.settings())
+            own = GenerateSettings(engine, weights="none", corrects="never", accept="", num_pictures=0)
+            generate(asked, str(tmp_path / str(number)), own, ALONE, [str(dataset)], report=False)
+    assert heard[1] < heard[0]
+    assert len({seed for _, seed in heard[0]}) == 3 * len(Stage)
+
+
 @pytest.mark.parametrize("table", GenerateWork.TABLES)
 def test_a_shard_that_is_missing_is_made_again(
     dataset: Path, settings: GenerateSettings, made: Path, tmp_path: Path, table: str
@@ -351,6 +444,21 @@ def test_what_a_run_chose_by_itself_can_be_named_when_it_goes_on(
     plans = [describe_generation(MIXED, each, [str(dataset)]) for each in (by_itself, of_sixteen)]
     assert plans[0] == plans[1]
     assert plans[0]["num_shards"] == 1
+
+
+def test_settings_of_all_parts_are_settings_of_the_job(dataset: Path, tmp_path: Path) -> None:
+    file = tmp_path / "run.toml"
+    file.write_text(
+        '[generate]\nschedule = "whole"\n[generate.retrieval]\nlicences = ["CC0"]\n[generate.engine.sampling]\ntop_k = 7\n'
+    )
+    found = resolve(GenerateSettings, "generate", file, ["retrieval.top_k_text=20", "engine.http.tries=3", "reasoner.tries=2"])
+    assert found.retrieval == RetrievalSettings(licences=frozenset({"CC0"}), top_k_text=20)
+    assert (found.schedule, found.engine.sampling.top_k, found.engine.http.tries, found.reasoner.tries) == ("whole", 7, 3, 2)
+    plan = json.loads(json.dumps(describe_generation(tasks("Lift it."), found, [str(dataset)])))
+    assert plan["settings"]["retrieval"]["licences"] == ["CC0"]
+    for wrong in ("retrieval.licences=CC0", "retrieval.top_k_text=many", "engine.engine=gpt", "scenes_per_shard=-1"):
+        with pytest.raises(ConfigError):
+            resolve(GenerateSettings, "generate", None, [wrong])
 
 
 def test_no_task_at_all_is_refused_before_anything_is_written(settings: GenerateSettings, tmp_path: Path) -> None:

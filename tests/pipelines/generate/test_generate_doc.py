@@ -8,9 +8,11 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
+from models.semantic_reasoner.staged_layout import LayoutTask
 from pipelines.__main__ import app
 from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import GenerateWork
+from pipelines.sources.tasks import read_tasks
 
 DOC = Path(__file__).resolve().parents[3] / "docs" / "generate.md"
 TEXT = DOC.read_text("utf-8")
@@ -38,6 +40,15 @@ def test_its_commands_are_commands(tmp_path: Path) -> None:
         result = CliRunner().invoke(app, [*words, "--dry-run"])
         assert result.exit_code == 0, result.output
     assert not (tmp_path / "out").exists()
+
+
+def test_its_task_file_can_be_read(tmp_path: Path) -> None:
+    (block,) = re.findall(r"```json\n(.*?)```", TEXT, re.DOTALL)
+    path = tmp_path / "tasks.jsonl"
+    path.write_text(block)
+    found = list(read_tasks(path))
+    assert len(found) == 2
+    assert all(isinstance(task, LayoutTask) for task in found)
 
 
 def test_it_has_every_table_and_no_dead_link() -> None:

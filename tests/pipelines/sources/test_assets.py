@@ -135,3 +135,42 @@ def test_a_run_does_not_go_on_with_other_meshes(library: Path, dataset: Path, tm
         generate(TASKS, str(out), settings, ALONE, [str(library)], report=False)
     assert caught.value.code == "config_changed"
     assert content(out) == before
+
+
+def test_the_first_library_serves_and_a_run_is_one(tiny: Path, tiny_run: Path, dataset: Path) -> None:
+    shelf = AssetLibraries([str(dataset)])
+    both = AssetLibraries([str(tiny_run), str(dataset)])
+    names = [library.name for library in both.libraries]
+    assert names == [tiny_run.name, dataset.name]
+    first, rest = ({a.asset_id for a in library.assets} for library in both.libraries)
+    assert first
+    assert not first & rest  # an asset that two have is the earlier one's
+    assert first | rest == {a.asset_id for a in shelf.libraries[0].assets}
+    for asset in both.libraries[0].assets:
+        path = both.asset_path(asset.asset_id)
+        assert path is not None
+        assert path.read_bytes().startswith(b"glTF")
+        ours, theirs = both.annotation(asset.asset_id), shelf.annotation(asset.asset_id)
+        assert (ours.category, ours.description, ours.is_container) == (
+            theirs.category,
+            theirs.description,
+            theirs.is_container,
+        )
+        assert ours.extents_z_up == pytest.approx(theirs.extents_z_up, rel=1e-3)
+    (library,) = AssetLibraries([str(tiny), str(dataset)]).libraries  # the second has nothing that the first has not
+    assert library.name == str(tiny)  # both folders are called data
+    with pytest.raises(ConfigError):
+        AssetLibraries([str(tiny / "nowhere")])
+
+
+def test_the_embedded_library_serves_where_others_have_nothing(dataset: Path) -> None:
+    own, rest = AssetLibraries([str(dataset), "embedded"]).libraries
+    (alone,) = AssetLibraries().libraries
+    first = {a.asset_id for a in own.assets}
+    assert {a.asset_id for a in rest.assets} == {a.asset_id for a in alone.assets} - first
+    assert rest.name == alone.name == "embedded"
+
+
+def test_a_folder_of_assets_alone_is_a_library(dataset: Path, tmp_path: Path) -> None:
+    shutil.copytree(dataset, tmp_path / "assets", ignore=shutil.ignore_patterns("Layout_info"))
+    assert len(AssetLibraries([str(tmp_path / "assets")]).libraries[0])

@@ -10,13 +10,16 @@ from typer.testing import CliRunner
 from models.point_encoder.checkpoint import DEFAULT_WEIGHTS as ENCODER
 from models.semantic_reasoner.staged_layout import LayoutTask, of_scene
 from pipelines.__main__ import app
-from pipelines.sources.generation_tasks import SampledTask, of_file, of_scenes, sampled
+from pipelines.sources.generation_tasks import SampledTask, of_file, of_instruction, of_scenes, sampled
 from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES
 from stable_data.embedded_world.sampling import sampled_task
 from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset
+from stable_data.scene import Tabletop
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import scene_from_row
+
+ONE = ["--instruction", "Lift it.", "--table", "office_table", "--size", "120", "60"]
 
 
 def test_drawn_tasks_depend_on_seed_and_number_alone() -> None:
@@ -58,6 +61,11 @@ def test_tasks_of_scenes_are_their_instructions_and_tables(dataset: Path, clean_
     assert [task.scene_id for task in few.tasks] == [rows[0]["scene_id"]]
 
 
+def test_one_instruction_is_one_task() -> None:
+    (task,) = of_instruction(" Lift it. ", "Office Table", (120.0, 60.0), (0.0, 40.0, 40.0, 60.0)).tasks
+    assert task == LayoutTask("task", "Lift it.", Tabletop("office_table", (1.2, 0.6), (0.0, 0.4, 0.4, 0.6)))
+
+
 def test_scenes_that_are_no_run_take_no_condition(dataset: Path) -> None:
     with pytest.raises(ConfigError, match="has no table scenes"):
         of_scenes(str(dataset), "clean")
@@ -90,7 +98,15 @@ def test_a_file_without_a_usable_row_says_why(tmp_path: Path) -> None:
         ([], "expected one of --tasks"),
         (["--count", "3", "--tasks", "x.jsonl"], "expected one of --tasks"),
         (["--count", "3", "--where", "clean"], "--where belongs to --scenes"),
-        (["--scenes", "x", "--table", "desk"], "--table to --count"),
+        (["--scenes", "x", "--table", "desk"], "--table belongs to --count or --instruction"),
+        (["--count", "2", "--size", "120", "60"], "--size and --restricted belong to --instruction"),
+        (["--count", "3", *ONE], "expected one of --tasks"),
+        (["--instruction", "Lift it."], "expected one --table TYPE and --size W D"),
+        ([*ONE, "--table", "desk"], "expected one --table TYPE and --size W D"),
+        ([*ONE, "--engine", "gpt"], "engine is 'gpt', expected embedded"),
+        ([*ONE[:-1], "0"], "the task's table_size_cm is (120.0, 0.0), expected width and depth"),
+        ([*ONE, "--restricted", "0", "40", "40", "61"], "the task's restricted_zone_cm is"),
+        (["--instruction", " ", *ONE[2:]], "the task's instruction is ' '"),
         (["--count", "0"], "count is 0"),
         (["--tasks", "no.jsonl"], "no.jsonl: cannot be read"),
         (["--count", "2", "--set", "accept=nice"], "names nice"),

@@ -1,0 +1,121 @@
+"""A file of tasks: rows of any of its kinds become tasks, and what is none is named."""
+
+import csv
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from models.semantic_reasoner.staged_layout import LayoutTask
+from pipelines.sources.tasks import read_tasks
+from stable_data.errors import ConfigError, Notice
+from stable_data.scene import Tabletop
+
+GOOD = {"instruction": "Lift it.", "table_type": "office_table", "table_size_cm": [120, 60]}
+
+
+def task_file(folder: Path, rows: Sequence[Any]) -> Path:
+    path = folder / "tasks.jsonl"
+    path.write_text("".join(f"{row if isinstance(row, str) else json.dumps(row)}\n" for row in rows))
+    return path
+
+
+def test_each_row_is_a_task_or_says_why_not(tmp_path: Path) -> None:
+    rows = [
+        GOOD,
+        "no JSON",
+        {**GOOD, "scene_id": "mine", "restricted_zone_cm": [0, 40, 40, 60]},
+        {**GOOD, "scene_id": "mine"},
+        {**GOOD, "scene_id": "../mine"},
+        {**GOOD, "instruction": " "},
+        {**GOOD, "table_size_cm": [120]},
+        {**GOOD, "table_type": "a/b"},
+        {**GOOD, "colour": "red"},
+    ]
+    found = list(read_tasks(task_file(tmp_path, rows)))
+    assert found[:1] + found[2:3] == [
+        LayoutTask("task_000001", "Lift it.", Tabletop("office_table", (1.2, 0.6))),
+        LayoutTask("mine", "Lift it.", Tabletop("office_table", (1.2, 0.6), (0.0, 0.4, 0.4, 0.6))),
+    ]
+    assert {lost.item_id: lost.code for lost in found if isinstance(lost, Notice)} == {
+        "row 000002": "task_invalid",
+        "row 000004": "task_invalid",
+        "row 000005": "task_invalid",
+        "row 000006": "instruction_invalid",
+        "row 000007": "table_invalid",
+        "row 000008": "table_invalid",
+        "row 000009": "task_invalid",
+    }
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_a_file_of_another_kind_says_the_same(ending: str, tmp_path: Path) -> None:
+    rows = [{"scene_id": "a", **GOOD, "restricted_zone_cm": [0.0, 40.0, 10.5, 20.0]}, GOOD, {**GOOD, "instruction": ""}]
+    path = tmp_path / f"tasks.{ending}"
+    if ending == "parquet":
+        pq.write_table(pa.Table.from_pylist(rows), path)
+    else:
+        with path.open("w", newline="") as stream:
+            writer = csv.DictWriter(stream, rows[0])
+            writer.writeheader()
+            for row in rows:
+                sizes = {"table_size_cm": "120 x 60"} | (
+                    {"restricted_zone_cm": "[0, 40, 10.5, 20]"} if "scene_id" in row else {}
+                )
+                writer.writerow(row | sizes)
+    expected = [*read_tasks(task_file(tmp_path, rows))]
+    found = [*read_tasks(path)]
+    assert found[:2] == expected[:2]
+    last, other = found[2], expected[2]
+    assert isinstance(last, Notice)
+    assert isinstance(other, Notice)
+    assert (last.item_id, last.code) == (other.item_id, other.code) == ("row 000003", "instruction_invalid")
+
+
+def test_no_task_has_the_name_of_a_row_that_is_none(tmp_path: Path) -> None:
+    names = ["row_000002", "row 000002", "row_000004", "task_000006"]
+    rows = [*({**GOOD, "scene_id": name} for name in names), {**GOOD, "instruction": ""}, GOOD, "no JSON"]
+    found = list(read_tasks(task_file(tmp_path, rows)))
+    tasks = [task.scene_id for task in found if isinstance(task, LayoutTask)]
+    lost = {notice.item_id: notice.message for notice in found if isinstance(notice, Notice)}
+    assert tasks == ["row_000002", "row_000004", "task_000006"]
+    assert list(lost) == ["row 000002", "row 000005", "row 000006", "row 000007"]
+    assert "scene_id task_000006 is taken, expected one of its own" in lost["row 000006"]  # first come keeps the name
+
+
+def test_an_empty_instruction_is_shown_as_it_is(tmp_path: Path) -> None:
+    (lost,) = read_tasks(task_file(tmp_path, [{**GOOD, "instruction": ""}]))
+    assert isinstance(lost, Notice)
+    assert "instruction is '', expected" in lost.message
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_a_column_that_is_none_of_a_tasks_is_refused_at_once(ending: str, tmp_path: Path) -> None:
+    """Else the rows alone would be lost that fill it."""
+    path = tmp_path / f"tasks.{ending}"
+    rows = [{"instruction": "Lift it.", "table_type": "desk", "table_size_cm": "120 x 60", "note": note} for note in ("", "a")]
+    if ending == "csv":
+        path.write_text("\n".join(",".join(row.values()) for row in ({key: key for key in rows[0]}, *rows)))
+    else:
+        pq.write_table(pa.Table.from_pylist(rows), path)
+    with pytest.raises(ConfigError, match="has a column 'note', expected tasks"):
+        list(read_tasks(path))
+
+
+@pytest.mark.parametrize("content", [None, b"", b"\xff\xfe{", b"instruction,table_type\na,b\n", b"PAR1 and no more"])
+@pytest.mark.parametrize("ending", ["jsonl", "csv", "parquet", "xlsx"])
+def test_a_file_that_holds_no_tasks_is_refused(content: bytes | None, ending: str, tmp_path: Path) -> None:
+    path = tmp_path / f"tasks.{ending}"
+    if content is not None:
+        path.write_bytes(content)
+    if ending == "jsonl" and content and content.isascii():
+        assert all(isinstance(found, Notice) for found in read_tasks(path))
+        return
+    with pytest.raises(ConfigError) as caught:
+        list(read_tasks(path))
+    assert caught.value.code == "tasks_invalid"
+    assert "\n" not in str(caught.value)
