@@ -45,8 +45,7 @@ from typing import Any
 
 import ray
 
-from models.semantic_reasoner.engines.chat_server import serve
-from models.semantic_reasoner.engines.protocol import Completion, Request
+from models.semantic_reasoner.engines.protocol import Request
 from models.semantic_reasoner.engines.scripted_engine import ScriptedEngine
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import WANTED
@@ -57,6 +56,7 @@ from pipelines.sources.generation_tasks import sampled
 from stable_data.cli import DONE, SOME_FAILED
 from stable_data.scene import Stage
 from stable_data.storage.run_folder import RunFolder
+from tests.models.semantic_reasoner.engines.endpoint import FORM, Act, endpoint, said
 
 _ONE_CORE = {"OMP_NUM_THREADS": "1", "IGL_NUM_THREADS": "1"}
 _SHARDS_OF_A_MILLION = 7_813
@@ -217,25 +217,27 @@ def driven() -> None:
     )
 
 
-class SlowEngine:
-    """An engine that takes its time for each batch.
+class Batches:
+    """Replies of an engine in batches, each of which takes some seconds and begins when the one before has ended.
 
     Attributes:
-        name: Its own.
-        repeats: Whether the same request has the same reply.
-        busy: Seconds that it has taken so far.
+        count: Batches so far.
     """
 
-    name, repeats = "unhurried", True
+    def __init__(self, engine: ScriptedEngine, batch_seconds: float, most: int = 64) -> None:
+        self._engine, self._batch_seconds, self._most = engine, batch_seconds, most
+        self._lock, self._begins, self._ends, self._size, self.count = threading.Lock(), 0.0, 0.0, 0, 0
 
-    def __init__(self, engine: ScriptedEngine, batch_seconds: float) -> None:
-        self._engine, self._batch_seconds, self.busy = engine, batch_seconds, 0.0
-
-    def complete(self, requests: Sequence[Request]) -> list[Completion]:
-        """One completion for each request, after a while."""
-        time.sleep(self._batch_seconds)
-        self.busy += self._batch_seconds
-        return self._engine.complete(requests)
+    def __call__(self, words: str, number: int, body: dict[str, Any]) -> Act:
+        """The reply to a request, at the end of the first batch that has a place for it."""
+        now = time.monotonic()
+        with self._lock:
+            if now >= self._begins or self._size == self._most:
+                self._begins = max(now + 0.25, self._ends)  # it waits a moment for others
+                self._ends, self._size, self.count = self._begins + self._batch_seconds, 0, self.count + 1
+            self._size += 1
+            (found,) = self._engine.complete([Request(tuple(body["messages"]), FORM, body["seed"])])
+            return Act(body=said(found.text), after_s=self._ends - now)
 
 
 def elsewhere(place: Path, script: Path, scenes: int, batch_seconds: float) -> dict[str, float]:
@@ -246,15 +248,15 @@ def elsewhere(place: Path, script: Path, scenes: int, batch_seconds: float) -> d
     cores = {min(os.sched_getaffinity(0))}
     found: dict[str, float] = {"scenes": scenes, "seconds_a_batch": batch_seconds}
     for label, engines in (("waiting", 0), ("shared", 1)):
-        engine = SlowEngine(ScriptedEngine.from_file(script), batch_seconds)
-        with serve(engine, max_wait_s=0.25) as server:
+        batches = Batches(ScriptedEngine.from_file(script), batch_seconds)
+        with endpoint(batches) as server:
             words = ["--count", str(scenes), "--workers", "1", "--engine", "openai:unhurried", "--set", f"engines={engines}"]
             words += ["--set", f"engine.http.base_url={server.url}", "--set", "engine.http.concurrency=64"]
             words += ["--set", "weights=none", "--set", "settle=false", "--set", "accept=clean"]
             course = run(place / f"elsewhere_{label}", *words, cores=cores)
-            found[f"{label}_batches"] = len(server.batcher.sizes)
         corrector = sum(seconds for step, seconds in course.steps.items() if step != "propose")
-        found |= {f"{label}_seconds": course.seconds, f"{label}_reasoner_busy": engine.busy / course.seconds}
+        found |= {f"{label}_batches": batches.count, f"{label}_seconds": course.seconds}
+        found[f"{label}_reasoner_busy"] = batches.count * batch_seconds / course.seconds
         found[f"{label}_corrector_busy"] = corrector / course.seconds
     return found
 

@@ -20,9 +20,8 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from models.semantic_reasoner.engines.chat_protocol import SPELLINGS, request_body
-from models.semantic_reasoner.engines.http_engine import HttpEngine
 from models.semantic_reasoner.engines.http_settings import HttpSettings
+from models.semantic_reasoner.engines.openai_engine import OpenAIEngine, request_fields
 from models.semantic_reasoner.engines.protocol import Request, Sampling
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from models.semantic_reasoner.text.prompt import ReasonerQuestion, messages
@@ -31,7 +30,7 @@ from stable_data.scene import Stage, Tabletop, TaskInfo
 ANSWERS_S = (0.05, 0.5)
 """What an answer takes, seconds."""
 
-FAULTS = (b"too many", b"error", b"dropped", b"no JSON", b"cut")
+FAULTS = (b"too many", b"error", b"dropped", b"cut")
 """What the first tries of a tenth of the requests get, each as often as the others."""
 
 _NUMBER = re.compile(rb"request (\d+) ")
@@ -118,7 +117,7 @@ class Server:
         if fault == b"cut":
             writer.write(_http(200, answer)[:-1000])
             return False
-        faulty = {b"too many": _http(429, b"{}"), b"error": _http(500, b"oops"), b"no JSON": _http(200, b'{"choices"')}
+        faulty = {b"too many": _http(429, b"{}"), b"error": _http(500, b"oops")}
         writer.write(faulty.get(fault) or _http(200, answer))
         return True
 
@@ -205,8 +204,7 @@ def ask(port: int, requests: list[Request], concurrency: int) -> tuple[float, fl
     Returns:
         Seconds, seconds of this process's processor, tries, and how many requests were lost and doubled.
     """
-    settings = HttpSettings(f"http://127.0.0.1:{port}/v1", "m", concurrency=concurrency, first_wait_s=0.1, longest_wait_s=1.0)
-    engine = HttpEngine(settings)
+    engine = OpenAIEngine(HttpSettings(f"http://127.0.0.1:{port}/v1", "m", concurrency=concurrency))
     engine.complete(requests[:1])
     asyncio.run(counts(port))
     start, processor = time.perf_counter(), time.process_time()
@@ -220,8 +218,7 @@ def ask(port: int, requests: list[Request], concurrency: int) -> tuple[float, fl
 
 def measure(answer_s: float, concurrency: int, faults: float, requests: list[Request], rounds: int) -> EndpointFigure:
     """One load; the bare client's and the engine's best rounds, taken in turns."""
-    spelt = {name: ways[0] for name, ways in SPELLINGS.items()}
-    bodies = [json.dumps(request_body("m", r, Sampling(), spelt, with_form=False)).encode() for r in requests]
+    bodies = [json.dumps({"messages": r.messages, "model": "m", **request_fields(r, Sampling())}).encode() for r in requests]
     contents = [b"POST /v1 HTTP/1.1\r\nContent-Length: %d\r\n\r\n%s" % (len(b), b) for b in bodies]
     limit, asked = 0.0, []
     with served(0.0, answer_s) as whole, served(faults, answer_s) as faulty:

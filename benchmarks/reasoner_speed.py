@@ -7,18 +7,13 @@ test scenes' instructions and tables are laid out in three stages. The model's f
 - generate: the same questions to the same model by the library's own ``generate``, one after the other, unbound, against the
 engine
   with all of them at once; requests a second, and tokens a second, since replies differ in length;
-- grammar: seconds a token bound to the form of the replies, over those unbound, reading the questions left out;
-- served: 200 questions at once to the same model behind ``chat_server``, another process, by the openai engine, over the
-engine here:
-  the share of the server's own speed that is left.
+- grammar: seconds a token bound to the form of the replies, over those unbound, reading the questions left out.
 
 Run with ``OMP_NUM_THREADS`` as many as there are cores.
 """
 
 import json
 import os
-import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -31,8 +26,6 @@ import typer
 from transformers import AutoModelForCausalLM, AutoTokenizer
 
 from benchmarks.reasoner import held_out
-from models.semantic_reasoner.engines.http_engine import HttpEngine
-from models.semantic_reasoner.engines.http_settings import HttpSettings
 from models.semantic_reasoner.engines.local_engine import LocalEngine
 from models.semantic_reasoner.engines.protocol import Request, Sampling
 from models.semantic_reasoner.engines.registry import EMBEDDED
@@ -108,35 +101,6 @@ def grammar_share(engine: LocalEngine, free: LocalEngine, asked: Sequence[Reques
     return median(bound / loose for bound, loose in pairs) - 1
 
 
-def served_share(folder: Path, engine: LocalEngine, asked: Sequence[Request], at_once: int = 200) -> tuple[float, int]:
-    """Tokens a second through a server, over those of the engine itself, and how many of the requests were lost."""
-    many = [replace(asked[k % len(asked)], seed=k) for k in range(at_once)]
-    began = time.perf_counter()
-    own = sum(c.reply_tokens for c in engine.complete(many)) / (time.perf_counter() - began)
-    command = [
-        sys.executable,
-        "-m",
-        "models.semantic_reasoner.engines.chat_server",
-        "--engine",
-        f"transformers:{folder}",
-        "--port",
-        "0",
-    ]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        try:
-            url, _, model, *_ = process.stdout.readline().rstrip(":").split()
-            settings = HttpSettings(url, model.rstrip(":"), concurrency=at_once, read_s=600, total_s=600, sends_form=True)
-            through = HttpEngine(settings, SAMPLING)
-            through.complete(many[:2])
-            began = time.perf_counter()
-            told = through.complete(many)
-            seconds = time.perf_counter() - began
-        finally:
-            process.terminate()
-    return sum(c.reply_tokens for c in told) / seconds / own, sum(bool(c.failure) for c in told)
-
-
 def main(
     run: Annotated[str, typer.Argument(help="Folder of a preprocess run.")],
     model: Annotated[Path, typer.Option(help="A model's folder.")] = EMBEDDED,
@@ -163,8 +127,6 @@ def main(
     figures["requests_ratio"] = round(their_seconds / seconds, 2)
     figures["tokens_ratio"] = round(figures["tokens_a_second"] / max(1, figures["generate_tokens_a_second"]), 2)
     figures["grammar_overhead_percent"] = round(100 * grammar_share(engine, free, asked, rounds), 1)
-    share, lost = served_share(model, engine, asked)
-    figures |= {"served_share_percent": round(100 * share, 1), "served_lost": lost}
     for key, value in figures.items():
         print(f"{key:28}{value:>10}")
     if json_file is not None:

@@ -24,7 +24,8 @@ def resolve(kind: type[C], section: str, file: Path | None, overrides: Iterable[
 
     Args:
         kind: A frozen dataclass whose fields are str, one of several words, int, float, bool, a frozenset of str (given as a
-            list), one of these or None, or such dataclasses again, all with defaults.
+            list), one of these or None, or such dataclasses again, all with defaults. A class variable ``REMOVED`` says for
+            settings of earlier versions what to do instead.
         section: Its table in the file; nested settings are tables in it.
         file: A TOML file, or None.
         overrides: ``key=value`` or ``section.key=value``, stronger than the file; ``outer.inner=value`` for nested settings.
@@ -49,6 +50,8 @@ def _filled(base: C, name: str, values: Mapping[str, Any]) -> C:
     inner: dict[str, dict[str, Any]] = {}
     for key, value in values.items():
         head, _, rest = key.partition(".")
+        if instead := getattr(type(base), "REMOVED", {}).get(head):
+            raise ConfigError(f"setting {name}.{key} is no more: {instead}", "config_invalid")
         if head not in hints:
             raise ConfigError(f"setting {name}.{key} is not known{_hint(head, hints)}", "config_invalid")
         if is_dataclass(hints[head]) and rest:

@@ -1,10 +1,10 @@
-"""Settings of the ``openai`` engine."""
+"""Settings of the ``openai`` engine; the engine itself is imported only where it is used, since the client takes long to load."""
 
 import json
 import math
 import os
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 from urllib.parse import urlsplit
 
 from stable_data.errors import ConfigError
@@ -12,74 +12,83 @@ from stable_data.errors import ConfigError
 
 @dataclass(frozen=True, slots=True)
 class HttpSettings:
-    """An endpoint, and how patiently it is asked.
+    """An endpoint, and how long the engine waits for it.
 
     Attributes:
-        base_url: What ``/chat/completions`` is appended to, such as ``https://api.openai.com/v1``.
-        model: The endpoint's name of the model.
+        base_url: What ``/chat/completions`` is appended to, such as ``https://api.openai.com/v1``; for Azure the resource, such as
+            ``https://NAME.openai.azure.com``.
+        model: The endpoint's name of the model; for Azure the deployment.
         key_variable: Environment variable that holds the key, such as ``OPENAI_API_KEY``; empty sends none.
-        concurrency: Most requests under way at once.
-        tries: Most times that a request is sent.
-        first_wait_s: Longest wait before the second try, seconds; doubled for every further one ...
-        longest_wait_s: ... up to this. Waits are drawn evenly from 0 on; one that the endpoint asks for is kept.
+        azure_api_version: Version of Azure's API, such as ``2024-10-21``; empty: the endpoint is not of Azure.
+        concurrency: Most requests under way at once, those that wait for their next try included.
+        tries: Most times that a request is sent. The client waits between them: 0.5 s doubled each time up to 8 s, or what the
+            endpoint asks for up to 120 s.
         connect_s: Longest wait for a connection, seconds.
         read_s: Longest silence while an answer is waited for, seconds.
-        total_s: Longest time for a request with all of its tries, seconds; a last try may go on for ``read_s``.
-        prompt_price: Of a million tokens read, in whatever currency.
+        total_s: Longest time for a request with all of its tries, seconds.
+        prompt_price: Of a million tokens read, in any currency.
         reply_price: Of a million tokens written.
-        extra: More fields of the body, a JSON object, such as ``{"top_k": 50}`` for vLLM; empty: none.
-        sends_form: Whether the form of replies is sent in a field of our own; for :mod:`.chat_server`, others refuse it.
-        give_up_after: So many failures in a row while nothing was answered yet, and the endpoint is held to be down ...
-        rest_s: ... for so long, seconds: what is asked meanwhile fails at once.
+        extra: More fields of the body, a JSON object, such as ``{"top_k": 50}`` for vLLM; null leaves a field out, such as
+            ``{"max_tokens": null, "max_completion_tokens": 4096, "temperature": null}``.
+        rest_s: When the endpoint is down, requests fail at once for so long, seconds.
     """
 
     base_url: str
     model: str
     key_variable: str = ""
+    azure_api_version: str = ""
     concurrency: int = 32
-    tries: int = 8
-    first_wait_s: float = 0.5
-    longest_wait_s: float = 60.0
+    tries: int = 6
     connect_s: float = 10.0
     read_s: float = 300.0
     total_s: float = 900.0
     prompt_price: float = 0.0
     reply_price: float = 0.0
     extra: str = ""
-    sends_form: bool = False
-    give_up_after: int = 5
     rest_s: float = 60.0
 
+    REMOVED: ClassVar[dict[str, str]] = {
+        "first_wait_s": "the openai client chooses the waits; set tries and total_s",
+        "longest_wait_s": "the openai client chooses the waits; set tries and total_s",
+        "give_up_after": "a short question tells whether the endpoint is down; set tries and rest_s",
+        "sends_form": "the form is sent as response_format; extra has further fields",
+    }
+    """Settings of earlier versions, and what to do instead."""
+
     def __post_init__(self) -> None:
-        """Refuses what cannot work."""
-        self._check_url()
+        """Checks the values.
+
+        Raises:
+            ConfigError: One of them cannot work.
+        """
+        if not self._is_url():
+            shown = self.base_url.rpartition("@")[2].partition("?")[0]  # what stands around it may be a password
+            expected = (
+                "expected such as https://api.openai.com/v1, without user, query and fragment; key_variable names the key"
+            )
+            raise ConfigError(f"base_url is {shown!r}, {expected}", "config_invalid")
         if not self.model:
             raise ConfigError("model is empty, expected the endpoint's name of one, such as gpt-4o", "config_invalid")
-        for key in ("concurrency", "tries", "connect_s", "read_s", "total_s", "give_up_after"):
-            if not 0 < getattr(self, key) < math.inf:
-                raise ConfigError(f"{key} is {getattr(self, key)}, expected a positive number", "config_invalid")
-        for key in ("first_wait_s", "longest_wait_s", "prompt_price", "reply_price", "rest_s"):
-            if not 0 <= getattr(self, key) < math.inf:
-                raise ConfigError(f"{key} is {getattr(self, key)}, expected 0 or more", "config_invalid")
+        for key in ("concurrency", "tries", "connect_s", "read_s", "total_s", "prompt_price", "reply_price", "rest_s"):
+            value, least = getattr(self, key), 1 if key in ("concurrency", "tries") else 0
+            if not least <= value < math.inf:
+                raise ConfigError(f"{key} is {value}, expected {least} or more", "config_invalid")
+        if self.azure_api_version and not self.key_variable:
+            raise ConfigError("key_variable is empty, expected one for Azure, such as AZURE_OPENAI_API_KEY", "config_invalid")
         self.extra_fields()
 
-    def _check_url(self) -> None:
+    def _is_url(self) -> bool:
+        if not self.base_url.isascii() or any(c.isspace() for c in self.base_url):
+            return False
         try:
-            parts = urlsplit(self.base_url)
-            is_whole = parts.scheme in ("http", "https") and parts.hostname and (parts.port is None or parts.port > 0)
+            url = urlsplit(self.base_url)
+            is_host = url.scheme in ("http", "https") and url.hostname and url.port != 0
         except ValueError:
-            is_whole = False
-        if not is_whole or not self.base_url.isascii() or set(self.base_url) & set(" \t\r\n"):
-            shown = self.base_url.rpartition("@")[2]  # what stands before it may be a password
-            raise ConfigError(f"base_url is {shown!r}, expected such as https://api.openai.com/v1", "config_invalid")
-        if parts.username is not None or parts.query or parts.fragment:
-            raise ConfigError(
-                "base_url has a user, a query or a fragment, expected none; name the variable that holds a key in key_variable",
-                "config_invalid",
-            )
+            return False
+        return bool(is_host) and url.username is None and not url.query and not url.fragment
 
     def extra_fields(self) -> dict[str, Any]:
-        """What ``extra`` says.
+        """The fields of ``extra``.
 
         Raises:
             ConfigError: It is no JSON object.
@@ -96,7 +105,7 @@ class HttpSettings:
         """The key, empty where none is sent; it is nowhere but in the environment.
 
         Raises:
-            ConfigError: The variable is not set, or holds what cannot be sent.
+            ConfigError: The variable is not set, or its value cannot be sent.
         """
         if not self.key_variable:
             return ""
@@ -104,7 +113,5 @@ class HttpSettings:
         if not key:
             raise ConfigError(f"{self.key_variable} is not set, expected the key of {self.base_url}; export it", "key_missing")
         if not key.isascii() or not key.isprintable() or " " in key:
-            raise ConfigError(
-                f"{self.key_variable} holds what is no key: expected printable ASCII without spaces", "key_missing"
-            )
+            raise ConfigError(f"{self.key_variable} is no key, expected printable ASCII without spaces", "key_missing")
         return key

@@ -20,7 +20,6 @@ OFF = (
     "model_unknown",
     "quota_spent",
     "redirect_refused",
-    "server_closing",
 )
 """Codes of failures that are the engine's and not the question's: no other question would be answered either."""
 

@@ -120,9 +120,9 @@ def _bare(settings: EngineSettings) -> Engine:
     # Imported where they are asked for: torch, transformers and vLLM take seconds to load.
     what = settings.engine.partition(":")[2]
     if settings.kind == "openai":
-        from models.semantic_reasoner.engines.http_engine import HttpEngine
+        from models.semantic_reasoner.engines.openai_engine import OpenAIEngine
 
-        return HttpEngine(replace(settings.http, model=what), settings.sampling)
+        return OpenAIEngine(replace(settings.http, model=what), settings.sampling)
     if settings.kind == "vllm":
         from models.semantic_reasoner.engines.vllm_engine import VllmEngine
 

@@ -161,17 +161,14 @@ class CachedEngine:
     Attributes:
         name: The engine's.
         repeats: True: what is kept is what is said.
+        notices: Those of the cache.
     """
 
     repeats = True
 
     def __init__(self, engine: Engine, cache: ResponseCache, sampling: Sampling) -> None:
         self.name, self.engine, self.cache, self.sampling = engine.name, engine, cache, sampling
-
-    @property
-    def notices(self) -> list[Notice]:
-        """Those of the cache and of the engine."""
-        return [*self.cache.notices, *getattr(self.engine, "notices", [])]
+        self.notices = cache.notices
 
     def complete(self, requests: Sequence[Request]) -> list[Completion]:
         """One completion for each request, in their order.

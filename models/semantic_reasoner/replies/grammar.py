@@ -33,9 +33,6 @@ MOST_OBJECTS = 60
 MOST_NAMES = 1000
 """Most instances that an edit may take away: with twice as many the grammar is beyond what llguidance follows."""
 
-MOST_LETTERS = 160
-"""Longest description that endpoints are asked for, characters."""
-
 CATEGORY = re.compile("[a-z][a-z0-9_]*")
 """What a category looks like in the name of an instance."""
 
@@ -88,13 +85,16 @@ class ReplyGrammar:
         return math.ceil(10 * math.hypot(self.width_cm, self.depth_cm)) / 10
 
     def schema(self) -> dict[str, Any]:
-        """JSON Schema, for endpoints and engines that take one; every key is required and no other is allowed."""
+        """JSON Schema for endpoints, with only the keywords of OpenAI's strict mode: lengths of strings are none of them.
+
+        Every key is required and no other is allowed.
+        """
         size = _triple([(0.1, self.longest_cm), (0.1, self.longest_cm), (0.1, HIGHEST_CM)])
         position = _triple([(0.0, self.width_cm), (0.0, self.depth_cm), (0.0, HIGHEST_CM)])
         entry = _closed(
             {
                 "instance": {"type": "string", "pattern": f"^{CATEGORY.pattern}_[0-9]{{1,2}}$"},
-                "description": {"type": "string", "minLength": 1, "maxLength": MOST_LETTERS},
+                "description": {"type": "string"},
                 "size": size,
                 "position": position,
                 "z_rotation": {"type": "integer", "minimum": -180, "maximum": 180},

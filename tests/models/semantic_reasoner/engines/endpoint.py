@@ -9,11 +9,13 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from email.message import Message
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
+from unittest.mock import patch
 
 from models.semantic_reasoner.engines.http_settings import HttpSettings
-from models.semantic_reasoner.engines.protocol import Request
+from models.semantic_reasoner.engines.protocol import Engine, Request
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
 
 FORM = ReplyGrammar(120.0, 60.0)
@@ -59,7 +61,8 @@ class Endpoint(ThreadingHTTPServer):
         self.tries: Counter[str] = Counter()
         self.answered: Counter[str] = Counter()
         self.bodies: list[dict[str, Any]] = []
-        self.headers: list[Mapping[str, str]] = []
+        self.headers: list[Message] = []
+        self.paths: list[str] = []
         self.moments: dict[str, list[float]] = defaultdict(list)
         self.under_way = self.most_under_way = 0
 
@@ -68,8 +71,7 @@ class Endpoint(ThreadingHTTPServer):
         return f"http://127.0.0.1:{self.server_address[1]}/v1"
 
     def settings(self, **more: Any) -> HttpSettings:
-        quick: dict[str, Any] = {"first_wait_s": 0.01, "longest_wait_s": 0.05, "read_s": 20.0, "tries": 4}
-        return HttpSettings(**{"base_url": self.url, "model": "m", **quick, **more})
+        return HttpSettings(**{"base_url": self.url, "model": "m", "read_s": 20.0, "tries": 4, **more})
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         pass
@@ -87,7 +89,8 @@ class Handler(BaseHTTPRequestHandler):
             number = s.tries[words]
             s.tries[words] += 1
             s.bodies.append(body)
-            s.headers.append(dict(self.headers))
+            s.headers.append(self.headers)
+            s.paths.append(self.path)
             s.moments[words].append(time.monotonic())
             s.under_way += 1
             s.most_under_way = max(s.most_under_way, s.under_way)
@@ -126,10 +129,35 @@ def endpoint(plan: Plan = lambda words, number, body: None) -> Iterator[Endpoint
     thread = threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True)
     thread.start()
     try:
-        yield server
+        with no_waits():
+            yield server
     finally:
         server.shutdown()
         server.server_close()
+
+
+@contextmanager
+def no_waits() -> Iterator[None]:
+    """The client's own waits between tries are of milliseconds."""
+    with patch("openai._base_client.INITIAL_RETRY_DELAY", 0.01), patch("openai._base_client.MAX_RETRY_DELAY", 0.05):
+        yield
+
+
+def answers_of(engine: Engine, form: ReplyGrammar = FORM) -> Plan:
+    """A plan by which an engine answers, one request at a time, all in one form."""
+    lock = threading.Lock()
+
+    def plan(words: str, number: int, body: dict[str, Any]) -> Act:
+        with lock:
+            (found,) = engine.complete([Request(tuple(body["messages"]), form, body["seed"])])
+        if found.code == "prompt_too_long":
+            return Act(400, error(found.failure, code="context_length_exceeded"))
+        usage = {"prompt_tokens": found.prompt_tokens, "completion_tokens": found.reply_tokens}
+        answer = said(found.text, usage=usage)
+        answer["choices"][0]["finish_reason"] = "length" if found.code == "reply_cut" else "stop"
+        return Act(body=answer)
+
+    return plan
 
 
 def closed_url() -> str:

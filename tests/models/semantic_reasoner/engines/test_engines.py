@@ -1,6 +1,8 @@
 """A layout from each engine passes the same tests: whatever answers, its replies have the form, follow their seed, fail alone."""
 
 import json
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +12,6 @@ import pytest
 import torch
 from transformers import PreTrainedTokenizerFast, Qwen3ForCausalLM
 
-from models.semantic_reasoner.engines.chat_server import serve
 from models.semantic_reasoner.engines.http_settings import HttpSettings
 from models.semantic_reasoner.engines.protocol import Completion, Engine, Request, Sampling
 from models.semantic_reasoner.engines.registry import EMBEDDED, EngineSettings, load_engine
@@ -24,7 +25,9 @@ from models.semantic_reasoner.training.network import new_network
 from models.semantic_reasoner.training.settings import LanguageModelSettings
 from stable_data.errors import ConfigError, SceneError
 from stable_data.scene import Stage, Tabletop
+from tests.models.semantic_reasoner.engines.endpoint import answers_of, endpoint
 
+ROOT = Path(__file__).parents[4]
 TABLE = Tabletop("office_table", (1.12, 0.593))
 ASK = ReasonerQuestion("Put the red mug on the plate.", TABLE, Stage.TASK)
 FORM = ReplyGrammar.of_table(TABLE, at_least=1, at_most=1)
@@ -81,8 +84,8 @@ def engine(request: pytest.FixtureRequest, tiny: Path) -> Iterator[Engine]:
     elif kind == "transformers":
         yield load_engine(EngineSettings(f"transformers:{tiny}", SHORT))
     else:
-        with serve(load_engine(EngineSettings(f"transformers:{tiny}", SHORT)), sampling=SHORT) as server:
-            yield load_engine(EngineSettings("openai:transformers:tiny", SHORT, http=server.settings(concurrency=1, tries=1)))
+        with endpoint(answers_of(load_engine(EngineSettings(f"transformers:{tiny}", SHORT)), FORM)) as server:
+            yield load_engine(EngineSettings("openai:tiny", SHORT, http=server.settings(tries=1)))
 
 
 def embedded() -> Engine:
@@ -134,10 +137,10 @@ def test_what_cannot_be_asked_fails_and_leaves_the_others_alone(engine: Engine) 
 def test_a_served_engine_says_what_it_says_itself(tiny: Path) -> None:
     itself = load_engine(EngineSettings(f"transformers:{tiny}", SHORT))
     asked = [request(seed) for seed in range(4)]
-    alone = [itself.complete([one])[0] for one in asked]  # in batches of one, as they come to the server
-    with serve(itself, sampling=SHORT) as server:
-        client = load_engine(EngineSettings("openai:transformers:tiny", SHORT, http=server.settings(concurrency=1, tries=1)))
-        assert client.complete(asked) == alone
+    alone = [itself.complete([one])[0] for one in asked]  # in batches of one, as the endpoint answers
+    with endpoint(answers_of(itself, FORM)) as server:
+        served = load_engine(EngineSettings("openai:tiny", SHORT, http=server.settings(tries=1))).complete(asked)
+    assert [replace(c, failure="") for c in served] == [replace(c, failure="") for c in alone]
     assert any(c.text for c in alone)
 
 
@@ -149,6 +152,12 @@ def test_each_kind_is_loaded_by_name(tiny: Path, tmp_path: Path) -> None:
     gpt = load_engine(EngineSettings("openai:gpt-4o"))
     assert gpt.name == "openai:gpt-4o"
     assert not gpt.repeats
+
+
+def test_the_openai_client_is_loaded_by_its_own_engine_alone() -> None:
+    code = "import sys, models.semantic_reasoner.engines.registry; print('openai' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout == "False\n"
 
 
 def test_the_embedded_one_is_the_default() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from models.semantic_reasoner.engines.http_engine import HttpEngine
+from models.semantic_reasoner.engines.openai_engine import OpenAIEngine
 from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling
 from models.semantic_reasoner.engines.response_cache import CachedEngine, ResponseCache
 from models.semantic_reasoner.engines.scripted_engine import ScriptedEngine
@@ -32,9 +32,9 @@ def test_a_replay_is_equal_and_asks_nothing(tmp_path: Path) -> None:
     with endpoint(never_the_same) as server:
         requests = [ask(f"é {k % 15}", seed=k % 5) for k in range(30)]  # each twice
         settings = server.settings(prompt_price=1.0)
-        first = CachedEngine(HttpEngine(settings), ResponseCache(tmp_path), SAMPLING).complete(requests)
+        first = CachedEngine(OpenAIEngine(settings), ResponseCache(tmp_path), SAMPLING).complete(requests)
         assert server.tries.total() == 15
-        again = CachedEngine(HttpEngine(settings), ResponseCache(tmp_path), SAMPLING).complete(requests)
+        again = CachedEngine(OpenAIEngine(settings), ResponseCache(tmp_path), SAMPLING).complete(requests)
         assert server.tries.total() == 15
     assert [c.is_cached for c in first] == [False] * 15 + [True] * 15
     assert all(c.is_cached for c in again)
@@ -112,7 +112,7 @@ def test_who_writes_at_once_gets_what_the_first_one_wrote(tmp_path: Path) -> Non
     with endpoint(never_the_same) as server:
 
         def work(k: int) -> None:
-            found[k] = CachedEngine(HttpEngine(server.settings()), ResponseCache(tmp_path), SAMPLING).complete(requests)
+            found[k] = CachedEngine(OpenAIEngine(server.settings()), ResponseCache(tmp_path), SAMPLING).complete(requests)
 
         threads = [threading.Thread(target=work, args=(k,)) for k in range(4)]
         for thread in threads:
@@ -140,8 +140,8 @@ def test_a_file_system_without_links_will_do(tmp_path: Path, monkeypatch: pytest
 KILLED = """
 import sys
 from models.semantic_reasoner.engines.protocol import Sampling
-from models.semantic_reasoner.engines.http_engine import HttpEngine
 from models.semantic_reasoner.engines.http_settings import HttpSettings
+from models.semantic_reasoner.engines.openai_engine import OpenAIEngine
 from models.semantic_reasoner.engines.response_cache import CachedEngine, ResponseCache
 from tests.models.semantic_reasoner.engines.endpoint import ask
 
@@ -151,7 +151,7 @@ class Loud(ResponseCache):
         print(key, kept.text, flush=True)
         return kept
 
-engine = HttpEngine(HttpSettings(sys.argv[1], "m", concurrency=4))
+engine = OpenAIEngine(HttpSettings(sys.argv[1], "m", concurrency=4))
 CachedEngine(engine, Loud(sys.argv[2]), Sampling()).complete([ask(str(k)) for k in range(100)])
 print("done", flush=True)
 """
@@ -173,7 +173,7 @@ def test_a_kill_loses_no_completion_that_was_kept(tmp_path: Path) -> None:
             assert child.returncode == -signal.SIGKILL
             assert len(server.tries) < 100  # it was in the middle
         cache = ResponseCache(tmp_path)
-        engine = CachedEngine(HttpEngine(server.settings()), cache, SAMPLING)
+        engine = CachedEngine(OpenAIEngine(server.settings()), cache, SAMPLING)
         requests = [ask(str(k)) for k in range(100)]
         completions = engine.complete(requests)
         final = {cache.key(engine.name, SAMPLING, r): c for r, c in zip(requests, completions, strict=True)}

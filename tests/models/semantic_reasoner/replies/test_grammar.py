@@ -1,6 +1,8 @@
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jsonschema
 import llguidance.hf
@@ -167,6 +169,25 @@ def test_schema_and_grammar_agree(guide: LLTokenizer) -> None:
     for text in (good.replace("mug_0", "Mug 0"), good.replace("-15", "200"), good.replace('"z_rotation":-15', '"turn":1')):
         assert not accepts(guide, FORM, text)
         assert list(validator.iter_errors(json.loads(text)))
+
+
+STRICT = {"type", "properties", "items", "enum", "pattern", "minimum", "maximum", "minItems", "maxItems", "required"}
+STRICT |= {"additionalProperties"}
+
+
+def test_the_schema_has_no_keyword_that_openai_refuses_and_takes_every_reply() -> None:
+    schema = ReplyGrammar(120.0, 60.0, edits=True, names=("mug_0",), at_least=1).schema()
+    assert keywords(schema) == STRICT
+    assert list(schema["properties"]) == ["remove", "objects"]
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(json.loads(render_objects([MUG], ["mug_0"])), schema)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(json.loads(render_objects([], ["mug_0"])), schema)
+
+
+def keywords(schema: dict[str, Any]) -> set[str]:
+    inner = [*schema.get("properties", {}).values(), *([schema["items"]] if "items" in schema else [])]
+    return set(schema).union(*map(keywords, inner))
 
 
 def test_checked_in_schema_of_replies_takes_what_we_render() -> None:

@@ -1,0 +1,257 @@
+"""The ``openai`` engine: asks any endpoint of OpenAI's chat completions through the ``openai`` client.
+
+The client sends requests again, with waits that grow or that the endpoint asks for, and reads proxies from the environment.
+The engine refuses redirects, so that a request and its key go to no other host, and bounds how many requests are under way.
+"""
+
+import asyncio
+import math
+import re
+import secrets
+import threading
+import time
+import weakref
+from collections.abc import Iterator, Sequence
+from concurrent.futures import as_completed
+from dataclasses import replace
+from typing import Any
+from urllib.parse import urlsplit
+
+import openai
+
+from models.semantic_reasoner.engines.http_settings import HttpSettings
+from models.semantic_reasoner.engines.protocol import OFF, Completion, Request, Sampling
+from models.semantic_reasoner.replies.grammar import ReplyGrammar
+from stable_data.content_id import content_id
+from stable_data.errors import ConfigError
+
+DOUBTFUL = ("connection_failed", "endpoint_error", "endpoint_timeout", "request_refused")
+"""Codes of failures that either the endpoint or the request alone may cause."""
+
+_ADVICE = {
+    "certificate_refused": "name the file of its authority in SSL_CERT_FILE, if that is trusted",
+    "connection_failed": "is it running, and is base_url right?",
+    "endpoint_error": "look at the endpoint's log",
+    "endpoint_timeout": "raise read_s or total_s, or lower concurrency",
+    "key_refused": "check the key ({key_variable}) and what it may use",
+    "model_unknown": "check base_url, which mostly ends in /v1, and model",
+    "prompt_too_long": "shorten it, or take a model that reads more",
+    "quota_spent": "add credit or use another key",
+    "rate_limited": "lower concurrency, or raise tries",
+    "redirect_refused": "set base_url to where the endpoint really is, if that is trusted",
+    "request_refused": "a field that the endpoint does not take is left out by null in extra",
+    "response_invalid": "is base_url that of an OpenAI-compatible endpoint?",
+    "unexpected": "please report it",
+}
+"""What to do, by code."""
+
+_STATUSES = {401: "key_refused", 403: "key_refused", 404: "model_unknown", 408: "endpoint_timeout", 409: "endpoint_error"}
+_SURROGATES = re.compile("[\ud800-\udfff]")
+
+
+class OpenAIEngine:
+    """Asks an OpenAI-compatible endpoint.
+
+    A server error, silence, a broken connection or a refusal may be due to one request alone. A short question is then asked:
+    where that is not answered either, the endpoint is down, and requests fail with the same line for ``rest_s``.
+
+    Args:
+        settings: The endpoint.
+        sampling: How tokens are drawn; ``top_k`` is no field of the protocol, see ``extra`` in the settings.
+
+    Attributes:
+        name: ``openai:<model>``, and a hash of ``extra`` where there is one. It has no host, so that a cache serves another
+            host too.
+        repeats: False: endpoints take a seed as a hint.
+
+    Raises:
+        ConfigError: The key is missing (``key_missing``), or the environment's proxies or certificates cannot be used
+            (``config_invalid``).
+    """
+
+    repeats = False
+
+    def __init__(self, settings: HttpSettings, sampling: Sampling | None = None) -> None:
+        self.settings, self.sampling = settings, sampling or Sampling()
+        self.name = f"openai:{settings.model}" + (f"+{content_id(settings.extra_fields())[:8]}" if settings.extra else "")
+        self._key = settings.read_key()
+        self._client = _client(settings, self._key)
+        self._slots, self._probing = asyncio.Semaphore(settings.concurrency), asyncio.Lock()
+        self._probed_at, self._is_down = -math.inf, False
+        self._off, self._off_until = Completion(""), -math.inf
+        self._loop = asyncio.new_event_loop()  # on a thread of its own: the caller may run a loop itself
+        threading.Thread(target=_run, args=(self._loop,), name=self.name, daemon=True).start()
+        weakref.finalize(self, _close, self._loop, self._client)
+
+    def __reduce__(self) -> tuple[type["OpenAIEngine"], tuple[HttpSettings, Sampling]]:
+        return type(self), (self.settings, self.sampling)  # in another process the key comes from its own environment
+
+    def complete(self, requests: Sequence[Request]) -> list[Completion]:
+        """One completion for each request, in their order."""
+        found = dict(self.as_completed(requests))
+        return [found[k] for k in range(len(requests))]
+
+    def as_completed(self, requests: Sequence[Request]) -> Iterator[tuple[int, Completion]]:
+        """The completions as they come, each with the index of its request.
+
+        Where the iterator is left before its end, the other requests are cancelled.
+        """
+        futures = {asyncio.run_coroutine_threadsafe(self._answer(r), self._loop): k for k, r in enumerate(requests)}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        finally:
+            for future in futures:
+                future.cancel()
+
+    async def _answer(self, request: Request) -> Completion:
+        """Never raises; learns from a failure whether the endpoint is down."""
+        async with self._slots:
+            if time.monotonic() < self._off_until:
+                return self._off
+            try:
+                completion = await self._ask(request)
+                if completion.code in DOUBTFUL and await self._finds_it_down(request.form.binds):
+                    failure = f"{completion.failure}; a short question was not answered either"
+                    completion = replace(completion, failure=failure, code="endpoint_down")
+            except Exception as error:  # noqa: BLE001 - one request is lost, the others go on
+                return self._failure("unexpected", f"unexpected {type(error).__name__}: {error}")
+            if completion.code in OFF:
+                self._off = replace(completion, failure=f"{completion.failure}; not asked again for {self.settings.rest_s:g} s")
+                self._off_until = time.monotonic() + self.settings.rest_s
+            return completion
+
+    async def _finds_it_down(self, binds: bool) -> bool:
+        """Whether a short question is not answered; requests that have failed before the answer share it."""
+        failed_at = time.monotonic()
+        async with self._probing:
+            if self._probed_at < failed_at:
+                # A random number, so that no cache in front of the endpoint answers.
+                words = f"Leave the table empty. This is question {secrets.randbelow(10**9)}."
+                found = await self._ask(Request(({"role": "user", "content": words},), ReplyGrammar(100.0, 60.0, binds=binds)))
+                self._probed_at, self._is_down = time.monotonic(), found.code in (*OFF, *DOUBTFUL)
+            return self._is_down
+
+    async def _ask(self, request: Request) -> Completion:
+        s, messages = self.settings, list[Any](request.messages)
+        fields = request_fields(request, self.sampling) | s.extra_fields()
+        kept = {key: value for key, value in fields.items() if value is not None}
+        try:
+            async with asyncio.timeout(s.total_s):
+                create = self._client.chat.completions.with_raw_response.create
+                answer = (await create(model=s.model, messages=messages, extra_body=kept)).http_response
+        except TimeoutError:
+            return self._failure("endpoint_timeout", f"no answer within {s.total_s:g} s")
+        except openai.APIError as error:
+            return self._failure(*reason_of(error))
+        try:
+            found = completion_of(answer.json(), s.prompt_price, s.reply_price)
+        except (ValueError, RecursionError) as error:
+            return self._failure("response_invalid", f"answer is no chat completion ({error})")
+        return replace(found, text=self._without_key(found.text), failure=self._without_key(found.failure))
+
+    def _failure(self, code: str, what: str) -> Completion:
+        advice = _ADVICE[code].format(key_variable=self.settings.key_variable or "key_variable names none")
+        line = f"{self.name}: {self.settings.base_url}: {one_line(self._without_key(what))}; {advice}"
+        return Completion("", failure=line, code=code)
+
+    def _without_key(self, words: str) -> str:
+        return words.replace(self._key, "***") if self._key else words
+
+
+def _client(settings: HttpSettings, key: str) -> openai.AsyncOpenAI:
+    try:
+        more: dict[str, Any] = {
+            "timeout": openai.Timeout(settings.read_s, connect=settings.connect_s),
+            "max_retries": settings.tries - 1,
+            "http_client": openai.DefaultAsyncHttpxClient(follow_redirects=False),
+        }
+        if version := settings.azure_api_version:
+            return openai.AsyncAzureOpenAI(azure_endpoint=settings.base_url, api_version=version, api_key=key, **more)
+        return openai.AsyncOpenAI(base_url=settings.base_url, api_key=key or "none", **more)
+    except (ImportError, OSError, ValueError) as error:
+        message = f"no client for {settings.base_url} can be made ({one_line(str(error))})"
+        raise ConfigError(f"{message}; check the proxies and SSL_CERT_FILE of the environment", "config_invalid") from error
+
+
+def _run(loop: asyncio.AbstractEventLoop) -> None:
+    loop.run_forever()
+    loop.close()
+
+
+def _close(loop: asyncio.AbstractEventLoop, client: openai.AsyncOpenAI) -> None:
+    asyncio.run_coroutine_threadsafe(client.close(), loop).add_done_callback(lambda _: loop.call_soon_threadsafe(loop.stop))
+
+
+def request_fields(request: Request, sampling: Sampling) -> dict[str, Any]:
+    """The fields of a request beside ``model`` and ``messages``."""
+    fields: dict[str, Any] = {
+        "max_tokens": sampling.max_tokens,
+        "temperature": sampling.temperature,
+        "top_p": sampling.top_p,
+        "seed": request.seed % 2**63,
+    }
+    if request.form.binds:
+        schema = {"name": "layout", "strict": True, "schema": request.form.schema()}
+        fields["response_format"] = {"type": "json_schema", "json_schema": schema}
+    return fields
+
+
+def completion_of(answer: Any, prompt_price: float = 0.0, reply_price: float = 0.0) -> Completion:
+    """The completion of an answer with status 200.
+
+    Args:
+        answer: Its JSON.
+        prompt_price: Of a million tokens read.
+        reply_price: Of a million tokens written.
+
+    Returns:
+        The completion; a reply that was cut, filtered, refused or is empty is a failure, and costs nevertheless.
+
+    Raises:
+        ValueError: It is no chat completion.
+    """
+    match answer:
+        case {"choices": [{"message": {**message}, **choice}, *_]} if isinstance(message.get("content"), str | None):
+            text = _SURROGATES.sub("\ufffd", message.get("content") or "")  # half a pair cannot be written as UTF-8
+        case _:
+            raise ValueError("it has no choices[0].message.content of text")
+    usage = answer.get("usage")
+    counts = [usage.get(key) if isinstance(usage, dict) else None for key in ("prompt_tokens", "completion_tokens")]
+    read, written = (c if isinstance(c, int) and 0 <= c < 2**53 else 0 for c in counts)
+    failure, code = "", ""
+    if choice.get("finish_reason") == "length":
+        failure, code = "reply was cut at the longest allowed; raise max_tokens", "reply_cut"
+    elif choice.get("finish_reason") == "content_filter":
+        failure, code = "reply was held back by the endpoint's content filter; reword the instruction", "reply_filtered"
+    elif refusal := message.get("refusal"):
+        failure, code = f"model refused: {one_line(str(refusal))}; reword the instruction", "reply_refused"
+    elif not text.strip():
+        failure, code = "reply is empty; ask again with another seed", "reply_empty"
+    cost = (read * prompt_price + written * reply_price) / 1e6
+    return Completion("" if failure else text, read, written, failure, code, cost=cost)
+
+
+def reason_of(error: openai.APIError) -> tuple[str, str]:
+    """The code of a failure, and what happened."""
+    if not isinstance(error, openai.APIStatusError):
+        cause = f"{type(error.__cause__).__name__}: {error.__cause__}"
+        if isinstance(error, openai.APITimeoutError):
+            return "endpoint_timeout", f"silent for too long ({cause})"
+        return "certificate_refused" if "CERTIFICATE_VERIFY_FAILED" in cause else "connection_failed", cause
+    status = error.status_code
+    if 300 <= status < 400:
+        return "redirect_refused", f"redirects to {urlsplit(error.response.headers.get('location', '')).netloc or 'nowhere'}"
+    # Endpoints differ in how they nest what they say.
+    said = (error.body.get("message") or error.body.get("detail")) if isinstance(error.body, dict) else None
+    what = f"status {status} ({said or error.message})"
+    if status == 429:
+        return "quota_spent" if "insufficient_quota" in (error.code, error.type) else "rate_limited", what
+    if error.code == "context_length_exceeded":
+        return "prompt_too_long", what
+    return _STATUSES.get(status, "endpoint_error" if status >= 500 else "request_refused"), what
+
+
+def one_line(words: str) -> str:
+    """Words from outside as one line of at most 300 characters."""
+    return " ".join(words.split())[:300]
