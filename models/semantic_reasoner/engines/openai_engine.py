@@ -212,13 +212,16 @@ def completion_of(answer: Any, prompt_price: float = 0.0, reply_price: float = 0
         ValueError: It is no chat completion.
     """
     match answer:
-        case {"choices": [{"message": {**message}, **choice}, *_]} if isinstance(message.get("content"), str | None):
-            text = _SURROGATES.sub("\ufffd", message.get("content") or "")  # half a pair cannot be written as UTF-8
+        case {"choices": [{"message": {**message}, **choice}, *_]}:
+            content: Any = message.get("content") or ""
         case _:
-            raise ValueError("it has no choices[0].message.content of text")
+            raise ValueError("it has no choices[0].message")
+    if not isinstance(content, str):
+        raise ValueError(f"choices[0].message.content is {type(content).__name__}, expected text")
+    text = _SURROGATES.sub("\ufffd", content)  # half a pair cannot be written as UTF-8
     usage = answer.get("usage")
     counts = [usage.get(key) if isinstance(usage, dict) else None for key in ("prompt_tokens", "completion_tokens")]
-    read, written = (c if isinstance(c, int) and 0 <= c < 2**53 else 0 for c in counts)
+    read, written = (c if type(c) is int and 0 <= c < 2**53 else 0 for c in counts)
     failure, code = "", ""
     if choice.get("finish_reason") == "length":
         failure, code = "reply was cut at the longest allowed; raise max_tokens", "reply_cut"
@@ -243,7 +246,7 @@ def reason_of(error: openai.APIError) -> tuple[str, str]:
     if 300 <= status < 400:
         return "redirect_refused", f"redirects to {urlsplit(error.response.headers.get('location', '')).netloc or 'nowhere'}"
     # Endpoints differ in how they nest what they say.
-    said = (error.body.get("message") or error.body.get("detail")) if isinstance(error.body, dict) else None
+    said = (isinstance(error.body, dict) and (error.body.get("message") or error.body.get("detail"))) or error.body
     what = f"status {status} ({said or error.message})"
     if status == 429:
         return "quota_spent" if "insufficient_quota" in (error.code, error.type) else "rate_limited", what

@@ -229,7 +229,7 @@ def test_a_reply_without_a_form_has_no_schema_and_nor_has_the_question_that_look
     "detail", ["too large", [{"loc": ["body", "seed"], "msg": "too large"}], {"deep": ["too large"]}], ids=type
 )
 def test_an_error_says_what_the_endpoint_says_however_it_is_nested(detail: Any) -> None:
-    for body in (error(detail), {"detail": detail}, {"object": "error", "message": detail, "code": 400}):
+    for body in (error(detail), {"error": detail}, {"detail": detail}, {"object": "error", "message": detail, "code": 400}):
         with endpoint(lambda words, *_, body=body: Act(422, body) if words == "x" else None) as server:
             (completion,) = OpenAIEngine(server.settings()).complete([ask("x")])
         assert completion.code == "request_refused"
