@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from scipy.spatial.transform import Rotation
 
-from stable_data.embedded_world.families.catalogue import Asset, asset
+from stable_data.embedded_world.families.catalogue import EmbeddedAsset, asset
 from stable_data.embedded_world.groups.arrangement import Group, GroupItem, GroupSampler
 from stable_data.embedded_world.plans import Slot, TablePlan
 from stable_data.geometry.mesh import Mesh
@@ -40,7 +40,7 @@ class PlacedObject:
     group: int = 0
 
     @cached_property
-    def asset(self) -> Asset:
+    def asset(self) -> EmbeddedAsset:
         """Its asset."""
         return asset(self.item.key)
 
@@ -60,7 +60,7 @@ class PlacedObject:
         return RigidBody(name, parts, self.mass, (self.item.x, self.item.y, self.z), self.item.yaw)
 
 
-def yaw_frame_parts(source: Asset, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> tuple[Mesh, ...]:
+def yaw_frame_parts(source: EmbeddedAsset, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> tuple[Mesh, ...]:
     """The convex parts of a scaled and tilted asset, metres, yaw frame, centred on the box of its mesh there."""
     turn = (Rotation.from_quat(tilt_quat_xyzw).as_matrix() * scale).T
     tilted = source.mesh.vertices @ turn

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stable_data.embedded_world.families.catalogue import Asset
+from stable_data.embedded_world.families.catalogue import EmbeddedAsset
 from stable_data.embedded_world.placing import PlacedObject, yaw_frame_parts
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import Audit, audit_scene
@@ -82,7 +82,7 @@ def _object(thing: PlacedObject, name: str, result: SettleResult, index: int) ->
     )
 
 
-def _box_centre(source: Asset, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> FloatArray:
+def _box_centre(source: EmbeddedAsset, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> FloatArray:
     """Centre of the box of a tilted mesh, (3,) float64, metres, from the mesh's own centre."""
     tilted = Rotation.from_quat(tilt_quat_xyzw).apply(source.mesh.vertices * scale)
     return np.asarray((tilted.min(axis=0) + tilted.max(axis=0)) / 2)

@@ -13,10 +13,10 @@ from models.physics_corrector.certify.layout_state import LayoutState
 from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.options import CertificationResult, CertifyOptions, CorrectionStatus, DroppedObject
 from models.physics_corrector.certify.packing_bodies import PackingBodies, directional
-from models.physics_corrector.certify.packing_problem import AXES, PackingProblem, holds
 from models.physics_corrector.certify.resting_pose import RestingPose, resting_pose
-from models.physics_corrector.certify.separation import part
 from models.physics_corrector.certify.support_inference import TABLE_TOP, SupportEdge, carriers_of, wanted_carriers
+from models.physics_corrector.packing.packing_problem import AXES, PackingProblem, holds
+from models.physics_corrector.packing.separation import part
 from stable_data.errors import SceneError
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import BOUNDS_SLACK, Audit, audit_scene

@@ -7,10 +7,10 @@ import numpy as np
 
 from models.physics_corrector.certify.layout_state import LayoutState
 from models.physics_corrector.certify.mesh_queries import MeshQueries
-from models.physics_corrector.certify.no_fit_polygon import NoFitPolygons, RigidGroup, no_fit
-from models.physics_corrector.certify.packing_problem import AXES, BodyArrays, OrderConstraint, PackingProblem
-from models.physics_corrector.certify.slab_outline import SlabOutline, joined, rectangle, slabs_of
 from models.physics_corrector.certify.support_inference import TABLE_TOP
+from models.physics_corrector.packing.no_fit_polygon import NoFitPolygons, RigidGroup, no_fit
+from models.physics_corrector.packing.packing_problem import AXES, BodyArrays, OrderConstraint, PackingProblem
+from models.physics_corrector.packing.slab_outline import SlabOutline, joined, rectangle, slabs_of
 from stable_data.metrics.audit import BOUNDS_SLACK
 from stable_data.scene import TABLE, FloatArray, Relation, RelationKind
 from stable_data.scene_graph.relations import scene_graph

@@ -14,10 +14,10 @@ import shapely
 
 from models.physics_corrector.certify.layout_state import LayoutState
 from models.physics_corrector.certify.mesh_queries import MeshQueries
-from models.physics_corrector.certify.packing_problem import AXES, holds
 from models.physics_corrector.certify.resting_pose import is_at_rest
 from models.physics_corrector.certify.settle_trial import SettleTrial
 from models.physics_corrector.certify.support_inference import TABLE_TOP, SupportEdge, beyond, wanted_carriers
+from models.physics_corrector.packing.packing_problem import AXES, holds
 from stable_data.metrics.audit import BOUNDS_SLACK
 from stable_data.metrics.collision import TOLERANCE
 from stable_data.scene import FloatArray, Relation

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.physics_corrector.certify.slab_outline import BoolArray
+from models.physics_corrector.packing.slab_outline import BoolArray
 from stable_data.scene import FloatArray, Tabletop
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.settling import PhysicsOptions, RigidBody, compile_bodies, let_sleep, without_log_file

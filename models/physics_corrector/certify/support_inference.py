@@ -14,8 +14,8 @@ import numpy as np
 import shapely
 
 from models.physics_corrector.certify.mesh_queries import MeshQueries
-from models.physics_corrector.certify.slab_outline import BoolArray
 from models.physics_corrector.certify.static_stability import STEADY, stands_alone, steadiness
+from models.physics_corrector.packing.slab_outline import BoolArray
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.collision import TOLERANCE
 from stable_data.scene import TABLE, FloatArray, RelationKind, Scene

@@ -33,7 +33,7 @@ _UNITS = (1.0, 0.01, 0.001, 0.0254, 0.1, 0.37)  # metres in one unit of a file: 
 
 
 @dataclass(frozen=True, eq=False)
-class Asset:
+class EmbeddedAsset:
     """An asset, ready to be placed.
 
     Attributes:
@@ -110,7 +110,7 @@ class Asset:
 
 
 @cache
-def asset(key: str) -> Asset:
+def asset(key: str) -> EmbeddedAsset:
     """The asset of that name.
 
     Args:
@@ -130,7 +130,7 @@ def asset(key: str) -> Asset:
     unit, is_z_up = float(rng.choice(_UNITS)), bool(rng.random() < 0.3)
     top, hollow = (_moved(space, centre.tolist()) for space in (design.top, design.hollow))
     paint = tuple((_rgb(color or design.color), rows) for color, rows in coats(design.solid).items() if len(rows))
-    return Asset(
+    return EmbeddedAsset(
         key=key,
         material=design.material,
         color_name=design.color,

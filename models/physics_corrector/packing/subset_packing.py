@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.physics_corrector.certify.grid_search import least_blocked
-from models.physics_corrector.certify.inflation import RELEASED, grown
-from models.physics_corrector.certify.packing_problem import PackingProblem
-from models.physics_corrector.certify.projection import project
+from models.physics_corrector.packing.grid_search import least_blocked
+from models.physics_corrector.packing.inflation import RELEASED, grown
+from models.physics_corrector.packing.packing_problem import PackingProblem
+from models.physics_corrector.packing.projection import project
 from stable_data.scene import FloatArray
 
 _STEPS = 16

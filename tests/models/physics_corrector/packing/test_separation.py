@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.physics_corrector.certify.no_fit_polygon import RigidGroup, no_fit
-from models.physics_corrector.certify.packing_problem import AXES, BodyArrays, OrderConstraint, PackingProblem
-from models.physics_corrector.certify.projection import box_dual, is_free_of_overlap, project
-from models.physics_corrector.certify.relation_recovery import repaired
-from models.physics_corrector.certify.separation import part
-from models.physics_corrector.certify.slab_outline import rectangle
-from models.physics_corrector.certify.subset_packing import fitted
+from models.physics_corrector.packing.no_fit_polygon import RigidGroup, no_fit
+from models.physics_corrector.packing.packing_problem import AXES, BodyArrays, OrderConstraint, PackingProblem
+from models.physics_corrector.packing.projection import box_dual, is_free_of_overlap, project
+from models.physics_corrector.packing.relation_recovery import repaired
+from models.physics_corrector.packing.separation import part
+from models.physics_corrector.packing.slab_outline import rectangle
+from models.physics_corrector.packing.subset_packing import fitted
 from stable_data.scene import FloatArray, RelationKind
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from models.physics_corrector.certify.packing_problem import PackingProblem
+from models.physics_corrector.packing.packing_problem import PackingProblem
 from stable_data.scene import FloatArray
 
 _SPACING, _MOST = 0.01, 90  # between places that are tried, metres; and how many a side

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from models.physics_corrector.certify.grid_search import least_blocked
-from models.physics_corrector.certify.inflation import RELEASED
-from models.physics_corrector.certify.packing_problem import PackingProblem
-from models.physics_corrector.certify.projection import HARD, is_free_of_overlap, project
+from models.physics_corrector.packing.grid_search import least_blocked
+from models.physics_corrector.packing.inflation import RELEASED
+from models.physics_corrector.packing.packing_problem import PackingProblem
+from models.physics_corrector.packing.projection import HARD, is_free_of_overlap, project
 from stable_data.scene import FloatArray
 
 _STEPS, _FEW_STEPS = 16, 4

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.physics_corrector.certify.no_fit_polygon import NoFitPolygons
-from models.physics_corrector.certify.slab_outline import NUM_AROUND, BoolArray
+from models.physics_corrector.packing.no_fit_polygon import NoFitPolygons
+from models.physics_corrector.packing.slab_outline import NUM_AROUND, BoolArray
 from stable_data.scene import FloatArray, IntArray, RelationKind
 
 AXES = {

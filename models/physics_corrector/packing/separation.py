@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.physics_corrector.certify.inflation import grown
-from models.physics_corrector.certify.packing_problem import PackingProblem
-from models.physics_corrector.certify.projection import project
-from models.physics_corrector.certify.relation_recovery import polished, repaired
-from models.physics_corrector.certify.subset_packing import fitted
+from models.physics_corrector.packing.inflation import grown
+from models.physics_corrector.packing.packing_problem import PackingProblem
+from models.physics_corrector.packing.projection import project
+from models.physics_corrector.packing.relation_recovery import polished, repaired
+from models.physics_corrector.packing.subset_packing import fitted
 from stable_data.scene import FloatArray
 
 _STEPS = 16

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.physics_corrector.certify.slab_outline import NUM_SIDES, SlabOutline
+from models.physics_corrector.packing.slab_outline import NUM_SIDES, SlabOutline
 from stable_data.scene import FloatArray, IntArray
 
 _CHUNK = 512  # pairs of slabs whose polygons are made at a time

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-from models.physics_corrector.certify.packing_problem import PackingProblem
+from models.physics_corrector.packing.packing_problem import PackingProblem
 from stable_data.scene import FloatArray, IntArray
 
 HARD = 3.0

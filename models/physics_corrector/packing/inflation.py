@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from models.physics_corrector.certify.packing_problem import PackingProblem
-from models.physics_corrector.certify.projection import HARD, ConstraintForces, project
+from models.physics_corrector.packing.packing_problem import PackingProblem
+from models.physics_corrector.packing.projection import HARD, ConstraintForces, project
 from stable_data.scene import FloatArray
 
 RELEASED = 0.1
