@@ -289,6 +289,5 @@ def _quat(values: Sequence[float]) -> QuatXyzw:
 
 def as_vec3(values: Any) -> Vec3:
     """Three numbers as a tuple of floats."""
-    """Three numbers as a tuple of floats."""
     x, y, z = (float(v) for v in values)
     return (x, y, z)

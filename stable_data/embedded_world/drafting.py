@@ -18,7 +18,7 @@ from stable_data.embedded_world.groups.arrangement import GroupItem, GroupSample
 from stable_data.embedded_world.placing import PlacedObject, TableOccupancy, lowered
 from stable_data.embedded_world.scenes import FEWEST, MOST, plan_of
 from stable_data.instructions.naming import ObjectName, ObjectNamer
-from stable_data.instructions.words import plural, type_words
+from stable_data.instructions.wording.words import plural, type_words
 from stable_data.scene import TABLE, RelationKind, Scene, SceneObject
 
 TRIES = 12
@@ -35,7 +35,7 @@ class EditDraft:
     Attributes:
         things: Every thing that is then there, with its instance; None for new ones.
         changed: Instances that the edit may change.
-        text: The words, as :func:`stable_data.instructions.paraphrase.reword` takes them.
+        text: The words, as :func:`stable_data.instructions.wording.paraphrase.reword` takes them.
     """
 
     things: tuple[tuple[str | None, PlacedObject], ...]

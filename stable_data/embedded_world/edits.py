@@ -14,7 +14,7 @@ from stable_data.embedded_world.placing import PlacedObject
 from stable_data.embedded_world.scenes import MOST, RECORD, EmbeddedScene, graph_of
 from stable_data.embedded_world.settling import audit, restless, settled_objects, unclean
 from stable_data.instructions.naming import ObjectNamer
-from stable_data.instructions.paraphrase import request, reword
+from stable_data.instructions.wording.paraphrase import request, reword
 from stable_data.scene import Scene, SceneObject
 
 _KEPT = 1e-3  # what an edit does not speak of settles no farther than this from where it was, metres; it is then put back

@@ -1,6 +1,6 @@
 """Instructions: tasks made up from a scene graph, in many words, saying only what is true in the scene."""
 
 from stable_data.instructions.deriving import KINDS, NUM_PATTERNS, derive_task, task_rng
-from stable_data.instructions.words import type_name, type_words
+from stable_data.instructions.wording.words import type_name, type_words
 
 __all__ = ["KINDS", "NUM_PATTERNS", "derive_task", "task_rng", "type_name", "type_words"]

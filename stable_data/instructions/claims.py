@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from stable_data.instructions.naming import ObjectMention
-from stable_data.instructions.vocabulary import nouns_of
-from stable_data.instructions.words import type_words
+from stable_data.instructions.wording.vocabulary import nouns_of
+from stable_data.instructions.wording.words import type_words
 from stable_data.scene import RelationKind
 
 OUTERMOST = {"leftmost": 1, "rightmost": -1}

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from stable_data.instructions.kind import MOST_LISTED, Roles, TaskKind
 from stable_data.instructions.situation import TaskContext
-from stable_data.instructions.vocabulary import classes_of
+from stable_data.instructions.wording.vocabulary import classes_of
 from stable_data.scene import RelationKind
 
 IN = RelationKind.IN

@@ -8,10 +8,10 @@ from stable_data.errors import SceneError
 from stable_data.instructions import containing, dining, picking, placing, sorting, stacking, tidying, using
 from stable_data.instructions.kind import TaskDraft, TaskKind
 from stable_data.instructions.naming import ObjectNamer
-from stable_data.instructions.paraphrase import request
 from stable_data.instructions.situation import TaskContext
 from stable_data.instructions.steps import MultiStepKind, steps_of
-from stable_data.instructions.words import is_plural, sentences, type_name
+from stable_data.instructions.wording.paraphrase import request
+from stable_data.instructions.wording.words import is_plural, sentences, type_name
 from stable_data.scene import Scene, TaskInfo
 from stable_data.scene_graph.relations import SceneGraph
 

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 
 from stable_data.instructions.kind import MOST_LISTED, Roles, TaskKind
 from stable_data.instructions.situation import TaskContext
-from stable_data.instructions.vocabulary import classes_of
-from stable_data.instructions.words import type_words
+from stable_data.instructions.wording.vocabulary import classes_of
+from stable_data.instructions.wording.words import type_words
 from stable_data.scene import RelationKind
 
 LEFT, RIGHT, BEHIND = RelationKind.LEFT_OF, RelationKind.RIGHT_OF, RelationKind.BEHIND

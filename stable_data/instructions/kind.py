@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from stable_data.instructions.naming import WEIGHTS, Distinction, ObjectName, ObjectNamer, relation_held
-from stable_data.instructions.paraphrase import reword
 from stable_data.instructions.situation import TaskContext
-from stable_data.instructions.vocabulary import answers_to, is_counted
-from stable_data.instructions.words import is_plural, listed, number_word, plural, type_name
+from stable_data.instructions.wording.paraphrase import reword
+from stable_data.instructions.wording.vocabulary import answers_to, is_counted
+from stable_data.instructions.wording.words import is_plural, listed, number_word, plural, type_name
 from stable_data.scene import Relation, RelationKind
 
 Roles: TypeAlias = Mapping[str, str | tuple[str, ...]]

@@ -14,8 +14,8 @@ from enum import StrEnum
 import numpy as np
 
 from stable_data.instructions.situation import OPPOSITE, SIDES
-from stable_data.instructions.vocabulary import answers_to, nouns_of
-from stable_data.instructions.words import is_plural, type_words
+from stable_data.instructions.wording.vocabulary import answers_to, nouns_of
+from stable_data.instructions.wording.words import is_plural, type_words
 from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, Scene
 from stable_data.scene_graph.relations import SceneGraph
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from stable_data.instructions.kind import Roles, TaskKind
 from stable_data.instructions.situation import OPPOSITE, SIDES, TaskContext
-from stable_data.instructions.vocabulary import classes_of
+from stable_data.instructions.wording.vocabulary import classes_of
 from stable_data.scene import RelationKind
 
 _AT_EDGE = 0.03  # what is this close to an edge may be moved away from it, metres

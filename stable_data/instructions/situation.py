@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from stable_data.instructions.vocabulary import classes_of
+from stable_data.instructions.wording.vocabulary import classes_of
 from stable_data.scene import TABLE, FloatArray, RelationKind, Scene, SceneObject
 from stable_data.scene_graph.relations import SceneGraph, facing_of
 

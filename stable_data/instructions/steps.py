@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 from stable_data.instructions.kind import TaskDraft, TaskKind
 from stable_data.instructions.naming import ObjectNamer
-from stable_data.instructions.paraphrase import is_clause, reword
 from stable_data.instructions.situation import TaskContext
-from stable_data.instructions.vocabulary import answers_to
+from stable_data.instructions.wording.paraphrase import is_clause, reword
+from stable_data.instructions.wording.vocabulary import answers_to
 
 _MOST_TRIED = 24  # kinds of task that a step may be sought among
 

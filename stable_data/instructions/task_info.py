@@ -22,7 +22,7 @@ from stable_data.instructions import derive_task, task_rng, type_name, type_word
 from stable_data.instructions.claims import OUTERMOST, StatedRelation, emptied, mark, read_claims
 from stable_data.instructions.naming import ObjectMention, ObjectNamer, involved, mentions
 from stable_data.instructions.situation import OPPOSITE
-from stable_data.instructions.words import singular
+from stable_data.instructions.wording.words import singular
 from stable_data.json_text import are_finite, is_unicode, numbers, shown
 from stable_data.scene import MAX_INSTRUCTION, TABLE, Relation, RelationKind, Scene, SceneObject, TaskInfo
 from stable_data.scene_graph.relations import SceneGraph, relations_of

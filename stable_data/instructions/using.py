@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from stable_data.instructions.kind import Roles, TaskKind
 from stable_data.instructions.situation import TaskContext
-from stable_data.instructions.vocabulary import classes_of, pressed_part
+from stable_data.instructions.wording.vocabulary import classes_of, pressed_part
 
 _OPEN, _CLOSED = 0.3, 0.15  # height of an open and of a closed laptop, as shares of its longer side
 

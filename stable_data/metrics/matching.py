@@ -25,8 +25,8 @@ from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
 from scipy.sparse import coo_array
 
 from stable_data.errors import SceneError
-from stable_data.instructions.vocabulary import classes_of, nouns_of
-from stable_data.instructions.words import singular, type_words
+from stable_data.instructions.wording.vocabulary import classes_of, nouns_of
+from stable_data.instructions.wording.words import singular, type_words
 from stable_data.scene import FloatArray, SceneObject
 
 MAX_NODES = 1000

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from models.semantic_reasoner.language.stop_words import OFF_THE_TABLE, VERBS
-from stable_data.instructions.vocabulary import answers_to, classes_of, nouns_of
-from stable_data.instructions.words import is_plural, plural, singular, type_words
+from stable_data.instructions.wording.vocabulary import answers_to, classes_of, nouns_of
+from stable_data.instructions.wording.words import is_plural, plural, singular, type_words
 
 _LOOKS = frozenset({"wooden", "large", "small", "big", "tall"})
 """Words that are part of some category's name and may as well only describe: a ``wooden spoon`` may be a spoon of wood."""

@@ -12,7 +12,7 @@ from models.semantic_reasoner.language.noun_lookup import TextWord, own_noun, wo
 from models.semantic_reasoner.language.noun_phrases import NounPhrase, marked, phrases
 from models.semantic_reasoner.language.stop_words import FUNCTION_WORDS, word_set
 from stable_data.instructions.claims import emptied
-from stable_data.instructions.words import is_plural
+from stable_data.instructions.wording.words import is_plural
 
 _EVERYTHING = re.compile(r"\b(?:everything|all|whatever|what)(?: else)?(?: that)?(?:'s| is| lies| stands)? (?:on|in|inside) <")
 _HEADS = word_set("opener handle lid rim cap button cover drawer spot place corner")

@@ -9,7 +9,7 @@ from models.semantic_reasoner.language.noun_lookup import own_noun, words_of
 from models.semantic_reasoner.language.noun_phrases import marked, phrases
 from stable_data.instructions.claims import emptied, read_claims
 from stable_data.instructions.task_info import resolve_task_objects
-from stable_data.instructions.words import plural
+from stable_data.instructions.wording.words import plural
 from stable_data.scene import MAX_INSTRUCTION, Relation, RelationKind, Scene, SceneObject, Tabletop, TaskInfo
 from stable_data.scene_graph.relations import SceneGraph, cell_of, direction_of, is_held, scene_graph
 from stable_data.scene_graph.support_from_boxes import carriers_of

@@ -25,8 +25,8 @@ from models.semantic_reasoner.language.stop_words import (
 )
 from models.semantic_reasoner.text.prompt import ANY_TABLE
 from stable_data.errors import Notice
-from stable_data.instructions.vocabulary import classes_of
-from stable_data.instructions.words import is_plural, plural, singular
+from stable_data.instructions.wording.vocabulary import classes_of
+from stable_data.instructions.wording.words import is_plural, plural, singular
 
 TextEncoder: TypeAlias = Callable[[Sequence[str]], npt.NDArray[np.float32]]
 """Texts to unit rows, (N, D)."""

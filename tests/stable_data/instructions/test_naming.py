@@ -3,7 +3,7 @@
 import pytest
 
 from stable_data.instructions.naming import Distinction, ObjectName, mentions, relation_held
-from stable_data.instructions.vocabulary import answers_to
+from stable_data.instructions.wording.vocabulary import answers_to
 from stable_data.scene import RelationKind
 from tests.stable_data.instructions.tables import DINING, MUG, TABLES, Table, Thing, table
 

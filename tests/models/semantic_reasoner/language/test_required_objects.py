@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.language.required_objects import ObjectRequirement, required
-from stable_data.instructions.words import plural
+from stable_data.instructions.wording.words import plural
 from tests.models.semantic_reasoner.language.known_categories import SIZES_CM, STATISTICS
 
 NOUNS = ("mug", "plate", "laptop", "pen", "apple", "cookie", "napkin", "pitcher")

@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from stable_data.instructions.words import sentences
+from stable_data.instructions.wording.words import sentences
 
 SYNONYMS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {

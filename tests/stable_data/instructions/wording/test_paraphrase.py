@@ -3,7 +3,7 @@
 import numpy as np
 
 from stable_data.instructions import KINDS
-from stable_data.instructions.paraphrase import SYNONYMS, is_clause, request, reword
+from stable_data.instructions.wording.paraphrase import SYNONYMS, is_clause, request, reword
 
 
 def rng(seed: int = 0) -> np.random.Generator:

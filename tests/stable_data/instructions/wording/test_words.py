@@ -2,8 +2,8 @@
 
 import pytest
 
-from stable_data.instructions.vocabulary import answers_to, classes_of, nouns_of, pressed_part
-from stable_data.instructions.words import is_plural, listed, plural, sentences, type_name, type_words
+from stable_data.instructions.wording.vocabulary import answers_to, classes_of, nouns_of, pressed_part
+from stable_data.instructions.wording.words import is_plural, listed, plural, sentences, type_name, type_words
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from functools import cache, lru_cache
 from types import MappingProxyType
 
-from stable_data.instructions.words import singular, type_words
+from stable_data.instructions.wording.words import singular, type_words
 
 _CLASSES: Mapping[str, str] = MappingProxyType(
     {
