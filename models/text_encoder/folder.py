@@ -88,7 +88,7 @@ def read_folder(root: Path) -> SentenceModel:
         if not (isinstance(module, dict) and isinstance(module.get("type"), str) and isinstance(module.get("path"), str)):
             raise _invalid(root, "has a modules.json that lists no modules")
         kinds[module["type"].rpartition(".")[2]] = root / module["path"]
-    if list(kinds) not in (["Transformer", "TokenPooling"], ["Transformer", "TokenPooling", "Normalize"]):
+    if list(kinds) not in (["Transformer", "Pooling"], ["Transformer", "Pooling", "Normalize"]):
         raise _invalid(root, f"is made of {', '.join(kinds) or 'nothing'}")
     if not all(path.resolve().is_relative_to(root.resolve()) for path in kinds.values()):
         raise _invalid(root, "has a modules.json that leads outside of it")
@@ -101,7 +101,7 @@ def read_folder(root: Path) -> SentenceModel:
             raise _invalid(root, f"has no {path.name}")
     limits = folder / "sentence_bert_config.json"
     found = _json(root, limits, dict) if limits.exists() else {}
-    pooling, config = _pooling(root, kinds["TokenPooling"]), _json(root, files[0], dict)
+    pooling, config = _pooling(root, kinds["Pooling"]), _json(root, files[0], dict)
     lengths = [found.get("max_seq_length"), config.get("max_position_embeddings"), _MAX_TOKENS]
     max_tokens = min(n for n in lengths if isinstance(n, int) and n > 0)
     lowers = found.get("do_lower_case") is True
