@@ -57,10 +57,10 @@ _FINAL = "**Final Answer**"
 """What stands before the layout in an answer of MesaTask's model."""
 
 _MESATASK = """Lay out a tabletop scene for the task below. Frame: the table's front left corner is the origin, x to the right, y to \
-the back, z up from the table top; lengths are centimetres, z_rotation degrees, 0 faces the observer. First reason in one
-paragraph \\ about the core task objects and the environment objects and where each belongs (left, middle, right; front, middle,
-back). Then \\ write the scene graph, one triple (a, relation, b) a line: left of, right of, in front of, behind, above, below,
-in, is at, face to. \\ Then write, each on a line of its own,
+the back, z up from the table top; lengths are centimetres, z_rotation degrees, 0 faces the observer. First reason in one paragraph \
+about the core task objects and the environment objects and where each belongs (left, middle, right; front, middle, back). Then \
+write the scene graph, one triple (a, relation, b) a line: left of, right of, in front of, behind, above, below, in, is at, face to. \
+Then write, each on a line of its own,
 Therefore, the scene layout is:
 **Final Answer**
 and the layout as JSON: {"item_placement_zone":[x_min,x_max,y_min,y_max],"objects":[{"instance":"pen_0","description":"...",\

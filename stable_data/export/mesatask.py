@@ -10,8 +10,8 @@ from stable_data.scene import Scene
 from stable_data.simulation.scene_geometry import SceneGeometry
 
 ABOUT = """A dataset in the MesaTask-10K format: `Layout_info/<table type>/<scene>/layout.json` with its `task_info.json`, centimetres,
-quaternions xyzw; `Assets_library/<uid>.glb`, y up, with the convex parts as a second mesh that no node shows. `stable-data
-lint` and `python -m pipelines preprocess` take it. Meshes are the repaired ones of the run, in up to eight colours each."""
+quaternions xyzw; `Assets_library/<uid>.glb`, y up, with the convex parts as a second mesh that no node shows. `stable-data lint`
+and `python -m pipelines preprocess` take it. Meshes are the repaired ones of the run, in up to eight colours each."""
 
 
 def place(scene: Scene, out: Path) -> Path:

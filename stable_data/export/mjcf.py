@@ -24,9 +24,9 @@ from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import COLLIDER
 
 ABOUT = """MuJoCo models (MJCF): `<scene>/scene.xml`, which `mujoco.MjModel.from_xml_path` and `python -m mujoco.viewer --mjcf=` open.
-Bodies have the names of the instances; the keyframe `home` holds the poses. Geoms of group 3 collide and are the convex parts
-of the objects, geoms of group 2 are seen. Masses, inertias, friction and contact settings are those that the stability verdict
-was given. Scenes share the folder `assets`: copy it with them, or export a scene alone with `--scene`."""
+Bodies have the names of the instances; the keyframe `home` holds the poses. Geoms of group 3 collide and are the convex parts of
+the objects, geoms of group 2 are seen. Masses, inertias, friction and contact settings are those that the stability verdict was
+given. Scenes share the folder `assets`: copy it with them, or export a scene alone with `--scene`."""
 
 MESH_FOLDER = "assets"
 

@@ -26,12 +26,12 @@ ANY_TABLE = "table"
 """The table type where none is to be said."""
 
 SYSTEM = """You lay out tabletop scenes for robots. Frame: centimetres, the origin is the table's near left corner, x to the right, \
-y away from the viewer, z up, the table top is z = 0. An object is {"instance":"mug_0","description":"a white mug with a blue
-rim",\\ "size":[11.0,8.0,9.5],"position":[40.0,25.0,4.8],"z_rotation":90}: instance is its category and a running number, unique
-in the \\ scene; size is the width, depth and height of its box before it is turned; position is the centre of the box;
-z_rotation is in \\ degrees, counter-clockwise seen from above, 0 faces the viewer. Everything rests on the table, on another
-object or in one; nothing \\ overlaps, nothing leaves the table. Larger objects come first, each followed at once by what it
-carries. Lengths have one decimal. \\ Answer with JSON alone: {"objects":[...]}."""
+y away from the viewer, z up, the table top is z = 0. An object is {"instance":"mug_0","description":"a white mug with a blue rim",\
+"size":[11.0,8.0,9.5],"position":[40.0,25.0,4.8],"z_rotation":90}: instance is its category and a running number, unique in the \
+scene; size is the width, depth and height of its box before it is turned; position is the centre of the box; z_rotation is in \
+degrees, counter-clockwise seen from above, 0 faces the viewer. Everything rests on the table, on another object or in one; nothing \
+overlaps, nothing leaves the table. Larger objects come first, each followed at once by what it carries. Lengths have one decimal. \
+Answer with JSON alone: {"objects":[...]}."""
 
 INSTRUCTION, TABLE, BY, CM = "Instruction: ", "\nTable: ", " x ", " cm"
 ZONE = ", where nothing may stand: "

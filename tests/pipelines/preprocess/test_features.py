@@ -190,7 +190,7 @@ def test_an_encoder_that_cannot_be_used_stops_the_run(bare: Path, tmp_path: Path
 
 def test_without_features_torch_is_not_loaded(bare: Path, tmp_path: Path) -> None:
     code = (
-        "import sys; from pipelines.preprocess.shard import preprocess; from pipelines.execution.ray_executor import Workers; "
+        "import sys; from pipelines.preprocess.shard import preprocess; from pipelines.execution.ray_executor import WorkerPool; "
         "from tests.pipelines.runs import SMALL; "
         f"preprocess({str(bare)!r}, {str(tmp_path)!r}, SMALL, WorkerPool(), report=False); print('torch' in sys.modules)"
     )

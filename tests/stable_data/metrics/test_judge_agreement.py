@@ -61,9 +61,9 @@ for path in map(pathlib.Path, sys.argv[2:]):
         tilt = Rotation.from_euler("z", -yaw) * Rotation.from_quat(item["rotation"])
         geometries.append(judge.geometry(item["selected_uid"], item["scale_factor"], tilt.as_quat()))
         poses.append([*(x / 100 for x in item["position"]), yaw])
-    scene, name, zone = judge.Scene(geometries, poses), [o["instance"] for o in layout["objects"]],
-    layout["item_placement_zone"] depths = [[sorted((name[i], name[j])), depth] for (i, j), depth in
-    scene.penetrations().items()] verdicts = [("leaves", name[i], 0.0) for i in scene.outside((zone[1] / 100, zone[3] / 100))]
+    scene, name, zone = judge.Scene(geometries, poses), [o["instance"] for o in layout["objects"]], layout["item_placement_zone"]
+    depths = [[sorted((name[i], name[j])), depth] for (i, j), depth in scene.penetrations().items()]
+    verdicts = [("leaves", name[i], 0.0) for i in scene.outside((zone[1] / 100, zone[3] / 100))]
     for t in tolerances:
         verdicts += [("collides", " ".join(pair), t) for pair, depth in depths if depth > t]
         verdicts += [("floats", name[i], t) for i in scene.floating(t)]
