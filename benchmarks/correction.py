@@ -43,7 +43,8 @@ from benchmarks.baselines.outcome import Baseline, BaselineResult
 from benchmarks.layouts import StartLayout, read_layouts, shaken_layouts
 from benchmarks.steerable_drake import in_drake
 from models.physics_corrector.certify import CorrectionStatus
-from models.physics_corrector.corrector import Flow, PhysicsCorrector, certified_from
+from models.physics_corrector.correction import CorrectionOptions
+from models.physics_corrector.corrector import Flow, PhysicsCorrector
 from models.physics_corrector.flow.checkpoint import DEFAULT_WEIGHTS
 from models.physics_corrector.learned_flow import AUTO, load_flow
 from pipelines.preprocess.scene import related
@@ -51,7 +52,7 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError, StableDataError
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.metrics.audit import PosedScene, audit_posed
+from stable_data.metrics.audit import PosedScene, audit_posed, audit_scene
 from stable_data.metrics.collision import ROUNDING
 from stable_data.metrics.rearrangement import distance_moved, emd_to_truth
 from stable_data.metrics.relations_kept import RelationsKept, relations_kept
@@ -90,23 +91,25 @@ class CorrectorBaseline:
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
         """Corrects; where nothing is feasible, the layout comes back as it is."""
-        corrector = PhysicsCorrector(_flow(self.weights))
-        corrector.raw([scene], [shapes], [frozenset()])  # encodes the shapes: preparation of assets, as are convex parts
-        bodies = bodies_of(scene, shapes, store) if self.settles else None
+        corrector = PhysicsCorrector(_flow(self.weights), judges_raw=False)
+        options = CorrectionOptions(asks_engine=self.settles)
+        corrector.move([scene], store, options)  # encodes the shapes: preparation of assets, as are convex parts
+        if self.settles:
+            bodies_of(scene, shapes, store)
+        audit = audit_scene(scene, shapes)  # which a correction needs for its figures alone
         told = scene if self.is_told else replace(scene, relations=())
         begin = time.process_time()
-        raw, known = None, scene
-        if corrector.flow is not None:
-            if not self.is_told:  # it is shown what carries what as it is
-                posed = PosedScene(scene, shapes)
-                known = related(posed, audit_posed(posed), {}).scene
-            raw = corrector.raw([known], [shapes], [frozenset()])[0]
+        known = scene
+        if corrector.flow is not None and not self.is_told:  # it is shown what carries what as it is
+            posed = PosedScene(scene, shapes)
+            known = related(posed, audit_posed(posed), {}).scene
+        (request,) = corrector.move([replace(known, relations=told.relations)], store, options, [audit])
         if not self.certifies:
-            return BaselineResult(raw or scene, raw is not None, time.process_time() - begin)
-        done = certified_from(replace(known, relations=told.relations), raw, shapes, bodies=bodies)
+            return BaselineResult(request.raw or scene, request.raw is not None, time.process_time() - begin)
+        done = corrector.certify(request, store)
         seconds = time.process_time() - begin
         is_clean = done.status in (CorrectionStatus.CERTIFIED, CorrectionStatus.DROPPED)
-        return BaselineResult(done.scene or scene, is_clean, seconds, done.reason)
+        return BaselineResult(done.certified or scene, is_clean, seconds, done.reason)
 
 
 @lru_cache(maxsize=2)

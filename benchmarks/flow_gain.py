@@ -32,7 +32,8 @@ from tqdm import tqdm
 
 from benchmarks.correction import chosen_layouts
 from models.physics_corrector.certify import CorrectionStatus
-from models.physics_corrector.corrector import Flow, certified_from, movement
+from models.physics_corrector.certify.flow_start import certify_moved
+from models.physics_corrector.corrector import Flow
 from models.physics_corrector.geometry.scene_batch import LayoutBatch, padded
 from models.physics_corrector.learned_flow import AUTO, load_flow
 from models.physics_corrector.training.dataset import TrainingScenes, clean_targets
@@ -43,6 +44,7 @@ from stable_data.errors import StableDataError
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.audit import PosedScene, audit_posed
+from stable_data.metrics.movement import movement
 from stable_data.metrics.relations_kept import RelationsKept, relations_kept
 from stable_data.scene import Scene
 
@@ -165,7 +167,7 @@ def compared(layouts: Sequence[CoarseLayout], flows: Mapping[str, Flow]) -> list
 def _gain(method: str, coarse: CoarseLayout, raw: Scene | None, flow_seconds: float) -> Gain:
     scene = coarse.scene
     begin = time.process_time()
-    done = certified_from(scene, raw, coarse.shapes)
+    done, _ = certify_moved(scene, raw, coarse.shapes)
     seconds = time.process_time() - begin
     move = farthest = turned = kept = None
     if done.scene is not None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
 from models.physics_corrector.certify import DroppedObject
-from models.physics_corrector.corrector import Correction, movement
+from models.physics_corrector.correction import Correction
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.language.stated_relations import relations_not_held
 from models.semantic_reasoner.reasoner import Proposal
@@ -21,6 +21,7 @@ from models.semantic_reasoner.text.prompt import ReasonerQuestion, Wanted
 from models.semantic_reasoner.text.reply_json import layout_objects
 from stable_data.assets.assignment import AssignedLayout
 from stable_data.errors import ConfigError, Notice
+from stable_data.metrics.movement import movement
 from stable_data.metrics.relations_kept import DIRECTIONAL
 from stable_data.random_seeds import named_seed
 from stable_data.scene import TABLE, Relation, RelationKind, Scene, SceneObject, Stage

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import ClassVar
 
-from models.physics_corrector.corrector import Correction
+from models.physics_corrector.correction import CertificationRequest, Correction, CorrectionOptions, shapes_by_instance
 from pipelines.correct.scene_shard import SceneWork, SceneWorkerState, corrector_of, notices_of
 from pipelines.correct.settings import CorrectSettings
 from pipelines.execution.item_progress import ItemProgress
@@ -16,10 +16,9 @@ from pipelines.execution.ray_executor import ProcessFailure
 from pipelines.execution.shard_job import Rows, rows_or_failure
 from pipelines.preprocess.scene import related, with_counts
 from pipelines.sources.scenes import scene_source
-from stable_data.errors import ConfigError, MeshError, Notice
+from stable_data.errors import ConfigError, Notice
 from stable_data.metrics.audit import PosedScene
 from stable_data.scene import FloatArray, Scene
-from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.storage import schemas
 
 
@@ -43,10 +42,10 @@ class CorrectWork(SceneWork[CorrectSettings, str, FloatArray | None]):
 
     def answers(self, items: Sequence[str]) -> list[FloatArray | None]:
         """What the flow makes of scenes; None without a flow."""
-        taken = [self.take(scene_id, ItemProgress("read")) for scene_id in items]
-        fixed = [self.settings.fixed_in(t.scene) for t in taken]
-        raws = self.opened().corrector.raw([t.scene for t in taken], [t.shapes for t in taken], fixed)
-        return [None if raw is None else raw.poses() for raw in raws]
+        opened, taken = self.opened(), [self.take(scene_id, ItemProgress("read")) for scene_id in items]
+        options = [CorrectionOptions(self.settings.fixed_in(t.scene)) for t in taken]
+        requests = opened.corrector.move([t.scene for t in taken], opened.source.store, options)
+        return [None if r.raw is None else r.raw.poses() for r in requests]
 
     def unanswered(self, loss: ProcessFailure, items: Sequence[str]) -> ConfigError:
         """What to do where the flow was lost."""
@@ -62,23 +61,19 @@ class CorrectWork(SceneWork[CorrectSettings, str, FloatArray | None]):
         taken = self.take(scene_id, progress)
         progress.step = "certify"
         raw = None if raw_poses is None else taken.scene.with_poses(raw_poses)
-        opened, fixed, notices = self.opened(), self.settings.fixed_in(taken.scene), list(taken.notices)
-        bodies = None
-        if self.settings.settle:
-            progress.step = "convex parts"
-            try:
-                bodies = bodies_of(taken.scene, taken.shapes, opened.source.store)
-            except MeshError as error:
-                notices.append(Notice(scene_id, "certify", "not_settled", f"{scene_id}: the engine was not asked: {error}"))
-            progress.step = "certify"
-        done = opened.corrector.certified(taken.scene, taken.shapes, taken.audit, raw, fixed, bodies)
+        options = CorrectionOptions(self.settings.fixed_in(taken.scene), asks_engine=self.settings.settle)
+        opened, notices = self.opened(), list(taken.notices)
+        done = opened.corrector.certify(CertificationRequest(taken.scene, raw, options, taken.audit), opened.source.store)
+        if done.engine_fault:
+            message = f"{scene_id}: the engine was not asked: {done.engine_fault}"
+            notices.append(Notice(scene_id, "certify", "not_settled", message))
         found: Rows = {"corrections": [correction_row(done)]}
         if done.certified is None or done.audit is None or done.card_after is None:
             message = f"{scene_id}: {done.reason}"
             found["failures"] = [schemas.notice_row(Notice(scene_id, "certify", str(done.status), message))]
         else:
             progress.step = "relations"
-            shape_of = {o.instance: shape for o, shape in zip(taken.scene.objects, taken.shapes, strict=True)}
+            shape_of = shapes_by_instance(taken.scene, taken.shapes)
             posed = PosedScene(done.certified, [shape_of[o.instance] for o in done.certified.objects])
             scene = related(posed, done.audit, taken.containers).scene
             card = with_counts(done.card_after, scene)

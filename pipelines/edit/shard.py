@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import ClassVar
 
-from models.physics_corrector.corrector import Correction
+from models.physics_corrector.correction import Correction, CorrectionOptions
 from models.semantic_reasoner.editing import EditPrompt, EditResult, apply_edit, editing
 from models.semantic_reasoner.engines.protocol import OFF
 from models.semantic_reasoner.factory import load_reasoner
@@ -26,7 +26,6 @@ from pipelines.sources.edits import EditRequest
 from pipelines.sources.scenes import SourceScene, scene_source
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice, SceneError
-from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.collision import ROUNDING
@@ -122,7 +121,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         rows: Rows = {}
         if self.settings.correct and replied.kind != "none":
             progress.step = "certify"
-            done, noted = self._corrected(scene, shapes, audit, replied.untouched & found.kept)
+            done, noted = self._corrected(scene, audit, replied.untouched & found.kept)
             notices += noted
             rows["corrections"] = [correction_row(done)]
             if done.certified is None or done.audit is None:
@@ -142,15 +141,13 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         rows["edits"] = [_edit_row(edit, replied.kind, taken, scene)]
         return rows | {"warnings": _notice_rows(edit, notices)}
 
-    def _corrected(
-        self, scene: Scene, shapes: Sequence[Shape], audit: Audit, untouched: frozenset[str]
-    ) -> tuple[Correction, list[Notice]]:
+    def _corrected(self, scene: Scene, audit: Audit, untouched: frozenset[str]) -> tuple[Correction, list[Notice]]:
         """The scene corrected, with what the edit does not name fixed as the settings say."""
         always = self.settings.fixed_in(scene)
         wished = [always | untouched, always | (untouched - _at_fault(scene, audit)), always]
         allowed = {"fixed": wished[:1], "free": wished[2:], "fixed_first": wished}[self.settings.others]
         for fixed in dict.fromkeys(allowed):
-            tried = self._certified(scene, shapes, audit, fixed)
+            tried = self._corrected_with(scene, audit, fixed)
             if fixed == allowed[0] or not _is_poor(tried):
                 done = tried
             if not _is_poor(tried):
@@ -164,10 +161,10 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
                 notices.append(Notice(scene.scene_id, "certify", "others_moved", message))
         return done, notices
 
-    def _certified(self, scene: Scene, shapes: Sequence[Shape], audit: Audit, fixed: frozenset[str]) -> Correction:
-        corrector = self.opened().corrector
-        (raw,) = corrector.raw([scene], [shapes], [fixed])
-        return corrector.certified(scene, shapes, audit, raw, fixed)
+    def _corrected_with(self, scene: Scene, audit: Audit, fixed: frozenset[str]) -> Correction:
+        opened = self.opened()
+        (done,) = opened.corrector.correct([scene], opened.source.store, CorrectionOptions(fixed), [audit])
+        return done
 
 
 def seed_of(edit: EditRequest, seed: int) -> int:

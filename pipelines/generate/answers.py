@@ -1,14 +1,14 @@
-"""Who answers the questions of Algorithm 1 in one process: its own reasoner, libraries and corrector."""
+"""Answers the requests of Algorithm 1 in one process: with its own reasoner, libraries and corrector."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from time import perf_counter
+from typing import TypeAlias
 
 from models.dual_system.algorithm1 import CorrectionRequest, ProposalRequest, RetrievalRequest
 from models.physics_corrector.certify import CorrectionStatus
-from models.physics_corrector.corrector import Correction, InputScene, PhysicsCorrector, certified_from, named, told
-from models.physics_corrector.stabilization.drop_simulation import let_down
-from models.physics_corrector.stabilization.stabilize import steadied
+from models.physics_corrector.correction import CertificationRequest, Correction, CorrectionOptions
+from models.physics_corrector.corrector import PhysicsCorrector
 from models.semantic_reasoner.engines.incremental_batches import Conversation
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
 from pipelines.execution.shard_job import unexpected
@@ -16,33 +16,12 @@ from stable_data.assets.assignment import AssignedLayout, assign_assets
 from stable_data.assets.retrieval import Retriever
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
-from stable_data.metrics.audit import audit_scene
-from stable_data.scene import Scene
 
 NOT_OF_A_SCENE = (ConfigError, OSError, MemoryError)
-"""Errors that are of the run or of the machine: another time, or elsewhere, they may not come."""
+"""Errors of the run or of the machine, not of a scene: they may not occur again at another time or elsewhere."""
 
-Certify = Callable[["PendingCertification"], Correction]
+Certify: TypeAlias = Callable[[CertificationRequest], Correction]
 """Certifies one scene; in a process of its own where a mesh may end this one."""
-
-
-@dataclass(frozen=True, slots=True)
-class PendingCertification:
-    """One scene after the flow, to be proven or mended.
-
-    Attributes:
-        scene: As it was proposed.
-        raw: What the flow made of it; None without one.
-        fixed: Instances that must stay.
-        new: Instances that nothing has put anywhere yet.
-        settles: Whether the physics engine is asked what stays at rest.
-    """
-
-    scene: Scene
-    raw: Scene | None
-    fixed: frozenset[str]
-    new: frozenset[str]
-    settles: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,46 +36,35 @@ class LocalCertifier:
     corrector: PhysicsCorrector
     store: AssetStore
 
-    def __call__(self, asked: PendingCertification) -> Correction:
-        """One scene; what nobody foresaw keeps it out, and no other.
+    def __call__(self, request: CertificationRequest) -> Correction:
+        """Certifies one scene; an unforeseen error rejects it, and no other.
 
         Raises:
             ConfigError: The run itself cannot go on.
-            OSError: Nor can it for now.
+            OSError: The same, for now.
             MemoryError: Likewise.
         """
         try:
-            return self._certified(asked)
+            return self.corrector.certify(request, self.store)
         except NOT_OF_A_SCENE:
             raise
         except Exception as error:  # noqa: BLE001 - a scene that breaks the geometry of one library is a row of failures
-            return unanswered(asked, unexpected(error))
-
-    def _certified(self, asked: PendingCertification) -> Correction:
-        scene, shapes, _ = self.store.resolved(asked.scene)
-        came = InputScene(scene, shapes, audit_scene(scene, shapes))
-        fixed = self.corrector.options.fixed | asked.fixed
-        let = let_down(scene, asked.new, fixed, self.store)
-        _, shapes, _ = self.store.resolved(let.scene)
-        raw = None if asked.raw is None else let.followed(asked.raw)
-        options = replace(self.corrector.options, fixed=fixed)
-        done = told(came, certified_from(let.scene, raw, shapes, options), named(let.scene, shapes), raw=asked.raw)
-        return steadied(self.corrector, done, came, fixed, self.store) if asked.settles else done
+            return failed_correction(request, unexpected(error))
 
 
 @dataclass(slots=True, eq=False)
 class LocalRequestHandler:
-    """Answers from this process, in batches.
+    """Answers requests in this process, in batches.
 
     Attributes:
         reasoner: Proposes objects.
         retriever: Finds assets.
-        certifier: Corrects scenes.
-        seed: Decides among assets that are as good.
-        settles: Whether the physics engine is asked of the last correction of a scene.
-        certify: Certifies one scene instead; None: the certifier.
-        fault_of: Says why an asset cannot be used instead; None: the certifier's store.
-        seconds: Spent on each kind of question so far.
+        certifier: Certifies scenes; holds the corrector.
+        seed: Decides among assets that match equally well.
+        settles: Whether MuJoCo is asked in the last correction of a scene.
+        certify: Certifies one scene in place of ``certifier``; None: ``certifier`` does.
+        fault_of: Says why an asset cannot be used, in place of the certifier's store; None: the store does.
+        seconds: Spent on each kind of request so far.
     """
 
     reasoner: SemanticReasoner
@@ -109,22 +77,22 @@ class LocalRequestHandler:
     seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("propose", "retrieve", "flow", "certify"), 0.0))
 
     def propose(self, questions: Sequence[ProposalRequest], /) -> Conversation[Proposal, ProposalRequest]:
-        """Objects of stages: what is asked for later joins what the engine is still busy with."""
+        """Proposes the objects of stages; later requests join the batch that the engine still works on."""
         began = perf_counter()
-        talk = self.reasoner.converse([(q.ask, q.seed) for q in questions])
-        found = next(talk, None)
+        conversation = self.reasoner.converse([(q.ask, q.seed) for q in questions])
+        found = next(conversation, None)
         while found is not None:
             self.seconds["propose"] += perf_counter() - began
             more = yield found
             began = perf_counter()
             try:
-                found = talk.send([(q.ask, q.seed) for q in more])
+                found = conversation.send([(q.ask, q.seed) for q in more])
             except StopIteration:
                 found = None
         self.seconds["propose"] += perf_counter() - began
 
     def retrieve(self, questions: Sequence[RetrievalRequest], /) -> list[AssignedLayout]:
-        """Assets of objects, all of them looked for at once."""
+        """Finds the assets of objects, of all requests at once."""
         began = perf_counter()
         fault_of = self.fault_of or self.certifier.store.fault_of
         found = assign_assets([q.scene for q in questions], self.retriever, self.seed, fault_of)
@@ -134,37 +102,22 @@ class LocalRequestHandler:
     def correct(self, questions: Sequence[CorrectionRequest], /) -> Iterator[Correction]:
         """Clean poses of scenes: the flow moves all of them as one batch, each is certified alone."""
         began = perf_counter()
-        resolved = [self.certifier.store.resolved(q.scene)[:2] for q in questions]
-        fixed = [q.fixed for q in questions]
-        scenes, shapes = [scene for scene, _ in resolved], [shapes for _, shapes in resolved]
-        raws = self.certifier.corrector.raw(scenes, shapes, fixed)
+        corrector, certify = self.certifier.corrector, self.certify or self.certifier
+        options = [CorrectionOptions(q.fixed, q.new, may_tilt=True, asks_engine=q.is_last and self.settles) for q in questions]
+        requests = corrector.move([q.scene for q in questions], self.certifier.store, options)
         self.seconds["flow"] += perf_counter() - began
-        certify = self.certify or self.certifier
-        for q, scene, raw in zip(questions, scenes, raws, strict=True):
+        for request in requests:
             began = perf_counter()
-            found = certify(PendingCertification(scene, raw, q.fixed, q.new, q.is_last and self.settles))
+            found = certify(request)
             self.seconds["certify"] += perf_counter() - began
             yield found
 
 
-def unanswered(asked: PendingCertification, reason: str) -> Correction:
-    """What comes of a scene that could not be certified at all: it is kept out, and the others go on.
+def failed_correction(request: CertificationRequest, reason: str) -> Correction:
+    """The correction of a scene that could not be certified at all: it is rejected, and the others go on.
 
     Args:
-        asked: The scene.
+        request: The scene.
         reason: Why, one line.
     """
-    return Correction(
-        status=CorrectionStatus.UNKNOWN,
-        reason=reason,
-        start=asked.scene,
-        raw=asked.raw,
-        certified=None,
-        dropped=(),
-        card_before=None,
-        card_raw=None,
-        card_after=None,
-        audit=None,
-        kept=None,
-        rest=None,
-    )
+    return Correction(CorrectionStatus.UNKNOWN, reason, request.scene, request.raw)

@@ -17,7 +17,8 @@ import ray
 from models.dual_system.algorithm1 import GenerationResult, Turn, dual_system
 from models.dual_system.batching import QueueCounts, run_batched
 from models.physics_corrector.certify import CertifyOptions
-from models.physics_corrector.corrector import Correction, PhysicsCorrector, with_movement
+from models.physics_corrector.correction import CertificationRequest, Correction
+from models.physics_corrector.corrector import PhysicsCorrector
 from models.physics_corrector.learned_flow import load_flow
 from models.semantic_reasoner.engines.protocol import OFF
 from models.semantic_reasoner.factory import load_reasoner
@@ -32,7 +33,7 @@ from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.progress_bar import ProgressReporter, ProgressTally
 from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, limited
 from pipelines.execution.shard_job import Rows, engine_off, rows_or_failure, unexpected
-from pipelines.generate.answers import NOT_OF_A_SCENE, LocalCertifier, LocalRequestHandler, PendingCertification, unanswered
+from pipelines.generate.answers import NOT_OF_A_SCENE, LocalCertifier, LocalRequestHandler, failed_correction
 from pipelines.generate.settings import GenerateSettings
 from pipelines.preprocess.scene import RelatedScene, SceneSettings, duplicate_group, related, split_of, with_counts
 from pipelines.sources.assets import AssetLibraries
@@ -44,6 +45,7 @@ from stable_data.metrics.alignment import align, reference_of
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.collision import TOLERANCE
+from stable_data.metrics.movement import with_movement
 from stable_data.metrics.relations_kept import relations_kept
 from stable_data.random_seeds import named_seed
 from stable_data.scene import Relation, RelationKind, Scene
@@ -182,7 +184,7 @@ class GenerateWork:
                     )
                 yield found
 
-    def _certified(self, asked: PendingCertification, *, apart: IsolatedProcess | None) -> Correction:
+    def _certified(self, asked: CertificationRequest, *, apart: IsolatedProcess | None) -> Correction:
         """One scene certified; in a process of its own where workers died over its shard."""
         seconds = self.settings.seconds_per_item
         if apart is None:
@@ -190,7 +192,7 @@ class GenerateWork:
                 return _opened(self).answers.certifier(asked)
         found = apart.call(partial(_certify, self._physics()), asked, seconds=seconds)
         if isinstance(found, ProcessFailure):
-            return unanswered(asked, f"the correction {str(found).replace('_', ' ')} ({seconds:g} s are allowed)")
+            return failed_correction(asked, f"the correction {str(found).replace('_', ' ')} ({seconds:g} s are allowed)")
         return found
 
     def _fault_of(self, asset_id: str, *, apart: IsolatedProcess | None) -> str | None:
@@ -287,7 +289,7 @@ def _prepare(work: GenerateWork) -> None:
     _apart(work)
 
 
-def _certify(work: GenerateWork, asked: PendingCertification) -> Correction:
+def _certify(work: GenerateWork, asked: CertificationRequest) -> Correction:
     return _apart(work)(asked)
 
 

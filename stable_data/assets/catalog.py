@@ -16,6 +16,7 @@ import pyarrow.compute as pc
 
 from stable_data.assets.text_embeddings import Rows, TextEncoder, checked_rows, text_rows
 from stable_data.errors import ConfigError
+from stable_data.geometry.leaning import CATALOGUE_ANGLES, SLENDER_ASSET, leaning_tilt
 from stable_data.rotations import normalised, quat_product, rotation_matrix, stood_on_end, turned_extents
 from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Vec3
 from stable_data.storage.row_groups import rows_from_table
@@ -23,9 +24,7 @@ from stable_data.storage.run_folder import RunFolder
 
 _SAME_TILT = math.radians(5.0)
 _RIGHT_ANGLE = 1e-6
-_LONG = 3.0  # longest edge over the next of what leans in a cup rather than lies there
 _STEEP = math.radians(45.0)
-_LEANS = tuple(math.radians(a) for a in (6, 12, 18, 24, 30, 36, 45, 55, 65, 75))
 _COLUMNS = (
     "asset_id",
     "category",
@@ -242,13 +241,10 @@ def usual_tilts(tilts: Iterable[tuple[QuatXyzw, int]]) -> list[tuple[QuatXyzw, i
 def with_leaning_tilts(tilts: Sequence[tuple[QuatXyzw, int]], extents: Vec3) -> list[tuple[QuatXyzw, int]]:
     """Tilts with those at which a long thing that was only seen lying leans in a cup, its top towards -y."""
     axis = int(np.argmax(extents))
-    is_long = extents[axis] > _LONG * sorted(extents)[1]
+    is_long = extents[axis] > SLENDER_ASSET * sorted(extents)[1]
     if not tilts or not is_long or any(abs(rotation_matrix(q)[2, axis]) > math.cos(_STEEP) for q, _ in tilts):
         return list(tilts)
-    leaning = []
-    for angle in _LEANS:
-        lean = (math.sin(angle / 2), 0.0, 0.0, math.cos(angle / 2))
-        leaning.append((quat_product(lean, stood_on_end(axis)), 0))
+    leaning = [(quat_product(leaning_tilt(angle), stood_on_end(axis)), 0) for angle in CATALOGUE_ANGLES]
     return [*tilts, *leaning]
 
 

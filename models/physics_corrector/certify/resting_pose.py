@@ -10,11 +10,11 @@ from shapely.ops import nearest_points
 from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.static_stability import FALLS, STEADY, centre_of_mass, stands_alone, steadiness
 from models.physics_corrector.certify.support_inference import SupportEdge, beyond
+from stable_data.geometry.leaning import RIM_MARGIN
 from stable_data.metrics.collision import TOLERANCE
 from stable_data.scene import FloatArray
 from stable_data.scene_graph.relations import INSIDE_SLACK
 
-_RIM = 4e-3  # the bottom of what is in a container has to be this much below the rim, metres
 _INSETS = (
     0.02,
     0.01,
@@ -206,7 +206,7 @@ def _is_carried(meshes: MeshQueries, poses: FloatArray, k: int, pose: FloatArray
         return False
     outside = beyond(pose[:2], meshes.shapes[p].posed_footprint(poses[p]))
     if carried.is_in:
-        return outside <= INSIDE_SLACK and bottom < high[2] - _RIM
+        return outside <= INSIDE_SLACK and bottom < high[2] - RIM_MARGIN
     return outside <= 0.0
 
 

@@ -16,13 +16,12 @@ from scipy.spatial.transform import Rotation
 
 from stable_data.embedded_world.families.catalogue import NUM_VARIANTS, asset
 from stable_data.embedded_world.modelling.family import SupportArea
+from stable_data.geometry.leaning import FOOT_SHARE_DRAWN, LEAN_SHARE, LEAST_ROOM, PROTRUSION_DRAWN, feet_radius, leaning_tilt
 from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Vec3
 
 _TRIES = 40
 _UNEVEN = 0.12  # share of upright single things that may be stretched, as assets of the format are
 _STRETCH = 0.15  # at most, along an axis
-_STICKS_OUT = 1.15  # what leans in a cup is longer than the cup is deep by this factor
-_FOOT_SHARE = 0.25  # of a long thing's length is its foot
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,16 +256,16 @@ def leaning(cup: GroupItem, keys: Sequence[str], kit: GroupSampler) -> Group:
         return [cup]
     group, first = [cup], kit.between(0, 2 * math.pi)
     radius, height = min(hollow.width, hollow.depth) / 2 * cup.scale[0], hollow.height * cup.scale[2]
-    fitting = [key for key in keys if _extents(key, UPRIGHT)[2] > _STICKS_OUT * height]
+    fitting = [key for key in keys if _extents(key, UPRIGHT)[2] > PROTRUSION_DRAWN * height]
     for k, key in enumerate(fitting):
         centre, half = _foot(key)
-        foot = 0.0 if len(fitting) == 1 else (half + 0.0007) / math.sin(math.pi / len(fitting))
+        foot = 0.0 if len(fitting) == 1 else feet_radius(half, len(fitting))
         room = radius - half - foot
-        if room <= 0.001:
+        if room <= LEAST_ROOM:
             break
-        lean = 0.8 * math.atan(room / height)
+        lean = LEAN_SHARE * math.atan(room / height)
         heading = first + 2 * math.pi * k / len(fitting)
-        tilt = (math.sin(lean / 2), 0.0, 0.0, math.cos(lean / 2))  # its top towards -y of its own yaw frame
+        tilt = leaning_tilt(lean)
         x, y = _below(key, tilt, centre)
         c, s = math.cos(heading), math.sin(heading)
         there = (cup.x + foot * s - (c * x - s * y), cup.y - foot * c - (s * x + c * y))
@@ -279,7 +278,7 @@ def _foot(key: str) -> tuple[Vec3, float]:
     """Middle of a long thing's lower end, in the frame of its mesh, and how wide it is there: a radius, metres."""
     vertices = asset(key).mesh.vertices
     low = vertices[:, 2].min()
-    end = vertices[vertices[:, 2] < low + _FOOT_SHARE * np.ptp(vertices[:, 2])]
+    end = vertices[vertices[:, 2] < low + FOOT_SHARE_DRAWN * np.ptp(vertices[:, 2])]
     middle = (end.min(axis=0) + end.max(axis=0)) / 2
     x, y = middle[:2].tolist()
     return (x, y, float(low)), float(np.linalg.norm(end[:, :2] - middle[:2], axis=1).max())

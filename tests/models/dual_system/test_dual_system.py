@@ -18,7 +18,8 @@ from models.dual_system.algorithm1 import (
 )
 from models.dual_system.batching import run_batched
 from models.physics_corrector.certify import CertifyOptions, CorrectionStatus
-from models.physics_corrector.corrector import Correction, PhysicsCorrector
+from models.physics_corrector.correction import Correction, CorrectionOptions
+from models.physics_corrector.corrector import PhysicsCorrector
 from models.semantic_reasoner.engines.incremental_batches import Conversation, in_batches
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.reasoner import Proposal, RefusedReply
@@ -68,8 +69,8 @@ class Answers:
     def correct(self, questions: Sequence[CorrectionRequest]) -> list[Correction]:
         self.asked += questions
         self.batches.append(len(questions))
-        shapes = [store().resolved(q.scene)[1] for q in questions]
-        return self.corrector.correct([q.scene for q in questions], shapes, [q.fixed for q in questions])
+        options = [CorrectionOptions(q.fixed) for q in questions]
+        return self.corrector.correct([q.scene for q in questions], store(), options)
 
     def furnished(self, scene: Scene) -> AssignedLayout:
         lost = {o.instance: UnmatchedQuery(f"nothing is like {o.category}") for o in scene.objects if o.category not in SHAPES}

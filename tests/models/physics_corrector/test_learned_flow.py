@@ -7,13 +7,16 @@ import numpy as np
 import pytest
 
 from models.physics_corrector.certify import CorrectionStatus
-from models.physics_corrector.corrector import PhysicsCorrector, certified_from, movement, starting_point
+from models.physics_corrector.certify.flow_start import certify_moved, starting_point
+from models.physics_corrector.correction import CorrectionOptions, KnownShapes, shapes_by_instance
+from models.physics_corrector.corrector import PhysicsCorrector
 from models.physics_corrector.flow.checkpoint import load_corrector, save_corrector
 from models.physics_corrector.learned_flow import LearnedFlow, load_flow, weights_fingerprint
 from models.point_encoder import PointEncoder
 from models.point_encoder import save as save_encoder
 from stable_data.errors import ConfigError
 from stable_data.geometry.shape import Shape
+from stable_data.metrics.movement import movement
 from stable_data.scene import Scene
 from tests.models.physics_corrector.certify.things import box, cylinder, laid
 from tests.models.physics_corrector.flow.conditions import awake_network, small_settings
@@ -43,6 +46,11 @@ def two_scenes() -> tuple[list[Scene], list[list[Shape]]]:
     first, shapes = laid(("a", CUP, 0.4, 0.3, 0.0), ("b", CUP, 0.46, 0.3, 0.0), ("c", BOOK, 0.2, 0.2, 0.0))
     second, others = laid(("d", BOOK, 0.3, 0.3, 0.0))
     return [first, second], [list(shapes), list(others)]
+
+
+def known(scenes: list[Scene], shapes: list[list[Shape]]) -> KnownShapes:
+    named = [shapes_by_instance(*pair) for pair in zip(scenes, shapes, strict=False)]
+    return KnownShapes({name: shape for one in named for name, shape in one.items()})
 
 
 def test_what_is_fixed_stays_bit_for_bit_and_the_rest_moves(weights: Path) -> None:
@@ -106,7 +114,7 @@ def test_what_cannot_be_reckoned_with_stays_and_harms_no_other(weights: Path) ->
     stayed, moved = flow([lost, scenes[1]], [shapes[0], shapes[1]], [FREE, FREE])
     assert stayed == lost
     assert moved.poses() == pytest.approx(flow(scenes[1:], shapes[1:], [FREE])[0].poses(), abs=1e-5)
-    (done,) = PhysicsCorrector(flow).correct([lost], shapes[:1])
+    (done,) = PhysicsCorrector(flow).correct([lost], known([lost], shapes))
     assert (done.status, done.reason) == ("infeasible", "the exact check refuses what cannot be moved: a is off its area")
 
 
@@ -137,7 +145,7 @@ def test_the_fingerprint_is_of_both_files(weights: Path) -> None:
 
 def test_raw_and_certified_stand_side_by_side(weights: Path) -> None:
     scenes, shapes = two_scenes()
-    corrections = PhysicsCorrector(load_flow(str(weights))).correct(scenes, shapes)
+    corrections = PhysicsCorrector(load_flow(str(weights))).correct(scenes, known(scenes, shapes))
     for scene, done in zip(scenes, corrections, strict=True):
         assert done.start is scene
         assert done.raw is not None
@@ -149,8 +157,10 @@ def test_raw_and_certified_stand_side_by_side(weights: Path) -> None:
     before = corrections[0].card_before
     assert before is not None
     assert before.num_collisions == 1
-    (alone,) = PhysicsCorrector().correct(scenes[:1], shapes[:1])
+    (alone,) = PhysicsCorrector().correct(scenes[:1], known(scenes, shapes))
     assert (alone.raw, alone.card_raw) == (None, None)
+    with pytest.raises(ConfigError, match="expected an AssetStore"):
+        PhysicsCorrector().correct(scenes[:1], known(scenes, shapes), CorrectionOptions(asks_engine=True))
 
 
 def test_movement_of_objects_that_are_still_there() -> None:
@@ -201,7 +211,7 @@ def test_what_would_change_sides_goes_back_with_what_it_carries() -> None:
 def test_where_the_flow_leaves_no_room_the_layout_itself_decides() -> None:
     scene, shapes = laid(("one", BOOK, 0.08, 0.11, 0.0), ("other", BOOK, 0.235, 0.11, 0.0), size=(0.32, 0.22))
     raw = scene.with_poses(scene.poses() + np.array([0.0, 0.0, 0.0, np.pi / 4]))  # turned so, none has room
-    done = certified_from(scene, raw, shapes)
+    done, _ = certify_moved(scene, raw, shapes)
     assert done.status is CorrectionStatus.CERTIFIED
     assert not done.dropped
 

@@ -5,8 +5,9 @@ from dataclasses import replace
 import pytest
 
 from models.physics_corrector.certify import CertifyOptions
-from models.physics_corrector.corrector import Correction, PhysicsCorrector
-from pipelines.generate.answers import LocalCertifier, PendingCertification
+from models.physics_corrector.correction import CertificationRequest, Correction, CorrectionOptions
+from models.physics_corrector.corrector import PhysicsCorrector
+from pipelines.generate.answers import LocalCertifier
 from stable_data.metrics.audit import audit_scene
 from stable_data.rotations import rotation_matrix
 from stable_data.scene import Relation, RelationKind, Scene
@@ -30,7 +31,7 @@ def pencils() -> Scene:
 
 def corrected(built: Scene, *, new: frozenset[str] = STICKS, raw: Scene | None = None, settles: bool = False) -> Correction:
     certifier = LocalCertifier(PhysicsCorrector(options=CertifyOptions(twice=False)), store())
-    return certifier(PendingCertification(built, raw, frozenset(), new, settles))
+    return certifier(CertificationRequest(built, raw, CorrectionOptions(new=new, may_tilt=True, asks_engine=settles)))
 
 
 def height_of(done: Correction, name: str) -> float:

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from shapely.errors import GEOSException
 
+from models.physics_corrector import corrector
 from models.physics_corrector.flow.checkpoint import save_corrector
 from models.point_encoder import save as save_encoder
 from models.semantic_reasoner.engines.registry import EngineSettings
@@ -160,24 +161,26 @@ def test_an_endpoint_that_is_down_for_one_stage_leaves_no_hole(dataset: Path, tm
     assert {len(row["objects"]) for row in RunFolder(str(tmp_path)).table("scenes").to_pylist()} == {len(Stage)}
 
 
-@pytest.mark.parametrize("step", ["certified_from", "furnish"])
-def test_what_nobody_foresaw_costs_one_scene(step: str, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("module", "step"), [(corrector, "certify_moved"), (answers, "furnish")], ids=["one", "many"])
+def test_what_nobody_foresaw_costs_one_scene(
+    module: ModuleType, step: str, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """In a correction, which is of one scene, and in what is done for many scenes at once."""
     script = tmp_path / "script.json"
     script.write_text(json.dumps(one_thing_a_stage(AssetLibraries([str(dataset)]).libraries[0].assets[1:4])))
     settings = replace(PLAIN, engine=EngineSettings(f"scripted:{script}"), scenes_per_shard=4, accept="clean", settle=False)
-    real = getattr(answers, step)
+    real = getattr(module, step)
 
     def fails(first: Any, *more: Any) -> Any:
         if "task_2" in {scene.scene_id for scene in (first if isinstance(first, list) else [first])}:
             raise GEOSException("TopologyException:\nside location conflict")
         return real(first, *more)
 
-    monkeypatch.setattr(answers, step, fails)
+    monkeypatch.setattr(module, step, fails)
     generate(FOUR, str(tmp_path / "out"), settings, ALONE, [str(dataset)], report=False)
     assert ids(tmp_path / "out", "scenes") == {"task_0", "task_1", "task_3"}
     (row,) = RunFolder(str(tmp_path / "out")).table("failures").to_pylist()
-    assert (row["id"], row["code"]) == ("task_2", "unknown" if step == "certified_from" else "unexpected")
+    assert (row["id"], row["code"]) == ("task_2", "unknown" if step == "certify_moved" else "unexpected")
     assert "GEOSException: TopologyException: side location conflict; please report" in row["message"]
 
 

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.physics_corrector.certify import certify
-from models.physics_corrector.stabilization.container_insertion import hollow_of, is_inside, is_long, stood
-from models.physics_corrector.stabilization.drop_simulation import DropResult, leaning_in, let_down
+from models.physics_corrector.stabilization.container_insertion import interior_of, is_inside, is_long, place_leaning
+from models.physics_corrector.stabilization.drop_simulation import DropResult, drop_into_container, drop_new_objects
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import audit_scene
 from stable_data.rotations import rotation_matrix, stood_on_end
@@ -35,7 +35,7 @@ def with_relations(built: Scene, kind: RelationKind, *pairs: tuple[str, str]) ->
 
 
 def let_go(built: Scene, fixed: frozenset[str] = NONE) -> DropResult:
-    return let_down(store().resolved(built)[0], {r.subject for r in built.relations}, fixed, store())
+    return drop_new_objects(store().resolved(built)[0], {r.subject for r in built.relations}, fixed, store())
 
 
 def steepness(o: SceneObject) -> float:
@@ -46,8 +46,8 @@ def steepness(o: SceneObject) -> float:
 # --- cups
 
 
-def test_the_hollow_of_a_cup() -> None:
-    room = hollow_of(CUP, store().shape(CUP)[0])
+def test_the_interior_of_a_cup() -> None:
+    room = interior_of(CUP, store().shape(CUP)[0])
     assert room is not None
     assert room.middle == pytest.approx(CUP.position[:2], abs=1e-3)
     assert room.radius == pytest.approx(0.035, rel=0.05)
@@ -57,11 +57,11 @@ def test_the_hollow_of_a_cup() -> None:
 @pytest.mark.parametrize("name", ["cube", "plate", "ball", "cloth"])
 def test_what_has_no_walls_has_no_hollow(name: str) -> None:
     o = thing(name, (0.5, 0.4, 0.1, 0.0))
-    assert hollow_of(o, store().shape(o)[0]) is None
+    assert interior_of(o, store().shape(o)[0]) is None
 
 
 def test_only_slender_things_longer_than_the_cup_is_deep_lean() -> None:
-    room = hollow_of(CUP, store().shape(CUP)[0])
+    room = interior_of(CUP, store().shape(CUP)[0])
     assert room is not None
     assert is_long(stick(0, 0.5), room, store())
     assert not is_long(thing("cube", (0.5, 0.4, 0.1, 0.0)), room, store())
@@ -69,9 +69,9 @@ def test_only_slender_things_longer_than_the_cup_is_deep_lean() -> None:
 
 
 def test_as_many_stand_side_by_side_as_have_room() -> None:
-    room = hollow_of(CUP, store().shape(CUP)[0])
+    room = interior_of(CUP, store().shape(CUP)[0])
     assert room is not None
-    found = stood([stick(k, 0.5) for k in range(30)], room, store())
+    found = place_leaning([stick(k, 0.5) for k in range(30)], room, store())
     assert 5 < len(found) < 30
     assert [o.instance for o in found] == [f"cube_{k}" for k in range(len(found))]
     assert all(is_inside(o, room, store()) and steepness(o) > 0.8 for o in found)
@@ -92,7 +92,7 @@ def test_long_things_that_lie_lean_in_their_cup_and_stay(count: int) -> None:
     sticks = [stick(k, 0.3 + 0.2 * k) for k in range(count)]
     built = with_relations(scene(CUP, *sticks), RelationKind.IN, *((o.instance, "cup") for o in sticks))
     let = let_go(built)
-    assert dict(let.went_with) == {o.instance: "cup" for o in sticks}
+    assert dict(let.carriers) == {o.instance: "cup" for o in sticks}
     assert let.scene["cup"] == store().resolved(built)[0]["cup"]
     assert all(steepness(let.scene[o.instance]) > 0.7 for o in sticks)
     resolved, shapes, _ = store().resolved(let.scene)
@@ -113,13 +113,13 @@ def test_a_thing_over_another_comes_down_on_it_and_keeps_its_tilt() -> None:
     assert audit_scene(resolved, shapes).card().clean
 
 
-def test_a_stack_is_let_down_from_below() -> None:
+def test_a_stack_is_drop_new_objects_from_below() -> None:
     cubes = (thing(f"cube_{k}", (0.5, 0.4, 0.6, 0.0), support=f"cube_{k - 1}" if k else "plate") for k in range(3))
     built = scene(thing("plate", (0.5, 0.4, 0.005, 0.0)), *cubes)
     pairs = (("cube_2", "cube_1"), ("cube_1", "cube_0"), ("cube_0", "plate"))
     let = let_go(with_relations(built, RelationKind.ON, *pairs))
     assert [let.scene[f"cube_{k}"].position[2] for k in range(3)] == pytest.approx([0.06, 0.16, 0.26], abs=1e-3)
-    assert dict(let.went_with) == dict.fromkeys(("cube_0", "cube_1", "cube_2"), "plate")
+    assert dict(let.carriers) == dict.fromkeys(("cube_0", "cube_1", "cube_2"), "plate")
 
 
 def test_what_leans_in_an_askew_way_comes_to_lie_flat() -> None:
@@ -133,7 +133,7 @@ def test_what_rolls_off_is_where_it_was() -> None:
     built = scene(thing("ball_0", (0.5, 0.4, 0.05, 0.0)), thing("ball_1", (0.52, 0.4, 0.2, 0.0)))
     let = let_go(with_relations(built, RelationKind.ON, ("ball_1", "ball_0")))
     assert let.scene == with_relations(built, RelationKind.ON, ("ball_1", "ball_0"))
-    assert not let.went_with
+    assert not let.carriers
 
 
 @pytest.mark.parametrize("x", [0.595, 0.61, 0.7])
@@ -161,7 +161,7 @@ def test_what_is_to_be_on_a_cup_or_in_a_wide_bowl_does_not_lean_in_it() -> None:
     on_it = with_relations(scene(CUP, stick(0, 0.5)), RelationKind.ON, ("cube_0", "cup"))
     assert steepness(let_go(on_it).scene["cube_0"]) < 0.3
     wide = thing("bowl", (0.5, 0.4, 0.08, 0.0), scale=(2.0, 2.0, 2.0))
-    room = hollow_of(wide, store().shape(wide)[0])
+    room = interior_of(wide, store().shape(wide)[0])
     assert room is not None
     assert not is_long(stick(0, 0.5), room, store())
 
@@ -171,15 +171,15 @@ def test_a_spoon_alone_leans_across_its_bowl() -> None:
     wide = thing("bowl", (0.5, 0.4, 0.06, 0.3), scale=(1.5, 1.5, 1.5))
     spoon = thing("cube", (0.55, 0.4, 0.2, 0.0), scale=(0.5, 0.12, 3.0))
     let = let_go(with_relations(scene(wide, spoon), RelationKind.IN, ("cube", "bowl")))
-    assert dict(let.went_with) == {"cube": "bowl"}
-    room = hollow_of(let.scene["bowl"], store().shape(wide)[0])
+    assert dict(let.carriers) == {"cube": "bowl"}
+    room = interior_of(let.scene["bowl"], store().shape(wide)[0])
     assert room is not None
     assert is_inside(let.scene["cube"], room, store())
     assert 0.2 < steepness(let.scene["cube"]) < 0.8
 
 
 def test_what_leans_on_a_cup_from_outside_is_not_in_it() -> None:
-    room = hollow_of(CUP, store().shape(CUP)[0])
+    room = interior_of(CUP, store().shape(CUP)[0])
     assert room is not None
     assert room.reach == pytest.approx(0.045, abs=1e-3)
     angle = math.radians(12.5)
@@ -199,13 +199,15 @@ def test_what_lies_under_the_rim_of_a_bowl_is_not_in_it_and_stays() -> None:
     mat = thing("plate_0", (0.5, 0.5, 0.0015, 0.0), scale=(1.5, 0.8, 0.3))
     pen = thing("cube_9", (0.5, 0.465, 0.0075, np.pi / 2), scale=(0.1, 0.09, 1.6), tilt=LYING, support="plate_0")
     built = scene(bowl, mat, pen, stick(0, 0.3))
-    room = hollow_of(bowl, store().shape(bowl)[0])
+    room = interior_of(bowl, store().shape(bowl)[0])
     assert room is not None
     assert room.reach > 0.08 > room.mouth > room.radius
     assert is_long(pen, room, store())
     assert not is_inside(pen, room, store())
-    let = let_down(store().resolved(with_relations(built, RelationKind.IN, ("cube_0", "bowl")))[0], {"cube_0"}, NONE, store())
-    assert "cube_9" not in let.went_with
+    let = drop_new_objects(
+        store().resolved(with_relations(built, RelationKind.IN, ("cube_0", "bowl")))[0], {"cube_0"}, NONE, store()
+    )
+    assert "cube_9" not in let.carriers
     assert let.scene["cube_9"] == store().resolved(built)[0]["cube_9"]
 
 
@@ -215,37 +217,37 @@ def test_the_hollow_turns_with_its_thing() -> None:
     joined = hollow(store().shape(CUP)[0], Shape(np.add(handle.vertices, (0.065, 0.0, 0.0)), handle.faces))
     middle = (joined.vertices.min(axis=0) + joined.vertices.max(axis=0)) / 2
     turned = replace(CUP, size=(0.135, 0.08, 0.1), yaw=np.pi / 2)
-    found = hollow_of(turned, Shape(joined.vertices - middle, joined.faces))
+    found = interior_of(turned, Shape(joined.vertices - middle, joined.faces))
     assert found is not None
     assert list(found.middle) == pytest.approx([0.5, 0.4 - middle[0]], abs=2e-3)
 
 
 def test_a_thick_thing_is_no_reason_that_thin_ones_do_not_stand() -> None:
-    room = hollow_of(CUP, store().shape(CUP)[0])
+    room = interior_of(CUP, store().shape(CUP)[0])
     assert room is not None
     thick = thing("cube_9", (0.5, 0.4, 0.2, 0.0), scale=(0.8, 0.8, 3.0))
-    assert [o.instance for o in stood([thick, stick(0, 0.5), stick(1, 0.5)], room, store())] == ["cube_0", "cube_1"]
+    assert [o.instance for o in place_leaning([thick, stick(0, 0.5), stick(1, 0.5)], room, store())] == ["cube_0", "cube_1"]
 
 
 def test_things_that_are_said_to_lie_on_each_other_are_left_alone() -> None:
     built = scene(thing("cube_0", (0.3, 0.4, 0.05, 0.0)), thing("cube_1", (0.6, 0.4, 0.05, 0.0)))
     pairs = (("cube_0", "cube_1"), ("cube_1", "cube_0"))
-    assert not let_go(with_relations(built, RelationKind.ON, *pairs)).went_with
-    assert not let_go(with_relations(built, RelationKind.ON, ("cube_0", "cube_0"))).went_with
+    assert not let_go(with_relations(built, RelationKind.ON, *pairs)).carriers
+    assert not let_go(with_relations(built, RelationKind.ON, ("cube_0", "cube_0"))).carriers
 
 
 def test_only_what_is_new_and_may_move_is_let_go() -> None:
     built = with_relations(scene(CUP, stick(0, 0.3)), RelationKind.IN, ("cube_0", "cup"))
-    assert let_down(built, NONE, NONE, store()).scene == built
+    assert drop_new_objects(built, NONE, NONE, store()).scene == built
     assert let_go(built, frozenset({"cube_0"})).scene == built
-    assert let_go(with_relations(built, RelationKind.IN, ("cube_0", "gone"))).went_with == {}
+    assert let_go(with_relations(built, RelationKind.IN, ("cube_0", "gone"))).carriers == {}
 
 
 def test_those_that_lean_there_already_make_room_unless_they_must_stay() -> None:
     first = let_go(with_relations(scene(CUP, stick(0, 0.3)), RelationKind.IN, ("cube_0", "cup"))).scene
     both = replace(first, objects=(*first.objects, stick(1, 0.7)))
     for fixed in (NONE, frozenset({"cube_0"})):
-        made = leaning_in(both, "cup", {"cube_1"}, fixed, store())
+        made = drop_into_container(both, "cup", {"cube_1"}, fixed, store())
         assert made is not None
         assert (made["cube_0"] == first["cube_0"]) == bool(fixed)
         assert steepness(made["cube_1"]) > 0.7
@@ -254,9 +256,9 @@ def test_those_that_lean_there_already_make_room_unless_they_must_stay() -> None
 
 
 def test_what_is_too_thick_for_a_cup_does_not_stand_in_it() -> None:
-    room = hollow_of(CUP, store().shape(CUP)[0])
+    room = interior_of(CUP, store().shape(CUP)[0])
     assert room is not None
-    assert not stood([thing("cube", (0.5, 0.4, 0.2, 0.0), scale=(0.8, 0.8, 3.0))], room, store())
+    assert not place_leaning([thing("cube", (0.5, 0.4, 0.2, 0.0), scale=(0.8, 0.8, 3.0))], room, store())
 
 
 # --- going with what it lies on
@@ -266,13 +268,13 @@ def test_what_is_too_thick_for_a_cup_does_not_stand_in_it() -> None:
 @given(
     st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.1, 0.1), st.floats(-3, 3), st.floats(-1, 1)
 )  # fmt: skip
-def test_what_was_let_down_goes_where_its_carrier_goes(x: float, y: float, z: float, yaw: float, other: float) -> None:
+def test_what_was_drop_new_objects_goes_where_its_carrier_goes(x: float, y: float, z: float, yaw: float, other: float) -> None:
     built = scene(
         thing("plate", (0.5, 0.4, 0.005, 0.2)), thing("cube", (0.55, 0.4, 0.06, 0.7)), thing("ball", (0.1, 0.1, 0.05, 0))
     )
     let = DropResult(built, {"cube": "plate"})
     moved = built.with_poses(np.add(built.poses(), [[x, y, z, yaw], [other, 0, 0, 1], [other, 0, 0, other]]))
-    after = let.followed(moved)
+    after = let.with_motion_of(moved)
     assert (after["plate"], after["ball"]) == (moved["plate"], moved["ball"])
     was, now = (np.subtract(s["cube"].position, s["plate"].position) for s in (built, after))
     assert np.linalg.norm(was) == pytest.approx(np.linalg.norm(now))

@@ -2,15 +2,15 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import pytest
 
 from models.physics_corrector.certify import CertifyOptions, CorrectionStatus
-from models.physics_corrector.corrector import Correction, InputScene, PhysicsCorrector
+from models.physics_corrector.correction import Correction, CorrectionOptions, InputScene
+from models.physics_corrector.corrector import PhysicsCorrector
 from models.physics_corrector.stabilization import stabilize
-from models.physics_corrector.stabilization.recorrection import put_elsewhere
-from models.physics_corrector.stabilization.stabilize import steadied
+from models.physics_corrector.stabilization.stabilize import relocate_unstable
+from stable_data.assets.store import AssetStore
 from stable_data.metrics.audit import audit_scene
 from stable_data.scene import QuatXyzw, Scene, Stage
 from stable_data.simulation.collision_bodies import bodies_of
@@ -24,10 +24,9 @@ def tilted(degrees: float) -> QuatXyzw:
 
 
 def steady(given: Scene, fixed: frozenset[str] = frozenset(), *, places: int = 100) -> Correction:
-    resolved, shapes, _ = store().resolved(given)
     corrector = PhysicsCorrector(options=CertifyOptions(places=places))
-    came = InputScene(resolved, shapes, audit_scene(resolved, shapes))
-    return steadied(corrector, corrector.certified(resolved, shapes, came.audit, None, fixed), came, fixed, store())
+    (done,) = corrector.correct([given], store(), CorrectionOptions(fixed, may_tilt=True, asks_engine=True))
+    return done
 
 
 STICK = (0.1, 0.1, 1.4)  # of a cube of 10 cm
@@ -58,10 +57,8 @@ def test_a_stick_in_a_bowl_leans_as_it_comes_to_lie() -> None:
 
 
 def test_without_it_the_stick_does_not_stay() -> None:
-    resolved, shapes, _ = store().resolved(IN_A_BOWL)
     quick = PhysicsCorrector(options=CertifyOptions(places=0))
-    audit = audit_scene(resolved, shapes)
-    done = quick.certified(resolved, shapes, audit, None, frozenset(), bodies_of(resolved, shapes, store()))
+    (done,) = quick.correct([IN_A_BOWL], store(), CorrectionOptions(asks_engine=True))
     assert done.rest is not None
     assert "cube" in done.rest.unsteady
 
@@ -118,11 +115,11 @@ def test_more_places_are_tried_for_what_must_not_be_left_out(
 ) -> None:
     tried = []
 
-    def noted(corrector: PhysicsCorrector, done: Correction, *more: Any) -> Correction:
-        tried.append(corrector.options.places)
-        return put_elsewhere(corrector, done, *more)
+    def noted(done: Correction, start: InputScene, options: CertifyOptions, assets: AssetStore) -> Correction:
+        tried.append(options.places)
+        return relocate_unstable(done, start, options, assets)
 
-    monkeypatch.setattr(stabilize, "put_elsewhere", noted)
+    monkeypatch.setattr(stabilize, "relocate_unstable", noted)
     steady(scene(PLATE, replace(POLE, stage=stage)), places=5)
     assert tried == [places]
 

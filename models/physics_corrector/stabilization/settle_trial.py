@@ -1,4 +1,4 @@
-"""Objects of a layout let go in the physics engine, some of them free, the others held: do they stay?"""
+"""Trials in MuJoCo: some objects of a layout are free, the others are held; which of the free ones stay?"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,23 +11,27 @@ from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.settling import PhysicsOptions, RigidBody, compile_bodies, let_sleep, without_log_file
 
 _OPTIONS = PhysicsOptions()  # as for the verdict of stability
-_SAMPLE = 0.02  # seconds between looks
-_STILL, _PATIENCE = 2e-4, 15  # what is slower than this, metres a second, for so many looks has come to rest
-_ARM = 0.05  # metres from the centre at which turning counts as speed
+# Tuned on: not recorded.
+_SAMPLE = 0.02  # simulated time between two samples of the poses, seconds
+_REST_SPEED, _REST_SAMPLES = (
+    2e-4,
+    15,
+)  # slower than this, metres a second, in so many samples: everything is at rest, and it ends
+_ARM = 0.05  # distance from the centre at which an angular velocity counts as a speed, metres
 
 
 class SettleTrial:
-    """Some objects of a layout in the engine.
+    """Some objects of a layout in MuJoCo.
 
     Args:
-        bodies: Every object of the layout; where they say to be does not count.
+        bodies: Every object of the layout; their own poses are ignored.
         poses: Where they are, (N, 4), metres and radians.
-        free: Those that are let go.
-        held: Those that are there but cannot move.
+        free: Those that can move.
+        held: Those that cannot move.
         table: The table.
 
     Raises:
-        MeshError: A body has no solid part, or the engine refuses it.
+        MeshError: A body has no solid part, or MuJoCo refuses it.
     """
 
     def __init__(
@@ -50,11 +54,11 @@ class SettleTrial:
         self._data = mujoco.MjData(self._model)
 
     def stays(self, poses: FloatArray, seconds: float, move: float, turn: float) -> BoolArray:
-        """Which of the free objects never go farther or turn more than a limit, (F,).
+        """Which of the free objects never move farther or turn more than a limit, (F,).
 
         Args:
             poses: Where all objects of the layout start, (N, 4); those that are held are where they were first said to be.
-            seconds: How long they are let go; less where everything has come to rest or nothing has stayed.
+            seconds: Simulated time; less where everything has come to rest or nothing has stayed.
             move: The limit, metres.
             turn: The limit, degrees.
         """
@@ -62,16 +66,16 @@ class SettleTrial:
         return np.asarray((moves <= move) & (turns <= turn))
 
     def all_stay(self, poses: FloatArray, seconds: float, move: float, turn: float) -> bool:
-        """Do all free objects stay? As :meth:`stays`, but it ends with the first that does not."""
+        """Whether all free objects stay: as :meth:`stays`, but the trial ends with the first that does not."""
         _, moves, turns = self._run(poses, seconds, move, turn, ends_at_first=True)
         return bool((moves <= move).all() and (turns <= turn).all())
 
     def outcome(self, poses: FloatArray, seconds: float) -> FloatArray:
-        """Where the free objects come to, poses (F, 4) with what they turned about the vertical.
+        """Where the free objects end, poses (F, 4); the yaw is their turn about the vertical.
 
         Args:
             poses: Where all objects of the layout start, (N, 4).
-            seconds: How long they are let go.
+            seconds: Simulated time.
         """
         state = self._run(poses, seconds, np.inf, np.inf)[0]
         yaws = 2 * np.arctan2(state[:, 6], state[:, 3])
@@ -106,7 +110,7 @@ class SettleTrial:
                 if gone.all() or (ends_at_first and gone.any()):
                     break
                 speed = np.abs(np.array(data.qvel).reshape(-1, 6) * ([1.0] * 3 + [_ARM] * 3)).max(initial=0.0)
-                still = still + 1 if speed < _STILL else 0
-                if still >= _PATIENCE:
+                still = still + 1 if speed < _REST_SPEED else 0
+                if still >= _REST_SAMPLES:
                     break
         return now, moves, turns

@@ -1,83 +1,144 @@
-"""Where a clean layout does not stay at rest in the physics engine, objects are put where they do, clean all the same.
+"""Repair of a clean layout that does not stay at rest in MuJoCo: objects move to places where they stay, tilts unchanged.
 
-The engine collides convex parts, which fill hollows and round edges that the meshes have, and it lets round things roll. What
-it moves is looked at from below: an object that moves though all others are held is the cause of what happens, and is tried at
-other places and yaws; each has to be clean by the meshes first, and then to stay in the engine. What is carried looks for them
-on its carrier, where the engine takes it first; what rolls or tips over on the table leans against a neighbour. Tilts never
-change.
+MuJoCo collides convex parts, which fill cavities and round edges of the meshes, and round objects roll. The repair goes from
+the table upwards: an object that moves while all others are held is a cause, and is tried at other places and yaws. Each
+candidate has to be clean by the meshes first, and then to stay in MuJoCo. An object on a carrier is tried on it, where MuJoCo
+moves it first; an object that rolls or tips over on the table is leaned against a neighbour.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import shapely
 
+from models.physics_corrector.certify.certifier import Certifier, one_blas_thread
+from models.physics_corrector.certify.layout_search import scene_of
 from models.physics_corrector.certify.layout_state import LayoutState
 from models.physics_corrector.certify.mesh_queries import MeshQueries
+from models.physics_corrector.certify.options import CertificationResult
+from models.physics_corrector.certify.packing_bodies import directional
 from models.physics_corrector.certify.resting_pose import is_at_rest
-from models.physics_corrector.certify.settle_trial import SettleTrial
 from models.physics_corrector.certify.support_inference import TABLE_TOP, SupportEdge, beyond, wanted_carriers
 from models.physics_corrector.packing.packing_problem import AXES, holds
-from stable_data.metrics.audit import BOUNDS_SLACK
+from models.physics_corrector.stabilization.limits import LOOK_SECONDS, STAYS, VERDICT_SECONDS
+from models.physics_corrector.stabilization.settle_trial import SettleTrial
+from stable_data.errors import SceneError
+from stable_data.geometry.leaning import RIM_MARGIN
+from stable_data.metrics.audit import BOUNDS_SLACK, audit_scene
 from stable_data.metrics.collision import TOLERANCE
-from stable_data.scene import FloatArray, Relation
+from stable_data.scene import FloatArray, Relation, Scene
 from stable_data.scene_graph.relations import INSIDE_SLACK
-from stable_data.simulation.settling import MOVE_LIMIT, TURN_LIMIT, RigidBody
+from stable_data.simulation.settling import PhysicsOptions, RigidBody, SettleResult, settle
 
-_VERDICT, _LOOK = 4.0, 1.5  # seconds that things are let go: to say that they stay, and to see where they fall
-_ROUNDS, _PATIENCE = 4, 3  # how often everything is let go, and how often an object is put elsewhere
-_BESIDE = 0.01  # what is so near to a thing that is let go is held beside it, metres
-_TOUCH = 2e-3  # what is so near to a thing in its new place is let go with it, metres
-_DEEP = 0.5  # what is so far below its container's rim is deep in it, share of its own height
-_RIM = 4e-3  # the bottom of what is in a container stays this much below its rim, metres
-_RINGS = (0.003, 0.007, 0.012, 0.018, 0.026, 0.036, 0.05, 0.07, 0.1)  # how far away a place is looked for, metres
-_AROUND, _TURNS = 8, 12
-_TURN_COST = 0.008  # metres a radian
-_CLIMB = 2.0  # how much rising counts beside moving aside
-_BATCH, _BATCHES = 16, 20  # places that are looked at together, the best of them first; and how many of such
-_SAME = np.array([1e3, 1e3, 1e3, 20.0])  # poses are the same within a millimetre and 3 degrees
-_FOLLOWED = 2  # how often the place to which the engine takes a thing is tried next
-_FARTHEST = 0.3  # how far away a neighbour to lean on is looked for, metres
-_NEIGHBOURS, _SIDES = 8, 8
-_ASKEW = (0.0, 0.7, -0.7)  # and how much a thing that leans is turned from the way that it falls, radians
-_BROKEN = 0.15  # what a lost directional relation costs, metres
+# Tuned on: not recorded, for all values below.
+# --- attempts
+_ROUNDS = 4  # simulations of the whole scene
+_MOVES_PER_OBJECT = 3  # how often one object is put elsewhere
+_OUTCOMES_FOLLOWED = 2  # how often the place where a trial ends is the next candidate
+# --- which objects take part in a trial
+_HELD_GAP = 0.01  # objects this near to a free one are held beside it, metres
+_FREE_GAP = 2e-3  # objects this near to one at its new place are free with it, metres
+_DEEP = 0.5  # an object this far below the rim is deep in its container, share of its own height
+# --- candidates on a carrier
+_RINGS = (0.003, 0.007, 0.012, 0.018, 0.026, 0.036, 0.05, 0.07, 0.1)  # distances, metres
+_DIRECTIONS, _YAWS = 8, 12  # directions on a ring; yaws at each place
+_YAW_COST = 0.008  # cost of turning, metres a radian
+_RISE_COST = 2.0  # cost of rising, metres a metre
+_BATCH, _BATCHES = 16, 20  # places that are lowered together and then sorted; number of batches
+_POSE_SCALE = np.array([1e3, 1e3, 1e3, 20.0])  # two poses are equal below 1 in all: 1 mm and 3 degrees (0.05 rad)
+# --- candidates on the table
+_FAR_RINGS = (0.15, 0.2)  # distances besides _RINGS, metres
+_NEIGHBOUR_RANGE = 0.3  # largest distance, metres, of a place and of a neighbour to lean on
+_NEIGHBOURS, _SIDES = 8, 8  # neighbours, and sides of each, that are tried
+_YAW_OFFSETS = (0.0, 0.7, -0.7)  # turns of a leaning object away from the direction in which it falls, radians
+_RELATION_COST = 0.15  # cost of a broken directional relation, metres
+
+
+def repair_settling(certifier: Certifier, done: CertificationResult, bodies: Sequence[RigidBody]) -> CertificationResult:
+    """Asks MuJoCo what of a certified scene stays at rest; what does not is moved to where it does, if that is found.
+
+    Args:
+        certifier: What certified the scene; its ``options.places`` says at how many places an object is tried, 0 at none.
+        done: Its result; a verdict that is in it is not asked for again.
+        bodies: The objects as MuJoCo sees them (``stable_data.simulation.collision_bodies.bodies_of``), in the scene's order.
+
+    Returns:
+        The result with MuJoCo's verdict; where it cannot be asked, ``reason`` says why.
+
+    Raises:
+        SceneError: The bodies do not belong to the scene.
+    """
+    scene, places = done.scene, certifier.options.places
+    if [body.name for body in bodies] != [o.instance for o in certifier.scene.objects]:
+        raise SceneError(
+            f"{certifier.scene.scene_id}: the bodies are of other objects, expected the same in order", "bodies_differ"
+        )
+    if scene is None:
+        return done
+    body_of = {body.name: body for body in bodies}
+
+    def verdict(of: Scene) -> SettleResult:
+        placed = [replace(body_of[o.instance], position=o.position, yaw=o.yaw) for o in of.objects]
+        return settle(placed, of.table, PhysicsOptions(hurries=not places))
+
+    with one_blas_thread():
+        rest = done.rest or verdict(scene)
+        if rest.stable is None:
+            reason = "; ".join(filter(None, (done.reason, f"the engine cannot be asked: {rest.reason}")))
+            return replace(done, reason=reason)
+        if rest.stable or not places:
+            return replace(done, rest=rest)
+        layout = certifier.layout()
+        before, unsteady = layout.poses.copy(), set(rest.unsteady)
+        moved = [k for k in layout.present() if layout.scene.objects[k].instance in unsteady]
+        orders = directional(layout, certifier.original.poses())
+        SettleRepair(layout, certifier.meshes, bodies, orders, places).settle(moved)
+        if np.array_equal(layout.poses, before):
+            return replace(done, rest=rest)
+        repaired = scene_of(layout)
+        audit = audit_scene(repaired, [certifier.shapes[k] for k in layout.present()])
+        after = verdict(repaired)
+        if audit.card().clean and after.num_restless <= rest.num_restless:
+            return replace(certifier.conclude(repaired, audit), rest=after)
+        return replace(done, rest=rest)
 
 
 class SettleRepair:
-    """Makes a clean layout rest in the engine, as far as it can.
+    """The repair of one clean layout.
 
     Args:
         layout: The layout, clean by the exact audit; changed.
         meshes: Its objects.
-        bodies: The same as the engine sees them.
-        orders: Directional relations that should be kept.
-        places: At how many an object is tried in the engine at most.
+        bodies: The same as MuJoCo sees them.
+        orders: Directional relations to keep.
+        places: At how many places an object is tried in MuJoCo at most.
     """
 
     def __init__(
         self, layout: LayoutState, meshes: MeshQueries, bodies: Sequence[RigidBody], orders: Sequence[Relation], places: int
     ) -> None:
         self._layout, self._meshes, self._bodies, self._places = layout, meshes, bodies, places
-        self._meant = set(wanted_carriers(layout.scene))
+        self._wanted = set(wanted_carriers(layout.scene))
         self._seen: dict[tuple[tuple[int, ...], bytes], list[int]] = {}
         self._moved: list[int] = []
-        self._patience = [_PATIENCE] * len(bodies)
+        self._moves_left = [_MOVES_PER_OBJECT] * len(bodies)
         self._refused: list[list[FloatArray]] = [[] for _ in bodies]
         number = {o.instance: k for k, o in enumerate(layout.scene.objects)}
         self._orders = [(number[r.subject], number[r.target], np.array(AXES[r.kind])) for r in orders]
 
     def settle(self, moved: Sequence[int]) -> None:
-        """Puts what the engine moves elsewhere, as far as that is found to help.
+        """Relocates the objects that move, as far as that helps.
 
         Args:
-            moved: What it moves.
+            moved: Their indices.
         """
         layout = self._layout
         best = moved, layout.poses.copy(), list(layout.carried)
         for _ in range(_ROUNDS):
-            self._moved = self._seen_moving()
+            self._moved = self._moving_by_tree()
             while self._moved and self._improved():
-                self._moved = self._seen_moving()
+                self._moved = self._moving_by_tree()
             moved = self._moving(self._trial(layout.present(), []))
             if len(moved) < len(best[0]):
                 best = moved, layout.poses.copy(), list(layout.carried)
@@ -86,12 +147,12 @@ class SettleRepair:
                 break
         layout.poses[:], layout.carried[:] = best[1], best[2]
 
-    def _seen_moving(self) -> list[int]:
-        """What moves when one tree at a time is let go: quicker than everything at once, and nearly as true."""
+    def _moving_by_tree(self) -> list[int]:
+        """The objects that move while only their own tree is free: faster than the whole scene, and nearly as accurate."""
         layout, moved = self._layout, []
         for root in layout.roots():
             tree = layout.tree(root)
-            around = self._around(*self._box(tree), _BESIDE)
+            around = self._around(*self._box(tree), _HELD_GAP)
             key = (*tree, TABLE_TOP, *around), layout.poses[[*tree, *around]].tobytes()
             if key not in self._seen:
                 self._seen[key] = self._moving(self._trial(tree, around))
@@ -99,7 +160,7 @@ class SettleRepair:
         return moved
 
     def _moving(self, trial: SettleTrial) -> list[int]:
-        stays = trial.stays(self._layout.poses, _VERDICT, MOVE_LIMIT, TURN_LIMIT)
+        stays = trial.stays(self._layout.poses, VERDICT_SECONDS, STAYS.move, STAYS.turn)
         moved = [k for k, stay in zip(trial.free, stays.tolist(), strict=True) if not stay]
         for k in moved:
             self._refused[k].append(self._layout.poses[k].copy())
@@ -111,17 +172,17 @@ class SettleRepair:
         return np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)
 
     def _improved(self) -> bool:
-        """Puts elsewhere what moves by itself, or, where nothing does, what others move. False where nothing could be."""
+        """Relocates what moves by itself, or, where nothing does, what others move. False where no object was relocated."""
         layout = self._layout
-        free = [k for k in self._moved if self._patience[k] and np.isfinite(layout.stiffness(k))]
+        free = [k for k in self._moved if self._moves_left[k] and np.isfinite(layout.stiffness(k))]
         free.sort(key=lambda k: (layout.low(k), k))
         causes = [k for k in free if not self._stays(k)]
         for some in (causes, [k for k in free if k not in causes]):
             changed = False
             for k in some:
-                is_put = self._put_elsewhere(k)
+                is_put = self._relocate(k)
                 changed |= is_put
-                self._patience[k] = self._patience[k] - 1 if is_put else 0
+                self._moves_left[k] = self._moves_left[k] - 1 if is_put else 0
             if changed:
                 return True
         return False
@@ -129,57 +190,57 @@ class SettleRepair:
     # --- one object
 
     def _stays(self, k: int) -> bool:
-        """Does an object stay where it is while all others are held?"""
-        trial = self._trial([k], self._around(*self._box([k]), _BESIDE))
-        return trial.all_stay(self._layout.poses, _VERDICT, MOVE_LIMIT, TURN_LIMIT)
+        """Whether an object stays where it is while all others are held."""
+        trial = self._trial([k], self._around(*self._box([k]), _HELD_GAP))
+        return trial.all_stay(self._layout.poses, VERDICT_SECONDS, STAYS.move, STAYS.turn)
 
     def _trial(self, free: Sequence[int], held: Sequence[int]) -> SettleTrial:
         held = [j for j in held if j not in free]
         return SettleTrial(self._bodies, self._layout.poses, free, held, self._layout.scene.table)
 
     def _around(self, low: FloatArray, high: FloatArray, gap: float) -> list[int]:
-        """What is so near to a box, two (3,) metres."""
+        """The objects whose boxes are within a gap of a box, two (3,) metres."""
         boxes = [(j, *self._meshes.box(j, self._layout.poses[j])) for j in self._layout.present()]
         return [j for j, least, most in boxes if (least <= high + gap).all() and (most >= low - gap).all()]
 
-    def _put_elsewhere(self, k: int) -> bool:
-        """Finds an object a place where it stays: on its carrier, else, if it may leave that, on the table."""
+    def _relocate(self, k: int) -> bool:
+        """Moves an object to a place where it stays: on its carrier, else, if it may leave that, on the table."""
         layout, was = self._layout, self._layout.carried[k]
         if was.parent != TABLE_TOP:
             low, high = self._meshes.box(was.parent, layout.poses[was.parent])
             reach = float(np.linalg.norm(layout.shapes[k].size))
-            if self._tried(k, self._carried(k), low - reach, high + reach):
+            if self._take_first(k, self._carrier_candidates(k), low - reach, high + reach):
                 return True
             if not self._may_leave(k):
                 return False
             layout.carried[k] = SupportEdge()
-        reach = _FARTHEST + float(np.linalg.norm(layout.shapes[k].size))
-        if self._tried(k, self._on_the_table(k), layout.poses[k, :3] - reach, layout.poses[k, :3] + reach):
+        reach = _NEIGHBOUR_RANGE + float(np.linalg.norm(layout.shapes[k].size))
+        if self._take_first(k, self._table_candidates(k), layout.poses[k, :3] - reach, layout.poses[k, :3] + reach):
             return True
         layout.carried[k] = was
         return False
 
     def _may_leave(self, k: int) -> bool:
-        """May an object be put from its carrier onto the table: not meant to be there, and not deep in it?"""
+        """Whether an object may leave its carrier for the table: no relation wants it there, and it is not deep in it."""
         layout, p = self._layout, self._layout.carried[k].parent
         is_deep = self._meshes.box(p, layout.poses[p])[1][2] - layout.low(k) > _DEEP * layout.shapes[k].size[2]
-        return k not in self._meant and not (layout.carried[k].is_in and is_deep)
+        return k not in self._wanted and not (layout.carried[k].is_in and is_deep)
 
-    def _tried(self, k: int, candidates: Iterator[FloatArray], low: FloatArray, high: FloatArray) -> bool:
-        """Takes the first candidate at which an object with all that it carries is clean and stays."""
+    def _take_first(self, k: int, candidates: Iterator[FloatArray], low: FloatArray, high: FloatArray) -> bool:
+        """Takes the first candidate pose at which an object, with all that it carries, is clean and stays."""
         layout, tree = self._layout, self._layout.tree(k)
         trial = self._trial(tree, self._around(low, high, 0.0))
         was, refused = layout.poses.copy(), list(self._refused[k])
         for candidate in candidates:
             pose = candidate
-            for _ in range(1 + _FOLLOWED):
+            for _ in range(1 + _OUTCOMES_FOLLOWED):
                 layout.carry(k, pose)
-                if any(np.abs((pose - other) * _SAME).max() < 1 for other in refused) or not self._is_clean(tree, was):
+                if any(np.abs((pose - other) * _POSE_SCALE).max() < 1 for other in refused) or not self._is_clean(tree, was):
                     layout.poses[tree] = was[tree]
                     break
-                if trial.all_stay(layout.poses, _VERDICT, MOVE_LIMIT, TURN_LIMIT) and self._stays_among_others(tree):
+                if trial.all_stay(layout.poses, VERDICT_SECONDS, STAYS.move, STAYS.turn) and self._stays_among_others(tree):
                     return True
-                ended = trial.outcome(layout.poses, _LOOK)[0]
+                ended = trial.outcome(layout.poses, LOOK_SECONDS)[0]
                 layout.poses[tree] = was[tree]
                 refused.append(pose)
                 if len(refused) >= self._places:
@@ -188,12 +249,12 @@ class SettleRepair:
         return False
 
     def _stays_among_others(self, tree: Sequence[int]) -> bool:
-        """Does an object stay, with all that it carries, when what is near to it is free to move; and does that?"""
+        """Whether an object stays, with all that it carries and all that is near, when these are free to move."""
         layout = self._layout
-        touching = {j for m in tree for j in self._around(*self._box([m]), _TOUCH)}
+        touching = {j for m in tree for j in self._around(*self._box([m]), _FREE_GAP)}
         free = sorted({m for j in {*touching, *tree} for m in layout.tree(layout.root_of(j))})
-        trial = self._trial(free, self._around(*self._box(free), _BESIDE))
-        stays = trial.stays(layout.poses, _VERDICT, MOVE_LIMIT, TURN_LIMIT)
+        trial = self._trial(free, self._around(*self._box(free), _HELD_GAP))
+        stays = trial.stays(layout.poses, VERDICT_SECONDS, STAYS.move, STAYS.turn)
         return all(stay or (m in self._moved and m not in tree) for m, stay in zip(free, stays.tolist(), strict=True))
 
     def _down(self, k: int, pose: FloatArray) -> FloatArray:
@@ -244,41 +305,41 @@ class SettleRepair:
         p = carried.parent
         outside = beyond(layout.poses[k, :2], layout.shapes[p].posed_footprint(layout.poses[p]))
         low, high = self._meshes.box(p, layout.poses[p])
-        if carried.is_in and was < high[2] - _RIM:
-            return outside <= INSIDE_SLACK and low[2] - TOLERANCE <= layout.low(k) < high[2] - _RIM
+        if carried.is_in and was < high[2] - RIM_MARGIN:
+            return outside <= INSIDE_SLACK and low[2] - TOLERANCE <= layout.low(k) < high[2] - RIM_MARGIN
         return outside <= 0 and bool(self._meshes.rests(k, layout.poses[k], [p], layout.poses))
 
     # --- candidates
 
-    def _carried(self, k: int) -> Iterator[FloatArray]:
-        """Poses on or in its carrier to which an object comes down, those that move and turn it least first."""
+    def _carrier_candidates(self, k: int) -> Iterator[FloatArray]:
+        """Poses on or in its carrier onto which an object is lowered, in order of cost."""
         layout = self._layout
         p, pose = layout.carried[k].parent, layout.poses[k].copy()
         region = shapely.Polygon(layout.shapes[p].posed_footprint(layout.poses[p]))
-        angles = 2 * np.pi * np.arange(_AROUND) / _AROUND
+        angles = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
         ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         middle = np.array([region.centroid.x, region.centroid.y])
         places = np.concatenate(
             [pose[None, :2], middle[None], *(centre + r * ring for r in _RINGS for centre in (pose[:2], middle))]
         )
         places = places[shapely.intersects_xy(region, places[:, 0], places[:, 1])]
-        turns = 2 * np.pi * np.arange(_TURNS) / _TURNS
+        turns = 2 * np.pi * np.arange(_YAWS) / _YAWS
         turns = np.where(turns > np.pi, turns - 2 * np.pi, turns)
-        cost = np.linalg.norm(places - pose[:2], axis=1)[:, None] + _TURN_COST * np.abs(turns)
+        cost = np.linalg.norm(places - pose[:2], axis=1)[:, None] + _YAW_COST * np.abs(turns)
         order = np.argsort(cost.ravel(), kind="stable")
         every = len(order) // _BATCH + 1
         for n in range(min(every, _BATCHES)):
-            # In turn what is near, and some of everything.
+            # Batches alternate between the cheapest candidates and a sample of all.
             batch = order[n // 2 * _BATCH : (n // 2 + 1) * _BATCH] if n % 2 == 0 else order[n // 2 :: every]
             lowered = []
             for m in batch.tolist():
                 place, turn = places[m // len(turns)], turns[m % len(turns)]
                 there = self._down(k, np.array([*place, pose[2], pose[3] + turn]))
-                lowered.append((float(cost.ravel()[m]) + _CLIMB * max(0.0, float(there[2] - pose[2])), there))
+                lowered.append((float(cost.ravel()[m]) + _RISE_COST * max(0.0, float(there[2] - pose[2])), there))
             yield from (there for _, there in sorted(lowered, key=lambda item: item[0]))
 
-    def _on_the_table(self, k: int) -> Iterator[FloatArray]:
-        """Poses on the table: free ones for what stands alone, and those at which it meets a neighbour the way that it falls."""
+    def _table_candidates(self, k: int) -> Iterator[FloatArray]:
+        """Poses on the table: free ones for what stands alone, and those at which it leans on a neighbour as it falls."""
         layout, meshes = self._layout, self._meshes
         pose, own = layout.poses[k].copy(), set(layout.tree(k))
         pose[2] = layout.shapes[k].size[2] / 2
@@ -286,19 +347,19 @@ class SettleRepair:
         alone[k] = pose
         trial = SettleTrial(self._bodies, alone, [k], [], layout.scene.table)
         candidates = []
-        if trial.all_stay(alone, _VERDICT, MOVE_LIMIT, TURN_LIMIT):
-            angles = 2 * np.pi * np.arange(_AROUND) / _AROUND
+        if trial.all_stay(alone, VERDICT_SECONDS, STAYS.move, STAYS.turn):
+            angles = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
             ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-            places = np.concatenate([pose[None, :2], *(pose[:2] + r * ring for r in (*_RINGS, 0.15, 0.2, _FARTHEST))])
+            places = np.concatenate([pose[None, :2], *(pose[:2] + r * ring for r in (*_RINGS, *_FAR_RINGS, _NEIGHBOUR_RANGE))])
             candidates = [np.array([*place, *pose[2:]]) for place in places]
-        way = trial.outcome(alone, _LOOK)[0, :2] - pose[:2]
+        way = trial.outcome(alone, LOOK_SECONDS)[0, :2] - pose[:2]
         falls = float(np.arctan2(way[1], way[0]))
         reach = float(np.linalg.norm(layout.shapes[k].size[:2])) / 2
         found = []
         for j in layout.present():
             low, high = meshes.box(j, layout.poses[j])
             gap = np.linalg.norm(np.maximum(0.0, np.maximum(low[:2] - pose[:2], pose[:2] - high[:2])))
-            if j not in own and gap <= _FARTHEST and low[2] < layout.shapes[k].size[2]:
+            if j not in own and gap <= _NEIGHBOUR_RANGE and low[2] < layout.shapes[k].size[2]:
                 found.append((float(gap), j))
         for _, j in sorted(found)[:_NEIGHBOURS]:
             low, high = meshes.box(j, layout.poses[j])
@@ -306,13 +367,13 @@ class SettleRepair:
             toward = float(np.arctan2(*(pose[:2] - middle)[::-1]))
             for side in toward + 2 * np.pi * np.arange(_SIDES) / _SIDES:
                 out = np.array([np.cos(side), np.sin(side)])
-                for turn in _ASKEW:
+                for turn in _YAW_OFFSETS:
                     there = np.array([*(middle + distance * out), pose[2], pose[3] + side + np.pi - falls + turn])
                     candidates.append(meshes.slid(k, there, -out, [j], layout.poses, distance))
         yield from sorted(candidates, key=lambda there: self._cost(k, there))
 
     def _cost(self, k: int, pose: FloatArray) -> float:
-        """How far an object is moved, and what relations of it and of what it carries that breaks, metres."""
+        """The cost of a pose, metres: the distance moved, and the relations that the move breaks, of all that is carried."""
         layout = self._layout
         tree, broken = set(layout.tree(k)), 0
         shift = pose[:2] - layout.poses[k, :2]
@@ -321,4 +382,4 @@ class SettleRepair:
                 offset = layout.poses[i, :2] - layout.poses[j, :2]
                 after = offset + (shift if i in tree else -shift)
                 broken += holds(offset, axis) and not holds(after, axis)
-        return float(np.linalg.norm(shift)) + _BROKEN * broken
+        return float(np.linalg.norm(shift)) + _RELATION_COST * broken

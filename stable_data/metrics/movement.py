@@ -1,0 +1,52 @@
+"""How far the objects of a scene moved between two of its states."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stable_data.metrics.card import MetricCard
+from stable_data.metrics.relations_kept import RelationsKept
+from stable_data.scene import Scene
+
+if TYPE_CHECKING:  # the engine takes long to import
+    pass
+
+
+def movement(before: Scene, after: Scene) -> tuple[float, float, float]:
+    """How far objects moved.
+
+    Args:
+        before: A scene.
+        after: The same later; objects that are gone do not count.
+
+    Returns:
+        Mean and largest displacement, millimetres; largest turn, degrees.
+    """
+    was = {o.instance: (*o.position, o.yaw) for o in before.objects}
+    steps = np.array([np.subtract((*o.position, o.yaw), was[o.instance]) for o in after.objects]).reshape(-1, 4)
+    if not len(steps):
+        return 0.0, 0.0, 0.0
+    lengths = 1e3 * np.linalg.norm(steps[:, :3], axis=1)
+    turns = np.degrees(np.abs(np.arctan2(np.sin(steps[:, 3]), np.cos(steps[:, 3]))))
+    return float(lengths.mean()), float(lengths.max()), float(turns.max())
+
+
+def with_movement(card: MetricCard, before: Scene, after: Scene, kept: RelationsKept) -> MetricCard:
+    """A card with how far objects moved, millimetres and degrees, and what of their relations was kept.
+
+    Args:
+        card: Figures of ``after``.
+        before: A scene.
+        after: The same later.
+        kept: Their relations, compared.
+    """
+    mean, farthest, turn = movement(before, after)
+    return replace(
+        card,
+        relations_kept_on_in=kept.on_in_share,
+        relations_kept_directional=kept.directional_share,
+        move_mean_mm=mean,
+        move_max_mm=farthest,
+        turn_max_deg=turn,
+    )
