@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from models.dual_system.algorithm1 import Answer, CorrectionRequest, GenerationResult, Loop, ProposalRequest, RetrievalRequest
+from models.dual_system.requests import Answer, CorrectionRequest, GenerationResult, Loop, ProposalRequest, RetrievalRequest
 from models.physics_corrector.correction import Correction
 from models.semantic_reasoner.engines.incremental_batches import Conversation, converse
 from models.semantic_reasoner.reasoner import Proposal

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from time import perf_counter
 from typing import TypeAlias
 
-from models.dual_system.algorithm1 import CorrectionRequest, ProposalRequest, RetrievalRequest
+from models.dual_system.requests import CorrectionRequest, ProposalRequest, RetrievalRequest
 from models.physics_corrector.certify import CorrectionStatus
 from models.physics_corrector.correction import CertificationRequest, Correction, CorrectionOptions
 from models.physics_corrector.corrector import PhysicsCorrector

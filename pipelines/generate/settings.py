@@ -3,7 +3,7 @@
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, ClassVar, cast
 
-from models.dual_system.algorithm1 import Corrects, LoopSettings
+from models.dual_system.requests import Corrects, LoopSettings
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings
 from models.semantic_reasoner.text.prompt import WANTED, Wanted

@@ -14,8 +14,9 @@ from typing import ClassVar
 
 import ray
 
-from models.dual_system.algorithm1 import GenerationResult, Turn, dual_system
+from models.dual_system.algorithm1 import dual_system
 from models.dual_system.batching import QueueCounts, run_batched
+from models.dual_system.requests import GenerationResult, Turn
 from models.physics_corrector.certify import CertifyOptions
 from models.physics_corrector.correction import CertificationRequest, Correction
 from models.physics_corrector.corrector import PhysicsCorrector

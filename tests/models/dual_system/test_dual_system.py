@@ -6,7 +6,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from models.dual_system.algorithm1 import (
+from models.dual_system.algorithm1 import dual_system
+from models.dual_system.batching import run_batched
+from models.dual_system.requests import (
     CorrectionRequest,
     Corrects,
     GenerationResult,
@@ -14,9 +16,7 @@ from models.dual_system.algorithm1 import (
     ProposalRequest,
     Request,
     RetrievalRequest,
-    dual_system,
 )
-from models.dual_system.batching import run_batched
 from models.physics_corrector.certify import CertifyOptions, CorrectionStatus
 from models.physics_corrector.correction import Correction, CorrectionOptions
 from models.physics_corrector.corrector import PhysicsCorrector

@@ -161,7 +161,7 @@ def test_an_endpoint_that_is_down_for_one_stage_leaves_no_hole(dataset: Path, tm
     assert {len(row["objects"]) for row in RunFolder(str(tmp_path)).table("scenes").to_pylist()} == {len(Stage)}
 
 
-@pytest.mark.parametrize(("module", "step"), [(corrector, "certify_moved"), (answers, "furnish")], ids=["one", "many"])
+@pytest.mark.parametrize(("module", "step"), [(corrector, "certify_moved"), (answers, "assign_assets")], ids=["one", "many"])
 def test_what_nobody_foresaw_costs_one_scene(
     module: ModuleType, step: str, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -184,7 +184,7 @@ def test_what_nobody_foresaw_costs_one_scene(
     assert "GEOSException: TopologyException: side location conflict; please report" in row["message"]
 
 
-@pytest.mark.parametrize(("module", "step"), [(answers, "furnish"), (shard, "related")], ids=["made", "judged"])
+@pytest.mark.parametrize(("module", "step"), [(answers, "assign_assets"), (shard, "related")], ids=["made", "judged"])
 def test_a_full_disk_is_nobodys_scene(
     module: ModuleType, step: str, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

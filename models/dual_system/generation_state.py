@@ -1,0 +1,126 @@
+"""The state of one scene while Algorithm 1 generates it."""
+
+from dataclasses import dataclass, field, replace
+
+from models.dual_system.requests import GenerationResult, Turn
+from models.physics_corrector.certify import DroppedObject
+from models.physics_corrector.correction import Correction
+from models.semantic_reasoner.reasoner import Proposal
+from models.semantic_reasoner.staged_layout import LayoutTask
+from models.semantic_reasoner.text.prompt import Wanted
+from stable_data.errors import Notice
+from stable_data.scene import Relation, Scene, SceneObject
+
+STEP = "generate"
+"""The step that notices of the loop name."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StageCandidate:
+    """The scene that one attempt at a stage produces.
+
+    Attributes:
+        scene: The scene with the new objects, corrected where that is wanted.
+        found: The new objects as they were proposed, with assets.
+        supports: Of every object that was proposed on or in another one, that relation.
+        notices: Notices of the retrieval.
+        num_missing: How many relations that the instruction states the scene lacks.
+        correction: The correction of it; None where it was not corrected.
+        is_at_rest: Whether the physics engine was asked about it.
+        turn: The number of the attempt among all turns.
+    """
+
+    scene: Scene
+    found: tuple[SceneObject, ...]
+    supports: dict[str, Relation]
+    notices: tuple[Notice, ...]
+    num_missing: int
+    correction: Correction | None = None
+    is_at_rest: bool = False
+    turn: int = -1
+
+
+@dataclass(slots=True, eq=False)
+class GenerationState:
+    """A scene that is being generated.
+
+    Attributes:
+        task: Its task.
+        scene: The scene after the last accepted stage.
+        start: All accepted objects where they were first proposed.
+        turns: All attempts so far.
+        warnings: Notices so far.
+        dropped: Objects that the corrections of accepted attempts dropped.
+        correction: The correction that produced ``scene``.
+        is_at_rest: Whether the physics engine was asked about ``scene``.
+        supports: As in :class:`StageCandidate`, of all accepted stages.
+        num_missing: As there.
+    """
+
+    task: LayoutTask
+    scene: Scene = field(init=False)
+    start: Scene = field(init=False)
+    turns: list[Turn] = field(default_factory=list)
+    warnings: list[Notice] = field(default_factory=list)
+    dropped: list[DroppedObject] = field(default_factory=list)
+    correction: Correction | None = None
+    is_at_rest: bool = False
+    supports: dict[str, Relation] = field(default_factory=dict)
+    num_missing: int = 0
+
+    def __post_init__(self) -> None:
+        """Starts with an empty table."""
+        self.scene = self.start = Scene(self.task.scene_id, self.task.table, ())
+
+    @property
+    def instances(self) -> frozenset[str]:
+        """The instances of ``scene``."""
+        return frozenset(o.instance for o in self.scene.objects)
+
+    def accept(self, candidate: StageCandidate) -> None:
+        """Makes a candidate's scene the scene."""
+        self.turns[candidate.turn] = replace(self.turns[candidate.turn], rejected="", code="")
+        self.warnings += candidate.notices
+        self.supports, self.num_missing = candidate.supports, candidate.num_missing
+        self.start = replace(self.start, objects=(*self.start.objects, *candidate.found))
+        self.scene = candidate.scene
+        if candidate.correction is not None:
+            self.correction, self.is_at_rest = candidate.correction, candidate.is_at_rest
+            self.dropped += candidate.correction.dropped
+
+    def accept_closing(self, correction: Correction) -> None:
+        """Makes the scene of a correction after all stages the scene."""
+        assert correction.certified is not None
+        self.scene, self.correction = correction.certified, correction
+        self.dropped += correction.dropped
+
+    def note_proposal(self, wanted: Wanted, proposal: Proposal) -> None:
+        """Notes what was unknown in the question, and the faults that the proposal still has."""
+        name = self.task.scene_id
+        for notice in proposal.notices:  # the same at every stage
+            message = notice.message.removeprefix(f"{notice.item_id}: ")
+            self.warnings.append(Notice(name, notice.step, notice.code, f"{name}: {message}"))
+        for fault in proposal.faults:
+            self.warn(fault.code, f"stage {wanted}: {fault.message}")
+
+    def warn(self, code: str, message: str) -> None:
+        """Adds a warning about the scene."""
+        self.warnings.append(self._notice(code, message))
+
+    def failure(self, code: str, message: str) -> GenerationResult:
+        """The result without a scene."""
+        return self._result(self._notice(code, message))
+
+    def result(self) -> GenerationResult:
+        """The result with the scene as it is."""
+        return self._result(None)
+
+    def _notice(self, code: str, message: str) -> Notice:
+        return Notice(self.task.scene_id, STEP, code, f"{self.task.scene_id}: {message}")
+
+    def _result(self, failure: Notice | None) -> GenerationResult:
+        scene, correction = (self.scene, self.correction) if failure is None else (None, None)
+        left = tuple(o for o in self.start.objects if o.instance in self.instances)
+        start = replace(self.start, objects=left, task=self.scene.task)
+        warnings, dropped = tuple(dict.fromkeys(self.warnings)), tuple(self.dropped)
+        return GenerationResult(self.task, scene, start, tuple(self.turns), correction, dropped, failure, warnings)
