@@ -1,9 +1,9 @@
 """The dual system: Algorithm 1 of the paper for one scene, as a coroutine.
 
 For each stage of a schedule the Semantic Reasoner proposes objects, assets are retrieved for them, and the Physics Corrector
-corrects the whole scene; the corrected layout is part of the next question. The coroutine yields requests for these three and knows
-neither who answers them nor which other scenes are answered with it: :func:`models.dual_system.batching.run_batched` runs many
-scenes side by side and has their requests answered in batches.
+corrects the whole scene; the corrected layout is part of the next question. The coroutine yields requests for these three. It
+knows neither who answers them nor which other scenes are answered with it: :func:`models.dual_system.batching.run_batched` runs
+many scenes side by side and has their requests answered in batches.
 """
 
 from collections.abc import Generator, Mapping, Set

@@ -1,7 +1,7 @@
-"""Many scenes at once: while some are proposed, others are corrected, and each goes on as soon as it has its answer.
+"""Many scenes side by side: while some are proposed, others are corrected, and each continues as soon as it has its answer.
 
-What is answered together follows from the order of the loops and from what they ask, never from who is ready first: the same
-loops and answers make the same batches wherever they run, and so the same scenes.
+The order of the loops and their requests decide what a batch holds, never the time at which a loop is ready: the same loops and
+answers make the same batches, and so the same scenes, wherever they run.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -16,29 +16,29 @@ from stable_data.assets.assignment import AssignedLayout
 
 
 class RequestHandler(Protocol):
-    """Who answers the questions of loops; what fails does not touch the others."""
+    """Answers the requests of loops; a request that fails does not affect the others."""
 
     def propose(self, questions: Sequence[ProposalRequest], /) -> Conversation[Proposal, ProposalRequest]:
-        """Objects of stages, and of those that are asked for when these are known."""
+        """Proposes the objects of stages, and of those that are requested once these are known."""
         ...
 
     def retrieve(self, questions: Sequence[RetrievalRequest], /) -> Sequence[AssignedLayout]:
-        """Assets of objects: one answer each, in their order."""
+        """Finds the assets of objects: one answer a request, in order."""
         ...
 
     def correct(self, questions: Sequence[CorrectionRequest], /) -> Iterable[Correction]:
-        """Clean poses of scenes: one answer each, in their order, each of them when it is there."""
+        """Corrects scenes: one answer a request, in order, each as soon as it is known."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class QueueCounts:
-    """Where the scenes of a batch are.
+    """How many scenes of a batch are in which step.
 
     Attributes:
-        reasoner: How many wait for a proposal.
-        corrector: How many wait for assets and clean poses.
-        made: How many are at their end.
+        reasoner: Scenes that wait for a proposal.
+        corrector: Scenes that wait for assets or a correction.
+        made: Scenes that are finished.
     """
 
     reasoner: int
@@ -53,17 +53,17 @@ def run_batched(
 
     Args:
         loops: The loops, none of them begun.
-        answerer: Answers.
-        watch: Told where the scenes are each time one of them has gone on.
+        answerer: Answers their requests.
+        watch: Called with the counts each time a scene has continued.
 
     Returns:
-        What became of each, in their order.
+        The result of each, in order.
     """
     run = _Run(loops, answerer, watch)
-    asking: list[int] = []  # the loop of each question for a proposal, in the order in which they were asked
+    asking: list[int] = []  # the loop of each request for a proposal, in the order of the requests
 
-    def proposals_wanted() -> list[ProposalRequest]:
-        """The questions for proposals that have not been asked, once all others are answered."""
+    def open_proposals() -> list[ProposalRequest]:
+        """The requests for proposals that are open, once all others are answered."""
         run.answer_others()
         new = {k: q for k, q in sorted(run.open.items()) if isinstance(q, ProposalRequest)}
         for k in new:
@@ -71,21 +71,21 @@ def run_batched(
         asking.extend(new)
         return list(new.values())
 
-    def heard(found: list[tuple[int, Proposal]]) -> list[ProposalRequest]:
+    def receive(found: list[tuple[int, Proposal]]) -> list[ProposalRequest]:
         for number, proposal in found:
-            run.go_on(asking[number], proposal)
-        return proposals_wanted()
+            run.advance(asking[number], proposal)
+        return open_proposals()
 
-    converse(answerer.propose(proposals_wanted()), heard)
+    converse(answerer.propose(open_proposals()), receive)
     return [run.made[k] for k in range(len(loops))]
 
 
 class _Run:
-    """Loops that are under way.
+    """Loops that run.
 
     Attributes:
-        open: Questions that nobody has been asked yet, by loop.
-        made: What became of the loops that are at their end.
+        open: Requests that are not answered yet, by loop.
+        made: Results of the loops that are finished.
     """
 
     def __init__(self, loops: Sequence[Loop], answerer: RequestHandler, watch: Callable[[QueueCounts], None] | None) -> None:
@@ -93,10 +93,10 @@ class _Run:
         self.open: dict[int, Any] = {}
         self.made: dict[int, GenerationResult] = {}
         for k in range(len(loops)):
-            self.go_on(k, None)
+            self.advance(k, None)
 
-    def go_on(self, k: int, answer: Answer | None) -> None:
-        """Gives a loop its answer, and takes its next question or its end."""
+    def advance(self, k: int, answer: Answer | None) -> None:
+        """Gives a loop its answer, and takes its next request or its result."""
         try:
             self.open[k] = self._loops[k].send(answer)  # type: ignore[arg-type]  # a loop that begins is sent None
         except StopIteration as end:
@@ -109,7 +109,7 @@ class _Run:
             self._watch(QueueCounts(len(self._loops) - corrector - made, corrector, made))
 
     def answer_others(self) -> None:
-        """Answers all that asks for no proposal, until nothing else is open."""
+        """Answers all requests but those for proposals, until only these are open."""
         while True:
             retrieve = {k: q for k, q in sorted(self.open.items()) if isinstance(q, RetrievalRequest)}
             correct = {k: q for k, q in sorted(self.open.items()) if isinstance(q, CorrectionRequest)}
@@ -123,4 +123,4 @@ class _Run:
     def _give(self, loops: Sequence[int], answers: Iterable[Answer]) -> None:
         for k, answer in zip(loops, answers, strict=True):
             del self.open[k]
-            self.go_on(k, answer)
+            self.advance(k, answer)

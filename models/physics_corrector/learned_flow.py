@@ -1,4 +1,4 @@
-"""The learned flow with its weights: scenes in, scenes with moved objects out, ready for ``certify``."""
+"""The learned flow with its weights: it moves the objects of scenes, which ``certify`` then proves or repairs."""
 
 import hashlib
 from collections.abc import Sequence
@@ -22,11 +22,11 @@ from stable_data.geometry.shape import Shape
 from stable_data.scene import Scene
 
 AUTO, NONE = "auto", "none"
-"""Weights: those in the repository; no flow at all."""
+"""Values of the setting ``weights``: the weights of the repository, and no flow."""
 
-_BATCH = 64  # scenes that go through the network together
-_MOST_CODES = 20_000  # of shapes that are kept: 5 MB
-_DIGITS = 6  # of a shape whose largest side is 1, so that one at another scale is the same
+_BATCH = 64  # scenes in one batch of the network
+_MAX_CACHED_CODES = 20_000  # point features of shapes that are kept in memory: 5 MB
+_DIGITS = 6  # decimals of a shape whose largest side is 1: the same mesh at another scale is the same key
 
 
 class LearnedFlow:
@@ -34,12 +34,12 @@ class LearnedFlow:
 
     Args:
         checkpoint: The network and its settings.
-        encoder: Where the point features of objects come from; None for a network that reads none.
+        encoder: Encodes the point features of objects; None for a network that reads none.
         steps: Steps of the solver; 0 as its settings say.
 
     Raises:
-        ConfigError: The network reads features, and there is no encoder, or it was trained on another one's, or it wants other
-            than 64 of them.
+        ConfigError: The network reads features, and there is no encoder, or the network was trained with another one, or it
+            reads a number of features other than 64.
     """
 
     def __init__(self, checkpoint: Checkpoint, encoder: PointEncoder | None = None, steps: int = 0) -> None:
@@ -63,7 +63,7 @@ class LearnedFlow:
 
     @torch.no_grad()
     def __call__(self, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed]) -> list[Scene]:
-        """The scenes after the flow; what is fixed stays bit for bit, and so does a scene that the network cannot reckon with.
+        """Moves the objects of scenes; fixed objects keep their poses bit by bit, and so does a scene without finite new poses.
 
         Args:
             scenes: Positions at the centres of the boxes, with supports where they are known.
@@ -87,7 +87,7 @@ class LearnedFlow:
         found = []
         for b, (scene, stays) in enumerate(zip(scenes, fixed, strict=True)):
             own = poses[b, : len(scene.objects)]
-            if not np.isfinite(own).all():  # so far off that 32 bits do not hold it: `certify` has to do without
+            if not np.isfinite(own).all():  # coordinates beyond 32 bits: `certify` begins at the scene itself
                 found.append(scene)
                 continue
             start = scene.poses()
@@ -104,18 +104,17 @@ class LearnedFlow:
         return torch.from_numpy(features)
 
     def _code(self, shape: Shape) -> npt.NDArray[np.float32]:
-        """The point feature of a shape, encoded once whatever its size.
+        """The point feature of a shape, encoded once for all scales.
 
-        Shapes are encoded one by one, for in a batch the last bits depend on what else is in it, and so on what a process has
-        met.
+        Shapes are encoded one by one: in a batch the last bits would depend on the other shapes of the batch.
         """
         assert self._encoder is not None
         alike = shape
-        if self._encoder.preprocessing.normalise != "centre":  # what is encoded does not know how large it is
+        if self._encoder.preprocessing.normalise != "centre":  # then the feature does not depend on the scale
             alike = Shape(np.round(shape.vertices / shape.size.max(), _DIGITS), shape.faces)
         key = hashlib.sha256(alike.vertices.tobytes() + alike.faces.tobytes()).digest()
         if key not in self._codes:
-            if len(self._codes) >= _MOST_CODES:
+            if len(self._codes) >= _MAX_CACHED_CODES:
                 self._codes.pop(next(iter(self._codes)))
             cloud = PointCloud.of_shape(alike, self._encoder.preprocessing.num_points)
             self._codes[key] = self._encoder.codes([cloud])[0]
@@ -144,7 +143,7 @@ def load_flow(weights: str = AUTO, steps: int = 0) -> LearnedFlow | None:
 
 
 def weights_fingerprint(weights: str) -> str:
-    """Content of the files that :func:`load_flow` reads."""
+    """Hash of the content of the files that :func:`load_flow` reads."""
     if weights == NONE:
         return NONE
     path = CORRECTOR if weights == AUTO else Path(weights)

@@ -51,16 +51,16 @@ def certify_moved(
 
 
 def starting_point(scene: Scene, raw: Scene | None) -> Scene:
-    """Where `certify` begins: what the flow made of a scene, without what would do harm.
+    """The scene at which `certify` begins: the scene after the flow, without harmful moves.
 
-    The flow says which way a crowd parts; millimetres and heights are the exact part's to find. A layout in which it would move
-    nothing farther along the table than its own error is so good that its error is all that it could add: it stays as it came.
-    What would break a directional relation goes back with all that it carries, the farthest first: `certify` could hardly mend
-    it, as whatever stands between two things keeps them apart.
+    The flow decides in which directions objects part; the exact part finds millimetres and heights. If the flow moves nothing
+    farther along the table than its own error, it can only add that error, and the scene itself is used. An object whose move
+    breaks a directional relation returns to its pose with all that it carries, the farthest first: `certify` could hardly
+    restore the relation, because the objects between the two keep them apart.
 
     Args:
-        scene: As it came, with the supports of its objects where they are known.
-        raw: What the flow made of it; None without one.
+        scene: The scene before the flow, with the supports of its objects where they are known.
+        raw: The scene after the flow; None without one.
     """
     if raw is None:
         return scene
@@ -79,8 +79,8 @@ def starting_point(scene: Scene, raw: Scene | None) -> Scene:
         lengths = np.linalg.norm(poses[ends, :2] - start[ends, :2], axis=1)
         if not lengths.any():
             break
-        gone_back = scene.resting_on({scene.objects[int(ends[lengths.argmax()])].instance})
-        back = [k for k, o in enumerate(scene.objects) if o.instance in gone_back]
+        returned = scene.resting_on({scene.objects[int(ends[lengths.argmax()])].instance})
+        back = [k for k, o in enumerate(scene.objects) if o.instance in returned]
         poses[back] = start[back]
     return scene.with_poses(poses)
 

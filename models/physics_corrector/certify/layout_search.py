@@ -1,4 +1,4 @@
-"""The search for a clean layout: things are brought to rest on their carriers, parted on the table, and checked exactly."""
+"""The search for a clean layout: objects are rested on their carriers, parted on the table, and audited exactly."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -37,11 +37,11 @@ class LayoutSearch:
         shapes: The geometry of the objects, in order.
         meshes: The same, for exact queries.
         options: Settings.
-        wanted: What each object has to be on or in, by its index.
+        wanted: The carriers that relations ask for, by the object's index.
 
     Attributes:
         layout: Poses and carriers as they are now.
-        dropped: Objects that were given up.
+        dropped: Objects that were dropped.
         reason: Why there is no clean layout; empty where there is one.
         num_broken: Relations of the original that the clean layout breaks; see
             :attr:`~models.physics_corrector.certify.options.CertificationResult.num_broken`.
@@ -60,15 +60,15 @@ class LayoutSearch:
         self.dropped: list[DroppedObject] = []
         self.reason = ""
         self.num_broken = 0
-        self._exact_pairs: set[frozenset[int]] = set()  # pairs of roots that are parted by their meshes, not by outlines
+        self._outline_pairs: set[frozenset[int]] = set()  # pairs of roots whose outlines must be apart
         self._rested_anew: set[int] = set()
         self._floating: set[int] = set()
-        self._unsteady: list[int] = []  # what has found no rest on what carried it
+        self._unsteady: list[int] = []  # objects without a steady place on their carrier
         original_poses = original.poses()
         choices = carriers_of(meshes, original_poses, wanted)
         carried = [choice[0] for choice in choices]
-        self._others = [choice[1:] for choice in choices]  # what else may carry each object, the likeliest first
-        if original is not scene:  # what hung in the air may have been brought to something
+        self._others = [choice[1:] for choice in choices]  # other possible carriers of each object, the likeliest first
+        if original is not scene:  # an object that floated may rest on something now
             known = {k: c for k, c in enumerate(carried) if c.parent != TABLE_TOP or self._stood_on_table(k)}
             carried = [choice[0] for choice in carriers_of(meshes, scene.poses(), known)]
         self.layout = LayoutState(scene, shapes, carried, options.fixed)
@@ -99,7 +99,7 @@ class LayoutSearch:
         return audit
 
     def _count_broken(self) -> int:
-        """How many of the carriers that were meant no longer carry, and of the directional relations no longer hold."""
+        """How many objects have lost their first carrier, plus how many directional relations no longer hold."""
         layout, meant = self.layout, self._first_carriers
         number = {o.instance: k for k, o in enumerate(self._scene.objects)}
         there = [k for k in layout.present() if meant[k].parent != TABLE_TOP and layout.is_there[meant[k].parent]]
@@ -111,7 +111,7 @@ class LayoutSearch:
         return broken
 
     def _stood_on_table(self, k: int) -> bool:
-        """Did an object stand on the table in the original layout?"""
+        """Whether an object stood on the table in the original layout."""
         return float(self._meshes.box(k, self._original.poses()[k])[0][2]) <= TOLERANCE
 
     # --- trees
@@ -148,7 +148,7 @@ class LayoutSearch:
                     done.append(c)
                     queue.append(c)
         stayed = [m for m in done[1:] if np.array_equal(layout.poses[m], was[m])]
-        for c in stayed if len(stayed) < len(done) - 1 else ():  # it may have leant on what has moved away
+        for c in stayed if len(stayed) < len(done) - 1 else ():  # it may have leaned on an object that has moved
             own = set(layout.tree(c))
             others = [m for m in done if m not in own]
             rest = None if layout.is_fixed[c] else resting_pose(self._meshes, layout.poses, c, layout.carried[c], others)
@@ -158,7 +158,7 @@ class LayoutSearch:
     def _rest_on_other_carrier(self, k: int) -> None:
         """Rests an object on another possible carrier, where it found no steady place on its own."""
         layout, own, was = self.layout, set(self.layout.tree(k)), self.layout.poses[k].copy()
-        if layout.carried[k].is_in:  # there it stays, if not just so
+        if layout.carried[k].is_in:  # it stays in it, though not exactly there
             return
         stands, root = layout.carried[k].parent == TABLE_TOP, layout.root_of(k)
         stays_within = any(layout.carried[m].is_in for m in layout.carriers(k))
@@ -181,7 +181,7 @@ class LayoutSearch:
     def _part_trees(self) -> bool:
         """Parts all trees on the table; drops those without a place. False where that is not allowed, with ``reason`` set."""
         while True:
-            crowd, roots = self._packing.crowd(self._exact_pairs)
+            crowd, roots = self._packing.crowd(self._outline_pairs)
             unplaceable = [b for b in range(len(roots)) if crowd.is_free[b] and (crowd.low[b] > crowd.high[b]).any()]
             if unplaceable:
                 least = min(unplaceable, key=lambda b: self._rank(roots[b]))
@@ -255,8 +255,8 @@ class LayoutSearch:
             if pair.penetration is not None and pair.penetration > TOLERANCE:
                 i, j = number[pair.first], number[pair.second]
                 one, other = layout.root_of(i), layout.root_of(j)
-                if one != other and frozenset((one, other)) not in self._exact_pairs:
-                    self._exact_pairs.add(frozenset((one, other)))
+                if one != other and frozenset((one, other)) not in self._outline_pairs:
+                    self._outline_pairs.add(frozenset((one, other)))
                     changed = True
                 elif one == other:
                     changed |= self._rest_anew(i if layout.carried[j].parent == TABLE_TOP or j in layout.tree(i) else j)

@@ -1,4 +1,4 @@
-"""What `certify` is asked for and what it answers."""
+"""Settings and results of `certify`."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class CorrectionStatus(StrEnum):
-    """How a correction came out."""
+    """The outcome of a correction."""
 
     CERTIFIED = "certified"
     """Clean by the exact audit, nothing dropped."""
@@ -31,7 +31,7 @@ class CorrectionStatus(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class DroppedObject:
-    """A background object that was given up.
+    """A background object that was dropped.
 
     Attributes:
         instance: Its name.
@@ -47,18 +47,18 @@ class CertifyOptions:
     """Settings of `certify`.
 
     Attributes:
-        when_full: What to do where no place is found for everything: drop background objects, or say that it is infeasible.
+        when_full: What to do where not everything finds a place: drop background objects, or report the scene infeasible.
         fixed: Instances that must not move; they are obstacles.
-        restore: Put objects back into or onto what the scene's own relations say, where the layout has lost that.
-        clearance: Air between things that stand side by side, metres.
-        tries: How many times a body may be put elsewhere to win back a directional relation.
-        rounds: How many times the exact check may send the layout back.
-        depth: How deep things may be in each other, metres: the audit's tolerance, or less for a layout that is clean for
-            coarser judges too, which try fewer ways to part them.
-        places: At how many places at most a thing that the physics engine moves, where it is asked, is tried until it stays;
-            0: it is left where it moves, and looked at no longer than that takes.
-        twice: Whether a layout that begins elsewhere than it came, where the flow put it, and loses relations is certified from
-            where it came too, and the better taken; where it loses objects it always is.
+        restore: Put objects back into or onto the carriers that the scene's relations name, where the layout has lost that.
+        clearance: Distance between objects that stand side by side, metres.
+        tries: How many times a body may be relocated to restore a directional relation.
+        rounds: How many times the exact audit may refuse the layout before it is infeasible.
+        depth: Allowed penetration of objects, metres: the audit's tolerance, or less, so that the layout is clean for judges
+            that search fewer directions, too.
+        places: At how many places an object that moves in MuJoCo, where that is asked, is tried at most; 0: at none, and the
+            simulation ends with the first motion.
+        twice: Whether a scene that loses relations after the flow is certified without the flow too, and the better result
+            used; a scene that loses objects always is.
     """
 
     when_full: Literal["drop", "infeasible"] = "drop"
@@ -72,7 +72,7 @@ class CertifyOptions:
     twice: bool = True
 
     def __post_init__(self) -> None:
-        """Refuses settings that make no sense."""
+        """Refuses values out of range."""
         if not 0 <= self.clearance <= 0.1:
             raise ConfigError(f"clearance is {self.clearance}, expected 0 to 0.1 metres", "clearance_invalid")
         if self.when_full not in ("drop", "infeasible"):
@@ -86,18 +86,17 @@ class CertifyOptions:
 
 @dataclass(frozen=True, slots=True)
 class CertificationResult:
-    """A corrected scene with its proof.
+    """A corrected scene with its audit.
 
     Attributes:
         scene: The scene; None where it is infeasible.
-        status: How it came out.
-        reason: Why it is not certified, or why the engine could not be asked; else empty.
-        dropped: What was given up.
+        status: The outcome.
+        reason: Why it is not certified, or why MuJoCo could not be asked; otherwise empty.
+        dropped: Objects that were dropped.
         audit: The exact audit of ``scene``; None where there is none.
-        rest: The physics engine's verdict on ``scene``; None where it was not asked or could not be.
+        rest: MuJoCo's verdict on ``scene``; None where it was not asked or could not be.
         num_broken: Relations of the original layout that no longer hold, as `certify` reads them: left of, right of, in front
-            of, behind; and what is no longer carried by what carried it. A figure to choose by; the audit's own are
-            `relations_kept`.
+            of, behind, and carriers. It serves to choose between results; the figures of the report are `relations_kept`.
     """
 
     scene: Scene | None
@@ -110,5 +109,5 @@ class CertificationResult:
 
     @property
     def unsteady(self) -> tuple[str, ...] | None:
-        """What does not stay in the engine, wherever it was tried; None where that is not known."""
+        """Objects that do not stay in MuJoCo at any place that was tried; None where that is not known."""
         return None if self.rest is None else self.rest.unsteady
