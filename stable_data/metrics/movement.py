@@ -1,7 +1,6 @@
 """How far the objects of a scene moved between two of its states."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,16 +8,13 @@ from stable_data.metrics.card import MetricCard
 from stable_data.metrics.relations_kept import RelationsKept
 from stable_data.scene import Scene
 
-if TYPE_CHECKING:  # the engine takes long to import
-    pass
-
 
 def movement(before: Scene, after: Scene) -> tuple[float, float, float]:
     """How far objects moved.
 
     Args:
         before: A scene.
-        after: The same later; objects that are gone do not count.
+        after: The same scene later; dropped objects do not count.
 
     Returns:
         Mean and largest displacement, millimetres; largest turn, degrees.
