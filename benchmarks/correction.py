@@ -47,7 +47,6 @@ from models.physics_corrector.correction import CorrectionOptions
 from models.physics_corrector.corrector import Flow, PhysicsCorrector
 from models.physics_corrector.flow.checkpoint import DEFAULT_WEIGHTS
 from models.physics_corrector.learned_flow import AUTO, load_flow
-from pipelines.preprocess.scene import related
 from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError, StableDataError
 from stable_data.geometry.shape import Shape
@@ -55,6 +54,7 @@ from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.audit import PosedScene, audit_posed, audit_scene
 from stable_data.metrics.collision import ROUNDING
 from stable_data.metrics.rearrangement import distance_moved, emd_to_truth
+from stable_data.metrics.related_scene import relate_scene
 from stable_data.metrics.relations_kept import RelationsKept, relations_kept
 from stable_data.scene import Scene, SceneObject
 from stable_data.simulation.collision_bodies import bodies_of
@@ -102,7 +102,7 @@ class CorrectorBaseline:
         known = scene
         if corrector.flow is not None and not self.is_told:  # it is shown what carries what as it is
             posed = PosedScene(scene, shapes)
-            known = related(posed, audit_posed(posed), {}).scene
+            known = relate_scene(posed, audit_posed(posed), {}).scene
         (request,) = corrector.move([replace(known, relations=told.relations)], store, options, [audit])
         if not self.certifies:
             return BaselineResult(request.raw or scene, request.raw is not None, time.process_time() - begin)

@@ -37,11 +37,11 @@ from benchmarks.correction import ours
 from benchmarks.layouts import shaken
 from models.physics_corrector.geometry.scene_batch import LayoutBatch, padded
 from models.physics_corrector.training.perturbation import PerturbationSettings, perturb
-from pipelines.preprocess.scene import related
 from stable_data.assets.store import AssetStore
 from stable_data.errors import SceneError, StableDataError
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.audit import PosedScene, audit_posed
+from stable_data.metrics.related_scene import relate_scene
 from stable_data.scene import Scene, SceneObject, Tabletop
 
 SIZES = (5, 8, 12, 18, 27, 40, 60)
@@ -146,7 +146,7 @@ class Bench:
     def _related(self, scene: Scene) -> Scene:
         scene, shapes, _ = self._store.resolved(scene)
         posed = PosedScene(scene, shapes)
-        return related(posed, audit_posed(posed), {}).scene
+        return relate_scene(posed, audit_posed(posed), {}).scene
 
 
 def crowd(scenes: Sequence[Scene], count: int, rng: np.random.Generator) -> Scene:

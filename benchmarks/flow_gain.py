@@ -38,13 +38,13 @@ from models.physics_corrector.geometry.scene_batch import LayoutBatch, padded
 from models.physics_corrector.learned_flow import AUTO, load_flow
 from models.physics_corrector.training.dataset import TrainingScenes, clean_targets
 from models.physics_corrector.training.perturbation import KINDS, PerturbationSettings, perturb
-from pipelines.preprocess.scene import related
 from stable_data.assets.store import AssetStore
 from stable_data.errors import StableDataError
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.audit import PosedScene, audit_posed
 from stable_data.metrics.movement import movement
+from stable_data.metrics.related_scene import relate_scene
 from stable_data.metrics.relations_kept import RelationsKept, relations_kept
 from stable_data.scene import Scene
 
@@ -103,7 +103,7 @@ class Gain:
 def shown(group: str, scene: Scene, shapes: Sequence[Shape]) -> CoarseLayout:
     """A layout that knows of its scene graph what it shows, and nothing of what was meant."""
     posed = PosedScene(replace(scene, relations=()), shapes)
-    seen = related(posed, audit_posed(posed), {}).scene
+    seen = relate_scene(posed, audit_posed(posed), {}).scene
     return CoarseLayout(group, replace(seen, relations=()), shapes)
 
 

@@ -14,10 +14,11 @@ from pipelines.correct.settings import CorrectSettings
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import ProcessFailure
 from pipelines.execution.shard_job import Rows, rows_or_failure
-from pipelines.preprocess.scene import related, with_counts
 from pipelines.sources.scenes import scene_source
 from stable_data.errors import ConfigError, Notice
 from stable_data.metrics.audit import PosedScene
+from stable_data.metrics.card import with_counts
+from stable_data.metrics.related_scene import relate_scene
 from stable_data.scene import FloatArray, Scene
 from stable_data.storage import schemas
 
@@ -75,7 +76,7 @@ class CorrectWork(SceneWork[CorrectSettings, str, FloatArray | None]):
             progress.step = "relations"
             shape_of = shapes_by_instance(taken.scene, taken.shapes)
             posed = PosedScene(done.certified, [shape_of[o.instance] for o in done.certified.objects])
-            scene = related(posed, done.audit, taken.containers).scene
+            scene = relate_scene(posed, done.audit, taken.containers).scene
             card = with_counts(done.card_after, scene)
             found["scenes"] = [{**schemas.scene_row(scene), **schemas.card_row(card), **done.audit.rows(), **taken.origin}]
             notices += notices_of(done, scene_id)

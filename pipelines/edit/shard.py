@@ -21,14 +21,14 @@ from pipelines.edit.settings import EditSettings
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import ProcessFailure
 from pipelines.execution.shard_job import Rows, engine_off, rows_or_failure
-from pipelines.preprocess.scene import related, with_counts
 from pipelines.sources.edits import EditRequest
 from pipelines.sources.scenes import SourceScene, scene_source
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed
-from stable_data.metrics.card import MetricCard
+from stable_data.metrics.card import MetricCard, with_counts
 from stable_data.metrics.collision import ROUNDING
+from stable_data.metrics.related_scene import relate_scene
 from stable_data.scene import Scene, SceneObject
 from stable_data.scene_graph.staging import stage_scene
 from stable_data.storage import schemas
@@ -132,7 +132,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
             posed = PosedScene(done.certified, [shape_of[o.instance] for o in done.certified.objects])
             audit, card = done.audit, done.card_after
         progress.step = "relations"
-        scene = related(posed, audit, opened.source.containers(posed.scene)).scene
+        scene = relate_scene(posed, audit, opened.source.containers(posed.scene)).scene
         assert card is not None  # a certified scene has one
         card = with_counts(card, scene)
         if replied.kind == "none":

@@ -36,17 +36,19 @@ from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, li
 from pipelines.execution.shard_job import Rows, engine_off, rows_or_failure, unexpected
 from pipelines.generate.answers import NOT_OF_A_SCENE, LocalCertifier, LocalRequestHandler, failed_correction
 from pipelines.generate.settings import GenerateSettings
-from pipelines.preprocess.scene import RelatedScene, SceneSettings, duplicate_group, related, split_of, with_counts
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import Task
 from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError, Notice, SceneError
 from stable_data.geometry.shape import Shape
+from stable_data.mesatask.dataset_split import split_of
+from stable_data.mesatask.near_duplicates import duplicate_group
 from stable_data.metrics.alignment import align, reference_of
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed
-from stable_data.metrics.card import MetricCard
+from stable_data.metrics.card import MetricCard, with_counts
 from stable_data.metrics.collision import TOLERANCE
 from stable_data.metrics.movement import with_movement
+from stable_data.metrics.related_scene import RelatedScene, relate_scene
 from stable_data.metrics.relations_kept import relations_kept
 from stable_data.random_seeds import named_seed
 from stable_data.scene import Relation, RelationKind, Scene
@@ -238,7 +240,7 @@ class GenerateWork:
         containers = {
             o.instance: opened.shelf.annotation(o.asset_id).is_container if o.asset_id else None for o in scene.objects
         }
-        seen = related(posed, audit, containers)
+        seen = relate_scene(posed, audit, containers)
         scene = seen.scene
         progress.step = "settle"
         rest, why_not = self._settled(made.correction, scene, shapes)
@@ -250,7 +252,7 @@ class GenerateWork:
         group = duplicate_group(scene)
         origin = {
             "source": SOURCE,
-            "split": split_of(group, scene.table.table_type, SceneSettings()),
+            "split": split_of(group, scene.table.table_type),
             "layout_path": None,
             "layout_sha256": None,
             "duplicate_group": group,

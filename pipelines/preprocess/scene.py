@@ -1,7 +1,7 @@
-"""One scene: read, audited, related, tasked, staged; its rows."""
+"""The item function of preprocess for a scene: read it, audit it, relate its objects, give it a task and stages, make its rows."""
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from pipelines.execution.item_progress import ItemProgress
@@ -9,28 +9,29 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import Notice
 from stable_data.instructions import derive_task, task_rng
 from stable_data.instructions.task_info import TaskWriter, model_task, resolve_task_objects
-from stable_data.mesatask import TABLE_TYPES, MesaTaskDataset, PositionConvention
+from stable_data.mesatask import MesaTaskDataset, PositionConvention
+from stable_data.mesatask.dataset_split import SplitShares, split_of
+from stable_data.mesatask.near_duplicates import duplicate_group
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed
-from stable_data.metrics.card import MetricCard
-from stable_data.scene import TABLE, FloatArray, RelationKind, Scene, Stage
-from stable_data.scene_graph.relations import SceneGraph, relations_of, scene_graph, supports
+from stable_data.metrics.card import with_counts
+from stable_data.metrics.related_scene import relate_scene
+from stable_data.scene import Scene
+from stable_data.scene_graph.relations import SceneGraph
 from stable_data.scene_graph.staging import samples_of, stage_scene
 from stable_data.storage import schemas
-
-_CONTACT_GAP = 3e-3  # layouts are written to 1 mm, so what carries an object may be a little below it, metres
 
 
 @dataclass(frozen=True, slots=True)
 class SceneSettings:
-    """What shapes the rows of a scene.
+    """Settings that the rows of a scene depend on.
 
     Attributes:
         important_threshold: Objects nearer than this to a task object are O^B, metres.
-        seed: For the choice among task templates and of splits.
+        seed: For the choice among task templates and for the split.
         train_share: Share of near-duplicate groups in the training split.
         validation_share: Share in the validation split; the rest is the test split.
         position_convention: Which point of a tilted object the files call its position.
-        tasks_per_scene: Tasks that ``samples`` has of a scene: its own, then others by template. (MesaTask trains on five.)
+        tasks_per_scene: Number of tasks of a scene in ``samples``: its own, then others by template. (MesaTask trains on five.)
     """
 
     important_threshold: float = 0.02
@@ -52,14 +53,14 @@ class SceneRows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedScene:
-    """A scene that was read, judged, related, tasked and staged.
+    """A scene with everything that its rows are made from.
 
     Attributes:
         scene: With supports, relations, task and stages.
-        others: The same with other tasks and the stages that go with them.
-        posed: Its meshes where they stand.
-        audit: Every verdict.
-        notices: What about it deserves a look.
+        others: The same scene with other tasks and their stages.
+        posed: Its meshes at their poses.
+        audit: Its audit.
+        notices: Warnings about it.
     """
 
     scene: Scene
@@ -69,21 +70,92 @@ class PreparedScene:
     notices: tuple[Notice, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class CachedTaskWriter:
+    """A model that writes task infos, and the cache of its answers.
+
+    Attributes:
+        write: The model.
+        cache: Folder of its answers.
+        name: Names the model in the keys of the cache.
+    """
+
+    write: TaskWriter
+    cache: str
+    name: str
+
+
 def preprocess_scene(
     dataset: MesaTaskDataset,
     scene_id: str,
     store: AssetStore,
     settings: SceneSettings,
     progress: ItemProgress,
-    writer: "CachedTaskWriter | None" = None,
+    writer: CachedTaskWriter | None = None,
 ) -> SceneRows:
-    """Everything that preprocess makes of one scene; see :func:`understand`."""
-    understood = understand(dataset, scene_id, store, settings, progress, writer)
-    scene, audit = understood.scene, understood.audit
+    """The rows of one scene; the arguments are those of :func:`prepare_scene`."""
+    prepared = prepare_scene(dataset, scene_id, store, settings, progress, writer)
+    scene, audit = prepared.scene, prepared.audit
     origin = origin_of(dataset, scene, settings)
     row = {**schemas.scene_row(scene), **schemas.card_row(with_counts(audit.card(), scene)), **audit.rows(), **origin}
-    samples = (sample for told in (scene, *understood.others) for sample in sample_rows(told, origin["split"]))
-    return SceneRows(row, tuple(samples), understood.notices)
+    samples = (sample for one in (scene, *prepared.others) for sample in sample_rows(one, origin["split"]))
+    return SceneRows(row, tuple(samples), prepared.notices)
+
+
+def prepare_scene(
+    dataset: MesaTaskDataset,
+    scene_id: str,
+    store: AssetStore,
+    settings: SceneSettings,
+    progress: ItemProgress,
+    writer: CachedTaskWriter | None = None,
+) -> PreparedScene:
+    """Reads a scene, audits it, relates its objects, and gives it a task and stages.
+
+    Args:
+        dataset: The dataset that the scene is in.
+        scene_id: Its id.
+        store: Geometry of the assets.
+        settings: What the rows depend on.
+        progress: Receives the name of each step.
+        writer: A model that writes the task info of a scene without one; None: a template is filled.
+
+    Raises:
+        SceneError: The scene cannot be used.
+    """
+    progress.step = "read"
+    scene, read = dataset.read(scene_id)
+    progress.step = "mesh"
+    scene, shapes, meshed = store.resolved(scene, settings.position_convention)
+    progress.step = "audit"
+    posed = PosedScene(scene, shapes)
+    audit = audit_posed(posed)
+    progress.step = "task"
+    containers = {o.instance: dataset.annotation(o.asset_id).is_container if o.asset_id else None for o in scene.objects}
+    related = relate_scene(posed, audit, containers)
+    scene, graph = related.scene, related.graph
+    notices: tuple[Notice, ...] = ()
+    if scene.task is not None:
+        task, notices = resolve_task_objects(scene.task, scene, graph)
+    elif writer is not None:
+        task, notices = model_task(scene, graph, writer.write, writer.cache, writer.name, settings.seed)
+    else:
+        task = derive_task(scene, graph, task_rng(scene.scene_id, settings.seed))
+    progress.step = "stage"
+    scene = stage_scene(replace(scene, task=task), settings.important_threshold)
+    return PreparedScene(scene, other_tasks(scene, graph, settings), posed, audit, (*read, *meshed, *audit.notices, *notices))
+
+
+def other_tasks(scene: Scene, graph: SceneGraph, settings: SceneSettings) -> tuple[Scene, ...]:
+    """A staged scene with each of the further tasks that the settings ask for; no two instructions are the same."""
+    instructions = {scene.task.task} if scene.task else set()
+    others = []
+    for k in range(1, settings.tasks_per_scene):
+        task = derive_task(scene, graph, task_rng(f"{scene.scene_id}/{k}", settings.seed))
+        if task.task not in instructions:
+            instructions.add(task.task)
+            others.append(stage_scene(replace(scene, task=task), settings.important_threshold))
+    return tuple(others)
 
 
 def sample_rows(scene: Scene, split: str) -> Iterator[schemas.Row]:
@@ -99,168 +171,15 @@ def sample_rows(scene: Scene, split: str) -> Iterator[schemas.Row]:
         }
 
 
-def other_tasks(scene: Scene, graph: SceneGraph, settings: SceneSettings) -> tuple[Scene, ...]:
-    """A staged scene with the further tasks that the settings ask for, each said in other words than those before it."""
-    told = {scene.task.task} if scene.task else set()
-    others = []
-    for k in range(1, settings.tasks_per_scene):
-        task = derive_task(scene, graph, task_rng(f"{scene.scene_id}/{k}", settings.seed))
-        if task.task not in told:
-            told.add(task.task)
-            others.append(stage_scene(replace(scene, task=task), settings.important_threshold))
-    return tuple(others)
-
-
-def understand(
-    dataset: MesaTaskDataset,
-    scene_id: str,
-    store: AssetStore,
-    settings: SceneSettings,
-    progress: ItemProgress,
-    writer: "CachedTaskWriter | None" = None,
-) -> PreparedScene:
-    """Reads a scene and finds out all that later steps ask of it.
-
-    Args:
-        dataset: Where it is.
-        scene_id: Its id.
-        store: Geometry of the assets.
-        settings: What shapes the rows.
-        progress: Is told of each step.
-        writer: A model that writes task infos, where the user gives one.
-
-    Raises:
-        SceneError: The scene cannot be used.
-    """
-    progress.step = "read"
-    scene, read = dataset.read(scene_id)
-    progress.step = "mesh"
-    scene, shapes, meshed = store.resolved(scene, settings.position_convention)
-    progress.step = "audit"
-    posed = PosedScene(scene, shapes)
-    audit = audit_posed(posed)
-    progress.step = "task"
-    containers = {o.instance: dataset.annotation(o.asset_id).is_container if o.asset_id else None for o in scene.objects}
-    seen = related(posed, audit, containers)
-    scene, graph = seen.scene, seen.graph
-    notices: tuple[Notice, ...] = ()
-    if scene.task is not None:
-        task, notices = resolve_task_objects(scene.task, scene, graph)
-    elif writer is not None:
-        task, notices = model_task(scene, graph, writer.write, writer.cache, writer.name, settings.seed)
-    else:
-        task = derive_task(scene, graph, task_rng(scene.scene_id, settings.seed))
-    progress.step = "stage"
-    scene = stage_scene(replace(scene, task=task), settings.important_threshold)
-    return PreparedScene(scene, other_tasks(scene, graph, settings), posed, audit, (*read, *meshed, *audit.notices, *notices))
-
-
 def origin_of(dataset: MesaTaskDataset, scene: Scene, settings: SceneSettings) -> schemas.Row:
-    """Columns of ``scenes`` that say where a scene comes from."""
+    """Columns of ``scenes`` that say which file a scene comes from and which split it is in."""
     layout = dataset.layout_path(scene.scene_id)
     group = duplicate_group(scene)
+    shares = SplitShares(settings.seed, settings.train_share, settings.validation_share)
     return {
         "source": dataset.root.name,
-        "split": split_of(group, scene.table.table_type, settings),
+        "split": split_of(group, scene.table.table_type, shares),
         "layout_path": layout.relative_to(dataset.root).as_posix(),
         "layout_sha256": hashlib.sha256(layout.read_bytes()).hexdigest(),
         "duplicate_group": group,
     }
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RelatedScene:
-    """A scene whose objects' relations were read from its meshes.
-
-    Attributes:
-        scene: With supports and relations.
-        graph: Its scene graph.
-        contacts: What each object rests on.
-        footprints: Of each object, as the graph takes them.
-    """
-
-    scene: Scene
-    graph: SceneGraph
-    contacts: Mapping[str, tuple[str, ...]]
-    footprints: Mapping[str, FloatArray]
-
-
-def related(posed: PosedScene, audit: Audit, containers: Mapping[str, bool | None]) -> RelatedScene:
-    """The scene with supports and relations.
-
-    Args:
-        posed: The scene's meshes where they stand.
-        audit: Its verdicts.
-        containers: Whether things can be put into an object; None or missing where it is not known.
-    """
-    scene = posed.scene
-    contacts = _contacts(posed, audit)
-    footprints = {o.instance: s.posed_footprint(p) for o, s, p in zip(scene.objects, posed.shapes, scene.poses(), strict=True)}
-    carriers = supports(scene, contacts, footprints, containers)
-    scene = replace(scene, objects=tuple(replace(o, support=carriers[o.instance]) for o in scene.objects))
-    graph = scene_graph(scene, contacts, footprints, containers)
-    return RelatedScene(replace(scene, relations=relations_of(graph)), graph, contacts, footprints)
-
-
-@dataclass(frozen=True, slots=True)
-class CachedTaskWriter:
-    """A model that writes task infos, and where its answers are kept.
-
-    Attributes:
-        write: The model.
-        cache: Folder of its answers.
-        name: Names the model in the cache's keys.
-    """
-
-    write: TaskWriter
-    cache: str
-    name: str
-
-
-def _contacts(posed: PosedScene, audit: Audit) -> Mapping[str, tuple[str, ...]]:
-    """What each object rests on: what the audit finds, and all that is within a larger gap.
-
-    The table is found by the audit or it is not touched: the larger gap reaches through a placemat.
-    """
-    found = {}
-    for index, verdict in enumerate(audit.objects):
-        near = verdict.supports if verdict.supports == (TABLE,) else posed.supports(index, _CONTACT_GAP) or ()
-        if verdict.supports and TABLE not in verdict.supports:
-            near = tuple(name for name in near if name != TABLE)
-        found[verdict.instance] = near
-    return found
-
-
-def with_counts(card: MetricCard, scene: Scene) -> MetricCard:
-    """A card with what the scene graph and the stages say: what stands on other things and in them, and what is no task object."""
-    stacked, contained = num_carried(scene)
-    stages = [o.stage for o in scene.objects]
-    away = None if not stages or None in stages else sum(stage is not Stage.TASK for stage in stages) / len(stages)
-    return replace(card, num_stacked=stacked, num_contained=contained, distractor_rate=away)
-
-
-def num_carried(scene: Scene) -> tuple[int, int]:
-    """Objects on another one, and objects in another one."""
-    names = {o.instance for o in scene.objects}
-    contained = {r.subject for r in scene.relations if r.kind is RelationKind.IN and r.target in names}
-    stacked = {r.subject for r in scene.relations if r.kind is RelationKind.ON and r.target in names}
-    return len(stacked - contained), len(contained)
-
-
-def duplicate_group(scene: Scene) -> str:
-    """Scenes that may be near-duplicates share this: the same table type with the same assets, wherever they stand."""
-    content = sorted(f"{o.category}:{o.asset_id}" for o in scene.objects)
-    return hashlib.sha256("\n".join([scene.table.table_type, *content]).encode()).hexdigest()[:16]
-
-
-def split_of(group: str, table_type: str, settings: SceneSettings) -> str:
-    """The split of a near-duplicate group: a hash, so it stays when scenes are added.
-
-    Kinds of table that MesaTask-10K does not have are kept from training: their split is ``unseen``.
-    """
-    if table_type not in TABLE_TYPES:
-        return "unseen"
-    share = int(hashlib.sha256(f"{settings.seed}:{group}".encode()).hexdigest()[:8], 16) / 2**32
-    if share < settings.train_share:
-        return "train"
-    return "validation" if share < settings.train_share + settings.validation_share else "test"

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.preprocess.plan import PreprocessSettings, plan_run
-from pipelines.preprocess.scene import SceneSettings, origin_of, understand
+from pipelines.preprocess.scene import SceneSettings, origin_of, prepare_scene
 from stable_data.assets.catalog import AssetLibrary, library_of_run
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
@@ -135,7 +135,7 @@ class FolderSource:
 
     def take(self, scene_id: str, settings: SceneSettings, progress: ItemProgress) -> SourceScene:
         """One scene: read, judged, tasked and staged as preprocess does, with supports and without relations."""
-        found = understand(self.dataset, scene_id, self.store, settings, progress)
+        found = prepare_scene(self.dataset, scene_id, self.store, settings, progress)
         scene = replace(
             found.scene, relations=()
         )  # a layout says nothing of relations; what it shows may be what is wrong with it

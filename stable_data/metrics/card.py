@@ -1,6 +1,8 @@
 """The metric card: the figures of one scene, columns of the ``scenes`` table."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+from stable_data.scene import RelationKind, Scene, Stage
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,3 +74,19 @@ class MetricCard:
     drift_mm: float | None = None
     jitter_mm: float | None = None
     stable: bool | None = None
+
+
+def with_counts(card: MetricCard, scene: Scene) -> MetricCard:
+    """The card with the counts that need relations and stages: stacked and contained objects, and the share of distractors.
+
+    Args:
+        card: The card of the scene.
+        scene: The scene with its ``on`` and ``in`` relations and its stages.
+    """
+    names, stages = {o.instance for o in scene.objects}, [o.stage for o in scene.objects]
+    contained, stacked = (
+        {r.subject for r in scene.relations if r.kind is kind and r.target in names}
+        for kind in (RelationKind.IN, RelationKind.ON)
+    )
+    away = None if not stages or None in stages else sum(stage is not Stage.TASK for stage in stages) / len(stages)
+    return replace(card, num_stacked=len(stacked - contained), num_contained=len(contained), distractor_rate=away)

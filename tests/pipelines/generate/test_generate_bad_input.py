@@ -184,7 +184,7 @@ def test_what_nobody_foresaw_costs_one_scene(
     assert "GEOSException: TopologyException: side location conflict; please report" in row["message"]
 
 
-@pytest.mark.parametrize(("module", "step"), [(answers, "assign_assets"), (shard, "related")], ids=["made", "judged"])
+@pytest.mark.parametrize(("module", "step"), [(answers, "assign_assets"), (shard, "relate_scene")], ids=["made", "judged"])
 def test_a_full_disk_is_nobodys_scene(
     module: ModuleType, step: str, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
