@@ -23,68 +23,15 @@ from stable_data.instructions.claims import OUTERMOST, StatedRelation, emptied, 
 from stable_data.instructions.naming import ObjectMention, ObjectNamer, involved, mentions
 from stable_data.instructions.situation import OPPOSITE
 from stable_data.instructions.wording.words import singular
-from stable_data.json_text import are_finite, is_unicode, numbers, shown
-from stable_data.scene import MAX_INSTRUCTION, TABLE, Relation, RelationKind, Scene, SceneObject, TaskInfo
+from stable_data.scene import TABLE, Relation, RelationKind, Scene, SceneObject, TaskInfo
 from stable_data.scene_graph.relations import SceneGraph, relations_of
+from stable_data.task_info import task_info_of, validate_task_info
 
 TaskWriter: TypeAlias = Callable[[Scene, tuple[Relation, ...]], Mapping[str, Any]]
 """A model that writes a task info, with MesaTask's keys, for a scene and its scene graph."""
 
 STEP = "task"
 """The step that this module's notices name."""
-
-# --- validation ---------------------------------------------------------------------------------------------------------------
-
-
-def validate_task_info(data: Mapping[str, Any]) -> None:
-    """Refuses a task info that MesaTask's own validator would refuse.
-
-    Args:
-        data: The content of a ``task_info.json``.
-
-    Raises:
-        SceneError: A key is missing or of the wrong type, or the task is longer than MAX_INSTRUCTION (``task_info_invalid``).
-    """
-    try:
-        is_readable = is_unicode(dict(data))
-    except (TypeError, ValueError, RecursionError):
-        is_readable = False
-    if not is_readable:
-        raise SceneError("task info: holds what JSON in UTF-8 cannot hold; write it again", "task_info_invalid")
-    for key in ("Environment", "Task"):
-        if not isinstance(data.get(key), str) or not data[key].strip():
-            raise _invalid(key, data.get(key), "a sentence")
-    if len(data["Task"]) > MAX_INSTRUCTION:
-        raise _invalid("Task", data["Task"], f"at most {MAX_INSTRUCTION:,} characters")
-    for key in ("Goal", "Action Sequence", "Objects cluster"):
-        if not isinstance(data.get(key), list) or not all(isinstance(x, str) for x in data[key]):
-            raise _invalid(key, data.get(key), "a list of strings")
-    zone = data.get("item_placement_zone")
-    if not isinstance(zone, list) or not are_finite(numbers(zone, 4)):
-        raise _invalid("item_placement_zone", zone, "[x_min, x_max, y_min, y_max] in centimetres")
-
-
-def _invalid(key: str, found: Any, expected: str) -> SceneError:
-    return SceneError(f"task info: {key!r} is {shown(found)}, expected {expected}; write the key again", "task_info_invalid")
-
-
-def task_info_of(data: Mapping[str, Any], origin: str = "file") -> TaskInfo:
-    """The task info that a ``task_info.json`` holds, task objects still unknown.
-
-    Args:
-        data: The file's content.
-        origin: ``file`` or ``model``.
-
-    Returns:
-        The task info.
-
-    Raises:
-        SceneError: See :func:`validate_task_info`.
-    """
-    validate_task_info(data)
-    goal, actions, cluster = (tuple(data[key]) for key in ("Goal", "Action Sequence", "Objects cluster"))
-    return TaskInfo(data["Environment"], data["Task"], goal, actions, cluster, origin=origin, source=data)
-
 
 # --- names --------------------------------------------------------------------------------------------------------------------
 

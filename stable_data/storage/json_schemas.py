@@ -9,8 +9,9 @@ from typing import Any
 
 import pyarrow as pa
 
-from stable_data.scene import RelationKind, Stage
+from stable_data.scene import Stage
 from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
+from stable_data.task_info import TASK_INFO_SCHEMA
 
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
 _NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
@@ -47,33 +48,6 @@ LAYOUT_REPLY: dict[str, Any] = {
     },
 }
 """What a language model answers with: centimetres and degrees."""
-
-TASK_INFO: dict[str, Any] = {
-    "$schema": _DRAFT,
-    "title": "Task info",
-    "type": "object",
-    "required": ["Environment", "item_placement_zone", "Task", "Goal", "Action Sequence", "Objects cluster"],
-    "properties": {
-        "Environment": _TEXT,
-        "item_placement_zone": _ZONE,
-        "sink_zone": _ZONE,
-        "Task": {**_TEXT, "description": "the instruction"},
-        "Goal": {"type": "array", "items": _TEXT},
-        "Action Sequence": {"type": "array", "items": _TEXT},
-        "Objects cluster": {"type": "array", "items": _TEXT, "description": "types of the task objects"},
-        "task_objects": {"type": "array", "items": _TEXT, "description": "instances of O^t"},
-        "relations": {
-            "type": "array",
-            "description": "what the instruction entails of the scene it starts from",
-            "items": {
-                "type": "object",
-                "required": ["subject", "kind", "target"],
-                "properties": {"subject": _TEXT, "kind": {"enum": [str(k) for k in RelationKind]}, "target": _TEXT},
-            },
-        },
-    },
-}
-"""MesaTask's keys plus ``task_objects`` and ``relations``."""
 
 
 def json_schema_of(type_: pa.DataType) -> dict[str, Any]:
@@ -136,7 +110,7 @@ def contract_files() -> dict[str, str]:
     documents = {
         "scene.schema.json": scene_schema(),
         "layout_reply.schema.json": LAYOUT_REPLY,
-        "task_info.schema.json": TASK_INFO,
+        "task_info.schema.json": TASK_INFO_SCHEMA,
         "tables.json": tables_document(),
     }
     return {name: json.dumps(document, indent=2, ensure_ascii=False) + "\n" for name, document in documents.items()}

@@ -9,8 +9,8 @@ from models.semantic_reasoner.reasoner import SemanticReasoner
 from models.semantic_reasoner.text.prompt import ReasonerQuestion, messages
 from models.semantic_reasoner.text.reply_json import LayoutObject, render_objects
 from stable_data.errors import ConfigError, SceneError
-from stable_data.instructions.task_info import task_info_of
 from stable_data.scene import Relation, RelationKind, Stage, Tabletop, TaskInfo
+from stable_data.task_info import task_info_of
 
 VANITY = Tabletop("bathroom_vanity", (1.2, 0.6), (0.2, 0.45, 0.1, 0.3))
 TASK = TaskInfo(

@@ -11,10 +11,11 @@ import pytest
 from stable_data.errors import SceneError
 from stable_data.instructions import derive_task, task_rng, type_words
 from stable_data.instructions.naming import ObjectNamer, mentions, relation_held
-from stable_data.instructions.task_info import resolve_task_objects, validate_task_info
+from stable_data.instructions.task_info import resolve_task_objects
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import Scene, TaskInfo
 from stable_data.scene_graph.relations import SceneGraph, relations_of, scene_graph
+from stable_data.task_info import validate_task_info
 from tests.stable_data.instructions.tables import FORK, MUG, PEN, TABLES, Table, Thing, table
 
 

@@ -1,0 +1,168 @@
+"""The task info of a scene as JSON: its keys, what is valid, and the ``TaskInfo`` that it stands for.
+
+The keys are MesaTask's, with ``task_objects``, ``relations`` and ``origin`` added. A file of a dataset is read leniently
+(:func:`parse_task_info`): the instruction is enough. An answer of a model must be whole (:func:`validate_task_info`).
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from stable_data.errors import SceneError
+from stable_data.json_text import ReadLog, are_finite, is_unicode, numbers, shown
+from stable_data.scene import MAX_INSTRUCTION, Relation, RelationKind, TaskInfo
+
+LISTS = {"goal": "Goal", "action_sequence": "Action Sequence", "objects_cluster": "Objects cluster"}
+"""Field of TaskInfo -> key, of the lists of strings that every task info has."""
+
+ORIGINS = ("file", "template", "model")
+"""Values of ``origin``; the first one is meant where the key is missing."""
+
+_TEXT = {"type": "string"}
+_TEXTS = {"type": "array", "items": _TEXT}
+_ZONE = {
+    "type": "array",
+    "items": {"type": "number"},
+    "minItems": 4,
+    "maxItems": 4,
+    "description": "x_min, x_max, y_min, y_max, centimetres",
+}
+
+TASK_INFO_SCHEMA: dict[str, Any] = {
+    "$schema": "https://json-schema.org/draft/2020-12/schema",
+    "title": "Task info",
+    "type": "object",
+    "required": ["Environment", "item_placement_zone", "Task", *LISTS.values()],
+    "properties": {
+        "Environment": _TEXT,
+        "item_placement_zone": _ZONE,
+        "sink_zone": _ZONE,
+        "Task": {**_TEXT, "description": "the instruction"},
+        "Goal": _TEXTS,
+        "Action Sequence": _TEXTS,
+        "Objects cluster": {**_TEXTS, "description": "types of the task objects"},
+        "task_objects": {**_TEXTS, "description": "instances of O^t"},
+        "relations": {
+            "type": "array",
+            "description": "what the instruction entails of the scene it starts from",
+            "items": {
+                "type": "object",
+                "required": ["subject", "kind", "target"],
+                "properties": {"subject": _TEXT, "kind": {"enum": [str(k) for k in RelationKind]}, "target": _TEXT},
+            },
+        },
+    },
+}
+"""JSON Schema of a whole task info: MesaTask's keys plus ``task_objects`` and ``relations``."""
+
+
+def validate_task_info(data: Mapping[str, Any]) -> None:
+    """Refuses a task info that MesaTask's own validator would refuse.
+
+    Args:
+        data: The content of a ``task_info.json``.
+
+    Raises:
+        SceneError: A key is missing or of the wrong type, or the task is longer than MAX_INSTRUCTION (``task_info_invalid``).
+    """
+    try:
+        is_readable = is_unicode(dict(data))
+    except (TypeError, ValueError, RecursionError):
+        is_readable = False
+    if not is_readable:
+        raise SceneError("task info: holds what JSON in UTF-8 cannot hold; write it again", "task_info_invalid")
+    for key in ("Environment", "Task"):
+        if not isinstance(data.get(key), str) or not data[key].strip():
+            raise _invalid(key, data.get(key), "a sentence")
+    if len(data["Task"]) > MAX_INSTRUCTION:
+        raise _invalid("Task", data["Task"], f"at most {MAX_INSTRUCTION:,} characters")
+    for key in LISTS.values():
+        if not _are_texts(data.get(key)):
+            raise _invalid(key, data.get(key), "a list of strings")
+    zone = data.get("item_placement_zone")
+    if not isinstance(zone, list) or not are_finite(numbers(zone, 4)):
+        raise _invalid("item_placement_zone", zone, "[x_min, x_max, y_min, y_max] in centimetres")
+
+
+def _invalid(key: str, found: Any, expected: str) -> SceneError:
+    return SceneError(f"task info: {key!r} is {shown(found)}, expected {expected}; write the key again", "task_info_invalid")
+
+
+def task_info_of(data: Mapping[str, Any], origin: str = "file") -> TaskInfo:
+    """The task info of a whole document. Its task objects and relations are left out: they are to be resolved in the scene.
+
+    Args:
+        data: The content of a ``task_info.json``.
+        origin: One of ORIGINS.
+
+    Raises:
+        SceneError: See :func:`validate_task_info`.
+    """
+    validate_task_info(data)
+    known = {key: value for key, value in data.items() if key not in ("task_objects", "relations")}
+    return replace(parse_task_info(known, ReadLog("task info")), origin=origin, source=data)
+
+
+def parse_task_info(document: Mapping[str, Any], log: ReadLog, what: str = "task info") -> TaskInfo:
+    """The task info of a document that may lack keys; keys that are not known stay in ``source``.
+
+    Args:
+        document: The content of a ``task_info.json``.
+        log: Names the scene in errors.
+        what: Names the document in errors.
+
+    Raises:
+        SceneError: ``task_info_invalid``: no task, one longer than MAX_INSTRUCTION, or a field of the wrong type.
+    """
+    task, environment = document.get("Task"), document.get("Environment", "")
+    if not isinstance(task, str) or not task.strip():
+        raise log.error("task_info_invalid", f"{what} has Task {shown(task)}, expected a sentence")
+    if len(task) > MAX_INSTRUCTION:
+        found = f"a Task of {len(task):,} characters, expected at most {MAX_INSTRUCTION:,}; shorten it"
+        raise log.error("task_info_invalid", f"{what} has {found}")
+    if not isinstance(environment, str):
+        raise log.error("task_info_invalid", f"{what} has Environment {shown(environment)}, expected a sentence")
+    lists = {field: _texts(document, key, log, what) for field, key in {**LISTS, "task_objects": "task_objects"}.items()}
+    relations = relations_in(document, log, what)
+    return TaskInfo(environment, task, **lists, relations=relations, origin=origin_in(document), source=document)
+
+
+def _are_texts(value: object) -> bool:
+    return isinstance(value, list) and all(isinstance(item, str) for item in value)
+
+
+def _texts(document: Mapping[str, Any], key: str, log: ReadLog, what: str) -> tuple[str, ...]:
+    """A list of strings; a lone string is a list of one."""
+    value = document.get(key)
+    if value is None:
+        return ()
+    if isinstance(value, str):
+        return (value,)
+    if not _are_texts(value):
+        raise log.error("task_info_invalid", f"{what} has {key} {shown(value)}, expected a list of strings")
+    return tuple(value)
+
+
+def relations_in(document: Mapping[str, Any], log: ReadLog, what: str = "task info") -> tuple[Relation, ...]:
+    """The relations of a document, each {subject, kind, target} or a list of the three.
+
+    Raises:
+        SceneError: ``task_info_invalid``: one has another form.
+    """
+    entries = document.get("relations")
+    if entries is None:
+        return ()
+    relations = []
+    for entry in entries if isinstance(entries, list) else [entries]:
+        parts: Iterable[Any] = [entry.get(key) for key in ("subject", "kind", "target")] if isinstance(entry, dict) else entry
+        parts = parts if isinstance(parts, list) else []
+        if len(parts) != 3 or not all(isinstance(part, str) for part in parts) or parts[1] not in list(RelationKind):
+            raise log.error("task_info_invalid", f"{what} has relation {shown(entry)}, expected [subject, kind, target]")
+        relations.append(Relation(parts[0], RelationKind(parts[1]), parts[2]))
+    return tuple(relations)
+
+
+def origin_in(document: Mapping[str, Any]) -> str:
+    """The origin of a document, one of ORIGINS."""
+    origin = document.get("origin")
+    return origin if origin in ORIGINS else ORIGINS[0]
