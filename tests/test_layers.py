@@ -3,9 +3,11 @@
 import ast
 import re
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
+import networkx as nx
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -15,6 +17,8 @@ MAY_IMPORT = {
     "pipelines": {"stable_data", "models", "pipelines"},
 }
 OURS = set(MAY_IMPORT)
+COMMANDS = {"stable_data.cli", "stable_data.__main__"}
+MOST_MODULES = 20
 
 
 def modules(package: str) -> list[Path]:
@@ -27,6 +31,7 @@ def imports(path: Path) -> Iterator[str]:
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             yield node.module or ""
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
 @pytest.mark.parametrize("package", sorted(OURS))
@@ -68,6 +73,41 @@ def test_there_are_no_circles_within_a_package() -> None:
 
     for name in known:
         visit(name, ())
+
+
+def folder_of(name: str, path: Path) -> str:
+    """The folder of a module. The commands in stable_data count as a folder of their own, above all others of the library."""
+    return name if name in COMMANDS else ".".join(path.relative_to(ROOT).parent.parts)
+
+
+def edges_between_folders() -> dict[tuple[str, str], list[str]]:
+    """Every import of ours that leaves its folder: (folder, folder that it imports from) -> the imports."""
+    paths = {".".join(p.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): p for o in OURS for p in modules(o)}
+    edges: dict[tuple[str, str], list[str]] = {}
+    for name, path in paths.items():
+        for target in sorted({n for n in imports(path) if n in paths}):
+            ends = folder_of(name, path), folder_of(target, paths[target])
+            if ends[0] != ends[1]:
+                edges.setdefault(ends, []).append(f"{name} imports {target}")
+    return edges
+
+
+def test_there_are_no_circles_between_folders() -> None:
+    edges = edges_between_folders()
+    circles = [c for c in nx.strongly_connected_components(nx.DiGraph(list(edges))) if len(c) > 1]
+    offending = [line for ends, lines in edges.items() if any(set(ends) <= c for c in circles) for line in lines]
+    assert not offending, "these imports close circles between folders:\n" + "\n".join(offending)
+
+
+def test_the_modules_directly_in_stable_data_are_the_lowest_layer() -> None:
+    offending = [line for (folder, _), lines in edges_between_folders().items() if folder == "stable_data" for line in lines]
+    assert not offending, "a module directly in stable_data imports from a folder above it:\n" + "\n".join(offending)
+
+
+def test_a_folder_has_at_most_twenty_modules() -> None:
+    count = Counter(p.relative_to(ROOT).parent.as_posix() for o in OURS for p in modules(o) if p.name != "__init__.py")
+    crowded = {folder: n for folder, n in count.items() if n > MOST_MODULES and folder != "stable_data/embedded_world/families"}
+    assert not crowded, f"more than {MOST_MODULES} modules in a folder: {crowded}; make a folder of those that belong together"
 
 
 def test_versions_are_pinned_in_one_place() -> None:
