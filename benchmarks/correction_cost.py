@@ -43,6 +43,7 @@ from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.audit import PosedScene, audit_posed
 from stable_data.metrics.related_scene import relate_scene
 from stable_data.scene import Scene, SceneObject, Tabletop
+from stable_data.scene_graph.support_tree import SupportTree
 
 SIZES = (5, 8, 12, 18, 27, 40, 60)
 """Numbers of objects."""
@@ -183,14 +184,11 @@ def crowd(scenes: Sequence[Scene], count: int, rng: np.random.Generator) -> Scen
 
 def _groups(scene: Scene) -> list[list[SceneObject]]:
     """What stands on the table, each with all that it carries behind it."""
-    names = {o.instance for o in scene.objects}
-    groups: dict[str, list[SceneObject]] = {o.instance: [o] for o in scene.objects if o.support not in names}
+    tree = SupportTree.of(scene.objects)
+    groups = {name: [scene[name]] for name in tree.children(None)}
     for o in scene.objects:
-        below = o
-        while below.support in names:
-            below = scene[below.support]
-        if below is not o:
-            groups[below.instance].append(o)
+        if tree.parent(o.instance) is not None:
+            groups[tree.root(o.instance)].append(o)
     return list(groups.values())
 
 

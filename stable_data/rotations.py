@@ -1,14 +1,23 @@
 """Rotations as unit quaternions, xyzw: products, yaw and tilt, boxes of turned things."""
 
 import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Vec3
 
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
 UPRIGHT_TILT = math.radians(1.0)
+"""What is tilted by less counts as upright, radians."""
 
+YAW_ARM = 0.1
+"""What a turn costs beside a shift in distances of poses, metres a radian."""
 
+_UPRIGHT = 1e-3  # radians: below it, scale_factor times original_size is the box in the yaw frame
 _GIMBAL = 1e-5  # horizontal length of the x axis below which its heading is noise
 _HEADING_TOLERANCE = 1e-3
 
@@ -35,6 +44,34 @@ def normalised(quat_xyzw: QuatXyzw) -> QuatXyzw:
     norm = math.sqrt(math.fsum(q * q for q in quat_xyzw))
     x, y, z, w = quat_xyzw
     return (x / norm, y / norm, z / norm, w / norm)
+
+
+def wxyz(quat_xyzw: QuatXyzw) -> list[float]:
+    """The quaternion with the real part first, as MuJoCo has it."""
+    return [quat_xyzw[3], *quat_xyzw[:3]]
+
+
+def quat_of(rotation: "Rotation") -> QuatXyzw:
+    """The quaternion of a single rotation of SciPy."""
+    x, y, z, w = rotation.as_quat().tolist()
+    return (x, y, z, w)
+
+
+def turned_xy(points: FloatArray, yaw: float) -> FloatArray:
+    """Points seen from above, (..., 2), turned by ``yaw`` radians about the origin."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.asarray(points @ np.array([[c, s], [-s, c]]))
+
+
+def half_extents_xy(size: Sequence[float], yaw: float) -> FloatArray:
+    """Half the extents along x and y of a box that is turned by ``yaw`` radians, (2,) float64.
+
+    Args:
+        size: Of the box in its yaw frame; the height is not used.
+        yaw: Radians.
+    """
+    c, s = abs(np.cos(yaw)), abs(np.sin(yaw))
+    return np.array([c * size[0] + s * size[1], s * size[0] + c * size[1]]) / 2
 
 
 def rotation_matrix(quat_xyzw: QuatXyzw) -> FloatArray:
@@ -120,9 +157,6 @@ def yaw_frame_box(vertices: FloatArray, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -
     """
     turned = (np.asarray(vertices, np.float64) * np.asarray(scale)) @ rotation_matrix(tilt_quat_xyzw).T
     return turned.min(axis=0), turned.max(axis=0)
-
-
-_UPRIGHT = 1e-3  # radians: below it, scale_factor times original_size is the box in the yaw frame
 
 
 def is_upright(tilt: QuatXyzw) -> bool:

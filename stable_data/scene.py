@@ -147,6 +147,16 @@ class SceneObject:
             raise SceneError(f"object {self.instance}: tilt quaternion has norm {norm}, expected 1", "rotation_not_unit")
 
     @property
+    def bottom(self) -> float:
+        """Height of the lower face of its box, metres, world frame."""
+        return self.position[2] - self.size[2] / 2
+
+    @property
+    def top(self) -> float:
+        """Height of the upper face of its box, metres, world frame."""
+        return self.position[2] + self.size[2] / 2
+
+    @property
     def tilt_angle(self) -> float:
         """Angle between the mesh's up axis and the world's, radians."""
         x, y, _, _ = self.tilt_quat_xyzw

@@ -20,9 +20,8 @@ from models.physics_corrector.geometry.shape_tensors import ShapeCollector, Shap
 from models.physics_corrector.training.losses import bounds, colliding_pairs
 from stable_data.assets.store import AssetStore
 from stable_data.geometry.shape import Shape
+from stable_data.rotations import YAW_ARM
 from stable_data.scene import Scene
-
-_YAW_ARM = 0.1  # metres a radian, of the pull to the start
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +62,7 @@ class PenaltyDescent:
         moving = origin.clone().requires_grad_()
         adam = torch.optim.Adam([moving], lr=self.learning_rate)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, self.num_steps)
-        pull = self.anchor_weight * start.new_tensor([1.0, 1.0, _YAW_ARM**2])
+        pull = self.anchor_weight * start.new_tensor([1.0, 1.0, YAW_ARM**2])
         for _ in range(self.num_steps):
             adam.zero_grad()
             poses = torch.cat([moving[..., :2], height, moving[..., 2:]], dim=-1)

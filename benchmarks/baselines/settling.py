@@ -1,19 +1,16 @@
 """Settle only: let the engine push a layout apart, from where it is, and take what comes to rest."""
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-
-import numpy as np
-from scipy.spatial.transform import Rotation
 
 from benchmarks.baselines.outcome import BaselineResult
 from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError
 from stable_data.geometry.shape import Shape
-from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject
+from stable_data.scene import Scene
 from stable_data.simulation.collision_bodies import DENSITY, bodies_of
+from stable_data.simulation.scene_geometry import at_rest
 from stable_data.simulation.settling import PhysicsOptions, settle
 
 _AT_REST = 1e-3  # metres, while watched
@@ -37,8 +34,9 @@ class Settle:
 
         Converged: the engine did not blow up and everything rests.
         """
+        resolved = store.resolved(scene)[0]
         try:
-            bodies = bodies_of(store.resolved(scene)[0], shapes, store, self.density)
+            bodies = bodies_of(resolved, shapes, store, self.density)
         except MeshError as error:
             return BaselineResult(scene, False, 0.0, str(error))
         begin = time.process_time()
@@ -46,26 +44,7 @@ class Settle:
         seconds = time.process_time() - begin
         if result.drift_mm is None:
             return BaselineResult(scene, False, seconds, result.reason)
-        settled = zip(scene.objects, shapes, result.positions, result.quats_xyzw, strict=True)
-        objects = tuple(_settled(o, shape, position, quat) for o, shape, position, quat in settled)
+        objects = tuple(at_rest(o, store.mesh_of(o), result.pose(k)) for k, o in enumerate(resolved.objects))
         is_at_rest = result.drift_mm <= 1e3 * _AT_REST
         reason = "" if is_at_rest else f"something still moves: {result.drift_mm:.1f} mm in {self.options.watch_seconds:g} s"
         return BaselineResult(replace(scene, objects=objects), is_at_rest, seconds, reason)
-
-
-def _settled(o: SceneObject, shape: Shape, position: FloatArray, quat_xyzw: FloatArray) -> SceneObject:
-    """The object that a body has become: what turned it beside the yaw goes into its tilt, and its box is the new one."""
-    turned = Rotation.from_quat(quat_xyzw)
-    x, y, _ = turned.as_matrix()[:, 0]
-    yaw = math.atan2(y, x)
-    tipped = Rotation.from_euler("z", yaw).inv() * turned
-    vertices = tipped.apply(shape.vertices)
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    centre = position + Rotation.from_euler("z", yaw).apply((low + high) / 2)
-    tilt = (tipped * Rotation.from_quat(o.tilt_quat_xyzw)).as_quat()
-    return replace(o, position=tuple(centre.tolist()), yaw=yaw, size=tuple((high - low).tolist()), tilt_quat_xyzw=_unit(tilt))
-
-
-def _unit(quat_xyzw: FloatArray) -> QuatXyzw:
-    x, y, z, w = (quat_xyzw / np.linalg.norm(quat_xyzw)).tolist()
-    return (x, y, z, w)

@@ -14,7 +14,6 @@ from types import MappingProxyType
 from models.semantic_reasoner.replies.checks import name_faults
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply, layout_names, layout_objects
-from stable_data.assets.substitution import underside
 from stable_data.errors import SceneError
 from stable_data.scene import TABLE, Relation, Scene, SceneObject, Vec3
 from stable_data.scene_graph.relations import supports
@@ -154,7 +153,7 @@ class _Change:
         if carrier.instance not in self.removed:
             return along
         x, y, _ = along.position
-        return along.moved((x, y, min(underside(along), underside(carrier)) + o.size[2] / 2), along.yaw)
+        return along.moved((x, y, min(along.bottom, carrier.bottom) + o.size[2] / 2), along.yaw)
 
     def _changed(self, o: SceneObject, wanted: LayoutObject) -> SceneObject:
         """An object as the reply has it; numbers that the reply repeats stay as they are, the height of its underside likewise."""
@@ -167,7 +166,7 @@ class _Change:
             )
         )
         if size[2] != o.size[2] and position[2] == o.position[2]:
-            position = (*position[:2], underside(o) + size[2] / 2)  # what is higher or lower stands where it stood
+            position = (*position[:2], o.bottom + size[2] / 2)  # what is higher or lower stands where it stood
         yaw = o.yaw if wanted.z_rotation_deg == shown.z_rotation_deg else math.radians(wanted.z_rotation_deg)
         if self._is_reworded(wanted):
             return replace(o, position=position, yaw=yaw, size=size, description=wanted.description, asset_id=None, scale=None)
@@ -183,14 +182,14 @@ class _Change:
         turn = now.yaw - was.yaw
         dx, dy = o.position[0] - was.position[0], o.position[1] - was.position[1]
         c, s = math.cos(turn), math.sin(turn)
-        above = underside(o) - underside(was)
+        above = o.bottom - was.bottom
         if above >= was.size[2] > 0:
             above += now.size[2] - was.size[2]
         elif above > 0:
             above *= now.size[2] / was.size[2]
         x, y = now.position[0] + c * dx - s * dy, now.position[1] + s * dx + c * dy
         yaw = math.remainder(o.yaw + turn, 2 * math.pi) if turn else o.yaw
-        return o.moved((x, y, underside(now) + above + o.size[2] / 2), yaw)
+        return o.moved((x, y, now.bottom + above + o.size[2] / 2), yaw)
 
     def _new(self) -> tuple[SceneObject, ...]:
         """What the reply adds, under names in the form of the scene's."""

@@ -17,6 +17,7 @@ from stable_data.assets.substitution import with_assets
 from stable_data.errors import Notice, SceneError
 from stable_data.rotations import rotation_matrix
 from stable_data.scene import UPRIGHT, FloatArray, Scene, SceneObject, Vec3
+from stable_data.scene_graph.support_tree import SupportTree
 
 _AS_GOOD = 0.01  # a thing of another size keeps its tilt where no other fits better by this cosine
 _EVEN, _MOST_UNEVEN = 1.03, 1.6  # between these distortions it is stretched, below and above scaled evenly
@@ -81,7 +82,7 @@ class AssetFinder:
             matches[o.instance] = answer
         matches |= {o.instance: match for o in resized if (match := self._fitted(o)) is not None}
         wanting = set(matches)
-        members = scene.resting_on(wanting)
+        members = SupportTree.of(scene.objects).with_descendants(wanting)
         done = {o.instance: o for o in with_assets([o for o in scene.objects if o.instance in members], matches)}
         objects = tuple(_named_so(done.get(o.instance, o), o) for o in scene.objects)
         kept = frozenset(

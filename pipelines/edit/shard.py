@@ -31,6 +31,7 @@ from stable_data.metrics.collision import ROUNDING
 from stable_data.metrics.related_scene import relate_scene
 from stable_data.scene import Scene, SceneObject
 from stable_data.scene_graph.staging import stage_scene
+from stable_data.scene_graph.support_tree import SupportTree
 from stable_data.storage import schemas
 
 
@@ -230,7 +231,7 @@ def _at_fault(scene: Scene, audit: Audit) -> frozenset[str]:
     for pair in audit.pairs:
         if pair.penetration is None or pair.penetration > audit.tolerance:
             found |= {pair.first, pair.second}
-    return frozenset(scene.resting_on(found))
+    return frozenset(SupportTree.of(scene.objects).with_descendants(found))
 
 
 def _staged(scene: Scene, threshold: float) -> tuple[Scene, list[Notice]]:

@@ -7,6 +7,7 @@ from stable_data.assets.retrieval import Answer, AssetMatch, AssetQuery, Retriev
 from stable_data.assets.substitution import with_assets
 from stable_data.errors import Notice
 from stable_data.scene import TABLE, Scene
+from stable_data.scene_graph.support_tree import SupportTree
 
 STEP = "assets"
 """The step that this module's notices name."""
@@ -90,7 +91,7 @@ def _usable(
 def _furnished(
     scene: Scene, matches: Mapping[str, AssetMatch], unmatched: Mapping[str, UnmatchedQuery], passed: Sequence[Notice]
 ) -> AssignedLayout:
-    gone = scene.resting_on(set(unmatched)) if unmatched else set()
+    gone = SupportTree.of(scene.objects).with_descendants(set(unmatched))
     kept = [o for o in scene.objects if o.instance not in gone]
     notices = list(passed)
     for name in sorted(gone):

@@ -8,13 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from stable_data.assets.retrieval import AssetMatch
-from stable_data.errors import SceneError
 from stable_data.scene import SceneObject
-
-
-def underside(o: SceneObject) -> float:
-    """Height of the lowest point of an object's box above the table top, metres."""
-    return o.position[2] - o.size[2] / 2
+from stable_data.scene_graph.support_tree import SupportTree
 
 
 def with_asset(wanted: SceneObject, match: AssetMatch) -> SceneObject:
@@ -30,7 +25,7 @@ def with_asset(wanted: SceneObject, match: AssetMatch) -> SceneObject:
     x, y, _ = wanted.position
     return replace(
         wanted,
-        position=(x, y, underside(wanted) + match.size[2] / 2),
+        position=(x, y, wanted.bottom + match.size[2] / 2),
         category=match.category or wanted.category,
         asset_id=match.asset_id,
         tilt_quat_xyzw=match.tilt_quat_xyzw,
@@ -59,16 +54,8 @@ def with_assets(objects: Sequence[SceneObject], matches: Mapping[str, AssetMatch
     """
     wanted = {o.instance: o for o in objects}
     done: dict[str, SceneObject] = {}
-    for o in objects:
-        chain = [o]
-        while (carrier := wanted.get(chain[-1].support or "")) is not None and carrier.instance not in done:
-            if carrier in chain:
-                found = " -> ".join(link.instance for link in [*chain, carrier])
-                raise SceneError(f"{found} form a circle of supports; derive supports anew", "support_circle")
-            chain.append(carrier)
-        for link in reversed(chain):  # carriers first
-            if link.instance not in done:
-                done[link.instance] = _placed(link, matches.get(link.instance), wanted, done)
+    for name in SupportTree.of(objects).bottom_up():
+        done[name] = _placed(wanted[name], matches.get(name), wanted, done)
     return tuple(done[o.instance] for o in objects)
 
 
@@ -76,16 +63,16 @@ def _placed(
     o: SceneObject, match: AssetMatch | None, wanted: Mapping[str, SceneObject], done: Mapping[str, SceneObject]
 ) -> SceneObject:
     """An object with its asset, on its carrier as that one is now."""
-    low = underside(o)
+    low = o.bottom
     if o.support in done and o.support is not None:
         before, after = wanted[o.support], done[o.support]
-        above = low - underside(before)
+        above = low - before.bottom
         if above >= before.size[2] > 0:
-            low = underside(after) + after.size[2] + (above - before.size[2])
+            low = after.bottom + after.size[2] + (above - before.size[2])
         elif above > 0:
-            low = underside(after) + above / before.size[2] * after.size[2]
+            low = after.bottom + above / before.size[2] * after.size[2]
         else:
-            low = underside(after) + above
+            low = after.bottom + above
     x, y, _ = o.position
     moved = replace(o, position=(x, y, low + o.size[2] / 2))
     return moved if match is None else with_asset(moved, match)

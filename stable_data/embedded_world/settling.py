@@ -1,16 +1,16 @@
 """A scene at rest: placed things settled by the engine, read back as poses, and taken only where they stay and are clean."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stable_data.embedded_world.families.catalogue import EmbeddedAsset
 from stable_data.embedded_world.placing import PlacedObject, yaw_frame_parts
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import Audit, audit_scene
-from stable_data.rotations import heading, tilt_of
-from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject, Tabletop, Vec3
+from stable_data.scene import Scene, SceneObject, Tabletop
+from stable_data.simulation.scene_geometry import at_rest
 from stable_data.simulation.settling import PhysicsOptions, RigidBody, SettleResult, settle
 
 MAX_PENETRATION_MM = 0.4
@@ -57,40 +57,22 @@ def _has_strayed(thing: PlacedObject, result: SettleResult, index: int) -> bool:
 
 
 def _object(thing: PlacedObject, name: str, result: SettleResult, index: int) -> SceneObject:
-    """The object that a body has become: its tilt is the settled rotation without the yaw, its position the new box's centre."""
+    """The object that a body has become."""
     item, source = thing.item, thing.asset
-    body_rotation = Rotation.from_quat(result.quats_xyzw[index])
-    x, y, z, w = (body_rotation * Rotation.from_quat(item.tilt_quat_xyzw)).as_quat().tolist()
-    yaw, _ = heading((x, y, z, w))
-    tilt = tilt_of((x, y, z, w), yaw)
-    difference = (Rotation.from_quat(tilt) * Rotation.from_quat(item.tilt_quat_xyzw).inv()).magnitude()
-    if difference * float(np.linalg.norm(item.size)) / 2 < _SNAP:
-        tilt = item.tilt_quat_xyzw
-    # The body's origin is the centre of the box that the thing had when it was placed.
-    mesh_origin = result.positions[index] - body_rotation.apply(_box_centre(source, item.scale, item.tilt_quat_xyzw))
-    centre = mesh_origin + Rotation.from_euler("z", yaw).apply(_box_centre(source, item.scale, tilt))
-    return SceneObject(
+    placed = SceneObject(
         name,
         source.category,
-        _triple(centre),
-        yaw,
-        _triple(Shape.from_mesh(source.mesh, item.scale, tilt).size),
+        (item.x, item.y, thing.z),
+        item.yaw,
+        item.size,
         asset_id=source.uid,
-        scale=_triple(np.multiply(item.scale, source.unit)),
-        tilt_quat_xyzw=tilt,
+        scale=item.scale,
+        tilt_quat_xyzw=item.tilt_quat_xyzw,
         description=source.captions[0],
     )
-
-
-def _box_centre(source: EmbeddedAsset, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> FloatArray:
-    """Centre of the box of a tilted mesh, (3,) float64, metres, from the mesh's own centre."""
-    tilted = Rotation.from_quat(tilt_quat_xyzw).apply(source.mesh.vertices * scale)
-    return np.asarray((tilted.min(axis=0) + tilted.max(axis=0)) / 2)
-
-
-def _triple(values: FloatArray) -> Vec3:
-    x, y, z = values.tolist()
-    return (x, y, z)
+    settled = at_rest(placed, source.mesh, result.pose(index), snap=_SNAP)
+    x, y, z = np.multiply(item.scale, source.unit).tolist()
+    return replace(settled, scale=(x, y, z))
 
 
 def bodies_of(scene: Scene, placed: Sequence[PlacedObject]) -> list[RigidBody]:

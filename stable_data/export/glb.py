@@ -11,6 +11,7 @@ from stable_data.geometry.gltf_writer import material, pack
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import Paint
 from stable_data.geometry.shape import Shape
+from stable_data.rotations import quat_of
 from stable_data.scene import TABLE, FloatArray, IntArray, QuatXyzw, Scene, Tabletop, Vec3
 from stable_data.simulation.render import SINK_COLOUR, SINK_RISE, TABLE_COLOUR, TABLE_THICKNESS, object_colour
 from stable_data.simulation.scene_geometry import SceneGeometry
@@ -52,11 +53,11 @@ def scene_glb(solid: SceneGeometry) -> bytes:
         extras = {"category": o.category, "description": o.description, "asset_id": o.asset_id}
         if mesh is None or o.scale is None:  # its box stands in
             number = document.mesh("box", box, _all_of(box, object_colour(o)))
-            document.add(o.instance, number, o.position, _quat(turn), o.size, extras)
+            document.add(o.instance, number, o.position, quat_of(turn), o.size, extras)
             continue
         x, y, z = (o.position + turn.apply(solid.offset(k))).tolist()
         number = document.mesh(str(o.asset_id), mesh, solid.paint(k))
-        document.add(o.instance, number, (x, y, z), _quat(turn * Rotation.from_quat(o.tilt_quat_xyzw)), o.scale, extras)
+        document.add(o.instance, number, (x, y, z), quat_of(turn * Rotation.from_quat(o.tilt_quat_xyzw)), o.scale, extras)
     return document.content(solid.scene.scene_id)
 
 
@@ -118,8 +119,3 @@ def _table_boxes(table: Tabletop) -> list[tuple[str, str, Vec3, Vec3]]:
         size = (x_max - x_min, y_max - y_min, 2 * SINK_RISE)
         boxes.append(("restricted_zone", SINK_COLOUR, ((x_min + x_max) / 2, (y_min + y_max) / 2, 0.0), size))
     return boxes
-
-
-def _quat(rotation: Rotation) -> QuatXyzw:
-    x, y, z, w = rotation.as_quat().tolist()
-    return x, y, z, w

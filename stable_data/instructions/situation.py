@@ -11,6 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from stable_data.instructions.wording.vocabulary import classes_of
+from stable_data.rotations import half_extents_xy
 from stable_data.scene import TABLE, FloatArray, RelationKind, Scene, SceneObject
 from stable_data.scene_graph.relations import SceneGraph, facing_of
 
@@ -248,8 +249,7 @@ class TaskContext:
 
 def _box(item: SceneObject) -> list[list[float]]:
     """Extent along x and y of the yawed box."""
-    c, s = abs(np.cos(item.yaw)), abs(np.sin(item.yaw))
-    half = (c * item.size[0] + s * item.size[1]) / 2, (s * item.size[0] + c * item.size[1]) / 2
+    half = half_extents_xy(item.size, item.yaw)
     return [[float(p - h), float(p + h)] for p, h in zip(item.position, half, strict=False)]
 
 

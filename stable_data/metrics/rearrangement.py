@@ -12,10 +12,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from stable_data.errors import SceneError
+from stable_data.rotations import YAW_ARM
 from stable_data.scene import FloatArray, Scene, SceneObject
-
-YAW_ARM = 0.1
-"""What a turn costs beside a shift, metres a radian."""
 
 _SAME_SIZE = 1e-3  # metres
 _SAME_TILT = np.cos(np.radians(1.0) / 2)  # of the quaternions' product

@@ -1,18 +1,18 @@
-"""The scene graph: what carries or holds what, and where things are, from boxes, footprints and exact contacts.
+"""The scene graph: what carries or contains what, and where objects are, from boxes, footprints and contacts of meshes.
 
-``on`` and ``in`` are the two relations that physics must keep. They rest on contacts, which the caller measures against the
-meshes (lower an object by 0.5 to 3 mm and see what it meets with an upward normal). Two notions of "carried" are kept apart:
+A correction must keep the relations ``on`` and ``in``. They follow from contacts. The caller measures these on the meshes: it
+lowers an object by 0.5 to 3 mm and looks at what the object then meets with an upward normal. "Carried" has two meanings:
 
-* the audit's: an object without contact floats, however small the gap;
-* the scene graph's: an object without contact still belongs to what is within 10 mm below it, or to the container that its
-  bottom is in. Layouts settled as convex hulls hold gaps of some millimetres, and a graph that lost those objects would let a
-  correction take a ball out of its bowl.
+* In the audit, an object without contact floats, however small the gap is.
+* In the scene graph, an object without contact is carried by what lies at most 10 mm below it, or by the container that its
+  bottom is in. Layouts that were settled as convex hulls have gaps of some millimetres. A graph without these supports would
+  let a correction take a ball out of its bowl.
 
-The other relations are MesaTask's, by boxes. Overlap is a share of the smaller footprint.
+The other relations are MesaTask's and follow from boxes. Overlap is a share of the smaller footprint.
 """
 
 import itertools
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Mapping, Set
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -20,7 +20,9 @@ import networkx as nx
 import numpy as np
 import shapely
 
+from stable_data.rotations import turned_xy
 from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, Scene, SceneObject
+from stable_data.scene_graph.support_tree import ancestors
 
 if TYPE_CHECKING:
     SceneGraph: TypeAlias = nx.MultiDiGraph[str]
@@ -36,8 +38,10 @@ NEAREST = 3
 REACH = 0.4
 """Farthest centre distance of a directional relation, as a share of the table's longer side."""
 
+GAP = 1e-2
+"""What lies at most this far below an object without contact counts as carrying it, metres."""
+
 INSIDE_SLACK = 5e-3  # how far a content's centre may lie outside its container's outline, metres
-_GAP = 1e-2  # what is this close below an object without contact counts as carrying it, metres
 _SINK = 1.5e-2  # how deep such an object may reach into the box of what carries it (a plate's hollow), metres
 _BOTTOM = 5e-3  # a carrier's bottom is not higher than the carried object's, but for this much, metres
 INSIDE_FLOOR = 1.5e-3  # a content lies at least this much above its container's bottom, metres
@@ -56,14 +60,14 @@ _ROWS = ("front", "middle", "back")
 
 
 class _Layout:
-    """Boxes and outlines of a scene's objects, ready to be compared."""
+    """Boxes and outlines of the objects of a scene, and their comparison."""
 
     def __init__(
         self, scene: Scene, footprints: Mapping[str, FloatArray] | None, containers: Mapping[str, bool | None] | None
     ) -> None:
         self.objects = {o.instance: o for o in scene.objects}
-        self.low = {o.instance: o.position[2] - o.size[2] / 2 for o in scene.objects}
-        self.high = {o.instance: o.position[2] + o.size[2] / 2 for o in scene.objects}
+        self.low = {o.instance: o.bottom for o in scene.objects}
+        self.high = {o.instance: o.top for o in scene.objects}
         self.outline = {
             o.instance: shapely.convex_hull(
                 shapely.multipoints((footprints or {}).get(o.instance, yawed_rectangle(o))),
@@ -105,9 +109,8 @@ class _Layout:
 def yawed_rectangle(item: SceneObject) -> FloatArray:
     """Corners of an object's box seen from above, (4, 2) float64, metres, world frame, counter-clockwise."""
     half = np.array(item.size[:2]) / 2
-    c, s = np.cos(item.yaw), np.sin(item.yaw)
     corners = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]) * half
-    return np.asarray(corners @ np.array([[c, s], [-s, c]]) + item.position[:2])
+    return turned_xy(corners, item.yaw) + item.position[:2]
 
 
 def supports(
@@ -116,10 +119,11 @@ def supports(
     footprints: Mapping[str, FloatArray] | None = None,
     containers: Mapping[str, bool | None] | None = None,
 ) -> dict[str, str | None]:
-    """The one thing that carries each object, in the scene graph's sense; never a circle.
+    """The support of each object, in the meaning of the scene graph; supports never form a circle.
 
-    Of several contacts the table wins, unless the object lies on the floor of a container; then what is under the object's
-    centre; then the highest. Without contact it is what is closest below (see the module).
+    An object that touches several others has one support: the table, unless the object lies on the floor of a container; else
+    the object under its centre; else the highest. An object without contact is supported by what is closest below it (see the
+    module).
 
     Args:
         scene: The scene.
@@ -134,24 +138,16 @@ def supports(
 
 
 def _carriers(layout: _Layout, contacts: Contacts) -> dict[str, str | None]:
-    carriers: dict[str, str | None] = {}
+    carriers: dict[str, str | None] = dict.fromkeys(layout.objects)
     for child in sorted(layout.objects, key=lambda name: layout.low[name]):  # stable: ties keep the scene's order
         touched = [p for p in contacts.get(child, ()) if p == TABLE or _may_carry(layout, carriers, p, child)]
         carriers[child] = _best_contact(layout, child, touched) if touched else _closest_below(layout, carriers, child)
-    return {name: carriers[name] for name in layout.objects}
+    return carriers
 
 
 def _may_carry(layout: _Layout, carriers: Mapping[str, str | None], parent: str, child: str) -> bool:
     low_enough = parent in layout.objects and parent != child and layout.low[parent] <= layout.low[child] + _BOTTOM
-    return low_enough and child not in _ancestors(carriers, parent)
-
-
-def _ancestors(carriers: Mapping[str, str | None], name: str) -> Iterator[str]:
-    """What carries a thing, directly and through others, nearest first, without the table."""
-    above = carriers.get(name)
-    while above is not None and above != TABLE:
-        yield above
-        above = carriers.get(above)
+    return low_enough and child not in ancestors(carriers, parent)
 
 
 def _best_contact(layout: _Layout, child: str, touched: list[str]) -> str:
@@ -163,13 +159,13 @@ def _best_contact(layout: _Layout, child: str, touched: list[str]) -> str:
 
 def _closest_below(layout: _Layout, carriers: Mapping[str, str | None], child: str) -> str | None:
     below = [p for p in layout.objects if _may_carry(layout, carriers, p, child) and layout.beyond(child, p) <= INSIDE_SLACK]
-    solid = [p for p in below if -_GAP <= layout.depth(child, p) <= _SINK]
+    solid = [p for p in below if -GAP <= layout.depth(child, p) <= _SINK]
     if solid:
         return min(solid, key=lambda p: (abs(layout.depth(child, p)), p))
     hollow = [p for p in below if layout.holds(p, child)]
     if hollow:
         return min(hollow, key=lambda p: (layout.depth(child, p), p))
-    return TABLE if layout.low[child] <= _GAP else None
+    return TABLE if layout.low[child] <= GAP else None
 
 
 def scene_graph(
@@ -211,7 +207,7 @@ def scene_graph(
         _link_to_parent(graph, layout, carriers, child)
     for one, other in _near_pairs(scene):
         kind = _between(scene, layout, one, other)
-        tied = other in _ancestors(carriers, one) or one in _ancestors(carriers, other)
+        tied = other in ancestors(carriers, one) or one in ancestors(carriers, other)
         if kind is not None and not tied:
             graph.add_edge(one, other, key=kind)
     return graph
@@ -221,7 +217,7 @@ def _link_to_parent(graph: SceneGraph, layout: _Layout, carriers: Mapping[str, s
     carrier = carriers[child]
     if carrier is None:
         return
-    container = next((p for p in _ancestors(carriers, child) if layout.holds(p, child)), None)
+    container = next((p for p in ancestors(carriers, child) if layout.holds(p, child)), None)
     graph.add_edge(child, container or carrier, key=RelationKind.IN if container else RelationKind.ON)
 
 
@@ -284,19 +280,21 @@ def vertical_relation(
 
 
 def is_held(on_in: Set[Relation], relation: Relation) -> bool:
-    """Is the subject on or in the target, directly or through others? What is in nothing on the way is not in the target.
+    """Whether the subject is on or in the target, directly or through others.
 
     Args:
-        on_in: The ``on`` and ``in`` relations that hold, one a subject.
-        relation: The one that is asked for; what shall be on a thing may be in it.
+        on_in: The ``on`` and ``in`` relations that hold, at most one for each subject.
+        relation: The relation in question. ``on`` also holds where the subject is in the target; ``in`` holds where at least
+            one relation between subject and target is ``in``.
     """
     carrier = {r.subject: r for r in on_in}
-    name, is_in, seen = relation.subject, False, set[str]()
-    while name in carrier and name not in seen:
-        seen.add(name)
-        is_in |= carrier[name].kind is RelationKind.IN
-        name = carrier[name].target
-        if name == relation.target:
+    is_in = False
+    for name in (relation.subject, *ancestors({r.subject: r.target for r in on_in}, relation.subject)):
+        below = carrier.get(name)
+        if below is None:
+            break
+        is_in |= below.kind is RelationKind.IN
+        if below.target == relation.target:
             return is_in or relation.kind is RelationKind.ON
     return False
 

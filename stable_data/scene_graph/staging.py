@@ -1,10 +1,11 @@
-"""The paper's partition of a scene into O^t, O^B and O^b, and the sub-layouts that it serialises into.
+"""The paper's partition of a scene into the stages O^t, O^B and O^b, and the sub-layout of each stage.
 
-O^t are the objects that the instruction names. O^B are those whose boxes come near one of them. O^b are the rest. One thing is
-added to the paper: what carries an object is generated no later than the object, so that no sub-layout floats.
+O^t are the objects that the instruction names. O^B are those whose boxes are near one of them. O^b are the rest. The paper does
+not say what follows from supports: here the support of an object is generated no later than the object, so that no sub-layout
+floats.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +14,7 @@ import shapely
 from stable_data.errors import SceneError
 from stable_data.scene import Scene, SceneObject, Stage
 from stable_data.scene_graph.relations import yawed_rectangle
+from stable_data.scene_graph.support_tree import SupportTree
 
 THRESHOLD = 0.02
 """Objects whose box is this close to a task object's are important, metres. The paper leaves its threshold open."""
@@ -52,8 +54,8 @@ def box_distance(one: SceneObject, other: SceneObject) -> float:
 def stage_scene(scene: Scene, threshold: float = THRESHOLD) -> Scene:
     """Gives every object its stage.
 
-    Nearness is measured to the objects that the instruction names, not to what only carries them. Then what carries an object
-    joins the earliest stage of what it carries, directly or through others.
+    Distances are measured to the objects that the instruction names, not to their supports. Then each support joins the
+    earliest stage of the objects that it carries, directly or through others.
 
     Args:
         scene: The scene, with its task's objects and every object's ``support``.
@@ -69,10 +71,10 @@ def stage_scene(scene: Scene, threshold: float = THRESHOLD) -> Scene:
         raise SceneError(f"{scene.scene_id}: no task, expected one to stage by; derive one first", "task_missing")
     named = [o for o in scene.objects if o.instance in scene.task.task_objects]
     stages = {o.instance: _stage_of(o, named, threshold) for o in scene.objects}
-    carriers = _carriers(scene)
-    for o in scene.objects:
-        for carrier in _chain(scene, carriers, o.instance):
-            stages[carrier] = min(stages[carrier], stages[o.instance], key=_ORDER.__getitem__)
+    tree = SupportTree.of(scene.objects, scene.scene_id)
+    for name in reversed(tree.bottom_up()):
+        if (carrier := tree.parent(name)) is not None:
+            stages[carrier] = min(stages[carrier], stages[name], key=_ORDER.__getitem__)
     return replace(scene, objects=tuple(replace(o, stage=stages[o.instance]) for o in scene.objects))
 
 
@@ -80,24 +82,6 @@ def _stage_of(item: SceneObject, named: Iterable[SceneObject], threshold: float)
     if item in named:
         return Stage.TASK
     return Stage.IMPORTANT if any(box_distance(item, o) <= threshold for o in named) else Stage.SECONDARY
-
-
-def _carriers(scene: Scene) -> dict[str, str]:
-    """What carries each object that another object carries."""
-    names = {o.instance for o in scene.objects}
-    return {o.instance: o.support for o in scene.objects if o.support in names and o.support is not None}
-
-
-def _chain(scene: Scene, carriers: Mapping[str, str], instance: str) -> list[str]:
-    """What carries an object, directly and through others, nearest first."""
-    chain: list[str] = []
-    while instance in carriers:
-        instance = carriers[instance]
-        if instance in chain:
-            found = " -> ".join([*chain, instance])
-            raise SceneError(f"{scene.scene_id}: {found} form a circle of supports; derive supports anew", "support_circle")
-        chain.append(instance)
-    return chain
 
 
 def samples_of(scene: Scene) -> tuple[StageSample, ...]:
@@ -125,9 +109,9 @@ def samples_of(scene: Scene) -> tuple[StageSample, ...]:
 
 
 def generation_order(scene_id: str, objects: Sequence[SceneObject]) -> tuple[SceneObject, ...]:
-    """Objects large to small by footprint, then by height; each is followed at once by what it carries, in the same order.
+    """Objects from large to small by footprint, then by height; each is followed at once by what it carries, in the same order.
 
-    So a model that writes them one after the other has just written where a thing's carrier stands.
+    A model that writes them in this order has always just written the pose of the support.
 
     Args:
         scene_id: Their scene, for the error.
@@ -136,16 +120,6 @@ def generation_order(scene_id: str, objects: Sequence[SceneObject]) -> tuple[Sce
     Raises:
         SceneError: Supports form a circle (``support_circle``).
     """
-    members = {o.instance: o for o in objects}
-    carried: dict[str | None, list[SceneObject]] = {}
-    for o in sorted(objects, key=lambda o: (-o.size[0] * o.size[1], -o.size[2])):  # stable: ties keep the given order
-        carried.setdefault(o.support if o.support in members else None, []).append(o)
-    ordered: list[SceneObject] = []
-    waiting = carried.get(None, [])[::-1]
-    while waiting:
-        ordered.append(waiting.pop())
-        waiting += carried.get(ordered[-1].instance, [])[::-1]
-    if len(ordered) < len(objects):
-        left = sorted(members.keys() - {o.instance for o in ordered})
-        raise SceneError(f"{scene_id}: {left} form a circle of supports; derive supports anew", "support_circle")
-    return tuple(ordered)
+    by_size = sorted(objects, key=lambda o: (-o.size[0] * o.size[1], -o.size[2]))  # stable: ties keep the given order
+    named = {o.instance: o for o in objects}
+    return tuple(named[name] for name in SupportTree.of(by_size, scene_id).bottom_up())

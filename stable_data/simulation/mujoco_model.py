@@ -8,7 +8,8 @@ import numpy as np
 
 from stable_data.atomic_files import plain_name
 from stable_data.geometry.mesh import Mesh, compact, double_areas
-from stable_data.scene import TABLE, QuatXyzw
+from stable_data.rotations import wxyz
+from stable_data.scene import TABLE
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.render import (
     SINK_COLOUR,
@@ -116,7 +117,7 @@ def _add_looks(
                 type=mujoco.mjtGeom.mjGEOM_MESH,
                 meshname=meshes[key],
                 pos=solid.offset(index).tolist(),
-                quat=_wxyz(o.tilt_quat_xyzw),
+                quat=wxyz(o.tilt_quat_xyzw),
                 rgba=rgba(colour),
             )
         if coats:
@@ -142,7 +143,3 @@ def _add_surroundings(spec: mujoco.MjSpec, solid: SceneGeometry, picture: tuple[
     add_lights(spec, low, high)
     for view in CAMERAS:
         add_camera(spec, low, high, view, picture, name=view)
-
-
-def _wxyz(quat_xyzw: QuatXyzw) -> list[float]:
-    return [quat_xyzw[3], *quat_xyzw[:3]]

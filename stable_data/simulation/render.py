@@ -19,6 +19,7 @@ from PIL import Image, ImageDraw, ImageFilter, ImageFont
 from stable_data.errors import ConfigError
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import Paint
+from stable_data.rotations import wxyz, yaw_quat
 from stable_data.scene import FloatArray, Scene, SceneObject, Tabletop, Vec3
 from stable_data.simulation.mujoco_import import mujoco
 
@@ -185,7 +186,7 @@ def _add_box(spec: mujoco.MjSpec, centre: Vec3, half: Vec3, rgba: list[float], y
         type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=list(centre),
         size=list(half),
-        quat=_yaw_wxyz(yaw),
+        quat=wxyz(yaw_quat(yaw)),
         rgba=rgba,
         contype=0,
         conaffinity=0,
@@ -204,7 +205,7 @@ def _add_object(spec: mujoco.MjSpec, o: SceneObject, mesh: Mesh | None, paint: s
             inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
         )  # fmt: skip
         spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=list(o.position), quat=_yaw_wxyz(o.yaw), rgba=rgba(colour),
+            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=list(o.position), quat=wxyz(yaw_quat(o.yaw)), rgba=rgba(colour),
             contype=0, conaffinity=0,
         )  # fmt: skip
 
@@ -311,10 +312,6 @@ def _with_soft_shadows(lit: Picture, shaded: Picture) -> Picture:
 def rgba(colour: str, alpha: float = 1.0) -> list[float]:
     """``#rrggbb`` as shares of red, green, blue and opacity, 0 to 1."""
     return [*(int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)), alpha]
-
-
-def _yaw_wxyz(yaw: float) -> list[float]:
-    return [float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2))]
 
 
 def _drawn(mesh: Mesh) -> tuple[FloatArray, FloatArray] | None:

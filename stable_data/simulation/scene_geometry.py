@@ -1,5 +1,6 @@
 """A scene with the geometry of its objects: what an exporter or an engine is given of it."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,7 +14,7 @@ from stable_data.errors import Notice, SceneError
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import Paint
 from stable_data.geometry.shape import Shape
-from stable_data.rotations import heading, tilt_of, yaw_frame_box
+from stable_data.rotations import heading, quat_of, tilt_of, yaw_frame_box
 from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject, Vec3
 from stable_data.simulation.collision_bodies import asset_parts, bodies_of
 from stable_data.simulation.render import object_colour
@@ -93,16 +94,25 @@ class SceneGeometry:
         return asset_parts(asset_id, mesh, self.store)
 
 
-def at_rest(o: SceneObject, mesh: Mesh | None, rest: RestPose) -> SceneObject:
-    """The object where it came to lie: what its rotation is beyond a yaw becomes its tilt, its position the new box's centre."""
+def at_rest(o: SceneObject, mesh: Mesh | None, rest: RestPose, snap: float = 0.0) -> SceneObject:
+    """The object that a simulated body has become: its position, yaw, tilt and size are those of the body.
+
+    Args:
+        o: The object as the body was made from it.
+        mesh: Its mesh, mesh units, or None. Without a mesh the object is a box, which gets no tilt.
+        rest: The pose of the body.
+        snap: The tilt stays as it was where the body moved no corner of the object's box farther by tilting, metres.
+    """
     position, quat_xyzw = rest
     yaw, _ = heading(quat_xyzw)
     if mesh is None or o.scale is None:
-        return o.moved(position, yaw)  # a box that stands in does not lean
-    turned = Rotation.from_quat(quat_xyzw)
-    x, y, z, w = (turned * Rotation.from_quat(o.tilt_quat_xyzw)).as_quat().tolist()
-    yaw, _ = heading((x, y, z, w))
-    tilt = tilt_of((x, y, z, w), yaw)
+        return o.moved(position, yaw)
+    turned, tilted = Rotation.from_quat(quat_xyzw), Rotation.from_quat(o.tilt_quat_xyzw)
+    rotation = quat_of(turned * tilted)
+    yaw, _ = heading(rotation)
+    tilt = tilt_of(rotation, yaw)
+    if (Rotation.from_quat(tilt) * tilted.inv()).magnitude() * math.hypot(*o.size) / 2 < snap:
+        tilt = o.tilt_quat_xyzw
     was, now = _box_centre(mesh, o.scale, o.tilt_quat_xyzw), _box_centre(mesh, o.scale, tilt)
     centre = np.asarray(position) - turned.apply(was) + Rotation.from_euler("z", yaw).apply(now)
     a, b, c = Shape.from_mesh(mesh, o.scale, tilt).size.tolist()

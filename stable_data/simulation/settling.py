@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from stable_data.errors import MeshError
 from stable_data.geometry.mesh import Mesh
-from stable_data.scene import TABLE, FloatArray, Tabletop, Vec3
+from stable_data.rotations import wxyz, yaw_quat
+from stable_data.scene import TABLE, FloatArray, QuatXyzw, Tabletop, Vec3
 from stable_data.simulation.mujoco_import import mujoco
 
 MOVE_LIMIT = 0.010
@@ -123,6 +124,12 @@ class SettleResult:
     stable: bool | None
     reason: str = ""
 
+    def pose(self, index: int) -> tuple[Vec3, QuatXyzw]:
+        """Position and quaternion of a body at the end, see ``positions`` and ``quats_xyzw``."""
+        x, y, z = self.positions[index].tolist()
+        a, b, c, d = self.quats_xyzw[index].tolist()
+        return (x, y, z), (a, b, c, d)
+
     @property
     def unsteady(self) -> tuple[str, ...]:
         """The bodies that went too far or turned too much; where the simulation blew up, those that are to blame."""
@@ -148,7 +155,7 @@ def settle(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions
         where it was and something moved, fell or exploded.
     """
     names = tuple(body.name for body in bodies)
-    start = np.array([(*b.position, *_quat_of_yaw(b.yaw)) for b in bodies], np.float64).reshape(-1, 7)
+    start = np.array([(*b.position, *yaw_quat(b.yaw)) for b in bodies], np.float64).reshape(-1, 7)
     if not bodies:
         return _verdict(names, start[None], start[None], 0.0, options)
     try:
@@ -257,7 +264,7 @@ def _add_body(spec: mujoco.MjSpec, body: RigidBody, meshes: dict[int, str], coll
         raise MeshError(f"body {body.name}: its pose is {body.position}, yaw {body.yaw}, expected finite numbers", "not_finite")
     if not 0 < body.mass < np.inf:
         raise MeshError(f"body {body.name}: mass is {body.mass} kg, expected a finite one of more than 0", "no_mass")
-    added = spec.worldbody.add_body(pos=list(body.position), quat=_wxyz(_quat_of_yaw(body.yaw)))
+    added = spec.worldbody.add_body(pos=list(body.position), quat=wxyz(yaw_quat(body.yaw)))
     if body.movable:
         added.add_freejoint()
     volumes = [hull_volume(part) for part in body.parts]
@@ -399,11 +406,3 @@ def _angles(first: FloatArray, second: FloatArray) -> FloatArray:
     sign = np.where((first * second).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)
     chord = np.linalg.norm(first - sign * second, axis=-1)
     return np.asarray(4 * np.arcsin(np.minimum(chord / 2, 1.0)))
-
-
-def _quat_of_yaw(yaw: float) -> tuple[float, float, float, float]:
-    return (0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2)))
-
-
-def _wxyz(quat_xyzw: tuple[float, float, float, float]) -> list[float]:
-    return [quat_xyzw[3], *quat_xyzw[:3]]

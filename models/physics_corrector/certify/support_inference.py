@@ -20,6 +20,7 @@ from stable_data.geometry.shape import Shape
 from stable_data.metrics.collision import TOLERANCE
 from stable_data.scene import TABLE, FloatArray, RelationKind, Scene
 from stable_data.scene_graph.relations import INSIDE_SLACK
+from stable_data.scene_graph.support_tree import ancestors
 
 TABLE_TOP = -1
 """Stands for the table as a carrier."""
@@ -142,12 +143,14 @@ def wanted_carriers(scene: Scene) -> Mapping[int, SupportEdge]:
     """What the scene's own relations say that objects are on or in; never a circle. Objects on the table are left out."""
     number = {o.instance: k for k, o in enumerate(scene.objects)}
     found: dict[int, SupportEdge] = {}
+    parents = dict.fromkeys(number.values(), TABLE_TOP)
     for relation in scene.relations:
         if relation.kind not in (RelationKind.ON, RelationKind.IN) or relation.target == TABLE:
             continue
         child, parent = number.get(relation.subject), number.get(relation.target)
-        if child is not None and parent is not None and child not in found and child not in _above(found, parent):
-            found[child] = SupportEdge(parent, relation.kind is RelationKind.IN)
+        if child is None or parent is None or child in found or child in (parent, *ancestors(parents, parent)):
+            continue
+        found[child], parents[child] = SupportEdge(parent, relation.kind is RelationKind.IN), parent
     return found
 
 
@@ -160,12 +163,13 @@ def carriers_of(meshes: MeshQueries, poses: FloatArray, wanted: Mapping[int, Sup
         wanted: What is known to carry some of them.
     """
     boxes = [meshes.box(k, pose) for k, pose in enumerate(poses)]
-    first, found = dict(wanted), {k: [carried] for k, carried in wanted.items()}
+    found = {k: [carried] for k, carried in wanted.items()}
+    parents = {k: wanted[k].parent if k in wanted else TABLE_TOP for k in range(len(poses))}
     for k in sorted(range(len(poses)), key=lambda k: (float(boxes[k][0][2]), k)):
         if k not in found:
-            others = [p for p in range(len(poses)) if p != k and k not in _above(first, p)]
+            others = [p for p in range(len(poses)) if p != k and k not in ancestors(parents, p)]
             found[k] = _ranked(meshes, poses, boxes, k, others)
-            first[k] = found[k][0]
+            parents[k] = found[k][0].parent
     return [found[k] for k in range(len(poses))]
 
 
@@ -250,14 +254,3 @@ def _leant_in(
     if outside > _TORN or not is_hollow(meshes.shapes[p]):
         return None
     return outside
-
-
-def _above(found: Mapping[int, SupportEdge], k: int) -> list[int]:
-    """An object and what carries it, directly and through others."""
-    chain = [k]
-    while k in found and found[k].parent != TABLE_TOP:
-        k = found[k].parent
-        if k in chain:
-            break
-        chain.append(k)
-    return chain

@@ -17,6 +17,7 @@ import numpy.typing as npt
 import shapely
 
 from stable_data.geometry.shape import Shape
+from stable_data.rotations import turned_xy
 from stable_data.scene import FloatArray
 
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
@@ -75,8 +76,7 @@ class SlabOutline:
 
     def placed(self, yaw: float, offset: FloatArray) -> "SlabOutline":
         """The slabs turned by an angle and moved by a vector (3,), metres."""
-        c, s = np.cos(yaw), np.sin(yaw)
-        normals = self.normals @ np.array([[c, s], [-s, c]])
+        normals = turned_xy(self.normals, yaw)
         return SlabOutline(
             normals, self.offsets + normals @ offset[:2], self.bottoms + offset[2], self.tops + offset[2], self.is_within
         )

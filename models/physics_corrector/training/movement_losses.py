@@ -11,9 +11,9 @@ from torch import Tensor
 
 from models.physics_corrector.flow.pose_coordinates import wrap
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
+from stable_data.rotations import YAW_ARM
 from stable_data.scene_graph.relations import NEAREST, REACH
 
-_YAW_ARM = 0.1  # metres that a radian of yaw counts, as in the project's EMD
 _EASE = 2e-3  # below this length a movement costs its square, metres
 _MARGIN = 5e-3  # by which an order is to hold, where it did, metres
 
@@ -32,7 +32,7 @@ def movement(poses: Tensor, coarse: Tensor, batch: LayoutBatch) -> Tensor:
         (B,), metres.
     """
     offset = torch.where(batch.is_movable[..., None], poses - coarse, 0)
-    squared = offset[..., :2].square().sum(-1) + (_YAW_ARM * wrap(offset[..., 3])).square()
+    squared = offset[..., :2].square().sum(-1) + (YAW_ARM * wrap(offset[..., 3])).square()
     return ((squared + _EASE**2).sqrt() - _EASE).sum(1)
 
 

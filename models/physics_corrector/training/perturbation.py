@@ -17,12 +17,11 @@ from torch import Tensor
 from models.physics_corrector.flow.pose_coordinates import wrap
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from stable_data.errors import ConfigError
+from stable_data.rotations import YAW_ARM
 
 Kind: TypeAlias = Literal["small", "jitter", "swap", "pile", "height", "edge"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 """What is wrong with a coarse layout; all but ``small`` have the large jitter too."""
-
-_YAW_ARM = 0.1  # metres that a radian of yaw counts, as in the project's EMD
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +135,7 @@ def reassign(coarse: Tensor, batch: LayoutBatch) -> Tensor:
     if not len(scenes):
         return batch.poses
     offset = batch.poses[scenes, None] - coarse[scenes, :, None]  # [s, i, j] = target j − coarse i
-    cost = (offset[..., :3].square().sum(-1) + (_YAW_ARM * wrap(offset[..., 3])).square()).sqrt()
+    cost = (offset[..., :3].square().sum(-1) + (YAW_ARM * wrap(offset[..., 3])).square()).sqrt()
     costs, groups = cost.cpu().numpy(), alike[scenes].cpu().numpy()
     taken = place.cpu().numpy()[None].repeat(len(coarse), 0)
     for n, scene in enumerate(scenes.tolist()):

@@ -28,6 +28,7 @@ from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import PosedScene, audit_posed
 from stable_data.metrics.collision import TOLERANCE
 from stable_data.metrics.relations_kept import DIRECTIONAL
+from stable_data.rotations import YAW_ARM
 from stable_data.scene import FloatArray, Relation, RelationKind, Scene
 from stable_data.scene_graph.relations import relations_of, scene_graph
 
@@ -39,7 +40,6 @@ Card: TypeAlias = dict[str, dict[str, Figures]]
 
 ROWS = (*KINDS, "jitter_fixed")
 _SUPPORTED = (RelationKind.ON, RelationKind.IN)
-_YAW_ARM = 0.1  # metres that a radian counts in the distance to the target
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ def grid_figures(poses: Tensor, coarse: Tensor, batch: LayoutBatch, geometry: Sh
         "grid_oc": share(TOLERANCE),
         "grid_oc_10mm": share(0.01),
         "move_mean_mm": 1e3 * _mean(moved, movable),
-        "target_distance_mm": 1e3 * _mean((length.square() + (_YAW_ARM * turned).square()).sqrt(), movable),
+        "target_distance_mm": 1e3 * _mean((length.square() + (YAW_ARM * turned).square()).sqrt(), movable),
         "target_move_mm": 1e3 * _mean(length, movable),
         "target_yaw_deg": float(np.degrees(_mean(turned, movable))),
     }

@@ -23,7 +23,7 @@ from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from stable_data.scene import FloatArray, Relation, SceneObject, Stage, Tabletop
 from stable_data.scene_graph.relations import yawed_rectangle
-from stable_data.scene_graph.support_from_boxes import ON_TABLE, bottom, carriers_of, top
+from stable_data.scene_graph.support_from_boxes import ON_TABLE, carriers_of
 
 _SHOWN = 8  # names in a message
 
@@ -259,7 +259,7 @@ def _numbers(
 
 def _standing(layout: Sequence[SceneObject]) -> float:
     """Area that stands on the table, square metres."""
-    return sum(o.size[0] * o.size[1] for o in layout if bottom(o) <= ON_TABLE)
+    return sum(o.size[0] * o.size[1] for o in layout if o.bottom <= ON_TABLE)
 
 
 # --- the table ----------------------------------------------------------------------------------------------------------------
@@ -287,8 +287,8 @@ def _place(item: SceneObject, table: Tabletop, s: CheckSettings) -> Iterator[Rep
                 f"{item.instance} reaches {deep:.1f} cm into [{shown}], where nothing may stand; put it elsewhere",
                 instance=item.instance,
             )
-    if 100 * bottom(item) < -s.sunk_cm:
-        sunk = -100 * bottom(item)
+    if 100 * item.bottom < -s.sunk_cm:
+        sunk = -100 * item.bottom
         yield ReplyFault(
             "below_table",
             f"{item.instance} is {sunk:.1f} cm below the table top; its z must be half its height on the table",
@@ -351,7 +351,7 @@ def _carried(
         if item.instance in names:
             yield ReplyFault(
                 "floats",
-                f"{item.instance} is {100 * (bottom(item) - below):.1f} cm above everything; put it on the table or on another "
+                f"{item.instance} is {100 * (item.bottom - below):.1f} cm above everything; put it on the table or on another "
                 "object",
                 instance=item.instance,
             )
@@ -368,8 +368,8 @@ def _highest_below(item: SceneObject, layout: Sequence[SceneObject]) -> float:
     heights = [0.0]
     for o in layout:
         away = np.hypot(o.position[0] - item.position[0], o.position[1] - item.position[1])
-        if o is not item and away <= min(o.size[:2]) / 2 and top(o) <= bottom(item):
-            heights.append(top(o))
+        if o is not item and away <= min(o.size[:2]) / 2 and o.top <= item.bottom:
+            heights.append(o.top)
     return max(heights)
 
 

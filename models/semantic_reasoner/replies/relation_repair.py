@@ -15,7 +15,8 @@ from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, SceneObject, Tabletop, Vec3
 from stable_data.scene_graph.relations import cell_of, yawed_rectangle
-from stable_data.scene_graph.support_from_boxes import bottom, carriers_of, top
+from stable_data.scene_graph.support_from_boxes import carriers_of
+from stable_data.scene_graph.support_tree import SupportTree, ancestors
 
 MOVED = "moved_to_hold"
 """Code of the fault that says what was moved."""
@@ -100,9 +101,9 @@ def _beside(relation: Relation, there: dict[str, SceneObject], carriers: dict[st
         reach = _half(mover)[axis] + _half(anchor)[axis]
         lows = [0.0]
         if carriers[other] not in (None, TABLE, one):
-            lows.insert(0, bottom(anchor))
+            lows.insert(0, anchor.bottom)
         elif carriers[one] == TABLE:
-            lows = [bottom(mover)]
+            lows = [mover.bottom]
         for low, gap, aside in itertools.product(lows, _GAPS, _ASIDE):
             if abs(aside) < reach + gap:
                 across = np.array((way[1], way[0])) * aside
@@ -114,9 +115,7 @@ def _in_cell(
     relation: Relation, there: dict[str, SceneObject], carriers: dict[str, str | None], table: Tabletop
 ) -> Iterator[Place]:
     """A thing, or what carries it, in a ninth of the table."""
-    names = [relation.subject]
-    while (carrier := carriers[names[-1]]) is not None and carrier != TABLE:
-        names.append(carrier)
+    names = (relation.subject, *ancestors(carriers, relation.subject))
     for name in reversed(names):  # with what carries it before alone
         mover = there[name]
         half, size = _half(mover), np.array(table.size_xy)
@@ -125,14 +124,14 @@ def _in_cell(
         for spot in sorted(spots, key=lambda s: float(np.linalg.norm(s - mover.position[:2]))):
             where = spot + off
             if cell_of((float(where[0]), float(where[1])), table.size_xy) == relation.target:
-                low = bottom(mover) if carriers[name] == TABLE else 0.0
+                low = mover.bottom if carriers[name] == TABLE else 0.0
                 yield name, (float(spot[0]), float(spot[1]), low + mover.size[2] / 2)
 
 
 def _carried(subject: SceneObject, target: SceneObject, kind: RelationKind) -> Iterator[Place]:
     """A thing on another one or in it; without meshes nobody knows what is hollow."""
     half = _half(target)
-    lows = (top(target), bottom(target) + _ABOVE_BOTTOM)
+    lows = (target.top, target.bottom + _ABOVE_BOTTOM)
     for low in reversed(lows) if kind is RelationKind.IN else lows:
         for x, y in itertools.product(_OFF_CENTRE, repeat=2):
             spot = target.position[:2] + half * (x, y)
@@ -155,9 +154,7 @@ def _shifted(
     objects: Sequence[LayoutObject], name: str, step: FloatArray, carriers: dict[str, str | None]
 ) -> tuple[LayoutObject, ...]:
     """Objects with one moved, and all that it carries with it."""
-    gone = {name}
-    while more := {one for one, carrier in carriers.items() if carrier in gone} - gone:
-        gone |= more
+    gone = SupportTree(carriers).with_descendants({name})
 
     def moved(position_cm: Vec3) -> Vec3:
         x, y, z = (round(p + 100 * float(s), 1) + 0.0 for p, s in zip(position_cm, step, strict=True))

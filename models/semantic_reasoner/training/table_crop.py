@@ -5,7 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from stable_data.rotations import half_extents_xy
 from stable_data.scene import FloatArray, RelationKind, Stage
+from stable_data.scene_graph.support_tree import SupportTree
 from stable_data.storage.schemas import Row
 
 _LEAST = 0.35
@@ -52,27 +54,18 @@ def part_of_table(row: Row, rng: np.random.Generator) -> Row | None:
 
 def _outlines(objects: Sequence[Mapping[str, Any]]) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Least and greatest x and y of each object with all that stands on the table with it: what carries it and what that carries."""
-    support = {o["instance"]: o["support"] for o in objects}
+    tree = SupportTree({o["instance"]: o["support"] for o in objects})
     groups: dict[str, list[Mapping[str, Any]]] = {}
-    root = {}
     for o in objects:
-        name = o["instance"]
-        for _ in objects:  # as many steps as there can be
-            if support[name] not in support:
-                break
-            name = support[name]
-        root[o["instance"]] = name
-        groups.setdefault(name, []).append(o)
+        groups.setdefault(tree.root(o["instance"]), []).append(o)
     extents = {name: _extent(group) for name, group in groups.items()}
-    return {o["instance"]: extents[root[o["instance"]]] for o in objects}
+    return {o["instance"]: extents[tree.root(o["instance"])] for o in objects}
 
 
 def _extent(group: Sequence[Mapping[str, Any]]) -> tuple[FloatArray, FloatArray]:
     low, high = [], []
     for o in group:
-        c, s = abs(np.cos(o["yaw"])), abs(np.sin(o["yaw"]))
-        width, depth, _ = o["size"]
-        half = np.array([c * width + s * depth, s * width + c * depth]) / 2
+        half = half_extents_xy(o["size"], o["yaw"])
         low.append(np.array(o["position"][:2]) - half)
         high.append(np.array(o["position"][:2]) + half)
     return np.min(low, 0), np.max(high, 0)

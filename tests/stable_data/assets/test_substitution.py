@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stable_data.assets.retrieval import AssetMatch
-from stable_data.assets.substitution import underside, with_asset, with_assets
+from stable_data.assets.substitution import with_asset, with_assets
 from stable_data.errors import SceneError
 from stable_data.scene import TABLE, UPRIGHT, SceneObject, Stage, Vec3
 from tests.stable_data.assets.bag_of_words import LAID
@@ -19,10 +19,6 @@ def wanted(name: str, low: float, size: Vec3 = (0.1, 0.1, 0.1), support: str | N
 
 def match(height: float, category: str = "mug") -> AssetMatch:
     return AssetMatch("uid", "lib", category, 0.9, 0.9, 0.9, LAID, (2.0, 2.0, 2.0), (0.2, 0.3, height))
-
-
-def top(o: SceneObject) -> float:
-    return o.position[2] + o.size[2] / 2
 
 
 def test_an_object_keeps_what_it_is_and_where_it_stands() -> None:
@@ -50,15 +46,15 @@ def test_a_stack_still_stands_whatever_its_heights_become(old: list[float], new:
     placed = with_assets(objects, {o.instance: match(new[k]) for k, o in enumerate(stack) if k % 3 != 1})
     assert [o.instance for o in placed] == [o.instance for o in objects]
     by_name = {o.instance: o for o in placed}
-    assert underside(by_name["0"]) == pytest.approx(0.0, abs=1e-12)
+    assert by_name["0"].bottom == pytest.approx(0.0, abs=1e-12)
     for k in range(1, len(stack)):
-        assert underside(by_name[str(k)]) == pytest.approx(top(by_name[str(k - 1)]))
+        assert by_name[str(k)].bottom == pytest.approx(by_name[str(k - 1)].top)
 
 
 def test_what_lies_in_a_bowl_stays_between_its_underside_and_its_rim() -> None:
     bowl, apple = wanted("bowl", 0.0, (0.3, 0.3, 0.1)), wanted("apple", 0.02, (0.05, 0.05, 0.05), "bowl")
     _, inside = with_assets([bowl, apple], {"bowl": match(0.2)})
-    assert underside(inside) == pytest.approx(0.04)
+    assert inside.bottom == pytest.approx(0.04)
     assert inside.size == apple.size
 
 
@@ -66,8 +62,8 @@ def test_a_gap_above_a_carrier_is_kept_and_so_is_depth_below_it() -> None:
     tray = wanted("tray", 0.0, (0.3, 0.3, 0.02))
     above, below = wanted("above", 0.03, support="tray"), wanted("below", -0.01, support="tray")
     _, a, b = with_assets([tray, above, below], {"tray": match(0.05)})
-    assert underside(a) == pytest.approx(0.06)
-    assert underside(b) == pytest.approx(-0.01)
+    assert a.bottom == pytest.approx(0.06)
+    assert b.bottom == pytest.approx(-0.01)
 
 
 def test_what_no_match_touches_is_unchanged() -> None:
@@ -76,7 +72,7 @@ def test_what_no_match_touches_is_unchanged() -> None:
     loose = wanted("loose", 0.3, support=None)
     assert with_assets([shelf, on_earlier, loose], {}) == pytest.approx((shelf, on_earlier, loose))
     cup = with_assets([shelf, on_earlier, loose], {"cup": match(0.4), "shelf": match(0.9)})[1]
-    assert underside(cup) == pytest.approx(0.2)
+    assert cup.bottom == pytest.approx(0.2)
 
 
 def test_supports_in_a_circle_are_refused() -> None:

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stable_data.errors import SceneError
-from stable_data.metrics.rearrangement import YAW_ARM, distance_moved, emd_to_truth
+from stable_data.metrics.rearrangement import distance_moved, emd_to_truth
+from stable_data.rotations import YAW_ARM
 from stable_data.scene import Scene, SceneObject, Tabletop
 
 CUPS, PLATES = 4, 2

@@ -11,8 +11,8 @@ from models.semantic_reasoner.replies.checks import CheckSettings, ReplyFault, c
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from stable_data.scene import Scene, SceneObject, Stage
-from stable_data.scene_graph.relations import supports
-from stable_data.scene_graph.support_from_boxes import GAP, carriers_of
+from stable_data.scene_graph.relations import GAP, supports
+from stable_data.scene_graph.support_from_boxes import carriers_of
 from tests.models.semantic_reasoner.language.known_categories import SIZES_CM, STATISTICS, TABLE, ask, thing
 
 MUG, PLATE = thing("mug_0", 30, 30), thing("plate_0", 70, 30)
