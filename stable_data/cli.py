@@ -24,14 +24,14 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    help="Tabletop scenes as data. Jobs on Ray (preprocess, generate, correct, ...) are `python -m pipelines` in a checkout.",
+    help="Tabletop scenes as data. The Ray jobs (preprocess, generate, correct, ...) are `python -m pipelines` in a checkout.",
 )
 
 DONE, SOME_FAILED, NOT_STARTED, INTERRUPTED = 0, 1, 2, 130
-"""Exit statuses: all well; some items failed, all accounted for; could not start or go on; Ctrl-C."""
+"""Exit statuses: success; some items failed and are listed; the command could not start or continue; Ctrl-C."""
 
 DEBUG = "STABLE_DATA_DEBUG"
-"""Environment variable: where it is set, an error ends a command with its traceback."""
+"""Environment variable: if it is set, an error ends a command with its traceback."""
 
 EXTRA_OF_MODULE = {
     **dict.fromkeys(("fast_simplification", "fcl", "igl", "manifold3d", "networkx", "scipy"), "geometry,sim"),
@@ -40,22 +40,22 @@ EXTRA_OF_MODULE = {
     **dict.fromkeys(("peft", "safetensors", "tensorboard", "transformers"), "geometry,models"),
     **dict.fromkeys(("jsonschema", "ray"), "geometry,sim,pipelines"),
 }
-"""What to install where a module is missing: all that the commands which import it need, so that it is asked for once."""
+"""Extras to install when a module is missing: all that the importing commands need, so that one installation is enough."""
 
 
 def with_clear_errors(command: Callable[P, R]) -> Callable[P, R]:
-    """Ends a command with one line and status 2 where it cannot start or go on."""
+    """Ends a command with a one-line message and status 2 if it cannot start or continue."""
 
     @wraps(command)
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
             return command(*args, **kwargs)
         except (typer.Exit, typer.Abort, BrokenPipeError):
-            raise  # an end that was meant, or a reader such as `head` that has seen enough
+            raise  # an intended exit, or a closed pipe, for example by `head`
         except KeyboardInterrupt as error:
-            typer.echo("interrupted; what is in place stays", err=True)
+            typer.echo("interrupted; finished files stay", err=True)
             raise typer.Exit(INTERRUPTED) from error
-        except Exception as error:  # the outermost level: nobody is helped by a traceback that they did not ask for
+        except Exception as error:  # the outermost level: a traceback is shown only on request
             if os.environ.get(DEBUG):
                 raise
             typer.echo(f"error: {_line(error)}", err=True)
@@ -65,7 +65,7 @@ def with_clear_errors(command: Callable[P, R]) -> Callable[P, R]:
 
 
 def _line(error: Exception) -> str:
-    """What a person is told of an error."""
+    """The one-line message of an error."""
     if isinstance(error, StableDataError):
         return str(error)
     missing = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
@@ -77,17 +77,17 @@ def _line(error: Exception) -> str:
 
 @app.callback()
 def main() -> None:
-    """Tabletop scenes as data: read, audit, look at, export."""
+    """Tabletop scenes as data: make, audit, inspect, select, export."""
 
 
-SynthOut = Annotated[Path, typer.Argument(help="Folder to write, in the MesaTask-10K format; run again to go on.")]
-NumScenes = Annotated[int, typer.Option("--scenes", help="How many scenes.")]
-Seed = Annotated[int, typer.Option(help="Scene k depends on the seed and k alone.")]
-Tables = Annotated[list[str] | None, typer.Option("--table", help="Kind of table; may be repeated. All kinds by default.")]
-Edits = Annotated[bool, typer.Option("--edits", help="An edit of every scene too: an instruction and the scene afterwards.")]
-Pictures = Annotated[bool, typer.Option(help="Draw front.png of every scene.")]
-WholeLibrary = Annotated[bool, typer.Option("--whole-library", help="Write all assets, not only those that the scenes use.")]
-Address = Annotated[str | None, typer.Option(help="An existing Ray cluster, such as auto or ray://host:10001.")]
+SynthOut = Annotated[Path, typer.Argument(help="Output folder, in the MesaTask-10K format; run again to continue.")]
+NumScenes = Annotated[int, typer.Option("--scenes", help="Number of scenes.")]
+Seed = Annotated[int, typer.Option(help="Random seed; scene k depends only on the seed and on k.")]
+Tables = Annotated[list[str] | None, typer.Option("--table", help="Kind of table; may be repeated. Default: all kinds.")]
+Edits = Annotated[bool, typer.Option("--edits", help="Also make one edit per scene: an instruction and the edited scene.")]
+Pictures = Annotated[bool, typer.Option(help="Render front.png of every scene.")]
+WholeLibrary = Annotated[bool, typer.Option("--whole-library", help="Write all assets, not only those in the scenes.")]
+Address = Annotated[str | None, typer.Option(help="Address of an existing Ray cluster, for example auto or ray://host:10001.")]
 
 
 @app.command()
@@ -100,12 +100,12 @@ def synth(
     edits: Edits = False,
     pictures: Pictures = True,
     whole_library: WholeLibrary = False,
-    workers: Annotated[int, typer.Option(help="Worker processes on a local Ray; 0 works in this process.")] = 0,
+    workers: Annotated[int, typer.Option(help="Number of worker processes on a local Ray; 0: work in this process.")] = 0,
     address: Address = None,
 ) -> None:
-    """Make a set of the embedded world: parametric assets and scenes at rest, clean, with tasks; no download.
+    """Make scenes of the embedded world: parametric assets, clean scenes at rest, and tasks; no download.
 
-    Status 0: done. 1: some scenes could not be made; synth_failures says why. 2: could not start.
+    Status 0: done. 1: some scenes could not be made; synth_failures lists the reasons. 2: could not start.
     """
     from stable_data.embedded_world import EmbeddedWorld, write_world
 
@@ -122,27 +122,29 @@ def synth(
 
 
 def tqdm_bar(total: int) -> "tqdm[NoReturn]":
-    """The progress of making scenes."""
+    """The progress bar of scene synthesis."""
     from tqdm import tqdm
 
     return tqdm(total=total, desc="synth", unit="scene")
 
 
 def tell_world(out: Path, num_scenes: int, failures: Sequence[SceneError]) -> None:
-    """Says what was made, and ends with status 1 where something could not be."""
+    """Prints the number of scenes made, and exits with status 1 if some could not be made."""
     for error in failures:
         typer.echo(f"not made: {error}", err=True)
-    typer.echo(f"{out}: {num_scenes - len(failures)} of {num_scenes} scenes, {len(failures)} not made; README.md is its card")
+    typer.echo(
+        f"{out}: {num_scenes - len(failures)} of {num_scenes} scenes made, {len(failures)} failed; README.md describes the set"
+    )
     if failures:
         raise typer.Exit(SOME_FAILED)
 
 
 def _on_ray(out: Path, scenes: int, world: "EmbeddedWorld", workers: int, address: str | None) -> int:
-    """Hands over to ``python -m pipelines synth``, for Ray is not this package's; gives its exit status."""
+    """Runs ``python -m pipelines synth``, because this package does not depend on Ray; returns its exit status."""
     checkout = Path(__file__).resolve().parents[1]
     if not (checkout / "pipelines").is_dir():
         raise ConfigError(
-            "--workers and --address need a checkout, for pipelines/ is not installed; run it there", "no_pipelines"
+            "--workers and --address need pipelines/, which is not installed; run the command in a checkout", "no_pipelines"
         )
     command = [sys.executable, "-m", "pipelines", "synth", str(out), "--scenes", str(scenes), "--seed", str(world.seed)]
     command += [part for table in world.tables for part in ("--table", table)]
@@ -156,15 +158,17 @@ def _on_ray(out: Path, scenes: int, world: "EmbeddedWorld", workers: int, addres
 @app.command("draft-edits")
 @with_clear_errors
 def draft_edits(
-    run: Annotated[str, typer.Argument(help="A run over the embedded world, with its scenes; a folder or its URI.")],
-    out: Annotated[str | None, typer.Argument(help="Folder to write the table edits in; the run's own by default.")] = None,
-    per_scene: Annotated[int, typer.Option(min=1, help="Edits a scene; the kinds take turns.")] = 4,
-    seed: Annotated[int, typer.Option(min=0, help="A scene's edits depend on the seed and the scene alone.")] = 0,
+    run: Annotated[str, typer.Argument(help="A run with scenes of the embedded world; folder or URI.")],
+    out: Annotated[str | None, typer.Argument(help="Folder for the table edits; default: the run itself.")] = None,
+    per_scene: Annotated[int, typer.Option(min=1, help="Edits per scene, of each kind in turn.")] = 4,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Random seed; the edits of a scene depend only on the seed and on the scene.")
+    ] = 0,
 ) -> None:
-    """Draft edits of the scenes of a run, to train on: the table edits; run again to go on.
+    """Draft training edits for the scenes of a run, in the table edits; run again to continue.
 
-    Nothing is settled or judged: synth --edits makes edits that are. Status 0: done. 1: some scenes are not of the embedded
-    world; they are listed. 2: could not start.
+    The edits are neither simulated nor audited; synth --edits makes edits that are. Status 0: done. 1: some scenes are not of the
+    embedded world; they are listed. 2: could not start.
     """
     from stable_data.embedded_world.edit_table import write_edits
     from stable_data.storage.run_folder import RunFolder
@@ -177,7 +181,9 @@ def draft_edits(
             failures += failed
     for error in failures:
         typer.echo(f"no edits: {error}", err=True)
-    typer.echo(f"{target.uri}: {num_edits} edits added, {len(failures)} scenes without; {target.num_rows('edits')} rows in all")
+    typer.echo(
+        f"{target.uri}: {num_edits} edits added, {len(failures)} scenes without edits; {target.num_rows('edits')} rows in total"
+    )
     if failures:
         raise typer.Exit(SOME_FAILED)
 
@@ -186,13 +192,13 @@ def draft_edits(
 @with_clear_errors
 def lint(
     folder: Annotated[Path, typer.Argument(help="A folder in the MesaTask-10K format.")],
-    table: Annotated[Path | None, typer.Option(help="Where to write one row a scene (Parquet).")] = None,
-    quiet: Annotated[bool, typer.Option(help="No progress bar.")] = False,
+    table: Annotated[Path | None, typer.Option(help="Output file with one row per scene (Parquet).")] = None,
+    quiet: Annotated[bool, typer.Option(help="Show no progress bar.")] = False,
 ) -> None:
-    """Audit every scene exactly: collisions with depth, floating, sunk, out of bounds.
+    """Audit every scene exactly: collisions with their depths, floating and sunk objects, objects out of bounds.
 
-    Runs in this process: a file that crashes its parser ends it. Status 0: every scene could be read and judged. 1: some could
-    not; they are listed.
+    The audit runs in this process: a file that crashes its parser ends the command. Status 0: all scenes were read and judged. 1:
+    some were not; they are listed.
     """
     from stable_data.mesatask.lint import lint_folder, prepare_place
 
@@ -208,8 +214,8 @@ def lint(
 
 @app.command()
 @with_clear_errors
-def inspect(run: Annotated[str, typer.Argument(help="A run folder or its URI.")]) -> None:
-    """Say what a run folder holds: its tables, rows, settings and failures."""
+def inspect(run: Annotated[str, typer.Argument(help="A run: folder or URI.")]) -> None:
+    """Print the content of a run: its manifest, its tables and their numbers of rows."""
     from stable_data.storage.run_folder import RunFolder
     from stable_data.storage.schemas import SCHEMAS
 
@@ -227,14 +233,14 @@ def inspect(run: Annotated[str, typer.Argument(help="A run folder or its URI.")]
 @app.command()
 @with_clear_errors
 def query(
-    run: Annotated[str, typer.Argument(help="A run folder or its URI.")],
-    where: Annotated[str, typer.Argument(help='Which scenes, such as "clean and num_stacked >= 2".')],
-    to: Annotated[str | None, typer.Option(help="Folder or URI to write them to, with all that belongs to them.")] = None,
+    run: Annotated[str, typer.Argument(help="A run: folder or URI.")],
+    where: Annotated[str, typer.Argument(help='Condition on scenes, for example "clean and num_stacked >= 2".')],
+    to: Annotated[str | None, typer.Option(help="Folder or URI for a run of the selected scenes and their assets.")] = None,
 ) -> None:
-    """Count the scenes of a run that a condition takes, or write them to a run of their own.
+    """Count the scenes of a run that satisfy a condition, or write them to a run of their own.
 
-    Conditions compare columns of the table scenes with constants and are joined by and, or and not. What is unknown passes
-    none, unless it is asked for: "aws is None or aws >= 1".
+    Conditions compare columns of the table scenes with constants and are joined by and, or and not. An unknown value satisfies
+    only is None: "aws is None or aws >= 1".
     """
     from stable_data.storage.run_folder import RunFolder
     from stable_data.storage.subset import count_selected, select
@@ -245,7 +251,7 @@ def query(
         typer.echo(f"{run}: {found} of {total} scenes")
         return
     target = RunFolder(to)
-    count_selected(folder, where)  # refuses what is no condition before anything is written
+    count_selected(folder, where)  # refuses an invalid condition before anything is written
     with target.locked():
         counts = select(folder, where, target)
     typer.echo(f"{to}: {counts['scenes']} of {folder.num_rows('scenes')} scenes, {counts.get('assets', 0)} assets")
@@ -254,15 +260,15 @@ def query(
 @app.command()
 @with_clear_errors
 def export(
-    run: Annotated[str, typer.Argument(help="A run folder or its URI, with the tables scenes, assets and meshes.")],
-    out: Annotated[Path, typer.Argument(help="Folder to write; run again to go on.")],
-    format_name: Annotated[str, typer.Option("--format", help="Such as mjcf, glb or mesatask.")],
-    where: Annotated[str | None, typer.Option(help='Which scenes, such as "clean and num_stacked >= 2".')] = None,
-    scene: Annotated[list[str] | None, typer.Option("--scene", help="This scene; may be repeated.")] = None,
-    limit: Annotated[int | None, typer.Option(min=0, help="The first so many of them.")] = None,
-    settled: Annotated[bool, typer.Option(help="Objects where the physics engine left them (table settled).")] = False,
+    run: Annotated[str, typer.Argument(help="A run with the tables scenes, assets and meshes: folder or URI.")],
+    out: Annotated[Path, typer.Argument(help="Output folder; run again to continue.")],
+    format_name: Annotated[str, typer.Option("--format", help="Output format: mjcf, glb or mesatask.")],
+    where: Annotated[str | None, typer.Option(help='Condition on scenes, for example "clean and num_stacked >= 2".')] = None,
+    scene: Annotated[list[str] | None, typer.Option("--scene", help="Export only this scene; may be repeated.")] = None,
+    limit: Annotated[int | None, typer.Option(min=0, help="Export at most this many of the selected scenes.")] = None,
+    settled: Annotated[bool, typer.Option(help="Use the poses after the simulation in MuJoCo (table settled).")] = False,
 ) -> None:
-    """Write scenes of a run in another format, each at once with all that it needs.
+    """Export scenes of a run to another format, with all files that they need.
 
     Status 0: done. 1: some scenes could not be exported; they are listed. 2: could not start.
     """
@@ -283,8 +289,8 @@ def export(
     for line in result.failures:
         typer.echo(f"not exported: {line}", err=True)
     typer.echo(
-        f"{out}: {result.made + result.there} of {result.total} scenes as {format_name}, {result.there} of them were there; "
-        "README.md says how to open them" + (f"; {result.boxes} objects have no mesh and are boxes" if result.boxes else "")
+        f"{out}: {result.made + result.there} of {result.total} scenes as {format_name}, {result.there} of them existed already; "
+        "README.md explains how to open them" + (f"; {result.boxes} objects have no mesh and are boxes" if result.boxes else "")
     )
     if result.failures:
         raise typer.Exit(SOME_FAILED)
@@ -292,8 +298,8 @@ def export(
 
 @app.command()
 @with_clear_errors
-def schemas(folder: Annotated[Path, typer.Argument(help="Where to write them.")] = Path("schemas")) -> None:
-    """Write the contracts: JSON Schemas and the columns of every table."""
+def schemas(folder: Annotated[Path, typer.Argument(help="Output folder.")] = Path("schemas")) -> None:
+    """Write the JSON Schemas and the column descriptions of all tables."""
     from stable_data.storage.json_schemas import write_contracts
 
     write_contracts(folder)

@@ -1,4 +1,4 @@
-"""The report page of a correct run: what the scenes were, what the flow made of them, what they are; with pictures."""
+"""The report page of a correct run: figures of the scenes before, after the flow and after the correction; with pictures."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -34,9 +34,9 @@ def write_correct_report(folder: RunFolder, manifest: dict[str, Any], store: Ass
     by_status = counts["by_status"]
     figures = [
         (f"{by_status.get('certified', 0)} / {manifest['num_scenes']}", "scenes certified clean"),
-        (str(by_status.get("dropped", 0)), "clean after dropping objects"),
+        (str(by_status.get("dropped", 0)), "clean after removing objects"),
         (str(by_status.get("infeasible", 0)), "infeasible"),
-        (str(by_status.get("unknown", 0)), "not proven: a mesh is missing"),
+        (str(by_status.get("unknown", 0)), "unknown: a mesh is missing"),
         (str(counts["failures"]), "rows in failures"),
         (str(counts["warnings"]), "warnings"),
     ]
@@ -63,26 +63,26 @@ def _before_and_after(corrections: pl.DataFrame) -> Iterable[str]:
         ("mean share of floating objects", *(_percent(f["float_rate"].mean()) for _, f in frames)),
         ("mean share of objects out of bounds", *(_percent(f["out_of_bounds_rate"].mean()) for _, f in frames)),
         ("deepest penetration, mm", *(_number(f["max_penetration_mm"].max()) for _, f in frames)),
-        ("deepest in the table, mm", *(_number(f["table_penetration_mm"].max()) for _, f in frames)),
+        ("largest table penetration, mm", *(_number(f["table_penetration_mm"].max()) for _, f in frames)),
     ]
-    yield "<h2>Before and after</h2><p class=note>Exact, against the triangle meshes, at 0.5 mm.</p>"
+    yield "<h2>Before and after</h2><p class=note>Exact audit of the triangle meshes, tolerance 0.5 mm.</p>"
     yield table(("", *(title for title, _ in frames)), rows)
     sums = corrections.select(pl.col("^(on_in|asked|directional)_.*$").sum()).row(0, named=True)
     kept = [
-        ("on and in, that held before", _of(sums["on_in_kept"], sums["on_in_held"])),
-        ("directional, that held before", _of(sums["directional_kept"], sums["directional_held"])),
+        ("on and in relations: kept, of those before", _of(sums["on_in_kept"], sums["on_in_held"])),
+        ("directional relations: kept, of those before", _of(sums["directional_kept"], sums["directional_held"])),
         (
-            "on and in, that the scene graph asks for and the layout broke: restored",
+            "on and in relations: restored, of those that the layout broke",
             _of(sums["asked_restored"], sums["asked_broken"]),
         ),
-        ("objects left out", str(int(corrections["dropped"].list.len().sum()))),
+        ("removed objects", str(int(corrections["dropped"].list.len().sum()))),
     ]
     yield "<h2>Relations kept</h2>" + table(("", ""), kept)
     after = dict(frames).get("corrected")
     if after is not None:
         yield "<h2>Movement</h2><div class=grid>"
-        yield histogram("Mean move of a scene, mm", after["move_mean_mm"], [0, 1e-9, 1, 3, 10, 30, 100, 10_000])
-        yield histogram("Largest move of a scene, mm", after["move_max_mm"], [0, 1e-9, 1, 3, 10, 30, 100, 10_000])
+        yield histogram("Mean move per scene, mm", after["move_mean_mm"], [0, 1e-9, 1, 3, 10, 30, 100, 10_000])
+        yield histogram("Largest move per scene, mm", after["move_max_mm"], [0, 1e-9, 1, 3, 10, 30, 100, 10_000])
         yield bars("Status", corrections["status"])
         yield "</div>"
 
@@ -95,7 +95,7 @@ def _pictures(folder: RunFolder, corrections: pl.DataFrame, store: AssetStore, c
     chosen = worst_first.sort(["n", "scene_id"], descending=[True, False])["scene_id"].to_list()[:count]
     starts = {row["scene_id"]: row["start"] for row in done.filter(pl.col("scene_id").is_in(chosen)).iter_rows(named=True)}
     rows = {row["scene_id"]: row for row in folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()}
-    yield "<h2>Pictures</h2><p class=note>Left before, right corrected.</p>"
+    yield "<h2>Pictures</h2><p class=note>Left: before. Right: corrected.</p>"
     yield from figures((name, partial(_shown, rows[name], starts[name], store)) for name in chosen)
 
 

@@ -1,4 +1,4 @@
-"""The report page of an edit run: what was asked, what was done, and pictures before and after."""
+"""The report page of an edit run: edits by kind, results, and pictures before and after."""
 
 from collections.abc import Iterable
 from functools import partial
@@ -30,10 +30,10 @@ def write_edit_report(folder: RunFolder, manifest: dict[str, Any], store: AssetS
     cards = pl.from_arrow(folder.table("scenes", ["scene_id", "clean", "move_max_mm"]))
     assert isinstance(cards, pl.DataFrame)
     figures = [
-        (f"{counts['scenes']} / {manifest['num_edits']}", "edits done"),
-        (str(int(cards["clean"].sum())), "scenes clean afterwards"),
-        (str(counts["warnings_by_code"].get("others_moved", 0)), "edits for which other things moved too"),
-        (str(counts["warnings_by_code"].get("nothing_changed", 0)), "replies that changed nothing"),
+        (f"{counts['scenes']} / {manifest['num_edits']}", "edits completed"),
+        (str(int(cards["clean"].sum())), "clean edited scenes"),
+        (str(counts["warnings_by_code"].get("others_moved", 0)), "edits that moved other objects too"),
+        (str(counts["warnings_by_code"].get("nothing_changed", 0)), "replies without changes"),
         (str(counts["failures"]), "rows in failures"),
         (str(counts["warnings"]), "warnings"),
     ]
@@ -42,9 +42,9 @@ def write_edit_report(folder: RunFolder, manifest: dict[str, Any], store: AssetS
         f'<p class="note">Reasoner: {escape(manifest["engine"])}</p>',
         tiles(figures),
         '<div class="grid">',
-        bars("What the replies do", pl.Series([row["kind"] for row in edits], dtype=pl.String)),
+        bars("Edits by kind", pl.Series([row["kind"] for row in edits], dtype=pl.String)),
         histogram(
-            "Largest move in correction, mm (unknown: not corrected)",
+            "Largest move by the correction, mm (unknown: not corrected)",
             cards["move_max_mm"],
             [0, 1e-9, 1, 3, 10, 30, 100, 10_000],
         ),
@@ -61,13 +61,13 @@ def _pictures(folder: RunFolder, edits: list[Row], store: AssetStore, count: int
         return
     befores = {row["edit_id"]: row for row in folder.table("edits", where=pc.field("edit_id").isin(chosen)).to_pylist()}
     afters = {row["scene_id"]: row for row in folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()}
-    yield "<h2>Pictures</h2><p class=note>Left before, right after.</p>"
+    yield "<h2>Pictures</h2><p class=note>Left: before. Right: after.</p>"
     yield from figures((name, partial(_shown, befores[name], afters[name], store)) for name in chosen)
 
 
 def _shown(was: Row, row: Row, store: AssetStore) -> Shown:
     now, name = scene_from_row(row), escape(was["edit_id"])
-    goes = f"<br>goes: {escape(', '.join(was['removed']))}" if was["removed"] else ""
+    goes = f"<br>removed: {escape(', '.join(was['removed']))}" if was["removed"] else ""
     return [
         (drawn(_before(was, now), store), f"<b>{name}</b> before<br>{escape(was['instruction'])}"),
         (drawn(now, store), f"<b>{name}</b> after{goes}<br>new or changed: {escape(_names(was))}"),

@@ -1,4 +1,4 @@
-"""The report page of a generate run: what was accepted and what was not, how good it is, what it took; with pictures."""
+"""The report page of a generate run: accepted and rejected scenes, quality, time and cost; with pictures."""
 
 import io
 import json
@@ -27,7 +27,7 @@ from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import scene_from_row
 
 SHEET = "report/contact_sheet.png"
-"""The pictures on one sheet."""
+"""Contact sheet of the pictures."""
 
 _AT_ONCE = 16  # small files that are fetched side by side: on an object store each has to be waited for
 _COLUMNS = 5
@@ -36,13 +36,13 @@ _MEASURES = (
     ("objects", "num_objects", 1.0, ""),
     ("stacked", "num_stacked", 1.0, ""),
     ("contained", "num_contained", 1.0, ""),
-    ("task objects that the instruction asks for (AwT)", "awt", 100.0, " %"),
-    ("relations that the instruction says (AwS)", "aws", 100.0, " %"),
-    ("objects that are not the task's", "distractor_rate", 100.0, " %"),
+    ("required objects that are present (AwT)", "awt", 100.0, " %"),
+    ("stated relations that hold (AwS)", "aws", 100.0, " %"),
+    ("distractor rate", "distractor_rate", 100.0, " %"),
     ("object collision (OC)", "oc", 100.0, " %"),
     ("floating", "float_rate", 100.0, " %"),
-    ("moved by the corrections, mean", "move_mean_mm", 1.0, " mm"),
-    ("moved by the engine, most", "settle_move_max_mm", 1.0, " mm"),
+    ("mean move by the corrections", "move_mean_mm", 1.0, " mm"),
+    ("largest move in MuJoCo", "settle_move_max_mm", 1.0, " mm"),
 )
 
 
@@ -67,7 +67,7 @@ def write_generate_report(folder: RunFolder, manifest: dict[str, Any], settings:
         *_stages(folder, turns),
         *_time(spent),
         *_pictures(folder, scenes, "scenes", "Pictures", store, settings.num_pictures),
-        *_pictures(folder, rejected, "rejected", "Rejected", store, settings.num_pictures // 4),
+        *_pictures(folder, rejected, "rejected", "Rejected scenes", store, settings.num_pictures // 4),
         *notices(folder),
     ]
     folder.write_bytes("report/index.html", page(f"{manifest['dataset']}: generate", body))
@@ -104,35 +104,35 @@ def _tiles(
     return tiles(
         [
             (f"{scenes.height} / {manifest['num_tasks']}", "scenes accepted"),
-            (f"{counts['rejected']}", "made, and rejected"),
-            (f"{counts['failed_scenes'] - counts['rejected']}", "not made"),
-            (pace, "scenes a minute"),
-            (f"{seconds / num_scenes:.2f}", "core seconds a scene"),
-            (f"{1000 * seconds / 3600 / accepted:.2f}", "core hours a thousand accepted"),
-            (cost, "cost a thousand accepted"),
-            (f"{int((turns['prompt_tokens'] + turns['reply_tokens']).sum() or 0):,}", "tokens read and written"),
-            (str(counts["assets"]), "assets used"),
+            (f"{counts['rejected']}", "scenes rejected"),
+            (f"{counts['failed_scenes'] - counts['rejected']}", "tasks without a scene"),
+            (pace, "scenes per minute"),
+            (f"{seconds / num_scenes:.2f}", "core seconds per scene"),
+            (f"{1000 * seconds / 3600 / accepted:.2f}", "core hours per 1,000 accepted scenes"),
+            (cost, "cost per 1,000 accepted scenes"),
+            (f"{int((turns['prompt_tokens'] + turns['reply_tokens']).sum() or 0):,}", "prompt and reply tokens"),
+            (str(counts["assets"]), "used assets"),
         ]
     )
 
 
 def _quality(scenes: pl.DataFrame, rejected: pl.DataFrame) -> Iterable[str]:
     made = pl.concat([scenes, rejected])
-    yield "<h2>Quality</h2><p class=note>Means; collisions, floating and bounds exact, against the triangle meshes.</p>"
+    yield "<h2>Quality</h2><p class=note>Means over scenes. OC, floating and bounds: exact audit of the meshes.</p>"
     rows = [
         (label, *(_mean(frame[column], factor, unit) for frame in (scenes, made))) for label, column, factor, unit in _MEASURES
     ]
     rows += [
         (label, *(_share(frame[column]) for frame in (scenes, made)))
-        for label, column in (("clean", "clean"), ("stays in the engine", "stable"))
+        for label, column in (("clean", "clean"), ("stable in MuJoCo", "stable"))
     ]
-    yield table(("", f"accepted, {scenes.height}", f"all that were made, {made.height}"), rows)
-    yield "<h2>Distributions of the accepted</h2><div class=grid>"
-    yield histogram("Objects a scene", scenes["num_objects"], [0, 4, 8, 12, 16, 20, 25, 30, 1000])
-    yield histogram("Stacked objects a scene", scenes["num_stacked"], [0, 1, 2, 3, 5, 8, 1000])
-    yield histogram("Contained objects a scene", scenes["num_contained"], [0, 1, 2, 3, 5, 8, 1000])
+    yield table(("", f"accepted, {scenes.height}", f"all scenes made, {made.height}"), rows)
+    yield "<h2>Distributions of the accepted scenes</h2><div class=grid>"
+    yield histogram("Objects per scene", scenes["num_objects"], [0, 4, 8, 12, 16, 20, 25, 30, 1000])
+    yield histogram("Stacked objects per scene", scenes["num_stacked"], [0, 1, 2, 3, 5, 8, 1000])
+    yield histogram("Contained objects per scene", scenes["num_contained"], [0, 1, 2, 3, 5, 8, 1000])
     yield histogram("Largest move by the corrections, mm", scenes["move_max_mm"], [0, 1e-9, 1, 3, 10, 30, 100, 10_000])
-    yield histogram("Largest move in the engine, mm", scenes["settle_move_max_mm"], [0, 0.1, 0.5, 1, 3, 10, 1000])
+    yield histogram("Largest move in MuJoCo, mm", scenes["settle_move_max_mm"], [0, 0.1, 0.5, 1, 3, 10, 1000])
     yield bars("Table type", scenes["table_type"])
     yield "</div>"
 
@@ -154,9 +154,11 @@ def _stages(folder: RunFolder, turns: pl.DataFrame) -> Iterable[str]:
             )
         )
     yield "<h2>Stages</h2>"
-    yield table(("stage", "turns", "answers a turn", "OC proposed", "OC corrected", "clean proposed", "clean corrected"), rows)
+    yield table(
+        ("stage", "turns", "replies per turn", "OC proposed", "OC corrected", "clean proposed", "clean corrected"), rows
+    )
     if (codes := turns["code"].filter(turns["code"] != "")).len():
-        yield bars("Why turns were not taken", codes)
+        yield bars("Refused turns by reason", codes)
 
 
 def _cards(folder: RunFolder, column: str) -> pl.DataFrame:
@@ -171,7 +173,7 @@ def _time(spent: Counter[str]) -> Iterable[str]:
     scenes = spent["scenes"]
     if scenes:
         steps = [(name, f"{seconds / scenes:.3f}") for name, seconds in spent.items() if name != "scenes"]
-        yield "<h2>Time</h2>" + table(("step", "seconds of one process a scene"), steps)
+        yield "<h2>Time</h2>" + table(("step", "seconds of one process per scene"), steps)
 
 
 def _chosen(scenes: pl.DataFrame, count: int) -> list[str]:

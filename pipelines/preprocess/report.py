@@ -46,7 +46,7 @@ def write_report(folder: RunFolder, manifest: dict[str, Any], store: AssetStore,
 def _tiles(counts: dict[str, Any], manifest: dict[str, Any]) -> str:
     figures = [
         (f"{counts['scenes']} / {manifest['num_scenes']}", "scenes usable"),
-        (str(counts["failed_scenes"]), "scenes in failures"),
+        (str(counts["failed_scenes"]), "unusable scenes"),
         (f"{counts['assets']} / {manifest['num_assets']}", "assets usable"),
         (str(manifest["num_assets_without_mesh"]), "assets without a mesh file"),
         (str(counts["samples"]), "staged samples"),
@@ -60,18 +60,18 @@ def _tiles(counts: dict[str, Any], manifest: dict[str, Any]) -> str:
 def _audit(scenes: pl.DataFrame) -> Iterable[str]:
     summary = summarise(scenes)
     rows = [(x.label, f"{x.count}", f"{x.total}", f"{100 * x.share:.1f} %", str(x.unknown or "")) for x in summary.lines]
-    yield "<h2>Audit</h2><p class=note>Exact, against the triangle meshes, before anything is learned.</p>"
+    yield "<h2>Audit</h2><p class=note>Exact audit of the triangle meshes of the input scenes.</p>"
     yield table(("", "count", "of", "share", "unknown"), rows)
     yield table(("", ""), summary.figures)
     yield "<h2>Distributions</h2><div class=grid>"
-    yield histogram("Objects a scene", scenes["num_objects"], [0, 4, 8, 12, 16, 20, 25, 30, 1000])
-    yield histogram("Deepest penetration of a scene, mm", scenes["max_penetration_mm"], [0, 1e-9, 0.5, 1, 3, 10, 30, 1000])
-    yield histogram("Largest gap of a scene, mm", scenes["max_gap_mm"], [0, 0.5, 1, 3, 10, 30, 1000])
+    yield histogram("Objects per scene", scenes["num_objects"], [0, 4, 8, 12, 16, 20, 25, 30, 1000])
+    yield histogram("Deepest penetration per scene, mm", scenes["max_penetration_mm"], [0, 1e-9, 0.5, 1, 3, 10, 30, 1000])
+    yield histogram("Largest gap per scene, mm", scenes["max_gap_mm"], [0, 0.5, 1, 3, 10, 30, 1000])
     yield bars("Table type", scenes["table_type"])
     yield bars("Split", scenes["split"])
     yield "</div>"
     if summary.offenders:
-        yield "<h2>Worst offenders</h2>" + table(("scene", "what"), [(o.scene_id, o.what) for o in summary.offenders])
+        yield "<h2>Worst scenes</h2>" + table(("scene", "problem"), [(o.scene_id, o.what) for o in summary.offenders])
 
 
 def _staging(folder: RunFolder, scenes: pl.DataFrame) -> Iterable[str]:
@@ -81,8 +81,8 @@ def _staging(folder: RunFolder, scenes: pl.DataFrame) -> Iterable[str]:
     if objects.height:
         yield bars("Objects by stage", objects["stage"])
     yield bars("Task infos by origin", pl.Series("origin", [t["origin"] if t else "none" for t in origins], dtype=pl.String))
-    yield histogram("Stacked objects a scene", scenes["num_stacked"], [0, 1, 2, 3, 5, 8, 1000])
-    yield histogram("Contained objects a scene", scenes["num_contained"], [0, 1, 2, 3, 5, 8, 1000])
+    yield histogram("Stacked objects per scene", scenes["num_stacked"], [0, 1, 2, 3, 5, 8, 1000])
+    yield histogram("Contained objects per scene", scenes["num_contained"], [0, 1, 2, 3, 5, 8, 1000])
     yield "</div>"
 
 
@@ -96,15 +96,15 @@ def _assets(folder: RunFolder) -> Iterable[str]:
     rows = [
         ("watertight before repair", f"{reports['was_watertight'].sum()} of {reports.height}"),
         ("watertight after repair", f"{reports['is_watertight'].sum()} of {reports.height}"),
-        ("open sheets, taken as thin shells", f"{reports['is_sheet'].sum()} of {reports.height}"),
-        ("faces, median and most", f"{np.median(faces):.0f}, {faces.max()}"),
-        ("convex parts: the hull is enough", f"{sum(p == 'hull' for p in parts)} of {len(parts)}"),
+        ("open sheets, treated as thin shells", f"{reports['is_sheet'].sum()} of {reports.height}"),
+        ("faces, median and maximum", f"{np.median(faces):.0f}, {faces.max()}"),
+        ("convex parts: one hull is sufficient", f"{sum(p == 'hull' for p in parts)} of {len(parts)}"),
     ]
     if errors:
         share = [float(np.median([e[key] for e in errors])) for key in ("mean_error", "spacing")]
         rows.append(("grid error near the surface, median", f"{100 * share[0]:.3f} % of the largest extent"))
         rows.append(("grid spacing, median", f"{100 * share[1]:.2f} % of the largest extent"))
-        rows.append(("wrong signs off the surface, mean", f"{100 * np.mean([e['sign_error'] for e in errors]):.3f} %"))
+        rows.append(("wrong signs away from the surface, mean", f"{100 * np.mean([e['sign_error'] for e in errors]):.3f} %"))
     yield "<h2>Assets</h2>" + table(("", ""), rows)
 
 

@@ -54,7 +54,7 @@ def notices(folder: RunFolder) -> Iterable[str]:
         shown = rows.slice(0, _SHOWN).to_pylist()
         yield table(columns, [[row[column] for column in columns] for row in shown])
         if rows.num_rows > len(shown):
-            yield f'<p class="note">and {rows.num_rows - len(shown)} more in the table {name}.</p>'
+            yield f'<p class="note">{rows.num_rows - len(shown)} more rows are in the table {name}.</p>'
 
 
 def image_uri(picture: Any) -> str:

@@ -47,7 +47,7 @@ def figures(scenes: Iterable[tuple[str, Callable[[], Shown]]]) -> Iterable[str]:
             yield f'</div><p class="note">{escape(str(error))}</p>'
             return
         except Exception as error:  # noqa: BLE001 - see the module
-            yield f'<p class="note">{escape(name)} cannot be drawn: {escape(f"{type(error).__name__}: {error}")}</p>'
+            yield f'<p class="note">{escape(name)} cannot be rendered: {escape(f"{type(error).__name__}: {error}")}</p>'
             continue
         for picture, caption in shown:
             yield f'<figure><img alt="{escape(name)}" src="{image_uri(picture)}"><figcaption>{caption}</figcaption></figure>'

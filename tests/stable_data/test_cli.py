@@ -68,7 +68,7 @@ def test_ctrl_c_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(stable_data.mesatask.lint, "lint_folder", stop)
     result = run("lint", "anywhere")
-    assert (result.exit_code, result.stderr) == (INTERRUPTED, "interrupted; what is in place stays\n")
+    assert (result.exit_code, result.stderr) == (INTERRUPTED, "interrupted; finished files stay\n")
 
 
 @pytest.mark.parametrize("arguments", [["lint", "anywhere"], ["synth", "somewhere"]])

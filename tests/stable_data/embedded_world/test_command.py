@@ -23,7 +23,7 @@ def told(*arguments: str) -> tuple[int, str]:
 def test_it_makes_scenes_on_the_tables_that_are_asked_for(tmp_path: Path) -> None:
     status, output = told(str(tmp_path / "out"), "--scenes", "2", "--edits", *QUICK)
     assert status == 0
-    assert "2 of 2 scenes, 0 not made" in output
+    assert "2 of 2 scenes made, 0 failed" in output
     assert MesaTaskDataset(tmp_path / "out").scene_ids == ("coffee_table_00001", "nightstand_00000")
     manifest = json.loads((tmp_path / "out/synth.json").read_text())
     assert manifest["tables"] == ["nightstand", "coffee_table"]

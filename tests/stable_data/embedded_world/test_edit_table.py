@@ -148,5 +148,5 @@ def test_the_command_tells_of_scenes_that_have_no_edits(rows: list[Row], tmp_pat
     run = _run(tmp_path / "run", [rows[0], rows[1] | {"source_json": None}])
     done = CliRunner().invoke(app, ["draft-edits", run.uri, "--per-scene", "2"])
     assert done.exit_code == 1
-    assert "2 edits added, 1 scenes without; 2 rows in all" in done.output
+    assert "2 edits added, 1 scenes without edits; 2 rows in total" in done.output
     assert rows[1]["scene_id"] in done.output

@@ -139,7 +139,7 @@ def test_a_body_that_the_engine_refuses_loses_one_scene(tmp_path: Path) -> None:
     assert result.exit_code == SOME_FAILED
     assert "not exported: flat: body 0_sheet_0: none of its 1 convex parts is solid" in result.stderr
     assert command(run.uri, tmp_path / "out", "--format", "mjcf").stdout.endswith(
-        "1 of 2 scenes as mjcf, 1 of them were there; README.md says how to open them\n"
+        "1 of 2 scenes as mjcf, 1 of them existed already; README.md explains how to open them\n"
     )
 
 
