@@ -57,7 +57,7 @@ def unwritable(where: str, error: OSError) -> ConfigError:
     """The error for a place that cannot be written."""
     reason = error.strerror or str(error)
     return ConfigError(
-        f"{where}: cannot be written ({reason}); free space or choose a folder you may write, then run again",
+        f"{where}: cannot be written ({reason}); free space or choose a writable folder, then run again",
         "output_unwritable",
     )
 
@@ -67,6 +67,6 @@ def unreadable(where: str, path: str, error: Exception) -> ConfigError:
     reason = str(error).strip().partition("\n")[0]
     return ConfigError(
         f"{where}: {path} cannot be read ({reason}), expected a Parquet file of this run; "
-        "if it is there, delete it and run again what wrote it",
+        "if it exists, delete it and run the job that wrote it again",
         "shard_unreadable",
     )

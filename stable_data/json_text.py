@@ -128,12 +128,12 @@ def json_value(text: str) -> Any:
     if is_deep:
         raise ValueError(f"nests deeper than {MAX_DEPTH} levels")
     if not is_unicode(value):
-        raise ValueError("holds text that is no UTF-8")
+        raise ValueError("contains text that is not UTF-8")
     return value
 
 
 def _refused_constant(constant: str) -> float:
-    raise ValueError(f"{constant} is no number")
+    raise ValueError(f"{constant} is not a JSON number")
 
 
 def is_unicode(value: object) -> bool:

@@ -220,7 +220,7 @@ class Scene:
         if len(set(names)) < len(names) or TABLE in names:
             twice = sorted({n for n in names if names.count(n) > 1 or n == TABLE})
             raise SceneError(
-                f"{self.scene_id}: instances {twice} are not unique, expected one name an object", "duplicate_instance"
+                f"{self.scene_id}: instances {twice} are not unique, expected one name per object", "duplicate_instance"
             )
 
     def __getitem__(self, instance: str) -> SceneObject:

@@ -55,11 +55,11 @@ def assign_assets(
         name = scenes[k].scene_id
         why = found[0] + (f" (and {len(found) - 1} more assets)" if found[1:] else "") if found else ""
         if isinstance(answer, UnmatchedQuery):
-            unmatched[k][o.instance] = replace(answer, reason=f"what is like it cannot be used: {why}") if why else answer
+            unmatched[k][o.instance] = replace(answer, reason=f"the similar assets cannot be used: {why}") if why else answer
             continue
         matches[k][o.instance] = answer
         if why:
-            passed[k].append(Notice(name, STEP, "asset_unusable", f"{name}: {o.instance} goes without {why}"))
+            passed[k].append(Notice(name, STEP, "asset_unusable", f"{name}: {o.instance} gets another asset; not used: {why}"))
     return [_furnished(*parts) for parts in zip(scenes, matches, unmatched, passed, strict=True)]
 
 
@@ -95,9 +95,9 @@ def _furnished(
     kept = [o for o in scene.objects if o.instance not in gone]
     notices = list(passed)
     for name in sorted(gone):
-        why = f"no asset: {unmatched[name].reason}" if name in unmatched else "what it rests on is left out"
+        why = f"no asset: {unmatched[name].reason}" if name in unmatched else "its carrier is removed"
         code = "asset_unmatched" if name in unmatched else "carrier_left_out"
-        notices.append(Notice(scene.scene_id, STEP, code, f"{scene.scene_id}: {name} is left out; {why}"))
+        notices.append(Notice(scene.scene_id, STEP, code, f"{scene.scene_id}: {name} is removed; {why}"))
     notices += [
         Notice(scene.scene_id, STEP, "not_stretched", f"{scene.scene_id}: {o.instance} {note}")
         for o in kept

@@ -137,7 +137,7 @@ class AssetLibrary:
             raise ConfigError(f"library {self.name}: {reasons}, expected assets with words and extents", "library_empty")
         twice = [uid for uid, n in Counter(a.asset_id for a in self.assets).items() if n > 1]
         if twice:
-            message = f"library {self.name}: asset {twice[0]} is there twice, expected one entry a uid"
+            message = f"library {self.name}: asset {twice[0]} is listed twice, expected one entry per uid"
             raise ConfigError(f"{message}; was it preprocessed twice into one folder?", "asset_duplicate")
         if self.features is not None:
             object.__setattr__(self, "features", checked_rows(self.features, len(self.assets), f"library {self.name}"))

@@ -47,7 +47,9 @@ class PointFeatures:
         key = feature_key(asset_id, scale, tilt_quat_xyzw)
         if key not in self.vectors:
             message = f"asset {asset_id}: no feature at aspect {key[1]}, tilt {key[2]} by encoder {self.fingerprint}"
-            raise ConfigError(f"{message}, expected one for each use by a scene of the run; encode it", "feature_missing")
+            raise ConfigError(
+                f"{message}, expected one for each use in a scene of the run; run preprocess with features", "feature_missing"
+            )
         return self.vectors[key]
 
 
@@ -64,11 +66,14 @@ def read_features(run: RunFolder) -> PointFeatures:
     found = sorted(pc.unique(table["encoder_fingerprint"]).to_pylist(), key=str)
     if len(found) != 1:
         what = f"features of encoders {', '.join(map(str, found))}" if found else "no features"
-        message = f"{run.uri}: holds {what}, expected those of one; preprocess into a new folder with one encoder"
+        message = f"{run.uri}: contains {what}, expected features of one encoder; preprocess into a new folder with one encoder"
         raise ConfigError(message, "features_mixed" if found else "features_missing")
     lengths = sorted(pc.unique(pc.list_value_length(table["feature"])).to_pylist())
     if len(lengths) != 1:
-        raise ConfigError(f"{run.uri}: holds features of {lengths} numbers, expected one length", "features_mixed")
+        raise ConfigError(
+            f"{run.uri}: contains features of lengths {lengths}, expected one length; preprocess into a new folder with one encoder",
+            "features_mixed",
+        )
     rows = rows_from_table(table)
     keys = [feature_key(row["asset_id"], tuple(row["aspect"]), tuple(row["tilt_quat_xyzw"])) for row in rows]
     return PointFeatures(

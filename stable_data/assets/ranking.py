@@ -71,7 +71,9 @@ class RetrievalSettings:
         }
         for name, (value, low, high) in bounds.items():
             if not low <= value <= high:
-                raise ConfigError(f"{name} is {value}, expected {low:g} to {high:g}", "setting_invalid")
+                raise ConfigError(
+                    f"retrieval setting {name} is {value}, expected a number from {low:g} to {high:g}", "setting_invalid"
+                )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

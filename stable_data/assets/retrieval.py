@@ -128,10 +128,10 @@ class Retriever:
         self.settings = settings or RetrievalSettings()
         self._encoder = encoder
         if not libraries:
-            raise ConfigError("no asset library, expected at least one to retrieve from", "library_empty")
+            raise ConfigError("no asset library, expected at least one; pass a library", "library_empty")
         names = [library.name for library in libraries]
         if len(set(names)) < len(names):
-            raise ConfigError(f"libraries are called {', '.join(names)}, expected one name each; pass name=", "library_name")
+            raise ConfigError(f"libraries are named {', '.join(names)}, expected different names; pass name=", "library_name")
         for library in libraries:
             _check_encoder(library, encoder)
         found = ((library.name, AssetScores(library, self.settings)) for library in libraries)
@@ -139,7 +139,7 @@ class Retriever:
         if not self._libraries:
             licences = "any" if self.settings.licences is None else ", ".join(sorted(self.settings.licences)) or "none"
             message = f"libraries {', '.join(names)} offer no asset under the licences {licences}"
-            raise ConfigError(f"{message}, expected some; allow more licences or add a library", "library_unusable")
+            raise ConfigError(f"{message}, expected at least one; allow more licences or add a library", "library_unusable")
         self._known: dict[str, Rows] = {}
 
     def retrieve(self, queries: Sequence[AssetQuery], seed: int = 0) -> list[Answer]:
@@ -167,8 +167,8 @@ class Retriever:
         if unknown := [text for text in texts if text not in found]:
             rows = checked_rows(self._encoder(unknown), len(unknown), "the text encoder")
             if rows.shape[1] != (wanted := self._libraries[0][1].features.shape[1]):
-                message = f"the text encoder gives {rows.shape[1]} numbers, but the libraries have {wanted}"
-                raise ConfigError(f"{message}; embed them with it", "features_of_another_encoder")
+                message = f"the text encoder returns {rows.shape[1]} numbers per text, expected {wanted} as in the libraries"
+                raise ConfigError(f"{message}; embed the libraries with this encoder", "features_of_another_encoder")
             new = {text: row.copy() for text, row in zip(unknown, rows, strict=True)}
             found |= new
             self._known |= new
@@ -248,12 +248,12 @@ class Retriever:
 
     def _unmatched(self, name: str, nearest: Asset, text: float, query: AssetQuery) -> UnmatchedQuery:
         found = f"{shown(nearest.words)} of library {name} at {text:.2f}"
-        reason = f"nothing like {shown(query.sentence())}: nearest is {found}, expected at least {self.settings.floor:g}"
+        reason = f"no asset is similar to {shown(query.sentence())}: the nearest is {found}, expected at least {self.settings.floor:g}"
         return UnmatchedQuery(reason, nearest.asset_id, name, text)
 
 
 def _wordless() -> UnmatchedQuery:
-    return UnmatchedQuery("the query has neither words nor a category, expected some to search by")
+    return UnmatchedQuery("the query has neither words nor a category, expected at least one of them")
 
 
 def _check_encoder(library: AssetLibrary, encoder: TextEncoder) -> None:
@@ -264,18 +264,18 @@ def _check_encoder(library: AssetLibrary, encoder: TextEncoder) -> None:
     if library.encoder_fingerprint == encoder.fingerprint:
         return
     what = f"library {library.name}: its features"
-    hint = "call embedded(encoder) on it, or take the encoder that made them"
+    hint = "call embedded(encoder) on it, or use the encoder that made them"
     if library.encoder_fingerprint:
-        found = f"{what} are of encoder {library.encoder_fingerprint}, expected {encoder.fingerprint}"
+        found = f"{what} come from encoder {library.encoder_fingerprint}, expected {encoder.fingerprint}"
         raise ConfigError(f"{found}; {hint}", "features_of_another_encoder")
     step = math.ceil(len(library) / _PROBED)
     probed = list(range(0, len(library), step))
     words = [library.assets[k].words for k in probed]
     rows = checked_rows(encoder(words), len(words), "the text encoder")
     if rows.shape[1] != library.features.shape[1]:
-        found = f"{what} have {library.features.shape[1]} numbers, but the encoder gives {rows.shape[1]}"
+        found = f"{what} have {library.features.shape[1]} numbers, but this encoder returns {rows.shape[1]}"
         raise ConfigError(f"{found}; {hint}", "features_of_another_encoder")
     likeness = float((rows * library.features[probed]).sum(axis=1).mean())
     if likeness < _RELATED:
-        found = f"{what} and the encoder's of the same words agree by {likeness:.2f}, expected at least {_RELATED}"
+        found = f"{what} and this encoder's features of the same words have mean cosine {likeness:.2f}, expected at least {_RELATED}"
         raise ConfigError(f"{found}; {hint}", "features_of_another_encoder")

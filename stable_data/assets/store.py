@@ -161,7 +161,7 @@ class AssetStore:
                 return shape, o.scale, odd
             message = (
                 f"object {o.instance}: asset {o.asset_id} at its scale is {_in_cm(shape.size)}, expected {_in_cm(o.size)}; "
-                "the mesh is fitted to the size; is it another mesh than the annotated one?"
+                "the mesh is scaled to the size; is it a different mesh from the annotated one?"
             )
             odd = (*odd, Notice(o.instance, "mesh", "asset_differs", message))
         scale = fitted_scale(asset.mesh, o.tilt_quat_xyzw, o.size)
@@ -202,7 +202,9 @@ class AssetStore:
                 if mesh is not None:
                     o = to_box_centre(o, mesh.vertices)
                 elif not keeps_box(o.tilt_quat_xyzw):
-                    message = f"object {o.instance}: where its box is follows from its mesh; its mesh's centre is taken for it"
+                    message = (
+                        f"object {o.instance}: its box position needs its missing mesh; the mesh centre in the file is used"
+                    )
                     odd = (*odd, Notice(o.instance, "mesh", "position_unknown", message))
             objects.append(o)
             shapes.append(shape)
@@ -278,7 +280,8 @@ class AssetStore:
         path = self._source.asset_path(asset_id)
         if path is None:
             return MeshError(
-                f"asset {asset_id}: no GLB file, expected one in the library; add it or preprocess without it", "glb_missing"
+                f"asset {asset_id}: no GLB file in the library, expected one; add the file or preprocess without this asset",
+                "glb_missing",
             )
         try:
             mesh, odd = load_glb(path, asset_id)

@@ -83,8 +83,8 @@ def text_rows(texts: Sequence[str], encoder: TextEncoder, cache: Path | None = N
     if missing:
         new = checked_rows(encoder(missing), len(missing), "the text encoder")
         if kept and known.shape[1] != new.shape[1]:
-            message = f"{cache} holds features of {known.shape[1]} numbers, but the encoder gives {new.shape[1]}"
-            raise ConfigError(f"{message}; delete the file or choose another", "features_of_another_encoder")
+            message = f"{cache} contains features of {known.shape[1]} numbers, but the encoder returns {new.shape[1]}"
+            raise ConfigError(f"{message}; delete the file or choose another file", "features_of_another_encoder")
         known = np.concatenate([known, new]) if kept else new
         kept = [*kept, *missing]
         place = {text: k for k, text in enumerate(kept)}
@@ -106,13 +106,11 @@ def _read(cache: Path, fingerprint: str) -> tuple[list[str], Rows]:
         rows = values.flatten().to_numpy(zero_copy_only=False).reshape(len(texts), -1)
     except (pa.ArrowException, OSError, KeyError, ValueError, AttributeError) as error:
         reason = str(error).strip().partition("\n")[0]
-        message = (
-            f"{cache} cannot be read ({reason}), expected a Parquet file of text features; delete it, and it is made again"
-        )
+        message = f"{cache} cannot be read ({reason}), expected a Parquet file of text features; delete the file; it is then written again"
         raise ConfigError(message, "features_invalid") from error
     if found != fingerprint:
-        message = f"{cache} holds features of encoder {found or 'unknown'}, expected {fingerprint}"
-        raise ConfigError(f"{message}; delete the file or choose another", "features_of_another_encoder")
+        message = f"{cache} contains features of encoder {found or 'unknown'}, expected {fingerprint}"
+        raise ConfigError(f"{message}; delete the file or choose another file", "features_of_another_encoder")
     return texts, checked_rows(rows, len(texts), str(cache))
 
 

@@ -78,7 +78,7 @@ def _things_of(scene: Scene) -> dict[str, PlacedObject]:
         key not in KEYS or asset(key).uid != o.asset_id for key, o in zip(keys, scene.objects, strict=True)
     ):
         raise SceneError(
-            f"{scene.scene_id}: its record names {len(keys)} things of the catalogue for {len(scene.objects)} objects, expected "
+            f"{scene.scene_id}: its record names {len(keys)} assets of the catalogue for {len(scene.objects)} objects, expected "
             "those that it shows; make edits of scenes of stable-data synth",
             "not_synth",
         )

@@ -40,7 +40,7 @@ def embedded_library(cache: Path) -> tuple[Path, AssetLibrary]:
         tilts = json.loads((root / TILTS_FILE).read_text("utf-8"))
     except (OSError, ValueError) as error:
         raise ConfigError(
-            f"{root} is no library any more ({error}); delete it, and it is made again", "library_broken"
+            f"{root} is not a usable library ({error}); delete the folder; it is then built again", "library_broken"
         ) from error
     return root, library_of_folder(root, NAME, scenes=_shown(tilts))
 

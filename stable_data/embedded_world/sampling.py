@@ -52,4 +52,4 @@ def sampled_task(number: int, seed: int = 0, tables: tuple[str, ...] = ()) -> tu
         carriers = supports(scene, {}, containers=containers)
         graph = scene_graph(scene, {name: (carrier,) for name, carrier in carriers.items() if carrier}, containers=containers)
         return table, derive_task(scene, graph, rng).task
-    raise SceneError(f"task {number} of seed {seed}: no composition has {FEWEST} things; use another seed", "synth_failed")
+    raise SceneError(f"task {number} of seed {seed}: no composition has {FEWEST} objects; use another seed", "synth_failed")

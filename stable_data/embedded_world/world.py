@@ -114,7 +114,7 @@ def open_world(out: Path, num_scenes: int, world: EmbeddedWorld) -> None:
         if path.is_file():
             _compare(out, _read(path), wanted)
         elif any(out.iterdir()):
-            raise ConfigError(f"{out} holds something else (no {MANIFEST_FILE}), expected a new or empty folder", "not_a_world")
+            raise ConfigError(f"{out} contains other files (no {MANIFEST_FILE}), expected a new or empty folder", "not_a_world")
         else:
             path.write_text(json.dumps(wanted, indent=2) + "\n", "utf-8")
         if not (out / ANNOTATION_FILE).is_file():
@@ -231,21 +231,23 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(path.read_text("utf-8"))
     except ValueError as error:
-        raise ConfigError(f"{path} is not JSON ({error}), expected what a set was made with; name another folder", "not_a_world")\
+        raise ConfigError(f"{path} is not JSON ({error}), expected the settings of a set; choose another folder", "not_a_world")\
             from error  # fmt: skip
     if not isinstance(found, dict):
-        raise ConfigError(f"{path} holds {type(found).__name__}, expected an object; name another folder", "not_a_world")
+        raise ConfigError(f"{path} contains {type(found).__name__}, expected an object; choose another folder", "not_a_world")
     return found
 
 
 def _compare(out: Path, found: dict[str, Any], wanted: dict[str, Any]) -> None:
     changes = [f"{key}: {found.get(key)!r} -> {value!r}" for key, value in wanted.items() if found.get(key) != value]
     if changes:
-        raise ConfigError(f"{out} was begun otherwise ({'; '.join(changes)}); name another folder", "config_changed")
+        raise ConfigError(
+            f"{out} was started with other settings ({'; '.join(changes)}); choose another folder", "config_changed"
+        )
 
 
 def _unwritable(out: Path, error: OSError) -> ConfigError:
-    return ConfigError(f"{out} cannot be written: {error.strerror or error}; name another folder", "out_not_writable")
+    return ConfigError(f"{out} cannot be written: {error.strerror or error}; choose another folder", "out_not_writable")
 
 
 def _keep_failure(out: Path, name: str, error: SceneError) -> None:

@@ -70,7 +70,9 @@ def export_run(run: RunFolder, out: Path, name: str, choice: SceneSelection, pro
     target = RunFolder(str(out))
     scenes = RunScenes(run, choice)
     if not len(scenes):
-        raise ConfigError(f"{run.uri}: no scene is chosen, expected one at least; ask for others", "scene_unknown")
+        raise ConfigError(
+            f"{run.uri}: no scene is selected, expected at least one; change --where, --scene or --limit", "scene_unknown"
+        )
     annotations = run_annotations(run)
     with target.locked():
         _check_same(target, run, name, choice)
@@ -158,7 +160,8 @@ def _check_same(target: RunFolder, run: RunFolder, name: str, choice: SceneSelec
     if content is None:
         if any(path.name != ".lock" for path in Path(target.root).iterdir()):
             raise ConfigError(
-                f"{target.uri}: holds something else, expected an empty folder or this export", "output_not_empty"
+                f"{target.uri}: contains other files, expected an empty folder or this export; choose a new folder",
+                "output_not_empty",
             )
         text = json.dumps(settings | {"code_version": code_version()}, indent=2, sort_keys=True, ensure_ascii=False)
         target.write_bytes(MANIFEST_FILE, (text + "\n").encode())
@@ -170,6 +173,6 @@ def _check_same(target: RunFolder, run: RunFolder, name: str, choice: SceneSelec
     for key, now in settings.items():
         if was.get(key) != now:
             raise ConfigError(
-                f"{target.uri}: {key}: {was.get(key)} -> {now}, expected what the export was begun with; choose a new folder",
+                f"{target.uri}: {key}: {was.get(key)} -> {now}, expected the settings that this export started with; choose a new folder",
                 "config_changed",
             )

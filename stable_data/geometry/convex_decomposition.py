@@ -117,7 +117,10 @@ class _Cutting:
         self._unit, self._max_parts, self._tolerance = self.in_units(mesh), max_parts, tolerance
         hull = _hull(self._unit.vertices) or _thick_hull(self._unit.vertices, _SHELL)
         if hull is None:
-            raise MeshError(f"no hull of a mesh with extents {mesh.extents} has a volume, expected a surface", "convex_failed")
+            raise MeshError(
+                f"mesh with extents {mesh.extents}: no convex hull has a volume, expected a surface that is not flat",
+                "convex_failed",
+            )
         self.hull = hull
         self.overfill = cache(partial(_overfill, self._unit))
         self.uncovered = cache(partial(_uncovered, self._unit))

@@ -46,7 +46,8 @@ def mass_properties(
     given = [m for m in (mass, density) if m is not None]
     if len(given) != 1 or not (0 < given[0] < float("inf") and thickness > 0):
         raise MeshError(
-            f"mass is {mass}, density {density}, thickness {thickness}, expected one of the first two, positive", "mass_invalid"
+            f"mass is {mass}, density {density}, thickness {thickness}, expected exactly one of mass and density, and positive values",
+            "mass_invalid",
         )
     corners = mesh.triangles
     total = corners.sum(axis=1)

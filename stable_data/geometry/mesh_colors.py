@@ -58,7 +58,8 @@ def load_paint(data: bytes | Path, asset_id: str, mesh: Mesh) -> Paint:
     middles = triangles.mean(axis=1) - (low + high) / 2
     if not np.isfinite(np.square(4 * middles)).all():  # nor would the squares of distances be
         raise MeshError(
-            f"asset {asset_id}: a vertex is not finite or too far, expected a mesh of usual size", "glb_nan_vertices"
+            f"asset {asset_id}: a vertex is not finite or too far from the origin, expected a mesh of usual size",
+            "glb_nan_vertices",
         )
     nearest: IntArray = np.asarray(cKDTree(middles).query(mesh.triangles.mean(axis=1))[1])
     return _grouped(colours[nearest], double_areas(mesh))

@@ -60,7 +60,7 @@ def derive_task(scene: Scene, graph: SceneGraph, rng: np.random.Generator) -> Ta
         SceneError: The scene has no objects (``scene_empty``).
     """
     if not scene.objects:
-        raise SceneError(f"{scene.scene_id}: no objects, expected one to make a task of; drop the scene", "scene_empty")
+        raise SceneError(f"{scene.scene_id}: no objects, expected at least one for a task; remove the scene", "scene_empty")
     supports = {name: about.get("support") for name, about in graph.nodes(data=True)}
     steady = [o.instance for o in scene.objects if o.asset_id is not None and supports[o.instance] is not None]
     namer = ObjectNamer(scene, graph)

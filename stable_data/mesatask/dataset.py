@@ -144,7 +144,7 @@ def _scene_folders(root: Path, log: ReadLog) -> dict[str, Path]:
         if (folder / LAYOUT_FILE).is_file():
             folders[_free_name(folder, folders)] = folder
     if not folders:
-        raise ConfigError(f"{layouts} holds no <table type>/<scene>/{LAYOUT_FILE}; is the archive unpacked?", "dataset_empty")
+        raise ConfigError(f"{layouts} contains no <table type>/<scene>/{LAYOUT_FILE}; unpack the archive", "dataset_empty")
     named = dict(folders)  # a folder without a layout takes no name from a scene
     for folder in (folder for folder in every if not (folder / LAYOUT_FILE).is_file()):
         name = _free_name(folder, named)

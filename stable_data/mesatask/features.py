@@ -67,7 +67,7 @@ def read_text_features(path: Path, max_bytes: int = _MAX_BYTES) -> tuple[tuple[s
     except ConfigError:
         raise
     except _UNSOUND as error:
-        raise ConfigError(f"{path} is not a sound pickle: {shown(str(error))}; fetch it again", "features_invalid") from error
+        raise ConfigError(f"{path} is not a valid pickle: {shown(str(error))}; fetch it again", "features_invalid") from error
     if not isinstance(document, dict) or not {"uids", "text_features"} <= document.keys():
         raise _invalid(path, f"holds a {type(document).__name__}")
     return _checked(document["uids"], document["text_features"], path)
@@ -179,7 +179,7 @@ def _unpacked(path: Path, max_bytes: int) -> bytes:
     except (OSError, EOFError, zlib.error) as error:
         raise ConfigError(f"{path} cannot be read: {error}; fetch it again", "features_invalid") from error
     if len(data) > max_bytes:
-        raise ConfigError(f"{path} has more than {max_bytes} bytes; raise the limit if it is right", "file_too_big")
+        raise ConfigError(f"{path} has more than {max_bytes} bytes; raise the limit if the file is correct", "file_too_big")
     return data
 
 
@@ -196,7 +196,10 @@ def _check_operations(data: bytes, path: Path) -> None:
             elif number > _MAX_OPERATIONS:
                 found = f"more than {_MAX_OPERATIONS:,} operations, expected features as one array"
             if found:
-                raise ConfigError(f"{path} holds {found}; it was not read, do not trust it", "pickle_refused")
+                raise ConfigError(
+                    f"{path} contains {found}, expected numpy arrays in plain containers; it was not read, do not trust it",
+                    "pickle_refused",
+                )
             num_tuples += operation.name in _TUPLES
         if num_tuples > _MAX_DEPTH and _tuple_depth(data) > _MAX_DEPTH:
             raise ConfigError(
@@ -206,7 +209,7 @@ def _check_operations(data: bytes, path: Path) -> None:
     except ConfigError:
         raise
     except _UNSOUND as error:
-        raise ConfigError(f"{path} is not a sound pickle: {shown(str(error))}; fetch it again", "features_invalid") from error
+        raise ConfigError(f"{path} is not a valid pickle: {shown(str(error))}; fetch it again", "features_invalid") from error
 
 
 def _tuple_depth(data: bytes) -> int:
@@ -303,7 +306,7 @@ def _plain_array(value: _Described, path: Path) -> Any:
 def _size(shape: Any) -> int:
     """The number of items of an array of a shape."""
     if not isinstance(shape, tuple) or len(shape) > 2 or not all(isinstance(n, int) and n >= 0 for n in shape):
-        raise ValueError("a shape that is none, expected one or two lengths")
+        raise ValueError("an invalid shape, expected one or two lengths")
     return math.prod(shape)
 
 

@@ -77,14 +77,14 @@ class AlignmentReference:
         names = [r.instance for r in self.required]
         if not names or len(set(names)) < len(names):
             raise SceneError(
-                f"{self.scene_id}: required objects are {names}, expected one or more unlike names; write them again",
+                f"{self.scene_id}: required objects are {names}, expected one or more different names; write them again",
                 "task_objects_unknown",
             )
         for relation in (*self.entailed, *(self.graph or ())):
             absent = sorted(set(members(relation)) - {*names, TABLE})
             if absent:
                 raise SceneError(
-                    f"{self.scene_id}: {relation} is asked for, but {', '.join(absent)} is no required object; add it",
+                    f"{self.scene_id}: {relation} is required, but {', '.join(absent)} is not a required object; add it",
                     "task_relation_unknown",
                 )
 

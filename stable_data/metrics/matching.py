@@ -53,7 +53,8 @@ class RequiredObject:
         """Refuses an object of kinds without words, which nothing could be matched to."""
         if self.categories and not any(type_words(category) for category in self.categories):
             raise SceneError(
-                f"required object {self.instance} has categories {self.categories}, expected words", "task_objects_unknown"
+                f"required object {self.instance} has categories {self.categories}, expected categories with words",
+                "task_objects_unknown",
             )
 
     def __str__(self) -> str:

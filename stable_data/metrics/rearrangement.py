@@ -81,7 +81,7 @@ def _transport(scene: Scene, other: Scene, cost_of: Callable[[FloatArray, FloatA
 def _refuse_others(scene: Scene, other: Scene) -> None:
     names, wanted = ({o.instance for o in s.objects} for s in (scene, other))
     if names != wanted:
-        found = f"without {sorted(wanted - names)}, with {sorted(names - wanted)} besides"
+        found = f"lacks {sorted(wanted - names)}, with the additional objects {sorted(names - wanted)}"
         raise SceneError(f"{scene.scene_id}: {found}, expected the objects of the scene it is compared with", "objects_differ")
     if not names:
         raise SceneError(f"{scene.scene_id}: no objects, expected at least one to compare", "empty_scene")

@@ -68,7 +68,7 @@ def stage_scene(scene: Scene, threshold: float = THRESHOLD) -> Scene:
         SceneError: There is no task (``task_missing``), or supports form a circle (``support_circle``).
     """
     if scene.task is None:
-        raise SceneError(f"{scene.scene_id}: no task, expected one to stage by; derive one first", "task_missing")
+        raise SceneError(f"{scene.scene_id}: no task, expected one for staging; derive a task first", "task_missing")
     named = [o for o in scene.objects if o.instance in scene.task.task_objects]
     stages = {o.instance: _stage_of(o, named, threshold) for o in scene.objects}
     tree = SupportTree.of(scene.objects, scene.scene_id)

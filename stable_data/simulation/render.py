@@ -282,8 +282,8 @@ def open_renderer(model: mujoco.MjModel, size: tuple[int, int]) -> mujoco.Render
         is_late = os.environ.get("MUJOCO_GL") == "egl" and "egl" not in getattr(mujoco, "GLContext", int).__module__
         late = "import stable_data.simulation.gym_env before mujoco, or set MUJOCO_GL=egl for both; else " if is_late else ""
         raise ConfigError(
-            f"no picture: OpenGL does not start ({type(error).__name__}: {error}); {late}"
-            "install libegl1 and libgl1-mesa-dri, or set MUJOCO_GL to egl, osmesa or glfw, or go on without pictures",
+            f"rendering failed: OpenGL does not start ({type(error).__name__}: {error}); {late}"
+            "install libegl1 and libgl1-mesa-dri, or set MUJOCO_GL to egl, osmesa or glfw, or continue without pictures",
             "no_gl",
         ) from error
 

@@ -129,13 +129,13 @@ def check_tables(run: RunFolder, *, settled: bool = False) -> None:
     for table in NEEDED:
         if not run.files(table):
             raise ConfigError(
-                f"{run.uri}: the run has no table {table}, expected {', '.join(NEEDED)}; preprocess the dataset, or take the run of a job",
+                f"{run.uri}: the run has no table {table}, expected {', '.join(NEEDED)}; preprocess the dataset, or name the run of a job",
                 "table_missing",
             )
     if settled and not (run.files("settled") and run.num_rows("settled")):
         raise ConfigError(
             f"{run.uri}: the run keeps no settled poses, expected rows of the table settled; "
-            "generate with --set keep_settled=true, or take the scenes as they are",
+            "generate with --set keep_settled=true, or export the scenes without --settled",
             "table_missing",
         )
 

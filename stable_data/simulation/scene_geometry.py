@@ -58,7 +58,7 @@ class SceneGeometry:
         if rest is not None:
             missing = [o.instance for o in scene.objects if o.instance not in rest]
             if missing:
-                raise SceneError(f"{scene.scene_id}: no settled pose of {missing}, expected one an object", "not_settled")
+                raise SceneError(f"{scene.scene_id}: no settled pose of {missing}, expected one per object", "not_settled")
             scene = replace(scene, objects=tuple(at_rest(o, store.mesh_of(o), rest[o.instance]) for o in scene.objects))
             shapes = [_shape(o, shape, store) for o, shape in zip(scene.objects, shapes, strict=True)]
         meshes = (store.mesh_of(o) if s.is_exact and o.scale else None for o, s in zip(scene.objects, shapes, strict=True))

@@ -235,7 +235,7 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
         return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise MeshError(
-            f"the engine refuses the scene: {' '.join(str(error).split())}; repair its convex parts", "engine"
+            f"MuJoCo refuses the scene: {' '.join(str(error).split())}; repair its convex parts", "engine"
         ) from error
 
 
@@ -263,7 +263,7 @@ def _add_body(spec: mujoco.MjSpec, body: RigidBody, meshes: dict[int, str], coll
     if not np.isfinite((*body.position, body.yaw)).all():
         raise MeshError(f"body {body.name}: its pose is {body.position}, yaw {body.yaw}, expected finite numbers", "not_finite")
     if not 0 < body.mass < np.inf:
-        raise MeshError(f"body {body.name}: mass is {body.mass} kg, expected a finite one of more than 0", "no_mass")
+        raise MeshError(f"body {body.name}: mass is {body.mass} kg, expected a finite value above 0", "no_mass")
     added = spec.worldbody.add_body(pos=list(body.position), quat=wxyz(yaw_quat(body.yaw)))
     if body.movable:
         added.add_freejoint()

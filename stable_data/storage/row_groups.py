@@ -89,7 +89,7 @@ class TableFiles:
         self._folders, self._process = [RunFolder(uri) for uri in self._uris], os.getpid()
         places = {folder.root if folder.is_local else folder.uri for folder in self._folders}
         if not places or len(places) < len(self._folders):
-            raise ConfigError(f"runs are [{self.uri}], expected at least one, and each once", "runs_invalid")
+            raise ConfigError(f"runs are [{self.uri}], expected at least one run and no duplicates", "runs_invalid")
         paths = [(run, path) for run, folder in enumerate(self._folders) for path in self._paths(folder)]
         query = self._query()  # once: threads of Python 3.11 that parse side by side may fail
         with ThreadPoolExecutor(_REQUESTS) as pool:
@@ -194,7 +194,7 @@ def _check_split(table: str, split: str | None) -> None:
     if split is None:
         return
     if table in SCHEMAS and "split" not in SCHEMAS[table].names:
-        raise ConfigError(f"table {table} has no splits, expected scenes or samples; leave out split", "split_unknown")
+        raise ConfigError(f"table {table} has no splits, expected the table scenes or samples; omit split", "split_unknown")
     if split not in SPLITS:
         raise ConfigError(f"split is {split!r}, expected one of {', '.join(SPLITS)}, or None for all rows", "split_unknown")
 

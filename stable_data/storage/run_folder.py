@@ -98,7 +98,7 @@ class RunFolder:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
                 raise ConfigError(
-                    f"{self.uri}: another run is writing here, expected one at a time; wait for it or choose another folder",
+                    f"{self.uri}: another run is writing to this folder, expected one at a time; wait for it or choose another folder",
                     "locked",
                 ) from error
             for pattern in (".*.tmp-*", "*/.*.tmp-*"):
@@ -332,7 +332,7 @@ def read_row_groups(
             batches.append(batch)
         if max(size, stated) > MAX_DECODED:
             raise ConfigError(
-                f"{path}: takes more than {MAX_DECODED:,} bytes of memory, expected at most that of one file of a table; "
+                f"{path}: needs more than {MAX_DECODED:,} bytes of memory, expected at most this for one file of a table; "
                 "do not trust it, or write its rows to several files",
                 "shard_too_big",
             )
@@ -361,7 +361,7 @@ def _unreachable(where: str, error: OSError) -> ConfigError:
     """The error for a place that cannot be looked at."""
     reason = error.strerror or str(error).strip().partition("\n")[0]
     return ConfigError(
-        f"{where}: cannot be read ({reason}), expected the folder of a run; check the address, the network and what you may read",
+        f"{where}: cannot be read ({reason}), expected the folder of a run; check the address, the network and your read permissions",
         "output_unreadable",
     )
 

@@ -126,13 +126,13 @@ def _former(target: RunFolder, manifest: dict[str, object]) -> dict[str, Any]:
         was = {}
     if any(was.get(key) != manifest[key] for key in ("job", "table_version", "input_fingerprint", "settings")):
         raise ConfigError(
-            f"{target.uri}: holds another run or selection, expected an empty folder or this one; choose a new folder",
+            f"{target.uri}: contains another run or selection, expected an empty folder or this selection; choose a new folder",
             "config_changed",
         )
     if was.get("code_version") != manifest["code_version"] and not _is_whole(target, was):
         # Shards are cut, and so named, by the code: rows that are there would be written once more, cut elsewhere.
         raise ConfigError(
-            f"{target.uri}: was broken off by other code ({was.get('code_version')}), expected {manifest['code_version']}; "
+            f"{target.uri}: was started by another code version ({was.get('code_version')}), expected {manifest['code_version']}; "
             "choose a new folder",
             "config_changed",
         )

@@ -252,7 +252,7 @@ class TableStream(IterableDataset[Any]):
         for key, now in self._settings().items():
             if state.get(key) != now:
                 raise ConfigError(
-                    f"{self._files.uri}: {key}: {state.get(key)} -> {now}, expected what the state was saved with; start a new epoch",
+                    f"{self._files.uri}: {key}: {state.get(key)} -> {now}, expected the value that the state was saved with; start a new epoch",
                     "resume_changed",
                 )
         self._start(state["epoch"], state["first"], state["given"], state["num_workers"])
@@ -263,7 +263,7 @@ class TableStream(IterableDataset[Any]):
         skip, self._skip = self._skip, 0
         if skip and num_workers != self._num_workers:
             raise ConfigError(
-                f"num_workers: {self._num_workers} -> {num_workers}, expected those of the saved state", "resume_changed"
+                f"num_workers: {self._num_workers} -> {num_workers}, expected the number of the saved state", "resume_changed"
             )
         epoch, self._first = self._plan.tolist()
         self._given, self._num_workers = skip, num_workers
@@ -283,7 +283,7 @@ class TableStream(IterableDataset[Any]):
             whole = f" times batch_size {self._step}, as drop_remainder wants" if self._drop_remainder else ""
             raise ConfigError(
                 f"{self._files.uri}: table {table} has {len(self._files)} rows{of_split}, expected at least {least}, world_size "
-                f"{self._world_size}{whole}; use a larger run, or smaller settings",
+                f"{self._world_size}{whole}; use a larger run or smaller values",
                 "too_few_rows",
             )
 

@@ -210,7 +210,10 @@ def mesh_of(solid: Solid) -> tuple[Mesh, tuple[Mesh, ...], FloatArray]:
         MeshError: The union failed.
     """
     if solid.body.status() != manifold3d.Error.NoError or solid.body.num_tri() == 0:
-        raise MeshError(f"a union of {len(solid.parts)} parts has status {solid.body.status()}; do its parts fit?", "union")
+        raise MeshError(
+            f"a union of {len(solid.parts)} parts has status {solid.body.status()}, expected a valid solid; check that its parts overlap",
+            "union",
+        )
     mesh = _mesh(solid.body)
     centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
     parts = (_mesh(manifold3d.Manifold.hull_points(part - centre)) for part in solid.parts)
@@ -285,7 +288,7 @@ def _cut(rings: Sequence[Ring], z: float) -> Ring:
         if low[0, 2] - 1e-12 <= z <= high[0, 2] + 1e-12:
             share = (z - low[0, 2]) / (high[0, 2] - low[0, 2])
             return np.asarray(low + share * (high - low))
-    raise MeshError(f"the hollow reaches z = {z}, outside of the vessel", "vessel")
+    raise MeshError(f"the hollow reaches z = {z}, expected a height inside the vessel", "vessel")
 
 
 def _sectors(walls: Sequence[Ring], hollow: Sequence[Ring]) -> Iterable[FloatArray]:

@@ -43,7 +43,7 @@ class SignedDistance:
 
     def __init__(self, mesh: Mesh, *, is_sheet: bool = False, shell_thickness: float = 0.0) -> None:
         if len(mesh.faces) == 0:
-            raise MeshError("mesh has 0 faces, expected at least one; was everything dropped as degenerate?", "mesh_empty")
+            raise MeshError("mesh has 0 faces, expected at least one; were all faces removed as degenerate?", "mesh_empty")
         if is_sheet and not (np.isfinite(shell_thickness) and shell_thickness >= 0):
             raise MeshError(
                 f"shell thickness is {shell_thickness}, expected zero or more mesh units", "shell_thickness_invalid"

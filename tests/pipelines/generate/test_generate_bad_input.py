@@ -64,7 +64,9 @@ def test_a_library_with_holes_costs_no_task_and_gives_nothing_that_is_broken(dat
     assert [o["category"] for o in objects] == like * len(FOUR.tasks)
     assert not {o["asset_id"] for o in objects} & {missing.stem, torn.stem}
     told = [(row["code"], row["message"]) for row in RunFolder(str(out)).table("warnings").to_pylist()]
-    assert sum(code == "asset_unusable" and "goes without" in words and "no GLB file" in words for code, words in told) == 4
+    assert (
+        sum(code == "asset_unusable" and "gets another asset" in words and "no GLB file" in words for code, words in told) == 4
+    )
     assert sum(code == "asset_unmatched" and "a chunk ends" in words for code, words in told) == 4
 
 

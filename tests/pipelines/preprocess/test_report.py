@@ -60,7 +60,7 @@ def test_a_scene_that_cannot_be_drawn_is_a_note(clean_run: Path, dataset: Path, 
 
 def test_a_machine_that_cannot_draw_is_said_once(clean_run: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def draw(*_: Any, **__: Any) -> Any:
-        raise ConfigError("no picture: OpenGL does not start", "no_gl")
+        raise ConfigError("rendering failed: OpenGL does not start", "no_gl")
 
     monkeypatch.setattr(scene_pictures, "render_scene", draw)
     assert page(clean_run, dataset, 4).count("OpenGL does not start") == 1

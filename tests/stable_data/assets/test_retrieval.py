@@ -88,7 +88,7 @@ def test_what_is_not_there_is_reported_with_the_nearest() -> None:
     text = float(np.dot(*BagOfWords()(["a red mug", "some red elephant"])))
     assert answer.text_score == pytest.approx(text, abs=1e-6)
     assert answer.reason == (
-        f"nothing like 'some red elephant': nearest is 'a red mug' of library first at {text:.2f}, expected at least 0.55"
+        f"no asset is similar to 'some red elephant': the nearest is 'a red mug' of library first at {text:.2f}, expected at least 0.55"
     )
     assert found(ask(retriever(*tool._libraries[0][1].assets, floor=-1.0), "some red elephant")) == "mug"
 
@@ -109,7 +109,7 @@ def test_annotations_and_licences_keep_assets_out_and_take_no_place() -> None:
     assert found(ask(retriever(*bad, free, top_k_text=1), "a red mug")) == "4"
     assert found(ask(retriever(*bad, free, unknown), "a red mug")) == "5"
     assert found(ask(retriever(*bad, free, unknown, licences=frozenset({"CC0", "MIT"})), "a red mug")) == "4"
-    with pytest.raises(ConfigError, match="libraries first offer no asset under the licences MIT, expected some"):
+    with pytest.raises(ConfigError, match="libraries first offer no asset under the licences MIT, expected at least one"):
         retriever(*bad, free, unknown, licences=frozenset({"MIT"}))
     with pytest.raises(ConfigError, match="offer no asset under the licences any"):
         retriever(*bad)
@@ -380,11 +380,11 @@ def test_features_of_another_encoder_are_refused() -> None:
     bare = AssetLibrary("bare", assets)
     with pytest.raises(ConfigError, match=r"library bare has no text features; call embedded\(encoder\)"):
         Retriever([bare], BagOfWords())
-    with pytest.raises(ConfigError, match="are of encoder bag-1-128, expected bag-0-128; call embedded"):
+    with pytest.raises(ConfigError, match="come from encoder bag-1-128, expected bag-0-128; call embedded"):
         Retriever([bare.embedded(BagOfWords(seed=1))], BagOfWords())
     for other, what in (
         (BagOfWords(seed=1), "agree by -?0"),
-        (BagOfWords(width=64), "have 64 numbers, but the encoder gives 128"),
+        (BagOfWords(width=64), "have 64 numbers, but this encoder returns 128"),
     ):
         unsaid = AssetLibrary("unsaid", assets, other(["a mug", "a bowl"]))
         with pytest.raises(ConfigError, match=what) as caught:
@@ -405,7 +405,7 @@ def test_libraries_are_needed_and_told_apart() -> None:
     with pytest.raises(ConfigError, match="no asset library"):
         Retriever([], BagOfWords())
     one = library(thing("a", "a mug"))
-    with pytest.raises(ConfigError, match="libraries are called first, first"):
+    with pytest.raises(ConfigError, match="libraries are named first, first"):
         Retriever([one, one], BagOfWords())
 
 

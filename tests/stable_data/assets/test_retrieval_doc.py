@@ -35,7 +35,7 @@ def test_the_example_finds_assets_for_a_scene(tmp_path: Path, monkeypatch: pytes
     exec(example[1], names)  # noqa: S102 - our own page
     assert {name: match.library for name, match in names["found"].items()} == {"0_plate_0": "usual", "1_cup_0": "unseen"}
     (reason,) = names["missing"]
-    assert "nothing like 'elephant, a live elephant'" in reason
+    assert "no asset is similar to 'elephant, a live elephant'" in reason
     plate, cup, elephant = names["objects"]
     assert (plate.asset_id, cup.asset_id, elephant.asset_id) == ("plate", "mug", None)
     assert cup.position[2] - cup.size[2] / 2 == pytest.approx(plate.position[2] + plate.size[2] / 2)

@@ -59,7 +59,7 @@ def test_writers_with_the_number_of_one_process_do_not_disturb_each_other(
 def test_a_file_of_another_encoder_is_refused(tmp_path: Path) -> None:
     cache = tmp_path / "rows.parquet"
     text_rows(TEXTS, BagOfWords(), cache)
-    with pytest.raises(ConfigError, match="holds features of encoder bag-0-128, expected bag-1-128; delete") as caught:
+    with pytest.raises(ConfigError, match="contains features of encoder bag-0-128, expected bag-1-128; delete") as caught:
         text_rows(TEXTS, BagOfWords(seed=1), cache)
     assert caught.value.code == "features_of_another_encoder"
 
@@ -69,7 +69,7 @@ def test_an_encoder_of_another_length_under_the_same_name_is_refused(tmp_path: P
     text_rows(TEXTS, BagOfWords(), cache)
     other = BagOfWords(width=16)
     other.fingerprint = BagOfWords().fingerprint
-    with pytest.raises(ConfigError, match="holds features of 128 numbers, but the encoder gives 16"):
+    with pytest.raises(ConfigError, match="contains features of 128 numbers, but the encoder returns 16"):
         text_rows(["a fork"], other, cache)
 
 

@@ -133,7 +133,7 @@ def test_folder_that_holds_something_else_is_refused_and_left_alone(tmp_path: Pa
 @pytest.mark.parametrize("content", ["{", "[]"])
 def test_manifest_that_is_none_is_refused(tmp_path: Path, content: str) -> None:
     (tmp_path / "synth.json").write_text(content)
-    with pytest.raises(ConfigError, match="name another folder"):
+    with pytest.raises(ConfigError, match="choose another folder"):
         write_world(tmp_path, 1)
 
 

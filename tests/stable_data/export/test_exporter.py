@@ -171,8 +171,8 @@ def test_a_run_that_keeps_no_settled_poses_says_so(tmp_path: Path) -> None:
     [
         (["--format", "stl"], "format is 'stl', expected one of glb, mesatask, mjcf"),
         (["--format", "glb", "--where", "num_objects >"], "cannot be read"),
-        (["--format", "glb", "--where", "num_objects > 1000"], "no scene is chosen, expected one at least"),
-        (["--format", "glb", "--limit", "0"], "no scene is chosen, expected one at least"),
+        (["--format", "glb", "--where", "num_objects > 1000"], "no scene is selected, expected at least one"),
+        (["--format", "glb", "--limit", "0"], "no scene is selected, expected at least one"),
         (["--format", "glb", "--scene", "nowhere"], "the run has no scenes ['nowhere']"),
         (["--format", "glb", "--scene", "empty", "--where", "num_objects > 1"], "no scenes ['empty'] where num_objects > 1"),
     ],
@@ -190,7 +190,7 @@ def test_a_folder_with_another_export_is_refused(run: RunFolder, tmp_path: Path)
     for arguments in (["--format", "mjcf", "--scene", "empty"], ["--format", "glb"]):
         result = command(run.uri, tmp_path / "out", *arguments)
         assert result.exit_code == NOT_STARTED
-        assert "expected what the export was begun with; choose a new folder" in result.stderr
+        assert "expected the settings that this export started with; choose a new folder" in result.stderr
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "mine.txt").touch()
     assert "holds something else" in command(run.uri, tmp_path / "other", "--format", "glb").stderr

@@ -286,7 +286,7 @@ def test_references_that_cannot_be_judged_are_refused() -> None:
         with pytest.raises(SceneError, match="task objects are") as caught:
             reference_of(replace(SCENE, task=task))
         assert caught.value.code == "task_objects_unknown"
-    with pytest.raises(SceneError, match="mug_0 is no required object") as caught:
+    with pytest.raises(SceneError, match="mug_0 is not a required object") as caught:
         AlignmentReference("r", (RequiredObject("p", ("pen",)),), (Relation("p", LEFT, "mug_0"),))
     assert caught.value.code == "task_relation_unknown"
     with pytest.raises(SceneError, match="unlike names"):

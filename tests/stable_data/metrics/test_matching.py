@@ -74,7 +74,7 @@ def test_anything_will_do_where_no_kind_is_said() -> None:
 
 
 def test_an_object_of_kinds_without_words_is_refused() -> None:
-    with pytest.raises(SceneError, match="expected words"):
+    with pytest.raises(SceneError, match="expected categories with words"):
         RequiredObject("a", ("", "__"))
 
 

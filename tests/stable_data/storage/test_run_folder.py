@@ -311,7 +311,7 @@ def test_a_small_file_that_takes_much_memory_is_refused(
     assert path.stat().st_size < 10**4
     monkeypatch.setattr(run_folder, "MAX_DECODED", 2 * 10**6)
     before = pa.total_allocated_bytes()
-    with pytest.raises(ConfigError, match=r"part-00.parquet: takes more than 2,000,000 bytes of memory") as caught:
+    with pytest.raises(ConfigError, match=r"part-00.parquet: needs more than 2,000,000 bytes of memory") as caught:
         read(run)
     assert caught.value.code == "shard_too_big"
     assert "\n" not in str(caught.value)

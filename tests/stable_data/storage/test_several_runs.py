@@ -55,7 +55,7 @@ def test_a_state_of_several_runs_continues_exactly_and_with_no_others(runs: list
 
 def test_no_run_and_a_run_twice_are_refused_and_a_missing_one_is_named(runs: list[str], tmp_path: Path) -> None:
     for wrong in ([], [runs[0], runs[1], f"{runs[0]}/"]):
-        with pytest.raises(ConfigError, match="expected at least one, and each once") as caught:
+        with pytest.raises(ConfigError, match="expected at least one run and no duplicates") as caught:
             TableStream(wrong)
         assert caught.value.code == "runs_invalid"
     with pytest.raises(ConfigError, match=f"{tmp_path}.*no table scenes"):
