@@ -112,7 +112,7 @@ class Audit:
             return ()
         unknown = sum(p.penetration is None for p in self.pairs)
         message = (
-            f"{self.scene_id}: the audit reached its work limit with {unknown} pairs of objects unknown, expected at most {MAX_WORK} triangles "
+            f"{self.scene_id}: work limit reached with {unknown} pairs of objects unknown, expected at most {MAX_WORK} triangles "
             "to test; separate the objects that overlap, or use simpler meshes"
         )
         return (Notice(self.scene_id, "audit", "audit_cut_short", message),)

@@ -252,7 +252,7 @@ class TableStream(IterableDataset[Any]):
         for key, now in self._settings().items():
             if state.get(key) != now:
                 raise ConfigError(
-                    f"{self._files.uri}: {key}: {state.get(key)} -> {now}, expected the value that the state was saved with; start a new epoch",
+                    f"{self._files.uri}: {key}: {state.get(key)} -> {now}, expected the value of the saved state; start a new epoch",
                     "resume_changed",
                 )
         self._start(state["epoch"], state["first"], state["given"], state["num_workers"])

@@ -55,7 +55,7 @@ def test_a_changed_input_stops(tiny: Path, tiny_run: Path, tmp_path: Path) -> No
 
 
 def test_a_second_run_into_the_same_folder_is_refused(dataset: Path, clean_run: Path) -> None:
-    with RunFolder(str(clean_run)).locked(), pytest.raises(ConfigError, match="another run is writing here"):
+    with RunFolder(str(clean_run)).locked(), pytest.raises(ConfigError, match="another run is writing to this folder"):
         preprocess(str(dataset), str(clean_run), SMALL, WorkerPool())
 
 

@@ -165,7 +165,7 @@ def test_a_library_without_assets_is_refused(tmp_path: Path) -> None:
 
 
 def test_two_assets_of_one_uid_are_refused() -> None:
-    with pytest.raises(ConfigError, match="asset a is there twice"):
+    with pytest.raises(ConfigError, match="asset a is listed twice"):
         AssetLibrary("mine", (thing("a", "a mug"), thing("a", "a bowl")))
 
 

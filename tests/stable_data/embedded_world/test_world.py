@@ -124,7 +124,7 @@ def test_other_settings_in_the_same_folder_are_refused(written: Path, other: Emb
 
 def test_folder_that_holds_something_else_is_refused_and_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("dear")
-    with pytest.raises(ConfigError, match="holds something else") as caught:
+    with pytest.raises(ConfigError, match="contains other files") as caught:
         write_world(tmp_path, 1)
     assert caught.value.code == "not_a_world"
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]

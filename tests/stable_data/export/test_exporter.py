@@ -193,7 +193,7 @@ def test_a_folder_with_another_export_is_refused(run: RunFolder, tmp_path: Path)
         assert "expected the settings that this export started with; choose a new folder" in result.stderr
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "mine.txt").touch()
-    assert "holds something else" in command(run.uri, tmp_path / "other", "--format", "glb").stderr
+    assert "contains other files" in command(run.uri, tmp_path / "other", "--format", "glb").stderr
 
 
 def test_a_run_on_an_object_store_is_exported_the_same(run: RunFolder, tmp_path: Path) -> None:

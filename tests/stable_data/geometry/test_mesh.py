@@ -385,7 +385,7 @@ def test_half_shell_has_its_centre_at_half_its_height() -> None:
 
 @pytest.mark.parametrize("asked", [{}, {"mass": 1.0, "density": 1.0}, {"mass": 0.0}, {"density": float("nan")}])
 def test_mass_is_asked_for_in_one_way(asked: dict[str, float]) -> None:
-    with pytest.raises(MeshError, match="expected one of the first two"):
+    with pytest.raises(MeshError, match="expected exactly one of mass and density"):
         mass_properties(BOX, **asked)  # type: ignore[arg-type]
 
 

@@ -188,7 +188,7 @@ def test_a_second_process_is_refused_until_the_first_is_killed(run: RunFolder) -
     assert holder.stdout is not None
     with holder.stdout:
         assert holder.stdout.readline() == "held\n"
-        with pytest.raises(ConfigError, match="another run is writing here") as caught, run.locked():
+        with pytest.raises(ConfigError, match="another run is writing to this folder") as caught, run.locked():
             pytest.fail("two runs hold one folder")
         assert caught.value.code == "locked"
         holder.send_signal(signal.SIGKILL)
