@@ -60,7 +60,7 @@ def read_bounded(path: Path, max_bytes: int, log: ReadLog) -> bytes:
     except OSError as error:
         raise log.error("file_unreadable", f"{path} cannot be read: {error.strerror}") from error
     if len(data) > max_bytes:
-        raise log.error("file_too_big", f"{path} has more than {max_bytes} bytes; raise the limit if it is right")
+        raise log.error("file_too_big", f"{path} has more than {max_bytes} bytes; raise the limit if the file is correct")
     return data
 
 

@@ -19,8 +19,8 @@ MESATASK: Mapping[str, str] = MappingProxyType(
     {
         "scenes": "about 10,700",
         "assets in use": "over 12,000",
-        "objects a scene, mean": "about 15",
-        "objects a scene, fewest to most": "4 to 28 ¹",
+        "objects per scene, mean": "about 15",
+        "objects per scene, fewest to most": "4 to 28 ¹",
         "table width, cm": "49 to 160, median 103 ¹",
         "table depth, cm": "42 to 102, median 66 ¹",
         "objects tilted by more than 1°": "20 % ¹",
@@ -95,16 +95,16 @@ def figures(scenes: Sequence[SceneCounts]) -> dict[str, str]:
         "scenes": f"{len(scenes):,}",
         "assets in use": f"{len({a for s in scenes for a in s.assets}):,}",
         "categories in use": f"{len(categories)}",
-        "objects a scene, mean": f"{count.mean():.1f}",
-        "objects a scene, fewest to most": f"{count.min()} to {count.max()}",
+        "objects per scene, mean": f"{count.mean():.1f}",
+        "objects per scene, fewest to most": f"{count.min()} to {count.max()}",
         "table width, cm": _range(width),
         "table depth, cm": _range(depth),
         "longest side of an object, cm": _range(longest),
         "objects tilted by more than 1°": f"{100 * sum(s.num_tilted for s in scenes) / num_objects:.0f} %",
         "objects scaled unevenly by more than 2 %": f"{100 * sum(s.num_uneven for s in scenes) / num_objects:.0f} %",
-        "scenes with something on something": _share(s.num_stacked > 0 for s in scenes),
-        "scenes with something in something": _share(s.num_contained > 0 for s in scenes),
-        "scenes nested three deep or deeper": _share(s.depth >= 3 for s in scenes),
+        "scenes with an object on an object": _share(s.num_stacked > 0 for s in scenes),
+        "scenes with an object in an object": _share(s.num_contained > 0 for s in scenes),
+        "scenes with three or more nesting levels": _share(s.depth >= 3 for s in scenes),
         "objects on or in another": f"{100 * sum(s.num_stacked + s.num_contained for s in scenes) / num_objects:.0f} %",
         "scenes with a near-duplicate": _share(s.scene_id in twins for s in scenes),
     }
@@ -143,16 +143,16 @@ def _is_same(one: SceneCounts, other: SceneCounts) -> bool:
 
 def card(scenes: Sequence[SceneCounts], sheet: str | None = None) -> str:
     """The dataset card, Markdown: the figures beside MesaTask-10K's, tables, categories, and a link to a sheet of pictures."""
-    lines = ["# A set of the embedded world", "", "Made by `stable-data synth`; every scene is at rest and clean. CC0.", ""]
+    lines = ["# A set of the embedded world", "", "Made by `stable-data synth`; every scene is at rest and clean. Licence: Apache-2.0.", ""]
     lines += ["| | this set | MesaTask-10K |", "|---|---|---|"]
     lines += [f"| {name} | {value} | {MESATASK.get(name, 'not known')} |" for name, value in figures(scenes).items()]
     lines += [
         "",
-        "¹ Office tables alone: a sample of 162.",
+        "¹ Only office tables: a sample of 162.",
         "",
         "## Kinds of table",
         "",
-        "| table | scenes | objects a scene |",
+        "| table | scenes | objects per scene |",
     ]
     lines += ["|---|---|---|"]
     for table_type, found in sorted(_by_table(scenes).items()):

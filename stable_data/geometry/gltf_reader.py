@@ -394,7 +394,7 @@ class _GlbReader:
         if "sparse" in accessor or "bufferView" not in accessor:
             self.fail("glb_unsupported", f"{name} is sparse or has no data", "plain accessors; export it without compression")
         if accessor["type"] != _TYPES[width]:
-            self.fail("glb_invalid", f"{name} holds {accessor['type']!r:.40}", f"{width} numbers an element")
+            self.fail("glb_invalid", f"{name} holds {accessor['type']!r:.40}", f"{width} numbers per element")
         kind, view = np.dtype(_COMPONENTS[accessor["componentType"]]), self._entry("bufferViews", accessor["bufferView"])
         element = kind.itemsize * width
         count, offset = self._size(accessor, name, "count"), self._size(accessor, name, "byteOffset", 0)
@@ -415,7 +415,7 @@ class _GlbReader:
             self.fail(
                 "glb_unsupported",
                 "its content lies in a second file or a URI",
-                "one self-contained GLB; nothing outside is opened",
+                "one self-contained GLB; external files are not opened",
             )
         start, length = self._size(view, name, "byteOffset", 0), self._size(view, name, "byteLength")
         if start + length > len(self.binary):
@@ -487,7 +487,7 @@ def _welded(soup: FloatArray, faces: IntArray, reader: _GlbReader) -> Mesh:
     extent = float(np.ptp(soup, axis=0).max())
     if not _SMALLEST < extent < 1 / _SMALLEST:
         reader.fail(
-            "glb_degenerate_only", f"its largest extent is {extent:.3g}", "a surface of a size that can be computed with"
+            "glb_degenerate_only", f"its largest extent is {extent:.3g}", "a surface of a usual size"
         )
     mesh = centred(*_weld(soup, faces, _WELD * extent))
     if not (double_areas(mesh) > _FLAT * extent * extent).any():

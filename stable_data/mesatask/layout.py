@@ -112,7 +112,7 @@ def _document(data: bytes | str | Mapping[str, Any], limits: LayoutLimits, log: 
     if isinstance(data, Mapping):
         return data
     if len(data) > limits.max_bytes:
-        raise log.error("file_too_big", f"{LAYOUT_FILE} has more than {limits.max_bytes} bytes; raise the limit if it is right")
+        raise log.error("file_too_big", f"{LAYOUT_FILE} has more than {limits.max_bytes} bytes; raise the limit if the file is correct")
     return parse_object(data, LAYOUT_FILE, log)
 
 
@@ -171,7 +171,7 @@ def _entries(document: Mapping[str, Any], border: ReadContext) -> list[dict[str,
     if not entries and not border.is_reply:
         raise log.error("objects_empty", "objects is an empty list, expected at least one object; nothing to load")
     if len(entries) > limits.max_objects:
-        message = f"{len(entries)} objects, expected at most {limits.max_objects}; raise max_objects if the scene is meant"
+        message = f"{len(entries)} objects, expected at most {limits.max_objects}; raise max_objects if the scene is correct"
         raise log.error("too_many_objects", message)
     for index, entry in enumerate(entries):
         if not isinstance(entry, dict):

@@ -189,7 +189,7 @@ class Alignment:
         said = [f"{len(self.matches)} of {len(self.reference.required)} task objects"]
         said += [f"missing: {', '.join(map(str, self.missing))}"] if self.missing else []
         if self.broken is None:
-            said.append("relations unknown: too many like objects to compare")
+            said.append("relations unknown: too many similar objects to compare")
         elif self.reference.entailed:
             held = len(self.reference.entailed) - len(self.broken)
             said.append(f"{held} of {len(self.reference.entailed)} entailed relations")

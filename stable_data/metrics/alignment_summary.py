@@ -72,8 +72,8 @@ class AlignmentSummary:
             ),
             ("entailed relations that hold (AwS)", _relations(self.aws)),
             ("full graph between task objects", _relations(self.aws_graph)),
-            ("objects that are no task objects", _percent(self.distractor_rate) + empty),
-            ("objects a scene, reference's", f"{_mean(self.num_objects)}, {_mean(self.num_objects_reference)}"),
+            ("objects that are not task objects", _percent(self.distractor_rate) + empty),
+            ("objects per scene, in the reference", f"{_mean(self.num_objects)}, {_mean(self.num_objects_reference)}"),
             ("on another object, in another object", f"{_mean(self.num_stacked)}, {_mean(self.num_contained)} a scene"),
         )
         return "\n".join(f"{label:<44} {figures}" for label, figures in lines)

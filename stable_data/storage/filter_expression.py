@@ -91,7 +91,7 @@ def parse_filter(text: str, schema: pa.Schema) -> FilterExpression:
     except (RecursionError, MemoryError):
         tree = None  # Python's parser has limits of its own, beyond ours
     if tree is None or _is_deep(tree):
-        raise _invalid(text, f"nests deeper than {DEEPEST_QUERY} levels; write it flatter")
+        raise _invalid(text, f"nests deeper than {DEEPEST_QUERY} levels; use fewer parentheses")
     reader = _Reader(text, schema)
     try:
         expression = reader.truth(tree)
@@ -99,11 +99,11 @@ def parse_filter(text: str, schema: pa.Schema) -> FilterExpression:
     except ConfigError:
         raise
     except pa.ArrowException as error:
-        raise _invalid(text, f"compares unlike things ({str(error).partition(chr(10))[0]})") from error
+        raise _invalid(text, f"compares values of different types ({str(error).partition(chr(10))[0]})") from error
     except (OverflowError, ValueError) as error:
-        raise _invalid(text, f"has what no column holds ({error}), expected whole numbers of 64 bits and Unicode") from error
+        raise _invalid(text, f"has a value that no column can contain ({error}), expected 64-bit integers and Unicode text") from error
     if not reader.columns:
-        raise _invalid(text, "names no column; leave it out to take every row")
+        raise _invalid(text, "names no column; omit the condition to select all rows")
     return FilterExpression(text, tuple(reader.columns), expression)
 
 
@@ -125,11 +125,11 @@ class _Reader:
             return self._compared(node)
         if isinstance(node, ast.Name):
             if not pa.types.is_boolean(self._schema.field(self._column(node)).type):
-                raise _invalid(self._text, f"takes {node.id} as true or false, expected a comparison")
+                raise _invalid(self._text, f"uses {node.id} as a boolean, expected a comparison")
             return pc.field(node.id)
         if isinstance(node, ast.Constant) and isinstance(node.value, bool):
             return pc.scalar(node.value)
-        raise _invalid(self._text, f"has {_quoted(node)} where something true or false is expected")
+        raise _invalid(self._text, f"has {_quoted(node)} where a boolean expression is expected")
 
     def _compared(self, node: ast.Compare) -> pc.Expression:
         sides = [node.left, *node.comparators]
@@ -163,9 +163,9 @@ class _Reader:
         except (ValueError, TypeError) as error:
             raise _invalid(self._text, f"has {_quoted(node)}, expected a column or a constant") from error
         if value is None:
-            raise _invalid(self._text, "compares with None; write is None or is not None of what may be unknown")
+            raise _invalid(self._text, "compares with None; write is None or is not None for unknown values")
         if not isinstance(value, str | int | float) or value != value:
-            raise _invalid(self._text, f"has {_quoted(node)}, expected a number, a text or a truth")
+            raise _invalid(self._text, f"has {_quoted(node)}, expected a number, a string or a boolean")
         return value
 
     def _column(self, node: ast.Name) -> str:

@@ -63,7 +63,7 @@ def test_written_set_has_the_format_s_files(written: Path) -> None:
         about = annotations[entry["retrieved_uid"]]
         assert about["isContainer"] is (asset(key).hollow is not None)
         assert len(about["captions"]) >= 3
-    assert "objects a scene, mean" in (written / "README.md").read_text()
+    assert "objects per scene, mean" in (written / "README.md").read_text()
 
 
 def test_edits_change_what_they_say_and_nothing_else(written: Path) -> None:
