@@ -11,7 +11,7 @@ of a preprocess run. Every arm trains on the same scenes with the same seed for 
 - ``unet``: the paper's U-Net over the objects (preset ``embedded``) instead of the set transformer.
 
 Judged are raw samples of the flow on held-out scenes, nothing certified, by the training's own validation card
-(docs/corrector.md): mean over the scenes of all its rows. An arm that is done is not trained again and one that was stopped
+(docs/training_the_corrector.md): mean over the scenes of all its rows. An arm that is done is not trained again and one that was stopped
 goes on; OUT holds them. Trainings this short say which way a part pulls, not where a long one ends. Run with
 ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``.
 """
