@@ -70,7 +70,7 @@ def validate_task_info(data: Mapping[str, Any]) -> None:
     except (TypeError, ValueError, RecursionError):
         is_readable = False
     if not is_readable:
-        raise SceneError("task info: holds what JSON in UTF-8 cannot hold; write it again", "task_info_invalid")
+        raise SceneError("task info: contains values that JSON in UTF-8 cannot represent; write it again", "task_info_invalid")
     for key in ("Environment", "Task"):
         if not isinstance(data.get(key), str) or not data[key].strip():
             raise _invalid(key, data.get(key), "a sentence")

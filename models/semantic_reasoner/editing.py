@@ -45,7 +45,7 @@ def editing(scene: Scene) -> EditPrompt:
     """A scene to be edited.
 
     Raises:
-        SceneError: Its supports form a circle (``support_circle``).
+        SceneError: Its supports form a cycle (``support_circle``).
     """
     objects = generation_order(scene.scene_id, scene.objects)
     names = layout_names(objects)

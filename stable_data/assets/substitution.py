@@ -50,7 +50,7 @@ def with_assets(objects: Sequence[SceneObject], matches: Mapping[str, AssetMatch
         The objects, in their order.
 
     Raises:
-        SceneError: Supports form a circle (``support_circle``).
+        SceneError: Supports form a cycle (``support_circle``).
     """
     wanted = {o.instance: o for o in objects}
     done: dict[str, SceneObject] = {}

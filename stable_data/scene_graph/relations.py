@@ -119,7 +119,7 @@ def supports(
     footprints: Mapping[str, FloatArray] | None = None,
     containers: Mapping[str, bool | None] | None = None,
 ) -> dict[str, str | None]:
-    """The support of each object, in the meaning of the scene graph; supports never form a circle.
+    """The support of each object, in the meaning of the scene graph; supports never form a cycle.
 
     An object that touches several others has one support: the table, unless the object lies on the floor of a container; else
     the object under its centre; else the highest. An object without contact is supported by what is closest below it (see the

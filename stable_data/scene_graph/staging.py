@@ -65,7 +65,7 @@ def stage_scene(scene: Scene, threshold: float = THRESHOLD) -> Scene:
         The scene with ``stage`` set on every object. Task objects that the scene does not have are passed over.
 
     Raises:
-        SceneError: There is no task (``task_missing``), or supports form a circle (``support_circle``).
+        SceneError: There is no task (``task_missing``), or supports form a cycle (``support_circle``).
     """
     if scene.task is None:
         raise SceneError(f"{scene.scene_id}: no task, expected one for staging; derive a task first", "task_missing")
@@ -94,7 +94,7 @@ def samples_of(scene: Scene) -> tuple[StageSample, ...]:
         One sample a stage; a stage without objects has an empty ``objects_out``.
 
     Raises:
-        SceneError: An object has no stage (``stage_missing``), or supports form a circle (``support_circle``).
+        SceneError: An object has no stage (``stage_missing``), or supports form a cycle (``support_circle``).
     """
     unstaged = [o.instance for o in scene.objects if o.stage is None]
     if unstaged:
@@ -118,7 +118,7 @@ def generation_order(scene_id: str, objects: Sequence[SceneObject]) -> tuple[Sce
         objects: Objects with their supports; a support that is not among them counts as none.
 
     Raises:
-        SceneError: Supports form a circle (``support_circle``).
+        SceneError: Supports form a cycle (``support_circle``).
     """
     by_size = sorted(objects, key=lambda o: (-o.size[0] * o.size[1], -o.size[2]))  # stable: ties keep the given order
     named = {o.instance: o for o in objects}

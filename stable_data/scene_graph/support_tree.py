@@ -78,7 +78,7 @@ class SupportTree:
         Each object is followed at once by what it carries. Roots, and objects with the same parent, keep the given order.
 
         Raises:
-            SceneError: Supports form a circle (``support_circle``).
+            SceneError: Supports form a cycle (``support_circle``).
         """
         ordered: list[str] = []
         waiting = list(self.children(None))[::-1]
@@ -90,5 +90,5 @@ class SupportTree:
             walk = [first, *self.ancestors(first)]
             found = " -> ".join([*walk, str(self.parent(walk[-1]))])
             where = f"{self._scene_id}: " if self._scene_id else ""
-            raise SceneError(f"{where}{found} form a circle of supports; derive supports anew", "support_circle")
+            raise SceneError(f"{where}{found} form a cycle of supports; derive the supports again", "support_circle")
         return tuple(ordered)

@@ -92,7 +92,7 @@ def drop_new_objects(scene: Scene, new: Set[str], fixed: Set[str], store: AssetS
     chains = {name: _carrier_chain(name, wanted) for name in wanted}
     layers: dict[tuple[int, str], set[str]] = {}
     for name, chain in chains.items():
-        if chain[-1] not in wanted:  # otherwise the relations form a circle
+        if chain[-1] not in wanted:  # otherwise the relations form a cycle
             layers.setdefault((len(chain), wanted[name]), set()).add(name)
     carriers: dict[str, str] = {}
     waiting = set(wanted)

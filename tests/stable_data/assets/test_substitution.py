@@ -79,7 +79,7 @@ def test_supports_in_a_circle_are_refused() -> None:
     one, other = wanted("one", 0.0, support="other"), wanted("other", 0.1, support="one")
     with pytest.raises(SceneError, match="one -> other -> one form a cycle of supports"):
         with_assets([one, other], {})
-    with pytest.raises(SceneError, match="one -> one form a circle"):
+    with pytest.raises(SceneError, match="one -> one form a cycle"):
         with_assets([wanted("one", 0.0, support="one")], {})
 
 

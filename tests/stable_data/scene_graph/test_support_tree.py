@@ -57,13 +57,13 @@ def test_every_walk_ends_and_the_order_refuses_circles(supports: dict[str, str |
     if nx.is_directed_acyclic_graph(graph):
         assert len(tree.bottom_up()) == len(supports)
     else:
-        with pytest.raises(SceneError, match="form a circle of supports") as caught:
+        with pytest.raises(SceneError, match="form a cycle of supports") as caught:
             tree.bottom_up()
         assert caught.value.code == "support_circle"
 
 
 def test_a_circle_is_named_with_its_scene() -> None:
-    with pytest.raises(SceneError, match=r"^desk_7: lid -> pot -> lid form a circle"):
+    with pytest.raises(SceneError, match=r"^desk_7: lid -> pot -> lid form a cycle"):
         SupportTree({"cup": TABLE, "lid": "pot", "pot": "lid"}, "desk_7").bottom_up()
 
 
