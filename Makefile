@@ -34,7 +34,7 @@ demo: $(READY) ## Fresh machine to 50 generated, certified, settled scenes and a
 	@echo "open runs/demo/report/index.html, runs/demo-scenes/report/index.html and its contact_sheet.png"
 
 test: $(READY) ## Run the tests, the slow ones left out (what CI runs)
-	$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile
+	$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder
 
 test-all: $(READY) ## Run all tests
 	$(BIN)/python -m pytest -m ''

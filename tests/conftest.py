@@ -1,5 +1,6 @@
-"""What every test may ask for."""
+"""What every test may ask for, and the order of the tests."""
 
+import logging
 import os
 from pathlib import Path
 
@@ -7,6 +8,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported: two t
 
 import numpy as np
 import pytest
+import ray
 from hypothesis import settings
 
 from tests.broken_inputs import write_broken_inputs
@@ -49,3 +51,39 @@ def measured_data(request: pytest.FixtureRequest) -> Path:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(0)
+
+
+# --- a local Ray for many tests -----------------------------------------------------------------------------------------------
+
+_RAY_FILES = pytest.StashKey[set[Path]]()
+
+
+@pytest.fixture
+def local_ray() -> None:
+    """A local Ray with two cores, and one GPU that need not be there. It stays for the next tests that use it.
+
+    A start takes longer than most tests. A test with the mark ``ray`` that does not use this fixture begins without a Ray.
+    """
+    if not ray.is_initialized():
+        ray.init("local", num_cpus=2, num_gpus=1, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
+
+
+def pytest_collection_modifyitems(session: pytest.Session, items: list[pytest.Item]) -> None:
+    """Puts the files that use Ray first: they take the longest, so no worker of pytest-xdist is left with one at the end."""
+    ray_files = {item.path for item in items if item.get_closest_marker("ray")}
+    items.sort(key=lambda item: item.path not in ray_files)
+    session.stash[_RAY_FILES] = {item.path for item in items if _uses_local_ray(item)}
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    """Ends the shared Ray before a test that begins without one, and before a file that does not use it."""
+    if not ray.is_initialized() or (nextitem is not None and _uses_local_ray(nextitem)):
+        return
+    is_last = nextitem is None or nextitem.path not in item.session.stash[_RAY_FILES]
+    if is_last or (nextitem is not None and nextitem.get_closest_marker("ray") is not None):
+        ray.shutdown()
+
+
+def _uses_local_ray(item: pytest.Item) -> bool:
+    return isinstance(item, pytest.Function) and "local_ray" in item.fixturenames

@@ -1,4 +1,4 @@
-"""Embedded datasets and runs over them, made once. Tests that change one copy it first."""
+"""Embedded datasets and runs over them, made once. Tests that change a run copy it first."""
 
 import json
 import shutil
@@ -30,9 +30,9 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """An empty cache for the tests of a module, so that nothing depends on what a machine has made before."""
+    """An empty cache, so that nothing depends on what a machine has made before."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield

@@ -6,6 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+from click.testing import Result
+from typer.testing import CliRunner
+
+from pipelines.__main__ import app
 from pipelines.preprocess.plan import PreprocessSettings
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -19,20 +23,19 @@ def content(out: Path) -> dict[str, bytes]:
     return {p.relative_to(out).as_posix(): p.read_bytes() for p in sorted(out.glob("*/part-*.parquet"))}
 
 
-def command_of(dataset: Path, out: Path, *more: str) -> list[str]:
+def arguments_of(dataset: Path, out: Path, *more: str) -> list[str]:
     settings = [f"--set={k}={json.dumps(v)}" for k, v in SMALL.shaping().items()]
     where = ["--data", str(dataset), "--out", str(out)]
-    return [
-        sys.executable,
-        "-m",
-        "pipelines",
-        "preprocess",
-        *where,
-        "--set=num_pictures=0",
-        f"--set=features={SMALL.features}",
-        *settings,
-        *more,
-    ]
+    return ["preprocess", *where, "--set=num_pictures=0", f"--set=features={SMALL.features}", *settings, *more]
+
+
+def command_of(dataset: Path, out: Path, *more: str) -> list[str]:
+    return [sys.executable, "-m", "pipelines", *arguments_of(dataset, out, *more)]
+
+
+def run_here(dataset: Path, out: Path, *more: str) -> Result:
+    """The command in this process: on its Ray where it has one, and with what is already imported."""
+    return CliRunner().invoke(app, arguments_of(dataset, out, *more))
 
 
 def run_cli(dataset: Path, out: Path, *more: str, cwd: Path = ROOT, **environment: str) -> subprocess.CompletedProcess[str]:

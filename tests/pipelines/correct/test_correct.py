@@ -2,14 +2,14 @@
 
 import json
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
+from pipelines.__main__ import app
 from pipelines.correct.job import correct
 from pipelines.correct.scene_shard import SceneShard
 from pipelines.correct.settings import CorrectSettings
@@ -24,7 +24,7 @@ from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.settling import settle
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import scene_from_row
-from tests.pipelines.runs import ROOT, content
+from tests.pipelines.runs import content
 
 SMALL = CorrectSettings(weights="none", scenes_per_shard=2, num_pictures=0, position_convention="box_centre")
 ALONE = WorkerPool()
@@ -112,12 +112,12 @@ def test_what_the_engine_moves_is_put_where_it_stays_or_named(broken: Path, tmp_
 
 
 @pytest.mark.ray
+@pytest.mark.usefixtures("local_ray")
 def test_ray_gives_the_same_bytes_as_this_process(broken: Path, corrected: Path, tmp_path: Path) -> None:
     settings = [f"--set={k}={json.dumps(v)}" for k, v in (SMALL.shaping() | {"num_pictures": 0}).items()]
     where = ["--scenes", str(broken), "--out", str(tmp_path / "out"), "--workers", "2"]
-    command = [sys.executable, "-m", "pipelines", "correct", *where, *settings]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 0, done.stderr
+    done = CliRunner().invoke(app, ["correct", *where, *settings])
+    assert done.exit_code == 0, done.output
     assert "4 of 4 scenes (4 certified)" in done.stdout
     assert content(tmp_path / "out") == content(corrected)
 

@@ -34,8 +34,6 @@ from stable_data.storage.schemas import Row, object_from_row, scene_from_row
 from tests.pipelines.edit.edit_runs import ALONE, SMALL, file_of, rows_of
 from tests.pipelines.runs import ROOT, content
 
-pytestmark = pytest.mark.usefixtures("own_cache")
-
 
 def poses(objects: Sequence[SceneObject]) -> dict[str, tuple[Any, ...]]:
     return {o.instance: (o.position, o.yaw, o.size, o.scale, o.asset_id, o.tilt_quat_xyzw) for o in objects}
@@ -210,10 +208,10 @@ def test_a_run_that_was_broken_off_goes_on(
     assert content(out) == content(edited)
 
 
-def command(dataset: Path, edits: Path, out: Path, workers: int) -> list[str]:
+def arguments(dataset: Path, edits: Path, out: Path, workers: int) -> list[str]:
     settings = [f"--set={k}={json.dumps(v)}" for k, v in (SMALL.shaping() | {"num_pictures": 0}).items()]
     where = ["--scenes", str(dataset), "--edits", str(edits), "--out", str(out), "--engine", "scripted:not_opened"]
-    return [sys.executable, "-m", "pipelines", "edit", *where, "--workers", str(workers), *settings]
+    return ["edit", *where, "--workers", str(workers), *settings]
 
 
 @pytest.mark.slow
@@ -221,7 +219,7 @@ def test_a_run_that_is_killed_goes_on(dataset: Path, edits: Path, edited: Path, 
     out = tmp_path / "out"
     killed = 0
     for enough in (4, 9):  # files in place
-        command_line = command(dataset, edits, out, 0)
+        command_line = [sys.executable, "-m", "pipelines", *arguments(dataset, edits, out, 0)]
         with subprocess.Popen(command_line, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
             while process.poll() is None and len(content(out)) < enough:
                 time.sleep(0.01)
@@ -242,10 +240,11 @@ def test_another_configuration_is_refused(dataset: Path, edits: Path, edited: Pa
 
 
 @pytest.mark.ray
+@pytest.mark.usefixtures("local_ray")
 def test_ray_gives_the_same_bytes_as_this_process(dataset: Path, edits: Path, edited: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    done = subprocess.run(command(dataset, edits, out, 2), capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 0, done.stderr
+    done = CliRunner().invoke(app, arguments(dataset, edits, out, 2))
+    assert done.exit_code == 0, done.output
     assert "9 of 9 edits" in done.stdout
     assert content(out) == content(edited)
 

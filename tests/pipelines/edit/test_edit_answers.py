@@ -28,8 +28,6 @@ from tests.models.semantic_reasoner.engines.endpoint import Act, endpoint, said
 from tests.models.semantic_reasoner.language.known_categories import ask
 from tests.pipelines.edit.edit_runs import ALONE, EMPTY, SMALL, file_of, rows_of
 
-pytestmark = pytest.mark.usefixtures("own_cache")
-
 
 class Told:
     """Says no JSON first, then what it was told."""

@@ -1,9 +1,7 @@
 """Engines that workers share: placed where their GPUs are, and said in one line where there are none."""
 
 import json
-import logging
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from threading import Timer
 
@@ -23,8 +21,6 @@ from pipelines.sources.generation_tasks import TaskSource
 from stable_data.errors import ConfigError
 from stable_data.scene import Tabletop
 
-pytestmark = pytest.mark.usefixtures("own_cache")
-
 DESK = Tabletop("office_table", (1.2, 0.6))
 ONE = TaskSource("tasks", [LayoutTask("task_0", "Lift it.", DESK)])
 
@@ -36,14 +32,6 @@ def settings(tmp_path: Path) -> EngineSettings:
     return EngineSettings(f"scripted:{script}")
 
 
-@pytest.fixture
-def one_gpu() -> Iterator[None]:
-    """A Ray that takes this machine to have one GPU: placing needs none."""
-    ray.init(address="local", num_cpus=1, num_gpus=1, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
-    yield
-    ray.shutdown()
-
-
 def free_gpus(expected: float) -> float:
     """GPUs that nobody has, once they are as many as expected or a while has gone by: Ray tells of them a little later."""
     until = time.monotonic() + 30
@@ -53,7 +41,7 @@ def free_gpus(expected: float) -> float:
 
 
 @pytest.mark.ray
-def test_engines_take_their_parts_of_a_gpu_and_answer(settings: EngineSettings, one_gpu: None) -> None:
+def test_engines_take_their_parts_of_a_gpu_and_answer(settings: EngineSettings, local_ray: None) -> None:
     assert free_gpus(1) == 1
     pool = engine_pool(settings, 2, 0.5, may_grow=False)
     assert len(pool.actors) == 2
@@ -64,7 +52,7 @@ def test_engines_take_their_parts_of_a_gpu_and_answer(settings: EngineSettings, 
 
 
 @pytest.mark.ray
-def test_more_engines_than_the_gpus_have_room_for_are_refused(settings: EngineSettings, one_gpu: None) -> None:
+def test_more_engines_than_the_gpus_have_room_for_are_refused(settings: EngineSettings, local_ray: None) -> None:
     for count, gpus, places in ((3, 0.5, 2), (2, 0.6, 1), (11, 0.1, 10), (1, 2.0, 0)):
         with pytest.raises(ConfigError, match=rf"engines={count} .* has 1, room for {places} of them; ") as caught:
             engine_pool(settings, count, gpus, may_grow=False)
@@ -74,7 +62,7 @@ def test_more_engines_than_the_gpus_have_room_for_are_refused(settings: EngineSe
 
 @pytest.mark.ray
 def test_a_cluster_is_waited_for_and_a_line_says_so(
-    settings: EngineSettings, one_gpu: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    settings: EngineSettings, local_ray: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(module, "_QUIET_SECONDS", 0.5)
     holder = ray.remote(num_gpus=1, num_cpus=0)(module._EngineActor).remote(settings)

@@ -1,10 +1,9 @@
 """Live progress: where the items of a run are, told by its workers and seen by whoever waits."""
 
 import json
-import logging
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -33,14 +32,7 @@ TASKS = tuple(LayoutTask(f"task_{k}", said, DESK) for k, said in enumerate(("Lif
 
 
 @pytest.fixture
-def own_ray() -> Iterator[None]:
-    ray.init(address="local", num_cpus=1, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
-    yield
-    ray.shutdown()
-
-
-@pytest.fixture
-def settings(dataset: Path, own_cache: None, tmp_path: Path) -> GenerateSettings:
+def settings(dataset: Path, tmp_path: Path) -> GenerateSettings:
     script = tmp_path / "script.json"
     script.write_text(json.dumps(one_thing_a_stage(AssetLibraries([str(dataset)]).libraries[0].assets[1:4])))
     return GenerateSettings(EngineSettings(f"scripted:{script}"), weights="none", num_pictures=0)
@@ -147,7 +139,7 @@ def test_the_bar_shows_what_is_in_place_and_where_the_rest_is(
 
 
 @pytest.mark.ray
-def test_workers_tell_a_tally_on_ray_which_is_there_again_when_it_is_lost(own_ray: None) -> None:
+def test_workers_tell_a_tally_on_ray_which_is_there_again_when_it_is_lost(local_ray: None) -> None:
     tally = SharedTally.started()
     tally.note("a", {"propose": 3})
     assert tally.total() == {"propose": 3}
@@ -166,6 +158,7 @@ def test_workers_tell_a_tally_on_ray_which_is_there_again_when_it_is_lost(own_ra
 
 @pytest.mark.ray
 @pytest.mark.parametrize("workers", [WorkerPool(), WorkerPool(1)], ids=["here", "ray"])
+@pytest.mark.usefixtures("local_ray")
 def test_a_run_tells_where_its_scenes_are(
     workers: WorkerPool, settings: GenerateSettings, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -200,7 +193,7 @@ def test_scenes_are_told_of_where_they_are(
 
 @pytest.mark.ray
 def test_a_shard_over_which_workers_died_reaches_nothing_that_workers_share(
-    settings: GenerateSettings, dataset: Path, tmp_path: Path, own_ray: None
+    settings: GenerateSettings, dataset: Path, tmp_path: Path, local_ray: None
 ) -> None:
     def done(out: str, isolated: bool) -> tuple[int, int]:
         pool = engine_pool(settings.engine, 1, 0.0, may_grow=False)

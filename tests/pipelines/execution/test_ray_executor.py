@@ -102,6 +102,7 @@ def test_ray_does_every_shard_once() -> None:
 
 
 @pytest.mark.ray
+@pytest.mark.usefixtures("local_ray")
 def test_an_error_of_the_run_itself_comes_back_as_it_is() -> None:
     with pytest.raises(ConfigError, match="the disk is full") as caught:
         list(WorkerPool(1).run(Double(), [1, 13]))
@@ -109,13 +110,147 @@ def test_an_error_of_the_run_itself_comes_back_as_it_is() -> None:
 
 
 @pytest.mark.ray
+@pytest.mark.usefixtures("local_ray")
 def test_a_shard_that_kills_its_worker_is_run_again_alone() -> None:
     assert sorted(WorkerPool(2).run(Hostile(), [0, 1, 2])) == ["0 together", "1 alone", "2 together"]
 
 
 @pytest.mark.ray
+@pytest.mark.usefixtures("local_ray")
 def test_a_first_death_may_have_come_from_outside(tmp_path: Path) -> None:
     assert list(WorkerPool(1).run(Unlucky(tmp_path / "mark"), [0])) == ["together"]
+
+
+def test_nodes_that_are_lost_again_and_again_are_borne_for_longer_but_not_for_ever() -> None:
+    lost, attempt = ray.exceptions.NodeDiedError("taken"), ray_executor._Attempt(7)
+    assert [attempt.is_given_up(lost) for _ in range(ray_executor._MAX_NODES)] == [False] * (ray_executor._MAX_NODES - 1) + [
+        True
+    ]
+    assert attempt.deaths == 0
+    assert ray_executor._MAX_NODES > ray_executor._MAX_DEATHS
+
+
+@pytest.mark.ray
+@pytest.mark.usefixtures("local_ray")
+def test_a_shard_that_loses_every_worker_is_named_once_the_rest_is_done() -> None:
+    results = WorkerPool(1).run(Doomed(), [7, 8, 9])
+    assert sorted(islice(results, 2)) == [8, 9]
+    with pytest.raises(
+        ConfigError, match=r"1 of 3 shards were lost, each with 4 workers .*: 7 \(WorkerCrashedError\)"
+    ) as caught:
+        next(results)
+    assert caught.value.code == "worker_lost"
+
+
+@pytest.mark.ray
+@pytest.mark.usefixtures("local_ray")
+def test_an_item_that_takes_too_long_ends_its_worker_alone() -> None:
+    began = time.monotonic()
+    assert sorted(WorkerPool(2).run(Slow(), [0, 1, 2, 3])) == ["0 together", "1 together", "2 alone", "3 together"]
+    assert time.monotonic() - began < 60
+
+
+@pytest.mark.ray
+@pytest.mark.usefixtures("local_ray")
+def test_what_nobody_foresaw_in_a_task_is_one_line() -> None:
+    with pytest.raises(ConfigError, match="5: KeyError: 5; please report this") as caught:
+        list(WorkerPool(1).run(Odd(), [5]))
+    assert "\n" not in str(caught.value)
+
+
+def test_ray_that_stops_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*_: Any, **__: Any) -> Any:
+        raise ray.exceptions.RaySystemError("the object store is gone\nat some place")
+
+    run = object.__new__(ray_executor._RayRun)
+    run.__dict__ |= {
+        "_workers": WorkerPool(1),
+        "_shards": [1],
+        "_started_ray": False,
+        "_empty_since": None,
+        "_work": None,
+        "_task": _Remote(),
+    }
+    monkeypatch.setattr(ray, "wait", stopped)
+    with pytest.raises(ConfigError, match=r"Ray stopped \(RaySystemError: .*run again") as caught:
+        list(run.results())
+    assert "\n" not in str(caught.value)
+
+
+def test_a_cluster_gets_as_many_shards_as_it_has_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ray, "cluster_resources", lambda: {"CPU": 64.0})
+    run = object.__new__(ray_executor._RayRun)
+    for workers, width in ((WorkerPool(0, "auto"), 128), (WorkerPool(5, "auto"), 5), (WorkerPool(2), 4)):
+        run.__dict__ |= {"_workers": workers}
+        assert run._width() == width
+    monkeypatch.setattr(ray, "cluster_resources", dict)  # nodes are still to come
+    run.__dict__ |= {"_workers": WorkerPool(0, "auto")}
+    assert run._width() == 1
+
+
+def test_a_cluster_gets_the_checkout_unless_a_job_brought_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    shipped = ray_executor._checkout()
+    assert shipped is not None
+    assert (Path(shipped["working_dir"]) / "pipelines" / "execution" / "ray_executor.py").is_file()
+    monkeypatch.setenv("RAY_JOB_CONFIG_JSON_ENV_VAR", "{}")
+    assert ray_executor._checkout() is None
+
+
+@pytest.mark.ray
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1", "nowhere"])
+def test_a_cluster_that_is_not_there_is_an_error_of_one_line(address: str) -> None:
+    with pytest.raises(ConfigError, match="cannot be reached"):
+        list(WorkerPool(1, address=address).run(Double(), [1]))
+
+
+@pytest.mark.ray
+def test_a_cluster_that_wants_a_token_says_how_to_show_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(**_: Any) -> Any:
+        raise ConnectionError("Failed to connect") from RuntimeError("RPC error: InvalidAuthToken: missing or incorrect")
+
+    monkeypatch.setattr(ray, "init", refused)
+    with pytest.raises(
+        ConfigError, match=r"cannot be reached \(Failed to connect\); it wants a token: set RAY_AUTH_MODE=token"
+    ):
+        ray_executor.connect(WorkerPool(1, address="auto"))
+
+
+def test_an_item_alone_gives_its_result() -> None:
+    assert alone(abs, -3, seconds=60) == 3
+
+
+def test_an_item_alone_that_dies_says_so() -> None:
+    assert alone(os.abort, seconds=60) is ProcessFailure.CRASHED
+
+
+def test_an_item_alone_that_hangs_is_stopped_and_says_so() -> None:
+    began = time.monotonic()
+    assert alone(time.sleep, 300, seconds=1) is ProcessFailure.TIMED_OUT
+    assert time.monotonic() - began < 60
+
+
+def test_the_clock_of_an_item_alone_starts_once_it_is_prepared() -> None:
+    assert alone(abs, -3, seconds=1, prepare=partial(time.sleep, 2)) == 3
+
+
+def test_an_error_of_an_item_alone_comes_back() -> None:
+    with pytest.raises(ValueError, match="invalid literal"):
+        alone(int, "x", seconds=60)
+
+
+def test_one_process_serves_until_a_call_ends_it() -> None:
+    with IsolatedProcess() as apart:
+        first, second = (apart.call(os.getpid, seconds=60) for _ in range(2))
+        assert first == second != os.getpid()
+        assert apart.call(os.abort, seconds=60) is ProcessFailure.CRASHED
+        assert apart.call(os.getpid, seconds=60) not in (first, os.getpid())
+        assert apart.call(time.sleep, 300, seconds=1) is ProcessFailure.TIMED_OUT
+        assert apart.call(abs, -3, seconds=60) == 3
+
+
+def test_time_is_limited_in_workers_alone() -> None:
+    with limited(0.01):
+        time.sleep(0.05)
 
 
 @pytest.fixture
@@ -164,130 +299,3 @@ def test_a_cluster_without_any_node_is_waited_for_and_given_up_in_the_end(
     monkeypatch.setattr(ray_executor, "_PATIENCE_SECONDS", 120.0)
     assert sorted(WorkerPool(0, cluster.address).run(Double(), [1, 2, 3])) == [2, 4, 6]
     assert said[1] == "the cluster has no core at the moment; waiting for a node, up to 2 min"
-
-
-def test_nodes_that_are_lost_again_and_again_are_borne_for_longer_but_not_for_ever() -> None:
-    lost, attempt = ray.exceptions.NodeDiedError("taken"), ray_executor._Attempt(7)
-    assert [attempt.is_given_up(lost) for _ in range(ray_executor._MAX_NODES)] == [False] * (ray_executor._MAX_NODES - 1) + [
-        True
-    ]
-    assert attempt.deaths == 0
-    assert ray_executor._MAX_NODES > ray_executor._MAX_DEATHS
-
-
-@pytest.mark.ray
-def test_a_shard_that_loses_every_worker_is_named_once_the_rest_is_done() -> None:
-    results = WorkerPool(1).run(Doomed(), [7, 8, 9])
-    assert sorted(islice(results, 2)) == [8, 9]
-    with pytest.raises(
-        ConfigError, match=r"1 of 3 shards were lost, each with 4 workers .*: 7 \(WorkerCrashedError\)"
-    ) as caught:
-        next(results)
-    assert caught.value.code == "worker_lost"
-
-
-@pytest.mark.ray
-def test_an_item_that_takes_too_long_ends_its_worker_alone() -> None:
-    began = time.monotonic()
-    assert sorted(WorkerPool(2).run(Slow(), [0, 1, 2, 3])) == ["0 together", "1 together", "2 alone", "3 together"]
-    assert time.monotonic() - began < 60
-
-
-@pytest.mark.ray
-def test_what_nobody_foresaw_in_a_task_is_one_line() -> None:
-    with pytest.raises(ConfigError, match="5: KeyError: 5; please report this") as caught:
-        list(WorkerPool(1).run(Odd(), [5]))
-    assert "\n" not in str(caught.value)
-
-
-def test_ray_that_stops_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    def stopped(*_: Any, **__: Any) -> Any:
-        raise ray.exceptions.RaySystemError("the object store is gone\nat some place")
-
-    run = object.__new__(ray_executor._RayRun)
-    run.__dict__ |= {
-        "_workers": WorkerPool(1),
-        "_shards": [1],
-        "_started_ray": False,
-        "_empty_since": None,
-        "_work": None,
-        "_task": _Remote(),
-    }
-    monkeypatch.setattr(ray, "wait", stopped)
-    with pytest.raises(ConfigError, match=r"Ray stopped \(RaySystemError: .*run again") as caught:
-        list(run.results())
-    assert "\n" not in str(caught.value)
-
-
-def test_a_cluster_gets_as_many_shards_as_it_has_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ray, "cluster_resources", lambda: {"CPU": 64.0})
-    run = object.__new__(ray_executor._RayRun)
-    for workers, width in ((WorkerPool(0, "auto"), 128), (WorkerPool(5, "auto"), 5), (WorkerPool(2), 4)):
-        run.__dict__ |= {"_workers": workers}
-        assert run._width() == width
-    monkeypatch.setattr(ray, "cluster_resources", dict)  # nodes are still to come
-    run.__dict__ |= {"_workers": WorkerPool(0, "auto")}
-    assert run._width() == 1
-
-
-def test_a_cluster_gets_the_checkout_unless_a_job_brought_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    shipped = ray_executor._checkout()
-    assert shipped is not None
-    assert (Path(shipped["working_dir"]) / "pipelines" / "execution" / "ray_executor.py").is_file()
-    monkeypatch.setenv("RAY_JOB_CONFIG_JSON_ENV_VAR", "{}")
-    assert ray_executor._checkout() is None
-
-
-@pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1", "nowhere"])
-def test_a_cluster_that_is_not_there_is_an_error_of_one_line(address: str) -> None:
-    with pytest.raises(ConfigError, match="cannot be reached"):
-        list(WorkerPool(1, address=address).run(Double(), [1]))
-
-
-def test_a_cluster_that_wants_a_token_says_how_to_show_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refused(**_: Any) -> Any:
-        raise ConnectionError("Failed to connect") from RuntimeError("RPC error: InvalidAuthToken: missing or incorrect")
-
-    monkeypatch.setattr(ray, "init", refused)
-    with pytest.raises(
-        ConfigError, match=r"cannot be reached \(Failed to connect\); it wants a token: set RAY_AUTH_MODE=token"
-    ):
-        ray_executor.connect(WorkerPool(1, address="auto"))
-
-
-def test_an_item_alone_gives_its_result() -> None:
-    assert alone(abs, -3, seconds=60) == 3
-
-
-def test_an_item_alone_that_dies_says_so() -> None:
-    assert alone(os.abort, seconds=60) is ProcessFailure.CRASHED
-
-
-def test_an_item_alone_that_hangs_is_stopped_and_says_so() -> None:
-    began = time.monotonic()
-    assert alone(time.sleep, 300, seconds=1) is ProcessFailure.TIMED_OUT
-    assert time.monotonic() - began < 60
-
-
-def test_the_clock_of_an_item_alone_starts_once_it_is_prepared() -> None:
-    assert alone(abs, -3, seconds=1, prepare=partial(time.sleep, 2)) == 3
-
-
-def test_an_error_of_an_item_alone_comes_back() -> None:
-    with pytest.raises(ValueError, match="invalid literal"):
-        alone(int, "x", seconds=60)
-
-
-def test_one_process_serves_until_a_call_ends_it() -> None:
-    with IsolatedProcess() as apart:
-        first, second = (apart.call(os.getpid, seconds=60) for _ in range(2))
-        assert first == second != os.getpid()
-        assert apart.call(os.abort, seconds=60) is ProcessFailure.CRASHED
-        assert apart.call(os.getpid, seconds=60) not in (first, os.getpid())
-        assert apart.call(time.sleep, 300, seconds=1) is ProcessFailure.TIMED_OUT
-        assert apart.call(abs, -3, seconds=60) == 3
-
-
-def test_time_is_limited_in_workers_alone() -> None:
-    with limited(0.01):
-        time.sleep(0.05)

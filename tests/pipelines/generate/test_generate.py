@@ -41,14 +41,12 @@ from tests.models.semantic_reasoner.engines.endpoint import said as completion
 from tests.pipelines.runs import content
 from tests.pipelines.scripts import entry, one_thing_a_stage
 
-pytestmark = pytest.mark.usefixtures("own_cache")
-
 ALONE = WorkerPool()
 DESK = Tabletop("office_table", (1.2, 0.6))
 
 
 @pytest.fixture(scope="module")
-def shelf(dataset: Path, own_cache: None) -> AssetLibraries:
+def shelf(dataset: Path) -> AssetLibraries:
     return AssetLibraries([str(dataset)])
 
 
@@ -354,6 +352,8 @@ def test_a_shard_that_is_missing_is_made_again(
     assert content(out) == content(made)
 
 
+@pytest.mark.ray
+@pytest.mark.usefixtures("local_ray")
 def test_ray_gives_the_same_bytes_as_this_process(
     dataset: Path, settings: GenerateSettings, made: Path, tmp_path: Path
 ) -> None:

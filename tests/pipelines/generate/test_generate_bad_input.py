@@ -34,8 +34,6 @@ from tests.pipelines.preprocess.hostile_asset import HOSTILE, HostileWork
 from tests.pipelines.runs import content
 from tests.pipelines.scripts import one_thing_a_stage
 
-pytestmark = pytest.mark.usefixtures("own_cache")
-
 ALONE = WorkerPool()
 DESK = Tabletop("office_table", (1.2, 0.6))
 PLAIN = GenerateSettings(weights="none", scenes_per_shard=1, num_pictures=0)

@@ -11,7 +11,7 @@ from pipelines.sources.generation_tasks import sampled
 from stable_data.storage.run_folder import RunFolder
 from tests.pipelines.runs import content
 
-pytestmark = [pytest.mark.usefixtures("own_cache"), pytest.mark.ray, pytest.mark.sim]
+pytestmark = [pytest.mark.usefixtures("local_ray"), pytest.mark.ray, pytest.mark.sim]
 
 
 def test_drawn_tasks_become_scenes_that_stay_where_they_are_the_same_on_ray(tmp_path: Path) -> None:

@@ -23,8 +23,6 @@ from stable_data.storage.run_folder import RunFolder
 from tests.object_store import Application, object_store
 from tests.pipelines.scripts import one_thing_a_stage
 
-pytestmark = pytest.mark.usefixtures("own_cache")
-
 TASKS = [LayoutTask(f"task_{n}", "Lift it.", Tabletop("office_table", (1.2, 0.6))) for n in range(4)]
 REFUSALS = (("500 Internal Server Error", "InternalError"), ("503 Slow Down", "SlowDown"))
 
@@ -70,7 +68,7 @@ def store() -> Iterator[tuple[Refusing, str]]:
 
 
 @pytest.fixture(scope="module")
-def settings(dataset: Path, own_cache: None, tmp_path_factory: pytest.TempPathFactory) -> GenerateSettings:
+def settings(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> GenerateSettings:
     """An engine that puts one thing on the table in each stage; nothing is learned, and the physics engine is not asked."""
     assets = AssetLibraries([str(dataset)]).libraries[0].assets[1:4]
     path = tmp_path_factory.mktemp("script") / "script.json"

@@ -29,7 +29,7 @@ from stable_data.scene import UPRIGHT
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import scene_from_row
 from tests.models.point_encoder.clouds import tiny_encoder
-from tests.pipelines.runs import ROOT, SMALL, content, run_cli
+from tests.pipelines.runs import ROOT, SMALL, content, run_here
 
 
 @pytest.fixture(scope="module")
@@ -102,10 +102,11 @@ def test_what_is_missing_is_made_again(tiny: Path, with_features: PreprocessSett
 
 
 @pytest.mark.ray
+@pytest.mark.usefixtures("local_ray")
 def test_ray_gives_the_same_bytes_as_this_process(tiny: Path, run: Path, weights: Path, tmp_path: Path) -> None:
     more = ("--workers", "2", f"--set=features={weights}", "--set=assets_per_shard=1")
-    done = run_cli(tiny, tmp_path / "ray", *more)
-    assert done.returncode == 0, done.stderr
+    done = run_here(tiny, tmp_path / "ray", *more)
+    assert done.exit_code == 0, done.output
     assert content(tmp_path / "ray") == content(run)
 
 

@@ -12,7 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from pipelines.__main__ import app
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess.plan import PreprocessSettings
 from pipelines.preprocess.shard import TABLES, preprocess
@@ -25,7 +27,7 @@ from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import scene_from_row
 from tests.object_store import object_store
-from tests.pipelines.runs import ROOT, SMALL, content, run_cli, used_assets
+from tests.pipelines.runs import ROOT, SMALL, content, run_cli, run_here, used_assets
 from tests.scenes import box
 
 
@@ -54,9 +56,10 @@ def test_every_used_asset_has_its_geometry(clean_run: Path) -> None:
 
 
 @pytest.mark.ray
+@pytest.mark.usefixtures("local_ray")
 def test_ray_gives_the_same_bytes_as_this_process(dataset: Path, clean_run: Path, tmp_path: Path) -> None:
-    done = run_cli(dataset, tmp_path / "ray", "--workers", "2")
-    assert done.returncode == 0, done.stderr
+    done = run_here(dataset, tmp_path / "ray", "--workers", "2")
+    assert done.exit_code == 0, done.output
     assert content(tmp_path / "ray") == content(clean_run)
 
 
@@ -120,12 +123,11 @@ def test_a_run_that_cannot_start_says_why_in_one_line(
     base = {"--data": str(bare), "--out": str(tmp_path / "out"), "--workers": "0"}
     option, value = arguments[0], arguments[1].format(tmp=tmp_path)
     command = [part for pair in (base | {option: value}).items() for part in pair]
-    done = subprocess.run([sys.executable, "-m", "pipelines", "preprocess", *command], capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 2, done.stderr
+    done = CliRunner().invoke(app, ["preprocess", *command])
+    assert done.exit_code == 2, done.output
     last = done.stderr.strip().splitlines()[-1]
     assert last.startswith("error: ")
     assert message.format(tmp=tmp_path) in last
-    assert "Traceback" not in done.stderr
 
 
 def test_a_run_into_an_object_store_gives_the_same_rows(tiny: Path, tiny_run: Path) -> None:

@@ -24,8 +24,6 @@ from stable_data.storage.run_folder import RunFolder
 from tests.pipelines.runs import content
 from tests.pipelines.scripts import one_thing_a_stage
 
-pytestmark = pytest.mark.usefixtures("own_cache")
-
 ALONE = WorkerPool()
 DESK = Tabletop("office_table", (1.2, 0.6))
 TASKS = TaskSource("tasks", [LayoutTask(f"task_{n}", f"Lift it {n} times.", DESK) for n in range(2)])

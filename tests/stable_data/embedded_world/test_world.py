@@ -98,6 +98,7 @@ def test_second_run_leaves_what_is_there_and_adds_what_is_missing(written: Path)
 
 
 @pytest.mark.ray
+@pytest.mark.usefixtures("local_ray")
 def test_many_workers_write_the_same(written: Path, tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     assert synth(tmp_path / "out", NUM_WRITTEN, SMALL, WorkerPool(2), lambda k, n: told.append((k, n))) == []
