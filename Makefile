@@ -33,8 +33,9 @@ demo: $(READY) ## Fresh machine to 50 generated, certified, settled scenes and a
 	@$(BIN)/python -c "from stable_data.storage.run_folder import RunFolder; n = RunFolder('runs/demo-scenes').num_rows('scenes'); n < 50 and exit(f'runs/demo-scenes has {n} accepted scenes, expected at least 50; its table failures says why')"
 	@echo "open runs/demo/report/index.html, runs/demo-scenes/report/index.html and its contact_sheet.png"
 
+# The processes that tests start read the bytecode that the first one has written, also where a machine is set to write none.
 test: $(READY) ## Run the tests, the slow ones left out (what CI runs)
-	$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder
 
 test-all: $(READY) ## Run all tests
 	$(BIN)/python -m pytest -m ''

@@ -161,7 +161,7 @@ def test_a_kill_loses_no_completion_that_was_kept(tmp_path: Path) -> None:
     kept: dict[str, str] = {}
     with endpoint(never_the_same) as server:
         command = [sys.executable, "-c", KILLED, server.url, str(tmp_path)]
-        for _ in range(3):
+        for _ in range(2):
             with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as child:
                 assert child.stdout is not None
                 for _ in range(7):
@@ -177,7 +177,7 @@ def test_a_kill_loses_no_completion_that_was_kept(tmp_path: Path) -> None:
         requests = [ask(str(k)) for k in range(100)]
         completions = engine.complete(requests)
         final = {cache.key(engine.name, SAMPLING, r): c for r, c in zip(requests, completions, strict=True)}
-        assert 21 <= len(kept) < 100
+        assert 14 <= len(kept) < 100
         assert {key: final[key].text for key in kept} == kept
         assert all(final[key].is_cached for key in kept)
         for text in kept.values():  # nothing that was kept was asked again
