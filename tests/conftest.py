@@ -11,6 +11,7 @@ import pytest
 import ray
 from hypothesis import settings
 
+from stable_data.embedded_world import EmbeddedWorld, write_world
 from tests.broken_inputs import write_broken_inputs
 
 # A run that fails fails again, and none fails because the machine is busy; `--hypothesis-profile=default` explores.
@@ -46,6 +47,26 @@ def measured_data(request: pytest.FixtureRequest) -> Path:
     """For tests of a rate: ``tests/data``, and among the slow tests the 120 scenes of ``mesa_real`` beside the checkout."""
     small: Path = request.getfixturevalue("real_data")
     return small if request.param == "small" else Path(request.getfixturevalue("shared_data")) / "mesa_real"
+
+
+@pytest.fixture(scope="session")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four embedded scenes. A test that changes one copies it first."""
+    root = tmp_path_factory.mktemp("embedded") / "data"
+    write_world(root, 4, EmbeddedWorld(seed=3, pictures=False))
+    return root
+
+
+@pytest.fixture(scope="session")
+def clean_run(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of preprocess over ``dataset``. Likewise."""
+    from pipelines.execution.ray_executor import WorkerPool
+    from pipelines.preprocess.shard import preprocess
+    from tests.pipelines.runs import SMALL
+
+    out = tmp_path_factory.mktemp("run") / "out"
+    preprocess(str(dataset), str(out), SMALL, WorkerPool())
+    return out
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Embedded datasets and runs over them, made once. Tests that change a run copy it first."""
+"""Smaller embedded datasets and runs over them, made once. Tests that change a run copy it first."""
 
 import json
 import shutil
@@ -13,21 +13,12 @@ from models.semantic_reasoner.training.examples import edit_example_of
 from pipelines.edit.job import edit
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess.shard import preprocess
-from stable_data.embedded_world import EmbeddedWorld, write_world
 from stable_data.embedded_world.drafting import KINDS
 from stable_data.embedded_world.edit_table import edit_rows
 from stable_data.storage.schemas import Row
 from tests.pipelines.edit import edit_runs
 from tests.pipelines.runs import SMALL, used_assets
 from tests.stable_data.embedded_world.edit_scenes import made_scenes, row_of
-
-
-@pytest.fixture(scope="session")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four scenes."""
-    root = tmp_path_factory.mktemp("embedded") / "data"
-    write_world(root, 4, EmbeddedWorld(seed=3, pictures=False))
-    return root
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -59,14 +50,6 @@ def bare(tiny: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("bare") / "data"
     shutil.copytree(tiny, root, ignore=shutil.ignore_patterns("Assets_library"))
     return root
-
-
-@pytest.fixture(scope="session")
-def clean_run(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run over the dataset."""
-    out = tmp_path_factory.mktemp("run") / "out"
-    preprocess(str(dataset), str(out), SMALL, WorkerPool())
-    return out
 
 
 @pytest.fixture(scope="session")

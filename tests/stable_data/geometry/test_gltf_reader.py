@@ -21,7 +21,7 @@ from stable_data.errors import MeshError
 from stable_data.geometry.gltf_reader import COLLIDERS, PART_FACES, MeshLimits, load_coats, load_colliders, load_glb
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import load_paint
-from tests.stable_data.glb_files import document_of, edited, glb_bytes, rebuilt
+from tests.stable_data.geometry.glb_files import document_of, edited, glb_bytes, rebuilt
 
 BOX = Mesh(trimesh.creation.box().vertices, trimesh.creation.box().faces)
 MANY = Mesh(BOX.vertices, BOX.faces.repeat(1_000, axis=0)[:10_000])

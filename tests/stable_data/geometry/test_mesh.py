@@ -19,7 +19,7 @@ from stable_data.geometry.mesh import Edges, Mesh, is_closed, signed_volumes, un
 from stable_data.geometry.mesh_repair import repair
 from stable_data.scene import FloatArray, IntArray
 from tests.broken_inputs import BROKEN_INPUTS, BrokenInput
-from tests.stable_data.glb_files import document_of, glb_bytes, rebuilt
+from tests.stable_data.geometry.glb_files import document_of, glb_bytes, rebuilt
 
 
 def of(made: Any) -> Mesh:

@@ -29,7 +29,7 @@ from stable_data.scene import Scene, SceneObject, Tabletop
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.mujoco_model import VISUAL_GROUP, engine_spec
 from stable_data.simulation.scene_geometry import SceneGeometry
-from tests.stable_data.glb_files import document_of, edited, rebuilt
+from tests.stable_data.geometry.glb_files import document_of, edited, rebuilt
 
 pytestmark = pytest.mark.sim
 

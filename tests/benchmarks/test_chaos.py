@@ -47,7 +47,10 @@ def test_processes_below_one_are_found() -> None:
 @pytest.mark.ray
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_killed_drivers_workers_and_nodes_lose_no_row_and_make_none_twice(dataset: Path, tmp_path: Path) -> None:
+def test_killed_drivers_workers_and_nodes_lose_no_row_and_make_none_twice(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     script, tasks = tmp_path / "script.json", tmp_path / "tasks.jsonl"
     script.write_text(json.dumps(one_thing_a_stage(AssetLibraries([str(dataset)]).libraries[0].assets[1:4])))
     rows = [{"scene_id": f"scene_{n}", "instruction": "Lift it.", "table_type": "office_table"} for n in range(NUM_SCENES)]
