@@ -11,16 +11,28 @@ from pipelines.sources.generation_tasks import sampled
 from stable_data.storage.run_folder import RunFolder
 from tests.pipelines.runs import content
 
-pytestmark = [pytest.mark.usefixtures("local_ray"), pytest.mark.ray, pytest.mark.sim]
+pytestmark = pytest.mark.sim
+
+TASKS = sampled(2)
+SETTINGS = GenerateSettings(num_pictures=0)
 
 
-def test_drawn_tasks_become_scenes_that_stay_where_they_are_the_same_on_ray(tmp_path: Path) -> None:
-    settings = GenerateSettings(num_pictures=0)
-    here, on_ray = tmp_path / "here", tmp_path / "ray"
-    manifest = generate(sampled(3), str(here), settings, WorkerPool(), report=False)
-    assert manifest["counts"]["scenes"] == 3
-    for row in RunFolder(str(here)).table("scenes").to_pylist():
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("embedded") / "out"
+    assert generate(TASKS, str(out), SETTINGS, WorkerPool(), report=False)["counts"]["scenes"] == len(TASKS.tasks)
+    return out
+
+
+def test_drawn_tasks_become_scenes_that_stay_where_they_are(made: Path) -> None:
+    for row in RunFolder(str(made)).table("scenes").to_pylist():
         assert (row["clean"], row["stable"], row["awt"]) == (True, True, 1.0)
         assert row["num_objects"] >= 4
-    generate(sampled(3), str(on_ray), settings, WorkerPool(1), report=False)
-    assert content(on_ray) == content(here)
+
+
+@pytest.mark.slow
+@pytest.mark.ray
+@pytest.mark.usefixtures("local_ray")
+def test_ray_gives_the_same_bytes_as_this_process(made: Path, tmp_path: Path) -> None:
+    generate(TASKS, str(tmp_path), SETTINGS, WorkerPool(1), report=False)
+    assert content(tmp_path) == content(made)
