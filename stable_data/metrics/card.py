@@ -1,79 +1,123 @@
-"""The metric card: the figures of one scene, columns of the ``scenes`` table."""
+"""The metric card: the metrics of one scene, columns of the ``scenes`` table."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from stable_data.scene import RelationKind, Scene, Stage
 
 
+def _about(meaning: str, unit: str = "") -> dict[str, str]:
+    """Metadata of a field: they become those of its column (``stable_data.storage.schemas``)."""
+    return {"meaning": meaning, "unit": unit}
+
+
 @dataclass(frozen=True, slots=True)
 class MetricCard:
-    """The figures of a scene (docs/audit.md). None is unknown.
+    """The metrics of a scene; exact definitions are in docs/audit.md. None is unknown.
 
-    Attributes:
-        num_objects: Objects.
-        num_stacked: Objects that stand on another one.
-        num_contained: Objects that are in another one.
-        num_tilted: Objects tilted by more than 5 degrees.
-        num_without_mesh: Objects whose mesh is missing or broken.
-        num_unknown_pairs: Pairs that could not be judged.
-        num_collisions: Pairs that collide deeper than 0.5 mm, of those that could be judged.
-        oc: Share of pairs that collide deeper than 0.5 mm.
-        oc_0mm: The same at 0 mm: the meshes touch.
-        oc_1mm: At 1 mm.
-        oc_10mm: At 10 mm.
-        max_penetration_mm: Deepest object-object penetration.
-        table_penetration_mm: Deepest object-table penetration.
-        float_rate: Share of objects that float.
-        max_gap_mm: The paper's largest gap.
-        out_of_bounds_rate: Share of objects that leave the table or enter the restricted zone.
-        clean: Nothing collides, floats, sinks or is out of bounds at 0.5 mm.
-        relations_kept_on_in: Share of the on and in relations of the input that still hold; null where none held or nothing was corrected.
-        relations_kept_directional: The same of the directional ones.
-        move_mean_mm: Mean displacement of the objects by the correction; null where nothing was corrected.
-        move_max_mm: The largest of them.
-        turn_max_deg: Largest turn of an object by the correction, degrees.
-        awt: Share of the objects that the instruction asks for that are there; null where it asks for nothing known.
-        aws: Share of the relations that the instruction says of the start that hold; null where it says none.
-        distractor_rate: Share of the objects that are not task objects; null without a task.
-        engine_penetration_mm: Deepest contact at the start in the physics engine; null where it was not asked, like all that follows.
-        settle_move_max_mm: Farthest that an object ever was from its start.
-        settle_turn_max_deg: Farthest that an object ever was turned from its start, degrees.
-        drift_mm: Farthest that an object went after the settling.
-        jitter_mm: Farthest that an object was from its own mean position in the last second; what sleeps does not tremble.
-        stable: Nothing moved more than 10 mm, turned more than 5 degrees or drifted 50 mm in it.
+    The metadata of each field state its meaning and unit.
     """
 
-    num_objects: int
-    num_stacked: int | None
-    num_contained: int | None
-    num_tilted: int
-    num_without_mesh: int
-    num_unknown_pairs: int
-    num_collisions: int
-    oc: float | None
-    oc_0mm: float | None
-    oc_1mm: float | None
-    oc_10mm: float | None
-    max_penetration_mm: float | None
-    table_penetration_mm: float
-    float_rate: float | None
-    max_gap_mm: float | None
-    out_of_bounds_rate: float | None
-    clean: bool | None
-    relations_kept_on_in: float | None = None
-    relations_kept_directional: float | None = None
-    move_mean_mm: float | None = None
-    move_max_mm: float | None = None
-    turn_max_deg: float | None = None
-    awt: float | None = None
-    aws: float | None = None
-    distractor_rate: float | None = None
-    engine_penetration_mm: float | None = None
-    settle_move_max_mm: float | None = None
-    settle_turn_max_deg: float | None = None
-    drift_mm: float | None = None
-    jitter_mm: float | None = None
-    stable: bool | None = None
+    num_objects: int = field(metadata=_about("number of objects"))
+    num_stacked: int | None = field(
+        metadata=_about("number of objects that stand on another object; null where the supports are unknown")
+    )
+    num_contained: int | None = field(
+        metadata=_about("number of objects inside another object; null where the supports are unknown")
+    )
+    num_tilted: int = field(metadata=_about("number of objects that are tilted by more than 5 degrees"))
+    num_without_mesh: int = field(metadata=_about("number of objects whose mesh is missing or broken"))
+    num_unknown_pairs: int = field(metadata=_about("number of object pairs that could not be judged"))
+    num_collisions: int = field(metadata=_about("number of judged object pairs that collide deeper than 0.5 mm"))
+    oc: float | None = field(metadata=_about("object collision rate: share of object pairs that collide deeper than 0.5 mm"))
+    oc_0mm: float | None = field(metadata=_about("share of object pairs whose meshes touch or overlap (tolerance 0 mm)"))
+    oc_1mm: float | None = field(metadata=_about("share of object pairs that collide deeper than 1 mm"))
+    oc_10mm: float | None = field(metadata=_about("share of object pairs that collide deeper than 10 mm"))
+    max_penetration_mm: float | None = field(metadata=_about("deepest penetration between two objects", "mm"))
+    table_penetration_mm: float = field(metadata=_about("deepest penetration of an object into the table", "mm"))
+    float_rate: float | None = field(metadata=_about("share of objects that float"))
+    max_gap_mm: float | None = field(
+        metadata=_about("largest vertical gap between an object and its support, as the paper defines it", "mm")
+    )
+    out_of_bounds_rate: float | None = field(
+        metadata=_about("share of objects that leave the table or enter the restricted zone")
+    )
+    clean: bool | None = field(
+        metadata=_about(
+            "true where no object collides, floats, sinks into the table or is out of bounds, at a tolerance of 0.5 mm"
+        )
+    )
+    relations_kept_on_in: float | None = field(
+        default=None,
+        metadata=_about(
+            "share of the on and in relations of the input that still hold; null where none held or nothing was corrected"
+        ),
+    )
+    relations_kept_directional: float | None = field(
+        default=None,
+        metadata=_about(
+            "share of the directional relations of the input that still hold; null where none held or nothing was corrected"
+        ),
+    )
+    move_mean_mm: float | None = field(
+        default=None,
+        metadata=_about("mean displacement of the objects by the correction; null where not corrected", "mm"),
+    )
+    move_max_mm: float | None = field(
+        default=None,
+        metadata=_about("largest displacement of an object by the correction; null where not corrected", "mm"),
+    )
+    turn_max_deg: float | None = field(
+        default=None,
+        metadata=_about("largest change of yaw of an object by the correction; null where not corrected", "deg"),
+    )
+    awt: float | None = field(
+        default=None,
+        metadata=_about(
+            "share of the objects required by the instruction that are in the scene; null where it requires no known object"
+        ),
+    )
+    aws: float | None = field(
+        default=None,
+        metadata=_about("share of the relations stated by the instruction that hold in the scene; null where it states none"),
+    )
+    distractor_rate: float | None = field(
+        default=None, metadata=_about("share of objects that are not task objects; null without a task")
+    )
+    engine_penetration_mm: float | None = field(
+        default=None,
+        metadata=_about("deepest contact at the start of the physics simulation; null where not simulated", "mm"),
+    )
+    settle_move_max_mm: float | None = field(
+        default=None,
+        metadata=_about(
+            "largest distance of an object from its start position during the simulation; null where not simulated",
+            "mm",
+        ),
+    )
+    settle_turn_max_deg: float | None = field(
+        default=None,
+        metadata=_about(
+            "largest rotation of an object from its start orientation during the simulation; null where not simulated",
+            "deg",
+        ),
+    )
+    drift_mm: float | None = field(
+        default=None,
+        metadata=_about("largest displacement of an object after the settling phase; null where not simulated", "mm"),
+    )
+    jitter_mm: float | None = field(
+        default=None,
+        metadata=_about(
+            "largest distance of an object from its mean position in the last second, 0 for a sleeping body; null where not simulated",
+            "mm",
+        ),
+    )
+    stable: bool | None = field(
+        default=None,
+        metadata=_about(
+            "true where no object moved more than 10 mm, turned more than 5 degrees or drifted 50 mm; null where not simulated"
+        ),
+    )
 
 
 def with_counts(card: MetricCard, scene: Scene) -> MetricCard:

@@ -100,19 +100,14 @@ _CARD_TYPES: dict[type, pa.DataType] = {int: _count, float: _number, bool: _trut
 
 
 def _card_columns() -> list[pa.Field]:
-    """One column for each field of the metric card; its docstring is where they are explained."""
-    meanings = dict(
-        line.strip().split(": ", 1)
-        for line in (MetricCard.__doc__ or "").splitlines()
-        if line.startswith("        ") and ": " in line
-    )
+    """One column for each field of the metric card, with the field's meaning and unit."""
     types = get_type_hints(MetricCard)
     return [
         _column(
             f.name,
             _CARD_TYPES[(get_args(types[f.name]) or (types[f.name],))[0]],
-            meanings[f.name],
-            "mm" if f.name.endswith("_mm") else "deg" if f.name.endswith("_deg") else "",
+            f.metadata["meaning"],
+            f.metadata["unit"],
         )
         for f in fields(MetricCard)
     ]
@@ -121,84 +116,116 @@ def _card_columns() -> list[pa.Field]:
 CARD = pa.struct([(column.name, column.type) for column in _card_columns()])
 
 _scene_head = [
-    _column("scene_id", _text, "unique in the run"),
-    _column("split", _text, "train, validation or test: 90/5/5 by near-duplicate group; unseen: tables of other kinds"),
-    _column("table_type", _text, "such as office_table"),
-    _column("table_size", _numbers, "extent along x and y; the near-left corner is the origin, the top is z = 0", "m"),
-    _column("restricted_zone", _numbers, "x_min, x_max, y_min, y_max where nothing may stand, or null", "m"),
-    _column("task", TASK, "task info with task objects and entailed relations"),
+    _column("scene_id", _text, "identifier of the scene, unique in the run"),
+    _column("split", _text, "train, validation or test (90/5/5 by near-duplicate group), or unseen (held-out table types)"),
+    _column("table_type", _text, "type of the table, such as office_table"),
+    _column(
+        "table_size", _numbers, "extent of the table along x and y; the origin is its near-left corner, its top is z = 0", "m"
+    ),
+    _column(
+        "restricted_zone", _numbers, "x_min, x_max, y_min, y_max of the area where no object may stand; null without one", "m"
+    ),
+    _column("task", TASK, "task info with task objects and the relations that the instruction states; null without a task"),
 ]
 
 SCHEMAS: dict[str, pa.Schema] = {
     "scenes": pa.schema(
         [
             *_scene_head[:1],
-            _column("source", _text, "the dataset that the scene was read from"),
+            _column("source", _text, "name of the dataset that the scene was read from"),
             *_scene_head[1:],
-            _column("objects", pa.list_(OBJECT), "objects; position is the centre of the box in the yaw frame", "m, rad"),
-            _column("relations", pa.list_(RELATION), "scene graph"),
+            _column(
+                "objects",
+                pa.list_(OBJECT),
+                "objects of the scene; position is the centre of the bounding box in the yaw frame",
+                "m, rad",
+            ),
+            _column("relations", pa.list_(RELATION), "scene graph: spatial relations between objects"),
             *_card_columns(),
             _column(
-                "pairs", pa.list_(PAIR), "pairs that touch, nest or could not be judged (null); all others are apart", "mm"
+                "pairs",
+                pa.list_(PAIR),
+                "object pairs that touch or contain each other, with their penetration, null where unknown; all other pairs are apart",
+                "mm",
             ),
-            _column("verdicts", pa.list_(VERDICT), "one an object, in the order of objects", "mm"),
-            _column("layout_path", _text, "where the layout was read, relative to the dataset"),
-            _column("layout_sha256", _text, "content of that file"),
-            _column("duplicate_group", _text, "scenes on the same table type with the same assets share it, and their split"),
-            _column("source_json", _text, "top-level entries of the file, so that nothing is lost"),
+            _column("verdicts", pa.list_(VERDICT), "verdict on each object, in the order of objects", "mm"),
+            _column("layout_path", _text, "path of the layout file, relative to the dataset"),
+            _column("layout_sha256", _text, "SHA-256 of the layout file"),
+            _column(
+                "duplicate_group",
+                _text,
+                "near-duplicate group: scenes with the same table type and the same assets share it, and share the split",
+            ),
+            _column("source_json", _text, "top-level entries of the layout file as JSON, so that a round trip loses nothing"),
         ]
     ),
     "corrections": pa.schema(
         [
-            _column("scene_id", _text, "the scene, also where its correction is infeasible and it is in failures"),
+            _column("scene_id", _text, "identifier of the scene; an infeasible scene is here and in failures"),
             _column(
-                "status", _text, "certified, dropped (clean after dropping objects), infeasible, or unknown (a mesh is missing)"
+                "status",
+                _text,
+                "certified, dropped (clean after objects were removed), infeasible, or unknown (a mesh is missing)",
             ),
-            _column("reason", _text, "why nothing better was possible; empty where certified"),
-            _column("dropped", pa.list_(DROPPED), "objects that found no place, with the reason"),
-            _column("start", pa.list_(POSE), "where all objects were, dropped ones included", "m, rad"),
+            _column("reason", _text, "reason for a status other than certified; empty where certified"),
             _column(
-                "raw", pa.list_(POSE), "where the flow put them, before they were certified; null without a flow", "m, rad"
+                "dropped", pa.list_(DROPPED), "objects that were removed because they could not be placed, with the reason"
             ),
-            _column("card_before", CARD, "metric card of the input"),
-            _column("card_raw", CARD, "metric card of the raw flow, null without one"),
-            _column("card_after", CARD, "metric card of the corrected scene, null where infeasible"),
-            _column("on_in_held", _count, "on and in relations that held in the input"),
-            _column("on_in_kept", _count, "of them, those that still hold"),
-            _column("asked_broken", _count, "on and in relations that the scene graph asks for and the input broke"),
-            _column("asked_restored", _count, "of them, those that hold now"),
-            _column("directional_held", _count, "directional relations that held in the input"),
-            _column("directional_kept", _count, "of them, those that still hold"),
+            _column("start", pa.list_(POSE), "input pose of each object, removed objects included", "m, rad"),
+            _column(
+                "raw",
+                pa.list_(POSE),
+                "pose of each object after the flow and before certification; null without a flow",
+                "m, rad",
+            ),
+            _column("card_before", CARD, "metric card of the input scene"),
+            _column("card_raw", CARD, "metric card after the flow and before certification; null without a flow"),
+            _column("card_after", CARD, "metric card of the corrected scene; null where infeasible"),
+            _column("on_in_held", _count, "number of on and in relations that held in the input"),
+            _column("on_in_kept", _count, "number of those relations that hold after the correction"),
+            _column("asked_broken", _count, "number of on and in relations of the scene graph that did not hold in the input"),
+            _column("asked_restored", _count, "number of those relations that hold after the correction"),
+            _column("directional_held", _count, "number of directional relations that held in the input"),
+            _column("directional_kept", _count, "number of those relations that hold after the correction"),
         ]
     ),
     "turns": pa.schema(
         [
-            _column("scene_id", _text, "the scene, also where nothing came of it"),
-            _column("turn", _count, "number of the turn in its scene, from 0"),
-            _column("stage", _text, "what was asked for: task (O^t), important (O^B), secondary (O^b) or whole"),
-            _column("tries", _count, "how often the reasoner was asked"),
-            _column("refused", pa.list_(_texts), "codes of the faults of each answer that was not taken"),
-            _column("reply", _text, "the answer that was taken, as it is said to the reasoner; null where none was"),
-            _column("prompt_tokens", _count, "read by the reasoner"),
-            _column("reply_tokens", _count, "written by it"),
-            _column("cost", _number, "of the tries, in the currency of the engine's prices"),
-            _column("unmatched", _texts, "instances for which no asset was found"),
-            _column("coarse", pa.list_(POSE), "all objects before the correction; null without one", "m, rad"),
-            _column("corrected", pa.list_(POSE), "and after it; null where there was none or no place was found", "m, rad"),
-            _column("card_before", CARD, "metric card before the correction; null without one"),
-            _column("card_after", CARD, "and after it; null likewise"),
-            _column("dropped", pa.list_(DROPPED), "objects that found no place, with the reason"),
-            _column("code", _text, "why what was proposed is not in the scene, in short; empty where it is"),
-            _column("reason", _text, "the same in one line"),
+            _column("scene_id", _text, "identifier of the scene, accepted or not"),
+            _column("turn", _count, "index of the turn in its scene, from 0"),
+            _column("stage", _text, "stage that was requested: task (O^t), important (O^B), secondary (O^b) or whole"),
+            _column("tries", _count, "number of requests to the reasoner"),
+            _column("refused", pa.list_(_texts), "error codes of each rejected reply, one list a reply"),
+            _column("reply", _text, "accepted reply, in the form in which later turns repeat it; null without one"),
+            _column("prompt_tokens", _count, "number of tokens in the prompts of the turn"),
+            _column("reply_tokens", _count, "number of tokens in the replies of the turn"),
+            _column("cost", _number, "cost of all requests, in the currency of the engine's prices"),
+            _column("unmatched", _texts, "instances without a matching asset"),
+            _column("coarse", pa.list_(POSE), "pose of each object before the correction; null without a correction", "m, rad"),
+            _column(
+                "corrected",
+                pa.list_(POSE),
+                "pose of each object after the correction; null without a correction or where it is infeasible",
+                "m, rad",
+            ),
+            _column("card_before", CARD, "metric card before the correction; null without a correction"),
+            _column(
+                "card_after", CARD, "metric card after the correction; null without a correction or where it is infeasible"
+            ),
+            _column(
+                "dropped", pa.list_(DROPPED), "objects that were removed because they could not be placed, with the reason"
+            ),
+            _column("code", _text, "short code of why the proposal was rejected; empty where it was accepted"),
+            _column("reason", _text, "reason for the rejection in one line; empty where the proposal was accepted"),
         ]
     ),
     "settled": pa.schema(
         [
-            _column("scene_id", _text, "the scene"),
+            _column("scene_id", _text, "identifier of the scene"),
             _column(
                 "poses",
                 pa.list_(pa.struct([("instance", _text), ("position", _numbers), ("quat_xyzw", _numbers)])),
-                "where the physics engine left each object: the centre of its box, and the rotation from its frame at yaw 0",
+                "pose of each object after physical settling: the centre of its box, and the rotation from its frame at yaw 0",
                 "m",
             ),
         ]
@@ -206,121 +233,184 @@ SCHEMAS: dict[str, pa.Schema] = {
     "samples": pa.schema(
         [
             *_scene_head,
-            _column("stage", _text, "task (O^t), important (O^B) or secondary (O^b)"),
+            _column("stage", _text, "stage of objects_out: task (O^t), important (O^B) or secondary (O^b)"),
             _column("objects_in", pa.list_(SAMPLE_OBJECT), "objects of all earlier stages", "m, rad"),
             _column(
                 "objects_out",
                 pa.list_(SAMPLE_OBJECT),
-                "objects of this stage, large to small, each followed by what it carries",
+                "objects of this stage, from large to small, each followed by the objects that it supports",
                 "m, rad",
             ),
         ]
     ),
     "edits": pa.schema(
         [
-            _column("edit_id", _text, "unique in the run"),
+            _column("edit_id", _text, "identifier of the edit, unique in the run"),
             *_scene_head[:-1],
-            _column("kind", _text, "add, remove, replace, move or restyle"),
-            _column("instruction", _text, "what is asked for"),
-            _column("objects_in", pa.list_(SAMPLE_OBJECT), "the scene as it was, in its order", "m, rad"),
+            _column("kind", _text, "kind of the edit: add, remove, replace, move or restyle"),
+            _column("instruction", _text, "instruction of the edit"),
             _column(
-                "objects_out", pa.list_(SAMPLE_OBJECT), "objects that are new, and changed ones under their names", "m, rad"
+                "objects_in",
+                pa.list_(SAMPLE_OBJECT),
+                "objects of the scene before the edit, in the order of the scene",
+                "m, rad",
             ),
-            _column("removed", _texts, "instances of objects_in that go"),
+            _column(
+                "objects_out", pa.list_(SAMPLE_OBJECT), "new objects, and changed objects under their old instance", "m, rad"
+            ),
+            _column("removed", _texts, "instances of objects_in that the edit removes"),
         ]
     ),
     "assets": pa.schema(
         [
-            _column("asset_id", _text, "unique"),
-            _column("category", _text, "kind of thing"),
-            _column("description", _text, "short words"),
+            _column("asset_id", _text, "identifier of the asset, unique in the run"),
+            _column("category", _text, "category of the asset"),
+            _column("description", _text, "short description"),
             _column("caption", _text, "detailed caption"),
-            _column("licence", _text, "licence where known"),
-            _column("source", _text, "where it comes from"),
-            _column("extents", _numbers, "box of the mesh, z up", "mesh units"),
-            _column("typical_scale", _numbers, "median scale over the scenes that use it, or null", "m per mesh unit"),
-            _column("resting_tilts", pa.list_(RESTING_TILT), "tilts seen in the scenes, most frequent first"),
-            _column("is_container", _truth, "may hold things; null where unknown"),
-            _column("on_table", _truth, "belongs on a table, as annotated; null in runs that did not keep it"),
-            _column("mark_deletion", _truth, "the annotators wanted it removed; null in runs that did not keep it"),
-            _column("is_composite", _truth, "several things in one mesh, as annotated; null in runs that did not keep it"),
-            _column("report", MESH_REPORT, "what the mesh is and what repair did", "mesh units"),
-            _column("mass", _number, "as annotated, or null", "kg"),
-            _column("volume", _number, "enclosed, at the typical scale", "m^3"),
-            _column("center_of_mass", _numbers, "of the mesh, centred on its box, at the typical scale", "m"),
-            _column("inertia_per_mass", _numbers, "3 x 3 about the centre of mass, row by row, at the typical scale", "m^2"),
+            _column("licence", _text, "licence; null where unknown"),
+            _column("source", _text, "origin of the asset"),
+            _column("extents", _numbers, "extents of the mesh's bounding box, z up", "mesh units"),
             _column(
-                "points", pa.list_(pa.float32()), "(P, 3) on the surface, farthest-point ordered, row by row", "mesh units"
+                "typical_scale",
+                _numbers,
+                "median scale over the scenes that use the asset; null where no scene does",
+                "m per mesh unit",
             ),
-            _column("normals", pa.list_(pa.float32()), "(P, 3) outward at the points, row by row"),
-            _column("text_embedding", pa.list_(pa.float32()), "unit row of the library's text features, or null"),
-            _column("mesh_sha256", _text, "content of the mesh file"),
+            _column("resting_tilts", pa.list_(RESTING_TILT), "tilts of the asset in the scenes, most frequent first"),
+            _column("is_container", _truth, "true where other objects can be placed inside; null where unknown"),
+            _column("on_table", _truth, "annotation: true where the asset belongs on a table; null where unknown"),
+            _column(
+                "mark_deletion",
+                _truth,
+                "annotation: true where the annotators marked the asset for deletion; null where unknown",
+            ),
+            _column("is_composite", _truth, "annotation: true where the mesh contains several objects; null where unknown"),
+            _column("report", MESH_REPORT, "properties of the mesh and the repairs that were made", "mesh units"),
+            _column("mass", _number, "mass as annotated; null where unknown", "kg"),
+            _column("volume", _number, "enclosed volume at the typical scale", "m^3"),
+            _column(
+                "center_of_mass",
+                _numbers,
+                "centre of mass relative to the centre of the bounding box, at the typical scale",
+                "m",
+            ),
+            _column(
+                "inertia_per_mass",
+                _numbers,
+                "inertia tensor divided by the mass, 3 x 3 about the centre of mass, row-major, at the typical scale",
+                "m^2",
+            ),
+            _column(
+                "points", pa.list_(pa.float32()), "surface points (P, 3), in farthest-point order, row-major", "mesh units"
+            ),
+            _column("normals", pa.list_(pa.float32()), "outward surface normals (P, 3) at the points, row-major"),
+            _column(
+                "text_embedding",
+                pa.list_(pa.float32()),
+                "text embedding of unit length from the library's text features; null without one",
+            ),
+            _column("mesh_sha256", _text, "SHA-256 of the mesh file"),
         ]
     ),
     "sdf": pa.schema(
         [
-            _column("asset_id", _text, "the asset"),
-            _column("aspect", _numbers, "scale over its largest component, snapped to 5 %"),
-            _column("values", pa.list_(pa.float16()), "signed distance at the nodes, negative inside, x slowest", "extent"),
-            _column("shape", pa.list_(pa.int32()), "nodes along x, y, z"),
-            _column("origin", _numbers, "place of the first node", "extent"),
-            _column("spacing", _number, "between nodes", "extent"),
-            _column("extent", _number, "the grid's unit: largest extent of the mesh at its aspect", "mesh units"),
-            _column("shell_thickness", _number, "of an open sheet's shell; 0 for a solid", "extent"),
-            _column("wall_thickness", _number, "of the mesh, estimated", "extent"),
-            _column("mean_error", _number, "within one spacing of the surface, measured", "extent"),
-            _column("max_error", _number, "the largest of them", "extent"),
-            _column("far_error", _number, "largest in the rest of the box, measured", "extent"),
-            _column("sign_error", _number, "share of wrong signs half a spacing or more from the surface, measured"),
+            _column("asset_id", _text, "identifier of the asset"),
+            _column("aspect", _numbers, "scale divided by its largest component, rounded to steps of 5 %"),
+            _column(
+                "values",
+                pa.list_(pa.float16()),
+                "signed distance at the grid nodes, negative inside, x varies slowest",
+                "extent",
+            ),
+            _column("shape", pa.list_(pa.int32()), "number of grid nodes along x, y and z"),
+            _column("origin", _numbers, "position of the first grid node", "extent"),
+            _column("spacing", _number, "distance between neighbouring grid nodes", "extent"),
+            _column("extent", _number, "length unit of the grid: largest extent of the mesh at its aspect", "mesh units"),
+            _column(
+                "shell_thickness", _number, "thickness of the shell that is put around an open surface; 0 for a solid", "extent"
+            ),
+            _column("wall_thickness", _number, "estimated wall thickness of the mesh", "extent"),
+            _column("mean_error", _number, "measured mean error within one spacing of the surface", "extent"),
+            _column("max_error", _number, "measured largest error within one spacing of the surface", "extent"),
+            _column("far_error", _number, "measured largest error in the rest of the grid", "extent"),
+            _column("sign_error", _number, "measured share of wrong signs at half a spacing or more from the surface"),
         ]
     ),
     "features": pa.schema(
         [
-            _column("asset_id", _text, "the asset"),
-            _column("aspect", _numbers, "scale over its largest component, snapped to 5 %"),
-            _column("tilt_quat_xyzw", _numbers, "rotation before yaw; of tilts within about a degree the first in the scenes"),
-            _column("feature", pa.list_(pa.float32()), "64-d feature of the normalised cloud"),
+            _column("asset_id", _text, "identifier of the asset"),
+            _column("aspect", _numbers, "scale divided by its largest component, rounded to steps of 5 %"),
+            _column(
+                "tilt_quat_xyzw",
+                _numbers,
+                "rotation before yaw; tilts within about one degree share one row, with the first of them in the scenes",
+            ),
+            _column("feature", pa.list_(pa.float32()), "64-d feature of the normalised point cloud"),
             _column(
                 "log_extents",
                 _numbers,
-                "natural logarithm of the box in the yaw frame, metres, at the median scale of such uses",
+                "natural logarithm of the bounding box in the yaw frame, in metres, at the median scale of these uses",
             ),
-            _column("encoder_fingerprint", _text, "weights that made it; rows of different encoders are never mixed"),
+            _column(
+                "encoder_fingerprint", _text, "fingerprint of the encoder's weights; one run holds features of one encoder"
+            ),
         ]
     ),
     "meshes": pa.schema(
         [
-            _column("asset_id", _text, "the asset"),
+            _column("asset_id", _text, "identifier of the asset"),
             _column(
                 "glb",
                 pa.binary(),
-                "the repaired mesh as binary glTF, y up, with up to eight colours of its faces",
+                "repaired mesh as binary glTF, y up, with at most eight face colours",
                 "mesh units",
             ),
-            _column("parts", pa.list_(PART), "convex parts, z up", "mesh units"),
-            _column("parts_method", _text, "hull or the decomposition used"),
-            _column("parts_overfill_max", _number, "how far the parts stand out of the mesh at most", "mesh units"),
-            _column("parts_overfill_mean", _number, "the same, mean over the parts' surface", "mesh units"),
-            _column("parts_uncovered_max", _number, "how far the mesh stands out of the parts at most", "mesh units"),
-            _column("parts_uncovered_mean", _number, "the same, mean over the mesh's surface", "mesh units"),
-            _column("hull_distance", _number, "parts_overfill_max of the convex hull", "mesh units"),
-            _column("sha256", _text, "content of glb"),
+            _column("parts", pa.list_(PART), "convex decomposition of the mesh, z up", "mesh units"),
+            _column("parts_method", _text, "method of the decomposition, or hull"),
+            _column("parts_overfill_max", _number, "largest distance by which the parts extend beyond the mesh", "mesh units"),
+            _column(
+                "parts_overfill_mean",
+                _number,
+                "mean distance by which the parts extend beyond the mesh, over the surface of the parts",
+                "mesh units",
+            ),
+            _column(
+                "parts_uncovered_max", _number, "largest distance by which the mesh extends beyond the parts", "mesh units"
+            ),
+            _column(
+                "parts_uncovered_mean",
+                _number,
+                "mean distance by which the mesh extends beyond the parts, over the surface of the mesh",
+                "mesh units",
+            ),
+            _column(
+                "hull_distance", _number, "largest distance by which the convex hull extends beyond the mesh", "mesh units"
+            ),
+            _column("sha256", _text, "SHA-256 of glb"),
         ]
     ),
     "warnings": pa.schema(
         [
-            _column("id", _text, "scene or asset that was kept"),
-            _column("step", _text, "step that noticed"),
-            _column("code", _text, "short reason"),
-            _column("message", _text, "one line for a person"),
+            _column("id", _text, "identifier of the scene or asset, which was kept"),
+            _column("step", _text, "step of the pipeline that reported it"),
+            _column("code", _text, "short code of the reason"),
+            _column("message", _text, "explanation in one line"),
         ]
     ),
 }
-SCHEMAS["failures"] = SCHEMAS["warnings"].set(0, _column("id", _text, "scene or asset that could not be used"))
+SCHEMAS["failures"] = SCHEMAS["warnings"].set(
+    0, _column("id", _text, "identifier of the scene or asset, which could not be used")
+)
 SCHEMAS["rejected"] = (
     SCHEMAS["scenes"]
-    .append(_column("code", _text, "the rule that it broke: accept, or the code of what went wrong"))
-    .append(_column("reason", _text, "one line for a person"))
+    .append(
+        _column(
+            "code",
+            _text,
+            "code of the rejection: rejected where the acceptance condition is not met, else the code of the failure",
+        )
+    )
+    .append(_column("reason", _text, "reason for the rejection in one line"))
 )
 SCHEMAS = {
     name: schema.with_metadata({"stable_data.table": name, "stable_data.version": str(TABLE_VERSION)})
