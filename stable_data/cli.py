@@ -3,14 +3,15 @@
 import os
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, ParamSpec, TypeVar
 
 import typer
 
-from stable_data.errors import ConfigError, SceneError, StableDataError
+from stable_data.errors import ConfigError, MissingColumnsWarning, SceneError, StableDataError
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -49,7 +50,10 @@ def with_clear_errors(command: Callable[P, R]) -> Callable[P, R]:
     @wraps(command)
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
-            return command(*args, **kwargs)
+            with warnings.catch_warnings():
+                warnings.simplefilter("once", MissingColumnsWarning)
+                warnings.showwarning = _show_warning
+                return command(*args, **kwargs)
         except (typer.Exit, typer.Abort, BrokenPipeError):
             raise  # an intended exit, or a closed pipe, for example by `head`
         except KeyboardInterrupt as error:
@@ -62,6 +66,17 @@ def with_clear_errors(command: Callable[P, R]) -> Callable[P, R]:
             raise typer.Exit(NOT_STARTED) from error
 
     return run
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *rest: Any, **more: Any) -> None:
+    """Shows a warning of the toolkit as one line, and any other as Python does."""
+    if issubclass(category, MissingColumnsWarning):
+        typer.echo(f"warning: {message}", err=True)
+    else:
+        _show_any(message, category, *rest, **more)
+
+
+_show_any = warnings.showwarning
 
 
 def _line(error: Exception) -> str:

@@ -36,6 +36,10 @@ class ConfigError(StableDataError):
     """A configuration, folder or command that cannot be started."""
 
 
+class MissingColumnsWarning(UserWarning):
+    """Warns that a run was made before some columns of its tables existed."""
+
+
 @dataclass(frozen=True, slots=True)
 class Notice:
     """Something about one item that deserves a look: a row of ``warnings`` (kept) or ``failures`` (not usable).

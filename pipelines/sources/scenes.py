@@ -8,9 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, TypeAlias
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.preprocess.plan import PreprocessSettings, plan_run
 from pipelines.preprocess.scene import SceneSettings, origin_of, prepare_scene
@@ -18,7 +15,7 @@ from stable_data.assets.catalog import AssetLibrary, library_of_run
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
 from stable_data.content_id import content_id
-from stable_data.errors import ConfigError, Notice, SceneError, unreadable
+from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.mesatask.asset_catalog import library_of_folder
@@ -215,7 +212,7 @@ class TableSource:
         """A row of ``scenes``; the file that it is in is kept for the next one."""
         path = self._file_of[scene_id]
         if self._read[0] != path:
-            rows = pq.read_table(path, filesystem=self.folder.filesystem, schema=schemas.SCHEMAS["scenes"]).to_pylist()
+            rows = self.folder.read_file("scenes", path).to_pylist()
             self._read = path, {row["scene_id"]: row for row in rows}
         return self._read[1][scene_id]
 
@@ -231,14 +228,8 @@ def _ids_by_file(folder: RunFolder) -> dict[str, tuple[str, ...]]:
     Raises:
         ConfigError: A scene is there twice, or the table cannot be read.
     """
-    folder.dataset("scenes")  # refuses another version
-    ids: dict[str, tuple[str, ...]] = {}
-    for path in folder.files("scenes"):
-        try:
-            column = pq.read_table(path, columns=["scene_id"], filesystem=folder.filesystem)["scene_id"]
-        except (pa.ArrowException, OSError) as error:
-            raise unreadable(folder.uri, path, error) from error
-        ids[path] = tuple(column.to_pylist())
+    paths = folder.dataset("scenes").files  # refuses another version
+    ids = {path: tuple(folder.read_file("scenes", path, ["scene_id"])["scene_id"].to_pylist()) for path in paths}
     counted = Counter(scene_id for scene_ids in ids.values() for scene_id in scene_ids)
     if twice := [scene_id for scene_id, count in counted.items() if count > 1]:
         raise ConfigError(f"{folder.uri}/scenes: {twice[0]} is there twice, expected each scene once", "duplicate_scene")

@@ -18,7 +18,7 @@ from stable_data.errors import ConfigError, unreadable
 from stable_data.scene import IntArray
 from stable_data.storage.filter_expression import FilterExpression, parse_filter
 from stable_data.storage.run_folder import RunFolder, Uri, read_row_groups
-from stable_data.storage.schemas import SCHEMAS, Row, check_version
+from stable_data.storage.schemas import SCHEMAS, Row, check_schema, missing_columns, warn_of_missing, with_schema
 
 SPLITS = ("train", "validation", "test", "unseen")
 """What a row's ``split`` may be."""
@@ -52,6 +52,8 @@ class RowGroup:
 
 class TableFiles:
     """The row groups of a table in the order of its files.
+
+    A column that a file lacks, because it was written before the column existed, is read as null; a warning names it.
 
     Args:
         uri: The run folder; or several, whose rows come one run after the other.
@@ -91,10 +93,12 @@ class TableFiles:
         if not places or len(places) < len(self._folders):
             raise ConfigError(f"runs are [{self.uri}], expected at least one run and no duplicates", "runs_invalid")
         paths = [(run, path) for run, folder in enumerate(self._folders) for path in self._paths(folder)]
+        self._schema = leaf_schema(SCHEMAS[table], leaves)
         query = self._query()  # once: threads of Python 3.11 that parse side by side may fail
         with ThreadPoolExecutor(_REQUESTS) as pool:
-            listed = pool.map(lambda found: self._list_groups(found[0], found[1], query), paths)
-            self.groups = [group for groups in listed for group in groups]
+            listed = list(pool.map(lambda found: self._list_groups(found[0], found[1], query), paths))
+        self.groups = [group for groups, _ in listed for group in groups]
+        warn_of_missing(self.uri, table, (name for _, names in listed for name in names), query.columns if query else ())
         self.starts: IntArray = np.cumsum([0, *(group.num_rows for group in self.groups)], dtype=np.int64)
 
     def __len__(self) -> int:
@@ -129,7 +133,8 @@ class TableFiles:
         except (pa.ArrowException, OSError) as error:
             raise unreadable(folder.uri, path, error) from error
         return pa.concat_tables(
-            part if g.chosen is None else part.take(g.chosen) for part, g in zip(parts, groups, strict=True)
+            with_schema(part if g.chosen is None else part.take(g.chosen), self._schema)
+            for part, g in zip(parts, groups, strict=True)
         )
 
     def _paths(self, folder: RunFolder) -> list[str]:
@@ -138,16 +143,19 @@ class TableFiles:
             folder.dataset(self._table)  # says what is missing
         return paths
 
-    def _list_groups(self, run: int, path: str, query: FilterExpression | None) -> list[RowGroup]:
-        folder = self._folders[run]
+    def _list_groups(self, run: int, path: str, query: FilterExpression | None) -> tuple[list[RowGroup], list[str]]:
+        """The row groups of a file that hold rows, and the columns that are asked for and missing."""
+        folder, schema = self._folders[run], SCHEMAS[self._table]
         try:
             with pq.ParquetFile(path, filesystem=folder.filesystem) as file:
-                check_version(pa.schema([], metadata=file.metadata.metadata), f"{folder.uri}: {path}")
-                possible = range(file.num_row_groups) if query is None else _possible(query, path, file, folder)
-                groups = [_row_group(run, path, file, index, query) for index in possible]
+                check_schema(file.schema_arrow, self._table, f"{folder.uri}: {path}")
+                possible = range(file.num_row_groups) if query is None else _possible(query, path, schema, folder)
+                groups = [_row_group(run, path, file, index, query, schema) for index in possible]
+                expected = [*self._schema, *(schema.field(name) for name in (query.columns if query else ()))]
+                missing = missing_columns(file.schema_arrow, expected)
         except (pa.ArrowException, OSError) as error:
             raise unreadable(folder.uri, path, error) from error
-        return [group for group in groups if group.num_rows]
+        return [group for group in groups if group.num_rows], missing
 
     def _query(self) -> FilterExpression | None:
         """The condition that split and where make."""
@@ -157,20 +165,50 @@ class TableFiles:
         return parse_filter(" and ".join(parts), SCHEMAS[self._table]) if parts else None
 
 
-def _possible(query: FilterExpression, path: str, file: pq.ParquetFile, folder: RunFolder) -> list[int]:
+def _possible(query: FilterExpression, path: str, schema: pa.Schema, folder: RunFolder) -> list[int]:
     """The row groups of a file that its statistics do not rule out."""
     fragment = ds.ParquetFileFormat().make_fragment(path, folder.filesystem)
-    return [group.id for group in fragment.subset(query.expression, schema=file.schema_arrow).row_groups]
+    return [group.id for group in fragment.subset(query.expression, schema=schema).row_groups]
 
 
-def _row_group(run: int, path: str, file: pq.ParquetFile, index: int, query: FilterExpression | None) -> RowGroup:
+def _row_group(
+    run: int, path: str, file: pq.ParquetFile, index: int, query: FilterExpression | None, schema: pa.Schema
+) -> RowGroup:
     footer = file.metadata.row_group(index)
     if query is None:
         return RowGroup(run, path, index, footer.num_rows, footer.total_byte_size)
-    columns = read_row_groups(file, path, [index], list(query.columns))
+    columns = with_schema(
+        read_row_groups(file, path, [index], list(query.columns)), pa.schema([schema.field(name) for name in query.columns])
+    )
     numbers = pa.array(np.arange(footer.num_rows))
     chosen = query.rows(columns.append_column(_NUMBER, numbers))[_NUMBER].to_numpy()
     return RowGroup(run, path, index, len(chosen), footer.total_byte_size, chosen)
+
+
+def leaf_schema(schema: pa.Schema, leaves: Sequence[str] | None) -> pa.Schema:
+    """The part of a schema that some leaves make.
+
+    Args:
+        schema: Of a table.
+        leaves: Columns or leaves of columns, as Parquet names them, or None: all.
+
+    Returns:
+        Its columns, and the fields of their structs, that hold one of the leaves.
+    """
+    if leaves is None:
+        return schema
+    paths = [leaf.split(".") for leaf in leaves]
+    columns = [(column, [path[1:] for path in paths if path[0] == column.name]) for column in schema]
+    return pa.schema([column.with_type(_leaf_type(column.type, under)) for column, under in columns if under], schema.metadata)
+
+
+def _leaf_type(type_: pa.DataType, paths: list[list[str]]) -> pa.DataType:
+    if [] in paths:
+        return type_
+    if pa.types.is_list(type_):
+        return pa.list_(_leaf_type(type_.value_type, [path[2:] for path in paths]))  # "list", "element"
+    fields = [(field, [path[1:] for path in paths if path[0] == field.name]) for field in type_]
+    return pa.struct([field.with_type(_leaf_type(field.type, under)) for field, under in fields if under])
 
 
 def check_columns(table: str, columns: Sequence[str] | None) -> None:

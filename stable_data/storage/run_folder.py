@@ -26,7 +26,7 @@ import pyarrow.parquet as pq
 
 from stable_data.atomic_files import aside_of
 from stable_data.errors import ConfigError, unreadable, unwritable
-from stable_data.storage.schemas import SCHEMAS, arrow_table, check_version
+from stable_data.storage.schemas import SCHEMAS, arrow_table, check_schema, missing_columns, warn_of_missing, with_schema
 
 Uri: TypeAlias = str | os.PathLike[str]
 """Where a run lies: a local path, or a URI that pyarrow knows, such as ``s3://bucket/prefix``."""
@@ -210,7 +210,7 @@ class RunFolder:
             schema = pq.read_schema(files[0], filesystem=self.filesystem)
         except (pa.ArrowException, OSError) as error:
             raise unreadable(self.uri, files[0], error) from error
-        check_version(schema, f"{self.uri}/{table}")
+        check_schema(schema, table, f"{self.uri}/{table}")
         return ds.dataset(files, format="parquet", filesystem=self.filesystem, schema=SCHEMAS[table])
 
     def batches(
@@ -246,8 +246,43 @@ class RunFolder:
         files = [path for path in self.dataset(table).files if shard_ids is None or _shard_of(path) in shard_ids]
         if not files:
             return _chosen(SCHEMAS[table].empty_table(), wanted, where)
+        rows = list[pa.Table]()
         with ThreadPoolExecutor(_AHEAD) as pool:
-            return pa.concat_tables(pool.map(lambda path: self._read(table, path, wanted, where), files))
+            for part in self._parts(table, files):
+                with self._naming_what_is_broken(part):
+                    if all(pool.map(_is_small, part.get_fragments())):
+                        rows.append(part.to_table(wanted, filter=where))  # one scan of many files: less work for each
+                    else:
+                        rows += pool.map(lambda path: self._read(table, path, wanted, where), part.files)
+        return pa.concat_tables(rows)
+
+    def read_file(self, table: str, path: str, columns: Sequence[str] | None = None) -> pa.Table:
+        """One file of a table, or those of its columns that are asked for.
+
+        Args:
+            table: Name in SCHEMAS.
+            path: As :meth:`files` gives it.
+            columns: Columns, or None: all.
+
+        Raises:
+            ConfigError: It cannot be read, or takes more than MAX_DECODED.
+        """
+        return self._read(table, path, None if columns is None else list(columns), None)
+
+    def warn_of_missing(self, table: str, condition: Iterable[str] = ()) -> None:
+        """Warns of the columns that files of a table lack; see :func:`stable_data.storage.schemas.warn_of_missing`.
+
+        Args:
+            table: Name in SCHEMAS.
+            condition: Columns that a condition on the rows names.
+        """
+        missing = list[str]()
+        with ThreadPoolExecutor(_AHEAD) as pool:
+            for part in self._parts(table):
+                with self._naming_what_is_broken(part):
+                    found = pool.map(lambda fragment: fragment.physical_schema, part.get_fragments())
+                    missing += (name for schema in found for name in missing_columns(schema, SCHEMAS[table]))
+        warn_of_missing(self.uri, table, missing, condition)
 
     def num_rows(self, table: str) -> int:
         """Number of rows of a table of the run; see :meth:`dataset`."""
@@ -260,7 +295,8 @@ class RunFolder:
     def _read(self, table: str, path: str, wanted: _Columns, where: pc.Expression | None) -> pa.Table:
         """What is asked for of one file."""
         schema = SCHEMAS[table]
-        needed = [name for name in schema.names if name in _names_in(schema.names if wanted is None else wanted, where)]
+        names = _names_in(schema.names if wanted is None else wanted, where)
+        needed = [name for name in schema.names if name in names]
         try:
             fragment = ds.ParquetFileFormat().make_fragment(path, self.filesystem)
             fragment = fragment if where is None else fragment.subset(where, schema=schema)
@@ -268,21 +304,17 @@ class RunFolder:
                 rows = read_row_groups(file, path, [group.id for group in fragment.row_groups], needed)
         except (pa.ArrowException, OSError) as error:
             raise unreadable(self.uri, path, error) from error
-        # As in a dataset, a column that the file lacks is null.
-        parts = [
-            rows[name].cast(schema.field(name).type)
-            if name in rows.column_names
-            else pa.nulls(len(rows), schema.field(name).type)
-            for name in needed
-        ]
         known = pa.schema([schema.field(name) for name in needed], schema.metadata)
-        return _chosen(pa.table(parts, known), wanted, where)
+        return _chosen(with_schema(rows, known), wanted, where)
 
-    def _parts(self, table: str) -> Iterator[ds.Dataset]:
-        """A table of the run, some files at a time: a dataset keeps the footer of each file that it has read, and runs have many."""
-        files = self.dataset(table).files
+    def _parts(self, table: str, files: Sequence[str] | None = None) -> Iterator[ds.Dataset]:
+        """A table of the run, or some of its files, a few at a time.
+
+        A dataset keeps the footer of each file that it has read, and runs have many.
+        """
+        files = self.dataset(table).files if files is None else files
         for start in range(0, len(files), _FILES_AT_ONCE):
-            part = files[start : start + _FILES_AT_ONCE]
+            part = list(files[start : start + _FILES_AT_ONCE])
             yield ds.dataset(part, format="parquet", filesystem=self.filesystem, schema=SCHEMAS[table])
 
     @contextmanager
@@ -337,6 +369,11 @@ def read_row_groups(
                 "shard_too_big",
             )
     return pa.Table.from_batches(batches) if batches else file.read_row_groups([], columns)
+
+
+def _is_small(fragment: ds.ParquetFileFragment) -> bool:
+    """Whether a file cannot take more than MAX_DECODED, since no value of it is larger than all that is stored."""
+    return sum(group.num_rows * group.total_byte_size for group in fragment.row_groups) <= MAX_DECODED
 
 
 def _shard_of(path: str) -> str:

@@ -5,19 +5,21 @@ with no code of ours. Every column's metadata says its unit and meaning.
 """
 
 import json
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, fields
 from typing import Any, TypeAlias, get_args, get_type_hints
 
 import pyarrow as pa
 
-from stable_data.errors import ConfigError, Notice
+from stable_data.errors import ConfigError, MissingColumnsWarning, Notice
 from stable_data.json_text import json_text
 from stable_data.metrics.card import MetricCard
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Stage, Tabletop, TaskInfo
 
 TABLE_VERSION = 3
-"""Raised whenever a column changes its name, type or meaning."""
+"""Raised whenever a column changes its name, type or meaning. A new column that may be null does not raise it: tables that
+were written before it existed are read with null, which is unknown."""
 
 Row: TypeAlias = dict[str, Any]
 
@@ -418,6 +420,21 @@ SCHEMAS = {
 }
 """Name of a table -> its schema."""
 
+_PLACE = ("table_type", "table_size", "restricted_zone")
+REQUIRED: dict[str, tuple[str, ...]] = {
+    **{name: tuple(schema.names[:1]) for name, schema in SCHEMAS.items()},
+    "scenes": ("scene_id", *_PLACE, "objects"),
+    "rejected": ("scene_id", *_PLACE, "objects"),
+    "samples": ("scene_id", *_PLACE, "stage", "objects_in", "objects_out"),
+    "edits": ("edit_id", "scene_id", *_PLACE, "kind", "instruction", "objects_in", "objects_out", "removed"),
+    "turns": ("scene_id", "turn"),
+    "settled": ("scene_id", "poses"),
+    "sdf": tuple(SCHEMAS["sdf"].names[:7]),
+    "features": ("asset_id", "aspect", "tilt_quat_xyzw", "feature", "encoder_fingerprint"),
+    "meshes": ("asset_id", "glb", "sha256"),
+}
+"""Name of a table -> the columns without which its rows say nothing. Any other column may be missing: it reads as null."""
+
 
 def arrow_table(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.Table:
     """Rows as an Arrow table.
@@ -435,18 +452,81 @@ def arrow_table(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.Table:
     return pa.Table.from_pylist(list(rows), schema=schema)
 
 
-def check_version(schema: pa.Schema, where: str) -> None:
-    """Refuses a table that was written by another version.
+def check_schema(schema: pa.Schema, table: str, where: str) -> None:
+    """Refuses a table that cannot be read as one of the current version.
+
+    Args:
+        schema: Of a file of the table.
+        table: Name in SCHEMAS.
+        where: The file or table, for the message.
 
     Raises:
-        ConfigError: The table's version is not TABLE_VERSION.
+        ConfigError: Its version is not TABLE_VERSION (``table_version``), or it has no column of a REQUIRED name
+            (``column_missing``).
     """
     found = (schema.metadata or {}).get(b"stable_data.version", b"none").decode()
     if found != str(TABLE_VERSION):
-        raise ConfigError(
-            f"{where}: written as table version {found}, expected {TABLE_VERSION}; preprocess the dataset again into a new folder",
-            "table_version",
+        remedy = (
+            "install the version of stable-data that wrote it, or a newer one"
+            if found.isdigit() and int(found) > TABLE_VERSION
+            else "run the job again into a new folder, or read it with the version of stable-data that wrote it"
         )
+        raise ConfigError(f"{where}: written as table version {found}, expected {TABLE_VERSION}; {remedy}", "table_version")
+    missing = [name for name in REQUIRED[table] if name not in schema.names]
+    if missing:
+        raise ConfigError(
+            f"{where}: has no column {', '.join(missing)}, expected it in every table {table}; run the job again into a new folder",
+            "column_missing",
+        )
+
+
+def with_schema(table: pa.Table, schema: pa.Schema) -> pa.Table:
+    """A table with the columns of a schema, in its order and types; columns and fields that the table lacks are null."""
+    columns = [
+        table[column.name].cast(column.type) if column.name in table.column_names else pa.nulls(len(table), column.type)
+        for column in schema
+    ]
+    return pa.Table.from_arrays(columns, schema=schema)
+
+
+def missing_columns(found: Iterable[pa.Field], expected: Iterable[pa.Field]) -> list[str]:
+    """Names of the columns, and dotted names of the fields of structs, that are expected and not found."""
+    types, names = {column.name: column.type for column in found}, list[str]()
+    for column in expected:
+        if column.name not in types:
+            names.append(column.name)
+        else:
+            names += (f"{column.name}.{name}" for name in missing_columns(_struct(types[column.name]), _struct(column.type)))
+    return names
+
+
+def _struct(type_: pa.DataType) -> Sequence[pa.Field]:
+    """The fields of a struct or of a list of structs; none of another type."""
+    while pa.types.is_list(type_):
+        type_ = type_.value_type
+    return list(type_) if pa.types.is_struct(type_) else []
+
+
+def warn_of_missing(where: str, table: str, missing: Iterable[str], condition: Iterable[str] = ()) -> None:
+    """Says in one line which columns a run lacks because it was made before they existed; says nothing where it lacks none.
+
+    Args:
+        where: The run.
+        table: Name in SCHEMAS.
+        missing: What :func:`missing_columns` gives.
+        condition: Columns that a condition on the rows names.
+    """
+    missing = list(dict.fromkeys(missing))
+    if not missing:
+        return
+    message = f"{where}: table {table} was written before {', '.join(missing)} existed; they are read as null (unknown)"
+    unknown = [name for name in dict.fromkeys(condition) if name in missing]
+    if unknown:
+        message += (
+            f"; the condition names {', '.join(unknown)}, and unknown is not a pass: "
+            f'run the job again into a new folder, or write "{unknown[0]} is None or ..."'
+        )
+    warnings.warn(message, MissingColumnsWarning, stacklevel=3)
 
 
 def _json(source: Mapping[str, Any] | None) -> str | None:

@@ -29,11 +29,14 @@ def count_selected(run: RunFolder, where: str) -> tuple[int, int]:
         ConfigError: It is no condition on ``scenes``, or the run has no such table.
     """
     query = parse_filter(where, SCHEMAS["scenes"])
+    run.warn_of_missing("scenes", query.columns)
     return run.table("scenes", ["scene_id"], query.expression).num_rows, run.num_rows("scenes")
 
 
 def select(run: RunFolder, where: str, target: RunFolder) -> dict[str, int]:
     """Writes the scenes that pass a condition to another folder, with their rows of other tables and the assets that they use.
+
+    Columns that the run lacks are null there; a warning names those of ``scenes``.
 
     Failures are of the run and stay there. Run again, it writes what is missing; what other code has written whole stays as it
     is.
@@ -50,6 +53,7 @@ def select(run: RunFolder, where: str, target: RunFolder) -> dict[str, int]:
         ConfigError: It is no condition on ``scenes``, the run has no such table, or the target holds something else.
     """
     query = parse_filter(where, SCHEMAS["scenes"])
+    run.warn_of_missing("scenes", query.columns)
     read = {table: sorted(run.shard_ids(table)) for table in SCHEMAS if run.files(table) and table != "failures"}
     manifest = {
         "job": "query",

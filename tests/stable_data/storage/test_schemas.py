@@ -23,7 +23,7 @@ from stable_data.storage.schemas import (
     arrow_table,
     card_from_row,
     card_row,
-    check_version,
+    check_schema,
     notice_row,
     object_row,
     scene_from_row,
@@ -141,14 +141,14 @@ def test_the_meanings_survive_parquet(name: str) -> None:
     assert schema.equals(SCHEMAS[name])
     assert schema.metadata == SCHEMAS[name].metadata
     assert [column.metadata for column in schema] == [column.metadata for column in SCHEMAS[name]]
-    check_version(schema, name)
+    check_schema(schema, name, name)
 
 
 @pytest.mark.parametrize("version", [str(TABLE_VERSION - 1), str(TABLE_VERSION + 1), None])
 def test_a_table_of_another_version_is_refused(version: str | None) -> None:
     metadata = None if version is None else {"stable_data.version": version}
     with pytest.raises(ConfigError, match=rf"run/scenes: written as table version {version or 'none'}, expected") as caught:
-        check_version(SCHEMAS["scenes"].with_metadata(metadata), "run/scenes")
+        check_schema(SCHEMAS["scenes"].with_metadata(metadata), "scenes", "run/scenes")
     assert caught.value.code == "table_version"
 
 

@@ -387,9 +387,9 @@ def test_what_statistics_rule_out_is_not_opened(run: str, monkeypatch: pytest.Mo
     opened: list[int] = []
     look = row_groups._row_group
 
-    def count(run: int, path: str, file: Any, index: int, query: Any) -> RowGroup:
+    def count(run: int, path: str, file: Any, index: int, *rest: Any) -> RowGroup:
         opened.append(index)
-        return look(run, path, file, index, query)
+        return look(run, path, file, index, *rest)
 
     monkeypatch.setattr(row_groups, "_row_group", count)
     last = IDS[-1]
