@@ -1,5 +1,6 @@
-"""Point features of a run, read back: which there are, and of which encoder."""
+"""Point features of a run, read back: by exact use, or of the nearest one."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -8,49 +9,81 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow.compute as pc
 
-from stable_data.assets.store import aspect_steps, tilt_key
+from stable_data.assets.store import aspect_of, aspect_steps, tilt_key
 from stable_data.errors import ConfigError
-from stable_data.scene import QuatXyzw, Vec3
-from stable_data.storage.row_groups import rows_from_table
+from stable_data.scene import FloatArray, QuatXyzw, Vec3
 from stable_data.storage.run_folder import RunFolder
 
 FeatureKey: TypeAlias = tuple[str, tuple[int, int, int], QuatXyzw]
 """Asset, steps of its aspect, and key of its tilt."""
 
+FAR_TILT = math.radians(5)
+"""A feature of a tilt that differs by more than this describes another point cloud, radians."""
+
 
 def feature_key(asset_id: str, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> FeatureKey:
-    """Under which the feature of an asset at a scale and tilt is found."""
+    """The key of the feature of an asset at a scale and tilt."""
     return asset_id, aspect_steps(scale), tilt_key(tilt_quat_xyzw)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointFeatures:
-    """Features of the assets of a run, all of one encoder.
+    """Features of the assets of a run, all of one encoder; R rows.
 
     Attributes:
-        vectors: Feature of the normalised cloud, (64,) float32.
-        log_extents: Natural logarithm of the box in the yaw frame at the usual scale, metres, (3,) float64. An object's own
-            size is in its row of ``scenes``.
-        fingerprint: The encoder.
+        values: Feature of the normalised point cloud, (R, F) float32.
+        aspects: Scale divided by its largest component, (R, 3) float64.
+        tilts: Rotation before yaw as a unit quaternion xyzw, (R, 4) float64.
+        log_extents: Natural logarithm of the bounding box in the yaw frame at the usual scale, metres, by key, (3,) float64; nan
+            where unknown. The size of an object is in its row of ``scenes``.
+        row_of: Row of each key.
+        rows_of: Rows of each asset.
+        fingerprint: Of the encoder.
     """
 
-    vectors: Mapping[FeatureKey, npt.NDArray[np.float32]]
-    log_extents: Mapping[FeatureKey, npt.NDArray[np.float64]]
+    values: npt.NDArray[np.float32]
+    aspects: FloatArray
+    tilts: FloatArray
+    log_extents: Mapping[FeatureKey, FloatArray]
+    row_of: Mapping[FeatureKey, int]
+    rows_of: Mapping[str, list[int]]
     fingerprint: str
 
     def of(self, asset_id: str, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> npt.NDArray[np.float32]:
-        """The feature of an asset at a scale and tilt, (64,) float32.
+        """The feature of an asset at a scale and tilt that scenes of the run use, (F,) float32.
 
         Raises:
-            ConfigError: ``feature_missing``: the run has none of it at this aspect and tilt.
+            ConfigError: The run has no feature of the asset at this aspect and tilt (``feature_missing``).
         """
         key = feature_key(asset_id, scale, tilt_quat_xyzw)
-        if key not in self.vectors:
+        if key not in self.row_of:
             message = f"asset {asset_id}: no feature at aspect {key[1]}, tilt {key[2]} by encoder {self.fingerprint}"
             raise ConfigError(
                 f"{message}, expected one for each use in a scene of the run; run preprocess with features", "feature_missing"
             )
-        return self.vectors[key]
+        return self.values[self.row_of[key]]
+
+    def nearest(self, asset_id: str, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> tuple[npt.NDArray[np.float32], float]:
+        """The feature of an asset whose aspect, and then tilt, is nearest.
+
+        Returns:
+            The feature, (F,) float32, and by how much its tilt differs, radians.
+
+        Raises:
+            ConfigError: The run has no feature of the asset (``feature_missing``).
+        """
+        rows = self.rows_of.get(asset_id)
+        if rows is None:
+            raise ConfigError(
+                f"asset {asset_id} has no features by encoder {self.fingerprint}, expected a row; fill the table features again",
+                "feature_missing",
+            )
+        log_aspect = np.log(aspect_of(aspect_steps(scale)))
+        distance = np.abs(np.log(self.aspects[rows]) - log_aspect).max(axis=1)
+        cosine = np.minimum(np.abs(self.tilts[rows] @ np.asarray(tilt_quat_xyzw)), 1.0)  # q and -q are one rotation
+        angle = 2 * np.arccos(cosine)
+        best = np.lexsort((angle.round(6), distance.round(6)))[0]
+        return self.values[rows[best]], float(angle[best])
 
 
 def read_features(run: RunFolder) -> PointFeatures:
@@ -60,24 +93,34 @@ def read_features(run: RunFolder) -> PointFeatures:
         run: A run folder, or any folder with the table.
 
     Raises:
-        ConfigError: It is not there or empty, cannot be read, or holds features of several encoders or lengths.
+        ConfigError: The table is missing (``table_missing``) or empty (``features_missing``), cannot be read, or holds features
+            of several encoders or lengths (``features_mixed``).
     """
     table = run.table("features")
     found = sorted(pc.unique(table["encoder_fingerprint"]).to_pylist(), key=str)
-    if len(found) != 1:
-        what = f"features of encoders {', '.join(map(str, found))}" if found else "no features"
+    if len(found) != 1 or found[0] is None:
+        what = f"features of the encoders {', '.join(map(str, found))}" if found else "no features"
         message = f"{run.uri}: contains {what}, expected features of one encoder; preprocess into a new folder with one encoder"
         raise ConfigError(message, "features_mixed" if found else "features_missing")
-    lengths = sorted(pc.unique(pc.list_value_length(table["feature"])).to_pylist())
+    lengths = sorted(pc.unique(pc.list_value_length(table["feature"])).to_pylist(), key=str)
     if len(lengths) != 1:
         raise ConfigError(
             f"{run.uri}: contains features of lengths {lengths}, expected one length; preprocess into a new folder with one encoder",
             "features_mixed",
         )
-    rows = rows_from_table(table)
-    keys = [feature_key(row["asset_id"], tuple(row["aspect"]), tuple(row["tilt_quat_xyzw"])) for row in rows]
+    columns = table.to_pydict()
+    uses = zip(columns["asset_id"], columns["aspect"], columns["tilt_quat_xyzw"], strict=True)
+    keys = [feature_key(asset_id, tuple(aspect), tuple(tilt)) for asset_id, aspect, tilt in uses]
+    rows_of: dict[str, list[int]] = {}
+    for row, asset_id in enumerate(columns["asset_id"]):
+        rows_of.setdefault(asset_id, []).append(row)
+    tilts = np.array(columns["tilt_quat_xyzw"], np.float64)
     return PointFeatures(
-        {key: row["feature"] for key, row in zip(keys, rows, strict=True)},
-        {key: np.array(row["log_extents"]) for key, row in zip(keys, rows, strict=True)},
+        np.array(columns["feature"], np.float32),
+        np.array(columns["aspect"], np.float64),
+        tilts / np.linalg.norm(tilts, axis=1, keepdims=True),
+        {key: np.array(extents or [np.nan] * 3, np.float64) for key, extents in zip(keys, columns["log_extents"], strict=True)},
+        {key: row for row, key in enumerate(keys)},
+        rows_of,
         found[0],
     )

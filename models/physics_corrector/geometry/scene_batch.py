@@ -8,7 +8,7 @@ Padding: ``mask`` alone says what it is. It holds zeros, -2 in ``parent``, and n
 """
 
 from collections.abc import Callable, Sequence, Set
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -16,44 +16,21 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from models.physics_corrector.geometry.scene_tensors import NO_PARENT, ON_TABLE, SceneTensors
 from models.physics_corrector.geometry.shape_tensors import ShapeCollector
 from stable_data.geometry.shape import Shape
 from stable_data.scene import TABLE, Scene, SceneObject
 
-ON_TABLE = -1
-"""The parent of what stands on the table."""
-
-NO_PARENT = -2
-"""The parent of what nothing carries, or nobody knows what."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LayoutBatch:
-    """B scenes of at most N objects.
+class LayoutBatch(SceneTensors):
+    """B scenes of at most N objects, whose shapes lie in a geometry.
 
     Attributes:
-        poses: x, y, z of the box's centre in metres and yaw in radians, world frame, (B, N, 4) float32.
-        mask: True where there is an object, (B, N) bool.
-        sizes: Box in the yaw frame, (B, N, 3) float32, metres.
         shape_index: Shape in the geometry, (B, N) int64.
-        is_fixed: True where an object must stay where it is, (B, N) bool.
-        parent: The object that carries this one, by its place in the scene, ON_TABLE or NO_PARENT, (B, N) int64.
-        table: Extent of the table along x and y, (B, 2) float32, metres.
-        zone: Restricted zone, x_min, x_max, y_min, y_max, (B, 4) float32, metres; zeros where there is none.
-        has_zone: Whether a scene has one, (B,) bool.
-        features: Point features of the objects, (B, N, F) float32, or None where the network uses none.
     """
 
-    poses: Tensor
-    mask: Tensor
-    sizes: Tensor
-    shape_index: Tensor
-    is_fixed: Tensor
-    parent: Tensor
-    table: Tensor
-    zone: Tensor
-    has_zone: Tensor
-    features: Tensor | None = None
+    shape_index: Tensor = field(kw_only=True)
 
     @classmethod
     def from_scenes(
@@ -80,27 +57,6 @@ class LayoutBatch:
             shape_index[b, : len(own)] = [shapes.index(o, shape) for o, shape in zip(scene.objects, own, strict=True)]
         arrays = {name: torch.from_numpy(value) for name, value in layout.items()}
         return cls(shape_index=torch.from_numpy(shape_index), **arrays)
-
-    def __len__(self) -> int:
-        """Number of scenes."""
-        return len(self.mask)
-
-    @property
-    def is_movable(self) -> Tensor:
-        """True where there is an object that may move, (B, N) bool."""
-        return self.mask & ~self.is_fixed
-
-    def to(self, device: torch.device | str) -> "LayoutBatch":
-        """The same on a device."""
-        return self._each(lambda value: value.to(device))
-
-    def take(self, scenes: Tensor) -> "LayoutBatch":
-        """Some of the scenes, by index (S,) int64 or mask (B,) bool."""
-        return self._each(lambda value: value[scenes])
-
-    def _each(self, change: Callable[[Tensor], Tensor]) -> "LayoutBatch":
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return replace(self, **{name: change(value) for name, value in values.items() if value is not None})
 
 
 def padded(

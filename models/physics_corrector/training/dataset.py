@@ -22,13 +22,13 @@ from tqdm import tqdm
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.geometry.sdf_atlas import SdfAtlas
 from models.physics_corrector.geometry.shape_tensors import GridKey, ShapeCollector, ShapeTensors, grids_from_rows
-from models.physics_corrector.training.feature_table import FeatureTable, ShapeKey, point_features
+from stable_data.assets.point_features import FAR_TILT, read_features
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.geometry.sdf.grid import SdfGrid
-from stable_data.scene import FloatArray, Scene, Stage
+from stable_data.scene import FloatArray, QuatXyzw, Scene, Stage, Vec3
 from stable_data.storage.row_groups import TableFiles, rows_from_table, slices
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.scene_arrays import SCENE_LEAVES, scenes_from_table
@@ -39,6 +39,21 @@ FeatureSource: TypeAlias = Literal["point", "box"]
 _VERSION = 1  # of the kept file
 _TABLES = ("scenes", "meshes", "sdf", "assets")
 _STAGES = {stage: index for index, stage in enumerate(Stage)}
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeKey:
+    """What a shape is made of.
+
+    Attributes:
+        asset_id: Its asset; a clean scene has the mesh of every object.
+        scale: Metres per mesh unit.
+        tilt_quat_xyzw: Rotation before yaw.
+    """
+
+    asset_id: str
+    scale: Vec3
+    tilt_quat_xyzw: QuatXyzw
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +143,20 @@ class TrainingScenes:
                 "preprocess more scenes",
                 "set_empty",
             )
-        return made if features == "box" else _with_features(made, point_features(RunFolder(self.uri), keys))
+        return made if features == "box" else self._with_features(made, keys)
+
+    def _with_features(self, made: TrainingSet, keys: Sequence[ShapeKey]) -> TrainingSet:
+        run = RunFolder(self.uri)
+        if not run.files("features"):
+            raise ConfigError(
+                f"{self.uri}: no table features, expected one; fill it with the point encoder, or set features = box",
+                "features_missing",
+            )
+        found = read_features(run)
+        nearest = [found.nearest(key.asset_id, key.scale, key.tilt_quat_xyzw) for key in keys]
+        values = torch.from_numpy(np.array([value for value, _ in nearest]))[made.batch.shape_index]
+        counts = {**made.counts, "shapes_without_near_feature": sum(angle > FAR_TILT for _, angle in nearest)}
+        return replace(made, batch=replace(made.batch, features=values), counts=counts, encoder=found.fingerprint)
 
     def scenes(self, scene_ids: Sequence[str]) -> list[Scene]:
         """Scenes of the run by id, in that order."""
@@ -209,12 +237,6 @@ def shape_keys(scenes: Sequence[Scene], batch: LayoutBatch) -> list[ShapeKey]:
             assert o.scale is not None
             keys.setdefault(index, ShapeKey(o.asset_id, o.scale, o.tilt_quat_xyzw))
     return [keys[index] for index in range(len(keys))]
-
-
-def _with_features(made: TrainingSet, features: FeatureTable) -> TrainingSet:
-    values = torch.from_numpy(features.values)[made.batch.shape_index]
-    counts = {**made.counts, "shapes_without_near_feature": features.num_far}
-    return replace(made, batch=replace(made.batch, features=values), counts=counts, encoder=features.fingerprint)
 
 
 def _most(scenes: Sequence[Scene]) -> int:

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from models.physics_corrector.geometry.scene_batch import NO_PARENT, LayoutBatch
+from models.physics_corrector.geometry.scene_batch import LayoutBatch
+from models.physics_corrector.geometry.scene_tensors import NO_PARENT
 from stable_data.errors import ConfigError
 
 

@@ -205,5 +205,5 @@ def test_features_of_two_encoders_are_refused(run: Path, tmp_path: Path) -> None
     mixed.write_shard("features", "one", rows)
     assert isinstance(read_features(mixed), PointFeatures)
     mixed.write_shard("features", "two", [row | {"encoder_fingerprint": "another"} for row in rows[:1]])
-    with pytest.raises(ConfigError, match=r"contains features of encoders .*another"):
+    with pytest.raises(ConfigError, match=r"contains features of the encoders .*another"):
         read_features(mixed)

@@ -2,7 +2,8 @@
 
 import torch
 
-from models.physics_corrector.geometry.scene_batch import NO_PARENT, ON_TABLE, LayoutBatch
+from models.physics_corrector.geometry.scene_batch import LayoutBatch
+from models.physics_corrector.geometry.scene_tensors import NO_PARENT, ON_TABLE
 from tests.models.physics_corrector.geometry.shapes import batch_of, scene, table, thing
 
 SMALL = scene(thing("ball", (0.1, 0.2, 0.05, 0.3), support="table"))
