@@ -23,31 +23,68 @@ def _numbers(count: int, description: str) -> dict[str, Any]:
 
 _ZONE = _numbers(4, "x_min, x_max, y_min, y_max, centimetres")
 
+MOST_ENTRIES = 1000
+"""Most objects of a layout reply, and most instances that it removes. The checks of a reply allow fewer objects."""
+
+LONGEST_CM = 1e6
+"""Lengths, coordinates and angles of a layout reply are smaller than this, centimetres or degrees."""
+
+LEAST_SIDE_CM = 0.1
+"""Least side of an object of a layout reply, after it is rounded to one decimal, centimetres."""
+
+_REPLY_NUMBER = {"type": "number", "exclusiveMinimum": -LONGEST_CM, "exclusiveMaximum": LONGEST_CM}
+
+
+def _triple(item: dict[str, Any], description: str) -> dict[str, Any]:
+    return {"type": "array", "items": item, "minItems": 3, "maxItems": 3, "description": description}
+
+
 LAYOUT_REPLY: dict[str, Any] = {
     "$schema": _DRAFT,
     "title": "Layout reply of a language model",
+    "description": "New and changed objects of a layout; of an edit, also the instances that it removes. Other keys are ignored. "
+    "A request narrows this: positions lie on its table, and a reply that is decoded under its grammar has no other keys.",
     "type": "object",
     "required": ["objects"],
     "properties": {
-        "item_placement_zone": _ZONE,
-        "sink_zone": _ZONE,
+        "remove": {
+            "type": "array",
+            "items": _TEXT,
+            "maxItems": MOST_ENTRIES,
+            "description": "instances that an edit removes",
+        },
         "objects": {
             "type": "array",
+            "maxItems": MOST_ENTRIES,
             "items": {
                 "type": "object",
                 "required": ["instance", "description", "size", "position", "z_rotation"],
                 "properties": {
-                    "instance": {**_TEXT, "description": "category and running number, such as pen_0"},
-                    "description": {**_TEXT, "description": "words that the asset is retrieved by"},
-                    "size": {**_numbers(3, "width, depth, height before yaw, centimetres")},
-                    "position": {**_numbers(3, "centre of the box, centimetres")},
-                    "z_rotation": {**_NUMBER, "description": "counter-clockwise, degrees; 0 faces the viewer"},
+                    "instance": {
+                        **_TEXT,
+                        "pattern": r"^[^\s0-9_]\S*_[0-9]+$",
+                        "description": "category in letters, digits and underscores, and running number, such as pen_0",
+                    },
+                    "description": {
+                        **_TEXT,
+                        "pattern": r"[^\s\u0000-\u001f\u007f]",
+                        "description": "words that the asset is retrieved by",
+                    },
+                    "size": _triple(
+                        {"type": "number", "minimum": LEAST_SIDE_CM / 2, "exclusiveMaximum": LONGEST_CM},
+                        "width, depth and height of the box before z_rotation, centimetres; rounded to one decimal",
+                    ),
+                    "position": _triple(_REPLY_NUMBER, "centre of the box, centimetres; rounded to one decimal"),
+                    "z_rotation": {
+                        **_REPLY_NUMBER,
+                        "description": "counter-clockwise, degrees; 0 faces the viewer; rounded to a whole degree",
+                    },
                 },
             },
         },
     },
 }
-"""What a language model answers with: centimetres and degrees."""
+"""The replies that ``models.semantic_reasoner.text.reply_json.parse_reply`` reads: centimetres and degrees."""
 
 
 def json_schema_of(type_: pa.DataType) -> dict[str, Any]:

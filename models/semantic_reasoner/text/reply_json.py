@@ -17,6 +17,7 @@ from typing import Any
 from stable_data.errors import SceneError
 from stable_data.json_text import json_value
 from stable_data.scene import SceneObject, Stage, Vec3
+from stable_data.storage.json_schemas import LEAST_SIDE_CM, LONGEST_CM, MOST_ENTRIES
 
 DECIMALS = 1
 """Decimals of a length in centimetres."""
@@ -24,10 +25,7 @@ DECIMALS = 1
 LONGEST_REPLY = 2**18
 """Most bytes of a reply: a layout of 60 objects has about 20,000."""
 
-MOST_ENTRIES = 1000
-"""Most objects that a reply is read with, and most instances that it takes away. The checks allow fewer."""
-
-_INSTANCE = re.compile(r"[^\W\d_]\w*?_\d+")
+_INSTANCE = re.compile(r"[^\W\d_]\w*?_[0-9]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +187,7 @@ class LayoutReply:
 
 
 def parse_reply(text: str) -> LayoutReply:
-    """The objects of a reply.
+    """The objects of a reply, which is in the form of ``schemas/layout_reply.schema.json``.
 
     Code fences, white space and words before the first brace are passed over, since models without constrained decoding add
     them; numbers may have any form that JSON allows and are rounded to the text's decimals.
@@ -234,7 +232,7 @@ def _parse(entry: Any, k: int) -> LayoutObject:
     if not isinstance(description, str) or not plain(description):
         raise SceneError(f'reply: {instance} has "description" {_shown(str(description))}, expected words', "reply_malformed")
     size, position = _vector(entry, "size", instance), _vector(entry, "position", instance)
-    if min(size) < 10**-DECIMALS:
+    if min(size) < LEAST_SIDE_CM:
         raise SceneError(f"reply: {instance} has size {size}, expected three lengths of 0.1 cm or more", "reply_malformed")
     angle: Any = entry.get("z_rotation")
     if not _is_number(angle):
@@ -251,7 +249,7 @@ def _vector(entry: Mapping[str, Any], key: str, instance: str) -> Vec3:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e6
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LONGEST_CM
 
 
 def _shown(text: str) -> str:

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from models.semantic_reasoner.text.reply_json import (
     LONGEST_REPLY,
-    MOST_ENTRIES,
     LayoutObject,
     LayoutReply,
     layout_names,
@@ -21,6 +20,7 @@ from models.semantic_reasoner.text.reply_json import (
 )
 from stable_data.errors import SceneError
 from stable_data.scene import SceneObject
+from stable_data.storage.json_schemas import MOST_ENTRIES
 
 words = st.text(min_size=1, max_size=60).map(plain).filter(bool)
 tenths = st.integers(-3000, 3000).map(lambda n: n / 10 + 0.0)
