@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -48,6 +49,7 @@ Assets = Annotated[
         "is made where it is missing. May be repeated: the first that has a match serves. By default embedded alone."
     ),
 ]
+_KEYS = "Every key of --set and of the file, with default, unit and meaning: python -m pipelines settings {}"
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")]
 Minutes = Annotated[float, typer.Option(help="Stop after so long and keep the checkpoint; run again to go on. 0 is no limit.")]
 Trainers = Annotated[
@@ -60,7 +62,7 @@ def main() -> None:
     """Jobs on tabletop scenes, in this process, on a local Ray or on a cluster."""
 
 
-@app.command()
+@app.command(epilog=_KEYS.format("preprocess"))
 @with_clear_errors
 def preprocess(
     data: Annotated[
@@ -105,7 +107,7 @@ def preprocess(
         raise typer.Exit(SOME_FAILED)
 
 
-@app.command()
+@app.command(epilog=_KEYS.format("correct"))
 @with_clear_errors
 def correct(
     scenes: Scenes,
@@ -144,7 +146,7 @@ def correct(
         raise typer.Exit(SOME_FAILED)
 
 
-@app.command()
+@app.command(epilog=_KEYS.format("edit"))
 @with_clear_errors
 def edit(
     scenes: Scenes,
@@ -198,7 +200,7 @@ def edit(
         raise typer.Exit(SOME_FAILED)
 
 
-@app.command()
+@app.command(epilog=_KEYS.format("generate"))
 @with_clear_errors
 def generate(
     out: RunOut,
@@ -323,7 +325,7 @@ def synth(
     tell_world(out, scenes, failures)
 
 
-@app.command("train-corrector")
+@app.command("train-corrector", epilog=_KEYS.format("train-corrector"))
 @with_clear_errors
 def train_corrector(
     data: Annotated[str, typer.Option(help="Folder of a preprocess run; every node of a cluster must see it under this path.")],
@@ -357,7 +359,7 @@ def train_corrector(
     typer.echo(job.run(_count(workers, address) if address or workers else 0, address))
 
 
-@app.command("train-reasoner")
+@app.command("train-reasoner", epilog=_KEYS.format("train-reasoner"))
 @with_clear_errors
 def train_reasoner(
     data: Annotated[str, typer.Option(help="Folder of a preprocess run, or its URI; every node of a cluster must see it.")],
@@ -397,6 +399,20 @@ def train_reasoner(
         typer.echo(json.dumps(plan_of(job, count), indent=2))
         return
     typer.echo(job.run(count, address))
+
+
+@app.command("settings")
+@with_clear_errors
+def show_settings(
+    verb: Annotated[str, typer.Argument(help="The job, such as generate.")],
+    preset: Annotated[str, typer.Option(help="Of a training job: show the values of these named settings.")] = "",
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object a setting.")] = False,
+) -> None:
+    """List every setting of a job: its key, default, unit and meaning."""
+    from pipelines.settings import list_settings, settings_text
+
+    found = list_settings(verb, preset)
+    typer.echo("\n".join(json.dumps(asdict(setting)) for setting in found) if as_json else settings_text(found))
 
 
 def _count(workers: int, address: str | None) -> int:

@@ -1,4 +1,4 @@
-"""Verbs and options that are gone: a command line that has one is answered with one line that says what to write instead."""
+"""Verbs, options and settings that are gone: one line says what to write instead, wherever they are written."""
 
 from typing import Any
 
@@ -7,14 +7,32 @@ from typer.core import TyperGroup
 from stable_data.cli import with_clear_errors
 from stable_data.errors import ConfigError
 
+_WAITS = "the openai client chooses the waits: set engine.http.tries and engine.http.total_s"
+_CHECK = "it is a constant of models/semantic_reasoner/replies/checks.py; leave it out"
+
 RETIRED = {
     "propose": (
-        "python -m pipelines generate --instruction TEXT --table TYPE --size W D --out RUN (or --tasks FILE); for layouts that are not "
-        "corrected add --set corrects=never --set accept=, then stable-data export RUN OUT --format mesatask"
+        "write python -m pipelines generate --instruction TEXT --table TYPE --size W D --out RUN (or --tasks FILE); for layouts "
+        "that are not corrected add --set corrects=never --set accept=, then stable-data export RUN OUT --format mesatask"
     ),
-    "generate --one-shot": "python -m pipelines generate --set schedule=whole",
+    "generate --one-shot": "write python -m pipelines generate --set schedule=whole",
+    "engine.http.connect_s": "a connection is waited for 10 seconds; set engine.http.read_s and engine.http.total_s",
+    "engine.http.first_wait_s": _WAITS,
+    "engine.http.longest_wait_s": _WAITS,
+    "engine.http.give_up_after": (
+        "a short question tells whether the endpoint is down: set engine.http.tries and engine.http.rest_s"
+    ),
+    "engine.http.sends_form": "the form is sent as response_format: engine.http.extra has further fields",
+    "reasoner.checks.sunk_cm": _CHECK,
+    "reasoner.checks.size_slack": _CHECK,
+    "reasoner.checks.rare_size_slack": _CHECK,
+    "reasoner.checks.rare": _CHECK,
+    "reasoner.checks.unusual": _CHECK,
+    "reasoner.checks.crowding": _CHECK,
 }
-"""What to write instead, by ``VERB`` or ``VERB --option``. A verb is also the name of its table in a file of settings."""
+"""What to write instead, by ``VERB``, ``VERB --option`` or the dotted key of a setting.
+
+A verb is also the name of its table in a file of settings; a key is the same in every job that had it."""
 
 
 class CommandGroup(TyperGroup):
@@ -30,5 +48,5 @@ class CommandGroup(TyperGroup):
         verb, *words = args
         for name in (verb, *(f"{verb} {word.partition('=')[0]}" for word in words)):
             if name in RETIRED:
-                raise ConfigError(f"{name} is retired; write {RETIRED[name]}", "retired")
+                raise ConfigError(f"{name} is retired; {RETIRED[name]}", "retired")
         return super().resolve_command(ctx, args)

@@ -1,109 +1,230 @@
-"""Settings of a run: frozen dataclasses, filled from a TOML file and ``--set key=value``, with every mistake named."""
+"""Settings of a run: frozen dataclasses, filled from a TOML file and ``--set key=value``, and the list of all of them.
+
+What the values may be is checked in one place, :mod:`models.settings`.
+"""
 
 import difflib
-import math
+import json
 import tomllib
-from collections.abc import Iterable, Mapping
-from dataclasses import is_dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, fields, is_dataclass
+from importlib import import_module
+from itertools import groupby
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
+from textwrap import wrap
+from typing import Any, TypeVar
 
+from models.settings import filled, meanings
 from pipelines.retired import RETIRED
 from stable_data.config_diff import flat
 from stable_data.errors import ConfigError
 
 C = TypeVar("C")
 
-SECTIONS = ("preprocess", "correct", "edit", "generate", "train_corrector", "train_reasoner")
+UNITS = ("Centimetres", "Metres", "Radians", "Seconds", "Tokens")
+"""Words that a meaning may begin with, ``Metres; ...``."""
+
+_WIDTH = 100  # characters of a line
+_INT64 = 2**63  # what TOML's integers are within
+
+
+@dataclass(frozen=True, slots=True)
+class JobSettings:
+    """Where the settings of a job stand.
+
+    Attributes:
+        kind: Their class, as ``module:name``.
+        presets: The function that gives named settings, likewise; empty where there are none.
+        preset: The name that the job takes by default.
+    """
+
+    kind: str
+    presets: str = ""
+    preset: str = ""
+
+    def defaults(self, preset: str = "") -> Any:
+        """The settings where nobody says anything.
+
+        Raises:
+            ConfigError: There are no settings of that name.
+        """
+        if preset and not self.presets:
+            raise ConfigError(f"preset {preset!r} is not known: this job has none, leave out --preset", "usage")
+        return _loaded(self.presets)(preset or self.preset) if self.presets else _loaded(self.kind)()
+
+
+JOBS: Mapping[str, JobSettings] = {
+    "preprocess": JobSettings("pipelines.preprocess.plan:PreprocessSettings"),
+    "correct": JobSettings("pipelines.correct.settings:CorrectSettings"),
+    "edit": JobSettings("pipelines.edit.settings:EditSettings"),
+    "generate": JobSettings("pipelines.generate.settings:GenerateSettings"),
+    "train-corrector": JobSettings(
+        "models.physics_corrector.training.settings:CorrectorTrainingSettings",
+        "models.physics_corrector.training.settings:training_preset",
+        "embedded_set",
+    ),
+    "train-reasoner": JobSettings(
+        "models.semantic_reasoner.training.settings:ReasonerTrainingSettings",
+        "models.semantic_reasoner.training.settings:training_preset",
+        "embedded",
+    ),
+}
+"""The jobs that have settings, by verb."""
+
+SECTIONS = tuple(verb.replace("-", "_") for verb in JOBS)
 """Tables that a file may have: one for each job."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One setting of a job.
+
+    Attributes:
+        key: Its key, dotted where it is of a nested table.
+        default: Its value where nobody says anything; None: it has none.
+        unit: Its unit; empty where it has none.
+        meaning: What it means.
+    """
+
+    key: str
+    default: Any
+    unit: str
+    meaning: str
 
 
 def resolve(kind: type[C], section: str, file: Path | None, overrides: Iterable[str], base: C | None = None) -> C:
     """The settings of one job.
 
     Args:
-        kind: A frozen dataclass whose fields are str, one of several words, int, float, bool, a frozenset of str (given as a
-            list), one of these or None, or such dataclasses again, all with defaults. A class variable ``REMOVED`` says for
-            settings of earlier versions what to do instead.
+        kind: A frozen dataclass whose fields have defaults; such dataclasses in it are nested settings.
         section: Its table in the file; nested settings are tables in it.
         file: A TOML file, or None.
         overrides: ``key=value`` or ``section.key=value``, stronger than the file; ``outer.inner=value`` for nested settings.
         base: What stands where neither says anything; by default the defaults.
 
     Raises:
-        ConfigError: A table or key is not known, or a value has the wrong type or is not finite.
+        ConfigError: A table or key is not known, or a value has the wrong type or is out of its range.
     """
-    values = flat(_section(file, section)) if file else {}
-    for text in overrides:
-        key, equals, value = text.partition("=")
-        if not equals:
-            raise ConfigError(f"--set {text}: expected key=value", "config_invalid")
-        values[key.strip().removeprefix(f"{section}.")] = _parsed(value.strip())
-    return _filled(kind() if base is None else base, section, values)
+    defaults: dict[str, Any] = asdict(kind() if base is None else base)  # type: ignore[call-overload]
+    values = asdict(kind() if base is None else base)  # type: ignore[call-overload]
+    try:
+        if file is not None:
+            _merge(values, _section(file, section), section, defaults)
+        for text in overrides:
+            key, equals, value = text.partition("=")
+            if not equals:
+                raise ConfigError(f"--set {_line(text)}: expected key=value", "config_invalid")
+            path = key.strip().removeprefix(f"{section}.").split(".")
+            _merge(values, _nested(path, _parsed(value.strip())), section, defaults)
+    except RecursionError:
+        raise ConfigError(f"settings of {section}: tables or lists are nested too deep", "config_invalid") from None
+    return filled(kind, values, section)
 
 
-def _filled(base: C, name: str, values: Mapping[str, Any]) -> C:
-    """Settings with some of their values, by dotted key, replaced."""
-    hints = {key: hint for key, hint in get_type_hints(type(base)).items() if get_origin(hint) is not ClassVar}
-    changed: dict[str, Any] = {}
-    inner: dict[str, dict[str, Any]] = {}
-    for key, value in values.items():
-        head, _, rest = key.partition(".")
-        if instead := getattr(type(base), "REMOVED", {}).get(head):
-            raise ConfigError(f"setting {name}.{key} is no more: {instead}", "config_invalid")
-        if head not in hints:
-            raise ConfigError(f"setting {name}.{key} is not known{_hint(head, hints)}", "config_invalid")
-        if is_dataclass(hints[head]) and rest:
-            inner.setdefault(head, {})[rest] = value
-        elif rest:
-            raise ConfigError(f"setting {name}.{key} is not known: {name}.{head} is a value", "config_invalid")
-        else:
-            changed[key] = _checked(value, hints[key], f"{name}.{key}", getattr(base, key))
-    for head, of_head in inner.items():
-        changed[head] = _filled(getattr(base, head), f"{name}.{head}", of_head)
-    return replace(base, **changed)  # type: ignore[type-var]
+def list_settings(verb: str, preset: str = "") -> list[Setting]:
+    """Every setting of a job, in the order of its classes; nested tables come after the settings beside them.
+
+    Args:
+        verb: One of :data:`JOBS`.
+        preset: Named settings whose values are the defaults; empty takes those that the job takes.
+
+    Raises:
+        ConfigError: There is no such job, or no such preset.
+    """
+    if verb not in JOBS:
+        raise ConfigError(f"{verb!r} has no settings{_hint(verb, JOBS)}", "usage")
+    return list(_listed(JOBS[verb].defaults(preset), ""))
 
 
-def _checked(value: Any, wanted: Any, name: str, example: Any) -> Any:
-    """A value of the type that a setting wants."""
-    if isinstance(wanted, UnionType):  # None can be a default, but no file says it
-        wanted = next(option for option in get_args(wanted) if option is not NoneType)
-    if wanted == frozenset[str]:
-        if not isinstance(value, list) or not all(isinstance(word, str) for word in value):
-            raise ConfigError(f"setting {name} is {value!r}, expected a list of words", "config_invalid")
-        return frozenset(value)
-    if wanted is float and type(value) is int:
-        value = float(value)
-    words = get_args(wanted) if get_origin(wanted) is Literal else ()
-    if is_dataclass(wanted) or (value not in words if words else type(value) is not wanted):
-        expected = " or ".join(words) or ("a table" if is_dataclass(wanted) else f"{wanted.__name__} such as {example!r}")
-        raise ConfigError(f"setting {name} is {value!r}, expected {expected}", "config_invalid")
-    if wanted is float and not math.isfinite(value):
-        raise ConfigError(f"setting {name} is {value}, expected a finite number", "config_invalid")
-    return value
+def settings_text(settings: Iterable[Setting]) -> str:
+    """Settings for a reader, each nested table under a heading of its own; a value is written as a file would say it."""
+    lines: list[str] = []
+    for table, group in groupby(settings, lambda setting: setting.key.rpartition(".")[0]):
+        lines += ["", f"[{table}]"] if table else []
+        for setting in group:
+            default = "none" if setting.default is None else json.dumps(setting.default, ensure_ascii=False)
+            unit = f" {setting.unit}" if setting.unit else ""
+            lines.append(f"{setting.key} = {default}{unit}")
+            lines += wrap(setting.meaning, _WIDTH, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False)
+    return "\n".join(lines)
+
+
+def _listed(settings: Any, prefix: str) -> Iterator[Setting]:
+    nested = []
+    texts = meanings(type(settings))
+    for field in fields(settings):
+        value = getattr(settings, field.name)
+        if is_dataclass(value):
+            nested.append((value, f"{prefix}{field.name}."))
+            continue
+        unit, _, rest = texts[field.name].partition("; ")
+        is_unit = unit in UNITS
+        text = rest[:1].upper() + rest[1:] if is_unit else texts[field.name]
+        default = sorted(value) if isinstance(value, frozenset) else value
+        yield Setting(prefix + field.name, default, unit.lower() if is_unit else "", text.replace("``", "`"))
+    for value, own in nested:
+        yield from _listed(value, own)
+
+
+def _merge(values: dict[str, Any], new: Mapping[str, Any], name: str, defaults: Mapping[str, Any]) -> None:
+    """Replaces values by new ones, table by table."""
+    for key, value in new.items():
+        path = f"{name}.{_line(key)}"
+        if line := RETIRED.get(path.partition(".")[2]):
+            raise ConfigError(f"setting {path} is retired; {line}", "retired")
+        if key not in values:
+            section, _, inner = path.partition(".")
+            raise ConfigError(f"setting {path} is not known{_near(inner, defaults, section)}", "config_invalid")
+        if isinstance(value, dict) and isinstance(values[key], dict):
+            _merge(values[key], value, path, defaults)
+            continue
+        if isinstance(value, dict):
+            raise ConfigError(
+                f"setting {path}.{_line(next(iter(value), ''))} is not known: {path} is a value", "config_invalid"
+            )
+        if type(value) is int and not -_INT64 <= value < _INT64:
+            raise ConfigError(f"setting {path} is a whole number of over 64 bits, expected a smaller one", "config_invalid")
+        values[key] = value
+
+
+def _nested(path: list[str], value: Any) -> dict[str, Any]:
+    for key in reversed(path):
+        value = {key: value}
+    found: dict[str, Any] = value
+    return found
+
+
+def _near(key: str, defaults: Mapping[str, Any], section: str) -> str:
+    """Which setting may be meant: one of like name, or of the same name in another table."""
+    known = flat(defaults)
+    last = key.rpartition(".")[2]
+    near = difflib.get_close_matches(key, known, 1) or [name for name in known if name.rpartition(".")[2] == last]
+    verb = section.replace("_", "-")
+    every = f"; python -m pipelines settings {verb} lists all" if verb in JOBS else f"; known are {', '.join(known)}"
+    return f"; did you mean {near[0]}?" if near else every
 
 
 def _section(file: Path, section: str) -> Mapping[str, Any]:
     try:
         document = tomllib.loads(file.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError) as error:  # ValueError: no UTF-8, no TOML, or a number of thousands of digits
         raise ConfigError(f"{file}: cannot be read as TOML ({error})", "config_invalid") from error
     known = dict.fromkeys((section, *SECTIONS))
     for name in document:
-        if name in RETIRED:
-            raise ConfigError(f"{file}: the table [{name}] is of a verb that is retired; write {RETIRED[name]}", "retired")
+        if line := RETIRED.get(name):
+            raise ConfigError(f"{file}: the table [{name}] is of a verb that is retired; {line}", "retired")
         if name not in known:
-            raise ConfigError(f"{file}: {name} is not a known table{_hint(name, known)}", "config_invalid")
+            raise ConfigError(f"{file}: {_line(name)} is not a known table{_hint(name, known)}", "config_invalid")
     if section not in document:
         raise ConfigError(f"{file}: has no table [{section}], expected one; an empty one takes all defaults", "config_invalid")
     found = document[section]
     if not isinstance(found, dict):
-        raise ConfigError(f"{file}: {section} is {found!r}, expected a table [{section}]", "config_invalid")
+        raise ConfigError(f"{file}: {section} is {found!r:.80}, expected a table [{section}]", "config_invalid")
     return found
 
 
 def _hint(name: str, known: Iterable[str]) -> str:
+    known = list(known)
     near = difflib.get_close_matches(name, known, 1)
     return f"; did you mean {near[0]}?" if near else f"; known are {', '.join(known)}"
 
@@ -113,3 +234,16 @@ def _parsed(value: str) -> Any:
         return tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         return value  # a bare word is a string
+    except ValueError as error:
+        raise ConfigError(f"--set: {_line(value)} cannot be read ({error})", "config_invalid") from error
+
+
+def _line(text: str) -> str:
+    """Text of a file or a command line as an error shows it: one line, not long."""
+    text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text[:80])
+    return text if len(text) < 80 else f"{text[:80]}…"
+
+
+def _loaded(name: str) -> Any:
+    module, _, attribute = name.partition(":")
+    return getattr(import_module(module), attribute)

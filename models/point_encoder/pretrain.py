@@ -9,9 +9,9 @@ import json
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
@@ -26,6 +26,8 @@ from models.point_encoder.heads import PretrainingModel
 from models.point_encoder.pretraining_data import TrainingShape, corpus
 from models.point_encoder.pretraining_targets import PretrainingTargets, questions
 from models.point_encoder.transformer import BASE, EMBEDDED
+from models.settings import Count, NonNegative, Positive, PositiveCount, Settings
+from stable_data.config_diff import differences
 from stable_data.errors import ConfigError
 
 STATE, LABELS, ENCODER, REPORT = "state.pt", "labels.npz", "encoder.safetensors", "report.json"
@@ -37,44 +39,51 @@ _WARM_UP = 0.05  # of the steps
 
 
 @dataclass(frozen=True, slots=True)
-class PretrainSettings:
-    """What shapes the weights.
+class PretrainSettings(Settings):
+    """What shapes the weights."""
 
-    Attributes:
-        config: ``embedded`` or ``base``.
-        steps: Length of the run; 0 until it is known how many steps fit the minutes that were given.
-        seed: Of first weights and of every draw.
-        batch_size: Shapes of a step.
-        pairs_a_shape: Pairs of a step for each of its shapes.
-        queries_a_shape: Distances asked of each shape of a step.
-        num_categories: Categories of the catalogue; None for all.
-        num_copies: Aspects and tilts of each.
-        num_queries: Distances computed for each shape.
-        learning_rate: Of AdamW, after the warm-up.
-        weight_decay: Of AdamW.
-        pair_weight: Of the clearance loss against the distance loss.
-        spread_weight: Of what keeps codes from using few dimensions.
-    """
+    config: Literal["embedded", "base"] = "embedded"
+    """The network."""
 
-    config: str = "embedded"
-    steps: int = 0
+    steps: Count = 0
+    """Optimizer steps; 0 takes as many as fit the minutes that are given."""
+
     seed: int = 0
-    batch_size: int = 32
-    pairs_a_shape: int = 4
-    queries_a_shape: int = 192
-    num_categories: int | None = None
-    num_copies: int = 2
-    num_queries: int = 2048
-    learning_rate: float = 2e-3
-    weight_decay: float = 1e-2
-    pair_weight: float = 1.0
-    spread_weight: float = 0.4
+    """Seed of the first weights and of every draw."""
 
-    def __post_init__(self) -> None:
-        """Refuses what cannot run."""
-        if self.config not in CONFIGS:
-            raise ConfigError(f"pretrain: config {self.config!r}, expected one of {sorted(CONFIGS)}", "pretrain_settings")
-        if self.batch_size <= self.pairs_a_shape or min(self.pairs_a_shape, self.queries_a_shape, self.num_copies) < 1:
+    batch_size: PositiveCount = 32
+    """Shapes of a step."""
+
+    pairs_a_shape: PositiveCount = 4
+    """Pairs of a step for each of its shapes."""
+
+    queries_a_shape: PositiveCount = 192
+    """Distances asked of each shape of a step."""
+
+    num_categories: PositiveCount | None = None
+    """Categories of the catalogue; None takes all."""
+
+    num_copies: PositiveCount = 2
+    """Aspects and tilts of each shape."""
+
+    num_queries: PositiveCount = 2048
+    """Distances that are computed for each shape."""
+
+    learning_rate: Positive = 2e-3
+    """Learning rate of AdamW, after the warm-up."""
+
+    weight_decay: NonNegative = 1e-2
+    """Weight decay of AdamW."""
+
+    pair_weight: NonNegative = 1.0
+    """Weight of the clearance loss beside the distance loss."""
+
+    spread_weight: NonNegative = 0.4
+    """Weight of the loss that keeps codes from using few dimensions."""
+
+    def check(self) -> None:
+        """Refuses batches of too few shapes; see the base class."""
+        if self.batch_size <= self.pairs_a_shape:
             message = f"pretrain: {self.batch_size} shapes, {self.pairs_a_shape} pairs of each, expected more shapes than pairs"
             raise ConfigError(message, "pretrain_settings")
 
@@ -187,9 +196,7 @@ def _resumed(
     state = torch.load(path, map_location=model.encoder.device, weights_only=True)
     was = PretrainSettings(**state["settings"])
     now = settings if settings.steps else replace(settings, steps=was.steps)
-    changed = [f"{f.name}: {getattr(was, f.name)} -> {getattr(now, f.name)}" for f in fields(was)]
-    changed = [line for line, f in zip(changed, fields(was), strict=True) if getattr(was, f.name) != getattr(now, f.name)]
-    if changed:
+    if changed := differences(asdict(was), asdict(now)):
         message = f"{path} holds a run of other settings ({'; '.join(changed)}); give the same, or another folder"
         raise ConfigError(message, "pretrain_settings")
     model.load_state_dict(state["model"])
@@ -215,7 +222,7 @@ def main(
     out: Annotated[Path, typer.Option(help="Folder of the run.")],
     minutes: Annotated[float, typer.Option(help="What training may take on this machine.")] = 30.0,
     steps: Annotated[int, typer.Option(help="Steps, instead of minutes.")] = 0,
-    config: Annotated[str, typer.Option(help="embedded or base.")] = "embedded",
+    config: Annotated[Literal["embedded", "base"], typer.Option(help="The network.")] = "embedded",
     seed: Annotated[int, typer.Option(help="Of weights and draws.")] = 0,
     num_categories: Annotated[
         int | None, typer.Option(help="So many categories of the catalogue; all where not given.")
@@ -223,7 +230,7 @@ def main(
 ) -> None:
     """Pre-trains the point encoder on the embedded assets; goes on where a run of the same settings was stopped."""
     try:
-        report = pretrain(out, PretrainSettings(config=config, steps=steps, seed=seed, num_categories=num_categories), minutes)
+        report = pretrain(out, PretrainSettings(config, steps=steps, seed=seed, num_categories=num_categories), minutes)
     except ConfigError as error:
         typer.echo(str(error), err=True)
         raise typer.Exit(2) from error

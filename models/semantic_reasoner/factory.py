@@ -12,38 +12,38 @@ from models.semantic_reasoner.prompt_styles import prompt_style_of
 from models.semantic_reasoner.reasoner import SemanticReasoner
 from models.semantic_reasoner.replies.checks import CheckSettings, ReplyCheck, form_check
 from models.semantic_reasoner.text.prompt import PROMPT_VERSION
+from models.settings import Count, PositiveCount, Settings
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True)
-class ReasonerSettings:
-    """How the reasoner asks.
+class ReasonerSettings(Settings):
+    """How the reasoner asks."""
 
-    Attributes:
-        tries: How often a question is asked at most.
-        task_tries: The same of the first stage, which decides what a scene is about; 0 is ``tries``, and four times that with
-            the embedded model, whose first answers are short and cost little.
-        statistics: What is known of categories, for the checks: a model's folder with ``categories.json``, or a preprocess run
-            with the table ``samples``; empty takes that of the engine's own folder, and without any only form is checked.
-        checks: How strict the checks are.
-        dialect: How the engine is spoken to: ``stages``, our own words, or ``mesatask``, as MesaTask's released model was
-            trained.
-        wording: File with the text of MesaTask's question; empty takes ours, which says the same in other words.
+    tries: PositiveCount = 4
+    """How often a question is asked, at most, until its answer passes the checks."""
+
+    task_tries: Count = 0
+    """The same for the first stage, which decides what a scene is about. 0 takes ``tries``, four times that with the embedded
+    model, whose first answers are short and cost little.
     """
 
-    tries: int = 4
-    task_tries: int = 0
     statistics: str = ""
-    checks: CheckSettings = field(default_factory=CheckSettings)
-    dialect: Literal["stages", "mesatask"] = "stages"
-    wording: str = ""
+    """Where the checks take the statistics of categories from: a model's folder with ``categories.json``, or a preprocess run
+    with the table ``samples``. Empty takes the engine's own folder; without statistics only the form is checked.
+    """
 
-    def __post_init__(self) -> None:
-        """Refuses what never asks."""
-        if self.tries < 1 or self.task_tries < 0:
-            found = f"tries is {self.tries} and task_tries {self.task_tries}"
-            raise ConfigError(f"{found}, expected at least 1 and at least 0", "config_invalid")
+    checks: CheckSettings = field(default_factory=CheckSettings)
+    """How strict the checks of an answer are."""
+
+    dialect: Literal["stages", "mesatask"] = "stages"
+    """Form of the prompts: ``stages`` is this project's, ``mesatask`` is the one that MesaTask's released model was trained
+    with.
+    """
+
+    wording: str = ""
+    """File with the text of MesaTask's question, for the dialect ``mesatask``; empty takes a text of the same meaning."""
 
     def tries_with(self, engine: EngineSettings) -> tuple[int, int]:
         """How often a question is asked, and how often that of the first stage."""
@@ -109,7 +109,7 @@ def shaping_of_proposals(engine: EngineSettings, settings: ReasonerSettings | No
     found = engine.shaping() | {
         "tries": tries,
         "task_tries": task_tries,
-        "checks": asdict(settings.checks),
+        "checks": settings.checks.shaping(),
         "prompt_version": PROMPT_VERSION,
     }
     if settings.dialect != "stages":

@@ -1,16 +1,12 @@
 """Settings of the edit job: those of correcting, and who is asked and how."""
 
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Literal, Self
 
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings
 from pipelines.correct.settings import CorrectSettings
 from pipelines.sources.scenes import SceneSource
-from stable_data.errors import ConfigError
-
-OTHERS = ("fixed", "free", "fixed_first")
-"""What may become of things that an edit does not name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,29 +14,28 @@ class EditSettings(CorrectSettings):
     """Settings of the job; ``--set key=value`` or the table ``[edit]`` of a TOML file.
 
     ``scenes_per_shard`` counts edits; ``when_full`` is ``infeasible``, so that nothing goes that was not asked to.
-
-    Attributes:
-        when_full: What happens where not everything fits: ``infeasible``, or ``drop`` the least important background object.
-        correct: Whether the edited scene is corrected; else it is as the reply has it.
-        others: Things that the edit does not name: ``fixed`` never move, ``free`` may, ``fixed_first`` move only where no clean
-            layout is found otherwise, those first that are in the way or at fault themselves; a warning names them.
-        engine: Who is asked; opened where an edit has no reply.
-        reasoner: How it is asked.
     """
 
     section: ClassVar[str] = "edit"
 
-    when_full: str = "infeasible"
-    correct: bool = True
-    others: str = "fixed_first"
-    engine: EngineSettings = field(default_factory=EngineSettings)
-    reasoner: ReasonerSettings = field(default_factory=ReasonerSettings)
+    when_full: Literal["drop", "infeasible"] = "infeasible"
+    """What happens where not all objects fit: ``infeasible`` reports it, ``drop`` removes the least important background
+    object.
+    """
 
-    def __post_init__(self) -> None:
-        """Refuses settings that no run can follow."""
-        CorrectSettings.__post_init__(self)
-        if self.others not in OTHERS:
-            raise ConfigError(f"setting edit.others is {self.others}, expected one of {', '.join(OTHERS)}", "config_invalid")
+    correct: bool = True
+    """Whether the edited scene is corrected; else it is as the reply has it."""
+
+    others: Literal["fixed", "free", "fixed_first"] = "fixed_first"
+    """Objects that the edit does not name: ``fixed`` never move, ``free`` may move, ``fixed_first`` move only where no clean
+    layout is found otherwise, those in the way or at fault first; a warning names them.
+    """
+
+    engine: EngineSettings = field(default_factory=EngineSettings)
+    """The language model that is asked where an edit has no reply."""
+
+    reasoner: ReasonerSettings = field(default_factory=ReasonerSettings)
+    """How the language model is asked."""
 
     def shaping(self) -> dict[str, Any]:
         """The settings that shape rows: a run is resumed only under the same.

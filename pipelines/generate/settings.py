@@ -1,12 +1,15 @@
 """Settings of the generate job: who proposes, how assets are chosen, how the two systems take turns, and what is accepted."""
 
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, ClassVar, cast
+from typing import Annotated, Any, ClassVar, cast
+
+from annotated_types import Interval
 
 from models.dual_system.requests import Corrects, LoopSettings
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings
 from models.semantic_reasoner.text.prompt import WANTED, Wanted
+from models.settings import Count, NonNegative, Positive, PositiveCount, Settings
 from stable_data.assets.ranking import RetrievalSettings
 from stable_data.errors import ConfigError
 from stable_data.scene import Stage
@@ -17,67 +20,82 @@ _FEWEST, _MOST = 16, 128  # scenes of a shard: with fewer the reasoner's batches
 
 
 @dataclass(frozen=True, slots=True)
-class GenerateSettings:
-    """Settings of the job; ``--set key=value`` or the table ``[generate]`` of a TOML file.
-
-    Attributes:
-        engine: Who proposes.
-        reasoner: How it is asked.
-        retrieval: How assets are chosen.
-        schedule: What is asked for, in order, joined by commas: task, important, secondary, or whole (the one-shot ablation).
-        corrects: When the corrector is asked: after each stage (``each``, Algorithm 1), once at the ``end``, or ``never``.
-        earlier_move: How far a correction may move what stood there before its stage, metres; 0 holds it.
-        tries: How often a stage is proposed at most where what it proposed found no assets or no place, or could not stay
-            where the instruction says.
-        full: Share of the table that may be covered before no further stage is asked for; 1 asks for all.
-        weights: The corrector: ``auto`` is the one in the repository, ``none`` certifies alone, else a file.
-        steps: Steps of the flow; 0 as its weights say.
-        settle: Whether the last correction asks the physics engine what stays at rest, and mends what does not.
-        accept: Which scenes are accepted, a condition on the columns of ``scenes``; the others are in ``rejected``. Empty: all.
-        keep_settled: Whether the poses in which the physics engine left the objects are kept, in the table ``settled``.
-        seed: Of draws and choices; a scene's own seed follows from it and from the scene's name.
-        engines: Engines that the workers share, each an actor of Ray; 0: every worker has its own.
-        engine_gpus: GPUs of each of these: a part of one, or whole ones.
-        scenes_per_shard: Scenes that are made side by side, and kept together; 0: a quarter of the tasks, but 16 to 128, so
-            that small jobs keep several workers busy and large ones fill their batches.
-        num_pictures: Scenes drawn in the report.
-        core_hour_price: What a core costs an hour, for the report's cost of a thousand scenes.
-        seconds_per_item: A correction that takes longer is given up; not watched without worker processes.
-    """
+class GenerateSettings(Settings):
+    """Settings of the job; ``--set key=value`` or the table ``[generate]`` of a TOML file."""
 
     section: ClassVar[str] = "generate"
 
     engine: EngineSettings = field(default_factory=EngineSettings)
-    reasoner: ReasonerSettings = field(default_factory=ReasonerSettings)
-    retrieval: RetrievalSettings = field(default_factory=RetrievalSettings)
-    schedule: str = "task,important,secondary"
-    corrects: Corrects = "each"
-    earlier_move: float = 10.0
-    tries: int = 3
-    full: float = 1.0
-    weights: str = "auto"
-    steps: int = 0
-    settle: bool = True
-    accept: str = "clean and stable"
-    keep_settled: bool = False
-    seed: int = 0
-    engines: int = 0
-    engine_gpus: float = 0.0
-    scenes_per_shard: int = 0
-    num_pictures: int = 12
-    core_hour_price: float = 0.0
-    seconds_per_item: float = 600.0
+    """The language model that proposes objects."""
 
-    def __post_init__(self) -> None:
-        """Refuses settings that no run can follow."""
-        if self.scenes_per_shard < 0 or self.num_pictures < 0 or not self.seconds_per_item > 0 or self.steps < 0:
-            found = f"scenes_per_shard is {self.scenes_per_shard}, num_pictures {self.num_pictures}, steps {self.steps}, "
-            found += f"seconds_per_item {self.seconds_per_item}"
-            raise ConfigError(f"{found}, expected none negative, and a positive number", "config_invalid")
-        is_part_or_whole = 0 <= self.engine_gpus <= 1 or float(self.engine_gpus).is_integer()
-        if self.engines < 0 or not (self.engine_gpus >= 0 and is_part_or_whole):
-            found = f"engines is {self.engines} and engine_gpus {self.engine_gpus}"
-            raise ConfigError(f"{found}, expected none negative, and a part of a GPU or whole ones", "config_invalid")
+    reasoner: ReasonerSettings = field(default_factory=ReasonerSettings)
+    """How the language model is asked."""
+
+    retrieval: RetrievalSettings = field(default_factory=RetrievalSettings)
+    """How assets are chosen."""
+
+    schedule: str = "task,important,secondary"
+    """Stages that are asked for, in order, joined by commas: task, important, secondary; or whole, the one-shot ablation."""
+
+    corrects: Corrects = "each"
+    """When the corrector is asked: after ``each`` stage (Algorithm 1), once at the ``end``, or ``never``."""
+
+    earlier_move: NonNegative = 10.0
+    """Metres; how far a correction may move an object of an earlier stage. 0 fixes it."""
+
+    tries: PositiveCount = 3
+    """How often a stage is proposed, at most, where its objects found no assets or no place, or could not stay where the
+    instruction says.
+    """
+
+    full: Annotated[float, Interval(gt=0, le=1)] = 1.0
+    """Share of the table; once this much is covered no further stage is asked for. 1 asks for all stages."""
+
+    weights: str = "auto"
+    """Weights of the corrector: ``auto`` is the file in models/weights, ``none`` uses the certifier alone, else a file."""
+
+    steps: Count = 0
+    """Solver steps of the flow; 0 takes the number that is stored with the weights."""
+
+    settle: bool = True
+    """Whether the last correction simulates physics to find objects that do not stay at rest, and moves them."""
+
+    accept: str = "clean and stable"
+    """Condition on the columns of ``scenes`` that an accepted scene meets; the other scenes are in ``rejected``. Empty accepts
+    all.
+    """
+
+    keep_settled: bool = False
+    """Whether the poses after the physics simulation are kept, in the table ``settled``."""
+
+    seed: int = 0
+    """Seed of draws and choices; a scene's seed follows from it and from the scene's name."""
+
+    engines: Count = 0
+    """Language models that the workers share, each a Ray actor; 0 gives every worker its own."""
+
+    engine_gpus: NonNegative = 0.0
+    """GPUs of each shared language model: a part of one, or a whole number."""
+
+    scenes_per_shard: Count = 0
+    """Scenes that are made side by side and stored together; 0 takes a quarter of the tasks, at least 16 and at most 128."""
+
+    num_pictures: Count = 12
+    """Scenes that the report shows."""
+
+    core_hour_price: NonNegative = 0.0
+    """Price of an hour of one core, for the report's cost of a thousand scenes."""
+
+    seconds_per_item: Positive = 600.0
+    """Seconds; a correction that takes longer is ended. Not enforced without worker processes."""
+
+    def check(self) -> None:
+        """Refuses GPUs that cannot be given, and schedules and conditions that cannot be read; see the base class."""
+        if self.engine_gpus > 1 and not float(self.engine_gpus).is_integer():
+            raise ConfigError(
+                f"setting {self.section}.engine_gpus is {self.engine_gpus}, expected a part of a GPU or whole ones",
+                "config_invalid",
+            )
         _ = self.loop, self.accepting
 
     @property

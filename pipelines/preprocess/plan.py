@@ -5,17 +5,17 @@ the plan of the same dataset and settings is the same, whoever makes it.
 """
 
 import hashlib
-import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, cast
 
 import numpy as np
 from tqdm import tqdm
 
 import stable_data
+from models.settings import Count, Positive, PositiveCount, Settings, Share
 from pipelines.preprocess.asset import AssetUse, TextFeature
 from pipelines.preprocess.features import FeatureUse, ShapeUse
 from pipelines.preprocess.scene import SceneSettings
@@ -27,6 +27,9 @@ from stable_data.mesatask.convention_detection import position_convention
 from stable_data.scene import QuatXyzw, Vec3
 from stable_data.storage import schemas
 
+ConventionChoice: TypeAlias = Literal["auto", "box_centre", "mesh_centre"]
+"""A position convention, or ``auto``: the one that the dataset shows."""
+
 T = TypeVar("T")
 
 _MAX_SCALES = 1001  # of one asset that its typical scale is taken from
@@ -34,71 +37,71 @@ _MAX_TILTS = 8
 
 
 @dataclass(frozen=True, slots=True)
-class PreprocessSettings:
-    """Settings of the job; ``--set key=value`` or the table ``[preprocess]`` of a TOML file.
+class PreprocessSettings(Settings):
+    """Settings of the job; ``--set key=value`` or the table ``[preprocess]`` of a TOML file."""
 
-    Attributes:
-        important_threshold: Objects nearer than this to a task object are O^B, metres.
-        seed: For task templates and splits.
-        train_share: Share of near-duplicate groups in the training split.
-        validation_share: Share in the validation split; the rest is the test split.
-        position_convention: ``box_centre``, ``mesh_centre``, or ``auto``: judged on the dataset.
-        tasks_per_scene: Tasks that ``samples`` has of a scene: its own, then others by template. (MesaTask trains on five.)
-        num_points: Surface points of an asset.
-        all_assets: Process every annotated asset with a mesh, not only those that a scene uses.
-        scenes_per_shard: Scenes of one shard.
-        assets_per_shard: Assets of one shard.
-        task_writer: ``module:function`` that writes task infos for scenes without one; empty: templates.
-        task_cache: Folder that keeps its answers; on a cluster one that every node sees.
-        features: Encoder of the point features: ``auto`` (that of models/weights, where it is there), ``none``, the file of one
-            that ``models.point_encoder.save`` wrote, or a published one as ``scannet:FILE``, ``modelnet:FILE``,
-            ``sonata:FILE``, by what it was trained on; on a cluster a file that every node sees. With our own, a feature takes
-            a core about 30 ms, and torch takes 200 MB of each worker; with ``none`` it is not loaded.
-        num_pictures: Scenes drawn in the report.
-        seconds_per_item: A scene or asset that takes longer is a failure; not watched without worker processes.
+    section: ClassVar[str] = "preprocess"
+
+    important_threshold: Positive = 0.02
+    """Metres; objects nearer than this to a task object are O^B."""
+
+    seed: int = 0
+    """Seed of task templates and splits."""
+
+    train_share: Share = 0.9
+    """Share of near-duplicate groups in the training split."""
+
+    validation_share: Share = 0.05
+    """Share of near-duplicate groups in the validation split; the rest is the test split."""
+
+    position_convention: ConventionChoice = "auto"
+    """What a position in the dataset is the centre of: ``box_centre``, ``mesh_centre``, or ``auto``, which decides from the
+    dataset.
     """
 
-    important_threshold: float = 0.02
-    seed: int = 0
-    train_share: float = 0.9
-    validation_share: float = 0.05
-    position_convention: str = "auto"
-    tasks_per_scene: int = 1
-    num_points: int = 1024
-    all_assets: bool = True
-    scenes_per_shard: int = 32
-    assets_per_shard: int = 8
-    task_writer: str = ""
-    task_cache: str = "data/task_cache"
-    features: str = "auto"
-    num_pictures: int = 12
-    seconds_per_item: float = 600.0
+    tasks_per_scene: PositiveCount = 1
+    """Tasks of a scene in the table ``samples``: its own, then others by template. MesaTask trains on five."""
 
-    def __post_init__(self) -> None:
-        """Refuses settings that no run can follow."""
-        positive = (
-            "important_threshold",
-            "tasks_per_scene",
-            "num_points",
-            "scenes_per_shard",
-            "assets_per_shard",
-            "seconds_per_item",
-        )
-        for key in positive:
-            if not 0 < getattr(self, key) < math.inf:
-                raise ConfigError(
-                    f"setting preprocess.{key} is {getattr(self, key)}, expected a positive number", "config_invalid"
-                )
-        if self.position_convention not in ("auto", *PositionConvention):
-            raise ConfigError(
-                f"setting preprocess.position_convention is {self.position_convention}, expected auto, box_centre or mesh_centre",
-                "config_invalid",
-            )
+    num_points: PositiveCount = 1024
+    """Surface points of an asset."""
+
+    all_assets: bool = True
+    """Whether every annotated asset with a mesh is processed; else only those that a scene uses."""
+
+    scenes_per_shard: PositiveCount = 32
+    """Scenes of a shard."""
+
+    assets_per_shard: PositiveCount = 8
+    """Assets of a shard."""
+
+    task_writer: str = ""
+    """``module:function`` that writes task infos for scenes without one; empty uses templates."""
+
+    task_cache: str = "data/task_cache"
+    """Folder that keeps the task writer's answers; on a cluster every node must see it."""
+
+    features: str = "auto"
+    """Encoder of the point features: ``auto`` (the file in models/weights, where it exists), ``none``, a file that
+    ``models.point_encoder.save`` wrote, or a published encoder as ``scannet:FILE``, ``modelnet:FILE`` or ``sonata:FILE``, by
+    its training data. On a cluster every node must see the file. The encoder in models/weights takes a core about 30 ms a
+    feature, and torch takes 200 MB of memory in each worker; ``none`` does not load it.
+    """
+
+    num_pictures: Count = 12
+    """Scenes that the report shows."""
+
+    seconds_per_item: Positive = 600.0
+    """Seconds; a scene or asset that takes longer is a failure. Not enforced without worker processes."""
+
+    def check(self) -> None:
+        """Refuses a cache that is no folder, and shares over 1; see the base class."""
         if "://" in self.task_cache:
             raise ConfigError(f"setting preprocess.task_cache is {self.task_cache}, expected a folder", "config_invalid")
         shares = (self.train_share, self.validation_share)
-        if not (min(shares) >= 0 and sum(shares) <= 1):
-            raise ConfigError(f"splits are {shares}, expected shares that add up to at most 1", "config_invalid")
+        if sum(shares) > 1:
+            raise ConfigError(
+                f"train_share and validation_share are {shares}, expected shares that add up to at most 1", "config_invalid"
+            )
 
     def shaping(self) -> dict[str, Any]:
         """The settings that shape rows: a run is resumed only under the same. Of the encoder, its fingerprint counts."""
@@ -116,7 +119,7 @@ class PreprocessSettings:
         """The settings with ``auto`` replaced by what the dataset shows."""
         if self.position_convention != "auto":
             return self
-        return replace(self, position_convention=str(position_convention(dataset, AssetStore(dataset))))
+        return replace(self, position_convention=cast(ConventionChoice, str(position_convention(dataset, AssetStore(dataset)))))
 
 
 @dataclass(frozen=True, slots=True)

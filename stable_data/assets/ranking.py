@@ -32,31 +32,38 @@ _MIX = ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB))  # the finaliser of 
 
 @dataclass(frozen=True, slots=True)
 class RetrievalSettings:
-    """How assets are chosen.
-
-    Attributes:
-        text_weight: Weight of the text score.
-        size_weight: Weight of the size score.
-        floor: Smallest text score of a match. The default is measured with all-MiniLM-L6-v2 (docs/retrieval.md).
-        margin: Scores this close to the best are as good: among them the same category is preferred, then the seed decides.
-        top_k_text: Look at so many assets by text score alone, as MesaTask does with 20; None: at all of them. Assets that are
-            not offered take no place among them.
-        tilt_patience: The most usual resting tilt is taken whose misfit (the angle of which the size score is the cosine) is at
-            most so many times that of the tilt that fits best and ten degrees more, or five degrees.
-        licences: Licences that are allowed, or None: all. An unknown licence is in no list.
-        stretch: Scale along each axis to the wanted size, as the paper does; else by one factor.
-        max_distortion: Largest factor over the smallest up to which an asset is stretched; infinite as in the paper.
-    """
+    """How assets are chosen."""
 
     text_weight: float = 0.9
+    """Weight of the text score."""
+
     size_weight: float = 0.1
+    """Weight of the size score."""
+
     floor: float = 0.55
+    """Smallest text score of a match; the default was measured with all-MiniLM-L6-v2 (docs/retrieval.md)."""
+
     margin: float = 0.02
+    """Scores this close to the best count as equal: among them the same category is preferred, then the seed decides."""
+
     top_k_text: int | None = None
+    """Assets that are compared, the best by text score alone (20 in MesaTask); without a value all are. An asset that is not
+    allowed does not count.
+    """
+
     tilt_patience: float = 2.0
+    """The most usual resting tilt is taken where its misfit (the angle whose cosine is the size score) is at most this many
+    times that of the best tilt plus ten degrees, or five degrees.
+    """
+
     licences: frozenset[str] | None = None
+    """Licences that are allowed; without a value all are. An asset whose licence is unknown is in no list."""
+
     stretch: bool = False
+    """Whether assets are scaled along each axis to the wanted size, as in the paper; else they are scaled by one factor."""
+
     max_distortion: float = 2.0
+    """With ``stretch``, the largest ratio of an asset's largest and smallest scale; the paper has no bound."""
 
     def __post_init__(self) -> None:
         """Refuses numbers that give no order."""

@@ -143,7 +143,12 @@ def _is_same(one: SceneCounts, other: SceneCounts) -> bool:
 
 def card(scenes: Sequence[SceneCounts], sheet: str | None = None) -> str:
     """The dataset card, Markdown: the figures beside MesaTask-10K's, tables, categories, and a link to a sheet of pictures."""
-    lines = ["# A set of the embedded world", "", "Made by `stable-data synth`; every scene is at rest and clean. Licence: Apache-2.0.", ""]
+    lines = [
+        "# A set of the embedded world",
+        "",
+        "Made by `stable-data synth`; every scene is at rest and clean. Licence: Apache-2.0.",
+        "",
+    ]
     lines += ["| | this set | MesaTask-10K |", "|---|---|---|"]
     lines += [f"| {name} | {value} | {MESATASK.get(name, 'not known')} |" for name, value in figures(scenes).items()]
     lines += [

@@ -486,9 +486,7 @@ def _welded(soup: FloatArray, faces: IntArray, reader: _GlbReader) -> Mesh:
         reader.fail("glb_nan_vertices", f"{bad} of {len(soup)} vertices are not finite", "finite coordinates; export it again")
     extent = float(np.ptp(soup, axis=0).max())
     if not _SMALLEST < extent < 1 / _SMALLEST:
-        reader.fail(
-            "glb_degenerate_only", f"its largest extent is {extent:.3g}", "a surface of a usual size"
-        )
+        reader.fail("glb_degenerate_only", f"its largest extent is {extent:.3g}", "a surface of a usual size")
     mesh = centred(*_weld(soup, faces, _WELD * extent))
     if not (double_areas(mesh) > _FLAT * extent * extent).any():
         reader.fail("glb_degenerate_only", f"none of {len(faces)} faces has an area", "a surface; export it again")

@@ -123,7 +123,9 @@ class MesaTaskDataset:
         if path is None:
             log.warn("glb_missing", f"object {name} has uid {uid}, whose GLB is missing; it is kept as a box of its size")
         elif path.stem != uid:
-            message = f"object {name} has uid {uid}, which has no GLB; {path.name} is used instead and may have another orientation"
+            message = (
+                f"object {name} has uid {uid}, which has no GLB; {path.name} is used instead and may have another orientation"
+            )
             log.warn("asset_variant_served", message)
         return scene_object
 
@@ -149,7 +151,9 @@ def _scene_folders(root: Path, log: ReadLog) -> dict[str, Path]:
     for folder in (folder for folder in every if not (folder / LAYOUT_FILE).is_file()):
         name = _free_name(folder, named)
         named[name] = folder
-        message = f"{name}: {folder.relative_to(root)} has no {LAYOUT_FILE}; it is not a scene; add the file or remove the folder"
+        message = (
+            f"{name}: {folder.relative_to(root)} has no {LAYOUT_FILE}; it is not a scene; add the file or remove the folder"
+        )
         log.notices.append(Notice(name, "read", "layout_missing", message))
     return folders
 

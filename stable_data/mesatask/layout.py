@@ -112,7 +112,9 @@ def _document(data: bytes | str | Mapping[str, Any], limits: LayoutLimits, log: 
     if isinstance(data, Mapping):
         return data
     if len(data) > limits.max_bytes:
-        raise log.error("file_too_big", f"{LAYOUT_FILE} has more than {limits.max_bytes} bytes; raise the limit if the file is correct")
+        raise log.error(
+            "file_too_big", f"{LAYOUT_FILE} has more than {limits.max_bytes} bytes; raise the limit if the file is correct"
+        )
     return parse_object(data, LAYOUT_FILE, log)
 
 

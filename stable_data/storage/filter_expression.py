@@ -101,7 +101,9 @@ def parse_filter(text: str, schema: pa.Schema) -> FilterExpression:
     except pa.ArrowException as error:
         raise _invalid(text, f"compares values of different types ({str(error).partition(chr(10))[0]})") from error
     except (OverflowError, ValueError) as error:
-        raise _invalid(text, f"has a value that no column can contain ({error}), expected 64-bit integers and Unicode text") from error
+        raise _invalid(
+            text, f"has a value that no column can contain ({error}), expected 64-bit integers and Unicode text"
+        ) from error
     if not reader.columns:
         raise _invalid(text, "names no column; omit the condition to select all rows")
     return FilterExpression(text, tuple(reader.columns), expression)

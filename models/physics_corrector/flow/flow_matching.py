@@ -11,14 +11,15 @@ at the source's mean, which is x^c in the first case, or at a draw from it.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import torch
+from annotated_types import Interval
 from torch import Tensor
 
 from models.physics_corrector.flow.condition import Condition
 from models.physics_corrector.flow.pose_coordinates import PoseCoordinates
-from stable_data.errors import ConfigError
+from models.settings import NonNegative, Settings, Share
 
 Source: TypeAlias = Literal["coarse", "gaussian"]
 Solver: TypeAlias = Literal["euler", "midpoint", "heun"]
@@ -27,36 +28,26 @@ Velocity: TypeAlias = Callable[[Tensor, Tensor, Condition, Tensor, Tensor | None
 
 
 @dataclass(frozen=True, slots=True)
-class FlowSettings:
-    """How paths are drawn and followed.
-
-    Attributes:
-        coordinates: Where the flow runs.
-        source: ``coarse``: x_0 = x^c + σ ε; ``gaussian``: y_0 = ε, standard normal in the coordinates.
-        sigma: σ in coordinate units: times ``length_unit`` metres, times ``yaw_unit`` radians.
-        self_condition: How often training feeds the clean estimate back, a probability; 0 switches it off at inference too.
-        solver: ``euler``, ``midpoint`` or ``heun``.
-        steps: Steps of the solver from t = 0 to 1; the last two solvers ask the network twice a step.
-    """
+class FlowSettings(Settings):
+    """How paths are drawn and followed."""
 
     coordinates: PoseCoordinates = field(default_factory=PoseCoordinates)
-    source: Source = "coarse"
-    sigma: float = 0.2
-    self_condition: float = 0.5
-    solver: Solver = "euler"
-    steps: int = 8
+    """Coordinates in which the flow runs."""
 
-    def __post_init__(self) -> None:
-        """Refuses settings that no path can be drawn with."""
-        if self.source not in ("coarse", "gaussian"):
-            raise ConfigError(f"flow.source is {self.source!r}, expected coarse or gaussian", "config_invalid")
-        if self.solver not in ("euler", "midpoint", "heun"):
-            raise ConfigError(f"flow.solver is {self.solver!r}, expected euler, midpoint or heun", "config_invalid")
-        if not (0 <= self.sigma < float("inf") and 0 <= self.self_condition <= 1):
-            found = f"flow.sigma is {self.sigma}, flow.self_condition {self.self_condition}"
-            raise ConfigError(f"{found}, expected a finite σ ≥ 0 and a probability", "config_invalid")
-        if not (type(self.steps) is int and 1 <= self.steps <= 10_000):
-            raise ConfigError(f"flow.steps is {self.steps!r}, expected a whole number in 1 .. 10000", "config_invalid")
+    source: Source = "coarse"
+    """Start of a path: ``coarse`` is x_0 = x^c + σ ε, ``gaussian`` is y_0 = ε, standard normal in the coordinates."""
+
+    sigma: NonNegative = 0.2
+    """σ in coordinate units: times ``length_unit`` metres, times ``yaw_unit`` radians."""
+
+    self_condition: Share = 0.5
+    """Probability that training feeds the clean estimate back to the network; 0 switches it off at inference too."""
+
+    solver: Solver = "euler"
+    """``euler``, ``midpoint`` or ``heun``."""
+
+    steps: Annotated[int, Interval(ge=1, le=10_000)] = 8
+    """Solver steps from t = 0 to 1; midpoint and heun evaluate the network twice a step."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

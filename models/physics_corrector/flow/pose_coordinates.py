@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias
 import torch
 from torch import Tensor
 
-from stable_data.errors import ConfigError
+from models.settings import Positive, Settings
 
 Form: TypeAlias = Literal["residual", "absolute"]
 
@@ -24,26 +24,17 @@ def wrap(angle: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True, slots=True)
-class PoseCoordinates:
-    """How a pose is written for the network.
-
-    Attributes:
-        form: ``residual``: y = (p − p^c, wrap(r − r^c)) in units, so that 0 is the coarse pose; ``absolute``: y = (p, wrap(r)).
-        length_unit: Metres that are one unit of a position.
-        yaw_unit: Radians that are one unit of yaw.
-    """
+class PoseCoordinates(Settings):
+    """How a pose is written for the network."""
 
     form: Form = "residual"
-    length_unit: float = 0.05
-    yaw_unit: float = 0.5
+    """``residual``: y = (p − p^c, wrap(r − r^c)) in units, so that 0 is the coarse pose; ``absolute``: y = (p, wrap(r))."""
 
-    def __post_init__(self) -> None:
-        """Refuses what has no inverse."""
-        if self.form not in ("residual", "absolute"):
-            raise ConfigError(f"coordinates.form is {self.form!r}, expected residual or absolute", "config_invalid")
-        if not all(math.isfinite(unit) and unit > 0 for unit in (self.length_unit, self.yaw_unit)):
-            units = f"length_unit {self.length_unit}, yaw_unit {self.yaw_unit}"
-            raise ConfigError(f"coordinates have {units}, expected positive lengths and angles", "config_invalid")
+    length_unit: Positive = 0.05
+    """Metres; one unit of a position."""
+
+    yaw_unit: Positive = 0.5
+    """Radians; one unit of yaw."""
 
     def encode(self, poses: Tensor, coarse: Tensor) -> Tensor:
         """The coordinates of poses, (B, N, 4), yaw wrapped.

@@ -2,27 +2,25 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any, get_args, get_origin, get_type_hints
+from dataclasses import asdict, dataclass, field
 
 from models.physics_corrector.flow.flow_matching import FlowMatching, FlowSettings
 from models.physics_corrector.flow.pose_coordinates import PoseCoordinates
 from models.physics_corrector.flow.velocity_network import VelocityNetwork, VelocityNetworkSettings
+from models.settings import Settings, filled
 from stable_data.config_diff import differences, flat
 from stable_data.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True)
-class CorrectorSettings:
-    """What a corrector's weights mean something together with.
-
-    Attributes:
-        network: The shape of its network.
-        flow: How paths are drawn and followed.
-    """
+class CorrectorSettings(Settings):
+    """What a corrector's weights mean something together with."""
 
     network: VelocityNetworkSettings = field(default_factory=VelocityNetworkSettings)
+    """The shape of the velocity network."""
+
     flow: FlowSettings = field(default_factory=FlowSettings)
+    """How paths are drawn and followed."""
 
     def build(self) -> tuple[VelocityNetwork, FlowMatching]:
         """An untrained network, and the flow that trains and samples it."""
@@ -43,7 +41,11 @@ class CorrectorSettings:
             values = json.loads(text)
         except (ValueError, RecursionError) as error:
             raise ConfigError(f"settings of a corrector: not JSON ({error})", "config_invalid") from error
-        settings: CorrectorSettings = _filled(cls, values, "settings")
+        if not isinstance(values, dict):
+            raise ConfigError(f"settings of a corrector: found {values!r:.80}, expected an object", "config_invalid")
+        settings = filled(cls, values, "corrector")
+        if lacking := flat(asdict(settings)).keys() - flat(values).keys():
+            raise ConfigError(f"settings of a corrector: {', '.join(sorted(lacking))} are missing", "config_invalid")
         return settings
 
     def differences(self, other: "CorrectorSettings") -> list[str]:
@@ -91,24 +93,3 @@ def absolute(settings: CorrectorSettings) -> CorrectorSettings:
     """The same in the paper's absolute coordinates: metres and radians as they are."""
     flow = asdict(settings.flow) | {"coordinates": PoseCoordinates("absolute", 1.0, 1.0)}
     return CorrectorSettings(settings.network, FlowSettings(**flow))
-
-
-def _filled(kind: type[Any], values: Any, name: str) -> Any:
-    """A frozen dataclass from a JSON object that names all of its fields and no other."""
-    hints = get_type_hints(kind)
-    if not isinstance(values, dict) or values.keys() != hints.keys():
-        found = sorted(values) if isinstance(values, dict) else values
-        raise ConfigError(f"{name} of a corrector: found {found}, expected the keys {sorted(hints)}", "config_invalid")
-    filled: dict[str, Any] = {}
-    for entry in fields(kind):
-        value, wanted = values[entry.name], hints[entry.name]
-        where = f"{name}.{entry.name}"
-        if isinstance(wanted, type) and hasattr(wanted, "__dataclass_fields__"):
-            filled[entry.name] = _filled(wanted, value, where)
-            continue
-        kinds = (str,) if get_origin(wanted) is not None else (float, int) if wanted is float else (wanted,)
-        if type(value) not in kinds:
-            expected = " or ".join(map(str, get_args(wanted))) or wanted.__name__
-            raise ConfigError(f"{where} of a corrector is {value!r}, expected {expected}", "config_invalid")
-        filled[entry.name] = float(value) if wanted is float else value
-    return kind(**filled)

@@ -11,10 +11,11 @@ inference they follow from what the objects are (``Condition.content_ranks``), s
 """
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Literal, TypeAlias
+from dataclasses import dataclass
+from typing import Annotated, Literal, TypeAlias
 
 import torch
+from annotated_types import Interval
 from torch import Tensor, nn
 
 from models.physics_corrector.flow import object_encoding
@@ -22,54 +23,52 @@ from models.physics_corrector.flow.condition import Condition
 from models.physics_corrector.flow.pose_coordinates import PoseCoordinates
 from models.physics_corrector.flow.set_transformer import SetTransformer
 from models.physics_corrector.flow.unet import UNet1d
+from models.settings import Settings
 from stable_data.errors import ConfigError
 
 Backbone: TypeAlias = Literal["unet1d", "set_transformer"]
+Width: TypeAlias = Annotated[int, Interval(ge=1, le=4096)]  # bounded, since settings of files are not trusted
 
 _TIME_SCALE = 1000.0  # flow time runs over [0, 1]; the sinusoids are made for hundreds of steps and hardly move over one
 _STATE_CHANNELS = 5 + 6 + object_encoding.PLACE_CHANNELS
-_LIMITS = {"channels": 4096, "levels": 64, "heads": 64, "num_features": 4096, "num_codes": 65536}  # files are not trusted
 
 
 @dataclass(frozen=True, slots=True)
-class VelocityNetworkSettings:
-    """The shape of a velocity network.
-
-    Attributes:
-        backbone: ``unet1d``, the paper's, or ``set_transformer``.
-        channels: Hidden width, a multiple of 8.
-        levels: Levels of the U-Net, or blocks of the transformer.
-        heads: Attention heads: of 32 channels in the U-Net, sharing the width in the transformer.
-        context_channels: Width of the context of an object.
-        time_channels: Width of the embedded time.
-        pair_channels: Width of an embedded pair; the transformer's alone.
-        num_features: Point features of an object, 64 in the paper; 0 makes a network without any, for ablation.
-        num_codes: Instance codes; 0 makes the network exactly permutation-equivariant and blind to which of two equal objects
-            is which.
-        code_channels: Width of an instance code.
-    """
+class VelocityNetworkSettings(Settings):
+    """The shape of a velocity network."""
 
     backbone: Backbone = "unet1d"
-    channels: int = 512
-    levels: int = 4
-    heads: int = 4
-    context_channels: int = 512
-    time_channels: int = 2048
-    pair_channels: int = 64
-    num_features: int = 64
-    num_codes: int = 64
-    code_channels: int = 128
+    """``unet1d``, the paper's, or ``set_transformer``."""
 
-    def __post_init__(self) -> None:
-        """Refuses shapes that cannot be built."""
-        if self.backbone not in ("unet1d", "set_transformer"):
-            raise ConfigError(f"network.backbone is {self.backbone!r}, expected unet1d or set_transformer", "config_invalid")
-        for name, value in asdict(self).items():
-            least, most = 0 if name.startswith("num_") else 1, _LIMITS.get(name, 4096)
-            if name != "backbone" and not (type(value) is int and least <= value <= most):
-                raise ConfigError(
-                    f"network.{name} is {value!r}, expected a whole number in {least} .. {most}", "config_invalid"
-                )
+    channels: Width = 512
+    """Hidden width, a multiple of 8."""
+
+    levels: Annotated[int, Interval(ge=1, le=64)] = 4
+    """Levels of the U-Net, or blocks of the transformer."""
+
+    heads: Annotated[int, Interval(ge=1, le=64)] = 4
+    """Attention heads: of 32 channels each in the U-Net; in the transformer they divide the hidden width."""
+
+    context_channels: Width = 512
+    """Width of the context of an object."""
+
+    time_channels: Width = 2048
+    """Width of the embedding of flow time."""
+
+    pair_channels: Width = 64
+    """Width of the embedding of a pair of objects; read by the transformer alone."""
+
+    num_features: Annotated[int, Interval(ge=0, le=4096)] = 64
+    """Point features of an object, 64 in the paper; 0 makes a network without them, for ablation."""
+
+    num_codes: Annotated[int, Interval(ge=0, le=65536)] = 64
+    """Instance codes. With 0 the network is exactly permutation-equivariant and cannot tell two equal objects apart."""
+
+    code_channels: Width = 128
+    """Width of an instance code."""
+
+    def check(self) -> None:
+        """Refuses a width that its parts do not divide; see the base class."""
         if self.channels % math.lcm(8, self.heads if self.backbone == "set_transformer" else 1):
             raise ConfigError(
                 f"network.channels is {self.channels}, expected a multiple of 8 (and of the transformer's {self.heads} heads)",

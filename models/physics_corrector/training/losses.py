@@ -26,41 +26,50 @@ from models.physics_corrector.geometry.broad_phase import ObjectPairs, near_pair
 from models.physics_corrector.geometry.closest_point import ClosestPointQueries, closest_sample, posed_distance
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.geometry.shape_tensors import STRETCH, ShapeTensors
+from models.settings import NonNegative, Positive, Settings
 
 _HIGHER = 5e-3  # a support's bottom is not higher than the bottom it carries, but for this much, metres
 
 
 @dataclass(frozen=True, slots=True)
-class LossSettings:
-    """Weights and tolerances; the defaults are the paper's preset.
+class LossSettings(Settings):
+    """Weights and tolerances; the defaults are the paper's preset."""
 
-    Attributes:
-        sdf_weight: λ_sdf.
-        support_weight: λ_sup.
-        flow_weight: Of L_flow; 1 in the paper.
-        object_factor: Of L_obj-obj beside L_obj-table; 1 in the paper, 0 in its ablation.
-        table_factor: Of L_obj-table beside L_obj-obj; 1 in the paper, 0 in its ablation.
-        bounds_weight: Of the extra for the table's edge and the restricted zone; it is not in the paper.
-        move_weight: Of the movement of sampled poses, a unit of length each; it is not in the paper.
-        order_weight: Of the directional relations that sampled poses break; it is not in the paper.
-        length_unit: In which lengths are squared, metres.
-        clearance: Objects that are closer than this collide, metres; the paper's is 0.
-        contact_tolerance: ε of L_sup: the paper's threshold of floating, metres.
-        support_reach: How far below an object a support is looked for, metres.
-    """
+    sdf_weight: NonNegative = 0.02
+    """λ_sdf, the weight of L_obj-obj + L_obj-table."""
 
-    sdf_weight: float = 0.02
-    support_weight: float = 0.01
-    flow_weight: float = 1.0
-    object_factor: float = 1.0
-    table_factor: float = 1.0
-    bounds_weight: float = 0.0
-    move_weight: float = 0.0
-    order_weight: float = 0.0
-    length_unit: float = 0.01
-    clearance: float = 0.0
-    contact_tolerance: float = 5e-4
-    support_reach: float = 0.1
+    support_weight: NonNegative = 0.01
+    """λ_sup, the weight of L_sup."""
+
+    flow_weight: NonNegative = 1.0
+    """Weight of L_flow; 1 in the paper."""
+
+    object_factor: NonNegative = 1.0
+    """Factor of L_obj-obj; 1 in the paper, 0 in its ablation."""
+
+    table_factor: NonNegative = 1.0
+    """Factor of L_obj-table; 1 in the paper, 0 in its ablation."""
+
+    bounds_weight: NonNegative = 0.0
+    """Weight of a loss for objects over the table's edge or in the restricted zone; not in the paper."""
+
+    move_weight: NonNegative = 0.0
+    """Weight of the movement of sampled poses, per ``length_unit``; not in the paper."""
+
+    order_weight: NonNegative = 0.0
+    """Weight of the directional relations that sampled poses break; not in the paper."""
+
+    length_unit: Positive = 0.01
+    """Metres; the unit in which lengths are squared."""
+
+    clearance: NonNegative = 0.0
+    """Metres; objects closer than this count as colliding. 0 in the paper."""
+
+    contact_tolerance: NonNegative = 5e-4
+    """Metres; ε of L_sup, the paper's threshold of floating."""
+
+    support_reach: NonNegative = 0.1
+    """Metres; how far below an object a support is looked for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,7 +6,7 @@ scenes, and stays behind in others. Fixed objects and padding keep their pose bi
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
@@ -16,6 +16,7 @@ from torch import Tensor
 
 from models.physics_corrector.flow.pose_coordinates import wrap
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
+from models.settings import NonNegative, Settings, Share
 from stable_data.errors import ConfigError
 from stable_data.rotations import YAW_ARM
 
@@ -23,59 +24,73 @@ Kind: TypeAlias = Literal["small", "jitter", "swap", "pile", "height", "edge"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 """What is wrong with a coarse layout; all but ``small`` have the large jitter too."""
 
+_DEGREE = math.pi / 180  # radians
+
 
 @dataclass(frozen=True, slots=True)
-class PerturbationSettings:
-    """How clean layouts are made coarse.
+class PerturbationSettings(Settings):
+    """How clean layouts are made coarse."""
 
-    Attributes:
-        small: Share of scenes with small errors alone, as a good reasoner's.
-        jitter: Share in which every object is off.
-        swap: Share in which two objects took each other's place.
-        pile: Share in which some objects lie at one point.
-        height: Share in which some objects are sunk or float.
-        edge: Share in which some objects reach over the table's edge or lie beside it.
-        small_xy: Scale of the small errors along x and y, metres; those of z are a quarter of it.
-        small_yaw: The same of yaw, radians.
-        xy_low: Scale of the large errors along x and y, metres: drawn per scene between this ...
-        xy_high: ... and this.
-        z_high: Scale of the large errors of z, drawn per scene between 0 and this, metres.
-        yaw_low: Scale of the large errors of yaw, radians: drawn per scene between this ...
-        yaw_high: ... and this.
-        height_low: How far ``height`` lowers an object at most, metres.
-        height_high: How far it raises one at most, metres.
-        picked: Share of the objects of a scene that ``pile``, ``height`` and ``edge`` take, about.
-        together: Share of scenes in which an object takes along what it carries.
-        carried: The errors that carried objects have on top there, as a share of the scene's.
+    small: NonNegative = 0.3
+    """Share of scenes with small errors alone, as those of a good reasoner. The six shares are weights: they need not add up to
+    1.
     """
 
-    small: float = 0.3
-    jitter: float = 0.3
-    swap: float = 0.1
-    pile: float = 0.1
-    height: float = 0.1
-    edge: float = 0.1
-    small_xy: float = 0.004
-    small_yaw: float = math.radians(4)
-    xy_low: float = 0.02
-    xy_high: float = 0.08
-    z_high: float = 0.02
-    yaw_low: float = math.radians(15)
-    yaw_high: float = math.radians(45)
-    height_low: float = 0.03
-    height_high: float = 0.05
-    picked: float = 0.3
-    together: float = 0.7
-    carried: float = 0.25
+    jitter: NonNegative = 0.3
+    """Share of scenes in which every object is displaced."""
 
-    def __post_init__(self) -> None:
-        """Refuses what cannot be drawn."""
-        wrong = [f.name for f in fields(self) if not 0 <= getattr(self, f.name) < math.inf]
-        wrong += [name for name in ("picked", "together") if getattr(self, name) > 1]
-        if wrong or sum(self.shares()) <= 0:
-            raise ConfigError(
-                f"perturbation: {wrong or 'all shares'} cannot be, expected shares and lengths ≥ 0", "config_invalid"
-            )
+    swap: NonNegative = 0.1
+    """Share of scenes in which two objects exchange their places."""
+
+    pile: NonNegative = 0.1
+    """Share of scenes in which some objects lie at one point."""
+
+    height: NonNegative = 0.1
+    """Share of scenes in which some objects are too low or too high."""
+
+    edge: NonNegative = 0.1
+    """Share of scenes in which some objects reach over the table's edge or lie beside it."""
+
+    small_xy: NonNegative = 0.004
+    """Metres; scale of the small errors along x and y. Along z it is a quarter of this."""
+
+    small_yaw: NonNegative = 4 * _DEGREE
+    """Radians; scale of the small errors of yaw."""
+
+    xy_low: NonNegative = 0.02
+    """Metres; lower bound of the scale of the large errors along x and y, which is drawn for each scene."""
+
+    xy_high: NonNegative = 0.08
+    """Metres; upper bound of the scale of the large errors along x and y."""
+
+    z_high: NonNegative = 0.02
+    """Metres; upper bound of the scale of the large errors along z, whose lower bound is 0."""
+
+    yaw_low: NonNegative = 15 * _DEGREE
+    """Radians; lower bound of the scale of the large errors of yaw."""
+
+    yaw_high: NonNegative = 45 * _DEGREE
+    """Radians; upper bound of the scale of the large errors of yaw."""
+
+    height_low: NonNegative = 0.03
+    """Metres; how far ``height`` lowers an object, at most."""
+
+    height_high: NonNegative = 0.05
+    """Metres; how far ``height`` raises an object, at most."""
+
+    picked: Share = 0.3
+    """Share of a scene's objects that ``pile``, ``height`` and ``edge`` take, about."""
+
+    together: Share = 0.7
+    """Share of scenes in which an object's errors also move what it carries."""
+
+    carried: NonNegative = 0.25
+    """Errors that carried objects then have of their own, as a share of the scene's."""
+
+    def check(self) -> None:
+        """Refuses shares of which none can be drawn; see the base class."""
+        if sum(self.shares()) <= 0:
+            raise ConfigError(f"perturbation: {', '.join(KINDS)} are 0, expected one of them to be more", "config_invalid")
 
     def shares(self) -> list[float]:
         """Weights of KINDS, in their order."""

@@ -2,113 +2,126 @@
 
 import math
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, get_args
+from typing import Annotated, Any
+
+from annotated_types import Interval
 
 from models.physics_corrector.flow.presets import CorrectorSettings, preset
 from models.physics_corrector.training.dataset import FeatureSource
 from models.physics_corrector.training.losses import LossSettings
 from models.physics_corrector.training.perturbation import PerturbationSettings
 from models.physics_corrector.training.stage_prefixes import PrefixSettings
+from models.settings import Count, NonNegative, Positive, PositiveCount, Settings, Share
 from stable_data.config_diff import flat
 from stable_data.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True)
-class PhysicsSchedule:
-    """When and on how much the physical losses are taken; their weights are those of ``LossSettings``.
+class PhysicsSchedule(Settings):
+    """When and on how much the physical losses are taken; their weights are those of ``LossSettings``."""
 
-    Attributes:
-        share: Share of the scenes of a step that they are taken on, drawn anew each time; the sum is scaled by its inverse. 0
-            leaves them to the sampled poses alone.
-        from_time: Flow time from which on they count: an estimate made earlier is vague.
-        power: w(t) = t^power from there on.
-        start: Step at which they begin ...
-        ramp: ... and steps over which they grow to their full weight.
-        limit: A scene's weighted loss ℓ counts as limit · log(1 + ℓ / limit), so that one pile does not outweigh all near
-            misses; 0 leaves it as it is, as in the paper.
-        unroll_share: Share of the steps, the last ones, in which they are also taken on poses sampled as at inference.
-        unroll_scenes: Share of the scenes of such a step that is sampled.
-        unroll_gradient: How many of the sampler's last steps keep their gradient.
-        unroll_weight: Weight of the losses there.
+    share: Share = 0.25
+    """Share of a step's scenes that the physical losses are taken on, drawn anew each step; their sum is scaled by its inverse.
+    0 takes them on sampled poses alone.
     """
 
-    share: float = 0.25
-    from_time: float = 0.3
-    power: float = 2.0
-    start: int = 0
-    ramp: int = 0
-    limit: float = 0.0
-    unroll_share: float = 0.0
-    unroll_scenes: float = 0.25
-    unroll_gradient: int = 2
-    unroll_weight: float = 1.0
+    from_time: Share = 0.3
+    """Flow time from which on the losses count; an earlier estimate of the clean poses is vague."""
 
-    def __post_init__(self) -> None:
-        """Refuses what cannot be drawn."""
-        shares = (self.from_time, self.unroll_share)
-        if not (0 <= self.share <= 1 and 0 < self.unroll_scenes <= 1 and all(0 <= share <= 1 for share in shares)):
-            raise ConfigError(f"physics: {asdict(self)}, expected shares and times between 0 and 1", "config_invalid")
-        if min(self.start, self.ramp, self.unroll_gradient) < 0 or min(self.power, self.limit, self.unroll_weight) < 0:
-            raise ConfigError(f"physics: {asdict(self)}, expected no negative figure", "config_invalid")
+    power: NonNegative = 2.0
+    """Exponent p of the weight w(t) = t^p of flow time t."""
+
+    start: Count = 0
+    """Step at which the losses begin."""
+
+    ramp: Count = 0
+    """Steps over which the losses grow to their full weight, from ``start`` on."""
+
+    limit: NonNegative = 0.0
+    """A scene's weighted loss ℓ counts as limit · log(1 + ℓ / limit), so that a scene with a large loss does not outweigh all
+    others; 0 leaves it as it is, as in the paper.
+    """
+
+    unroll_share: Share = 0.0
+    """Share of the steps, the last ones, in which the losses are also taken on poses that are sampled as at inference."""
+
+    unroll_scenes: Annotated[float, Interval(gt=0, le=1)] = 0.25
+    """Share of the scenes of such a step that are sampled."""
+
+    unroll_gradient: Count = 2
+    """Solver steps, the last ones, that keep their gradient when poses are sampled."""
+
+    unroll_weight: NonNegative = 1.0
+    """Weight of the losses on sampled poses."""
 
 
 @dataclass(frozen=True, slots=True)
-class CorrectorTrainingSettings:
-    """What shapes the weights; ``--set key=value`` or the table ``[train_corrector]`` of a TOML file.
-
-    Attributes:
-        seed: Of the first weights and of every draw.
-        initial: Weights to start from, a file of a corrector with the same network; empty draws them from the seed.
-        steps: Length of the run; 0 takes ``epochs``.
-        epochs: Length in passes over the scenes.
-        batch_size: Scenes of a step.
-        chunk: Scenes that go through the network together; those of a step are sorted by their number of objects and cut into
-            chunks, whose gradients add up. It bounds memory, and spares padding.
-        learning_rate: Of Adam.
-        warm_up: Steps over which it grows to that.
-        cool_down: Share of the steps, the last ones, over which it falls to 0.
-        ema: Decay of the average of the weights, which is what is kept in the end.
-        clip: Largest norm of a gradient.
-        features: ``point`` or ``box``; ``box`` makes a network that reads no features.
-        num_surface: Samples of a surface for L_obj-obj.
-        num_bottom: Samples of a bottom region for L_sup.
-        perturbation: How coarse layouts are made.
-        prefixes: Which parts of scenes are trained on.
-        physics: When the physical losses count.
-        losses: Their weights and tolerances.
-        corrector: Network and flow.
-    """
+class CorrectorTrainingSettings(Settings):
+    """What shapes the weights; ``--set key=value`` or the table ``[train_corrector]`` of a TOML file."""
 
     seed: int = 0
-    initial: str = ""
-    steps: int = 0
-    epochs: int = 5000
-    batch_size: int = 2048
-    chunk: int = 256
-    learning_rate: float = 2e-4
-    warm_up: int = 0
-    cool_down: float = 0.0
-    ema: float = 0.999
-    clip: float = 1.0
-    features: FeatureSource = "point"
-    num_surface: int = 256
-    num_bottom: int = 64
-    perturbation: PerturbationSettings = field(default_factory=PerturbationSettings)
-    prefixes: PrefixSettings = field(default_factory=PrefixSettings)
-    physics: PhysicsSchedule = field(default_factory=PhysicsSchedule)
-    losses: LossSettings = field(default_factory=LossSettings)
-    corrector: CorrectorSettings = field(default_factory=CorrectorSettings)
+    """Seed of the first weights and of every draw."""
 
-    def __post_init__(self) -> None:
-        """Refuses what cannot run."""
-        for key in ("batch_size", "chunk", "num_surface", "num_bottom", "learning_rate", "clip"):
-            if not 0 < getattr(self, key) < math.inf:
-                raise ConfigError(f"{key} is {getattr(self, key)}, expected a positive number", "config_invalid")
-        if not (min(self.steps, self.epochs, self.warm_up) >= 0 and self.steps + self.epochs > 0):
-            found = f"steps {self.steps}, epochs {self.epochs}, warm_up {self.warm_up}"
-            raise ConfigError(f"{found}: expected a length, and nothing negative", "config_invalid")
-        if not (0 <= self.ema < 1 and 0 <= self.cool_down <= 1):
-            raise ConfigError(f"ema is {self.ema}, cool_down {self.cool_down}, expected shares", "config_invalid")
+    initial: str = ""
+    """File of a corrector with the same network whose weights the training starts from; empty draws weights from the seed."""
+
+    steps: Count = 0
+    """Optimizer steps; 0 takes ``epochs``."""
+
+    epochs: Count = 5000
+    """Passes over the scenes; read where ``steps`` is 0."""
+
+    batch_size: PositiveCount = 2048
+    """Scenes of a step."""
+
+    chunk: PositiveCount = 256
+    """Scenes that go through the network together. A step's scenes are sorted by their number of objects and cut into chunks
+    whose gradients add up; a smaller chunk needs less memory and less padding.
+    """
+
+    learning_rate: Positive = 2e-4
+    """Learning rate of Adam."""
+
+    warm_up: Count = 0
+    """Steps over which the learning rate grows to its value."""
+
+    cool_down: Share = 0.0
+    """Share of the steps, the last ones, over which the learning rate falls to 0."""
+
+    ema: Annotated[float, Interval(ge=0, lt=1)] = 0.999
+    """Decay of the exponential moving average of the weights, which is what is saved."""
+
+    clip: Positive = 1.0
+    """Largest norm of a gradient."""
+
+    features: FeatureSource = "point"
+    """What the network knows of a shape: ``point`` (point features and extents) or ``box`` (extents alone)."""
+
+    num_surface: PositiveCount = 256
+    """Points of an object's surface for L_obj-obj."""
+
+    num_bottom: PositiveCount = 64
+    """Points of an object's bottom region for L_sup."""
+
+    perturbation: PerturbationSettings = field(default_factory=PerturbationSettings)
+    """How coarse layouts are made of clean ones."""
+
+    prefixes: PrefixSettings = field(default_factory=PrefixSettings)
+    """Which parts of scenes are trained on."""
+
+    physics: PhysicsSchedule = field(default_factory=PhysicsSchedule)
+    """When the physical losses count."""
+
+    losses: LossSettings = field(default_factory=LossSettings)
+    """Weights and tolerances of the losses."""
+
+    corrector: CorrectorSettings = field(default_factory=CorrectorSettings)
+    """Network and flow."""
+
+    def check(self) -> None:
+        """Refuses a run without steps, and steps without a loss; see the base class."""
+        if self.steps + self.epochs == 0:
+            raise ConfigError("steps and epochs are 0, expected one of them to be more", "config_invalid")
         followed = self.losses.flow_weight > 0 or self.physics.share > 0
         if not followed and (self.physics.unroll_share < 1 or self.physics.start > 0):
             found = f"physics.unroll_share {self.physics.unroll_share}, physics.start {self.physics.start}"
@@ -116,8 +129,6 @@ class CorrectorTrainingSettings:
                 f"{found}: with losses.flow_weight and physics.share 0 there are steps without a loss, expected 1 and 0",
                 "config_invalid",
             )
-        if self.features not in get_args(FeatureSource):
-            raise ConfigError(f"features is {self.features!r}, expected point or box", "config_invalid")
 
     def resolved(self, num_scenes: int) -> "CorrectorTrainingSettings":
         """The same with ``steps`` set, and without features where the network is to read none."""

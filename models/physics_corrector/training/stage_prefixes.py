@@ -7,27 +7,27 @@ from torch import Tensor
 
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.geometry.scene_tensors import NO_PARENT
+from models.settings import Settings, Share
 from stable_data.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True)
-class PrefixSettings:
-    """Which part of a scene is trained on.
+class PrefixSettings(Settings):
+    """Which part of a scene is trained on."""
 
-    Attributes:
-        task: Share of samples that end with O^t.
-        important: Share that ends with O^B; the rest are whole scenes.
-        fixed: Share of samples in which the objects of earlier stages are fixed at their clean pose; elsewhere they may move.
-    """
+    task: Share = 0.2
+    """Share of samples that end with O^t."""
 
-    task: float = 0.2
-    important: float = 0.2
-    fixed: float = 0.4
+    important: Share = 0.2
+    """Share of samples that end with O^B; the rest are whole scenes."""
 
-    def __post_init__(self) -> None:
-        """Refuses what are no shares."""
-        if not (min(self.task, self.important, self.fixed) >= 0 and self.task + self.important <= 1 >= self.fixed):
-            found = f"task {self.task}, important {self.important}, fixed {self.fixed}"
+    fixed: Share = 0.4
+    """Share of samples in which the objects of earlier stages are fixed at their clean pose; in the others they may move."""
+
+    def check(self) -> None:
+        """Refuses shares over 1; see the base class."""
+        if self.task + self.important > 1:
+            found = f"task {self.task}, important {self.important}"
             raise ConfigError(f"prefixes: {found}, expected shares that add up to at most 1", "config_invalid")
 
 

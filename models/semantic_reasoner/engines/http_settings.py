@@ -1,62 +1,66 @@
 """Settings of the ``openai`` engine; the engine itself is imported only where it is used, since the client takes long to load."""
 
 import json
-import math
 import os
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 from urllib.parse import urlsplit
 
+from models.settings import NonNegative, PositiveCount, Settings
 from stable_data.errors import ConfigError
+
+CONNECT_SECONDS = 10.0
+"""The longest wait for a connection; a round figure, not tuned."""
 
 
 @dataclass(frozen=True, slots=True)
-class HttpSettings:
-    """An endpoint, and how long the engine waits for it.
-
-    Attributes:
-        base_url: What ``/chat/completions`` is appended to, such as ``https://api.openai.com/v1``; for Azure the resource, such as
-            ``https://NAME.openai.azure.com``.
-        model: The endpoint's name of the model; for Azure the deployment.
-        key_variable: Environment variable that holds the key, such as ``OPENAI_API_KEY``; empty sends none.
-        azure_api_version: Version of Azure's API, such as ``2024-10-21``; empty: the endpoint is not of Azure.
-        concurrency: Most requests under way at once, those that wait for their next try included.
-        tries: Most times that a request is sent. The client waits between them: 0.5 s doubled each time up to 8 s, or what the
-            endpoint asks for up to 120 s.
-        connect_s: Longest wait for a connection, seconds.
-        read_s: Longest silence while an answer is waited for, seconds.
-        total_s: Longest time for a request with all of its tries, seconds.
-        prompt_price: Of a million tokens read, in any currency.
-        reply_price: Of a million tokens written.
-        extra: More fields of the body, a JSON object, such as ``{"top_k": 50}`` for vLLM; null leaves a field out, such as
-            ``{"max_tokens": null, "max_completion_tokens": 4096, "temperature": null}``.
-        rest_s: When the endpoint is down, requests fail at once for so long, seconds.
-    """
+class HttpSettings(Settings):
+    """An endpoint, and how long the engine waits for it."""
 
     base_url: str
+    """URL that ``/chat/completions`` is appended to, such as ``https://api.openai.com/v1``; for Azure the resource, such as
+    ``https://NAME.openai.azure.com``.
+    """
+
     model: str
+    """The endpoint's name of the model; for Azure the deployment. The jobs take it from ``engine.engine``."""
+
     key_variable: str = ""
+    """Environment variable that holds the key, such as ``OPENAI_API_KEY``; empty sends no key."""
+
     azure_api_version: str = ""
-    concurrency: int = 32
-    tries: int = 6
-    connect_s: float = 10.0
-    read_s: float = 300.0
-    total_s: float = 900.0
-    prompt_price: float = 0.0
-    reply_price: float = 0.0
+    """Version of Azure's API, such as ``2024-10-21``; empty where the endpoint is not of Azure."""
+
+    concurrency: PositiveCount = 32
+    """Requests under way at once, at most; a request that waits for its next try counts."""
+
+    tries: PositiveCount = 6
+    """How often a request is sent, at most. The client waits between tries: 0.5 s, doubled each time up to 8 s, or what the
+    endpoint asks for, up to 120 s.
+    """
+
+    read_s: NonNegative = 300.0
+    """Seconds; the longest silence while an answer is waited for."""
+
+    total_s: NonNegative = 900.0
+    """Seconds; the longest time for a request with all of its tries."""
+
+    prompt_price: NonNegative = 0.0
+    """Price of a million tokens that are read, in any currency."""
+
+    reply_price: NonNegative = 0.0
+    """Price of a million tokens that are written, in the same currency."""
+
     extra: str = ""
-    rest_s: float = 60.0
+    """Further fields of the request, a JSON object, such as ``{"top_k": 50}`` for vLLM; null removes a field, as in
+    ``{"max_tokens": null, "max_completion_tokens": 4096}``.
+    """
 
-    REMOVED: ClassVar[dict[str, str]] = {
-        "first_wait_s": "the openai client chooses the waits; set tries and total_s",
-        "longest_wait_s": "the openai client chooses the waits; set tries and total_s",
-        "give_up_after": "a short question tells whether the endpoint is down; set tries and rest_s",
-        "sends_form": "the form is sent as response_format; extra has further fields",
-    }
-    """Settings of earlier versions, and what to do instead."""
+    rest_s: NonNegative = 60.0
+    """Seconds; for this long all requests fail at once after the endpoint was found to be down."""
 
-    def __post_init__(self) -> None:
-        """Checks the values.
+    def check(self) -> None:
+        """Refuses an address, a model or fields that no request can be made of.
 
         Raises:
             ConfigError: One of them cannot work.
@@ -69,10 +73,6 @@ class HttpSettings:
             raise ConfigError(f"base_url is {shown!r}, {expected}", "config_invalid")
         if not self.model:
             raise ConfigError("model is empty, expected the endpoint's name of one, such as gpt-4o", "config_invalid")
-        for key in ("concurrency", "tries", "connect_s", "read_s", "total_s", "prompt_price", "reply_price", "rest_s"):
-            value, least = getattr(self, key), 1 if key in ("concurrency", "tries") else 0
-            if not least <= value < math.inf:
-                raise ConfigError(f"{key} is {value}, expected {least} or more", "config_invalid")
         if self.azure_api_version and not self.key_variable:
             raise ConfigError("key_variable is empty, expected one for Azure, such as AZURE_OPENAI_API_KEY", "config_invalid")
         self.extra_fields()

@@ -19,7 +19,7 @@ from urllib.parse import urlsplit
 
 import openai
 
-from models.semantic_reasoner.engines.http_settings import HttpSettings
+from models.semantic_reasoner.engines.http_settings import CONNECT_SECONDS, HttpSettings
 from models.semantic_reasoner.engines.protocol import OFF, Completion, Request, Sampling
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from stable_data.content_id import content_id
@@ -162,7 +162,7 @@ class OpenAIEngine:
 def _client(settings: HttpSettings, key: str) -> openai.AsyncOpenAI:
     try:
         more: dict[str, Any] = {
-            "timeout": openai.Timeout(settings.read_s, connect=settings.connect_s),
+            "timeout": openai.Timeout(settings.read_s, connect=CONNECT_SECONDS),
             "max_retries": settings.tries - 1,
             "http_client": openai.DefaultAsyncHttpxClient(follow_redirects=False),
         }

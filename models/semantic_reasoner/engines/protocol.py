@@ -12,6 +12,7 @@ from typing import Protocol, runtime_checkable
 from models.semantic_reasoner.engines.incremental_batches import Conversation, in_batches
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from models.semantic_reasoner.text.prompt import Message
+from models.settings import Count, NonNegative, PositiveCount, Settings, Share
 
 OFF = (
     "certificate_refused",
@@ -25,20 +26,20 @@ OFF = (
 
 
 @dataclass(frozen=True, slots=True)
-class Sampling:
-    """How tokens are drawn; the defaults are those of MesaTask's released model.
+class Sampling(Settings):
+    """How tokens are drawn; the defaults are those of MesaTask's released model."""
 
-    Attributes:
-        temperature: 0 takes the likeliest token.
-        top_p: Smallest set of tokens of at least this probability ...
-        top_k: ... and at most so many; 0 is no bound.
-        max_tokens: Longest reply.
-    """
+    temperature: NonNegative = 0.7
+    """Temperature of the softmax; 0 takes the likeliest token."""
 
-    temperature: float = 0.7
-    top_p: float = 0.9
-    top_k: int = 50
-    max_tokens: int = 4096
+    top_p: Share = 0.9
+    """Tokens are drawn from the smallest set that has at least this probability."""
+
+    top_k: Count = 50
+    """Tokens are drawn from this many likeliest ones; 0 sets no bound."""
+
+    max_tokens: PositiveCount = 4096
+    """Tokens; the longest reply."""
 
 
 @dataclass(frozen=True, slots=True)

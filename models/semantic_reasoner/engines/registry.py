@@ -8,6 +8,7 @@ from typing import Any
 
 from models.semantic_reasoner.engines.http_settings import HttpSettings
 from models.semantic_reasoner.engines.protocol import Engine, Sampling
+from models.settings import PositiveCount, Settings
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 
@@ -21,39 +22,42 @@ _MODEL_FILES = ("*.json", "*.safetensors", "*.jinja", "*.model")
 
 
 @dataclass(frozen=True, slots=True)
-class EngineSettings:
-    """An engine.
-
-    Attributes:
-        engine: ``embedded`` (our own small model), ``transformers:FOLDER`` (a Hugging Face folder), ``vllm:FOLDER``,
-            ``openai:MODEL`` (the endpoint ``http.base_url``) or ``scripted:FILE``.
-        sampling: How tokens are drawn.
-        num_slots: Most sequences that a model in this process decodes at a time.
-        cache: Folder that keeps completions, so that a run that is taken up again replays them; empty keeps none. For engines
-            that cannot repeat themselves (``openai``, ``vllm``).
-        num_gpus: That share a model in vLLM.
-        vllm: More arguments of ``vllm.LLM``, a JSON object.
-        http: Of the endpoint.
-    """
+class EngineSettings(Settings):
+    """An engine."""
 
     engine: str = "embedded"
-    sampling: Sampling = field(default_factory=Sampling)
-    num_slots: int = 64
-    cache: str = ""
-    num_gpus: int = 1
-    vllm: str = "{}"
-    http: HttpSettings = field(default_factory=lambda: HttpSettings("http://127.0.0.1:8000/v1", "default"))
+    """``embedded`` (the small model in models/weights), ``transformers:FOLDER`` (a Hugging Face folder), ``vllm:FOLDER``,
+    ``openai:MODEL`` (an endpoint, ``http.base_url``) or ``scripted:FILE`` (replies of a file).
+    """
 
-    def __post_init__(self) -> None:
-        """Refuses what names no engine."""
+    sampling: Sampling = field(default_factory=Sampling)
+    """How tokens are drawn."""
+
+    num_slots: PositiveCount = 64
+    """Sequences that a model in this process decodes at a time, at most."""
+
+    cache: str = ""
+    """Folder that keeps completions; a run that is resumed reads them from there. Empty keeps none. It is for engines whose
+    replies differ from call to call (``openai``, ``vllm``).
+    """
+
+    num_gpus: PositiveCount = 1
+    """GPUs that a model in vLLM is split over."""
+
+    vllm: str = "{}"
+    """Further arguments of ``vllm.LLM``, a JSON object."""
+
+    http: HttpSettings = field(default_factory=lambda: HttpSettings("http://127.0.0.1:8000/v1", "default"))
+    """The endpoint of the ``openai`` engine."""
+
+    def check(self) -> None:
+        """Refuses what names no engine; see the base class."""
         kind, _, what = self.engine.partition(":")
         if kind not in KINDS or bool(what) != (kind != "embedded"):
             raise ConfigError(
                 f"engine is {self.engine!r}, expected embedded, transformers:FOLDER, vllm:FOLDER, openai:MODEL or scripted:FILE",
                 "config_invalid",
             )
-        if self.num_slots < 1 or self.num_gpus < 1:
-            raise ConfigError(f"num_slots is {self.num_slots}, num_gpus {self.num_gpus}, expected at least 1", "config_invalid")
 
     @property
     def kind(self) -> str:

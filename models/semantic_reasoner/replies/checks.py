@@ -10,7 +10,7 @@ a reply that changes nothing, for there are instructions that ask for nothing (`
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -21,11 +21,20 @@ from models.semantic_reasoner.language.stated_relations import relations_not_hel
 from models.semantic_reasoner.replies.grammar import MOST_OBJECTS
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
+from models.settings import NonNegative, PositiveCount, Settings, Share
 from stable_data.scene import FloatArray, Relation, SceneObject, Stage, Tabletop
 from stable_data.scene_graph.relations import yawed_rectangle
 from stable_data.scene_graph.support_from_boxes import ON_TABLE, carriers_of
 
 _SHOWN = 8  # names in a message
+
+# What these were tuned on is not recorded.
+_SUNK_CM = 0.5  # an underside may be this far below the table top, centimetres
+_SIZE_SLACK = 2.0  # a side is refused beyond this many times the sizes of its category ...
+_RARE_SIZE_SLACK = 3.0  # ... and beyond this many times where few objects of the category are known:
+_RARE = 20  # fewer than this
+_UNUSUAL_SIZE = 1.4  # beyond this many times a side is named, though it may pass
+_CROWDING = 1.1  # what stands on the table covers at most this share of its area
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,30 +57,29 @@ class ReplyFault:
 
 
 @dataclass(frozen=True, slots=True)
-class CheckSettings:
-    """How strict the checks are.
+class CheckSettings(Settings):
+    """How strict the checks are."""
 
-    Attributes:
-        overhang_cm: A box may leave the table, or enter the restricted zone, by this much: the correction moves it back.
-        sunk_cm: An underside may be below the table top by this much.
-        size_slack: A side may be this many times beyond the sizes of its category ...
-        rare_size_slack: ... and this many where fewer than ``rare`` objects of it are known.
-        rare: See there.
-        unusual: Beyond this many times a size is named, though it may pass.
-        same_place: Two boxes with this much in common, as a share of both together, are the same thing twice.
-        crowding: What stands on the table takes at most this share of its area.
-        most_objects: Of one reply.
-    """
+    overhang_cm: NonNegative = 2.0
+    """Centimetres; a box may reach this far over the table's edge or into the restricted zone. The correction moves it back."""
 
-    overhang_cm: float = 2.0
-    sunk_cm: float = 0.5
-    size_slack: float = 2.0
-    rare_size_slack: float = 3.0
-    rare: int = 20
-    unusual: float = 1.4
-    same_place: float = 0.85
-    crowding: float = 1.1
-    most_objects: int = MOST_OBJECTS
+    same_place: Share = 0.85
+    """Two boxes are the same object twice where their intersection is at least this share of their union."""
+
+    most_objects: PositiveCount = MOST_OBJECTS
+    """Objects of one reply, at most."""
+
+    def shaping(self) -> dict[str, float]:
+        """All that verdicts depend on, the constants too: a run is resumed only under the same."""
+        constants = {
+            "sunk_cm": _SUNK_CM,
+            "size_slack": _SIZE_SLACK,
+            "rare_size_slack": _RARE_SIZE_SLACK,
+            "rare": _RARE,
+            "unusual": _UNUSUAL_SIZE,
+            "crowding": _CROWDING,
+        }
+        return asdict(self) | constants
 
 
 class ReplyCheck:
@@ -131,12 +139,12 @@ def check(
     still = {o.instance for o in objects if o.instance in was and _is_still(o, was[o.instance])}
     new = [_standing_still(o, was).to_scene_object() for o in objects]
     layout = [*(o.to_scene_object() for o in kept), *new]
-    faults += _numbers(objects, new, layout, ask, settings)
+    faults += _numbers(objects, new, layout, ask)
     for one, item in zip(objects, new, strict=True):
         if one.instance not in still:
             faults += _place(item, ask.table, settings)
-        if one.instance not in was or not _may_be_laid_so(one, was[one.instance], settings):
-            faults += _size(one, statistics, settings)
+        if one.instance not in was or not _may_be_laid_so(one, was[one.instance]):
+            faults += _size(one, statistics)
     faults += _carried(new, layout, ask, still)
     faults += _twice(new, layout, still, settings)
     faults += _renamed(objects, removed, was)
@@ -189,10 +197,10 @@ def _standing_still(one: LayoutObject, was: Mapping[str, LayoutObject]) -> Layou
     return replace(one, position_cm=(x, y, z + (one.size_cm[2] - old.size_cm[2]) / 2))
 
 
-def _may_be_laid_so(one: LayoutObject, was: LayoutObject, s: CheckSettings) -> bool:
+def _may_be_laid_so(one: LayoutObject, was: LayoutObject) -> bool:
     """Is it as large as it was, or as it would be where it leans less: as long, and no thicker?"""
     now, before = np.array(sorted(one.size_cm)), np.array(sorted(was.size_cm))
-    return bool((now <= s.unusual * before).all() and now[-1] * s.unusual >= before[-1])
+    return bool((now <= _UNUSUAL_SIZE * before).all() and now[-1] * _UNUSUAL_SIZE >= before[-1])
 
 
 def name_faults(objects: Sequence[LayoutObject], removed: Sequence[str], ask: ReasonerQuestion) -> Iterator[ReplyFault]:
@@ -243,14 +251,13 @@ def _numbers(
     new: Sequence[SceneObject],
     layout: Sequence[SceneObject],
     ask: ReasonerQuestion,
-    s: CheckSettings,
 ) -> Iterator[ReplyFault]:
     if not objects and ask.wanted in (Stage.TASK, "whole"):
         yield ReplyFault("empty", "there are no objects; give those that the instruction names and what carries them")
     width, depth = ask.table.size_xy
     taken = _standing(layout) / (width * depth)
     before = _standing([o.to_scene_object() for o in ask.layout]) / (width * depth) if ask.edits else 0.0
-    if new and taken > max(s.crowding, before):
+    if new and taken > max(_CROWDING, before):
         yield ReplyFault(
             "crowded",
             f"what stands on the table takes {100 * taken:.0f} % of its {100 * width:.0f} x {100 * depth:.0f} cm; give fewer objects",
@@ -287,7 +294,7 @@ def _place(item: SceneObject, table: Tabletop, s: CheckSettings) -> Iterator[Rep
                 f"{item.instance} reaches {deep:.1f} cm into [{shown}], where nothing may stand; put it elsewhere",
                 instance=item.instance,
             )
-    if 100 * item.bottom < -s.sunk_cm:
+    if 100 * item.bottom < -_SUNK_CM:
         sunk = -100 * item.bottom
         yield ReplyFault(
             "below_table",
@@ -310,7 +317,7 @@ def _common_depth(one: FloatArray, other: FloatArray) -> float:
 # --- sizes --------------------------------------------------------------------------------------------------------------------
 
 
-def _size(item: LayoutObject, statistics: CategoryStatistics, s: CheckSettings) -> Iterator[ReplyFault]:
+def _size(item: LayoutObject, statistics: CategoryStatistics) -> Iterator[ReplyFault]:
     known = statistics.categories.get(item.category)
     if known is None or not known.count:
         words = item.category.replace("_", " ")
@@ -318,8 +325,8 @@ def _size(item: LayoutObject, statistics: CategoryStatistics, s: CheckSettings) 
         return
     own, least, most = sorted(item.size_cm), _in_cm(known.least), _in_cm(known.most)
     beyond = max(max(low / v, v / high) for v, low, high in zip(own, least, most, strict=True))
-    if beyond > s.unusual:
-        is_hard = beyond > (s.size_slack if known.count >= s.rare else s.rare_size_slack)
+    if beyond > _UNUSUAL_SIZE:
+        is_hard = beyond > (_SIZE_SLACK if known.count >= _RARE else _RARE_SIZE_SLACK)
         found, low, high = (" x ".join(f"{v:.1f}" for v in sides) for sides in (own, least, most))
         yield ReplyFault(
             "size_implausible" if is_hard else "size_unusual",

@@ -2,9 +2,12 @@
 
 import math
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
+
+from annotated_types import Ge, MultipleOf
 
 from models.semantic_reasoner.text.prompt import WANTED
+from models.settings import Count, NonNegative, Positive, PositiveCount, Settings, Share
 from stable_data.config_diff import flat
 from stable_data.errors import ConfigError
 
@@ -13,79 +16,73 @@ Optimizer: TypeAlias = Literal["adamw", "muon"]
 
 
 @dataclass(frozen=True, slots=True)
-class LanguageModelSettings:
-    """A Qwen3 that is trained from scratch.
+class LanguageModelSettings(Settings):
+    """A Qwen3 that is trained from scratch."""
 
-    Attributes:
-        hidden: Width of the residual stream.
-        layers: Transformer blocks.
-        heads: Query heads.
-        key_value_heads: Key and value heads, shared by the query heads.
-        head: Width of a head. Queries and keys are normalised, so a narrow head looks less sharply: with 64 copying a number is
-            learned in fewer steps than with 32.
-        intermediate: Width of the gated feed-forward layer.
-        vocabulary: Tokens for words; those of layouts and of the prompt come beside them.
+    hidden: PositiveCount = 256
+    """Width of the residual stream."""
+
+    layers: PositiveCount = 6
+    """Transformer blocks."""
+
+    heads: PositiveCount = 4
+    """Query heads."""
+
+    key_value_heads: PositiveCount = 2
+    """Key and value heads, shared by the query heads."""
+
+    head: Annotated[int, Ge(1), MultipleOf(2)] = 64
+    """Width of a head. Queries and keys are normalised, so attention of a narrow head is less sharp: with 64 the model learns
+    to copy a number in fewer steps than with 32.
     """
 
-    hidden: int = 256
-    layers: int = 6
-    heads: int = 4
-    key_value_heads: int = 2
-    head: int = 64
-    intermediate: int = 704
-    vocabulary: int = 2560
+    intermediate: PositiveCount = 704
+    """Width of the gated feed-forward layer."""
 
-    def __post_init__(self) -> None:
-        """Refuses what is no network."""
-        for key, value in asdict(self).items():
-            if value < 1:
-                raise ConfigError(f"network.{key} is {value}, expected a positive number", "config_invalid")
-        if self.heads % self.key_value_heads or self.head % 2:
-            found = f"heads {self.heads}, key_value_heads {self.key_value_heads}, head {self.head}"
-            raise ConfigError(
-                f"network: {found}: expected as many heads or a multiple of them, and an even width", "config_invalid"
-            )
+    vocabulary: PositiveCount = 2560
+    """Tokens for words; the tokens of layouts and of the prompt are added to them."""
+
+    def check(self) -> None:
+        """Refuses heads that cannot be shared; see the base class."""
+        if self.heads % self.key_value_heads:
+            found = f"heads {self.heads}, key_value_heads {self.key_value_heads}"
+            raise ConfigError(f"network: {found}: expected as many heads or a multiple of them", "config_invalid")
 
 
 @dataclass(frozen=True, slots=True)
-class LoraSettings:
-    """Low-rank matrices beside the linear layers of ``base``, trained instead of its weights.
+class LoraSettings(Settings):
+    """Low-rank matrices beside the linear layers of ``base``, trained instead of its weights."""
 
-    Attributes:
-        rank: Of the matrices; 0 trains the weights themselves.
-        alpha: Their product counts ``alpha / rank``.
-        merges: Whether the weights that are kept are a model of their own; else an adapter beside ``base``, as peft reads it.
-    """
+    rank: Count = 0
+    """Rank of the matrices; 0 trains the weights themselves."""
 
-    rank: int = 0
-    alpha: int = 32
+    alpha: PositiveCount = 32
+    """Scale of the matrices' product: it counts ``alpha / rank`` times."""
+
     merges: bool = True
-
-    def __post_init__(self) -> None:
-        """Refuses what cannot run."""
-        if self.rank < 0 or self.alpha < 1:
-            raise ConfigError(
-                f"lora: rank {self.rank}, alpha {self.alpha}: expected 0 or more, and 1 or more", "config_invalid"
-            )
+    """Whether the saved weights are a whole model; else they are an adapter beside ``base``, as peft reads it."""
 
 
 @dataclass(frozen=True, slots=True)
-class StageShares:
-    """Which share of the examples of each kind a pass takes, drawn anew each time.
+class StageShares(Settings):
+    """Which share of the examples of each kind a pass takes, drawn anew each time."""
 
-    Attributes:
-        task: O^t.
-        important: O^B.
-        secondary: O^b.
-        whole: Whole layouts in one pass, made of the last stages. The paper's one-shot ablation is a training of these alone.
-        edit: Edits.
+    task: Share = 1.0
+    """Share of the examples of O^t that a pass takes, drawn anew each pass; so are the other shares."""
+
+    important: Share = 1.0
+    """Share of the examples of O^B."""
+
+    secondary: Share = 1.0
+    """Share of the examples of O^b."""
+
+    whole: Share = 0.0
+    """Share of the examples of whole layouts in one reply, which are made of the last stages. The paper's one-shot ablation is
+    a training on these alone.
     """
 
-    task: float = 1.0
-    important: float = 1.0
-    secondary: float = 1.0
-    whole: float = 0.0
-    edit: float = 1.0
+    edit: Share = 1.0
+    """Share of the examples of edits."""
 
     def of_kinds(self) -> tuple[float, ...]:
         """In the order of the prompt's kinds."""
@@ -93,91 +90,106 @@ class StageShares:
 
 
 @dataclass(frozen=True, slots=True)
-class ReasonerTrainingSettings:
-    """What shapes the weights; ``--set key=value`` or the table ``[train_reasoner]`` of a TOML file.
-
-    Attributes:
-        base: Folder of a Hugging Face model to fine-tune; empty trains ``network`` from scratch.
-        tokenizer: Folder of a tokenizer with a chat template; empty takes that of ``base``, or without one trains its own.
-        edits: Run folder whose table ``edits`` is learned from beside ``samples``; empty takes the run's own, where it has one.
-            It is not read where ``shares.edit`` is 0.
-        seed: Of the first weights and of every draw.
-        steps: Length of the run; 0 takes ``passes``.
-        passes: Length in passes over the examples.
-        tokens_per_batch: Most tokens of a batch, padding included; a batch has one row at least.
-        rows_per_batch: Most rows of a batch; 0 is no bound.
-        accumulate: Batches whose gradients add up to a step. Processes share a step by its batches, so that its examples do not
-            depend on their number, which must divide this one.
-        max_tokens: Longest example; longer ones are left out and counted. Also the width of a row that is packed.
-        packs: Whether a row has several examples, each blind to the others; else each has a row of its own beside others of
-            like length, which is faster on a CPU.
-        optimizer: Of the matrices between embeddings and head; all else is AdamW's. Muon takes fewer steps to the same loss
-            where a small network is trained from scratch.
-        learning_rate: Of either.
-        warm_up: Steps over which it grows to that.
-        cool_down: Share of the steps, the last ones, over which it falls to 0.
-        weight_decay: Of matrices.
-        clip: Largest norm of a gradient.
-        any_table_share: Share of the examples whose kind of table is not said, so that a model learns to go by its size.
-        part_share: Share of the examples that show a part of their table as a table of its own, likewise, so that a model that
-            has seen large tables alone can lay out a small one.
-        with_details: Whether the rest of the task info is said too.
-        precision: Of multiplications; weights, norms, gradients and averages are float32.
-        storage: Of the weights that are kept in the end.
-        recomputes: Whether activations are computed again in the backward pass instead of kept (gradient checkpointing).
-        compiles: Whether the network is compiled first (``torch.compile``), which takes a C++ compiler and a minute and gains
-            half as many tokens a second again with the small network on a CPU. One process, and a run that was resumed is then
-            the run that was not up to rounding, not to the byte.
-        shares: Of the stages.
-        network: Where ``base`` is empty.
-        lora: Trains little of ``base``.
-    """
+class ReasonerTrainingSettings(Settings):
+    """What shapes the weights; ``--set key=value`` or the table ``[train_reasoner]`` of a TOML file."""
 
     base: str = ""
-    tokenizer: str = ""
-    edits: str = ""
-    seed: int = 0
-    steps: int = 0
-    passes: float = 1.0
-    tokens_per_batch: int = 6144
-    rows_per_batch: int = 0
-    accumulate: int = 1
-    max_tokens: int = 2048
-    packs: bool = False
-    optimizer: Optimizer = "adamw"
-    learning_rate: float = 1.5e-3
-    warm_up: int = 200
-    cool_down: float = 0.3
-    weight_decay: float = 0.05
-    clip: float = 1.0
-    any_table_share: float = 0.2
-    part_share: float = 0.0
-    with_details: bool = False
-    precision: Precision = "bfloat16"
-    storage: Precision = "float32"
-    recomputes: bool = False
-    compiles: bool = False
-    shares: StageShares = field(default_factory=StageShares)
-    network: LanguageModelSettings = field(default_factory=LanguageModelSettings)
-    lora: LoraSettings = field(default_factory=LoraSettings)
+    """Folder of a Hugging Face model to fine-tune; empty trains ``network`` from scratch."""
 
-    def __post_init__(self) -> None:
-        """Refuses what cannot run."""
-        for key in ("tokens_per_batch", "accumulate", "max_tokens", "learning_rate", "clip"):
-            if not 0 < getattr(self, key) < math.inf:
-                raise ConfigError(f"{key} is {getattr(self, key)}, expected a positive number", "config_invalid")
-        least = min(self.steps, self.passes, self.warm_up, self.rows_per_batch, self.weight_decay, self.seed)
-        if not (least >= 0 and self.steps + self.passes > 0):
-            found = f"steps {self.steps}, passes {self.passes}, warm_up {self.warm_up}, rows_per_batch {self.rows_per_batch}"
-            raise ConfigError(
-                f"{found}, weight_decay {self.weight_decay}, seed {self.seed}: expected a length, and nothing negative",
-                "config_invalid",
-            )
-        shares = self.shares.of_kinds()
-        if not all(0 <= share <= 1 for share in (self.cool_down, self.any_table_share, self.part_share, *shares)):
-            raise ConfigError(
-                "cool_down, any_table_share, part_share and shares: expected shares between 0 and 1", "config_invalid"
-            )
+    tokenizer: str = ""
+    """Folder of a tokenizer with a chat template. Empty takes that of ``base``; without ``base`` a tokenizer is trained."""
+
+    edits: str = ""
+    """Run folder whose table ``edits`` is learned from beside ``samples``; empty takes the run's own, where it has one. Not
+    read where ``shares.edit`` is 0.
+    """
+
+    seed: Count = 0
+    """Seed of the first weights and of every draw."""
+
+    steps: Count = 0
+    """Optimizer steps; 0 takes ``passes``."""
+
+    passes: NonNegative = 1.0
+    """Passes over the examples; read where ``steps`` is 0."""
+
+    tokens_per_batch: PositiveCount = 6144
+    """Tokens of a batch, at most, padding included; a batch has one row at least."""
+
+    rows_per_batch: Count = 0
+    """Rows of a batch, at most; 0 sets no bound."""
+
+    accumulate: PositiveCount = 1
+    """Batches whose gradients add up to a step. Processes share a step by its batches, so that its examples do not depend on
+    the number of processes, which must divide this number.
+    """
+
+    max_tokens: PositiveCount = 2048
+    """Tokens; the longest example. Longer ones are left out and counted. Also the width of a packed row."""
+
+    packs: bool = False
+    """Whether a row holds several examples that do not attend to each other; else each example has its own row in a batch of
+    similar lengths, which is faster on a CPU.
+    """
+
+    optimizer: Optimizer = "adamw"
+    """Optimizer of the matrices between embeddings and head; AdamW trains all else. Muon takes fewer steps to the same loss
+    where a small network is trained from scratch.
+    """
+
+    learning_rate: Positive = 1.5e-3
+    """Learning rate of both optimizers."""
+
+    warm_up: Count = 200
+    """Steps over which the learning rate grows to its value."""
+
+    cool_down: Share = 0.3
+    """Share of the steps, the last ones, over which the learning rate falls to 0."""
+
+    weight_decay: NonNegative = 0.05
+    """Weight decay of matrices."""
+
+    clip: Positive = 1.0
+    """Largest norm of a gradient."""
+
+    any_table_share: Share = 0.2
+    """Share of the examples that do not say the kind of table, so that a model learns to use its size."""
+
+    part_share: Share = 0.0
+    """Share of the examples that show a part of their table as a table of its own, so that a model trained on large tables can
+    fill a small one.
+    """
+
+    with_details: bool = False
+    """Whether the prompt also holds the rest of the task info."""
+
+    precision: Precision = "bfloat16"
+    """Number format of matrix products; weights, norms, gradients and averages are float32."""
+
+    storage: Precision = "float32"
+    """Number format of the saved weights."""
+
+    recomputes: bool = False
+    """Whether the backward pass computes activations again, which saves memory (gradient checkpointing)."""
+
+    compiles: bool = False
+    """Whether ``torch.compile`` compiles the network. It needs a C++ compiler and a minute, and one process; the small network
+    then trains half as many tokens a second again on a CPU. A resumed run is then equal up to rounding, not to the byte.
+    """
+
+    shares: StageShares = field(default_factory=StageShares)
+    """Which share of the examples of each stage a pass takes."""
+
+    network: LanguageModelSettings = field(default_factory=LanguageModelSettings)
+    """The network that is trained from scratch, where ``base`` is empty."""
+
+    lora: LoraSettings = field(default_factory=LoraSettings)
+    """Low-rank matrices that are trained in place of the weights of ``base``."""
+
+    def check(self) -> None:
+        """Refuses a run without steps, and an adapter without its model; see the base class."""
+        if self.steps + self.passes == 0:
+            raise ConfigError("steps and passes are 0, expected one of them to be more", "config_invalid")
         if self.lora.rank and not self.base:
             raise ConfigError("lora.rank is set but base is empty, expected the model that it adapts", "config_invalid")
 

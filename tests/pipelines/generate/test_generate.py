@@ -416,10 +416,10 @@ def test_a_training_job_reads_the_run(made: Path) -> None:
         ({"schedule": "secondary"}, "expected task or whole first"),
         ({"accept": "steady"}, "names steady"),
         ({"scenes_per_shard": -1}, "scenes_per_shard is -1"),
-        ({"seconds_per_item": float("nan")}, "seconds_per_item nan"),
-        ({"earlier_move": -1.0}, "earlier_move -1"),
-        ({"engines": 1, "engine_gpus": 1.5}, "engine_gpus 1.5, .* a part of a GPU or whole ones"),
-        ({"engines": 1, "engine_gpus": float("nan")}, "engine_gpus nan"),
+        ({"seconds_per_item": float("nan")}, "seconds_per_item is nan"),
+        ({"earlier_move": -1.0}, "earlier_move is -1.0, expected at least 0"),
+        ({"engines": 1, "engine_gpus": 1.5}, "engine_gpus is 1.5, expected a part of a GPU or whole ones"),
+        ({"engines": 1, "engine_gpus": float("nan")}, "engine_gpus is nan"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(change: dict[str, Any], message: str) -> None:

@@ -74,5 +74,5 @@ def test_what_a_network_reads_of_yaw_is_continuous_across_pi() -> None:
 
 @pytest.mark.parametrize("values", [("polar", 1.0, 1.0), ("residual", 0.0, 1.0), ("residual", 1.0, math.nan)])
 def test_coordinates_without_an_inverse_are_refused(values: tuple[str, float, float]) -> None:
-    with pytest.raises(ConfigError, match="coordinates"):
+    with pytest.raises(ConfigError, match=r"(form|unit) is .* expected"):
         PoseCoordinates(*values)  # type: ignore[arg-type]
