@@ -24,6 +24,7 @@ Share: TypeAlias = Annotated[float, Interval(ge=0, le=1)]
 Count: TypeAlias = Annotated[int, Ge(0)]
 PositiveCount: TypeAlias = Annotated[int, Ge(1)]
 
+_Kind: TypeAlias = Any  # a dataclass; to mypy a class is not hashable, as functions that are cached ask for
 _CONFIG = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True)
 _EXPECTED = {
     "bool_type": "true or false",
@@ -50,9 +51,10 @@ class Settings:
         Raises:
             ConfigError: One of them is of the wrong type or out of its range, or they do not go together.
         """
-        values = {name: getattr(self, name) for name in _hints(type(self))}
+        kind: _Kind = type(self)
+        values = {name: getattr(self, name) for name in _hints(kind)}
         try:
-            _model_of_fields(type(self)).model_validate(values)
+            _model_of_fields(kind).model_validate(values)
         except ValidationError as error:
             raise _config_error(error, getattr(self, "section", "")) from None
         self.check()
@@ -76,15 +78,16 @@ def filled(kind: type[S], values: Mapping[str, Any], name: str) -> S:
         text = json.dumps({"value": values}, default=_as_json)
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"{name}: settings cannot be read ({error})", "config_invalid") from None
+    cached: _Kind = kind
     try:
-        found = _model_around(kind).model_validate_json(text)
+        found = _model_around(cached).model_validate_json(text)
     except ValidationError as error:
         raise _config_error(error, name) from None
     return found.value  # type: ignore[attr-defined, no-any-return]
 
 
 @cache
-def meanings(kind: type[Any]) -> dict[str, str]:
+def meanings(kind: _Kind) -> dict[str, str]:
     """What each field of a settings class means, by its name: the text below it, in one line; empty where there is none."""
     found = dict.fromkeys(_hints(kind), "")
     for part in reversed(kind.__mro__):  # pydantic reads the texts of a class's own fields alone
@@ -96,20 +99,20 @@ def meanings(kind: type[Any]) -> dict[str, str]:
 
 
 @cache
-def _hints(kind: type[Any]) -> dict[str, Any]:
+def _hints(kind: _Kind) -> dict[str, Any]:
     hints = get_type_hints(kind, include_extras=True)
     return {field.name: hints[field.name] for field in fields(kind)}
 
 
 @cache
-def _model_of_fields(kind: type[Any]) -> type[BaseModel]:
+def _model_of_fields(kind: _Kind) -> type[BaseModel]:
     """A model of the fields: settings in them are objects that are checked already."""
     of_fields: dict[str, Any] = {name: (hint, ...) for name, hint in _hints(kind).items()}
     return create_model(kind.__name__, __config__=ConfigDict(**_CONFIG, protected_namespaces=()), **of_fields)
 
 
 @cache
-def _model_around(kind: type[Any]) -> type[BaseModel]:
+def _model_around(kind: _Kind) -> type[BaseModel]:
     """A model with the settings as its field ``value``, which hands its configuration down to all that are in them."""
     return create_model(kind.__name__, __config__=_CONFIG, value=(kind, ...))
 

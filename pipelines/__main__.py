@@ -49,7 +49,7 @@ Assets = Annotated[
         "is made where it is missing. May be repeated: the first that has a match serves. By default embedded alone."
     ),
 ]
-_KEYS = "Every key of --set and of the file, with default, unit and meaning: python -m pipelines settings {}"
+_KEYS = "python -m pipelines settings {} lists every key of --set and of the file with its default, unit and meaning."
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")]
 Minutes = Annotated[float, typer.Option(help="Stop after so long and keep the checkpoint; run again to go on. 0 is no limit.")]
 Trainers = Annotated[

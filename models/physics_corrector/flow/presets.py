@@ -45,7 +45,7 @@ class CorrectorSettings(Settings):
             raise ConfigError(f"settings of a corrector: found {values!r:.80}, expected an object", "config_invalid")
         settings = filled(cls, values, "corrector")
         if lacking := flat(asdict(settings)).keys() - flat(values).keys():
-            raise ConfigError(f"settings of a corrector: {', '.join(sorted(lacking))} are missing", "config_invalid")
+            raise ConfigError(f"settings of a corrector: found no {', '.join(sorted(lacking))}, expected all", "config_invalid")
         return settings
 
     def differences(self, other: "CorrectorSettings") -> list[str]:
