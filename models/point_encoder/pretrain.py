@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -42,8 +42,8 @@ _WARM_UP = 0.05  # of the steps
 class PretrainSettings(Settings):
     """What shapes the weights."""
 
-    config: Literal["embedded", "base"] = "embedded"
-    """The network."""
+    config: str = "embedded"
+    """The network: ``embedded`` or ``base``."""
 
     steps: Count = 0
     """Optimizer steps; 0 takes as many as fit the minutes that are given."""
@@ -82,7 +82,9 @@ class PretrainSettings(Settings):
     """Weight of the loss that keeps codes from using few dimensions."""
 
     def check(self) -> None:
-        """Refuses batches of too few shapes; see the base class."""
+        """Refuses networks that are not known, and batches of too few shapes; see the base class."""
+        if self.config not in CONFIGS:
+            raise ConfigError(f"pretrain: config {self.config!r}, expected one of {sorted(CONFIGS)}", "pretrain_settings")
         if self.batch_size <= self.pairs_a_shape:
             message = f"pretrain: {self.batch_size} shapes, {self.pairs_a_shape} pairs of each, expected more shapes than pairs"
             raise ConfigError(message, "pretrain_settings")
@@ -222,7 +224,7 @@ def main(
     out: Annotated[Path, typer.Option(help="Folder of the run.")],
     minutes: Annotated[float, typer.Option(help="What training may take on this machine.")] = 30.0,
     steps: Annotated[int, typer.Option(help="Steps, instead of minutes.")] = 0,
-    config: Annotated[Literal["embedded", "base"], typer.Option(help="The network.")] = "embedded",
+    config: Annotated[str, typer.Option(help="embedded or base.")] = "embedded",
     seed: Annotated[int, typer.Option(help="Of weights and draws.")] = 0,
     num_categories: Annotated[
         int | None, typer.Option(help="So many categories of the catalogue; all where not given.")
