@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.execution.ray_executor import WorkerPool
-from pipelines.preprocess.plan import DatasetShard, PreprocessSettings, plan_run
-from pipelines.preprocess.shard import PreprocessShard
+from pipelines.execution.shard_step import Shard, ShardTask, ShardWriter
+from pipelines.preprocess.plan import PreprocessSettings, plan_run
+from pipelines.preprocess.shard import SceneStep
 from stable_data.mesatask import MesaTaskDataset
 
 SETTINGS = PreprocessSettings(num_pictures=0, all_assets=False, position_convention="box_centre")
@@ -41,13 +42,13 @@ def repeated(dataset: Path, root: Path, count: int) -> Path:
 class TimedWork:
     """The work of a shard, with the seconds that it took and the memory of the process that did it."""
 
-    def __init__(self, work: PreprocessShard) -> None:
+    def __init__(self, work: ShardWriter) -> None:
         self.work = work
 
-    def __call__(self, shard: DatasetShard, *, isolated: bool = False) -> dict[str, float]:
+    def __call__(self, shard: Shard[str], *, isolated: bool = False) -> dict[str, float]:
         """Does the shard."""
         began = time.perf_counter()
-        self.work(shard, isolated=isolated)
+        self.work(ShardTask(0, shard), isolated=isolated)
         busy = time.perf_counter() - began
         return {
             "seconds": busy,
@@ -56,14 +57,14 @@ class TimedWork:
         }
 
 
-def _plain(work: TimedWork, shards: Sequence[DatasetShard], barrier: Any) -> None:
+def _plain(work: TimedWork, shards: Sequence[Shard[str]], barrier: Any) -> None:
     work(shards[0])  # imports and caches, as a warm worker has them
     barrier.wait()
     for shard in shards[1:]:
         work(shard)
 
 
-def two_plain_processes(work: TimedWork, shards: Sequence[DatasetShard]) -> float:
+def two_plain_processes(work: TimedWork, shards: Sequence[Shard[str]]) -> float:
     """Seconds in which two processes that share the shards evenly, without Ray, do all but the first of each."""
     context = multiprocessing.get_context("spawn")
     barrier = context.Barrier(3)
@@ -78,7 +79,7 @@ def two_plain_processes(work: TimedWork, shards: Sequence[DatasetShard]) -> floa
     return time.perf_counter() - began
 
 
-def two_workers(work: TimedWork, shards: Sequence[DatasetShard]) -> dict[str, float]:
+def two_workers(work: TimedWork, shards: Sequence[Shard[str]]) -> dict[str, float]:
     """A local Ray with two workers on the same shards; the clock starts when each has done one."""
     results, stamps = [], []
     for result in WorkerPool(2).run(work, shards):
@@ -100,9 +101,9 @@ def measure(dataset: Path, num_scenes: int) -> dict[str, Any]:
     """All figures."""
     with tempfile.TemporaryDirectory() as folder:
         root = repeated(dataset, Path(folder) / "data", num_scenes)
-        shards = [s for s in plan_run(MesaTaskDataset(root), SETTINGS).shards if s.scenes]
-        plain = two_plain_processes(TimedWork(PreprocessShard(str(root), f"{folder}/plain", SETTINGS)), shards)
-        ray = two_workers(TimedWork(PreprocessShard(str(root), f"{folder}/ray", SETTINGS)), shards)
+        shards = plan_run(MesaTaskDataset(root), SETTINGS).scenes
+        plain = two_plain_processes(TimedWork(ShardWriter(f"{folder}/plain", (SceneStep(str(root), SETTINGS),))), shards)
+        ray = two_workers(TimedWork(ShardWriter(f"{folder}/ray", (SceneStep(str(root), SETTINGS),))), shards)
     timed = num_scenes - len(shards[0]) - len(shards[1])  # the first shard of each worker warms it up
     rate = {"plain": timed / plain, "ray": timed / ray["seconds"]}
     return {

@@ -86,15 +86,16 @@ def preprocess(
     Status 0: done. 1: some scenes or assets could not be used; the table failures says which and why. 2: could not start.
     """
     from pipelines.execution.ray_executor import WorkerPool
+    from pipelines.execution.shard_job import describe
+    from pipelines.preprocess.job import PreprocessJob
+    from pipelines.preprocess.job import preprocess as run
     from pipelines.preprocess.plan import PreprocessSettings
-    from pipelines.preprocess.shard import describe_plan
-    from pipelines.preprocess.shard import preprocess as run
     from pipelines.settings import resolve
 
     count = _count(workers, address)
     settings = resolve(PreprocessSettings, "preprocess", config, set_ or [])
     if dry_run:
-        typer.echo(json.dumps(describe_plan(data, settings), indent=2))
+        typer.echo(json.dumps(describe(PreprocessJob(data, settings, WorkerPool())), indent=2))
         return
     manifest = run(data, out, settings, WorkerPool(count, address))
     counts = manifest["counts"]
@@ -124,16 +125,17 @@ def correct(
     OUT/dataset is the corrected folder. Status 0: done. 1: some scenes could not be corrected; the table failures says which
     and why. 2: could not start.
     """
+    from pipelines.correct.job import CorrectJob
     from pipelines.correct.job import correct as run
-    from pipelines.correct.job import describe_correction
     from pipelines.correct.settings import CorrectSettings
     from pipelines.execution.ray_executor import WorkerPool
+    from pipelines.execution.shard_job import describe
     from pipelines.settings import resolve
 
     count = _count(workers, address)
     settings = resolve(CorrectSettings, "correct", config, set_ or [])
     if dry_run:
-        typer.echo(json.dumps(describe_correction(scenes, settings), indent=2))
+        typer.echo(json.dumps(describe(CorrectJob(scenes, settings, WorkerPool())), indent=2))
         return
     manifest = run(scenes, out, settings, WorkerPool(count, address))
     counts = manifest["counts"]
@@ -177,17 +179,18 @@ def edit(
     OUT/dataset is the folder of edited scenes. Status 0: done. 1: some edits could not be done; the table failures says which
     and why. 2: could not start.
     """
-    from pipelines.edit.job import describe_edits
+    from pipelines.edit.job import EditJob
     from pipelines.edit.job import edit as run
     from pipelines.edit.settings import EditSettings
     from pipelines.execution.ray_executor import WorkerPool
+    from pipelines.execution.shard_job import describe
     from pipelines.settings import resolve
 
     count = _count(workers, address)
     asked = [f"engine.engine={json.dumps(engine)}"] if engine is not None else []
     settings = resolve(EditSettings, "edit", config, [*(set_ or []), *asked])
     if dry_run:
-        typer.echo(json.dumps(describe_edits(scenes, edits, settings), indent=2))
+        typer.echo(json.dumps(describe(EditJob(scenes, edits, settings, WorkerPool())), indent=2))
         return
     manifest = run(scenes, edits, out, settings, WorkerPool(count, address))
     counts = manifest["counts"]
@@ -252,7 +255,8 @@ def generate(
     and why. 2: could not start.
     """
     from pipelines.execution.ray_executor import WorkerPool
-    from pipelines.generate.job import describe_generation
+    from pipelines.execution.shard_job import describe
+    from pipelines.generate.job import GenerateJob
     from pipelines.generate.job import generate as run
     from pipelines.generate.settings import GenerateSettings
     from pipelines.settings import resolve
@@ -280,7 +284,7 @@ def generate(
     else:
         found = sampled(count or 0, settings.seed, table or ())
     if dry_run:
-        typer.echo(json.dumps(describe_generation(found, settings, assets or ()), indent=2))
+        typer.echo(json.dumps(describe(GenerateJob(found, settings, assets or ())), indent=2))
         return
     manifest = run(found, out, settings, WorkerPool(workers, address), assets or ())
     counts = manifest["counts"]

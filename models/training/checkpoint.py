@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from stable_data.atomic_files import aside_of
-from stable_data.config_diff import differences, flat
+from stable_data.config_diff import flat, refuse_changed
 from stable_data.errors import ConfigError
 
 # What torch.load raises on bytes that are no checkpoint, and what a checkpoint of something else lacks.
@@ -61,10 +61,5 @@ def kept(path: Path, about: Mapping[str, Any], *needed: str) -> dict[str, Any] |
         raise ConfigError(
             f"{path}: cannot be read as a checkpoint ({type(error).__name__}); remove it to start anew", "checkpoint_invalid"
         ) from error
-    changed = differences(was, flat(json.loads(json.dumps(about))))
-    if changed:
-        raise ConfigError(
-            f"{path}: is of another configuration ({'; '.join(changed)}); choose a new folder or restore it",
-            "config_changed",
-        )
+    refuse_changed(str(path), was, about)
     return state

@@ -3,29 +3,21 @@
 Repair of other people's datasets, and rearrangement.
 """
 
+from abc import abstractmethod
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict
+from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from models.physics_corrector.learned_flow import load_flow, weights_fingerprint
 from pipelines.correct.report import write_correct_report
-from pipelines.correct.scene_shard import SceneShard
 from pipelines.correct.settings import CorrectSettings
 from pipelines.correct.shard import CorrectWork
 from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, alone
-from pipelines.execution.shard_job import (
-    OF_DATASET,
-    check_resume,
-    check_shards,
-    count_items,
-    count_rows,
-    new_manifest,
-    run_missing,
-    write_manifest,
-)
-from pipelines.sources.scenes import FolderSource, SceneSource, TableSource, scene_source
+from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
+from pipelines.execution.shard_step import Shard, StepShards
+from pipelines.sources.scenes import FolderSource, SceneChunk, SceneSource, TableSource, scene_source
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice, unwritable
 from stable_data.mesatask import write_annotations, write_scene
@@ -40,70 +32,113 @@ CARRIED_TABLES = ("assets", "meshes", "sdf", "features")
 
 
 def correct(scenes: str, out: str, settings: CorrectSettings, workers: WorkerPool, *, report: bool = True) -> dict[str, Any]:
-    """Runs the job, or what is missing of it.
+    """Runs the job, or what is missing of it; see :func:`pipelines.execution.shard_job.run_job`."""
+    check_place(scenes, out)
+    return run_job(CorrectJob(scenes, settings, workers), out, workers, report=report)
+
+
+class SceneJob(ShardJob, Generic[S]):
+    """A job that makes other scenes of scenes, which have the assets of these.
 
     Args:
         scenes: A folder in the MesaTask-10K format, or a run with a table ``scenes``; every node of a cluster must see it.
-        out: Local folder, likewise, or object-store URI.
         settings: What shapes the rows.
         workers: Who runs the shards.
-        report: Whether to write the report page.
-
-    Returns:
-        The manifest: settings, fingerprint, versions and counts.
 
     Raises:
-        ConfigError: The run cannot start or go on; what is in place stays.
+        ConfigError: There are no such scenes, or what their positions mean cannot be found out.
     """
-    where, folder = places(scenes, out)
-    source = scene_source(where)
-    settings = settled_here(source, settings, workers)
-    weights = weights_fingerprint(settings.weights)
-    load_flow(settings.weights, settings.steps)  # what cannot be used is refused before anything is written
-    with folder.locked():
-        parts, inputs = source.parts(settings.scene_settings(), settings.scenes_per_shard)
-        inputs |= {"weights": weights}
-        shards = [SceneShard(content_id("correct", settings.shaping(), weights, p.content), p.scene_ids) for p in parts]
-        scene_ids = [scene_id for shard in shards for scene_id in shard.items]
-        fingerprint = content_id(inputs)
-        manifest = new_manifest(
-            "correct", source.name, fingerprint, inputs=inputs, settings=asdict(settings), num_scenes=len(scene_ids)
-        )
-        check_resume(folder, manifest, settings.shaping())
-        write_manifest(folder, manifest)
-        lost = [n for n in source.notices if n.code == "layout_missing"]
-        write_notices(folder, lost, [n for n in source.notices if n.code != "layout_missing"])
-        work = CorrectWork(where, folder.root if folder.is_local else out, settings, fingerprint)
-        run_missing(folder, manifest, shards, lambda _: CorrectWork.TABLES, work, workers, "correct", "scene")
-        ids = {shard.shard_id for shard in shards}
-        check_shards(folder, {t: ids | {OF_DATASET} if t in ("warnings", "failures") else ids for t in CorrectWork.TABLES})
-        carried = carry_assets(source, folder)
-        failed = count_items(folder, "scenes", "scene_id", [*scene_ids, *(n.item_id for n in lost)])
-        status = Counter(folder.table("corrections", ["status"])["status"].to_pylist())
-        counts = {**count_rows(folder, (*CorrectWork.TABLES, *carried)), "failed_scenes": failed, "by_status": dict(status)}
-        manifest |= {"status": "complete", "counts": counts}
-        write_manifest(folder, manifest)
-        if settings.write_dataset and isinstance(source, FolderSource) and folder.is_local:
-            write_dataset(source, folder)
-        if report:
-            write_correct_report(folder, manifest, source.store, settings.num_pictures)
-    return manifest
+
+    settings: S
+
+    def __init__(self, scenes: str, settings: S, workers: WorkerPool) -> None:
+        self.where = _absolute(scenes)
+        self.source: SceneSource = scene_source(self.where)
+        self.settings = _settled(self.source, settings, workers)
+        self.dataset = self.source.name
+
+    def finish(self, folder: RunFolder) -> dict[str, Any]:
+        """Carries the assets; writes the scenes in the format that they came in, where that was a folder's."""
+        carried = _carry_assets(self.source, folder)
+        if self.settings.write_dataset and isinstance(self.source, FolderSource) and folder.is_local:
+            write_dataset(self.source, folder)
+        return {table: folder.num_rows(table) for table in carried} | self.kinds(folder)
+
+    @abstractmethod
+    def kinds(self, folder: RunFolder) -> dict[str, Any]:
+        """How many scenes there are of each kind, for the manifest."""
 
 
-def places(scenes: str, out: str) -> tuple[str, RunFolder]:
-    """Where scenes are, as every worker can read it, and the run's folder.
+class CorrectJob(SceneJob[CorrectSettings]):
+    """Scenes become scenes that are exactly clean."""
+
+    name = "correct"
+
+    def __init__(self, scenes: str, settings: CorrectSettings, workers: WorkerPool) -> None:
+        super().__init__(scenes, settings, workers)
+        self.settings = self.settings.of_items(len(self.source.scene_ids))
+
+    @cached_property
+    def _read(self) -> tuple[list[SceneChunk], dict[str, str]]:
+        return self.source.parts(self.settings.scene_settings(), self.settings.scenes_per_shard)
+
+    @cached_property
+    def _weights(self) -> str:
+        load_flow(self.settings.weights, self.settings.steps)
+        return weights_fingerprint(self.settings.weights)
+
+    def inputs(self) -> dict[str, Any]:
+        """Content of the scenes, their meshes and the corrector's weights."""
+        return self._read[1] | {"weights": self._weights}
+
+    def about(self) -> dict[str, Any]:
+        """How many scenes there are."""
+        return {"num_scenes": len(self.source.scene_ids)}
+
+    def plan(self) -> Sequence[StepShards[Any]]:
+        """Scenes in shards."""
+        named = "correct", self.settings.shaping(), self._weights
+        shards = [Shard(content_id(*named, part.content), part.scene_ids) for part in self._read[0]]
+        return [StepShards(CorrectWork(self.where, self.settings, content_id(self.inputs())), shards)]
+
+    def expected(self) -> Sequence[ExpectedItems]:
+        """Every scene."""
+        ids = [*self.source.scene_ids, *(notice.item_id for notice in self.lost())]
+        return [ExpectedItems("scenes", "scene_id", ids, "failed_scenes")]
+
+    def lost(self) -> Sequence[Notice]:
+        """Scene folders without a layout."""
+        return [n for n in self.source.notices if n.code == "layout_missing"]
+
+    def odd(self) -> Sequence[Notice]:
+        """What the reader noticed of the dataset."""
+        return [n for n in self.source.notices if n.code != "layout_missing"]
+
+    def kinds(self, folder: RunFolder) -> dict[str, Any]:
+        """Corrections by status."""
+        return {"by_status": dict(Counter(folder.table("corrections", ["status"])["status"].to_pylist()))}
+
+    def report(self, folder: RunFolder, manifest: dict[str, Any]) -> None:
+        """Writes the report page."""
+        write_correct_report(folder, manifest, self.source.store, self.settings.num_pictures)
+
+
+def check_place(scenes: str, out: str) -> None:
+    """Refuses a run's folder that lies in the scenes that are read.
 
     Raises:
-        ConfigError: The folder lies in the scenes (``output_invalid``).
+        ConfigError: It does (``output_invalid``).
     """
-    where = scenes if "://" in scenes else str(Path(scenes).expanduser().resolve())
-    folder = RunFolder(out)
-    if "://" not in scenes and folder.is_local and Path(where) in (Path(folder.root), *Path(folder.root).parents):
+    folder, where = RunFolder(out), Path(_absolute(scenes))
+    if "://" not in scenes and folder.is_local and where in (Path(folder.root), *Path(folder.root).parents):
         raise ConfigError(f"{out}: lies in the scenes that are read, expected another folder", "output_invalid")
-    return where, folder
 
 
-def settled_here(source: SceneSource, settings: S, workers: WorkerPool) -> S:
+def _absolute(scenes: str) -> str:
+    return scenes if "://" in scenes else str(Path(scenes).expanduser().resolve())
+
+
+def _settled(source: SceneSource, settings: S, workers: WorkerPool) -> S:
     """The settings with ``auto`` replaced, by a process of its own where workers are: a mesh must not end the run's."""
     if settings.position_convention != "auto" or workers.are_this_process or isinstance(source, TableSource):
         return settings.settled(source)
@@ -117,14 +152,7 @@ def settled_here(source: SceneSource, settings: S, workers: WorkerPool) -> S:
     return settled
 
 
-def write_notices(folder: RunFolder, lost: Sequence[Notice], odd: Sequence[Notice]) -> None:
-    """Rows that belong to no shard: scene folders without a layout, and what is odd about the source as a whole."""
-    for table, found in (("failures", lost), ("warnings", odd)):
-        if OF_DATASET not in folder.shard_ids(table):
-            folder.write_shard(table, OF_DATASET, [schemas.notice_row(n) for n in found])
-
-
-def carry_assets(source: SceneSource, folder: RunFolder) -> list[str]:
+def _carry_assets(source: SceneSource, folder: RunFolder) -> list[str]:
     """Copies the tables of assets of a run, file by file, and gives their names; a dataset has none."""
     carried = []
     if isinstance(source, TableSource):
@@ -137,16 +165,6 @@ def carry_assets(source: SceneSource, folder: RunFolder) -> list[str]:
                 folder.write_bytes(f"{table}/{file}", content)
             carried += [table] if files else []
     return carried
-
-
-def describe_correction(scenes: str, settings: CorrectSettings) -> dict[str, Any]:
-    """What a run would do: settings and counts, for ``--dry-run``."""
-    source = scene_source(scenes if "://" in scenes else str(Path(scenes).expanduser().resolve()))
-    settings = settings.settled(source)
-    parts, inputs = source.parts(settings.scene_settings(), settings.scenes_per_shard)
-    inputs |= {"weights": weights_fingerprint(settings.weights)}
-    num_scenes = sum(len(part.scene_ids) for part in parts)
-    return {"settings": asdict(settings), "inputs": inputs, "num_shards": len(parts), "num_scenes": num_scenes}
 
 
 def write_dataset(source: FolderSource, folder: RunFolder) -> Path:

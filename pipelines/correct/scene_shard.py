@@ -3,11 +3,11 @@
 Each item is looked at alone, all that stand are asked about at once, each is finished alone; so a bad one costs no other.
 """
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Generic, Literal, TypeAlias, TypeVar
+from typing import Generic, Literal, TypeAlias, TypeVar
 
 from models.physics_corrector.certify import CertifyOptions, CorrectionStatus, DroppedObject
 from models.physics_corrector.correction import Correction
@@ -16,11 +16,9 @@ from models.physics_corrector.learned_flow import load_flow
 from pipelines.correct.settings import CorrectSettings
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import ProcessFailure, alone, limited
-from pipelines.execution.shard_job import Rows, rows_alone, rows_or_failure
+from pipelines.execution.shard_step import Rows, Shard, ShardResult, ShardStep, rows_alone, rows_or_failure
 from pipelines.sources.scenes import SceneSource, SourceScene
 from stable_data.errors import ConfigError, Notice
-from stable_data.storage import schemas
-from stable_data.storage.run_folder import RunFolder
 
 S = TypeVar("S", bound=CorrectSettings)
 I = TypeVar("I")  # noqa: E741 - an item
@@ -28,25 +26,6 @@ A = TypeVar("A")  # an answer
 X = TypeVar("X")
 
 WhenFull: TypeAlias = Literal["drop", "infeasible"]
-
-
-@dataclass(frozen=True, slots=True)
-class SceneShard(Generic[I]):
-    """Items that are done together.
-
-    Attributes:
-        shard_id: Content of its inputs and of the settings that shape it.
-        items: The items.
-    """
-
-    shard_id: str
-    items: tuple[I, ...]
-
-    def __len__(self) -> int:
-        return len(self.items)
-
-    def __str__(self) -> str:
-        return f"shard {self.shard_id} ({len(self.items)} items)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,27 +44,22 @@ class SceneWorkerState:
 
 
 @dataclass(frozen=True, slots=True)
-class SceneWork(ABC, Generic[S, I, A]):
+class SceneWork(ShardStep[I], Generic[S, I, A]):
     """The work of one shard; sent to the workers.
 
     Attributes:
-        TABLES: Of a shard, in the order in which they are put in place.
         scenes: Where the scenes are: an absolute path or a URI that every worker can read.
-        out: The run's folder, which every worker can write, likewise.
         settings: The job's settings.
         fingerprint: Content of the inputs: what a process keeps of one is not used for another in the same place.
     """
 
-    TABLES: ClassVar[tuple[str, ...]]
-
     scenes: str
-    out: str
     settings: S
     fingerprint: str = ""
 
-    def __call__(self, shard: SceneShard[I], *, isolated: bool = False) -> tuple[int, int]:
-        """Does the shard and puts its tables in place; gives its items and how many of them failed."""
-        rows: dict[str, list[schemas.Row]] = defaultdict(list)
+    def shard(self, shard: Shard[I], *, isolated: bool = False) -> ShardResult:
+        """Makes the rows of a shard."""
+        rows: Rows = defaultdict(list)
         usable = []
         for item in shard.items:
             failed = self._limited(self._look, item, self.item_id(item), isolated)
@@ -96,10 +70,7 @@ class SceneWork(ABC, Generic[S, I, A]):
             _add(rows, self._limited(self._finish, pair, self.item_id(pair[0]), isolated))
         if not isolated:  # else nothing was opened here
             self.opened().taken.clear()
-        out = RunFolder(self.out)
-        for table in self.TABLES:
-            out.write_shard(table, shard.shard_id, rows[table])
-        return len(shard), len(rows["failures"])
+        return ShardResult(rows)
 
     @abstractmethod
     def item_id(self, item: I) -> str:
@@ -198,6 +169,6 @@ def notices_of(done: Correction, scene_id: str) -> list[Notice]:
     return notices + ([] if done.audit is None else list(done.audit.notices))
 
 
-def _add(rows: dict[str, list[schemas.Row]], new: Rows) -> None:
+def _add(rows: Rows, new: Rows) -> None:
     for table, found in new.items():
         rows[table] += found

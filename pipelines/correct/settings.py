@@ -4,7 +4,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self, cast
 
-from models.settings import Count, Positive, PositiveCount, Settings
+from models.settings import Count, Positive, Settings
+from pipelines.execution.shard_size import shard_size
 from pipelines.preprocess.plan import ConventionChoice
 from pipelines.preprocess.scene import SceneSettings
 from pipelines.sources.scenes import SceneSource
@@ -54,8 +55,8 @@ class CorrectSettings(Settings):
     dataset.
     """
 
-    scenes_per_shard: PositiveCount = 32
-    """Scenes of a shard, where they come from a folder."""
+    scenes_per_shard: Count = 0
+    """Scenes of a shard, at most; 0 takes an eighth of all scenes, but at least 4 and at most 32."""
 
     write_dataset: bool = True
     """Whether corrected scenes of a folder are also written in the folder's format, beside the tables."""
@@ -84,6 +85,10 @@ class CorrectSettings(Settings):
         if settings.weights not in ("auto", "none"):
             settings = replace(settings, weights=str(Path(settings.weights).expanduser().resolve()))
         return settings
+
+    def of_items(self, count: int) -> Self:
+        """The same with as many items a shard as a number of items makes it."""
+        return replace(self, scenes_per_shard=self.scenes_per_shard or shard_size(count, parts=8, fewest=4, most=32))
 
     def fixed_in(self, scene: Scene) -> frozenset[str]:
         """The instances of a scene that must stay."""

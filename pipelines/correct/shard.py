@@ -13,7 +13,7 @@ from pipelines.correct.scene_shard import SceneWork, SceneWorkerState, corrector
 from pipelines.correct.settings import CorrectSettings
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import ProcessFailure
-from pipelines.execution.shard_job import Rows, rows_or_failure
+from pipelines.execution.shard_step import Rows, rows_or_failure
 from pipelines.sources.scenes import scene_source
 from stable_data.errors import ConfigError, Notice
 from stable_data.metrics.audit import PosedScene
@@ -28,6 +28,7 @@ class CorrectWork(SceneWork[CorrectSettings, str, FloatArray | None]):
     """The work of one shard: an item is a scene's id, and its answer where the flow puts its objects, (N, 4) float64."""
 
     TABLES: ClassVar = ("warnings", "failures", "corrections", "scenes")
+    UNIT: ClassVar = "scene"
 
     def item_id(self, item: str) -> str:
         """The scene's id."""

@@ -20,7 +20,7 @@ from pipelines.edit.assets import AssetFinder
 from pipelines.edit.settings import EditSettings
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import ProcessFailure
-from pipelines.execution.shard_job import Rows, engine_off, rows_or_failure
+from pipelines.execution.shard_step import Rows, engine_off, rows_or_failure
 from pipelines.sources.edits import EditRequest
 from pipelines.sources.scenes import SourceScene, scene_source
 from stable_data.content_id import content_id
@@ -53,6 +53,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
     """The work of one shard: an item is an edit, and its answer what its reply makes of the scene."""
 
     TABLES: ClassVar = ("warnings", "failures", "corrections", "edits", "scenes")
+    UNIT: ClassVar = "edit"
 
     def item_id(self, item: EditRequest) -> str:
         """The edit's id."""

@@ -11,7 +11,7 @@ from models.physics_corrector.correction import CertificationRequest, Correction
 from models.physics_corrector.corrector import PhysicsCorrector
 from models.semantic_reasoner.engines.incremental_batches import Conversation
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
-from pipelines.execution.shard_job import unexpected
+from pipelines.execution.shard_step import unexpected
 from stable_data.assets.assignment import AssignedLayout, assign_assets
 from stable_data.assets.retrieval import Retriever
 from stable_data.assets.store import AssetStore

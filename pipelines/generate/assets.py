@@ -3,18 +3,17 @@
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import ClassVar
 
 import pyarrow.compute as pc
 
-from pipelines.correct.scene_shard import SceneShard
 from pipelines.execution.item_progress import ItemProgress
-from pipelines.execution.ray_executor import limited
-from pipelines.execution.shard_job import Rows, rows_alone, rows_or_failure
+from pipelines.execution.shard_size import groups
+from pipelines.execution.shard_step import ItemStep, Rows, Shard
 from pipelines.generate.answers import NOT_OF_A_SCENE
 from pipelines.preprocess.asset import AssetSettings, AssetUse, preprocess_asset
-from pipelines.preprocess.plan import AssetUseCount, file_digest, groups
+from pipelines.preprocess.plan import AssetUseCount, file_digest
 from pipelines.sources.assets import AssetLibraries
 from stable_data.assets.store import AssetStore
 from stable_data.content_id import content_id
@@ -25,50 +24,44 @@ _PER_SHARD = 16
 
 
 @dataclass(frozen=True, slots=True)
-class CarryWork:
+class CarryWork(ItemStep[AssetUse]):
     """The rows of some assets; sent to the workers.
 
     Attributes:
-        TABLES: Of a shard, in the order in which they are put in place.
-        out: The run's folder, which every worker can write.
         places: Where assets are taken from, see :class:`~pipelines.sources.assets.AssetLibraries`.
         fingerprint: Content of the libraries.
         seconds: An asset that takes longer is given up.
     """
 
     TABLES: ClassVar = ("warnings", "failures", "meshes", "assets")
+    UNIT: ClassVar = "asset"
+    OF_THE_RUN: ClassVar = NOT_OF_A_SCENE
 
-    out: str
     places: tuple[str, ...]
     fingerprint: str
     seconds: float
 
-    def __call__(self, shard: SceneShard[AssetUse], *, isolated: bool = False) -> tuple[int, int]:
-        """Makes the rows of a shard and puts its tables in place; gives how many assets there are and how many failed."""
-        rows: dict[str, list[schemas.Row]] = defaultdict(list)
-        for use in shard.items:
-            if isolated:
-                made = rows_alone(self._rows, use, use.asset_id, seconds=self.seconds, prepare=partial(_opened, self))
-            else:
-                with limited(self.seconds):
-                    made = self._rows(use)
-            for table, found in made.items():
-                rows[table] += found
-        folder = RunFolder(self.out)
-        for table in self.TABLES:
-            folder.write_shard(table, shard.shard_id, rows[table])
-        return len(shard), len(rows["failures"])
+    @property
+    def seconds_per_item(self) -> float:
+        """As the settings say."""
+        return self.seconds
 
-    def _rows(self, use: AssetUse) -> Rows:
-        progress = ItemProgress("mesh")
-        return rows_or_failure(use.asset_id, progress, partial(self._made, use, progress), of_the_run=NOT_OF_A_SCENE)
+    def item_id(self, item: AssetUse) -> str:
+        """The asset's id."""
+        return item.asset_id
 
-    def _made(self, use: AssetUse, progress: ItemProgress) -> Rows:
+    def prepare(self, item: AssetUse) -> None:
+        """Opens the libraries."""
+        _opened(self)
+
+    def item_rows(self, item: AssetUse, progress: ItemProgress) -> Rows:
+        """Rows of one asset."""
+        progress.step = "mesh"
         shelf, store = _opened(self)
-        path = shelf.asset_path(use.asset_id)
+        path = shelf.asset_path(item.asset_id)
         if path is not None:
-            use = replace(use, mesh_sha256=file_digest(path))
-        made = preprocess_asset(use, shelf.annotation(use.asset_id), store, AssetSettings(), progress)
+            item = replace(item, mesh_sha256=file_digest(path))
+        made = preprocess_asset(item, shelf.annotation(item.asset_id), store, AssetSettings(), progress)
         return {"assets": [made.asset], "meshes": [made.mesh], "warnings": [schemas.notice_row(n) for n in made.notices]}
 
 
@@ -78,7 +71,7 @@ def _opened(work: CarryWork) -> tuple[AssetLibraries, AssetStore]:
     return shelf, AssetStore(shelf)
 
 
-def asset_shards(run: RunFolder, names: Sequence[str], fingerprint: str) -> list[SceneShard[AssetUse]]:
+def asset_shards(run: RunFolder, names: Sequence[str], fingerprint: str) -> list[Shard[AssetUse]]:
     """The assets that the scenes of a run use, in shards; one without any where no scene was made, so that the tables are there.
 
     Args:
@@ -97,4 +90,4 @@ def asset_shards(run: RunFolder, names: Sequence[str], fingerprint: str) -> list
     # Grids of signed distance are for training, which prepares its own.
     found = [AssetUse(a, "", use.typical_scale(), (), tuple(use.most_tilts())) for a, use in sorted(uses.items())]
     parts: list[Sequence[AssetUse]] = [*groups(found, _PER_SHARD)] or [()]
-    return [SceneShard(content_id("carry", fingerprint, [asdict(use) for use in part]), tuple(part)) for part in parts]
+    return [Shard(content_id("carry", fingerprint, [asdict(use) for use in part]), tuple(part)) for part in parts]

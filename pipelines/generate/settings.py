@@ -10,6 +10,7 @@ from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings
 from models.semantic_reasoner.text.prompt import WANTED, Wanted
 from models.settings import Count, NonNegative, Positive, PositiveCount, Settings
+from pipelines.execution.shard_size import shard_size
 from stable_data.assets.ranking import RetrievalSettings
 from stable_data.errors import ConfigError
 from stable_data.scene import Stage
@@ -125,7 +126,7 @@ class GenerateSettings(Settings):
 
     def of_tasks(self, count: int) -> "GenerateSettings":
         """The same with as many scenes a shard as a number of tasks makes it."""
-        return replace(self, scenes_per_shard=self.scenes_per_shard or min(_MOST, max(_FEWEST, -(-count // 4))))
+        return replace(self, scenes_per_shard=self.scenes_per_shard or shard_size(count, parts=4, fewest=_FEWEST, most=_MOST))
 
     def shaping(self) -> dict[str, Any]:
         """The settings that shape rows beside the reasoner's own: a run is resumed only under the same."""

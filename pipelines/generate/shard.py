@@ -7,6 +7,7 @@ given up in whatever process it runs.
 import json
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from time import perf_counter
@@ -28,12 +29,12 @@ from models.semantic_reasoner.language.required_objects import required
 from models.semantic_reasoner.language.stated_relations import relations_not_held
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import answer
-from pipelines.correct.scene_shard import SceneShard, dropped_notice, notices_of
-from pipelines.execution.engine_pool import PooledEngine
+from pipelines.correct.scene_shard import dropped_notice, notices_of
+from pipelines.execution.engine_pool import PooledEngine, engine_pool
 from pipelines.execution.item_progress import ItemProgress
-from pipelines.execution.progress_bar import ProgressReporter, ProgressTally
-from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, limited
-from pipelines.execution.shard_job import Rows, engine_off, rows_or_failure, unexpected
+from pipelines.execution.progress_bar import LocalTally, ProgressReporter, ProgressTally, SharedTally
+from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, connect, limited
+from pipelines.execution.shard_step import Rows, Shard, ShardResult, ShardStep, engine_off, rows_or_failure, unexpected
 from pipelines.generate.answers import NOT_OF_A_SCENE, LocalCertifier, LocalRequestHandler, failed_correction
 from pipelines.generate.settings import GenerateSettings
 from pipelines.sources.assets import AssetLibraries
@@ -55,7 +56,6 @@ from stable_data.scene import Relation, RelationKind, Scene
 from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.settling import SettleResult, settle
 from stable_data.storage import schemas
-from stable_data.storage.run_folder import RunFolder
 
 SOURCE = "generated"
 """The ``source`` of rows of ``scenes``."""
@@ -91,12 +91,10 @@ class GenerateWorkerState:
 
 
 @dataclass(frozen=True, slots=True)
-class GenerateWork:
+class GenerateWork(ShardStep[Task]):
     """The work of one shard; sent to the workers.
 
     Attributes:
-        TABLES: Of a shard, in the order in which they are put in place.
-        out: The run's folder, which every worker can write.
         assets: Where assets are taken from, see :class:`~pipelines.sources.assets.AssetLibraries`.
         settings: The job's settings.
         fingerprint: Content of the inputs: what a process keeps of one is not used for another in the same place.
@@ -105,16 +103,34 @@ class GenerateWork:
     """
 
     TABLES: ClassVar = ("warnings", "failures", "turns", "settled", "rejected", "scenes")
+    UNIT: ClassVar = "scene"
 
-    out: str
     assets: tuple[str, ...]
     settings: GenerateSettings
     fingerprint: str = ""
     pool: PooledEngine | None = field(default=None, compare=False)
     tally: ProgressTally | None = field(default=None, compare=False)
 
-    def __call__(self, shard: SceneShard[Task], *, isolated: bool = False) -> tuple[int, int]:
-        """Makes the scenes of a shard and puts its tables in place; gives how many there are and how many of them failed.
+    @contextmanager
+    def sharing(self, workers: WorkerPool) -> Iterator[tuple["GenerateWork", ProgressTally | None]]:
+        """Holds the engines, unless each process has its own, and the tally."""
+        if workers.are_this_process:
+            here = LocalTally()
+            yield replace(self, tally=here), here
+            return
+        started = connect(workers)
+        try:
+            pool, settings = None, self.settings
+            if settings.engines:
+                pool = engine_pool(settings.engine, settings.engines, settings.engine_gpus, may_grow=not started)
+            tally = SharedTally.started()
+            yield replace(self, pool=pool, tally=tally), tally
+        finally:
+            if started:
+                ray.shutdown()
+
+    def shard(self, shard: Shard[Task], *, isolated: bool = False) -> ShardResult:
+        """Makes the scenes of a shard.
 
         Raises:
             ConfigError: The engine answers nothing any more (``engine_off``).
@@ -125,27 +141,23 @@ class GenerateWork:
         ):
             return self._made(shard, apart if isolated else None, tell)
 
-    def _made(self, shard: SceneShard[Task], apart: IsolatedProcess | None, tell: ProgressReporter) -> tuple[int, int]:
+    def _made(self, shard: Shard[Task], apart: IsolatedProcess | None, tell: ProgressReporter) -> ShardResult:
         began, opened = perf_counter(), _opened(self)
         seconds = opened.answers.seconds
         seconds.update(dict.fromkeys(seconds, 0.0))
         opened.answers.certify = partial(self._certified, apart=apart)
         opened.answers.fault_of = lru_cache(maxsize=None)(partial(self._fault_of, apart=apart))
-        rows: dict[str, list[schemas.Row]] = defaultdict(list)
+        rows: Rows = defaultdict(list)
         tasks = list(self._tasks(shard, rows))
         for made in self._generated(tasks, opened, tell):
             if off := next((turn.proposal for turn in made.turns if turn.proposal.code in OFF), None):
                 raise engine_off(f"{made.task.scene_id}: {off.failure}")
             for table, found in self._rows(made).items():
                 rows[table] += found
-        folder = RunFolder(self.out)
         spent = {**seconds, "judge": perf_counter() - began - sum(seconds.values()), "scenes": len(shard)}
-        folder.write_bytes(f"{TIMING_FOLDER}/{shard.shard_id}.json", json.dumps(spent).encode())
-        for table in self.TABLES:
-            folder.write_shard(table, shard.shard_id, rows[table])
-        return len(shard), len(rows["failures"])
+        return ShardResult(rows, {f"{TIMING_FOLDER}/{shard.shard_id}.json": json.dumps(spent).encode()})
 
-    def _tasks(self, shard: SceneShard[Task], rows: dict[str, list[schemas.Row]]) -> Iterator[LayoutTask]:
+    def _tasks(self, shard: Shard[Task], rows: Rows) -> Iterator[LayoutTask]:
         """The tasks of a shard; one that cannot be drawn is a failure."""
         for task in shard.items:
             try:

@@ -6,16 +6,18 @@ the plan of the same dataset and settings is the same, whoever makes it.
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, cast
+from typing import Any, ClassVar, Literal, TypeAlias, cast
 
 import numpy as np
 from tqdm import tqdm
 
 import stable_data
 from models.settings import Count, Positive, PositiveCount, Settings, Share
+from pipelines.execution.shard_size import groups
+from pipelines.execution.shard_step import Shard
 from pipelines.preprocess.asset import AssetUse, TextFeature
 from pipelines.preprocess.features import FeatureUse, ShapeUse
 from pipelines.preprocess.scene import SceneSettings
@@ -29,8 +31,6 @@ from stable_data.storage import schemas
 
 ConventionChoice: TypeAlias = Literal["auto", "box_centre", "mesh_centre"]
 """A position convention, or ``auto``: the one that the dataset shows."""
-
-T = TypeVar("T")
 
 _MAX_SCALES = 1001  # of one asset that its typical scale is taken from
 _MAX_TILTS = 8
@@ -123,54 +123,29 @@ class PreprocessSettings(Settings):
 
 
 @dataclass(frozen=True, slots=True)
-class DatasetShard:
-    """Scenes, assets or features of assets that are done together.
-
-    Attributes:
-        shard_id: Content of its inputs and of the settings that shape it.
-        scenes: Scene ids; empty for a shard of assets.
-        assets: Assets with their use.
-        features: Assets with the shapes whose features are made.
-    """
-
-    shard_id: str
-    scenes: tuple[str, ...] = ()
-    assets: tuple[AssetUse, ...] = ()
-    features: tuple[FeatureUse, ...] = ()
-
-    def __len__(self) -> int:
-        return len(self.scenes) + len(self.assets) + len(self.features)
-
-    def __str__(self) -> str:
-        of = f"{len(self.scenes)} scenes, {len(self.assets)} assets, features of {len(self.features)}"
-        return f"shard {self.shard_id} ({of})"
-
-
-@dataclass(frozen=True, slots=True)
 class PreprocessPlan:
     """What a run has to do.
 
     Attributes:
-        shards: All shards, assets first.
-        encoder: Fingerprint of the encoder of the point features, or None: none are made.
+        assets: Shards of assets, with their use.
+        features: Shards of assets with the shapes whose features are made.
+        scenes: Shards of scene ids.
         inputs: Content of all inputs, by their kind.
         scene_ids: Scenes of the dataset, with those whose layout is missing.
         asset_ids: Assets that are processed.
         notices: What is odd about the dataset as a whole: scene folders without a layout (``layout_missing``, failures),
             assets that are wanted but have no mesh file (``glb_missing``), and what its reader noticed.
+        encoder: Fingerprint of the encoder of the point features, or None: none are made.
     """
 
-    shards: tuple[DatasetShard, ...]
+    assets: tuple[Shard[AssetUse], ...]
+    features: tuple[Shard[FeatureUse], ...]
+    scenes: tuple[Shard[str], ...]
     inputs: Mapping[str, str]
     scene_ids: tuple[str, ...]
     asset_ids: tuple[str, ...]
     notices: tuple[Notice, ...]
     encoder: str | None = None
-
-    @property
-    def fingerprint(self) -> str:
-        """Content of all inputs."""
-        return content_id(dict(self.inputs))
 
     def counts(self) -> dict[str, int]:
         """How much there is to do."""
@@ -178,7 +153,7 @@ class PreprocessPlan:
             "num_scenes": len(self.scene_ids),
             "num_assets": len(self.asset_ids),
             "num_assets_without_mesh": sum(n.code == "glb_missing" for n in self.notices),
-            "num_features": sum(len(use.shapes) for shard in self.shards for use in shard.features),
+            "num_features": sum(len(use.shapes) for shard in self.features for use in shard.items),
         }
 
 
@@ -265,24 +240,26 @@ def plan_run(dataset: MesaTaskDataset, settings: PreprocessSettings, encoder: st
     asset_shards = []
     for uses_of_shard in groups(asset_uses, settings.assets_per_shard):
         of_assets = [(asdict(u), content.annotations[u.asset_id], content.text_features.get(u.asset_id)) for u in uses_of_shard]
-        asset_shards.append(DatasetShard(content_id("assets", shaping, of_assets), assets=tuple(uses_of_shard)))
+        asset_shards.append(Shard(content_id("assets", shaping, of_assets), tuple(uses_of_shard)))
     feature_uses = [
         FeatureUse(a.asset_id, a.mesh_sha256, shapes)
         for a in asset_uses
         if (shapes := uses.get(a.asset_id, AssetUseCount()).shape_uses())
     ]
     feature_shards = [
-        DatasetShard(content_id("features", versions, encoder, [asdict(u) for u in of_shard]), features=tuple(of_shard))
+        Shard(content_id("features", versions, encoder, [asdict(u) for u in of_shard]), tuple(of_shard))
         for of_shard in (groups(feature_uses, settings.assets_per_shard) if encoder is not None else ())
     ]
     scene_shards = []
     for scenes in groups(list(dataset.scene_ids), settings.scenes_per_shard):
         used = sorted({a for scene_id in scenes for a in used_by_scene[scene_id]})
         of_scenes = [content.of_scene(s) for s in scenes], [content.of_asset(a) for a in used]
-        scene_shards.append(DatasetShard(content_id("scenes", shaping, dataset.root.name, *of_scenes), scenes=tuple(scenes)))
+        scene_shards.append(Shard(content_id("scenes", shaping, dataset.root.name, *of_scenes), tuple(scenes)))
     notices = (*dataset.notices, *(_without_mesh(a, a in uses) for a in wanted if a not in content.meshes))
     return PreprocessPlan(
-        (*asset_shards, *feature_shards, *scene_shards),
+        tuple(asset_shards),
+        tuple(feature_shards),
+        tuple(scene_shards),
         {kind: content_id(digests) for kind, digests in vars(content).items()}
         | {"folder": content_id(sorted((n.item_id, n.code) for n in notices))},
         (*dataset.scene_ids, *(n.item_id for n in notices if n.code == "layout_missing")),
@@ -338,11 +315,6 @@ def _without_mesh(asset_id: str, is_used: bool) -> Notice:
     consequence = "objects of it are kept as boxes" if is_used else "it is left out"
     message = f"{asset_id}: is {'used' if is_used else 'annotated'} but has no GLB in the library; {consequence}; add the file"
     return Notice(asset_id, "plan", "glb_missing", message)
-
-
-def groups(items: Sequence[T], size: int) -> Iterator[Sequence[T]]:
-    """Items in their order, so many at a time."""
-    return (items[start : start + size] for start in range(0, len(items), size))
 
 
 def file_digest(path: Path) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Protocol, TypeAlias
 
 from pipelines.execution.item_progress import ItemProgress
+from pipelines.execution.shard_size import groups
 from pipelines.preprocess.plan import PreprocessSettings, plan_run
 from pipelines.preprocess.scene import SceneSettings, origin_of, prepare_scene
 from stable_data.assets.catalog import AssetLibrary, library_of_run
@@ -73,6 +74,7 @@ class SceneSource(Protocol):
 
     name: str
     store: AssetStore
+    scene_ids: tuple[str, ...]
     notices: tuple[Notice, ...]
 
     def position_convention(self) -> PositionConvention:
@@ -114,6 +116,7 @@ class FolderSource:
         self.dataset = MesaTaskDataset(root)
         self.name = root.name
         self.store = AssetStore(self.dataset)
+        self.scene_ids = tuple(self.dataset.scene_ids)
         self.notices = self.dataset.notices
 
     def position_convention(self) -> PositionConvention:
@@ -128,7 +131,7 @@ class FolderSource:
                 all_assets=False, scenes_per_shard=scenes_per_part, position_convention=str(settings.position_convention)
             ),
         )
-        return [SceneChunk(s.shard_id, s.scenes) for s in plan.shards if s.scenes], dict(plan.inputs)
+        return [SceneChunk(shard.shard_id, shard.items) for shard in plan.scenes], dict(plan.inputs)
 
     def take(self, scene_id: str, settings: SceneSettings, progress: ItemProgress) -> SourceScene:
         """One scene: read, judged, tasked and staged as preprocess does, with supports and without relations."""
@@ -175,6 +178,7 @@ class TableSource:
         self._is_container = dict(zip(rows["asset_id"].to_pylist(), rows["is_container"].to_pylist(), strict=True))
         self._ids = _ids_by_file(self.folder)
         self._file_of = {scene_id: path for path, scene_ids in self._ids.items() for scene_id in scene_ids}
+        self.scene_ids = tuple(self._file_of)
         self._read: tuple[str, dict[str, schemas.Row]] = ("", {})
 
     def position_convention(self) -> PositionConvention:
@@ -182,16 +186,20 @@ class TableSource:
         return PositionConvention.BOX_CENTRE
 
     def parts(self, settings: SceneSettings, scenes_per_part: int) -> tuple[list[SceneChunk], dict[str, str]]:
-        """The scenes as the run has them: its files, which are named by their content, are the parts."""
+        """The scenes file by file, and those of large files cut; files are named by their content."""
         inputs = {table: content_id(sorted(self.folder.shard_ids(table))) for table in ("scenes", "meshes", "assets")}
         meshes = inputs["meshes"], inputs["assets"]
-        parts = [SceneChunk(content_id(Path(path).name, *meshes), ids) for path, ids in self._ids.items() if ids]
+        parts = []
+        for path, ids in self._ids.items():
+            for some in groups(ids, scenes_per_part):
+                named = (Path(path).name, *meshes) if len(ids) <= scenes_per_part else (Path(path).name, *meshes, some)
+                parts.append(SceneChunk(content_id(*named), tuple(some)))
         return parts, inputs
 
     def take(self, scene_id: str, settings: SceneSettings, progress: ItemProgress) -> SourceScene:
         """One scene as its row has it, judged anew."""
         progress.step = "read"
-        row = self._row(scene_id)
+        row = self.row(scene_id)
         scene = schemas.scene_from_row(row)
         progress.step = "mesh"
         scene, shapes, notices = self.store.resolved(scene)
@@ -208,7 +216,7 @@ class TableSource:
         """The table ``assets``."""
         return library_of_run(self.folder, self.name)
 
-    def _row(self, scene_id: str) -> schemas.Row:
+    def row(self, scene_id: str) -> schemas.Row:
         """A row of ``scenes``; the file that it is in is kept for the next one."""
         path = self._file_of[scene_id]
         if self._read[0] != path:

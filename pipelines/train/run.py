@@ -13,8 +13,8 @@ from tqdm import tqdm
 
 from models.training.distributed import ProcessContext
 from pipelines.execution.code_history import record_code, take_over_code, with_release
-from stable_data.config_diff import differences, flat
-from stable_data.errors import ConfigError
+from pipelines.execution.resume import former_manifest
+from stable_data.config_diff import refuse_changed
 from stable_data.storage.run_folder import RunFolder
 
 STATE = "checkpoint/state.pt"
@@ -151,24 +151,11 @@ def refuse_changes(folder: RunFolder, manifest: dict[str, Any], compared: Sequen
     Raises:
         ConfigError: Something differs, or the manifest there is none.
     """
-    content = folder.read_bytes("manifest.json")
-    if content is None:
+    was = former_manifest(folder)
+    if was is None:
         return
-    try:
-        was = dict(json.loads(content))
-        was_settings = dict(was.get("settings", {}))
-    except (ValueError, TypeError) as error:
-        raise ConfigError(
-            f"{folder.uri}/manifest.json: not a JSON object ({error}); is this the folder of a run?", "manifest_invalid"
-        ) from error
-    before, now = with_release(was), with_release(manifest)
-    changed = differences({k: before.get(k) for k in compared}, {k: now[k] for k in compared})
-    changed += differences(flat(was_settings), flat(manifest["settings"]))
-    if changed:
-        raise ConfigError(
-            f"{folder.uri}: was made with another configuration ({'; '.join(changed)}); choose a new folder or restore it",
-            "config_changed",
-        )
+    before, now = ({key: with_release(found).get(key) for key in compared} for found in (was, manifest))
+    refuse_changed(folder.uri, before | was["settings"], now | manifest["settings"])
     take_over_code(was, manifest)
     if was.get("status") != "complete":
         record_code(folder.uri, manifest)

@@ -14,6 +14,7 @@ from PIL import Image
 
 from stable_data import __version__
 from stable_data.assets.annotation import AssetAnnotation
+from stable_data.config_diff import refuse_changed
 from stable_data.embedded_world.drafting import KINDS
 from stable_data.embedded_world.edits import SceneEdit, make_edit
 from stable_data.embedded_world.families.catalogue import KEYS, LICENCE, asset, unit_cube
@@ -112,7 +113,8 @@ def open_world(out: Path, num_scenes: int, world: EmbeddedWorld) -> None:
         out.mkdir(parents=True, exist_ok=True)
         path = out / MANIFEST_FILE
         if path.is_file():
-            _compare(out, _read(path), wanted)
+            found = _read(path)
+            refuse_changed(str(out), {key: found.get(key) for key in wanted}, wanted)
         elif any(out.iterdir()):
             raise ConfigError(f"{out} contains other files (no {MANIFEST_FILE}), expected a new or empty folder", "not_a_world")
         else:
@@ -236,14 +238,6 @@ def _read(path: Path) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise ConfigError(f"{path} contains {type(found).__name__}, expected an object; choose another folder", "not_a_world")
     return found
-
-
-def _compare(out: Path, found: dict[str, Any], wanted: dict[str, Any]) -> None:
-    changes = [f"{key}: {found.get(key)!r} -> {value!r}" for key, value in wanted.items() if found.get(key) != value]
-    if changes:
-        raise ConfigError(
-            f"{out} was started with other settings ({'; '.join(changes)}); choose another folder", "config_changed"
-        )
 
 
 def _unwritable(out: Path, error: OSError) -> ConfigError:

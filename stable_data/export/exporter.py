@@ -11,6 +11,7 @@ from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.run_assets import run_annotations
 from stable_data.atomic_files import put_file
 from stable_data.code_version import code_version
+from stable_data.config_diff import refuse_changed
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, StableDataError, unwritable
 from stable_data.export.formats import ExportFormat, format_named
@@ -170,9 +171,4 @@ def _check_same(target: RunFolder, run: RunFolder, name: str, choice: SceneSelec
         was = dict(json.loads(content))
     except (ValueError, TypeError):
         was = {}
-    for key, now in settings.items():
-        if was.get(key) != now:
-            raise ConfigError(
-                f"{target.uri}: {key}: {was.get(key)} -> {now}, expected the settings that this export started with; choose a new folder",
-                "config_changed",
-            )
+    refuse_changed(target.uri, {key: was.get(key) for key in settings}, settings)

@@ -414,10 +414,13 @@ SCHEMAS["rejected"] = (
     )
     .append(_column("reason", _text, "reason for the rejection in one line"))
 )
-SCHEMAS = {
-    name: schema.with_metadata({"stable_data.table": name, "stable_data.version": str(TABLE_VERSION)})
-    for name, schema in SCHEMAS.items()
-}
+
+
+def _versioned(name: str, schema: pa.Schema) -> pa.Schema:
+    return schema.with_metadata({"stable_data.table": name, "stable_data.version": str(TABLE_VERSION)})
+
+
+SCHEMAS = {name: _versioned(name, schema) for name, schema in SCHEMAS.items()}
 """Name of a table -> its schema."""
 
 _PLACE = ("table_type", "table_size", "restricted_zone")
@@ -434,6 +437,21 @@ REQUIRED: dict[str, tuple[str, ...]] = {
     "meshes": ("asset_id", "glb", "sha256"),
 }
 """Name of a table -> the columns without which its rows say nothing. Any other column may be missing: it reads as null."""
+
+
+def add_table(name: str, schema: pa.Schema) -> None:
+    """Makes a table of a job of one's own known to this process.
+
+    Args:
+        name: Its name.
+        schema: Its columns.
+
+    Raises:
+        ConfigError: The name is that of another table (``table_known``).
+    """
+    added = _versioned(name, schema)
+    if not SCHEMAS.setdefault(name, added).equals(added):
+        raise ConfigError(f"table {name} has other columns, expected a name that no table has; choose another", "table_known")
 
 
 def arrow_table(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.Table:

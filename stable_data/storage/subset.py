@@ -8,6 +8,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from stable_data.code_version import code_version
+from stable_data.config_diff import refuse_changed
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.storage.filter_expression import parse_filter
@@ -128,11 +129,8 @@ def _former(target: RunFolder, manifest: dict[str, object]) -> dict[str, Any]:
         was = {} if content is None else dict(json.loads(content))
     except (ValueError, TypeError):
         was = {}
-    if any(was.get(key) != manifest[key] for key in ("job", "table_version", "input_fingerprint", "settings")):
-        raise ConfigError(
-            f"{target.uri}: contains another run or selection, expected an empty folder or this selection; choose a new folder",
-            "config_changed",
-        )
+    keys = ("job", "table_version", "input_fingerprint", "settings")
+    refuse_changed(target.uri, {key: was.get(key) for key in keys}, {key: manifest[key] for key in keys})
     if was.get("code_version") != manifest["code_version"] and not _is_whole(target, was):
         # Shards are cut, and so named, by the code: rows that are there would be written once more, cut elsewhere.
         raise ConfigError(

@@ -12,7 +12,7 @@ import pytest
 from models.semantic_reasoner.training.examples import edit_example_of
 from pipelines.edit.job import edit
 from pipelines.execution.ray_executor import WorkerPool
-from pipelines.preprocess.shard import preprocess
+from pipelines.preprocess.job import preprocess
 from stable_data.embedded_world.drafting import KINDS
 from stable_data.embedded_world.edit_table import edit_rows
 from stable_data.storage.schemas import Row

@@ -11,10 +11,10 @@ from typer.testing import CliRunner
 
 from pipelines.__main__ import app
 from pipelines.correct.job import correct
-from pipelines.correct.scene_shard import SceneShard
 from pipelines.correct.settings import CorrectSettings
 from pipelines.correct.shard import CorrectWork
 from pipelines.execution.ray_executor import WorkerPool
+from pipelines.execution.shard_step import Shard, ShardTask, ShardWriter
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset, write_scene
@@ -126,8 +126,8 @@ def test_ray_gives_the_same_bytes_as_this_process(broken: Path, corrected: Path,
 def test_an_item_in_a_process_of_its_own_gives_the_same_rows(broken: Path, corrected: Path, tmp_path: Path) -> None:
     manifest = json.loads((corrected / "manifest.json").read_text("utf-8"))
     ids = sorted(rows_of(corrected, "scenes"))[:2]
-    work = CorrectWork(str(broken), str(tmp_path), SMALL, manifest["input_fingerprint"])
-    work(SceneShard("0" * 16, tuple(ids)), isolated=True)
+    write = ShardWriter(str(tmp_path), (CorrectWork(str(broken), SMALL, manifest["input_fingerprint"]),))
+    write(ShardTask(0, Shard("0" * 16, tuple(ids))), isolated=True)
     whole = rows_of(corrected, "scenes")
     assert rows_of(tmp_path, "scenes") == {scene_id: whole[scene_id] for scene_id in ids}
 

@@ -19,10 +19,10 @@ import stable_data.storage.run_folder as shards
 from models.semantic_reasoner.editing import apply_edit, editing
 from models.semantic_reasoner.text.reply_json import LayoutReply, render_objects
 from pipelines.__main__ import app
-from pipelines.correct.scene_shard import SceneShard
 from pipelines.edit.assets import AssetFinder
 from pipelines.edit.job import edit
 from pipelines.edit.shard import EditWork
+from pipelines.execution.shard_step import Shard, ShardTask, ShardWriter
 from pipelines.sources.edits import EditRequest, read_edits
 from pipelines.sources.scenes import FolderSource
 from stable_data.errors import ConfigError
@@ -252,8 +252,8 @@ def test_ray_gives_the_same_bytes_as_this_process(dataset: Path, edits: Path, ed
 @pytest.mark.slow
 def test_an_edit_in_a_process_of_its_own_gives_the_same_rows(dataset: Path, edits: Path, edited: Path, tmp_path: Path) -> None:
     found = read_edits(edits, set(MesaTaskDataset(dataset).scene_ids))
-    work = EditWork(str(dataset), str(tmp_path), SMALL)
-    work(SceneShard("0" * 16, found.edits[:1]), isolated=True)
+    write = ShardWriter(str(tmp_path), (EditWork(str(dataset), SMALL),))
+    write(ShardTask(0, Shard("0" * 16, found.edits[:1])), isolated=True)
     edit_id = found.edits[0].edit_id
     for table, key in (("scenes", "scene_id"), ("edits", "edit_id")):
         assert rows_of(tmp_path, table, key) == {edit_id: rows_of(edited, table, key)[edit_id]}

@@ -8,7 +8,7 @@ import pytest
 
 from pipelines.execution import code_history
 from pipelines.execution.ray_executor import WorkerPool
-from pipelines.preprocess.shard import preprocess
+from pipelines.preprocess.job import preprocess
 from pipelines.train.run import refuse_changes
 from stable_data import __version__
 from stable_data.code_version import code_version

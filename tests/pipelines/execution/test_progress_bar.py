@@ -12,11 +12,11 @@ import ray
 
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.staged_layout import LayoutTask
-from pipelines.correct.scene_shard import SceneShard
 from pipelines.execution import progress_bar
 from pipelines.execution.engine_pool import engine_pool
 from pipelines.execution.progress_bar import LocalTally, ProgressBar, ProgressReporter, SharedTally, Where
 from pipelines.execution.ray_executor import WorkerPool
+from pipelines.execution.shard_step import Shard, ShardTask, ShardWriter
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import GenerateWork
@@ -179,7 +179,7 @@ def test_scenes_are_told_of_where_they_are(
 ) -> None:
     queues: list[dict[str, int]] = []
     monkeypatch.setattr(ProgressReporter, "__call__", lambda _, **where: queues.append(where))
-    GenerateWork(str(tmp_path), (str(dataset),), settings)(SceneShard("0" * 16, TASKS))
+    GenerateWork((str(dataset),), settings).shard(Shard("0" * 16, TASKS))
     assert [k for n, k in enumerate(queues) if k not in queues[:n]] == [
         {"propose": 2, "correct": 0, "judge": 0},
         {"propose": 1, "correct": 1, "judge": 0},
@@ -197,9 +197,10 @@ def test_a_shard_over_which_workers_died_reaches_nothing_that_workers_share(
 ) -> None:
     def done(out: str, isolated: bool) -> tuple[int, int]:
         pool = engine_pool(settings.engine, 1, 0.0, may_grow=False)
-        work = GenerateWork(str(tmp_path / out), (str(dataset),), settings, pool=pool, tally=SharedTally.started())
-        call = ray.remote(lambda work, shard, isolated: work(shard, isolated=isolated))
-        found: tuple[int, int] = ray.get(call.remote(work, SceneShard("0" * 16, TASKS), isolated))
+        work = GenerateWork((str(dataset),), settings, pool=pool, tally=SharedTally.started())
+        call = ray.remote(lambda write, task, isolated: write(task, isolated=isolated))
+        write, task = ShardWriter(str(tmp_path / out), (work,)), ShardTask(0, Shard("0" * 16, TASKS))
+        found: tuple[int, int] = ray.get(call.remote(write, task, isolated))
         return found
 
     assert done("alone", True) == done("together", False)

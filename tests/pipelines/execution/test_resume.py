@@ -14,9 +14,10 @@ import pytest
 
 from benchmarks.chaos import busy_workers
 from pipelines.execution.ray_executor import WorkerPool
-from pipelines.preprocess import shard as job
+from pipelines.preprocess import job
+from pipelines.preprocess.job import preprocess
 from pipelines.preprocess.plan import PreprocessSettings
-from pipelines.preprocess.shard import preprocess
+from pipelines.preprocess.shard import SceneStep
 from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import TABLE_VERSION
@@ -99,7 +100,7 @@ def test_an_older_table_is_refused(dataset: Path, clean_run: Path, tmp_path: Pat
 
 def test_a_table_that_lost_a_shard_gets_it_again(bare: Path, bare_run: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    for table in job.SCENE_TABLES:
+    for table in SceneStep.TABLES:
         shutil.copytree(bare_run, out)
         shard = next(iter(RunFolder(str(out)).shard_ids("scenes")))
         (out / table / f"part-{shard}.parquet").unlink()
@@ -146,7 +147,7 @@ def test_shards_of_another_run_are_refused(bare: Path, bare_run: Path, tmp_path:
 
 
 def test_a_scene_that_ends_nowhere_stops(bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(job.PreprocessShard, "item", lambda *_: {})
+    monkeypatch.setattr(SceneStep, "item", lambda *_: {})
     with pytest.raises(ConfigError, match=r"1 scenes such as \w+ are not exactly one row of scenes or failures"):
         preprocess(str(bare), str(tmp_path / "out"), SMALL, WorkerPool())
 

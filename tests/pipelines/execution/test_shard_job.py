@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from pipelines.execution.item_progress import ItemProgress
-from pipelines.execution.shard_job import OF_DATASET, Rows, count_items, rows_or_failure
+from pipelines.execution.resume import OF_DATASET, count_items
+from pipelines.execution.shard_step import Rows, rows_or_failure
 from pipelines.generate.answers import NOT_OF_A_SCENE
 from stable_data.errors import ConfigError, Notice
 from stable_data.storage.run_folder import RunFolder
@@ -59,7 +60,7 @@ def test_items_that_failed_are_counted(tmp_path: Path) -> None:
 def test_what_is_lost_of_the_input_as_a_whole_counts(tmp_path: Path) -> None:
     folder = run_of(tmp_path, ["a"], [])
     folder.write_shard("failures", OF_DATASET, [notice_row(Notice("b", "read", "lost", "b: is lost"))])
-    assert count_items(folder, "scenes", "scene_id", ["a", "b"]) == 1
+    assert count_items(folder, "scenes", "scene_id", ["a", "b"], with_lost=True) == 1
 
 
 def test_an_asset_that_failed_under_the_name_of_a_scene_is_no_failure_of_the_scene(tmp_path: Path) -> None:
@@ -74,7 +75,7 @@ def test_a_scene_that_is_lost_under_the_name_of_an_asset_is_no_failure_of_the_as
     folder.write_shard("assets", "1" * 16, [dict.fromkeys(SCHEMAS["assets"].names) | {"asset_id": "b"}])
     folder.write_shard("failures", OF_DATASET, [notice_row(Notice("b", "read", "layout_missing", "b: is lost"))])
     assert count_items(folder, "assets", "asset_id", ["b"]) == 0
-    assert count_items(folder, "scenes", "scene_id", ["a", "b"]) == 1
+    assert count_items(folder, "scenes", "scene_id", ["a", "b"], with_lost=True) == 1
 
 
 @pytest.mark.parametrize(

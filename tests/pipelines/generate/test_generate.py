@@ -16,7 +16,9 @@ from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import WANTED
 from pipelines.__main__ import app
 from pipelines.execution.ray_executor import WorkerPool
-from pipelines.generate.job import describe_generation, generate
+from pipelines.execution.shard_job import describe
+from pipelines.execution.shard_step import Shard, ShardTask, ShardWriter
+from pipelines.generate.job import GenerateJob, generate
 from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import GenerateWork
 from pipelines.settings import resolve
@@ -380,11 +382,9 @@ def test_shared_engines_that_cannot_be_loaded_are_said_in_one_line(dataset: Path
 def test_a_shard_over_which_workers_died_gives_the_same_rows(
     dataset: Path, settings: GenerateSettings, made: Path, tmp_path: Path
 ) -> None:
-    from pipelines.correct.scene_shard import SceneShard
-
     for isolated in (False, True):
-        work = GenerateWork(str(tmp_path / str(isolated)), (str(dataset),), settings)
-        assert work(SceneShard("0" * 16, tuple(MIXED.tasks[:2])), isolated=isolated) == (2, 1)
+        write = ShardWriter(str(tmp_path / str(isolated)), (GenerateWork((str(dataset),), settings),))
+        assert write(ShardTask(0, Shard("0" * 16, tuple(MIXED.tasks[:2]))), isolated=isolated) == (2, 1)
     assert content(tmp_path / "True") == content(tmp_path / "False")
 
 
@@ -441,7 +441,7 @@ def test_what_a_run_chose_by_itself_can_be_named_when_it_goes_on(
     was = content(out)
     generate(MIXED, str(out), of_sixteen, ALONE, [str(dataset)], report=False)
     assert content(out) == was
-    plans = [describe_generation(MIXED, each, [str(dataset)]) for each in (by_itself, of_sixteen)]
+    plans = [describe(GenerateJob(MIXED, each, [str(dataset)])) for each in (by_itself, of_sixteen)]
     assert plans[0] == plans[1]
     assert plans[0]["num_shards"] == 1
 
@@ -454,7 +454,7 @@ def test_settings_of_all_parts_are_settings_of_the_job(dataset: Path, tmp_path: 
     found = resolve(GenerateSettings, "generate", file, ["retrieval.top_k_text=20", "engine.http.tries=3", "reasoner.tries=2"])
     assert found.retrieval == RetrievalSettings(licences=frozenset({"CC0"}), top_k_text=20)
     assert (found.schedule, found.engine.sampling.top_k, found.engine.http.tries, found.reasoner.tries) == ("whole", 7, 3, 2)
-    plan = json.loads(json.dumps(describe_generation(tasks("Lift it."), found, [str(dataset)])))
+    plan = json.loads(json.dumps(describe(GenerateJob(tasks("Lift it."), found, [str(dataset)]))))
     assert plan["settings"]["retrieval"]["licences"] == ["CC0"]
     for wrong in ("retrieval.licences=CC0", "retrieval.top_k_text=many", "engine.engine=gpt", "scenes_per_shard=-1"):
         with pytest.raises(ConfigError):

@@ -17,8 +17,8 @@ from models.point_encoder import save as save_encoder
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import WANTED
-from pipelines.correct.scene_shard import SceneShard
 from pipelines.execution.ray_executor import WorkerPool
+from pipelines.execution.shard_step import Shard, ShardTask, ShardWriter
 from pipelines.generate import answers, shard
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
@@ -92,8 +92,8 @@ def test_an_asset_that_ends_whoever_reads_it_is_passed_over_where_workers_died(
     script.write_text(json.dumps(one_thing_a_stage(chosen)))
     monkeypatch.setenv(HOSTILE, chosen[0].asset_id)
     settings = replace(PLAIN, engine=EngineSettings(f"scripted:{script}"))
-    work = HostileWork(str(tmp_path / "out"), (str(dataset),), settings)
-    assert work(SceneShard("0" * 16, tuple(FOUR.tasks[:2])), isolated=True)[0] == 2
+    write = ShardWriter(str(tmp_path / "out"), (HostileWork((str(dataset),), settings),))
+    assert write(ShardTask(0, Shard("0" * 16, tuple(FOUR.tasks[:2]))), isolated=True)[0] == 2
     run = RunFolder(str(tmp_path / "out"))
     told = [row["message"] for table in ("warnings", "failures") for row in run.table(table).to_pylist()]
     assert sum(f"asset {chosen[0].asset_id}: reading it crashed" in message for message in told) == 2

@@ -16,9 +16,10 @@ from models.point_encoder import PointCloud, Preprocessing, load, save
 from models.point_encoder.cloud import MODELNET
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import WorkerPool
+from pipelines.execution.shard_job import describe
 from pipelines.preprocess.features import FeatureUse, ShapeUse, encoder_of, feature_rows, fingerprint_of
+from pipelines.preprocess.job import PreprocessJob, preprocess
 from pipelines.preprocess.plan import PreprocessSettings, plan_run
-from pipelines.preprocess.shard import describe_plan, preprocess
 from stable_data.assets.point_features import PointFeatures, feature_key, read_features
 from stable_data.assets.store import AssetStore, aspect_of, aspect_steps
 from stable_data.embedded_world.modelling.family import LAID
@@ -120,7 +121,7 @@ def test_another_encoder_is_refused(tiny: Path, with_features: PreprocessSetting
             preprocess(str(tiny), str(run), replace(with_features, features=features), WorkerPool())
     dataset = MesaTaskDataset(tiny)
     shards = [
-        {shard.shard_id for shard in plan_run(dataset, with_features, fingerprint).shards if shard.features}
+        {shard.shard_id for shard in plan_run(dataset, with_features, fingerprint).features}
         for fingerprint in (was, fingerprint_of(str(other)), None)
     ]
     assert shards[0]
@@ -186,12 +187,12 @@ def test_an_encoder_that_cannot_be_used_stops_the_run(bare: Path, tmp_path: Path
     with pytest.raises(ConfigError, match=message):
         preprocess(str(bare), str(tmp_path), replace(SMALL, features=features), WorkerPool())
     with pytest.raises(ConfigError, match=message):
-        describe_plan(str(bare), replace(SMALL, features=features))
+        describe(PreprocessJob(str(bare), replace(SMALL, features=features), WorkerPool()))
 
 
 def test_without_features_torch_is_not_loaded(bare: Path, tmp_path: Path) -> None:
     code = (
-        "import sys; from pipelines.preprocess.shard import preprocess; from pipelines.execution.ray_executor import WorkerPool; "
+        "import sys; from pipelines.preprocess.job import preprocess; from pipelines.execution.ray_executor import WorkerPool; "
         "from tests.pipelines.runs import SMALL; "
         f"preprocess({str(bare)!r}, {str(tmp_path)!r}, SMALL, WorkerPool(), report=False); print('torch' in sys.modules)"
     )

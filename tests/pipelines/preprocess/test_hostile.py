@@ -8,9 +8,11 @@ from typing import Any
 import pytest
 
 from pipelines.execution.ray_executor import ProcessFailure, WorkerPool
-from pipelines.preprocess import shard as job
-from pipelines.preprocess.plan import DatasetShard, PreprocessSettings
-from pipelines.preprocess.shard import PreprocessShard, preprocess
+from pipelines.execution.shard_step import Shard
+from pipelines.preprocess import job
+from pipelines.preprocess.job import preprocess
+from pipelines.preprocess.plan import PreprocessSettings
+from pipelines.preprocess.shard import SceneStep
 from stable_data.errors import ConfigError
 from stable_data.geometry.gltf_reader import load_glb
 from stable_data.mesatask import MesaTaskDataset
@@ -103,13 +105,10 @@ def test_a_check_of_positions_that_dies_stops_with_what_to_set(
 @pytest.mark.parametrize(
     ("loss", "message"), [(ProcessFailure.CRASHED, "is the file hostile"), (ProcessFailure.TIMED_OUT, "took over 600 s")]
 )
-def test_how_a_process_ended_is_the_reason(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loss: ProcessFailure, message: str
-) -> None:
-    monkeypatch.setattr("pipelines.execution.shard_job.alone", lambda *_, seconds, prepare: loss)
-    work = PreprocessShard("nowhere", str(tmp_path), PreprocessSettings())
-    work(DatasetShard("0" * 16, scenes=("office_table_0001",)), isolated=True)
-    [row] = RunFolder(str(tmp_path)).table("failures").to_pylist()
+def test_how_a_process_ended_is_the_reason(monkeypatch: pytest.MonkeyPatch, loss: ProcessFailure, message: str) -> None:
+    monkeypatch.setattr("pipelines.execution.shard_step.alone", lambda *_, seconds, prepare: loss)
+    step = SceneStep("nowhere", PreprocessSettings())
+    [row] = step.shard(Shard("0" * 16, ("office_table_0001",)), isolated=True).rows["failures"]
     assert (row["id"], row["code"]) == ("office_table_0001", str(loss))
     assert message in row["message"]
 

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipelines.preprocess.plan import DatasetShard, PreprocessPlan, PreprocessSettings, plan_run
+from pipelines.execution.shard_step import Shard
+from pipelines.preprocess.asset import AssetUse
+from pipelines.preprocess.plan import PreprocessPlan, PreprocessSettings, plan_run
 from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset, write_text_features
 from stable_data.scene import QuatXyzw
@@ -30,12 +32,12 @@ def plan(root: Path, settings: PreprocessSettings = ONE_EACH) -> PreprocessPlan:
     return plan_run(MesaTaskDataset(root), settings)
 
 
-def asset_shards(planned: PreprocessPlan) -> dict[str, DatasetShard]:
-    return {shard.assets[0].asset_id: shard for shard in planned.shards if shard.assets}
+def asset_shards(planned: PreprocessPlan) -> dict[str, Shard[AssetUse]]:
+    return {shard.items[0].asset_id: shard for shard in planned.assets}
 
 
 def scene_ids(planned: PreprocessPlan) -> list[str]:
-    return [shard.shard_id for shard in planned.shards if shard.scenes]
+    return [shard.shard_id for shard in planned.scenes]
 
 
 def annotate(root: Path, change: Callable[[str, Any], Any]) -> None:
@@ -89,8 +91,8 @@ def test_folders_without_a_layout_are_scenes_of_the_plan(root: Path) -> None:
     (next(root.glob("Layout_info/*")) / "empty").mkdir()
     after = plan(root)
     assert after.scene_ids == (*before.scene_ids, "empty")
-    assert after.fingerprint != before.fingerprint
-    assert after.shards == before.shards
+    assert after.inputs != before.inputs
+    assert (after.assets, after.scenes) == (before.assets, before.scenes)
 
 
 def turn(root: Path, index: int, tilt: QuatXyzw) -> None:
@@ -107,7 +109,7 @@ def test_tilts_are_unit_and_those_within_a_degree_count_as_one(root: Path) -> No
     turn(root, 0, exact)
     turn(root, 1, (-math.sin(math.pi / 8 + 1e-3), 0.0, 0.0, -math.cos(math.pi / 8 + 1e-3)))
     [shard] = asset_shards(plan(root)).values()
-    tilts = dict(shard.assets[0].tilts)
+    tilts = dict(shard.items[0].tilts)
     assert tilts[min(tilts, key=lambda tilt: math.dist(tilt, exact))] == 2
     assert min(math.dist(tilt, exact) for tilt in tilts) < 1e-9
     for tilt in tilts:

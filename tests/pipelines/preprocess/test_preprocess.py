@@ -16,8 +16,9 @@ from typer.testing import CliRunner
 
 from pipelines.__main__ import app
 from pipelines.execution.ray_executor import WorkerPool
+from pipelines.preprocess.job import preprocess
 from pipelines.preprocess.plan import PreprocessSettings
-from pipelines.preprocess.shard import TABLES, preprocess
+from pipelines.preprocess.shard import AssetStep, SceneStep
 from stable_data.assets.catalog import library_of_run
 from stable_data.assets.store import AssetStore
 from stable_data.geometry.gltf_writer import write_glb
@@ -134,7 +135,7 @@ def test_a_run_into_an_object_store_gives_the_same_rows(tiny: Path, tiny_run: Pa
     with object_store() as uri:
         preprocess(str(tiny), uri, SMALL, WorkerPool())
         stored, local = RunFolder(uri), RunFolder(str(tiny_run))
-        for table in TABLES:
+        for table in {*AssetStep.TABLES, *SceneStep.TABLES}:
             assert stored.table(table).equals(local.table(table)), table
         assert stored.read_bytes("report/index.html") is not None
         preprocess(str(tiny), uri, SMALL, WorkerPool())  # resumes: nothing to do

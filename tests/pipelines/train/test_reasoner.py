@@ -27,7 +27,7 @@ from models.semantic_reasoner.training.settings import LoraSettings, ReasonerTra
 from models.semantic_reasoner.training.token_dataset import KINDS
 from pipelines.__main__ import app
 from pipelines.execution.ray_executor import WorkerPool
-from pipelines.preprocess.shard import preprocess
+from pipelines.preprocess.job import preprocess
 from pipelines.settings import SECTIONS
 from pipelines.train.estimate import plan_of
 from pipelines.train.reasoner import ReasonerMonitoring, ReasonerTrainingJob

@@ -8,8 +8,8 @@ from models.semantic_reasoner.text.prompt import ANY_TABLE, ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import parse_reply
 from models.semantic_reasoner.training.examples import TrainingExample, example_of, with_whole
 from pipelines.execution.ray_executor import WorkerPool
+from pipelines.preprocess.job import preprocess
 from pipelines.preprocess.plan import PreprocessSettings
-from pipelines.preprocess.shard import preprocess
 from stable_data.errors import SceneError
 from stable_data.scene import Stage
 from stable_data.storage.row_groups import rows_from_table

@@ -1,0 +1,127 @@
+"""Preprocess: a folder of scenes in the MesaTask-10K format becomes staged, geometry-complete tables."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, alone
+from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
+from pipelines.execution.shard_step import Shard, StepShards
+from pipelines.preprocess.features import AUTO, NONE, fingerprint_of
+from pipelines.preprocess.plan import PreprocessPlan, PreprocessSettings, plan_run
+from pipelines.preprocess.report import write_report
+from pipelines.preprocess.shard import AssetStep, FeatureStep, SceneStep, task_writer
+from stable_data.assets.store import AssetStore
+from stable_data.content_id import content_id
+from stable_data.errors import ConfigError, Notice
+from stable_data.mesatask import MesaTaskDataset
+from stable_data.storage.run_folder import RunFolder
+
+T = TypeVar("T")
+
+
+def preprocess(
+    data: str, out: str, settings: PreprocessSettings, workers: WorkerPool, *, report: bool = True
+) -> dict[str, Any]:
+    """Runs the job, or what is missing of it; see :func:`pipelines.execution.shard_job.run_job`."""
+    return run_job(PreprocessJob(data, settings, workers), out, workers, report=report)
+
+
+class PreprocessJob(ShardJob):
+    """A folder of scenes becomes staged, geometry-complete tables.
+
+    Args:
+        data: Root of a dataset in the MesaTask-10K format; every node of a cluster must see it in this place.
+        settings: What shapes the rows.
+        workers: Who runs the shards.
+
+    Raises:
+        ConfigError: It is no dataset, what its positions mean cannot be found out, or the writer of tasks is not there.
+    """
+
+    ADDED = ("encoder",)
+
+    name = "preprocess"
+    settings: PreprocessSettings
+
+    def __init__(self, data: str, settings: PreprocessSettings, workers: WorkerPool) -> None:
+        self.source = MesaTaskDataset(_absolute(data))
+        self.dataset = self.source.root.name
+        self.settings = _settled(self.source, settings, workers)
+        self._placed = replace(
+            self.settings, task_cache=str(_absolute(settings.task_cache)), features=_placed(settings.features)
+        )
+        task_writer(self._placed)
+
+    @cached_property
+    def _plan(self) -> PreprocessPlan:
+        return plan_run(self.source, self.settings, fingerprint_of(self._placed.features))
+
+    def inputs(self) -> dict[str, Any]:
+        """Content of the dataset by its kind."""
+        return dict(self._plan.inputs)
+
+    def about(self) -> dict[str, Any]:
+        """The encoder, and how much there is."""
+        return {"encoder": self._plan.encoder, **self._plan.counts()}
+
+    def plan(self) -> Sequence[StepShards[Any]]:
+        """Assets, their point features, and scenes; where there are no assets, empty shards, so that the tables are there."""
+        found, of_step = self._plan, (str(self.source.root), self._placed, content_id(self.inputs()))
+        features = FeatureStep(*of_step, found.encoder or "")
+        return [
+            StepShards(AssetStep(*of_step), _or_empty(found.assets)),
+            StepShards(features, () if found.encoder is None else _or_empty(found.features)),
+            StepShards(SceneStep(*of_step), found.scenes),
+        ]
+
+    def expected(self) -> Sequence[ExpectedItems]:
+        """Every scene, and every asset with a mesh."""
+        return [
+            ExpectedItems("scenes", "scene_id", self._plan.scene_ids, "failed_scenes"),
+            ExpectedItems("assets", "asset_id", self._plan.asset_ids, "failed_assets", with_lost=False),
+        ]
+
+    def lost(self) -> Sequence[Notice]:
+        """Scene folders without a layout."""
+        return [n for n in self._plan.notices if n.code == "layout_missing"]
+
+    def odd(self) -> Sequence[Notice]:
+        """What else is odd about the dataset."""
+        return [n for n in self._plan.notices if n.code != "layout_missing"]
+
+    def report(self, folder: RunFolder, manifest: dict[str, Any]) -> None:
+        """Writes the report page."""
+        write_report(folder, manifest, AssetStore(self.source), self.settings.num_pictures)
+
+
+def _or_empty(shards: Sequence[Shard[T]]) -> Sequence[Shard[T]]:
+    return shards or (Shard(content_id("no assets"), ()),)
+
+
+def _absolute(path: str) -> Path:
+    return Path(path).expanduser().resolve()
+
+
+def _placed(features: str) -> str:
+    """The setting ``features`` with its file as an absolute path, for workers have folders of their own."""
+    if features in (AUTO, NONE):
+        return features
+    kind, colon, file = features.rpartition(":")
+    return f"{kind}{colon}{_absolute(file)}"
+
+
+def _settled(dataset: MesaTaskDataset, settings: PreprocessSettings, workers: WorkerPool) -> PreprocessSettings:
+    """The settings with ``auto`` replaced, by a process of its own where workers are: a mesh must not end the run's."""
+    if settings.position_convention != "auto" or workers.are_this_process:
+        return settings.settled(dataset)
+    settled = alone(settings.settled, dataset, seconds=64 * settings.seconds_per_item)
+    if isinstance(settled, ProcessFailure):
+        raise ConfigError(
+            f"{dataset.root}: the check of what positions mean {str(settled).replace('_', ' ')} over a layout or mesh; "
+            "set position_convention to box_centre or mesh_centre",
+            "convention_unknown",
+        )
+    return settled
