@@ -84,8 +84,9 @@ class CorrectJob(SceneJob[CorrectSettings]):
 
     @cached_property
     def _weights(self) -> str:
+        fingerprint = weights_fingerprint(self.settings.weights)
         load_flow(self.settings.weights, self.settings.steps)
-        return weights_fingerprint(self.settings.weights)
+        return fingerprint
 
     def inputs(self) -> dict[str, Any]:
         """Content of the scenes, their meshes and the corrector's weights."""

@@ -53,8 +53,9 @@ class EditJob(SceneJob[EditSettings]):
 
     @cached_property
     def _inputs(self) -> dict[str, Any]:
-        settings = self.settings
+        settings, weights = self.settings, NONE
         if settings.correct:
+            weights = weights_fingerprint(settings.weights)
             load_flow(settings.weights, settings.steps)
         _, of_scenes = self.source.parts(settings.scene_settings(), settings.scenes_per_shard)
         asked = [asdict(edit) for edit in self.found.edits], [asdict(notice) for notice in self.found.failures]
@@ -62,7 +63,7 @@ class EditJob(SceneJob[EditSettings]):
         if isinstance(self.source, FolderSource):  # assets that no scene uses yet may be put into one
             path = self.source.dataset.root / ANNOTATION_FILE
             inputs |= {"library": content_id(path.read_text("utf-8") if path.is_file() else "")}
-        inputs |= {"weights": weights_fingerprint(settings.weights) if settings.correct else NONE}
+        inputs |= {"weights": weights}
         return inputs | (flat(shaping_of_proposals(settings.engine, settings.reasoner), "reasoner.") if self._asks else {})
 
     @property

@@ -131,9 +131,9 @@ def run_job(job: ShardJob, out: str, workers: WorkerPool, *, report: bool = True
     Raises:
         ConfigError: The run cannot start or go on; what is in place stays.
     """
-    folder = RunFolder(out)
+    folder, inputs = RunFolder(out), job.inputs()  # what cannot be used is refused before anything is written
     with folder.locked():
-        manifest = new_manifest(job.name, job.dataset, job.inputs(), settings=_settings(job), work=[], **job.about())
+        manifest = new_manifest(job.name, job.dataset, inputs, settings=_settings(job), work=[], **job.about())
         check_resume(folder, manifest, job.settings.shaping(), may_be_added=job.ADDED)
         write_manifest(folder, manifest)
         _write_notices(folder, job)

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipelines.execution.ray_executor import WorkerPool
+from pipelines.execution.shard_size import groups
+from pipelines.execution.shard_step import Shard
 from stable_data.embedded_world.world import EmbeddedWorld, close_world, open_world, write_scenes
 from stable_data.errors import SceneError
 
@@ -15,19 +17,10 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
-class SceneRange:
-    """Scenes that are made together: ``first`` and those up to before ``end``."""
+class SceneWriter:
+    """Writes shards of scenes; sent to the workers.
 
-    first: int
-    end: int
-
-    def __str__(self) -> str:
-        return f"scenes {self.first} to {self.end - 1}"
-
-
-@dataclass(frozen=True, slots=True)
-class WriteShard:
-    """The work of a shard.
+    Its rows are folders in the MesaTask-10K format, each whole or not there, so there is no table that tells what is missing.
 
     Attributes:
         out: The folder, as every worker sees it.
@@ -37,10 +30,9 @@ class WriteShard:
     out: str
     world: EmbeddedWorld
 
-    def __call__(self, shard: SceneRange, *, isolated: bool = False) -> tuple[int, list[SceneError]]:
+    def __call__(self, shard: Shard[int], *, isolated: bool = False) -> tuple[int, list[SceneError]]:
         """Writes the scenes of a shard that are missing; gives their number and those that could not be made."""
-        failures = write_scenes(Path(self.out), range(shard.first, shard.end), self.world)
-        return shard.end - shard.first, failures
+        return len(shard), write_scenes(Path(self.out), shard.items, self.world)
 
 
 def synth(
@@ -62,9 +54,9 @@ def synth(
         ConfigError: As for :func:`stable_data.embedded_world.world.write_world`, or Ray cannot be reached.
     """
     open_world(out, num_scenes, world)
-    shards = [SceneRange(k, min(k + _SCENES_PER_SHARD, num_scenes)) for k in range(0, num_scenes, _SCENES_PER_SHARD)]
+    shards = [Shard(f"from {part[0]}", tuple(part)) for part in groups(range(num_scenes), _SCENES_PER_SHARD)]
     done, failures = 0, []
-    for count, failed in workers.run(WriteShard(str(out.resolve()), world), shards):
+    for count, failed in workers.run(SceneWriter(str(out.resolve()), world), shards):
         done += count
         failures += failed
         if progress is not None:
