@@ -5,10 +5,11 @@ from functools import cached_property
 
 import pyarrow as pa
 
+from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
 from pipelines.execution.shard_size import groups
-from pipelines.execution.shard_step import ItemProgress, ItemStep, Rows, Shard, StepShards
+from pipelines.execution.shard_step import ItemStep, Rows, Shard, StepShards
 from pipelines.sources.scenes import TableSource
 from stable_data.content_id import content_id
 from stable_data.errors import SceneError

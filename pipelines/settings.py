@@ -151,7 +151,8 @@ def settings_text(settings: Iterable[Setting]) -> str:
 
 def _listed(settings: Any, prefix: str) -> Iterator[Setting]:
     nested = []
-    texts = meanings(type(settings))
+    kind: Any = type(settings)
+    texts = meanings(kind)
     for field in fields(settings):
         value = getattr(settings, field.name)
         if is_dataclass(value):

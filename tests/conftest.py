@@ -61,7 +61,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def clean_run(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of preprocess over ``dataset``. Likewise."""
     from pipelines.execution.ray_executor import WorkerPool
-    from pipelines.preprocess.shard import preprocess
+    from pipelines.preprocess.job import preprocess
     from tests.pipelines.runs import SMALL
 
     out = tmp_path_factory.mktemp("run") / "out"

@@ -6,11 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, cast
 
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.shard_size import groups
-from pipelines.preprocess.plan import PreprocessSettings, plan_run
+from pipelines.preprocess.plan import ConventionChoice, PreprocessSettings, plan_run
 from pipelines.preprocess.scene import SceneSettings, origin_of, prepare_scene
 from stable_data.assets.catalog import AssetLibrary, library_of_run
 from stable_data.assets.run_assets import RunAssets
@@ -128,7 +128,9 @@ class FolderSource:
         plan = plan_run(
             self.dataset,
             PreprocessSettings(
-                all_assets=False, scenes_per_shard=scenes_per_part, position_convention=str(settings.position_convention)
+                all_assets=False,
+                scenes_per_shard=scenes_per_part,
+                position_convention=cast(ConventionChoice, str(settings.position_convention)),
             ),
         )
         return [SceneChunk(shard.shard_id, shard.items) for shard in plan.scenes], dict(plan.inputs)

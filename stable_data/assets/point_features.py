@@ -61,7 +61,8 @@ class PointFeatures:
             raise ConfigError(
                 f"{message}, expected one for each use in a scene of the run; run preprocess with features", "feature_missing"
             )
-        return self.values[self.row_of[key]]
+        feature: npt.NDArray[np.float32] = self.values[self.row_of[key]]
+        return feature
 
     def nearest(self, asset_id: str, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> tuple[npt.NDArray[np.float32], float]:
         """The feature of an asset whose aspect, and then tilt, is nearest.

@@ -373,7 +373,7 @@ def read_row_groups(
 
 def _is_small(fragment: ds.ParquetFileFragment) -> bool:
     """Whether a file cannot take more than MAX_DECODED, since no value of it is larger than all that is stored."""
-    return sum(group.num_rows * group.total_byte_size for group in fragment.row_groups) <= MAX_DECODED
+    return bool(sum(group.num_rows * group.total_byte_size for group in fragment.row_groups) <= MAX_DECODED)
 
 
 def _shard_of(path: str) -> str:

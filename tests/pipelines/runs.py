@@ -6,8 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from click.testing import Result
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from pipelines.__main__ import app
 from pipelines.preprocess.plan import PreprocessSettings

@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -118,7 +119,11 @@ def test_a_mistake_is_named(text: str, message: str) -> None:
 
 
 def test_values_that_do_not_go_together_are_refused_in_a_file_and_in_code() -> None:
-    for wrong in (lambda: resolve(Sample, "sample", None, ["quick=true", "steps=101"]), lambda: Sample(101, quick=True)):
+    attempts: tuple[Callable[[], Sample], ...] = (
+        lambda: resolve(Sample, "sample", None, ["quick=true", "steps=101"]),
+        lambda: Sample(101, quick=True),
+    )
+    for wrong in attempts:
         with pytest.raises(ConfigError, match="steps is 101 where quick") as caught:
             wrong()
         assert caught.value.code == "too_many"
