@@ -43,7 +43,7 @@ from benchmarks.baselines.outcome import Baseline, BaselineResult
 from benchmarks.layouts import StartLayout, read_layouts, shaken_layouts
 from benchmarks.steerable_drake import in_drake
 from models.physics_corrector.certify import CorrectionStatus
-from models.physics_corrector.correction import CorrectionOptions
+from models.physics_corrector.certify.correction import CorrectionOptions
 from models.physics_corrector.corrector import Flow, PhysicsCorrector
 from models.physics_corrector.flow.checkpoint import DEFAULT_WEIGHTS
 from models.physics_corrector.learned_flow import AUTO, load_flow

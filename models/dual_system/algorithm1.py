@@ -20,7 +20,7 @@ from models.dual_system.requests import (
     RetrievalRequest,
     Turn,
 )
-from models.physics_corrector.correction import Correction
+from models.physics_corrector.certify.correction import Correction
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.language.stated_relations import relations_not_held
 from models.semantic_reasoner.reasoner import Proposal

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from models.dual_system.requests import Answer, CorrectionRequest, GenerationResult, Loop, ProposalRequest, RetrievalRequest
-from models.physics_corrector.correction import Correction
+from models.physics_corrector.certify.correction import Correction
 from models.semantic_reasoner.engines.incremental_batches import Conversation, converse
 from models.semantic_reasoner.reasoner import Proposal
 from stable_data.assets.assignment import AssignedLayout

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 from models.dual_system.requests import GenerationResult, Turn
 from models.physics_corrector.certify import DroppedObject
-from models.physics_corrector.correction import Correction
+from models.physics_corrector.certify.correction import Correction
 from models.semantic_reasoner.reasoner import Proposal
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import Wanted

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from models.physics_corrector.certify import DroppedObject
-from models.physics_corrector.correction import Correction
+from models.physics_corrector.certify.correction import Correction
 from models.semantic_reasoner.reasoner import Proposal
 from models.semantic_reasoner.staged_layout import PROGRESSIVE, LayoutTask
 from models.semantic_reasoner.text.prompt import ReasonerQuestion, Wanted

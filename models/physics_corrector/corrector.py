@@ -1,7 +1,7 @@
 """The Physics Corrector: coarse layouts in, scenes that are exactly clean out.
 
 The learned flow moves all objects at once; ``certify`` proves the result or repairs it. Both are reported apart: a
-:class:`~models.physics_corrector.correction.Correction` holds the raw result of the flow and the certified one, with the cards
+:class:`~models.physics_corrector.certify.correction.Correction` holds the raw result of the flow and the certified one, with the cards
 of all three.
 """
 
@@ -10,8 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 from models.physics_corrector.certify import CertifyOptions
-from models.physics_corrector.certify.flow_start import certify_moved
-from models.physics_corrector.correction import (
+from models.physics_corrector.certify.correction import (
     Assets,
     CertificationRequest,
     Correction,
@@ -21,6 +20,7 @@ from models.physics_corrector.correction import (
     correction_of,
     shapes_by_instance,
 )
+from models.physics_corrector.certify.flow_start import certify_moved
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, MeshError
 from stable_data.geometry.shape import Shape

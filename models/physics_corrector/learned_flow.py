@@ -9,7 +9,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from models.physics_corrector.correction import Fixed
+from models.physics_corrector.certify.correction import Fixed
 from models.physics_corrector.flow.checkpoint import DEFAULT_WEIGHTS as CORRECTOR
 from models.physics_corrector.flow.checkpoint import Checkpoint, load_corrector
 from models.physics_corrector.flow.condition import Condition

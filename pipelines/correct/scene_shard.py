@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Generic, Literal, TypeAlias, TypeVar
 
 from models.physics_corrector.certify import CertifyOptions, CorrectionStatus, DroppedObject
-from models.physics_corrector.correction import Correction
+from models.physics_corrector.certify.correction import Correction
 from models.physics_corrector.corrector import PhysicsCorrector
 from models.physics_corrector.learned_flow import load_flow
 from pipelines.correct.settings import CorrectSettings

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import ClassVar
 
-from models.physics_corrector.correction import CertificationRequest, Correction, CorrectionOptions, shapes_by_instance
+from models.physics_corrector.certify.correction import CertificationRequest, Correction, CorrectionOptions, shapes_by_instance
 from pipelines.correct.scene_shard import SceneWork, SceneWorkerState, corrector_of, notices_of
 from pipelines.correct.settings import CorrectSettings
 from pipelines.execution.item_progress import ItemProgress

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import ClassVar
 
-from models.physics_corrector.correction import Correction, CorrectionOptions
+from models.physics_corrector.certify.correction import Correction, CorrectionOptions
 from models.semantic_reasoner.editing import EditPrompt, EditResult, apply_edit, editing
 from models.semantic_reasoner.engines.protocol import OFF
 from models.semantic_reasoner.factory import load_reasoner

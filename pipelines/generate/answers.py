@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 from models.dual_system.requests import CorrectionRequest, ProposalRequest, RetrievalRequest
 from models.physics_corrector.certify import CorrectionStatus
-from models.physics_corrector.correction import CertificationRequest, Correction, CorrectionOptions
+from models.physics_corrector.certify.correction import CertificationRequest, Correction, CorrectionOptions
 from models.physics_corrector.corrector import PhysicsCorrector
 from models.semantic_reasoner.engines.incremental_batches import Conversation
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner

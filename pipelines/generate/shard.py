@@ -19,7 +19,7 @@ from models.dual_system.algorithm1 import dual_system
 from models.dual_system.batching import QueueCounts, run_batched
 from models.dual_system.requests import GenerationResult, Turn
 from models.physics_corrector.certify import CertifyOptions
-from models.physics_corrector.correction import CertificationRequest, Correction
+from models.physics_corrector.certify.correction import CertificationRequest, Correction
 from models.physics_corrector.corrector import PhysicsCorrector
 from models.physics_corrector.learned_flow import load_flow
 from models.semantic_reasoner.engines.protocol import OFF

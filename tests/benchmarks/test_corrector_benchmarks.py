@@ -14,7 +14,7 @@ from benchmarks.corrector_ablation import ARMS, FULL, Arm, arm
 from benchmarks.flow_gain import ALONE, CoarseLayout, Gain, compared, held_out, perturbed
 from benchmarks.flow_gain import table as gain_table
 from models.physics_corrector.certify import CorrectionStatus
-from models.physics_corrector.correction import Fixed
+from models.physics_corrector.certify.correction import Fixed
 from models.physics_corrector.training.dataset import TrainingScenes, clean_targets
 from models.physics_corrector.training.perturbation import KINDS, PerturbationSettings
 from models.physics_corrector.training.settings import CorrectorTrainingSettings, training_preset

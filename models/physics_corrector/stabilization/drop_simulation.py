@@ -13,8 +13,8 @@ import shapely
 from scipy.spatial.transform import Rotation
 from shapely.ops import nearest_points
 
+from models.physics_corrector.certify.correction import shapes_by_instance
 from models.physics_corrector.certify.mesh_queries import MeshQueries
-from models.physics_corrector.correction import shapes_by_instance
 from models.physics_corrector.stabilization.container_insertion import (
     ContainerInterior,
     interior_of,

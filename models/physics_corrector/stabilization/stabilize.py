@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.physics_corrector.certify import CertificationResult, Certifier, CertifyOptions, CorrectionStatus, DroppedObject
-from models.physics_corrector.correction import (
+from models.physics_corrector.certify.correction import (
     Correction,
     Fixed,
     InputScene,

@@ -18,7 +18,7 @@ from models.dual_system.requests import (
     RetrievalRequest,
 )
 from models.physics_corrector.certify import CertifyOptions, CorrectionStatus
-from models.physics_corrector.correction import Correction, CorrectionOptions
+from models.physics_corrector.certify.correction import Correction, CorrectionOptions
 from models.physics_corrector.corrector import PhysicsCorrector
 from models.semantic_reasoner.engines.incremental_batches import Conversation, in_batches
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics

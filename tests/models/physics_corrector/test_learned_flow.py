@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from models.physics_corrector.certify import CorrectionStatus
+from models.physics_corrector.certify.correction import CorrectionOptions, KnownShapes, shapes_by_instance
 from models.physics_corrector.certify.flow_start import certify_moved, starting_point
-from models.physics_corrector.correction import CorrectionOptions, KnownShapes, shapes_by_instance
 from models.physics_corrector.corrector import PhysicsCorrector
 from models.physics_corrector.flow.checkpoint import load_corrector, save_corrector
 from models.physics_corrector.learned_flow import LearnedFlow, load_flow, weights_fingerprint

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from models.physics_corrector.certify import CertifyOptions
-from models.physics_corrector.correction import CertificationRequest, Correction, CorrectionOptions
+from models.physics_corrector.certify.correction import CertificationRequest, Correction, CorrectionOptions
 from models.physics_corrector.corrector import PhysicsCorrector
 from pipelines.generate.answers import LocalCertifier
 from stable_data.metrics.audit import audit_scene

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from models.physics_corrector.certify import CertifyOptions, CorrectionStatus
-from models.physics_corrector.correction import Correction, CorrectionOptions, InputScene
+from models.physics_corrector.certify.correction import Correction, CorrectionOptions, InputScene
 from models.physics_corrector.corrector import PhysicsCorrector
 from models.physics_corrector.stabilization import stabilize
 from models.physics_corrector.stabilization.stabilize import relocate_unstable
