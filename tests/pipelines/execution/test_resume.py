@@ -157,7 +157,7 @@ def test_a_cut_shard_ends_with_one_line_and_once_deleted_is_done_again(bare: Pat
     shutil.copytree(bare_run, out)
     cut = next(iter((out / "samples").glob("part-*")))
     cut.write_bytes(cut.read_bytes()[:100])
-    with pytest.raises(ConfigError, match=rf"{cut} cannot be read .*delete it and run again"):
+    with pytest.raises(ConfigError, match=rf"{cut} cannot be read .*delete it and run .* again"):
         preprocess(str(bare), str(out), SMALL, WorkerPool())
     cut.unlink()
     preprocess(str(bare), str(out), SMALL, WorkerPool())

@@ -486,7 +486,14 @@ def test_the_report_tells_of_scenes_time_and_cost(
     shown = replace(settings, num_pictures=3, core_hour_price=0.05)
     generate(MIXED, str(out), shown, ALONE, [str(dataset)])
     page = (out / "report" / "index.html").read_text("utf-8")
-    for said in ("3 / 6", "scenes accepted", "core seconds a scene", "cost a thousand accepted", "reply_unusable", "certify"):
+    for said in (
+        "3 / 6",
+        "scenes accepted",
+        "core seconds per scene",
+        "cost per 1,000 accepted scenes",
+        "reply_unusable",
+        "certify",
+    ):
         assert said in page
     assert page.count("<img") == 3
     with Image.open(out / "report" / "contact_sheet.png") as sheet:

@@ -383,7 +383,7 @@ def test_features_of_another_encoder_are_refused() -> None:
     with pytest.raises(ConfigError, match="come from encoder bag-1-128, expected bag-0-128; call embedded"):
         Retriever([bare.embedded(BagOfWords(seed=1))], BagOfWords())
     for other, what in (
-        (BagOfWords(seed=1), "agree by -?0"),
+        (BagOfWords(seed=1), "have mean cosine -?0"),
         (BagOfWords(width=64), "have 64 numbers, but this encoder returns 128"),
     ):
         unsaid = AssetLibrary("unsaid", assets, other(["a mug", "a bowl"]))

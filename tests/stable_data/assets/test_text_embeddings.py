@@ -77,7 +77,7 @@ def test_an_encoder_of_another_length_under_the_same_name_is_refused(tmp_path: P
 def test_a_file_that_is_no_cache_is_refused(content: bytes, tmp_path: Path) -> None:
     cache = tmp_path / "rows.parquet"
     cache.write_bytes(content)
-    with pytest.raises(ConfigError, match=r"rows\.parquet cannot be read .*delete it") as caught:
+    with pytest.raises(ConfigError, match=r"rows\.parquet cannot be read .*delete the file") as caught:
         text_rows(TEXTS, BagOfWords(), cache)
     assert "\n" not in str(caught.value)
 

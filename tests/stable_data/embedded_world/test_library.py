@@ -26,5 +26,5 @@ def test_the_library_is_made_once_and_knows_how_things_rest(tmp_path: Path, monk
     monkeypatch.setattr(library, "write_library", None)  # not made again
     assert embedded_library(tmp_path)[1].assets == found.assets
     (root / TILTS_FILE).write_text("{")
-    with pytest.raises(ConfigError, match="delete it"):
+    with pytest.raises(ConfigError, match="delete the folder"):
         embedded_library(tmp_path)

@@ -289,7 +289,7 @@ def test_references_that_cannot_be_judged_are_refused() -> None:
     with pytest.raises(SceneError, match="mug_0 is not a required object") as caught:
         AlignmentReference("r", (RequiredObject("p", ("pen",)),), (Relation("p", LEFT, "mug_0"),))
     assert caught.value.code == "task_relation_unknown"
-    with pytest.raises(SceneError, match="unlike names"):
+    with pytest.raises(SceneError, match="different names"):
         AlignmentReference("r", (RequiredObject("p", ("pen",)), RequiredObject("p", ("mug",))))
     with pytest.raises(SceneError, match="one or more"):
         AlignmentReference("r", ())

@@ -75,7 +75,7 @@ def test_what_was_broken_off_by_other_code_is_not_gone_on_with(
     assert select(run, where, RunFolder(str(again))) == manifest["counts"]
     assert content(again) == before
     (again / "manifest.json").write_text(json.dumps(manifest | {"status": "running"}))
-    with pytest.raises(ConfigError, match=r"broken off by other code \(0\.1\.0\+other\)"):
+    with pytest.raises(ConfigError, match=r"started by another code version \(0\.1\.0\+other\)"):
         select(run, where, RunFolder(str(again)))
     (again / "manifest.json").write_text(json.dumps(manifest))
     next((again / "meshes").glob("*.parquet")).unlink()
