@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, ParamSpec, TypeVar
 import typer
 
 from stable_data.errors import ConfigError, MissingColumnsWarning, SceneError, StableDataError
+from stable_data.extras import install_hint
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -34,14 +35,6 @@ DONE, SOME_FAILED, NOT_STARTED, INTERRUPTED = 0, 1, 2, 130
 DEBUG = "STABLE_DATA_DEBUG"
 """Environment variable: if it is set, an error ends a command with its traceback."""
 
-EXTRA_OF_MODULE = {
-    **dict.fromkeys(("fast_simplification", "fcl", "igl", "manifold3d", "networkx", "scipy"), "geometry,sim"),
-    **dict.fromkeys(("shapely", "threadpoolctl", "trimesh", "vhacdx", "mujoco", "PIL", "OpenGL"), "geometry,sim"),
-    "torch": "torch",
-    **dict.fromkeys(("peft", "safetensors", "tensorboard", "transformers"), "geometry,models"),
-    **dict.fromkeys(("jsonschema", "ray"), "geometry,sim,pipelines"),
-}
-"""Extras to install when a module is missing: all that the importing commands need, so that one installation is enough."""
 
 
 def with_clear_errors(command: Callable[P, R]) -> Callable[P, R]:
@@ -83,9 +76,8 @@ def _line(error: Exception) -> str:
     """The one-line message of an error."""
     if isinstance(error, StableDataError):
         return str(error)
-    missing = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
-    if extra := EXTRA_OF_MODULE.get(missing):
-        return f"needs stable-data[{extra}], but {missing} is not installed: pip install '.[{extra}]' in a checkout"
+    if isinstance(error, ModuleNotFoundError) and (hint := install_hint(error)):
+        return f"this command {hint}"
     found = str(error).strip().partition("\n")[0]
     return f"unexpected {type(error).__name__}: {found}; please report it with what {DEBUG}=1 shows"
 

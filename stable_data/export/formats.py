@@ -1,6 +1,5 @@
-"""The formats that scenes are exported to: a new one is a module with these names, and a line in FORMATS."""
+"""The formats that scenes are exported to: a new one is a module or an object with these names, and an entry of FORMATS."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol
 
@@ -31,7 +30,8 @@ class ExportFormat(Protocol):
         ...
 
 
-FORMATS: Mapping[str, ExportFormat] = {"glb": glb, "mesatask": mesatask, "mjcf": mjcf}
+FORMATS: dict[str, ExportFormat] = {"glb": glb, "mesatask": mesatask, "mjcf": mjcf}
+"""Name -> format. A program adds a format of its own here before it calls ``export_run``: ``examples/own_exporter.py``."""
 
 
 def format_named(name: str) -> ExportFormat:
