@@ -12,13 +12,10 @@ second figure beside the entailed relations: an instruction rarely asks for all 
 When a relation holds:
 
 * ``in`` and ``on``: in the scene graph's own sense, directly or through what lies in between; what shall be on a thing may be
-in
-  it, not the other way round. The same rule judges what a correction keeps.
+  in it, not the other way round. The same rule judges what a correction keeps.
 * ``left of``, ``right of``, ``in front of``, ``behind``: geometrically, within 45 degrees of that direction seen from the
-target,
-  however far and whatever else is near; ``above`` and ``below`` by heights and outlines. An edge of the scene graph is not
-  asked
-  for: it links nearest neighbours alone, so that one more distractor would break it.
+  target, however far and whatever else is near; ``above`` and ``below`` by heights and outlines. An edge of the scene graph is
+  not asked for: it links nearest neighbours alone, so that one more distractor would break it.
 * ``is at``: the ninth of the table that the centre is in. ``face to``: to 45 degrees. ``are equally spaced along``: one of the
   scene graph's rows along that axis has all of them.
 
