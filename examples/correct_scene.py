@@ -23,9 +23,10 @@ def main(folder: Path, scene_id: str) -> None:
     scene, shapes, _ = sd.AssetStore(dataset).resolved(scene)
     [correction] = PhysicsCorrector(load_flow()).correct([scene], [shapes])
     print(f"{scene_id}: {correction.status} {correction.reason}")
+    start = correction.start
     if correction.certified is not None:
         for o in correction.certified.objects:
-            x, y, z = (1000 * (after - before) for after, before in zip(o.position, scene[o.instance].position, strict=True))
+            x, y, z = (1000 * (after - before) for after, before in zip(o.position, start[o.instance].position, strict=True))
             print(f"  {o.instance} moved by ({x:+.1f}, {y:+.1f}, {z:+.1f}) mm")
         for dropped in correction.dropped:
             print(f"  {dropped.instance} left out: {dropped.reason}")

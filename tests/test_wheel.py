@@ -37,7 +37,10 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_wheel_holds_the_library_alone(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     sources = {path.relative_to(ROOT).as_posix() for path in (ROOT / "stable_data").rglob("*.py")}
-    assert {name for name in names if ".dist-info/" not in name} == sources | {"stable_data/py.typed"}
+    assert {name for name in names if ".dist-info/" not in name} == sources | {
+        "stable_data/__init__.pyi",
+        "stable_data/py.typed",
+    }
 
 
 def test_an_empty_environment_reads_a_run(wheel: Path, tmp_path: Path) -> None:
