@@ -47,7 +47,8 @@ def test_an_empty_environment_reads_a_run(wheel: Path, tmp_path: Path) -> None:
     run = small_run.write_run(tmp_path / "run")
     subprocess.run([sys.executable, "-m", "venv", tmp_path / "env"], check=True)
     python = tmp_path / "env" / "bin" / "python"
-    install = [python, "-m", "pip", "install", "--quiet", "--only-binary", ":all:", "-c", ROOT / "constraints.txt", wheel]
+    options = ["--quiet", "--only-binary", ":all:", "-c", str(ROOT / "constraints.txt")]
+    install = [str(python), "-m", "pip", "install", *options, str(wheel)]
     subprocess.run(install, check=True, cwd=tmp_path)
     done = subprocess.run([python, "-c", READS_A_RUN, run], capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
