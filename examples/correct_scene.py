@@ -20,8 +20,7 @@ def main(folder: Path, scene_id: str) -> None:
     """
     dataset = sd.MesaTaskDataset(folder)
     scene, _ = dataset.read(scene_id)
-    scene, shapes, _ = sd.AssetStore(dataset).resolved(scene)
-    [correction] = PhysicsCorrector(load_flow()).correct([scene], [shapes])
+    [correction] = PhysicsCorrector(load_flow()).correct([scene], sd.AssetStore(dataset))
     print(f"{scene_id}: {correction.status} {correction.reason}")
     start = correction.start
     if correction.certified is not None:

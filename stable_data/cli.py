@@ -36,7 +36,6 @@ DEBUG = "STABLE_DATA_DEBUG"
 """Environment variable: if it is set, an error ends a command with its traceback."""
 
 
-
 def with_clear_errors(command: Callable[P, R]) -> Callable[P, R]:
     """Ends a command with a one-line message and status 2 if it cannot start or continue."""
 

@@ -11,7 +11,7 @@ import pytest
 from stable_data.storage.run_folder import RunFolder
 from tests.stable_data.export.runs import at_rest, falling, write_run
 
-EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.py"))
+EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("[!_]*.py"))
 COLLIDING = "dining_table_0458"
 """A scene of ``tests/data``: a mug was pushed into a cup."""
 
@@ -42,10 +42,11 @@ def run_example(name: str, *arguments: object) -> None:
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_is_short_says_how_it_is_run_and_is_tested(path: Path) -> None:
-    text = path.read_text("utf-8")
-    assert text.count("\n") < 40
-    assert re.search(rf"^python -m examples\.{path.stem}\b", text, re.MULTILINE)
-    assert f'run_example("{path.stem}"' in Path(__file__).read_text("utf-8")
+    text, tests = path.read_text("utf-8"), Path(__file__).parents[1].rglob("test_*.py")
+    assert text.count("\n") < 60
+    assert re.search(rf"python -m examples\.{path.stem}\b", text)
+    is_tested = re.compile(rf'run_example\("{path.stem}"|from examples\.{path.stem} import')
+    assert any(is_tested.search(test.read_text("utf-8")) for test in tests)
 
 
 def test_load_run(run: RunFolder, capsys: pytest.CaptureFixture[str]) -> None:
