@@ -217,7 +217,7 @@ def test_broken_scenes_are_all_accounted_for(broken_data: Path, tmp_path: Path) 
     [
         ({"weights": "/nowhere/corrector.safetensors"}, "no such file"),
         ({"when_full": "pray"}, "expected drop or infeasible"),
-        ({"steps": -1}, "expected 0 or more"),
+        ({"steps": -1}, "steps is -1, expected at least 0"),
         ({"position_convention": "top"}, "expected auto, box_centre or mesh_centre"),
     ],
 )

@@ -162,7 +162,7 @@ def test_a_thing_of_another_size_is_the_same_mesh_scaled(
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [({"others": "gone"}, "expected one of fixed, free, fixed_first"), ({"when_full": "x"}, "setting edit.when_full is x")],
+    [({"others": "gone"}, "expected fixed, free or fixed_first"), ({"when_full": "x"}, "setting edit.when_full is 'x'")],
 )  # fmt: skip
 def test_settings_that_make_no_sense_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
