@@ -452,6 +452,7 @@ def add_table(name: str, schema: pa.Schema) -> None:
     added = _versioned(name, schema)
     if not SCHEMAS.setdefault(name, added).equals(added):
         raise ConfigError(f"table {name} has other columns, expected a name that no table has; choose another", "table_known")
+    REQUIRED.setdefault(name, tuple(schema.names[:1]))
 
 
 def arrow_table(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.Table:

@@ -267,7 +267,7 @@ def test_the_command_says_what_it_would_do_and_what_failed(dataset: Path, wanted
     given = ["edit", "--scenes", str(dataset), "--edits", str(path), "--out", str(tmp_path / "out")]
     given += ["--workers", "0", "--set=weights=none", "--set=num_pictures=0"]
     plan = json.loads(CliRunner().invoke(app, [*given, "--dry-run"]).stdout)
-    assert (plan["num_edits"], plan["num_unusable"], plan["num_shards"]) == (1, 1, 1)
+    assert (plan["num_edits"], plan["num_lost"], plan["num_shards"]) == (2, 1, 1)
     assert not (tmp_path / "out").exists()
     done = CliRunner().invoke(app, given)
     assert done.exit_code == 1
