@@ -5,16 +5,25 @@ from pathlib import Path
 
 import pytest
 
-from examples.own_step import DensityJob
+from examples.own_step import DensityJob, DensityStep
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import describe, run_job
 from stable_data.errors import ConfigError
 from stable_data.scene import Scene, SceneObject, Tabletop
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import SCHEMAS, scene_row
+from stable_data.storage.schemas import REQUIRED, SCHEMAS, scene_row
 from tests.pipelines.runs import content
 
 CUBE = SceneObject("cube", "cube", (0.5, 0.5, 0.1), 0.0, (0.2, 0.2, 0.2), None)
+
+
+@pytest.fixture(autouse=True)
+def known_tables(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The tables that this process knows, without those of the example once its tests are done."""
+    for table in DensityStep.SCHEMAS:
+        for known in (SCHEMAS, REQUIRED):
+            monkeypatch.setitem(known, table, known["scenes"])
+            del known[table]
 
 
 def run_of(out: Path, *counts: int) -> Path:
