@@ -6,7 +6,7 @@ EXTRA_OF_MODULE = {
     "gymnasium": "geometry,sim,env",
     "torch": "torch",
     **dict.fromkeys(("peft", "safetensors", "tensorboard", "transformers"), "geometry,models"),
-    **dict.fromkeys(("annotated_types", "jsonschema", "pydantic", "ray"), "geometry,sim,pipelines"),
+    **dict.fromkeys(("jsonschema", "ray"), "geometry,sim,pipelines"),
 }
 """What to install where a module is missing: all that its users need, so that a person installs once."""
 

@@ -192,12 +192,12 @@ def _check_operations(data: bytes, path: Path) -> None:
             if operation.name in ("PUT", "BINPUT", "LONG_BINPUT") and argument is not None and argument > _MAX_MEMO:
                 found = f"memo index {argument}, expected at most {_MAX_MEMO}"
             elif operation.name in _SETS:
-                found = "a set, expected numpy arrays in plain containers"
+                found = "a set"
             elif number > _MAX_OPERATIONS:
                 found = f"more than {_MAX_OPERATIONS:,} operations, expected features as one array"
             if found:
                 raise ConfigError(
-                    f"{path} contains {found}, expected numpy arrays in plain containers; it was not read, do not trust it",
+                    f"{path} contains {found}; expected numpy arrays in plain containers; it was not read, do not trust it",
                     "pickle_refused",
                 )
             num_tuples += operation.name in _TUPLES

@@ -169,7 +169,7 @@ def test_an_encoder_that_takes_no_such_cloud_costs_the_feature_not_the_asset(tin
 def test_a_dataset_without_meshes_has_an_empty_table(bare: Path, with_features: PreprocessSettings, tmp_path: Path) -> None:
     for _ in range(2):
         assert preprocess(str(bare), str(tmp_path), with_features, WorkerPool())["counts"]["features"] == 0
-    with pytest.raises(ConfigError, match="holds no features"):
+    with pytest.raises(ConfigError, match="contains no features"):
         read_features(RunFolder(str(tmp_path)))
 
 

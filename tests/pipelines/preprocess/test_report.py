@@ -34,7 +34,7 @@ def test_the_report_shows_the_scenes_and_the_counts(clean_run: Path, dataset: Pa
     text = page(clean_run, dataset, 4)
     assert "<h2>Audit</h2>" in text
     assert "<b>4 / 4</b><span>scenes usable</span>" in text
-    assert "<b>0</b><span>scenes in failures</span>" in text
+    assert "<b>0</b><span>unusable scenes</span>" in text
     for name in scene_names(clean_run):
         assert f"<figcaption><b>{name}</b>" in text
 
@@ -54,7 +54,7 @@ def test_a_scene_that_cannot_be_drawn_is_a_note(clean_run: Path, dataset: Path, 
 
     monkeypatch.setattr(scene_pictures, "render_scene", draw)
     text = page(clean_run, dataset, 4)
-    assert f"{first} cannot be drawn: ValueError: too &lt;small&gt;" in text
+    assert f"{first} cannot be rendered: ValueError: too &lt;small&gt;" in text
     assert all(f"<figcaption><b>{name}</b>" in text for name in others)
 
 

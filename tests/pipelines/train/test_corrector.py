@@ -186,7 +186,7 @@ def test_the_command_shows_its_plan_and_names_mistakes(clean_run: Path, tmp_path
     assert plan["num_scenes"] == 4
     assert not (tmp_path / "out").exists()
     for wrong, said in (
-        ("losses.sdf_wieght=1", "did you mean sdf_weight"),
+        ("losses.sdf_wieght=1", "did you mean losses.sdf_weight"),
         ("losses=1", "expected a table"),
         ("steps.more=1", "is a value"),
         ('features="shape"', "expected point or box"),

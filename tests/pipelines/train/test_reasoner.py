@@ -359,7 +359,7 @@ def test_what_cannot_start_is_one_line_and_status_2(run: Path, out: Path, base: 
         (["--preset", "paper", "--set", f"base={tmp_path / 'empty'}"], "empty: holds no model that can be read"),
         (["--preset", "paper", "--set", f"base={base}"], "is made for 2000 tokens, expected max_tokens 5000"),
         (["--set", f"tokenizer={tmp_path / 'empty'}"], "empty: holds no tokenizer that can be read"),
-        (["--set", "shares.task=2.0"], "expected shares between 0 and 1"),
+        (["--set", "shares.task=2.0"], "expected at most 1"),
         (["--set", "packing=true"], "setting train_reasoner.packing is not known; did you mean packs?"),
         (["--set", "precision=float16"], "expected bfloat16 or float32"),
         (["--set", "max_tokens=10"], "no example in the split train"),

@@ -216,7 +216,7 @@ def test_a_turned_variant_that_another_file_stands_in_for_is_noticed(tmp_path: P
     scene, (notice,) = MesaTaskDataset(tmp_path).read("office_table_0001")
     assert scene.objects[0].asset_id == variant
     assert notice.code == "asset_variant_served"
-    assert f"{UID}.glb stands in" in notice.message
+    assert f"{UID}.glb is used instead" in notice.message
     write_asset(tmp_path, variant, b"glTF")
     assert MesaTaskDataset(tmp_path).read("office_table_0001")[1] == ()
 

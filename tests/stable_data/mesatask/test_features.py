@@ -99,7 +99,7 @@ _RECONSTRUCT = b"cnumpy.core.multiarray\n_reconstruct\n)R"
             "pickle_refused",
             "nests tuples",
         ),
-        (b"\x80\x04\x8f.", "pickle_refused", "holds a set"),
+        (b"\x80\x04\x8f.", "pickle_refused", "contains a set"),
         (b"\x80\x04" + b"]" * 30_000 + b".", "pickle_refused", "more than 20,000 operations"),
         (
             _ONE + _RECONSTRUCT + b"(K\x01K\x01K\x01\x86" + _DTYPE + b"\x89C\x04\x00\x00\x00\x00tbu.",

@@ -94,11 +94,11 @@ def test_what_cannot_be_staged_says_why() -> None:
         stage_scene(Scene("scene", TABLETOP, ()))
     with pytest.raises(SceneError, match="have no stage"):
         samples_of(scene_of((), box("a", (0.1, 0.1, 0.05))))
-    circle = scene_of((), box("a", (0.1, 0.1, 0.05), support="b"), box("b", (0.1, 0.1, 0.1), support="a"))
-    with pytest.raises(SceneError, match="circle"):
-        stage_scene(circle)
-    staged = replace(circle, objects=tuple(replace(o, stage=Stage.TASK) for o in circle.objects))
-    with pytest.raises(SceneError, match="circle"):
+    cycle = scene_of((), box("a", (0.1, 0.1, 0.05), support="b"), box("b", (0.1, 0.1, 0.1), support="a"))
+    with pytest.raises(SceneError, match="cycle"):
+        stage_scene(cycle)
+    staged = replace(cycle, objects=tuple(replace(o, stage=Stage.TASK) for o in cycle.objects))
+    with pytest.raises(SceneError, match="cycle"):
         samples_of(staged)
 
 
