@@ -29,7 +29,7 @@ _INT64 = 2**63  # what TOML's integers are within
 
 
 @dataclass(frozen=True, slots=True)
-class JobSettings:
+class SettingsLocation:
     """Where the settings of a job stand.
 
     Attributes:
@@ -53,17 +53,17 @@ class JobSettings:
         return _loaded(self.presets)(preset or self.preset) if self.presets else _loaded(self.kind)()
 
 
-JOBS: Mapping[str, JobSettings] = {
-    "preprocess": JobSettings("pipelines.preprocess.plan:PreprocessSettings"),
-    "correct": JobSettings("pipelines.correct.settings:CorrectSettings"),
-    "edit": JobSettings("pipelines.edit.settings:EditSettings"),
-    "generate": JobSettings("pipelines.generate.settings:GenerateSettings"),
-    "train-corrector": JobSettings(
+JOBS: Mapping[str, SettingsLocation] = {
+    "preprocess": SettingsLocation("pipelines.preprocess.plan:PreprocessSettings"),
+    "correct": SettingsLocation("pipelines.correct.settings:CorrectSettings"),
+    "edit": SettingsLocation("pipelines.edit.settings:EditSettings"),
+    "generate": SettingsLocation("pipelines.generate.settings:GenerateSettings"),
+    "train-corrector": SettingsLocation(
         "models.physics_corrector.training.settings:CorrectorTrainingSettings",
         "models.physics_corrector.training.settings:training_preset",
         "embedded_set",
     ),
-    "train-reasoner": JobSettings(
+    "train-reasoner": SettingsLocation(
         "models.semantic_reasoner.training.settings:ReasonerTrainingSettings",
         "models.semantic_reasoner.training.settings:training_preset",
         "embedded",
