@@ -13,7 +13,8 @@ EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"][
 def test_every_module_of_an_extra_is_known() -> None:
     distributions = {d.split(">")[0].split("[")[0] for e in ("geometry", "sim", "env", "torch", "pipelines") for d in EXTRAS[e]}
     brought = {m for m, of in packages_distributions().items() if {d.lower() for d in of} & distributions and m.isidentifier()}
-    assert {m for m in brought if not m.startswith("_")} - {"functorch", "torchgen"} <= set(EXTRA_OF_MODULE)
+    always = {"annotated_types", "pydantic", "functorch", "torchgen"}  # of typer, which the library needs; of torch
+    assert {m for m in brought if not m.startswith("_")} - always <= set(EXTRA_OF_MODULE)
 
 
 def test_only_extras_that_exist_are_named() -> None:
