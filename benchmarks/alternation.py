@@ -21,7 +21,7 @@ import polars as pl
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
-from pipelines.sources.generation_tasks import TaskSource, of_scenes
+from pipelines.sources.generation_tasks import TaskSource, tasks_of_scenes
 from stable_data.storage.run_folder import RunFolder
 
 _MEASURES = ("clean", "oc", "float_rate", "out_of_bounds_rate", "stable", "awt", "aws", "num_objects", "move_mean_mm")
@@ -88,7 +88,7 @@ def main() -> None:
     parser.add_argument("--weights", default="auto", help="the corrector's")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    tasks = of_scenes(arguments.run, arguments.where)
+    tasks = tasks_of_scenes(arguments.run, arguments.where)
     few = replace(tasks, tasks=tasks.tasks[: arguments.scenes])
     found = measure(few, WorkerPool(arguments.workers), arguments.weights)
     print("\n".join(show(found)))

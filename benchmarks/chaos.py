@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from ray.cluster_utils import Cluster
 
-from models.semantic_reasoner.staged_layout import of_scene
+from models.semantic_reasoner.staged_layout import task_of_scene
 from pipelines.generate.shard import GenerateWork
 from stable_data.cli import DONE, SOME_FAILED
 from stable_data.embedded_world import EmbeddedWorld, write_world
@@ -277,7 +277,7 @@ def tasks_of_world(path: Path, count: int) -> None:
     root = path.parent / "world"
     write_world(root, min(count, 24), EmbeddedWorld(pictures=False))
     dataset = MesaTaskDataset(root)
-    known = [of_scene(dataset.read(scene_id)[0]) for scene_id in dataset.scene_ids]
+    known = [task_of_scene(dataset.read(scene_id)[0]) for scene_id in dataset.scene_ids]
     with path.open("w", encoding="utf-8") as stream:
         for number in range(count):
             task = known[number % len(known)]

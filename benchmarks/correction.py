@@ -51,7 +51,7 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError, StableDataError
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.metrics.audit import PosedScene, audit_posed, audit_scene
+from stable_data.metrics.audit import PosedScene, audit_posed_scene, audit_scene
 from stable_data.metrics.collision import ROUNDING
 from stable_data.metrics.rearrangement import distance_moved, emd_to_truth
 from stable_data.metrics.related_scene import relate_scene
@@ -102,7 +102,7 @@ class CorrectorBaseline:
         known = scene
         if corrector.flow is not None and not self.is_told:  # it is shown what carries what as it is
             posed = PosedScene(scene, shapes)
-            known = relate_scene(posed, audit_posed(posed), {}).scene
+            known = relate_scene(posed, audit_posed_scene(posed), {}).scene
         (request,) = corrector.move([replace(known, relations=told.relations)], store, options, [audit])
         if not self.certifies:
             return BaselineResult(request.raw or scene, request.raw is not None, time.process_time() - begin)
@@ -186,7 +186,7 @@ def judged(name: str, method: Baseline, layout: StartLayout, store: AssetStore, 
     scene, shapes, _ = store.resolved(layout.start)
     outcome = method.correct(scene, shapes, store)
     left, left_shapes, _ = store.resolved(outcome.scene)
-    audit = audit_posed(PosedScene(left, left_shapes))
+    audit = audit_posed_scene(PosedScene(left, left_shapes))
     start = replace(scene, objects=tuple(scene[o.instance] for o in left.objects))
     moves = 1e3 * np.linalg.norm(left.poses()[:, :3] - start.poses()[:, :3], axis=1)
     sunk, count = audit.tolerance + ROUNDING, len(left.objects)

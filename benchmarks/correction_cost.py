@@ -35,12 +35,12 @@ from benchmarks.audit import readable_scenes
 from benchmarks.baselines.outcome import Baseline
 from benchmarks.correction import ours
 from benchmarks.layouts import shaken
-from models.physics_corrector.geometry.scene_batch import LayoutBatch, padded
+from models.physics_corrector.geometry.scene_batch import LayoutBatch, pad_scenes
 from models.physics_corrector.training.perturbation import PerturbationSettings, perturb
 from stable_data.assets.store import AssetStore
 from stable_data.errors import SceneError, StableDataError
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.metrics.audit import PosedScene, audit_posed
+from stable_data.metrics.audit import PosedScene, audit_posed_scene
 from stable_data.metrics.related_scene import relate_scene
 from stable_data.scene import Scene, SceneObject, Tabletop
 from stable_data.scene_graph.support_tree import SupportTree
@@ -128,7 +128,7 @@ class Bench:
     def jittered(self, seed: int) -> list[Scene]:
         """The scenes, made coarse by the kind ``jitter``."""
         shapes = [self._store.resolved(scene)[1] for scene in self.scenes]
-        arrays = {k: torch.from_numpy(v) for k, v in padded(self.scenes, shapes, [frozenset()] * len(shapes)).items()}
+        arrays = {k: torch.from_numpy(v) for k, v in pad_scenes(self.scenes, shapes, [frozenset()] * len(shapes)).items()}
         batch = LayoutBatch(shape_index=torch.zeros_like(arrays["parent"]), **arrays)
         coarse, _ = perturb(batch, PerturbationSettings(), torch.Generator().manual_seed(seed), "jitter")
         poses = coarse.double().numpy()
@@ -147,7 +147,7 @@ class Bench:
     def _related(self, scene: Scene) -> Scene:
         scene, shapes, _ = self._store.resolved(scene)
         posed = PosedScene(scene, shapes)
-        return relate_scene(posed, audit_posed(posed), {}).scene
+        return relate_scene(posed, audit_posed_scene(posed), {}).scene
 
 
 def crowd(scenes: Sequence[Scene], count: int, rng: np.random.Generator) -> Scene:

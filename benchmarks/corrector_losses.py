@@ -26,7 +26,13 @@ from models.physics_corrector.geometry.closest_point import ClosestPointQueries
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.geometry.sdf_atlas import SdfAtlas
 from models.physics_corrector.geometry.shape_tensors import ShapeCollector, ShapeTensors, grids_from_rows
-from models.physics_corrector.training.losses import LossSettings, colliding_pairs, object_object, support, support_candidates
+from models.physics_corrector.training.losses import (
+    LossSettings,
+    colliding_pairs,
+    object_object_loss,
+    support_candidates,
+    support_loss,
+)
 from stable_data.assets.store import AssetStore
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.storage.torch_dataset import TableDataset
@@ -109,8 +115,8 @@ def copied_losses(
 
 def our_losses(poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, settings: LossSettings) -> Tensor:
     """The same as the library computes it."""
-    collision = object_object(poses, batch, geometry, colliding_pairs(poses, batch, geometry))
-    return settings.sdf_weight * collision + settings.support_weight * support(poses, batch, geometry, settings)
+    collision = object_object_loss(poses, batch, geometry, colliding_pairs(poses, batch, geometry))
+    return settings.sdf_weight * collision + settings.support_weight * support_loss(poses, batch, geometry, settings)
 
 
 def all_pairs(poses: Tensor, batch: LayoutBatch) -> ObjectPairs:

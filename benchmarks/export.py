@@ -85,7 +85,7 @@ def written(run: RunFolder, out: Path, name: str, choice: SceneSelection) -> Exp
 def at_rest(run: RunFolder, out: Path, choice: SceneSelection) -> dict[str, Any]:
     """What MuJoCo alone makes of the MJCF files, beside the verdict of this library on the same scenes."""
     scenes = RunScenes(run, choice)
-    known = [(FORMATS["mjcf"].place(scene, out), scene) for scene in scenes]
+    known = [(FORMATS["mjcf"].scene_path(scene, out), scene) for scene in scenes]
     known = [(path, scene) for path, scene in known if path.exists()]
     paths = "".join(f"{path}\n" for path, _ in known)
     done = subprocess.run([sys.executable, "-I", "-c", ALONE], input=paths, capture_output=True, text=True, check=True)

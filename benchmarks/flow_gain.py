@@ -34,7 +34,7 @@ from benchmarks.correction import chosen_layouts
 from models.physics_corrector.certify import CorrectionStatus
 from models.physics_corrector.certify.flow_start import certify_moved
 from models.physics_corrector.corrector import Flow
-from models.physics_corrector.geometry.scene_batch import LayoutBatch, padded
+from models.physics_corrector.geometry.scene_batch import LayoutBatch, pad_scenes
 from models.physics_corrector.learned_flow import AUTO, load_flow
 from models.physics_corrector.training.dataset import TrainingScenes, clean_targets
 from models.physics_corrector.training.perturbation import KINDS, PerturbationSettings, perturb
@@ -42,7 +42,7 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import StableDataError
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.metrics.audit import PosedScene, audit_posed
+from stable_data.metrics.audit import PosedScene, audit_posed_scene
 from stable_data.metrics.movement import movement
 from stable_data.metrics.related_scene import relate_scene
 from stable_data.metrics.relations_kept import RelationsKept, relations_kept
@@ -103,7 +103,7 @@ class Gain:
 def shown(group: str, scene: Scene, shapes: Sequence[Shape]) -> CoarseLayout:
     """A layout that knows of its scene graph what it shows, and nothing of what was meant."""
     posed = PosedScene(replace(scene, relations=()), shapes)
-    seen = relate_scene(posed, audit_posed(posed), {}).scene
+    seen = relate_scene(posed, audit_posed_scene(posed), {}).scene
     return CoarseLayout(group, replace(seen, relations=()), shapes)
 
 
@@ -129,7 +129,7 @@ def perturbed(
         The layouts, kind by kind.
     """
     resolved = [store.resolved(scene)[:2] for scene in scenes]
-    arrays = padded([scene for scene, _ in resolved], [own for _, own in resolved], [frozenset()] * len(resolved))
+    arrays = pad_scenes([scene for scene, _ in resolved], [own for _, own in resolved], [frozenset()] * len(resolved))
     tensors = {name: torch.from_numpy(value) for name, value in arrays.items()}
     batch = LayoutBatch(shape_index=torch.zeros_like(tensors["parent"]), **tensors)
     for number, kind in enumerate(KINDS):

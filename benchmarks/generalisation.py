@@ -23,7 +23,7 @@ from benchmarks.alternation import figures_of
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
-from pipelines.sources.generation_tasks import TaskSource, of_file, sampled
+from pipelines.sources.generation_tasks import TaskSource, sample_tasks, tasks_of_file
 from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES
 from stable_data.mesatask.asset_catalog import library_of_folder
@@ -113,7 +113,7 @@ def contradictory(num_cases: int, workers: WorkerPool) -> list[dict[str, Any]]:
         keys = ("instruction", "table_type", "table_size_cm")
         lines = [json.dumps({"scene_id": f"case_{k}"} | {key: case[key] for key in keys}) for k, case in enumerate(cases)]
         file.write_text("\n".join(lines) + "\n", "utf-8")
-        with made(of_file(file), (), workers) as run:
+        with made(tasks_of_file(file), (), workers) as run:
             scenes = {row["scene_id"]: scene_from_row(row) for row in run.table("scenes").to_pylist()}
             told = [*run.table("warnings").to_pylist(), *run.table("failures").to_pylist()]
     return [
@@ -124,7 +124,7 @@ def contradictory(num_cases: int, workers: WorkerPool) -> list[dict[str, Any]]:
 
 def measure(data: str, num_scenes: int, num_cases: int, workers: WorkerPool) -> dict[str, Any]:
     """All figures."""
-    usual, unseen = (sampled(num_scenes, 1, list(kinds)) for kinds in (TABLES, UNSEEN_TABLES))
+    usual, unseen = (sample_tasks(num_scenes, 1, list(kinds)) for kinds in (TABLES, UNSEEN_TABLES))
     own = frozenset(asset.asset_id for asset in library_of_folder(Path(data), "own").assets)
     return {
         "usual tables": figures(usual, (), workers),

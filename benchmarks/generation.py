@@ -52,7 +52,7 @@ from models.semantic_reasoner.text.prompt import WANTED
 from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import TIMING_FOLDER
 from pipelines.sources.assets import AssetLibraries
-from pipelines.sources.generation_tasks import sampled
+from pipelines.sources.generation_tasks import sample_tasks
 from stable_data.cli import DONE, SOME_FAILED
 from stable_data.scene import Stage
 from stable_data.storage.run_folder import RunFolder
@@ -277,7 +277,7 @@ def figures(scenes: int, serial: int, counts: Sequence[int], weights: str) -> It
     """All figures with their names, each when it is there."""
     with tempfile.TemporaryDirectory(prefix="stable-data-") as name:
         place, script = Path(name), scripted(Path(name))
-        tasks = [task if isinstance(task, LayoutTask) else task.drawn() for task in sampled(scenes).tasks]
+        tasks = [task if isinstance(task, LayoutTask) else task.drawn() for task in sample_tasks(scenes).tasks]
         half = -(-scenes // 2)
 
         size = min(half, GenerateSettings().of_tasks(scenes).scenes_per_shard)

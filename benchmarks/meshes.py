@@ -9,7 +9,7 @@ from tqdm import tqdm
 from stable_data.errors import MeshError
 from stable_data.geometry.gltf_reader import load_glb
 from stable_data.geometry.mesh import Mesh
-from stable_data.geometry.mesh_repair import MeshReport, repair
+from stable_data.geometry.mesh_repair import MeshReport, repair_mesh
 
 
 def repaired_meshes(folder: Path, limit: int) -> Iterator[tuple[str, Mesh, MeshReport]]:
@@ -24,7 +24,7 @@ def repaired_meshes(folder: Path, limit: int) -> Iterator[tuple[str, Mesh, MeshR
         paths = [paths[i] for i in np.linspace(0, len(paths) - 1, min(limit, len(paths))).astype(int)]
     for path in tqdm(paths, "meshes"):
         try:
-            mesh, report, _ = repair(load_glb(path, path.stem)[0], path.stem)
+            mesh, report, _ = repair_mesh(load_glb(path, path.stem)[0], path.stem)
         except MeshError as error:
             tqdm.write(f"left out: {error}")
             continue

@@ -35,14 +35,14 @@ from tqdm import tqdm
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings, load_reasoner
 from models.semantic_reasoner.reasoner import Proposal
-from models.semantic_reasoner.staged_layout import ONE_SHOT, PROGRESSIVE, StagedLayout, of_scene, staged_layouts
+from models.semantic_reasoner.staged_layout import ONE_SHOT, PROGRESSIVE, StagedLayout, staged_layouts, task_of_scene
 from pipelines.sources.assets import AssetLibraries
 from stable_data.assets.assignment import assign_assets
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
 from stable_data.metrics.alignment import align, reference_of
 from stable_data.metrics.alignment_summary import AlignmentSummary, summarise_alignment
-from stable_data.metrics.audit import PosedScene, audit_posed
+from stable_data.metrics.audit import PosedScene, audit_posed_scene
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.reply_validity import ReplyTally
 from stable_data.scene import Scene, SceneObject, Stage
@@ -80,7 +80,7 @@ class Furnisher:
     def card(self, scene: Scene) -> MetricCard:
         """The exact verdicts."""
         _, shapes, _ = self._store.resolved(scene)
-        return audit_posed(PosedScene(scene, shapes)).card(0, 0)
+        return audit_posed_scene(PosedScene(scene, shapes)).card(0, 0)
 
 
 def up_to(objects: Sequence[SceneObject], stage: Stage) -> tuple[SceneObject, ...]:
@@ -189,7 +189,7 @@ def main(
             began = time.perf_counter()
             seeds = range(seed * 1_000_003, seed * 1_000_003 + len(truth))
             layouts = staged_layouts(
-                reasoner, [of_scene(s) for s in truth], seeds, ONE_SHOT if one_shot else PROGRESSIVE, statistics
+                reasoner, [task_of_scene(s) for s in truth], seeds, ONE_SHOT if one_shot else PROGRESSIVE, statistics
             )
             found[name] = figures(layouts, truth, time.perf_counter() - began)
             if furnisher is not None:

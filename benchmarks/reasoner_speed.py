@@ -31,7 +31,7 @@ from models.semantic_reasoner.engines.protocol import Request, Sampling
 from models.semantic_reasoner.engines.registry import EMBEDDED
 from models.semantic_reasoner.reasoner import SemanticReasoner
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
-from models.semantic_reasoner.staged_layout import of_scene, staged_layouts
+from models.semantic_reasoner.staged_layout import staged_layouts, task_of_scene
 from models.semantic_reasoner.text.prompt import ReasonerQuestion, messages
 from models.semantic_reasoner.text.reply_json import layout_objects
 from models.semantic_reasoner.text.tokenizer import chat_text
@@ -46,7 +46,7 @@ def scenes_a_minute(engine: LocalEngine, scenes: Sequence[Scene], at_once: int) 
     began = time.perf_counter()
     for first in range(0, len(scenes), at_once):
         part = scenes[first : first + at_once]
-        staged_layouts(reasoner, [of_scene(s) for s in part], range(len(part)))
+        staged_layouts(reasoner, [task_of_scene(s) for s in part], range(len(part)))
     return 60 * len(scenes) / (time.perf_counter() - began)
 
 
@@ -55,7 +55,7 @@ def questions(scenes: Sequence[Scene]) -> list[Request]:
     found = []
     for seed, scene in enumerate(scenes):
         known = layout_objects([o for o in scene.objects if o.stage is not Stage.SECONDARY])
-        ask = replace(ReasonerQuestion(of_scene(scene).instruction, scene.table, Stage.SECONDARY), layout=known)
+        ask = replace(ReasonerQuestion(task_of_scene(scene).instruction, scene.table, Stage.SECONDARY), layout=known)
         found.append(Request(tuple(messages(ask)), ReplyGrammar.of_table(scene.table), seed))
     return found
 

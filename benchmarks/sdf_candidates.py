@@ -26,7 +26,7 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from benchmarks.meshes import repaired_meshes
 from stable_data.geometry.mesh import Mesh
-from stable_data.geometry.mesh_repair import repair
+from stable_data.geometry.mesh_repair import repair_mesh
 from stable_data.geometry.sdf.build import probe_points, unit_mesh
 from stable_data.geometry.sdf.exact import SignedDistance
 from stable_data.geometry.sdf.narrow_band import distance_to_faces
@@ -107,7 +107,7 @@ def _cut(mesh: Mesh, rng: np.random.Generator) -> Mesh:
 
 def _mended(mesh: Mesh) -> Mesh:
     """A mesh repaired, where it was: repair centres it."""
-    repaired = repair(mesh, "turned")[0]
+    repaired = repair_mesh(mesh, "turned")[0]
     return Mesh(repaired.vertices + (mesh.vertices.min(axis=0) - repaired.vertices.min(axis=0)), repaired.faces)
 
 

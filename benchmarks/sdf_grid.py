@@ -23,7 +23,7 @@ from tqdm import tqdm
 from benchmarks.meshes import repaired_meshes
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_repair import MeshReport
-from stable_data.geometry.sdf.build import build_grid, unit_mesh, with_errors
+from stable_data.geometry.sdf.build import build_grid, measure_grid_errors, unit_mesh
 from stable_data.geometry.sdf.exact import SignedDistance
 from stable_data.geometry.sdf.grid import SdfGrid
 from stable_data.geometry.sdf.narrow_band import GridNodes
@@ -143,7 +143,7 @@ def _compare(asset_id: str, mesh: Mesh, is_sheet: bool, ours: SdfGrid, ours_seco
     values = exact(lattice.places(nodes)).reshape(lattice.shape)
     dense_seconds = time.process_time() - start
     dense = replace(ours, values=values.astype(np.float16))
-    ours, dense = (with_errors(g, exact, num_near=_NUM_NEAR, num_far=_NUM_FAR) for g in (ours, dense))
+    ours, dense = (measure_grid_errors(g, exact, num_near=_NUM_NEAR, num_far=_NUM_FAR) for g in (ours, dense))
     h = ours.spacing
     # A node that lies on the surface has no side.
     wrong = ((ours.values < 0) != (values < 0)) & (np.abs(values) > 1e-3 * h)

@@ -9,7 +9,7 @@ import stable_data as sd
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
-from pipelines.sources.generation_tasks import sampled
+from pipelines.sources.generation_tasks import sample_tasks
 
 
 def main(out: str, count: int = 10) -> None:
@@ -19,7 +19,7 @@ def main(out: str, count: int = 10) -> None:
         out: Folder of the run; start again to continue an interrupted run.
         count: How many tasks to sample.
     """
-    tasks = sampled(count, seed=0)
+    tasks = sample_tasks(count, seed=0)
     generate(tasks, out, GenerateSettings(num_pictures=0), WorkerPool())  # WorkerPool(4): four processes on a local Ray
     run = sd.RunFolder(out)
     for row in run.table("scenes").to_pylist():

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import stable_data as sd
-from stable_data.atomic_files import plain_name, put_file
+from stable_data.atomic_files import safe_file_name, write_file_atomically
 from stable_data.export.formats import FORMATS
 from stable_data.simulation.scene_geometry import SceneGeometry
 
@@ -17,14 +17,14 @@ class PoseTable:
 
     ABOUT = "One CSV file for each scene: instance, centre of the box in metres, yaw in radians."
 
-    def place(self, scene: sd.Scene, out: Path) -> Path:
+    def scene_path(self, scene: sd.Scene, out: Path) -> Path:
         """The file of a scene."""
-        return out / f"{plain_name(scene.scene_id)}.csv"
+        return out / f"{safe_file_name(scene.scene_id)}.csv"
 
-    def write(self, solid: SceneGeometry, out: Path) -> None:
+    def export_scene(self, solid: SceneGeometry, out: Path) -> None:
         """Writes the file of a scene in one step."""
         rows = [f'"{o.instance}",{",".join(map(str, (*o.position, o.yaw)))}' for o in solid.scene.objects]
-        put_file(self.place(solid.scene, out), "\n".join(["instance,x,y,z,yaw", *rows, ""]).encode())
+        write_file_atomically(self.scene_path(solid.scene, out), "\n".join(["instance,x,y,z,yaw", *rows, ""]).encode())
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import pyarrow as pa
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
-from pipelines.execution.shard_size import groups
+from pipelines.execution.shard_size import split_groups
 from pipelines.execution.shard_step import ItemStep, Rows, Shard, StepShards
 from pipelines.sources.scenes import TableSource
 from stable_data.content_id import content_id
@@ -46,7 +46,7 @@ class DensityJob(ShardJob):
         return {"scenes": content_id(sorted(self.source.folder.shard_ids("scenes")))}
 
     def plan(self) -> list[StepShards[str]]:
-        cut = groups(self.source.scene_ids, 32)
+        cut = split_groups(self.source.scene_ids, 32)
         return [StepShards(DensityStep(self.run), [Shard(content_id(self.inputs(), part), tuple(part)) for part in cut])]
 
     def expected(self) -> list[ExpectedItems]:

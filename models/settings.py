@@ -63,7 +63,7 @@ class Settings:
         """Raises a ConfigError where values do not go together."""
 
 
-def filled(kind: type[S], values: Mapping[str, Any], name: str) -> S:
+def fill_settings(kind: type[S], values: Mapping[str, Any], name: str) -> S:
     """Settings from nested values, such as a file's; what is not said takes its default.
 
     Args:
@@ -87,7 +87,7 @@ def filled(kind: type[S], values: Mapping[str, Any], name: str) -> S:
 
 
 @cache
-def meanings(kind: _Kind) -> dict[str, str]:
+def setting_meanings(kind: _Kind) -> dict[str, str]:
     """What each field of a settings class means, by its name: the text below it, in one line; empty where there is none."""
     found = dict.fromkeys(_hints(kind), "")
     for part in reversed(kind.__mro__):  # pydantic reads the texts of a class's own fields alone

@@ -90,10 +90,10 @@ def preprocess(
     from pipelines.preprocess.job import PreprocessJob
     from pipelines.preprocess.job import preprocess as run
     from pipelines.preprocess.plan import PreprocessSettings
-    from pipelines.settings import resolve
+    from pipelines.settings import resolve_settings
 
     count = _count(workers, address)
-    settings = resolve(PreprocessSettings, "preprocess", config, set_ or [])
+    settings = resolve_settings(PreprocessSettings, "preprocess", config, set_ or [])
     if dry_run:
         typer.echo(json.dumps(describe(PreprocessJob(data, settings, WorkerPool())), indent=2))
         return
@@ -130,10 +130,10 @@ def correct(
     from pipelines.correct.settings import CorrectSettings
     from pipelines.execution.ray_executor import WorkerPool
     from pipelines.execution.shard_job import describe
-    from pipelines.settings import resolve
+    from pipelines.settings import resolve_settings
 
     count = _count(workers, address)
-    settings = resolve(CorrectSettings, "correct", config, set_ or [])
+    settings = resolve_settings(CorrectSettings, "correct", config, set_ or [])
     if dry_run:
         typer.echo(json.dumps(describe(CorrectJob(scenes, settings, WorkerPool())), indent=2))
         return
@@ -184,11 +184,11 @@ def edit(
     from pipelines.edit.settings import EditSettings
     from pipelines.execution.ray_executor import WorkerPool
     from pipelines.execution.shard_job import describe
-    from pipelines.settings import resolve
+    from pipelines.settings import resolve_settings
 
     count = _count(workers, address)
     asked = [f"engine.engine={json.dumps(engine)}"] if engine is not None else []
-    settings = resolve(EditSettings, "edit", config, [*(set_ or []), *asked])
+    settings = resolve_settings(EditSettings, "edit", config, [*(set_ or []), *asked])
     if dry_run:
         typer.echo(json.dumps(describe(EditJob(scenes, edits, settings, WorkerPool())), indent=2))
         return
@@ -259,8 +259,8 @@ def generate(
     from pipelines.generate.job import GenerateJob
     from pipelines.generate.job import generate as run
     from pipelines.generate.settings import GenerateSettings
-    from pipelines.settings import resolve
-    from pipelines.sources.generation_tasks import of_file, of_instruction, of_scenes, sampled
+    from pipelines.settings import resolve_settings
+    from pipelines.sources.generation_tasks import sample_tasks, task_of_instruction, tasks_of_file, tasks_of_scenes
 
     if sum(source is not None for source in (tasks, scenes, count, instruction)) != 1:
         raise ConfigError("expected one of --tasks FILE, --scenes DATA, --count N and --instruction TEXT", "usage")
@@ -274,15 +274,15 @@ def generate(
         raise ConfigError("--instruction TEXT is without its table, expected one --table TYPE and --size W D", "usage")
     workers = _count(workers, address)
     asked = [f"engine.engine={json.dumps(engine)}"] * (engine is not None) + [f"seed={seed}"] * (seed is not None)
-    settings = resolve(GenerateSettings, "generate", config, [*(set_ or []), *asked])
+    settings = resolve_settings(GenerateSettings, "generate", config, [*(set_ or []), *asked])
     if tasks is not None:
-        found = of_file(tasks)
+        found = tasks_of_file(tasks)
     elif scenes is not None:
-        found = of_scenes(scenes, where)
+        found = tasks_of_scenes(scenes, where)
     elif instruction is not None:
-        found = of_instruction(instruction, (table or [""])[0], size, restricted)
+        found = task_of_instruction(instruction, (table or [""])[0], size, restricted)
     else:
-        found = sampled(count or 0, settings.seed, table or ())
+        found = sample_tasks(count or 0, settings.seed, table or ())
     if dry_run:
         typer.echo(json.dumps(describe(GenerateJob(found, settings, assets or ())), indent=2))
         return
@@ -352,10 +352,10 @@ def train_corrector(
     Status 0: done, or stopped with its checkpoint kept. 2: could not start or go on.
     """
     from models.physics_corrector.training.settings import CorrectorTrainingSettings, training_preset
-    from pipelines.settings import resolve
+    from pipelines.settings import resolve_settings
     from pipelines.train.corrector import CorrectorTrainingJob
 
-    settings = resolve(CorrectorTrainingSettings, "train_corrector", config, set_ or [], training_preset(preset))
+    settings = resolve_settings(CorrectorTrainingSettings, "train_corrector", config, set_ or [], training_preset(preset))
     job = CorrectorTrainingJob(data, out, settings, minutes=minutes)
     if dry_run:
         typer.echo(json.dumps(job.describe(), indent=2))
@@ -389,18 +389,18 @@ def train_reasoner(
     on.
     """
     from models.semantic_reasoner.training.settings import ReasonerTrainingSettings, training_preset
-    from pipelines.settings import resolve
+    from pipelines.settings import resolve_settings
     from pipelines.train.reasoner import ReasonerTrainingJob
 
-    settings = resolve(ReasonerTrainingSettings, "train_reasoner", config, set_ or [], training_preset(preset))
+    settings = resolve_settings(ReasonerTrainingSettings, "train_reasoner", config, set_ or [], training_preset(preset))
     if preset == "paper" and not settings.base:
         raise ConfigError("preset paper fine-tunes a model: name its folder with --set base=DIR", "config_invalid")
     job = ReasonerTrainingJob(data, out, settings, minutes=minutes)
     count = _count(workers, address) if address or workers else 0
     if dry_run:
-        from pipelines.train.estimate import plan_of
+        from pipelines.train.estimate import training_plan
 
-        typer.echo(json.dumps(plan_of(job, count), indent=2))
+        typer.echo(json.dumps(training_plan(job, count), indent=2))
         return
     typer.echo(job.run(count, address))
 

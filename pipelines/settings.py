@@ -14,9 +14,9 @@ from pathlib import Path
 from textwrap import wrap
 from typing import Any, TypeVar
 
-from models.settings import filled, meanings
+from models.settings import fill_settings, setting_meanings
 from pipelines.retired import RETIRED
-from stable_data.config_diff import flat
+from stable_data.config_diff import flatten_config
 from stable_data.errors import ConfigError
 
 C = TypeVar("C")
@@ -92,7 +92,7 @@ class Setting:
     meaning: str
 
 
-def resolve(kind: type[C], section: str, file: Path | None, overrides: Iterable[str], base: C | None = None) -> C:
+def resolve_settings(kind: type[C], section: str, file: Path | None, overrides: Iterable[str], base: C | None = None) -> C:
     """The settings of one job.
 
     Args:
@@ -118,7 +118,7 @@ def resolve(kind: type[C], section: str, file: Path | None, overrides: Iterable[
             _merge(values, _nested(path, _parsed(value.strip())), section, defaults)
     except RecursionError:
         raise ConfigError(f"settings of {section}: tables or lists are nested too deep", "config_invalid") from None
-    return filled(kind, values, section)
+    return fill_settings(kind, values, section)
 
 
 def list_settings(verb: str, preset: str = "") -> list[Setting]:
@@ -152,7 +152,7 @@ def settings_text(settings: Iterable[Setting]) -> str:
 def _listed(settings: Any, prefix: str) -> Iterator[Setting]:
     nested = []
     kind: Any = type(settings)
-    texts = meanings(kind)
+    texts = setting_meanings(kind)
     for field in fields(settings):
         value = getattr(settings, field.name)
         if is_dataclass(value):
@@ -197,7 +197,7 @@ def _nested(path: list[str], value: Any) -> dict[str, Any]:
 
 def _near(key: str, defaults: Mapping[str, Any], section: str) -> str:
     """Which setting may be meant: one of like name, or of the same name in another table."""
-    known = flat(defaults)
+    known = flatten_config(defaults)
     last = key.rpartition(".")[2]
     near = difflib.get_close_matches(key, known, 1) or [name for name in known if name.rpartition(".")[2] == last]
     verb = section.replace("_", "-")

@@ -10,7 +10,7 @@ _PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*")
 _MAX_LENGTH = 100
 
 
-def aside_of(path: Path) -> Path:
+def temporary_path(path: Path) -> Path:
     """Where a file is written before it is put in place: beside it, under a name that no other writer has, on no machine.
 
     The number of a process would not do: machines, or containers, that share a folder have the same ones.
@@ -18,13 +18,13 @@ def aside_of(path: Path) -> Path:
     return path.with_name(f".{path.name}.tmp-{uuid.uuid4().hex}")
 
 
-def put_file(path: Path, content: bytes) -> None:
+def write_file_atomically(path: Path, content: bytes) -> None:
     """Writes a file aside and puts it in place in one step; its folder must be there.
 
     Raises:
         OSError: It cannot be written.
     """
-    aside = aside_of(path)
+    aside = temporary_path(path)
     try:
         aside.write_bytes(content)
         aside.replace(path)
@@ -32,7 +32,7 @@ def put_file(path: Path, content: bytes) -> None:
         aside.unlink(missing_ok=True)
 
 
-def plain_name(name: str, reserved: Set[str] = frozenset()) -> str:
+def safe_file_name(name: str, reserved: Set[str] = frozenset()) -> str:
     """A name of ASCII letters, digits and ``_.+-``, so that other programs take it; one that is plain already stays as it is.
 
     Args:

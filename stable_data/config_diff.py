@@ -7,15 +7,15 @@ from typing import Any
 from stable_data.errors import ConfigError
 
 
-def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flatten_config(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Nested values by their dotted keys; what is empty stays as it is."""
     found: dict[str, Any] = {}
     for key, value in values.items():
-        found |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) and value else {prefix + key: value}
+        found |= flatten_config(value, f"{prefix}{key}.") if isinstance(value, dict) and value else {prefix + key: value}
     return found
 
 
-def differences(was: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+def config_differences(was: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     """``key: was -> now`` for every key whose value differs."""
     return [
         f"{key}: {was.get(key)} -> {now.get(key)}" for key in sorted(was.keys() | now.keys()) if was.get(key) != now.get(key)
@@ -34,6 +34,6 @@ def refuse_changed(where: str, was: Mapping[str, Any], now: Mapping[str, Any], *
     Raises:
         ConfigError: A value differs: ``key: was -> now``.
     """
-    if changed := differences(flat(was), flat(json.loads(json.dumps(now)))):
+    if changed := config_differences(flatten_config(was), flatten_config(json.loads(json.dumps(now)))):
         remedy = instead or "choose a new folder or restore it"
         raise ConfigError(f"{where}: was made with another configuration ({'; '.join(changed)}); {remedy}", "config_changed")

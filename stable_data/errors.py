@@ -57,7 +57,7 @@ class Notice:
     message: str
 
 
-def unwritable(where: str, error: OSError) -> ConfigError:
+def cannot_write(where: str, error: OSError) -> ConfigError:
     """The error for a place that cannot be written."""
     reason = error.strerror or str(error)
     return ConfigError(
@@ -66,7 +66,7 @@ def unwritable(where: str, error: OSError) -> ConfigError:
     )
 
 
-def unreadable(where: str, path: str, error: Exception) -> ConfigError:
+def cannot_read(where: str, path: str, error: Exception) -> ConfigError:
     """The error for a shard that is no Parquet any more."""
     reason = str(error).strip().partition("\n")[0]
     return ConfigError(

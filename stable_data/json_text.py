@@ -37,7 +37,7 @@ class ReadLog:
         return SceneError(f"{self.item_id}: {message}", code)
 
 
-def shown(value: object) -> str:
+def quote_value(value: object) -> str:
     """A value as a message may quote it: bounded, on one line."""
     try:
         text = repr(value[:9] if isinstance(value, (list, str)) and len(value) > 99 else value)
@@ -84,7 +84,7 @@ def parse_object(data: bytes | str, what: str, log: ReadLog, *, repeated_code: s
         if len(entry) < len(pairs):
             repeated, *others = (key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
             more = f" and {len(others)} more keys" if others else ""
-            found = f"{what} gives key {shown(repeated)}{more} twice in one object"
+            found = f"{what} gives key {quote_value(repeated)}{more} twice in one object"
             if repeated_code is None:
                 raise log.error("json_duplicate_key", f"{found}; keep one of them")
             log.warn(repeated_code, f"{found}; the first is kept")
@@ -105,7 +105,7 @@ def parse_object(data: bytes | str, what: str, log: ReadLog, *, repeated_code: s
     except SceneError:
         raise
     except ValueError as error:  # an integer of thousands of digits
-        raise log.error("json_invalid", f"{what} is not valid JSON: {shown(str(error))}") from None
+        raise log.error("json_invalid", f"{what} is not valid JSON: {quote_value(str(error))}") from None
     if not isinstance(document, dict):
         raise log.error("json_not_object", f"{what} holds a {type(document).__name__} at its top level, expected an object")
     if _is_deep(document):
@@ -231,7 +231,7 @@ def are_finite(values: Sequence[float] | None) -> bool:
     return values is not None and all(map(math.isfinite, values))
 
 
-def inverse(forward: Callable[[float], float], guess: float, target: float) -> float:
+def exact_preimage(forward: Callable[[float], float], guess: float, target: float) -> float:
     """The double near ``guess`` that ``forward`` takes to ``target`` exactly, or ``guess`` where no double does."""
     below = above = guess
     for _ in range(4):

@@ -58,7 +58,7 @@ def to_box_centre(scene_object: SceneObject, vertices: FloatArray) -> SceneObjec
     return replace(scene_object, position=(x + c * right - s * back, y + s * right + c * back, z + up))
 
 
-def tells_convention(scene_object: SceneObject, vertices: FloatArray) -> bool:
+def reveals_convention(scene_object: SceneObject, vertices: FloatArray) -> bool:
     """Whether an object's height tells which of the two conventions its dataset follows.
 
     It is tilted, its mesh is the annotated one (:func:`has_size`), and its two centres differ in height by more than the

@@ -39,7 +39,7 @@ def yaw_quat(yaw: float) -> QuatXyzw:
     return (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
 
 
-def normalised(quat_xyzw: QuatXyzw) -> QuatXyzw:
+def normalise_quat(quat_xyzw: QuatXyzw) -> QuatXyzw:
     """The unit quaternion of the same direction, xyzw."""
     norm = math.sqrt(math.fsum(q * q for q in quat_xyzw))
     x, y, z, w = quat_xyzw
@@ -57,7 +57,7 @@ def quat_of(rotation: "Rotation") -> QuatXyzw:
     return (x, y, z, w)
 
 
-def turned_xy(points: FloatArray, yaw: float) -> FloatArray:
+def rotate_xy(points: FloatArray, yaw: float) -> FloatArray:
     """Points seen from above, (..., 2), turned by ``yaw`` radians about the origin."""
     c, s = np.cos(yaw), np.sin(yaw)
     return np.asarray(points @ np.array([[c, s], [-s, c]]))
@@ -86,7 +86,7 @@ def rotation_matrix(quat_xyzw: QuatXyzw) -> FloatArray:
     )
 
 
-def stood_on_end(axis: int, *, is_down: bool = False) -> QuatXyzw:
+def stand_on_end(axis: int, *, is_down: bool = False) -> QuatXyzw:
     """The rotation that stands a long thing on end.
 
     Args:
@@ -133,10 +133,10 @@ def tilt_of(quat_xyzw: QuatXyzw, yaw: float) -> QuatXyzw:
     x, y, z, w = quat_xyzw
     if x == 0 and y == 0 and abs(math.remainder(yaw - 2 * math.atan2(z, w), 2 * math.pi)) < 1e-6:
         return UPRIGHT  # a pure yaw: what is left is rounding
-    return normalised(quat_product(yaw_quat(-yaw), quat_xyzw))
+    return normalise_quat(quat_product(yaw_quat(-yaw), quat_xyzw))
 
 
-def turned_extents(extents: Vec3, quat_xyzw: QuatXyzw) -> Vec3:
+def rotated_extents(extents: Vec3, quat_xyzw: QuatXyzw) -> Vec3:
     """Extents of the axis-aligned box around a turned box; exact for a box, an upper bound for what it holds."""
     if quat_xyzw == UPRIGHT:
         return extents

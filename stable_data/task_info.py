@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from stable_data.errors import SceneError
-from stable_data.json_text import ReadLog, are_finite, is_unicode, numbers, shown
+from stable_data.json_text import ReadLog, are_finite, is_unicode, numbers, quote_value
 from stable_data.scene import MAX_INSTRUCTION, Relation, RelationKind, TaskInfo
 
 LISTS = {"goal": "Goal", "action_sequence": "Action Sequence", "objects_cluster": "Objects cluster"}
@@ -85,7 +85,9 @@ def validate_task_info(data: Mapping[str, Any]) -> None:
 
 
 def _invalid(key: str, found: Any, expected: str) -> SceneError:
-    return SceneError(f"task info: {key!r} is {shown(found)}, expected {expected}; write the key again", "task_info_invalid")
+    return SceneError(
+        f"task info: {key!r} is {quote_value(found)}, expected {expected}; write the key again", "task_info_invalid"
+    )
 
 
 def task_info_of(data: Mapping[str, Any], origin: str = "file") -> TaskInfo:
@@ -116,12 +118,12 @@ def parse_task_info(document: Mapping[str, Any], log: ReadLog, what: str = "task
     """
     task, environment = document.get("Task"), document.get("Environment", "")
     if not isinstance(task, str) or not task.strip():
-        raise log.error("task_info_invalid", f"{what} has Task {shown(task)}, expected a sentence")
+        raise log.error("task_info_invalid", f"{what} has Task {quote_value(task)}, expected a sentence")
     if len(task) > MAX_INSTRUCTION:
         found = f"a Task of {len(task):,} characters, expected at most {MAX_INSTRUCTION:,}; shorten it"
         raise log.error("task_info_invalid", f"{what} has {found}")
     if not isinstance(environment, str):
-        raise log.error("task_info_invalid", f"{what} has Environment {shown(environment)}, expected a sentence")
+        raise log.error("task_info_invalid", f"{what} has Environment {quote_value(environment)}, expected a sentence")
     lists = {field: _texts(document, key, log, what) for field, key in {**LISTS, "task_objects": "task_objects"}.items()}
     relations = relations_in(document, log, what)
     return TaskInfo(environment, task, **lists, relations=relations, origin=origin_in(document), source=document)
@@ -139,7 +141,7 @@ def _texts(document: Mapping[str, Any], key: str, log: ReadLog, what: str) -> tu
     if isinstance(value, str):
         return (value,)
     if not _are_texts(value):
-        raise log.error("task_info_invalid", f"{what} has {key} {shown(value)}, expected a list of strings")
+        raise log.error("task_info_invalid", f"{what} has {key} {quote_value(value)}, expected a list of strings")
     return tuple(value)
 
 
@@ -157,7 +159,7 @@ def relations_in(document: Mapping[str, Any], log: ReadLog, what: str = "task in
         parts: Iterable[Any] = [entry.get(key) for key in ("subject", "kind", "target")] if isinstance(entry, dict) else entry
         parts = parts if isinstance(parts, list) else []
         if len(parts) != 3 or not all(isinstance(part, str) for part in parts) or parts[1] not in list(RelationKind):
-            raise log.error("task_info_invalid", f"{what} has relation {shown(entry)}, expected [subject, kind, target]")
+            raise log.error("task_info_invalid", f"{what} has relation {quote_value(entry)}, expected [subject, kind, target]")
         relations.append(Relation(parts[0], RelationKind(parts[1]), parts[2]))
     return tuple(relations)
 

@@ -17,7 +17,7 @@ from benchmarks.baselines.outcome import BaselineResult
 from models.physics_corrector.geometry.closest_point import ClosestPointQueries, posed_distance
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.geometry.shape_tensors import ShapeCollector, ShapeTensors
-from models.physics_corrector.training.losses import bounds, colliding_pairs
+from models.physics_corrector.training.losses import bounds_loss, colliding_pairs
 from stable_data.assets.store import AssetStore
 from stable_data.geometry.shape import Shape
 from stable_data.rotations import YAW_ARM
@@ -68,7 +68,7 @@ class PenaltyDescent:
             poses = torch.cat([moving[..., :2], height, moving[..., 2:]], dim=-1)
             loss = depths(poses, batch, geometry).square().sum() + (pull * (moving - origin).square()).sum()
             if self.bounds_weight:
-                loss = loss + self.bounds_weight * bounds(poses, batch, geometry).sum()
+                loss = loss + self.bounds_weight * bounds_loss(poses, batch, geometry).sum()
             loss.backward()  # type: ignore[no-untyped-call]
             adam.step()
             schedule.step()

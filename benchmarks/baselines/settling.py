@@ -10,7 +10,7 @@ from stable_data.errors import MeshError
 from stable_data.geometry.shape import Shape
 from stable_data.scene import Scene
 from stable_data.simulation.collision_bodies import DENSITY, bodies_of
-from stable_data.simulation.scene_geometry import at_rest
+from stable_data.simulation.scene_geometry import object_at_rest
 from stable_data.simulation.settling import PhysicsOptions, settle
 
 _AT_REST = 1e-3  # metres, while watched
@@ -44,7 +44,7 @@ class Settle:
         seconds = time.process_time() - begin
         if result.drift_mm is None:
             return BaselineResult(scene, False, seconds, result.reason)
-        objects = tuple(at_rest(o, store.mesh_of(o), result.pose(k)) for k, o in enumerate(resolved.objects))
+        objects = tuple(object_at_rest(o, store.mesh_of(o), result.pose(k)) for k, o in enumerate(resolved.objects))
         is_at_rest = result.drift_mm <= 1e3 * _AT_REST
         reason = "" if is_at_rest else f"something still moves: {result.drift_mm:.1f} mm in {self.options.watch_seconds:g} s"
         return BaselineResult(replace(scene, objects=objects), is_at_rest, seconds, reason)

@@ -24,7 +24,7 @@ from models.physics_corrector.certify.correction import Correction
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.language.stated_relations import relations_not_held
 from models.semantic_reasoner.reasoner import Proposal
-from models.semantic_reasoner.replies.to_scene import accepted, with_task
+from models.semantic_reasoner.replies.to_scene import attach_task_info, objects_of_reply
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import ReasonerQuestion, Wanted
 from models.semantic_reasoner.text.reply_json import layout_objects
@@ -136,7 +136,7 @@ class _StageLoop:
             return Turn(wanted, proposal, rejected=proposal.failure, code=proposal.code), None
 
         # Retrieve: an asset for each object.
-        proposed = accepted(proposal.reply, question, self.statistics)
+        proposed = objects_of_reply(proposal.reply, question, self.statistics)
         furnished = yield RetrievalRequest(replace(before, objects=proposed))
         assert isinstance(furnished, AssignedLayout)
         turn, found = Turn(wanted, proposal, furnished), furnished.scene.objects
@@ -148,7 +148,7 @@ class _StageLoop:
             return replace(turn, rejected="nothing is proposed, expected an object at least", code="layout_empty"), None
         scene = replace(before, objects=(*before.objects, *found))
         if not before.objects:
-            scene = with_task(scene, task.instruction, proposed, self.statistics)
+            scene = attach_task_info(scene, task.instruction, proposed, self.statistics)
         supports = state.supports | _proposed_supports(replace(before, objects=(*before.objects, *proposed)), names)
         candidate = StageCandidate(scene, found, supports, furnished.notices, state.num_missing)
 

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from models.dual_system.requests import Answer, CorrectionRequest, GenerationResult, Loop, ProposalRequest, RetrievalRequest
 from models.physics_corrector.certify.correction import Correction
-from models.semantic_reasoner.engines.incremental_batches import Conversation, converse
+from models.semantic_reasoner.engines.incremental_batches import Conversation, run_conversation
 from models.semantic_reasoner.reasoner import Proposal
 from stable_data.assets.assignment import AssignedLayout
 
@@ -76,7 +76,7 @@ def run_batched(
             run.advance(asking[number], proposal)
         return open_proposals()
 
-    converse(answerer.propose(open_proposals()), receive)
+    run_conversation(answerer.propose(open_proposals()), receive)
     return [run.made[k] for k in range(len(loops))]
 
 

@@ -17,7 +17,7 @@ from models.physics_corrector.certify.correction import (
     CorrectionOptions,
     Fixed,
     InputScene,
-    correction_of,
+    build_correction,
     shapes_by_instance,
 )
 from models.physics_corrector.certify.flow_start import certify_moved
@@ -114,7 +114,7 @@ class PhysicsCorrector:
         card_raw = audit_scene(raw, shapes).card() if raw is not None and self.judges_raw else None
         if not (wanted.may_tilt or wanted.asks_engine):
             result, _ = certify_moved(scene, raw, shapes, options)
-            return correction_of(start, result, shapes_by_instance(scene, shapes), raw=raw, card_raw=card_raw)
+            return build_correction(start, result, shapes_by_instance(scene, shapes), raw=raw, card_raw=card_raw)
         if not isinstance(assets, AssetStore):
             found = type(assets).__name__
             raise ConfigError(f"{scene.scene_id}: assets is {found}, expected an AssetStore to simulate with", "assets_missing")
@@ -137,7 +137,7 @@ class PhysicsCorrector:
         result, certifier = certify_moved(scene, raw, shapes, options)
         if bodies is not None:
             result = repair_settling(certifier, result, bodies)
-        done = correction_of(start, result, shapes_by_instance(scene, shapes), raw=request.raw, card_raw=card_raw)
+        done = build_correction(start, result, shapes_by_instance(scene, shapes), raw=request.raw, card_raw=card_raw)
         if wanted.asks_engine and wanted.may_tilt:
             return stabilize(done, start, options, assets)
         return replace(done, engine_fault=fault)

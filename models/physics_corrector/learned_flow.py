@@ -13,7 +13,7 @@ from models.physics_corrector.certify.correction import Fixed
 from models.physics_corrector.flow.checkpoint import DEFAULT_WEIGHTS as CORRECTOR
 from models.physics_corrector.flow.checkpoint import Checkpoint, load_corrector
 from models.physics_corrector.flow.condition import Condition
-from models.physics_corrector.geometry.scene_batch import padded
+from models.physics_corrector.geometry.scene_batch import pad_scenes
 from models.point_encoder import FEATURE_CHANNELS, PointCloud, PointEncoder
 from models.point_encoder import load as load_encoder
 from models.point_encoder.checkpoint import DEFAULT_WEIGHTS as ENCODER
@@ -77,7 +77,7 @@ class LearnedFlow:
         return moved
 
     def _moved(self, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed]) -> list[Scene]:
-        arrays = {name: torch.from_numpy(value) for name, value in padded(scenes, shapes, fixed).items()}
+        arrays = {name: torch.from_numpy(value) for name, value in pad_scenes(scenes, shapes, fixed).items()}
         features = None if self._encoder is None else self._features(shapes, arrays["mask"].shape[1])
         condition = Condition(**arrays, features=features)
         if not condition.mask.any():

@@ -22,7 +22,7 @@ from models.point_encoder.cloud import Preprocessing
 from models.point_encoder.encoder import PointEncoder
 from models.point_encoder.serialization import CURVES
 from models.point_encoder.transformer import TransformerConfig
-from stable_data.atomic_files import put_file
+from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError
 
 FORMAT = "stable-data point encoder 1"
@@ -43,7 +43,7 @@ def save(encoder: PointEncoder, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in encoder.state_dict().items()}
     # Not by the library's own writer of files, whose files nobody but their owner may read.
-    put_file(path, serialized(tensors, metadata))
+    write_file_atomically(path, serialized(tensors, metadata))
 
 
 def load(path: Path) -> PointEncoder:

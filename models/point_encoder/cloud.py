@@ -118,7 +118,7 @@ class Voxels:
     features: Tensor
 
 
-def voxelised(clouds: Sequence[PointCloud], preprocessing: Preprocessing, device: torch.device | str = "cpu") -> Voxels:
+def voxelise(clouds: Sequence[PointCloud], preprocessing: Preprocessing, device: torch.device | str = "cpu") -> Voxels:
     """Clouds as the network takes them.
 
     Points of one voxel are averaged (in double precision, so that their order does not show). A voxel's middle, not its corner,

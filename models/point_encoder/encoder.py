@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from models.point_encoder.cloud import PointCloud, Preprocessing, voxelised
+from models.point_encoder.cloud import PointCloud, Preprocessing, voxelise
 from models.point_encoder.transformer import PointTransformer, TransformerConfig
 from stable_data.errors import ConfigError, MeshError
 
@@ -76,7 +76,7 @@ class PointEncoder(nn.Module):
 
     def forward(self, clouds: Sequence[PointCloud]) -> Tensor:
         """Means over the voxels of each cloud, (B, out_channels) float32, not yet projected."""
-        voxels = voxelised(clouds, self.preprocessing, self.device)
+        voxels = voxelise(clouds, self.preprocessing, self.device)
         features, level = self.backbone(voxels.coords, voxels.batch, voxels.features)
         lengths = torch.tensor(level.lengths, device=features.device)
         # Not index_add_: it sums in a fixed order on every device.

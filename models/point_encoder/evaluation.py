@@ -8,7 +8,7 @@ from torch import Tensor
 
 from models.point_encoder.heads import PretrainingModel
 from models.point_encoder.pretraining_data import TrainingShape
-from models.point_encoder.pretraining_targets import CLEARANCE_LIMIT, DISTANCE_LIMIT, questions
+from models.point_encoder.pretraining_targets import CLEARANCE_LIMIT, DISTANCE_LIMIT, draw_targets
 
 
 @torch.no_grad()
@@ -26,7 +26,7 @@ def evaluate(model: PretrainingModel, shapes: Sequence[TrainingShape], batch_siz
     for start in range(0, len(shapes), batch_size):
         chosen = list(shapes[start : start + batch_size])
         num_queries = len(chosen[0].queries)
-        x = questions(chosen, num_queries, min(4, max(1, len(chosen) - 1)), np.random.default_rng([seed, start])).to(
+        x = draw_targets(chosen, num_queries, min(4, max(1, len(chosen) - 1)), np.random.default_rng([seed, start])).to(
             model.encoder.device
         )
         codes, distances, clearances, of_boxes = model(x)

@@ -15,7 +15,7 @@ _FREQUENCIES, _PAIR_FREQUENCIES = 5, 3
 _HARMONICS = 4
 
 
-def waves(values: Tensor, frequencies: int = _FREQUENCIES) -> Tensor:
+def fourier_features(values: Tensor, frequencies: int = _FREQUENCIES) -> Tensor:
     """Numbers with sines and cosines of them, (…, n) to (…, n (1 + 2 · frequencies))."""
     angles = values[..., None] * (math.pi * 2.0 ** torch.arange(-1, frequencies - 1, device=values.device))
     return torch.cat([values, angles.sin().flatten(-2), angles.cos().flatten(-2)], dim=-1)
@@ -67,7 +67,7 @@ class DistanceHead(nn.Module):
         Returns:
             (B, Q).
         """
-        result: Tensor = self.answers(torch.cat([codes, proportions], dim=1), waves(places))
+        result: Tensor = self.answers(torch.cat([codes, proportions], dim=1), fourier_features(places))
         return result[..., 0]
 
 
@@ -108,7 +108,7 @@ class ClearanceHead(nn.Module):
         ):
             place = torch.cat([way, up, way.norm(dim=1, keepdim=True), x.box_clearances[:, None]], dim=1)
             angles = torch.stack([torch.atan2(way[:, 1], way[:, 0]), torch.atan2(turn, c)], dim=1)
-            asked = [box, other, x.box_clearances[:, None], waves(place, _PAIR_FREQUENCIES), _harmonics(angles)]
+            asked = [box, other, x.box_clearances[:, None], fourier_features(place, _PAIR_FREQUENCIES), _harmonics(angles)]
             known = torch.cat([box, code], dim=1) if self.with_codes else box
             said.append(self.towards(known, torch.cat(asked, dim=1)[:, None])[:, 0])
         result: Tensor = self.rest(said[0] + said[1])

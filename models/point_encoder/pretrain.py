@@ -23,11 +23,11 @@ from models.point_encoder.checkpoint import save
 from models.point_encoder.cloud import Preprocessing
 from models.point_encoder.evaluation import evaluate
 from models.point_encoder.heads import PretrainingModel
-from models.point_encoder.pretraining_data import TrainingShape, corpus
-from models.point_encoder.pretraining_targets import PretrainingTargets, questions
+from models.point_encoder.pretraining_data import TrainingShape, pretraining_corpus
+from models.point_encoder.pretraining_targets import PretrainingTargets, draw_targets
 from models.point_encoder.transformer import BASE, EMBEDDED
 from models.settings import Count, NonNegative, Positive, PositiveCount, Settings
-from stable_data.config_diff import differences
+from stable_data.config_diff import config_differences
 from stable_data.errors import ConfigError
 
 STATE, LABELS, ENCODER, REPORT = "state.pt", "labels.npz", "encoder.safetensors", "report.json"
@@ -114,7 +114,7 @@ def pretrain(
     model = PretrainingModel(CONFIGS[settings.config], preprocessing).to("cuda" if torch.cuda.is_available() else "cpu")
     optimiser = torch.optim.AdamW(model.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
     step, losses, settings = _resumed(out / STATE, settings, model, optimiser)
-    shapes, held_out = corpus(
+    shapes, held_out = pretraining_corpus(
         settings.num_categories, settings.num_copies, preprocessing.num_points, settings.num_queries, out / LABELS
     )
     if not settings.steps:
@@ -168,7 +168,7 @@ def _step(
 def _drawn(shapes: Sequence[TrainingShape], settings: PretrainSettings, step: int) -> PretrainingTargets:
     rng = np.random.default_rng([settings.seed, step])
     chosen = rng.choice(len(shapes), settings.batch_size, replace=len(shapes) < settings.batch_size)
-    return questions([shapes[n] for n in chosen], settings.queries_a_shape, settings.pairs_a_shape, rng)
+    return draw_targets([shapes[n] for n in chosen], settings.queries_a_shape, settings.pairs_a_shape, rng)
 
 
 def _schedule(step: int, steps: int) -> float:
@@ -198,7 +198,7 @@ def _resumed(
     state = torch.load(path, map_location=model.encoder.device, weights_only=True)
     was = PretrainSettings(**state["settings"])
     now = settings if settings.steps else replace(settings, steps=was.steps)
-    if changed := differences(asdict(was), asdict(now)):
+    if changed := config_differences(asdict(was), asdict(now)):
         message = f"{path} holds a run of other settings ({'; '.join(changed)}); give the same, or another folder"
         raise ConfigError(message, "pretrain_settings")
     model.load_state_dict(state["model"])

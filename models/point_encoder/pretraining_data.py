@@ -180,7 +180,7 @@ def training_shape(key: str, copy: int, num_points: int, num_queries: int) -> Tr
     return TrainingShape(f"{key}#{copy}", cloud, shape.footprint, mesh, queries, SignedDistance(mesh)(queries))
 
 
-def corpus(
+def pretraining_corpus(
     num_categories: int | None, num_copies: int, num_points: int, num_queries: int, kept: Path | None = None
 ) -> tuple[Sequence[TrainingShape], Sequence[TrainingShape]]:
     """Shapes to train on, and shapes of assets that are held out, as they usually stand.

@@ -54,7 +54,7 @@ class PretrainingTargets:
         return replace(self, **moved)
 
 
-def questions(
+def draw_targets(
     shapes: Sequence[TrainingShape], num_queries: int, pairs_a_shape: int, rng: np.random.Generator
 ) -> PretrainingTargets:
     """Draws a pose for each shape, queries around it, and pairs among them: each shape with the next few in the list."""

@@ -41,7 +41,7 @@ class EditPrompt:
         return ReasonerQuestion(instruction, self.scene.table, "edit", self.layout)
 
 
-def editing(scene: Scene) -> EditPrompt:
+def edit_prompt_of(scene: Scene) -> EditPrompt:
     """A scene to be edited.
 
     Raises:
@@ -102,7 +102,7 @@ def apply_edit(edited: EditPrompt | Scene, reply: LayoutReply) -> EditResult:
     Raises:
         SceneError: The reply cannot be meant (``edit_refused``); the message says why, for a model or a person to act on.
     """
-    shown = editing(edited) if isinstance(edited, Scene) else edited
+    shown = edit_prompt_of(edited) if isinstance(edited, Scene) else edited
     return _Change(shown, reply).carried_out()
 
 

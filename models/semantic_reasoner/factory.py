@@ -92,7 +92,7 @@ def _text(file: str) -> str:
         raise ConfigError(f"{file}: cannot be read as text ({error})", "config_invalid") from error
 
 
-def shaping_of_proposals(engine: EngineSettings, settings: ReasonerSettings | None = None) -> dict[str, Any]:
+def proposal_config(engine: EngineSettings, settings: ReasonerSettings | None = None) -> dict[str, Any]:
     """All that a reasoner's proposals depend on beside questions and seeds, as JSON takes it.
 
     A job that is resumed compares it: rows of two reasoners are not to be mixed. Nothing is opened.

@@ -6,8 +6,8 @@ from typing import Protocol
 
 from models.semantic_reasoner.language.required_objects import ObjectRequirement
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
-from models.semantic_reasoner.text.prompt import RETRY, Message, ReasonerQuestion, checked_instruction, messages
-from models.semantic_reasoner.text.reply_json import LayoutReply, parse_reply, plain
+from models.semantic_reasoner.text.prompt import RETRY, Message, ReasonerQuestion, check_instruction, messages
+from models.semantic_reasoner.text.reply_json import LayoutReply, parse_reply, sanitise_words
 from stable_data.errors import ConfigError, SceneError
 from stable_data.mesatask.task_info import write_task_info
 from stable_data.scene import TaskInfo
@@ -91,12 +91,15 @@ class MesaTaskPromptStyle:
             raise SceneError(
                 f"{ask.wanted}: MesaTask's model knows whole layouts alone; ask for those (one shot)", "stage_unknown"
             )
-        task = ask.details or TaskInfo("", checked_instruction(ask.instruction))
+        task = ask.details or TaskInfo("", check_instruction(ask.instruction))
         document = write_task_info(TaskInfo(*_said(task)), ask.table)
         text = f"{self._wording}\n{json.dumps(document, indent=2, ensure_ascii=False)}"
         chat = [{"role": "user", "content": text}]
         for answer, reason in refused:
-            chat += [{"role": "assistant", "content": answer}, {"role": "user", "content": RETRY.format(reason=plain(reason))}]
+            chat += [
+                {"role": "assistant", "content": answer},
+                {"role": "user", "content": RETRY.format(reason=sanitise_words(reason))},
+            ]
         return chat
 
     def form(self, ask: ReasonerQuestion) -> ReplyGrammar:
@@ -117,8 +120,8 @@ class MesaTaskPromptStyle:
 
 def _said(task: TaskInfo) -> tuple[str, str, tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
     """What a model may be told of a task: not which instances it is about, nor what holds of them."""
-    lists = (tuple(map(plain, words)) for words in (task.goal, task.action_sequence, task.objects_cluster))
-    return plain(task.environment), plain(task.task), *lists  # type: ignore[return-value]
+    lists = (tuple(map(sanitise_words, words)) for words in (task.goal, task.action_sequence, task.objects_cluster))
+    return sanitise_words(task.environment), sanitise_words(task.task), *lists  # type: ignore[return-value]
 
 
 def prompt_style_of(

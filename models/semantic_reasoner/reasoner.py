@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
-from models.semantic_reasoner.engines.incremental_batches import Conversation, converse
+from models.semantic_reasoner.engines.incremental_batches import Conversation, run_conversation
 from models.semantic_reasoner.engines.protocol import Completion, Engine, Request, conversation
 from models.semantic_reasoner.language.word_grounding import WordGrounding
 from models.semantic_reasoner.prompt_styles import PromptStyle, StagedPromptStyle
 from models.semantic_reasoner.replies.checks import ReplyFault
-from models.semantic_reasoner.replies.relation_repair import put_right
+from models.semantic_reasoner.replies.relation_repair import repair_relations
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
-from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply, renumbered
+from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply, renumber_instances
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.random_seeds import named_seed
 from stable_data.scene import MAX_INSTRUCTION, Stage
@@ -177,7 +177,7 @@ class SemanticReasoner:
             done.update(found)
             return ()
 
-        converse(self.converse(list(zip(asks, seeds, strict=True))), keep)
+        run_conversation(self.converse(list(zip(asks, seeds, strict=True))), keep)
         return [done[k] for k in range(len(asks))]
 
     def converse(
@@ -257,7 +257,7 @@ class SemanticReasoner:
         """What comes of a question that was asked as often as it may be."""
         if self._check is not None:
             for reply, faults in sorted(asking.misplaced, key=lambda one: len(one[1])):
-                if (mended := put_right(reply, faults, asking.ask, self._check)) is not None:
+                if (mended := repair_relations(reply, faults, asking.ask, self._check)) is not None:
                     return asking.proposal(mended[0], faults=mended[1])
         return asking.proposal()
 
@@ -278,7 +278,7 @@ class SemanticReasoner:
             asking.refuse(completion.text, [ReplyFault(error.code, str(error))])
             return None
         if not asking.ask.edits:  # there a name says which object is meant
-            reply = replace(reply, objects=renumbered(reply.objects, (o.instance for o in asking.ask.layout)))
+            reply = replace(reply, objects=renumber_instances(reply.objects, (o.instance for o in asking.ask.layout)))
         faults = self._check(reply, asking.ask) if self._check else ()
         if not faults:
             return asking.proposal(reply)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
-from models.semantic_reasoner.replies.to_scene import accepted
+from models.semantic_reasoner.replies.to_scene import objects_of_reply
 from models.semantic_reasoner.text.prompt import ReasonerQuestion, Wanted
 from models.semantic_reasoner.text.reply_json import LayoutObject
 from stable_data.scene import Scene, SceneObject, Stage, Tabletop, TaskInfo
@@ -70,7 +70,7 @@ class StagedLayout:
         """Adds what a stage proposes."""
         self.proposals.append((ask.wanted, proposal))
         if proposal.reply is not None:
-            self.objects += accepted(proposal.reply, ask, statistics)
+            self.objects += objects_of_reply(proposal.reply, ask, statistics)
             self._told += proposal.reply.objects
 
 
@@ -99,7 +99,7 @@ def staged_layouts(
     return layouts
 
 
-def of_scene(scene: Scene) -> LayoutTask:
+def task_of_scene(scene: Scene) -> LayoutTask:
     """The task of a scene: its instruction and its table, and nothing else.
 
     Args:

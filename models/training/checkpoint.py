@@ -9,8 +9,8 @@ from typing import Any
 
 import torch
 
-from stable_data.atomic_files import aside_of
-from stable_data.config_diff import flat, refuse_changed
+from stable_data.atomic_files import temporary_path
+from stable_data.config_diff import flatten_config, refuse_changed
 from stable_data.errors import ConfigError
 
 # What torch.load raises on bytes that are no checkpoint, and what a checkpoint of something else lacks.
@@ -19,7 +19,7 @@ _UNREADABLE = (OSError, EOFError, RuntimeError, ValueError, KeyError, TypeError,
 _ABOUT = "about"
 
 
-def keep(path: Path, state: Mapping[str, Any], about: Mapping[str, Any]) -> None:
+def save_checkpoint(path: Path, state: Mapping[str, Any], about: Mapping[str, Any]) -> None:
     """Writes a checkpoint in one step.
 
     Args:
@@ -28,7 +28,7 @@ def keep(path: Path, state: Mapping[str, Any], about: Mapping[str, Any]) -> None
         about: What shapes the training: settings, and fingerprints of what it learns from.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    aside = aside_of(path)
+    aside = temporary_path(path)
     try:
         with aside.open("wb") as file:
             torch.save({_ABOUT: json.dumps(about, sort_keys=True), **state}, file)
@@ -39,8 +39,8 @@ def keep(path: Path, state: Mapping[str, Any], about: Mapping[str, Any]) -> None
         aside.unlink(missing_ok=True)
 
 
-def kept(path: Path, about: Mapping[str, Any], *needed: str) -> dict[str, Any] | None:
-    """What :func:`keep` wrote; None where nothing was.
+def load_checkpoint(path: Path, about: Mapping[str, Any], *needed: str) -> dict[str, Any] | None:
+    """What :func:`save_checkpoint` wrote; None where nothing was.
 
     Args:
         path: Where.
@@ -54,7 +54,7 @@ def kept(path: Path, about: Mapping[str, Any], *needed: str) -> dict[str, Any] |
         return None
     try:
         state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True, mmap=True)
-        was = flat(json.loads(state[_ABOUT]))
+        was = flatten_config(json.loads(state[_ABOUT]))
         for key in needed:
             _ = state[key]
     except _UNREADABLE as error:

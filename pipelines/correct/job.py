@@ -14,12 +14,12 @@ from models.physics_corrector.learned_flow import load_flow, weights_fingerprint
 from pipelines.correct.report import write_correct_report
 from pipelines.correct.settings import CorrectSettings
 from pipelines.correct.shard import CorrectWork
-from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, alone
+from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, run_isolated
 from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
 from pipelines.execution.shard_step import Shard, StepShards
 from pipelines.sources.scenes import FolderSource, SceneChunk, SceneSource, TableSource, scene_source
 from stable_data.content_id import content_id
-from stable_data.errors import ConfigError, Notice, unwritable
+from stable_data.errors import ConfigError, Notice, cannot_write
 from stable_data.mesatask import write_annotations, write_scene
 from stable_data.mesatask.library import LIBRARY_FOLDER
 from stable_data.storage import schemas
@@ -143,7 +143,7 @@ def _settled(source: SceneSource, settings: S, workers: WorkerPool) -> S:
     """The settings with ``auto`` replaced, by a process of its own where workers are: a mesh must not end the run's."""
     if settings.position_convention != "auto" or workers.are_this_process or isinstance(source, TableSource):
         return settings.settled(source)
-    settled = alone(settings.settled, source, seconds=64 * settings.seconds_per_item)
+    settled = run_isolated(settings.settled, source, seconds=64 * settings.seconds_per_item)
     if isinstance(settled, ProcessFailure):
         raise ConfigError(
             f"{source.name}: the check of what positions mean {str(settled).replace('_', ' ')} over a layout or mesh; set "
@@ -192,5 +192,5 @@ def write_dataset(source: FolderSource, folder: RunFolder) -> Path:
             for row in batch.to_pylist():
                 write_scene(root, schemas.scene_from_row(row), annotations=dataset.annotations)
     except OSError as error:
-        raise unwritable(str(root), error) from error
+        raise cannot_write(str(root), error) from error
     return root

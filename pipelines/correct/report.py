@@ -10,7 +10,7 @@ import polars as pl
 import pyarrow.compute as pc
 
 from pipelines.reports.html import bars, head, histogram, notices, page, table, tiles
-from pipelines.reports.scene_pictures import Shown, drawn, figures
+from pipelines.reports.scene_pictures import Shown, draw_scene, picture_grid
 from stable_data.assets.store import AssetStore
 from stable_data.scene import Scene
 from stable_data.storage.run_folder import RunFolder
@@ -96,13 +96,13 @@ def _pictures(folder: RunFolder, corrections: pl.DataFrame, store: AssetStore, c
     starts = {row["scene_id"]: row["start"] for row in done.filter(pl.col("scene_id").is_in(chosen)).iter_rows(named=True)}
     rows = {row["scene_id"]: row for row in folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()}
     yield "<h2>Pictures</h2><p class=note>Left: before. Right: corrected.</p>"
-    yield from figures((name, partial(_shown, rows[name], starts[name], store)) for name in chosen)
+    yield from picture_grid((name, partial(_shown, rows[name], starts[name], store)) for name in chosen)
 
 
 def _shown(row: dict[str, Any], start: list[dict[str, Any]], store: AssetStore) -> Shown:
     after = scene_from_row(row)
     both = ((_before(after, start), "before"), (after, "corrected"))
-    return [(drawn(scene, store), f"<b>{escape(after.scene_id)}</b> {title}") for scene, title in both]
+    return [(draw_scene(scene, store), f"<b>{escape(after.scene_id)}</b> {title}") for scene, title in both]
 
 
 def _before(after: Scene, start: list[dict[str, Any]]) -> Scene:

@@ -15,7 +15,7 @@ from models.physics_corrector.corrector import PhysicsCorrector
 from models.physics_corrector.learned_flow import load_flow
 from pipelines.correct.settings import CorrectSettings
 from pipelines.execution.item_progress import ItemProgress
-from pipelines.execution.ray_executor import ProcessFailure, alone, limited
+from pipelines.execution.ray_executor import ProcessFailure, run_isolated, time_limited
 from pipelines.execution.shard_step import Rows, Shard, ShardResult, ShardStep, rows_alone, rows_or_failure
 from pipelines.sources.scenes import SceneSource, SourceScene
 from stable_data.errors import ConfigError, Notice
@@ -123,7 +123,7 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
         if not isolated:
             return self.answers(items)
         seconds = self.settings.seconds_per_item * max(1, len(items))
-        found = alone(self.answers, items, seconds=seconds, prepare=self.prepare_to_ask)
+        found = run_isolated(self.answers, items, seconds=seconds, prepare=self.prepare_to_ask)
         if isinstance(found, ProcessFailure):
             raise self.unanswered(found, items)
         return found
@@ -133,7 +133,7 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
         if isolated:
             return rows_alone(make, item, item_id, seconds=seconds, prepare=self._prepare)
         self._prepare()
-        with limited(seconds):
+        with time_limited(seconds):
             return make(item)
 
     def _prepare(self) -> None:

@@ -17,7 +17,7 @@ from pipelines.execution.shard_step import Rows, rows_or_failure
 from pipelines.sources.scenes import scene_source
 from stable_data.errors import ConfigError, Notice
 from stable_data.metrics.audit import PosedScene
-from stable_data.metrics.card import with_counts
+from stable_data.metrics.card import add_counts
 from stable_data.metrics.related_scene import relate_scene
 from stable_data.scene import FloatArray, Scene
 from stable_data.storage import schemas
@@ -78,7 +78,7 @@ class CorrectWork(SceneWork[CorrectSettings, str, FloatArray | None]):
             shape_of = shapes_by_instance(taken.scene, taken.shapes)
             posed = PosedScene(done.certified, [shape_of[o.instance] for o in done.certified.objects])
             scene = relate_scene(posed, done.audit, taken.containers).scene
-            card = with_counts(done.card_after, scene)
+            card = add_counts(done.card_after, scene)
             found["scenes"] = [{**schemas.scene_row(scene), **schemas.card_row(card), **done.audit.rows(), **taken.origin}]
             notices += notices_of(done, scene_id)
         return found | {"warnings": [schemas.notice_row(n) for n in notices]}

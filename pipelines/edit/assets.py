@@ -10,10 +10,10 @@ import numpy as np
 from models.semantic_reasoner.editing import EditResult
 from models.text_encoder import load_default
 from pipelines.sources.scenes import SceneSource
-from stable_data.assets.box_fitting import proportions, size_score, stretched_scale, uniform_factor
+from stable_data.assets.box_fitting import box_proportions, size_score, stretched_scale, uniform_scale_factor
 from stable_data.assets.catalog import Asset, AssetLibrary
 from stable_data.assets.retrieval import AssetMatch, AssetQuery, Retriever
-from stable_data.assets.substitution import with_assets
+from stable_data.assets.substitution import substitute_assets
 from stable_data.errors import Notice, SceneError
 from stable_data.rotations import rotation_matrix
 from stable_data.scene import UPRIGHT, FloatArray, Scene, SceneObject, Vec3
@@ -83,7 +83,7 @@ class AssetFinder:
         matches |= {o.instance: match for o in resized if (match := self._fitted(o)) is not None}
         wanting = set(matches)
         members = SupportTree.of(scene.objects).with_descendants(wanting)
-        done = {o.instance: o for o in with_assets([o for o in scene.objects if o.instance in members], matches)}
+        done = {o.instance: o for o in substitute_assets([o for o in scene.objects if o.instance in members], matches)}
         objects = tuple(_named_so(done.get(o.instance, o), o) for o in scene.objects)
         kept = frozenset(
             o.instance
@@ -105,14 +105,14 @@ class AssetFinder:
         known = self._library_assets.get(o.asset_id)
         tilts = (o.tilt_quat_xyzw, *((UPRIGHT,) if known is None else (tilt.quat_xyzw for tilt in known.tilts)))
         boxes = np.array([np.ptp(mesh.vertices @ rotation_matrix(tilt).T, axis=0) for tilt in tilts])
-        scores = size_score(proportions(o.size), proportions(boxes))
+        scores = size_score(box_proportions(o.size), box_proportions(boxes))
         k = 0 if scores[0] >= scores.max() - _AS_GOOD else int(scores.argmax())
         box = _triple(boxes[k])
         stretched, distortion = stretched_scale(o.size, box, tilts[k])
         if stretched is not None and _EVEN < distortion <= _MOST_UNEVEN:
             scale, size = stretched, o.size
         else:
-            factor = float(uniform_factor(o.size, box))
+            factor = float(uniform_scale_factor(o.size, box))
             scale, size = (factor, factor, factor), _triple(factor * boxes[k])
         score = float(scores[k])
         return AssetMatch(o.asset_id, self._source.name, o.category, score, 1.0, score, tilts[k], scale, size)

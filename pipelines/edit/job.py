@@ -8,18 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from models.physics_corrector.learned_flow import NONE, load_flow, weights_fingerprint
-from models.semantic_reasoner.factory import shaping_of_proposals
+from models.semantic_reasoner.factory import proposal_config
 from pipelines.correct.job import SceneJob, check_place
 from pipelines.edit.report import write_edit_report
 from pipelines.edit.settings import EditSettings
 from pipelines.edit.shard import EditWork
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import ExpectedItems, run_job
-from pipelines.execution.shard_size import groups
+from pipelines.execution.shard_size import split_groups
 from pipelines.execution.shard_step import Shard, StepShards
 from pipelines.sources.edits import EditRequest, read_edits
 from pipelines.sources.scenes import FolderSource
-from stable_data.config_diff import flat
+from stable_data.config_diff import flatten_config
 from stable_data.content_id import content_id
 from stable_data.errors import Notice
 from stable_data.mesatask.library import ANNOTATION_FILE
@@ -64,7 +64,7 @@ class EditJob(SceneJob[EditSettings]):
             path = self.source.dataset.root / ANNOTATION_FILE
             inputs |= {"library": content_id(path.read_text("utf-8") if path.is_file() else "")}
         inputs |= {"weights": weights}
-        return inputs | (flat(shaping_of_proposals(settings.engine, settings.reasoner), "reasoner.") if self._asks else {})
+        return inputs | (flatten_config(proposal_config(settings.engine, settings.reasoner), "reasoner.") if self._asks else {})
 
     @property
     def _asks(self) -> bool:
@@ -82,7 +82,7 @@ class EditJob(SceneJob[EditSettings]):
     def plan(self) -> Sequence[StepShards[Any]]:
         """The edits in order; at least one shard, so that every table is there."""
         fingerprint = content_id(self._inputs)
-        parts: list[Sequence[EditRequest]] = [*groups(self.found.edits, self.settings.scenes_per_shard)] or [()]
+        parts: list[Sequence[EditRequest]] = [*split_groups(self.found.edits, self.settings.scenes_per_shard)] or [()]
         named = "edit", self.settings.shaping(), fingerprint
         shards = [Shard(content_id(*named, [asdict(e) for e in part]), tuple(part)) for part in parts]
         return [StepShards(EditWork(self.where, self.settings, fingerprint), shards)]

@@ -9,7 +9,7 @@ import polars as pl
 import pyarrow.compute as pc
 
 from pipelines.reports.html import bars, head, histogram, notices, page, tiles
-from pipelines.reports.scene_pictures import Shown, drawn, figures
+from pipelines.reports.scene_pictures import Shown, draw_scene, picture_grid
 from stable_data.assets.store import AssetStore
 from stable_data.scene import Scene
 from stable_data.storage.run_folder import RunFolder
@@ -62,15 +62,15 @@ def _pictures(folder: RunFolder, edits: list[Row], store: AssetStore, count: int
     befores = {row["edit_id"]: row for row in folder.table("edits", where=pc.field("edit_id").isin(chosen)).to_pylist()}
     afters = {row["scene_id"]: row for row in folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()}
     yield "<h2>Pictures</h2><p class=note>Left: before. Right: after.</p>"
-    yield from figures((name, partial(_shown, befores[name], afters[name], store)) for name in chosen)
+    yield from picture_grid((name, partial(_shown, befores[name], afters[name], store)) for name in chosen)
 
 
 def _shown(was: Row, row: Row, store: AssetStore) -> Shown:
     now, name = scene_from_row(row), escape(was["edit_id"])
     goes = f"<br>removed: {escape(', '.join(was['removed']))}" if was["removed"] else ""
     return [
-        (drawn(_before(was, now), store), f"<b>{name}</b> before<br>{escape(was['instruction'])}"),
-        (drawn(now, store), f"<b>{name}</b> after{goes}<br>new or changed: {escape(_names(was))}"),
+        (draw_scene(_before(was, now), store), f"<b>{name}</b> before<br>{escape(was['instruction'])}"),
+        (draw_scene(now, store), f"<b>{name}</b> after{goes}<br>new or changed: {escape(_names(was))}"),
     ]
 
 

@@ -40,7 +40,7 @@ class EditSettings(CorrectSettings):
     def shaping(self) -> dict[str, Any]:
         """The settings that shape rows: a run is resumed only under the same.
 
-        What of the reasoner does is an input, by its content (:func:`models.semantic_reasoner.factory.shaping_of_proposals`).
+        What of the reasoner does is an input, by its content (:func:`models.semantic_reasoner.factory.proposal_config`).
         """
         return {k: v for k, v in CorrectSettings.shaping(self).items() if k not in ("engine", "reasoner")}
 

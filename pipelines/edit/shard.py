@@ -9,7 +9,7 @@ from functools import cached_property, lru_cache
 from typing import ClassVar
 
 from models.physics_corrector.certify.correction import Correction, CorrectionOptions
-from models.semantic_reasoner.editing import EditPrompt, EditResult, apply_edit, editing
+from models.semantic_reasoner.editing import EditPrompt, EditResult, apply_edit, edit_prompt_of
 from models.semantic_reasoner.engines.protocol import OFF
 from models.semantic_reasoner.factory import load_reasoner
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
@@ -20,13 +20,13 @@ from pipelines.edit.assets import AssetFinder
 from pipelines.edit.settings import EditSettings
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import ProcessFailure
-from pipelines.execution.shard_step import Rows, engine_off, rows_or_failure
+from pipelines.execution.shard_step import Rows, engine_stopped, rows_or_failure
 from pipelines.sources.edits import EditRequest
 from pipelines.sources.scenes import SourceScene, scene_source
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice, SceneError
-from stable_data.metrics.audit import Audit, PosedScene, audit_posed
-from stable_data.metrics.card import MetricCard, with_counts
+from stable_data.metrics.audit import Audit, PosedScene, audit_posed_scene
+from stable_data.metrics.card import MetricCard, add_counts
 from stable_data.metrics.collision import ROUNDING
 from stable_data.metrics.related_scene import relate_scene
 from stable_data.scene import Scene, SceneObject
@@ -69,7 +69,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
 
     def look(self, item: EditRequest, progress: ItemProgress) -> None:
         """Takes an edit's scene."""
-        editing(self.take(item.scene_id, progress).scene)
+        edit_prompt_of(self.take(item.scene_id, progress).scene)
 
     def answers(self, items: Sequence[EditRequest]) -> list[EditReply]:
         """What the replies make of the scenes; the reasoner is asked for all that have none at once.
@@ -77,7 +77,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         Raises:
             ConfigError: The engine answers nothing any more (``engine_off``).
         """
-        shown = [editing(self.take(edit.scene_id, ItemProgress("read")).scene) for edit in items]
+        shown = [edit_prompt_of(self.take(edit.scene_id, ItemProgress("read")).scene) for edit in items]
         waiting = [k for k, edit in enumerate(items) if edit.reply is None]
         proposals: dict[int, Proposal] = {}
         if waiting:
@@ -86,7 +86,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
             proposals = dict(zip(waiting, self.opened().reasoner.propose(asks, seeds), strict=True))
             for k, proposal in proposals.items():
                 if proposal.code in OFF:
-                    raise engine_off(f"{items[k].edit_id}: {proposal.failure}")
+                    raise engine_stopped(f"{items[k].edit_id}: {proposal.failure}")
         return [_replied(edit, own, proposals.get(k)) for k, (edit, own) in enumerate(zip(items, shown, strict=True))]
 
     def unanswered(self, loss: ProcessFailure, items: Sequence[EditRequest]) -> ConfigError:
@@ -117,7 +117,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         notices += gone
         progress.step = "audit"
         posed = PosedScene(scene, shapes)
-        audit = audit_posed(posed)
+        audit = audit_posed_scene(posed)
         notices += audit.notices
         card: MetricCard | None = audit.card()
         rows: Rows = {}
@@ -136,7 +136,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         progress.step = "relations"
         scene = relate_scene(posed, audit, opened.source.containers(posed.scene)).scene
         assert card is not None  # a certified scene has one
-        card = with_counts(card, scene)
+        card = add_counts(card, scene)
         if replied.kind == "none":
             notices.append(Notice(edit.edit_id, "reply", "nothing_changed", f"{edit.edit_id}: the reply changes nothing"))
         rows["scenes"] = [{**schemas.scene_row(scene), **schemas.card_row(card), **audit.rows(), **taken.origin}]

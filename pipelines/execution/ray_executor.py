@@ -242,7 +242,7 @@ def _first_line(error: BaseException) -> str:
 
 
 @contextmanager
-def limited(seconds: float) -> Iterator[None]:
+def time_limited(seconds: float) -> Iterator[None]:
     """Ends this process where it is a worker of Ray and the body takes longer; its shard is then run item by item.
 
     Nothing gentler stops a parser that hangs in C code. In any other process the body takes as long as it takes.
@@ -318,7 +318,7 @@ class IsolatedProcess:
             self._pool = None
 
 
-def alone(
+def run_isolated(
     function: Callable[..., R], *arguments: object, seconds: float, prepare: Callable[[], object] | None = None
 ) -> R | ProcessFailure:
     """Calls a function in a process of its own, see :meth:`IsolatedProcess.call`."""

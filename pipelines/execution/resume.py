@@ -26,7 +26,7 @@ def new_manifest(job: str, dataset: str, inputs: Mapping[str, Any], **more: Any)
     return {**head, "dataset": dataset, "inputs": dict(inputs), "input_fingerprint": content_id(dict(inputs)), **more}
 
 
-def former_manifest(folder: RunFolder) -> dict[str, Any] | None:
+def read_manifest(folder: RunFolder) -> dict[str, Any] | None:
     """The manifest that lies in a folder; None where there is none.
 
     Raises:
@@ -60,7 +60,7 @@ def check_resume(
     Raises:
         ConfigError: The folder is of another run: ``key: was -> now``.
     """
-    was = former_manifest(folder)
+    was = read_manifest(folder)
     if was is None:
         if there := [table for table in schemas.SCHEMAS if folder.files(table)]:
             raise ConfigError(

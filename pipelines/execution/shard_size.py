@@ -18,6 +18,6 @@ def shard_size(count: int, *, parts: int, fewest: int, most: int) -> int:
     return min(most, max(fewest, -(-count // parts)))
 
 
-def groups(items: Sequence[T], size: int) -> Iterator[Sequence[T]]:
+def split_groups(items: Sequence[T], size: int) -> Iterator[Sequence[T]]:
     """Items in their order, so many at a time."""
     return (items[start : start + size] for start in range(0, len(items), size))

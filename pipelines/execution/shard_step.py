@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.progress_bar import ProgressTally
-from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, alone, limited
+from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, run_isolated, time_limited
 from stable_data.errors import ConfigError, Notice, StableDataError
 from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
@@ -140,7 +140,7 @@ class ItemStep(ShardStep[I]):
 
     def _limited(self, item: I) -> Rows:
         self.prepare(item)
-        with limited(self.seconds_per_item):
+        with time_limited(self.seconds_per_item):
             return self.item(item)
 
     def _alone(self, item: I) -> Rows:
@@ -242,11 +242,11 @@ def rows_or_failure(
     except StableDataError as error:
         return {"failures": [schemas.notice_row(Notice(item_id, progress.step, error.code, str(error)))]}
     except Exception as error:  # noqa: BLE001 - the one place where what nobody foresaw becomes a row
-        message = f"{item_id}: {unexpected(error)}"
+        message = f"{item_id}: {unexpected_failure(error)}"
         return {"failures": [schemas.notice_row(Notice(item_id, progress.step, "unexpected", message))]}
 
 
-def unexpected(error: Exception) -> str:
+def unexpected_failure(error: Exception) -> str:
     """What is said of an error that nobody foresaw, one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}; please report this with the file"
 
@@ -255,7 +255,7 @@ def rows_alone(
     make: Callable[[I], Rows], item: I, item_id: str, *, seconds: float, prepare: Callable[[], object] | None = None
 ) -> Rows:
     """Rows of one item, made in a process of its own; a failure where that process dies or takes too long."""
-    found = alone(make, item, seconds=seconds, prepare=prepare)
+    found = run_isolated(make, item, seconds=seconds, prepare=prepare)
     if not isinstance(found, ProcessFailure):
         return found
     hint = {
@@ -265,6 +265,6 @@ def rows_alone(
     return {"failures": [schemas.notice_row(Notice(item_id, "isolate", str(found), f"{item_id}: {hint}"))]}
 
 
-def engine_off(failure: str) -> ConfigError:
+def engine_stopped(failure: str) -> ConfigError:
     """What stops a run whose engine answers nothing any more, see :data:`models.semantic_reasoner.engines.protocol.OFF`."""
     return ConfigError(f"{failure}; what is done is kept, run again to go on", "engine_off")

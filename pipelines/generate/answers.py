@@ -11,7 +11,7 @@ from models.physics_corrector.certify.correction import CertificationRequest, Co
 from models.physics_corrector.corrector import PhysicsCorrector
 from models.semantic_reasoner.engines.incremental_batches import Conversation
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
-from pipelines.execution.shard_step import unexpected
+from pipelines.execution.shard_step import unexpected_failure
 from stable_data.assets.assignment import AssignedLayout, assign_assets
 from stable_data.assets.retrieval import Retriever
 from stable_data.assets.store import AssetStore
@@ -49,7 +49,7 @@ class LocalCertifier:
         except NOT_OF_A_SCENE:
             raise
         except Exception as error:  # noqa: BLE001 - a scene that breaks the geometry of one library is a row of failures
-            return failed_correction(request, unexpected(error))
+            return failed_correction(request, unexpected_failure(error))
 
 
 @dataclass(slots=True, eq=False)

@@ -9,7 +9,7 @@ from typing import ClassVar
 import pyarrow.compute as pc
 
 from pipelines.execution.item_progress import ItemProgress
-from pipelines.execution.shard_size import groups
+from pipelines.execution.shard_size import split_groups
 from pipelines.execution.shard_step import ItemStep, Rows, Shard
 from pipelines.generate.answers import NOT_OF_A_SCENE
 from pipelines.preprocess.asset import AssetSettings, AssetUse, preprocess_asset
@@ -89,5 +89,5 @@ def asset_shards(run: RunFolder, names: Sequence[str], fingerprint: str) -> list
                     uses[asset_id].add(None if scale is None else tuple(scale), tuple(tilt))
     # Grids of signed distance are for training, which prepares its own.
     found = [AssetUse(a, "", use.typical_scale(), (), tuple(use.most_tilts())) for a, use in sorted(uses.items())]
-    parts: list[Sequence[AssetUse]] = [*groups(found, _PER_SHARD)] or [()]
+    parts: list[Sequence[AssetUse]] = [*split_groups(found, _PER_SHARD)] or [()]
     return [Shard(content_id("carry", fingerprint, [asdict(use) for use in part]), tuple(part)) for part in parts]

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from models.physics_corrector.learned_flow import load_flow, weights_fingerprint
-from models.semantic_reasoner.factory import shaping_of_proposals
+from models.semantic_reasoner.factory import proposal_config
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
-from pipelines.execution.shard_size import groups
+from pipelines.execution.shard_size import split_groups
 from pipelines.execution.shard_step import Shard, StepShards
 from pipelines.generate.assets import CarryWork, asset_shards
 from pipelines.generate.report import write_generate_report
@@ -72,7 +72,7 @@ class GenerateJob(ShardJob):
         return {
             "tasks": content_id([asdict(task) for task in tasks.tasks], [asdict(notice) for notice in tasks.lost]),
             "weights": weights_fingerprint(settings.weights),
-            "reasoner": content_id(shaping_of_proposals(settings.engine, settings.reasoner)),
+            "reasoner": content_id(proposal_config(settings.engine, settings.reasoner)),
             **{f"assets.{library}": found for library, found in self._libraries.fingerprints.items()},
         }
 
@@ -89,7 +89,7 @@ class GenerateJob(ShardJob):
         shaping = self.settings.shaping(), {key: value for key, value in self._inputs.items() if key != "tasks"}
         shards = [
             Shard(content_id("generate", *shaping, [asdict(task) for task in part]), tuple(part))
-            for part in groups(self.tasks.tasks, self.settings.scenes_per_shard)
+            for part in split_groups(self.tasks.tasks, self.settings.scenes_per_shard)
         ]
         return [StepShards(GenerateWork(self.places, self.settings, content_id(self._inputs)), shards)]
 

@@ -17,7 +17,7 @@ from PIL import Image
 from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import TIMING_FOLDER
 from pipelines.reports.html import bars, head, histogram, notices, page, table, tiles
-from pipelines.reports.scene_pictures import Shown, drawn, figures
+from pipelines.reports.scene_pictures import Shown, draw_scene, picture_grid
 from pipelines.sources.scenes import mesh_cache
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
@@ -187,13 +187,13 @@ def _pictures(folder: RunFolder, scenes: pl.DataFrame, name: str, title: str, st
         return
     rows = {row["scene_id"]: row for row in folder.table(name, where=pc.field("scene_id").isin(chosen)).to_pylist()}
     yield f"<h2>{title}</h2>"
-    yield from figures((scene_id, partial(_shown, rows[scene_id], store)) for scene_id in chosen)
+    yield from picture_grid((scene_id, partial(_shown, rows[scene_id], store)) for scene_id in chosen)
 
 
 def _shown(row: dict[str, Any], store: AssetStore) -> Shown:
     said = escape(row["task"]["task"]) if row["task"] else ""
     why = f'<br><span class="bad">{escape(row["reason"])}</span>' if row.get("reason") else ""
-    return [(drawn(scene_from_row(row), store), f"<b>{escape(row['scene_id'])}</b><br>{said}{why}")]
+    return [(draw_scene(scene_from_row(row), store), f"<b>{escape(row['scene_id'])}</b><br>{said}{why}")]
 
 
 def _write_sheet(folder: RunFolder, scenes: pl.DataFrame, store: AssetStore, count: int) -> None:
@@ -201,7 +201,7 @@ def _write_sheet(folder: RunFolder, scenes: pl.DataFrame, store: AssetStore, cou
         return
     rows = {row["scene_id"]: row for row in folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()}
     try:
-        images = [np.asarray(Image.fromarray(drawn(scene_from_row(rows[name]), store)).resize(_SMALL)) for name in chosen]
+        images = [np.asarray(Image.fromarray(draw_scene(scene_from_row(rows[name]), store)).resize(_SMALL)) for name in chosen]
     except ConfigError:  # this machine draws nothing, as the page says
         return
     stream = io.BytesIO()

@@ -25,16 +25,24 @@ from models.physics_corrector.learned_flow import load_flow
 from models.semantic_reasoner.engines.protocol import OFF
 from models.semantic_reasoner.factory import load_reasoner
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
-from models.semantic_reasoner.language.required_objects import required
+from models.semantic_reasoner.language.required_objects import required_objects
 from models.semantic_reasoner.language.stated_relations import relations_not_held
 from models.semantic_reasoner.staged_layout import LayoutTask
-from models.semantic_reasoner.text.prompt import answer
+from models.semantic_reasoner.text.prompt import assistant_message
 from pipelines.correct.scene_shard import dropped_notice, notices_of
 from pipelines.execution.engine_pool import PooledEngine, engine_pool
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.progress_bar import LocalTally, ProgressReporter, ProgressTally, SharedTally
-from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, connect, limited
-from pipelines.execution.shard_step import Rows, Shard, ShardResult, ShardStep, engine_off, rows_or_failure, unexpected
+from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, connect, time_limited
+from pipelines.execution.shard_step import (
+    Rows,
+    Shard,
+    ShardResult,
+    ShardStep,
+    engine_stopped,
+    rows_or_failure,
+    unexpected_failure,
+)
 from pipelines.generate.answers import NOT_OF_A_SCENE, LocalCertifier, LocalRequestHandler, failed_correction
 from pipelines.generate.settings import GenerateSettings
 from pipelines.sources.assets import AssetLibraries
@@ -45,10 +53,10 @@ from stable_data.geometry.shape import Shape
 from stable_data.mesatask.dataset_split import split_of
 from stable_data.mesatask.near_duplicates import duplicate_group
 from stable_data.metrics.alignment import align, reference_of
-from stable_data.metrics.audit import Audit, PosedScene, audit_posed
-from stable_data.metrics.card import MetricCard, with_counts
+from stable_data.metrics.audit import Audit, PosedScene, audit_posed_scene
+from stable_data.metrics.card import MetricCard, add_counts
 from stable_data.metrics.collision import TOLERANCE
-from stable_data.metrics.movement import with_movement
+from stable_data.metrics.movement import add_movement
 from stable_data.metrics.related_scene import RelatedScene, relate_scene
 from stable_data.metrics.relations_kept import relations_kept
 from stable_data.random_seeds import named_seed
@@ -151,7 +159,7 @@ class GenerateWork(ShardStep[Task]):
         tasks = list(self._tasks(shard, rows))
         for made in self._generated(tasks, opened, tell):
             if off := next((turn.proposal for turn in made.turns if turn.proposal.code in OFF), None):
-                raise engine_off(f"{made.task.scene_id}: {off.failure}")
+                raise engine_stopped(f"{made.task.scene_id}: {off.failure}")
             for table, found in self._rows(made).items():
                 rows[table] += found
         spent = {**seconds, "judge": perf_counter() - began - sum(seconds.values()), "scenes": len(shard)}
@@ -192,7 +200,7 @@ class GenerateWork(ShardStep[Task]):
                 except _NOT_OF_A_SCENE:
                     raise
                 except Exception as error:  # noqa: BLE001 - what nobody foresaw becomes a row
-                    message = f"{task.scene_id}: {unexpected(error)}"
+                    message = f"{task.scene_id}: {unexpected_failure(error)}"
                     blank = Scene(task.scene_id, task.table, ())
                     found = GenerationResult(
                         task, None, blank, (), failure=Notice(task.scene_id, "generate", "unexpected", message)
@@ -203,7 +211,7 @@ class GenerateWork(ShardStep[Task]):
         """One scene certified; in a process of its own where workers died over its shard."""
         seconds = self.settings.seconds_per_item
         if apart is None:
-            with limited(seconds):
+            with time_limited(seconds):
                 return _opened(self).answers.certifier(asked)
         found = apart.call(partial(_certify, self._physics()), asked, seconds=seconds)
         if isinstance(found, ProcessFailure):
@@ -217,7 +225,7 @@ class GenerateWork(ShardStep[Task]):
             found = apart.call(partial(_read, self._physics()), asset_id, seconds=seconds)
             if isinstance(found, ProcessFailure):
                 return f"asset {asset_id}: reading it {str(found).replace('_', ' ')} ({seconds:g} s are allowed)"
-        with limited(seconds):
+        with time_limited(seconds):
             return store.fault_of(asset_id)
 
     def _physics(self) -> "GenerateWork":
@@ -235,7 +243,7 @@ class GenerateWork(ShardStep[Task]):
             assert made.failure is not None
             return rows | {"failures": [schemas.notice_row(made.failure)]}
         progress = ItemProgress("judge")
-        with limited(self.settings.seconds_per_item):
+        with time_limited(self.settings.seconds_per_item):
             make = partial(self._judged, made, made.scene, progress)
             judged = rows_or_failure(name, progress, make, of_the_run=_NOT_OF_A_SCENE)
         return rows | judged | {"warnings": [*rows["warnings"], *judged.get("warnings", [])]}
@@ -247,7 +255,7 @@ class GenerateWork(ShardStep[Task]):
         scene, shapes, notices = opened.answers.certifier.store.resolved(scene)
         progress.step = "audit"
         posed = PosedScene(scene, shapes)
-        audit = audit_posed(posed) if made.correction is None else made.correction.audit or audit_posed(posed)
+        audit = audit_posed_scene(posed) if made.correction is None else made.correction.audit or audit_posed_scene(posed)
         progress.step = "relations"
         containers = {
             o.instance: opened.shelf.annotation(o.asset_id).is_container if o.asset_id else None for o in scene.objects
@@ -257,7 +265,7 @@ class GenerateWork(ShardStep[Task]):
         progress.step = "settle"
         rest, why_not = self._settled(made.correction, scene, shapes)
         progress.step = "card"
-        card = _with_movement(with_counts(audit.card(), scene), made.start, scene, posed, audit, opened.answers.certifier.store)
+        card = _with_movement(add_counts(audit.card(), scene), made.start, scene, posed, audit, opened.answers.certifier.store)
         card, not_as_said = _with_alignment(card, seen, containers, opened.statistics)
         if rest is not None:
             card = _with_rest(card, rest)
@@ -348,7 +356,7 @@ def _with_movement(
     start = replace(start, objects=tuple(sorted(start.objects, key=lambda o: order[o.instance])))
     start, shapes, _ = store.resolved(start)  # at the tilts that were proposed
     kept = relations_kept(start, scene, shapes, posed.shapes, audits=(None, audit))
-    return with_movement(card, start, scene, kept)
+    return add_movement(card, start, scene, kept)
 
 
 def _with_alignment(
@@ -359,7 +367,7 @@ def _with_alignment(
     if scene.task is None or statistics is None:
         return card, ()
     categories = [o.category for o in scene.objects]
-    asked = required(scene.task.task, statistics)
+    asked = required_objects(scene.task.task, statistics)
     card = replace(card, awt=sum(one.is_met_by(categories) for one in asked) / len(asked) if asked else None)
     named = [o for o in scene.objects if o.instance in scene.task.task_objects]
     on_in = {r for r in scene.relations if r.kind in (RelationKind.ON, RelationKind.IN)}
@@ -403,7 +411,7 @@ def _turn_row(name: str, number: int, turn: Turn) -> schemas.Row:
         "stage": str(turn.wanted),
         "tries": p.tries,
         "refused": [[f.code for f in r.faults] for r in p.refused],
-        "reply": None if p.reply is None else answer(p.reply.objects),
+        "reply": None if p.reply is None else assistant_message(p.reply.objects),
         "prompt_tokens": p.prompt_tokens,
         "reply_tokens": p.reply_tokens,
         "cost": p.cost,

@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, alone
+from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, run_isolated
 from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
 from pipelines.execution.shard_step import Shard, StepShards
 from pipelines.preprocess.features import AUTO, NONE, fingerprint_of
@@ -117,7 +117,7 @@ def _settled(dataset: MesaTaskDataset, settings: PreprocessSettings, workers: Wo
     """The settings with ``auto`` replaced, by a process of its own where workers are: a mesh must not end the run's."""
     if settings.position_convention != "auto" or workers.are_this_process:
         return settings.settled(dataset)
-    settled = alone(settings.settled, dataset, seconds=64 * settings.seconds_per_item)
+    settled = run_isolated(settings.settled, dataset, seconds=64 * settings.seconds_per_item)
     if isinstance(settled, ProcessFailure):
         raise ConfigError(
             f"{dataset.root}: the check of what positions mean {str(settled).replace('_', ' ')} over a layout or mesh; "

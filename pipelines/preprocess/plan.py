@@ -16,12 +16,12 @@ from tqdm import tqdm
 
 import stable_data
 from models.settings import Count, Positive, PositiveCount, Settings, Share
-from pipelines.execution.shard_size import groups
+from pipelines.execution.shard_size import split_groups
 from pipelines.execution.shard_step import Shard
 from pipelines.preprocess.asset import AssetUse, TextFeature
 from pipelines.preprocess.features import FeatureUse, ShapeUse
 from pipelines.preprocess.scene import SceneSettings
-from stable_data.assets.store import AssetStore, aspect_steps, tilt_key, with_one_sign
+from stable_data.assets.store import AssetStore, aspect_steps, canonical_quaternion, tilt_key
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice
 from stable_data.mesatask import MesaTaskDataset, PositionConvention, read_text_features
@@ -168,7 +168,7 @@ class AssetUseCount:
     def add(self, scale: Vec3 | None, tilt: QuatXyzw) -> None:
         """Counts an object."""
         key = tilt_key(tilt)  # of tilts that count as one: the first that was seen
-        first, count = self.tilts.get(key, (with_one_sign(tilt), 0))
+        first, count = self.tilts.get(key, (canonical_quaternion(tilt), 0))
         self.tilts[key] = (first, count + 1)
         if scale is not None:
             self.shapes.setdefault((aspect_steps(scale), key), []).append(max(scale))
@@ -238,7 +238,7 @@ def plan_run(dataset: MesaTaskDataset, settings: PreprocessSettings, encoder: st
     content = _content(dataset, wanted)
     asset_uses = [_asset_use(a, content.meshes[a], uses.get(a, AssetUseCount())) for a in wanted if a in content.meshes]
     asset_shards = []
-    for uses_of_shard in groups(asset_uses, settings.assets_per_shard):
+    for uses_of_shard in split_groups(asset_uses, settings.assets_per_shard):
         of_assets = [(asdict(u), content.annotations[u.asset_id], content.text_features.get(u.asset_id)) for u in uses_of_shard]
         asset_shards.append(Shard(content_id("assets", shaping, of_assets), tuple(uses_of_shard)))
     feature_uses = [
@@ -248,10 +248,10 @@ def plan_run(dataset: MesaTaskDataset, settings: PreprocessSettings, encoder: st
     ]
     feature_shards = [
         Shard(content_id("features", versions, encoder, [asdict(u) for u in of_shard]), tuple(of_shard))
-        for of_shard in (groups(feature_uses, settings.assets_per_shard) if encoder is not None else ())
+        for of_shard in (split_groups(feature_uses, settings.assets_per_shard) if encoder is not None else ())
     ]
     scene_shards = []
-    for scenes in groups(list(dataset.scene_ids), settings.scenes_per_shard):
+    for scenes in split_groups(list(dataset.scene_ids), settings.scenes_per_shard):
         used = sorted({a for scene_id in scenes for a in used_by_scene[scene_id]})
         of_scenes = [content.of_scene(s) for s in scenes], [content.of_asset(a) for a in used]
         scene_shards.append(Shard(content_id("scenes", shaping, dataset.root.name, *of_scenes), tuple(scenes)))

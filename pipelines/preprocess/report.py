@@ -10,7 +10,7 @@ import polars as pl
 import pyarrow.compute as pc
 
 from pipelines.reports.html import bars, head, histogram, notices, page, table, tiles
-from pipelines.reports.scene_pictures import Shown, drawn, figures
+from pipelines.reports.scene_pictures import Shown, draw_scene, picture_grid
 from stable_data.assets.store import AssetStore
 from stable_data.metrics.summary import summarise
 from stable_data.storage.run_folder import RunFolder
@@ -118,7 +118,7 @@ def _pictures(folder: RunFolder, scenes: pl.DataFrame, store: AssetStore, count:
     rows = folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()
     ordered = sorted(rows, key=lambda r: chosen.index(r["scene_id"]))
     yield "<h2>Pictures</h2>"
-    yield from figures((row["scene_id"], partial(_shown, row, store)) for row in ordered)
+    yield from picture_grid((row["scene_id"], partial(_shown, row, store)) for row in ordered)
 
 
 def _shown(row: dict[str, Any], store: AssetStore) -> Shown:
@@ -126,4 +126,4 @@ def _shown(row: dict[str, Any], store: AssetStore) -> Shown:
         row["clean"]
     ]
     task = escape(row["task"]["task"]) if row["task"] else ""
-    return [(drawn(scene_from_row(row), store), f"<b>{escape(row['scene_id'])}</b> {verdict}<br>{task}")]
+    return [(draw_scene(scene_from_row(row), store), f"<b>{escape(row['scene_id'])}</b> {verdict}<br>{task}")]

@@ -12,8 +12,8 @@ from stable_data.instructions.task_info import TaskWriter, model_task, resolve_t
 from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.mesatask.dataset_split import SplitShares, split_of
 from stable_data.mesatask.near_duplicates import duplicate_group
-from stable_data.metrics.audit import Audit, PosedScene, audit_posed
-from stable_data.metrics.card import with_counts
+from stable_data.metrics.audit import Audit, PosedScene, audit_posed_scene
+from stable_data.metrics.card import add_counts
 from stable_data.metrics.related_scene import relate_scene
 from stable_data.scene import Scene
 from stable_data.scene_graph.relations import SceneGraph
@@ -97,7 +97,7 @@ def preprocess_scene(
     prepared = prepare_scene(dataset, scene_id, store, settings, progress, writer)
     scene, audit = prepared.scene, prepared.audit
     origin = origin_of(dataset, scene, settings)
-    row = {**schemas.scene_row(scene), **schemas.card_row(with_counts(audit.card(), scene)), **audit.rows(), **origin}
+    row = {**schemas.scene_row(scene), **schemas.card_row(add_counts(audit.card(), scene)), **audit.rows(), **origin}
     samples = (sample for one in (scene, *prepared.others) for sample in sample_rows(one, origin["split"]))
     return SceneRows(row, tuple(samples), prepared.notices)
 
@@ -129,7 +129,7 @@ def prepare_scene(
     scene, shapes, meshed = store.resolved(scene, settings.position_convention)
     progress.step = "audit"
     posed = PosedScene(scene, shapes)
-    audit = audit_posed(posed)
+    audit = audit_posed_scene(posed)
     progress.step = "task"
     containers = {o.instance: dataset.annotation(o.asset_id).is_container if o.asset_id else None for o in scene.objects}
     related = relate_scene(posed, audit, containers)

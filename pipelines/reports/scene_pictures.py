@@ -17,7 +17,7 @@ Shown: TypeAlias = Sequence[tuple[Any, str]]
 _SIZE = (512, 320)  # of pictures on a page, pixels: tables are wide
 
 
-def drawn(scene: Scene, store: AssetStore, size: tuple[int, int] = _SIZE) -> Any:
+def draw_scene(scene: Scene, store: AssetStore, size: tuple[int, int] = _SIZE) -> Any:
     """A picture of a scene, (H, W, 3) uint8, in the colours of its assets where they are known.
 
     Args:
@@ -33,7 +33,7 @@ def drawn(scene: Scene, store: AssetStore, size: tuple[int, int] = _SIZE) -> Any
     return render_scene(scene, meshes, size=size, colors=[store.paint_of(o) or object_colour(o) for o in scene.objects])
 
 
-def figures(scenes: Iterable[tuple[str, Callable[[], Shown]]]) -> Iterable[str]:
+def picture_grid(scenes: Iterable[tuple[str, Callable[[], Shown]]]) -> Iterable[str]:
     """A grid of pictures.
 
     Args:

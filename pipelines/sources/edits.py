@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from stable_data.errors import ConfigError, Notice, SceneError
-from stable_data.json_text import json_value, shown
+from stable_data.json_text import json_value, quote_value
 
 KEYS = ("scene_id", "instruction", "edit_id", "reply")
 
@@ -102,12 +102,12 @@ def _edit_of(line: str, count: Counter[str]) -> EditRequest:
     if not isinstance(data, dict):
         raise SceneError(f"is {type(data).__name__}, expected an object", "edit_invalid")
     if unknown := sorted(data.keys() - set(KEYS)):
-        raise SceneError(f"has {shown(unknown[0])}, expected only {', '.join(KEYS)}", "edit_invalid")
+        raise SceneError(f"has {quote_value(unknown[0])}, expected only {', '.join(KEYS)}", "edit_invalid")
     scene_id, instruction = _words(data, "scene_id"), _words(data, "instruction")
     count[scene_id] += 1
     edit_id = _words(data, "edit_id") if "edit_id" in data else f"{scene_id}_edit{count[scene_id]}"
     if not _PLAIN.fullmatch(edit_id) or set(edit_id.split("/")) & {".", ".."}:
-        raise SceneError(f"edit_id is {shown(edit_id)}, expected a plain name", "edit_invalid")
+        raise SceneError(f"edit_id is {quote_value(edit_id)}, expected a plain name", "edit_invalid")
     reply = data.get("reply")
     if reply is not None and not isinstance(reply, str):
         reply = json.dumps(reply, ensure_ascii=False)
@@ -118,6 +118,6 @@ def _words(data: dict[str, Any], key: str) -> str:
     found = data.get(key)
     if not isinstance(found, str) or not found.strip():
         raise SceneError(
-            f"has {key} {shown(found)}, expected words", "instruction_invalid" if key == "instruction" else "edit_invalid"
+            f"has {key} {quote_value(found)}, expected words", "instruction_invalid" if key == "instruction" else "edit_invalid"
         )
     return found.strip()

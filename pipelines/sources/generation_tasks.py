@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
-from models.semantic_reasoner.staged_layout import LayoutTask, of_scene
+from models.semantic_reasoner.staged_layout import LayoutTask, task_of_scene
 from pipelines.sources.tasks import STEP, read_tasks, task_of
-from stable_data.embedded_world.sampling import sampled_task
+from stable_data.embedded_world.sampling import sample_task
 from stable_data.embedded_world.scenes import plan_of, scene_id_of
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.mesatask import MesaTaskDataset
@@ -41,7 +41,7 @@ class SampledTask:
         Raises:
             SceneError: None could be drawn (``synth_failed``).
         """
-        table, instruction = sampled_task(self.number, self.seed, self.tables)
+        table, instruction = sample_task(self.number, self.seed, self.tables)
         return LayoutTask(self.scene_id, instruction, table)
 
 
@@ -75,7 +75,7 @@ class TaskSource:
             raise ConfigError(f"{self.name}: holds no task that can be used, expected one at least{why}", "tasks_invalid")
 
 
-def sampled(count: int, seed: int = 0, kinds: Sequence[str] = ()) -> TaskSource:
+def sample_tasks(count: int, seed: int = 0, kinds: Sequence[str] = ()) -> TaskSource:
     """So many tasks of the embedded world, that none of its scenes has.
 
     Args:
@@ -93,12 +93,12 @@ def sampled(count: int, seed: int = 0, kinds: Sequence[str] = ()) -> TaskSource:
     return TaskSource(f"{count} sampled tasks", [SampledTask(number, seed, tuple(kinds)) for number in range(count)])
 
 
-def of_file(path: Path) -> TaskSource:
+def tasks_of_file(path: Path) -> TaskSource:
     """The tasks of a file, see :func:`pipelines.sources.tasks.read_tasks`, whose error it raises."""
     return TaskSource.of(path.name, read_tasks(path))
 
 
-def of_instruction(instruction: str, table_type: str, size_cm: object, restricted_cm: object = None) -> TaskSource:
+def task_of_instruction(instruction: str, table_type: str, size_cm: object, restricted_cm: object = None) -> TaskSource:
     """The one task of a command line; its scene is called ``task``.
 
     Args:
@@ -117,7 +117,7 @@ def of_instruction(instruction: str, table_type: str, size_cm: object, restricte
         raise ConfigError(f"the task's {error}", "tasks_invalid") from error
 
 
-def of_scenes(place: str, where: str = "") -> TaskSource:
+def tasks_of_scenes(place: str, where: str = "") -> TaskSource:
     """The tasks of scenes that are there: their instructions and tables, and nothing else of them.
 
     Args:
@@ -140,7 +140,7 @@ def _of_run(run: RunFolder, where: str) -> Iterator[LayoutTask | Notice]:
     for batch in run.batches("scenes", where=None if query is None else query.expression):
         for row in batch.to_pylist():
             scene = schemas.scene_from_row(row)
-            yield of_scene(scene) if scene.task is not None else _without_task(scene.scene_id)
+            yield task_of_scene(scene) if scene.task is not None else _without_task(scene.scene_id)
 
 
 def _of_dataset(dataset: MesaTaskDataset) -> Iterator[LayoutTask | Notice]:
@@ -150,7 +150,7 @@ def _of_dataset(dataset: MesaTaskDataset) -> Iterator[LayoutTask | Notice]:
         except SceneError as error:
             yield Notice(scene_id, STEP, error.code, str(error))
         else:
-            yield of_scene(scene) if scene.task is not None else _without_task(scene_id)
+            yield task_of_scene(scene) if scene.task is not None else _without_task(scene_id)
 
 
 def _without_task(scene_id: str) -> Notice:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Protocol, TypeAlias, cast
 
 from pipelines.execution.item_progress import ItemProgress
-from pipelines.execution.shard_size import groups
+from pipelines.execution.shard_size import split_groups
 from pipelines.preprocess.plan import ConventionChoice, PreprocessSettings, plan_run
 from pipelines.preprocess.scene import SceneSettings, origin_of, prepare_scene
 from stable_data.assets.catalog import AssetLibrary, library_of_run
@@ -193,7 +193,7 @@ class TableSource:
         meshes = inputs["meshes"], inputs["assets"]
         parts = []
         for path, ids in self._ids.items():
-            for some in groups(ids, scenes_per_part):
+            for some in split_groups(ids, scenes_per_part):
                 named = (Path(path).name, *meshes) if len(ids) <= scenes_per_part else (Path(path).name, *meshes, some)
                 parts.append(SceneChunk(content_id(*named), tuple(some)))
         return parts, inputs

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from models.semantic_reasoner.staged_layout import LayoutTask
 from stable_data.errors import ConfigError, Notice, SceneError
-from stable_data.json_text import is_unicode, json_value, shown
+from stable_data.json_text import is_unicode, json_value, quote_value
 from stable_data.scene import Tabletop
 
 KEYS = ("scene_id", "instruction", "table_type", "table_size_cm", "restricted_zone_cm")
@@ -81,11 +81,12 @@ def task_of(row: Mapping[str, Any], scene_id: str) -> LayoutTask:
     """
     values = {key: value for key, value in row.items() if value is not None and value != ""}
     if unknown := [key for key in values if key not in KEYS]:
-        raise SceneError(f"has {shown(unknown[0])}, expected only {', '.join(KEYS)}", "task_invalid")
+        raise SceneError(f"has {quote_value(unknown[0])}, expected only {', '.join(KEYS)}", "task_invalid")
     instruction, table_type = values.get("instruction"), values.get("table_type")
     if not isinstance(instruction, str) or not instruction.strip():
         raise SceneError(
-            f"instruction is {shown(row.get('instruction'))}, expected what is to be done on the table", "instruction_invalid"
+            f"instruction is {quote_value(row.get('instruction'))}, expected what is to be done on the table",
+            "instruction_invalid",
         )
     if not is_unicode(instruction):
         raise SceneError("instruction is no UTF-8; save the file as UTF-8", "instruction_invalid")
@@ -108,7 +109,7 @@ def tabletop(table_type: str, size_cm: object, restricted_cm: object = None) -> 
     size = _numbers(size_cm, 2)
     if size is None or not all(SHORTEST_CM <= side <= LONGEST_CM for side in size):
         raise SceneError(
-            f"table_size_cm is {shown(size_cm)}, expected width and depth, each from {SHORTEST_CM:g} to {LONGEST_CM:g}",
+            f"table_size_cm is {quote_value(size_cm)}, expected width and depth, each from {SHORTEST_CM:g} to {LONGEST_CM:g}",
             "table_invalid",
         )
     zone = None
@@ -116,7 +117,7 @@ def tabletop(table_type: str, size_cm: object, restricted_cm: object = None) -> 
         zone = _numbers(restricted_cm, 4)
         if zone is None or not (0 <= zone[0] < zone[1] <= size[0] and 0 <= zone[2] < zone[3] <= size[1]):
             raise SceneError(
-                f"restricted_zone_cm is {shown(restricted_cm)}, expected x_min, x_max, y_min, y_max on the table",
+                f"restricted_zone_cm is {quote_value(restricted_cm)}, expected x_min, x_max, y_min, y_max on the table",
                 "table_invalid",
             )
         zone = [side / 100 for side in zone]
@@ -176,7 +177,7 @@ def _check_columns(path: Path, names: Sequence[str]) -> None:
     if missing := [key for key in KEYS[1:4] if key not in names]:
         raise _unreadable(path, f"has no column {missing[0]}")
     if unknown := [name for name in names if name not in KEYS]:  # else the rows alone would be lost that fill it
-        raise _unreadable(path, f"has a column {shown(unknown[0])}")
+        raise _unreadable(path, f"has a column {quote_value(unknown[0])}")
 
 
 def _unreadable(path: Path, found: str) -> ConfigError:
@@ -198,7 +199,7 @@ def _name(value: object, key: str, code: str) -> str:
     is_number = isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 10**120
     text = str(value) if isinstance(value, str) or is_number else ""
     if not _PLAIN.fullmatch(text):
-        raise SceneError(f"{key} is {shown(value)}, expected a plain name of letters, digits, _, - and .", code)
+        raise SceneError(f"{key} is {quote_value(value)}, expected a plain name of letters, digits, _, - and .", code)
     return text
 
 

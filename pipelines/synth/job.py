@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipelines.execution.ray_executor import WorkerPool
-from pipelines.execution.shard_size import groups
+from pipelines.execution.shard_size import split_groups
 from pipelines.execution.shard_step import Shard
 from stable_data.embedded_world.world import EmbeddedWorld, close_world, open_world, write_scenes
 from stable_data.errors import SceneError
@@ -54,7 +54,7 @@ def synth(
         ConfigError: As for :func:`stable_data.embedded_world.world.write_world`, or Ray cannot be reached.
     """
     open_world(out, num_scenes, world)
-    shards = [Shard(f"from {part[0]}", tuple(part)) for part in groups(range(num_scenes), _SCENES_PER_SHARD)]
+    shards = [Shard(f"from {part[0]}", tuple(part)) for part in split_groups(range(num_scenes), _SCENES_PER_SHARD)]
     done, failures = 0, []
     for count, failed in workers.run(SceneWriter(str(out.resolve()), world), shards):
         done += count

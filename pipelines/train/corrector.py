@@ -18,9 +18,9 @@ from models.physics_corrector.flow.checkpoint import save_corrector
 from models.physics_corrector.training.dataset import TrainingScenes, TrainingSet
 from models.physics_corrector.training.settings import CorrectorTrainingSettings
 from models.physics_corrector.training.trainer import CorrectorTrainer, train
-from models.physics_corrector.training.validation import Card, ValidationScenes, scalars, validation_card
+from models.physics_corrector.training.validation import Card, ValidationScenes, scalar_figures, validation_card
 from models.training.distributed import ProcessContext
-from pipelines.train.run import STATE, TrainingMonitor, as_json, here, refuse_changes
+from pipelines.train.run import STATE, TrainingMonitor, json_bytes, refuse_changes, training_device
 from stable_data.code_version import code_version
 from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
@@ -105,14 +105,14 @@ class CorrectorTrainingJob:
             job = replace(self, settings=settings, out=self._folder())
             manifest = _manifest(job, data)
             refuse_changes(folder, manifest, ("job", "code_version", "data_fingerprint", "encoder_fingerprint"))
-            folder.write_bytes("manifest.json", as_json(manifest))
+            folder.write_bytes("manifest.json", json_bytes(manifest))
             if workers:
                 from pipelines.train.ray_train import run_on_ray  # Ray Train takes seconds to import
 
                 del data  # each process reads its own
                 run_on_ray(job, workers, address)
             else:
-                job.work(ProcessContext(here()), data)
+                job.work(ProcessContext(training_device()), data)
             return _finish(folder, manifest)
 
     def work(self, place: ProcessContext, data: TrainingSet | None = None) -> None:
@@ -140,7 +140,7 @@ class CorrectorTrainingJob:
                 card = _card_of(training, data, source, watch.final_scenes, watch.exact_scenes)
                 monitor.log(_scalars(card))
                 document = {"steps": training.step, "seed": self.settings.seed, "rows": card}
-                RunFolder(str(self.out)).write_bytes("card.json", as_json(document))
+                RunFolder(str(self.out)).write_bytes("card.json", json_bytes(document))
 
     def _save_weights(self, training: CorrectorTrainer, data: TrainingSet) -> None:
         notes = {
@@ -181,7 +181,7 @@ def _card_of(
 
 
 def _scalars(card: Card) -> dict[str, float]:
-    return {f"card/{name}": value for name, value in scalars(card).items()}
+    return {f"card/{name}": value for name, value in scalar_figures(card).items()}
 
 
 def _manifest(job: CorrectorTrainingJob, data: TrainingSet) -> dict[str, Any]:
@@ -209,7 +209,7 @@ def _finish(folder: RunFolder, manifest: dict[str, Any]) -> str:
     steps = manifest["settings"]["steps"]
     is_done = step >= steps
     folder.write_bytes(
-        "manifest.json", as_json(manifest | {"status": "complete" if is_done else "stopped", "steps_done": step})
+        "manifest.json", json_bytes(manifest | {"status": "complete" if is_done else "stopped", "steps_done": step})
     )
     left_out = {k.removeprefix("left_out_"): v for k, v in manifest["targets"].items() if k.startswith("left_out_") and v}
     without = (

@@ -22,7 +22,7 @@ from models.semantic_reasoner.training.token_dataset import KINDS, TokenDataset
 from models.semantic_reasoner.training.trainer import ReasonerTrainer
 from models.training.distributed import ProcessContext
 from pipelines.train.reasoner import ReasonerTrainingJob
-from pipelines.train.run import here
+from pipelines.train.run import training_device
 
 ASSUMED_FLOPS = 4e14
 """Operations a second of each process where nothing can be measured: 40 % of an H100's peak in bfloat16."""
@@ -33,7 +33,7 @@ _STEPS = 3
 _FLOAT = 4  # bytes
 
 
-def plan_of(job: ReasonerTrainingJob, workers: int) -> dict[str, Any]:
+def training_plan(job: ReasonerTrainingJob, workers: int) -> dict[str, Any]:
     """What a run would do.
 
     Args:
@@ -150,12 +150,12 @@ def _seconds_a_step(
 ) -> tuple[float, str]:
     """Seconds of a step, and where they come from."""
     if memory["num_weights"] <= _MEASURED_WEIGHTS and world == 1:
-        training = ReasonerTrainer(data, settings, tokenizer, ProcessContext(here()))
+        training = ReasonerTrainer(data, settings, tokenizer, ProcessContext(training_device()))
         training.advance()  # the first step makes what is made once
         began = time.perf_counter()
         for _ in range(_STEPS):
             training.advance()
-        return (time.perf_counter() - began) / _STEPS, f"measured on {here().type}"
+        return (time.perf_counter() - began) / _STEPS, f"measured on {training_device().type}"
     # Of a weight and token: 2 operations forward, 2 for the gradient of the input, 2 for that of the weight where it is
     # trained.
     operations = memory["num_weights"] * (6 if settings.recomputes else 4) + 2 * memory["num_trained"]

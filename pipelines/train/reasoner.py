@@ -28,7 +28,7 @@ from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
 from models.semantic_reasoner.training.token_dataset import TokenDataset
 from models.semantic_reasoner.training.trainer import CheckpointIdentity, ReasonerTrainer, StepMetrics, train
 from models.training.distributed import ProcessContext
-from pipelines.train.run import STATE, TrainingMonitor, as_json, here, refuse_changes
+from pipelines.train.run import STATE, TrainingMonitor, json_bytes, refuse_changes, training_device
 from stable_data.code_version import code_version
 from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
@@ -106,13 +106,13 @@ class ReasonerTrainingJob:
             job = replace(self, settings=self.settings.resolved(len(self.batches(data))), out=self._folder())
             manifest = _manifest(job, tokenizer, data, held_out)
             refuse_changes(folder, manifest, ("job", "code_version", *asdict(CheckpointIdentity())))
-            folder.write_bytes("manifest.json", as_json(manifest))
+            folder.write_bytes("manifest.json", json_bytes(manifest))
             if workers:
                 from pipelines.train.ray_train import run_on_ray  # Ray Train takes seconds to import
 
                 run_on_ray(job, workers, address)
             else:
-                job.work(ProcessContext(here()))
+                job.work(ProcessContext(training_device()))
             return _finish(folder, manifest, self.source().uri)
 
     def check_workers(self, workers: int) -> None:
@@ -228,7 +228,7 @@ def _finish(folder: RunFolder, manifest: dict[str, Any], run: str) -> str:
     if notes["is_done"]:
         CategoryStatistics.of_run(run).save(weights)
     status = "complete" if notes["is_done"] else "stopped"
-    folder.write_bytes("manifest.json", as_json(manifest | {"status": status, "steps_done": notes["steps"]}))
+    folder.write_bytes("manifest.json", json_bytes(manifest | {"status": status, "steps_done": notes["steps"]}))
     of_train = manifest["examples"]["train"]
     left_out = {k.removeprefix("left_out_"): v for k, v in of_train.items() if k.startswith("left_out_") and v}
     without = f", {sum(left_out.values())} left out ({', '.join(f'{k} {v}' for k, v in left_out.items())})" if left_out else ""

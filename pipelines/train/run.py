@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from models.training.distributed import ProcessContext
 from pipelines.execution.code_history import record_code, take_over_code, with_release
-from pipelines.execution.resume import former_manifest
+from pipelines.execution.resume import read_manifest
 from stable_data.config_diff import refuse_changed
 from stable_data.storage.run_folder import RunFolder
 
@@ -134,7 +134,7 @@ def _on_signals(stopped: threading.Event) -> dict[int, Any]:
     return {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
 
 
-def here() -> torch.device:
+def training_device() -> torch.device:
     """The device of a training in this process."""
     return torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
@@ -151,7 +151,7 @@ def refuse_changes(folder: RunFolder, manifest: dict[str, Any], compared: Sequen
     Raises:
         ConfigError: Something differs, or the manifest there is none.
     """
-    was = former_manifest(folder)
+    was = read_manifest(folder)
     if was is None:
         return
     before, now = ({key: with_release(found).get(key) for key in compared} for found in (was, manifest))
@@ -161,6 +161,6 @@ def refuse_changes(folder: RunFolder, manifest: dict[str, Any], compared: Sequen
         record_code(folder.uri, manifest)
 
 
-def as_json(document: dict[str, Any]) -> bytes:
+def json_bytes(document: dict[str, Any]) -> bytes:
     """A document as the text of a file."""
     return (json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False) + "\n").encode()

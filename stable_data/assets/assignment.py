@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from stable_data.assets.retrieval import Answer, AssetMatch, AssetQuery, Retriever, UnmatchedQuery
-from stable_data.assets.substitution import with_assets
+from stable_data.assets.substitution import substitute_assets
 from stable_data.errors import Notice
 from stable_data.scene import TABLE, Scene
 from stable_data.scene_graph.support_tree import SupportTree
@@ -103,5 +103,5 @@ def _furnished(
         for o in kept
         if (note := matches[o.instance].note)
     ]
-    objects = with_assets(kept, {o.instance: matches[o.instance] for o in kept})
+    objects = substitute_assets(kept, {o.instance: matches[o.instance] for o in kept})
     return AssignedLayout(replace(scene, objects=objects), unmatched, tuple(notices))

@@ -17,7 +17,7 @@ _RIGHT_ANGLE = 1e-3  # radians by which a tilt may be off and still take each ax
 _ORTHOGONAL = 1e-6
 
 
-def proportions(boxes: npt.ArrayLike) -> FloatArray:
+def box_proportions(boxes: npt.ArrayLike) -> FloatArray:
     """Boxes as unit vectors, (..., 3) float64.
 
     Args:
@@ -32,7 +32,7 @@ def size_score(one: npt.ArrayLike, other: npt.ArrayLike) -> FloatArray:
     """Cosine of the proportions of boxes, (...) float64 in [0, 1]; scale-free.
 
     Args:
-        one: Unit vectors that :func:`proportions` gave, (..., 3).
+        one: Unit vectors that :func:`box_proportions` gave, (..., 3).
         other: Likewise; shapes broadcast.
     """
     product = np.asarray(one) * np.asarray(other)
@@ -41,7 +41,7 @@ def size_score(one: npt.ArrayLike, other: npt.ArrayLike) -> FloatArray:
     return score
 
 
-def uniform_factor(wanted: npt.ArrayLike, boxes: npt.ArrayLike) -> FloatArray:
+def uniform_scale_factor(wanted: npt.ArrayLike, boxes: npt.ArrayLike) -> FloatArray:
     """The factor that brings boxes nearest to the wanted ones, (...) float64, positive.
 
     Where the two share no edge at all, such as a needle laid across another, the factor that makes their diagonals equal.
@@ -51,7 +51,7 @@ def uniform_factor(wanted: npt.ArrayLike, boxes: npt.ArrayLike) -> FloatArray:
         boxes: Mesh units, (..., 3).
     """
     w, e = np.asarray(wanted, np.float64), np.asarray(boxes, np.float64)
-    cosine = size_score(proportions(w), proportions(e))
+    cosine = size_score(box_proportions(w), box_proportions(e))
     factor: FloatArray = _diagonal(w) / _diagonal(e) * np.where(cosine > _ORTHOGONAL, cosine, 1.0)
     return factor
 

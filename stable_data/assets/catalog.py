@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pyarrow.compute as pc
 
-from stable_data.assets.text_embeddings import Rows, TextEncoder, checked_rows, text_rows
+from stable_data.assets.text_embeddings import Rows, TextEncoder, check_rows, embed_texts
 from stable_data.errors import ConfigError
 from stable_data.geometry.leaning import CATALOGUE_ANGLES, SLENDER_ASSET, leaning_tilt
-from stable_data.rotations import normalised, quat_product, rotation_matrix, stood_on_end, turned_extents
+from stable_data.rotations import normalise_quat, quat_product, rotated_extents, rotation_matrix, stand_on_end
 from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Vec3
 from stable_data.storage.row_groups import rows_from_table
 from stable_data.storage.run_folder import RunFolder
@@ -40,7 +40,7 @@ _COLUMNS = (
 )
 
 
-def sentence(words: str, category: str) -> str:
+def asset_sentence(words: str, category: str) -> str:
     """What is encoded of a thing: its kind, then its words, so that a kind that is known is heard on both sides.
 
     Example:
@@ -116,7 +116,7 @@ class AssetLibrary:
         assets: N assets, by uid.
         features: Unit row of each one's words, (N, D) float32, or None: not encoded yet.
         encoder_fingerprint: Which encoder made them; empty where the dataset does not say.
-        names_category: Whether they are of :func:`sentence`, or of the words alone, as a dataset's own.
+        names_category: Whether they are of :func:`asset_sentence`, or of the words alone, as a dataset's own.
         left_out: uid -> why an asset of the dataset cannot be retrieved at all.
 
     Raises:
@@ -140,7 +140,7 @@ class AssetLibrary:
             message = f"library {self.name}: asset {twice[0]} is listed twice, expected one entry per uid"
             raise ConfigError(f"{message}; was it preprocessed twice into one folder?", "asset_duplicate")
         if self.features is not None:
-            object.__setattr__(self, "features", checked_rows(self.features, len(self.assets), f"library {self.name}"))
+            object.__setattr__(self, "features", check_rows(self.features, len(self.assets), f"library {self.name}"))
 
     def __len__(self) -> int:
         """Number of assets."""
@@ -151,9 +151,9 @@ class AssetLibrary:
 
         Args:
             encoder: The text encoder.
-            cache: A file that keeps the rows, see :func:`stable_data.assets.text_embeddings.text_rows`.
+            cache: A file that keeps the rows, see :func:`stable_data.assets.text_embeddings.embed_texts`.
         """
-        rows = text_rows([sentence(a.words, a.category) for a in self.assets], encoder, cache)
+        rows = embed_texts([asset_sentence(a.words, a.category) for a in self.assets], encoder, cache)
         return replace(self, features=rows, encoder_fingerprint=encoder.fingerprint, names_category=True)
 
 
@@ -174,8 +174,9 @@ def library_of_run(run: RunFolder, name: str | None = None, *, own_features: boo
     name = name or run.uri
     rows = run.table("assets", [*_COLUMNS, "text_embedding"] if own_features else _COLUMNS).to_pylist()
     usual = {
-        row["asset_id"]: with_leaning_tilts(
-            usual_tilts([(_quat(t["tilt_quat_xyzw"]), t["count"]) for t in row["resting_tilts"]]), as_vec3(row["extents"])
+        row["asset_id"]: add_leaning_tilts(
+            merge_similar_tilts([(_quat(t["tilt_quat_xyzw"]), t["count"]) for t in row["resting_tilts"]]),
+            as_vec3(row["extents"]),
         )
         for row in rows
     }
@@ -201,10 +202,10 @@ def library_of_run(run: RunFolder, name: str | None = None, *, own_features: boo
         assets.append(asset)
         if own_features and row["text_embedding"] is not None:
             features[uid] = row["text_embedding"]
-    return assembled_library(name, assets, features if own_features else None, {})
+    return build_library(name, assets, features if own_features else None, {})
 
 
-def assembled_library(
+def build_library(
     name: str, assets: Sequence[Asset], features: Mapping[str, Any] | None, left_out: dict[str, str]
 ) -> AssetLibrary:
     """The assets that can be found, by uid."""
@@ -225,7 +226,7 @@ def assembled_library(
     return AssetLibrary(name, tuple(kept), rows, left_out=left_out)
 
 
-def usual_tilts(tilts: Iterable[tuple[QuatXyzw, int]]) -> list[tuple[QuatXyzw, int]]:
+def merge_similar_tilts(tilts: Iterable[tuple[QuatXyzw, int]]) -> list[tuple[QuatXyzw, int]]:
     """Tilts, most frequent first; those close to a more frequent one are counted as that one."""
     kept: list[tuple[QuatXyzw, int]] = []
     for quat, count in sorted(tilts, key=lambda item: (-item[1], item[0])):
@@ -238,13 +239,13 @@ def usual_tilts(tilts: Iterable[tuple[QuatXyzw, int]]) -> list[tuple[QuatXyzw, i
     return sorted(kept, key=lambda item: (-item[1], item[0]))
 
 
-def with_leaning_tilts(tilts: Sequence[tuple[QuatXyzw, int]], extents: Vec3) -> list[tuple[QuatXyzw, int]]:
+def add_leaning_tilts(tilts: Sequence[tuple[QuatXyzw, int]], extents: Vec3) -> list[tuple[QuatXyzw, int]]:
     """Tilts with those at which a long thing that was only seen lying leans in a cup, its top towards -y."""
     axis = int(np.argmax(extents))
     is_long = extents[axis] > SLENDER_ASSET * sorted(extents)[1]
     if not tilts or not is_long or any(abs(rotation_matrix(q)[2, axis]) > math.cos(_STEEP) for q, _ in tilts):
         return list(tilts)
-    leaning = [(quat_product(leaning_tilt(angle), stood_on_end(axis)), 0) for angle in CATALOGUE_ANGLES]
+    leaning = [(quat_product(leaning_tilt(angle), stand_on_end(axis)), 0) for angle in CATALOGUE_ANGLES]
     return [*tilts, *leaning]
 
 
@@ -258,7 +259,7 @@ def resting_tilts(tilts: Sequence[tuple[QuatXyzw, int]], extents: Vec3, points: 
 def _tilted_extents(quat: QuatXyzw, extents: Vec3, points: FloatArray | None) -> Vec3:
     """Box of a tilted mesh: exact for right angles and for vertices, close for surface points, else that of its turned box."""
     if points is None or is_right_angled(quat):
-        return turned_extents(extents, quat)
+        return rotated_extents(extents, quat)
     reach = np.ptp(points, axis=0)
     # Points on a surface miss its corners: they are stretched to the box that is known exactly.
     stretched = points * np.divide(extents, reach, out=np.ones(3), where=reach > 0)
@@ -280,7 +281,7 @@ def _surface_points(run: RunFolder, asset_ids: Sequence[str]) -> dict[str, Float
 
 def _quat(values: Sequence[float]) -> QuatXyzw:
     x, y, z, w = values
-    return normalised((x, y, z, w))
+    return normalise_quat((x, y, z, w))
 
 
 def as_vec3(values: Any) -> Vec3:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stable_data.assets.annotation import category_of
-from stable_data.assets.box_fitting import proportions, size_score
+from stable_data.assets.box_fitting import box_proportions, size_score
 from stable_data.assets.catalog import Asset, AssetLibrary
 from stable_data.assets.text_embeddings import Rows
 from stable_data.errors import ConfigError
@@ -139,14 +139,14 @@ class AssetScores:
         self.assets: tuple[Asset, ...] = tuple(library.assets[k] for k in allowed)
         self.features: Rows = library.features if len(allowed) == len(library) else library.features[allowed]
         self.names_category = library.names_category
-        self._boxes = proportions([t.extents for a in self.assets for t in a.tilts] or np.ones((0, 3)))
+        self._boxes = box_proportions([t.extents for a in self.assets for t in a.tilts] or np.ones((0, 3)))
         # How a thing would lean in a cup; upright where nothing is known comes first.
         self._only_leaning = np.array([k > 0 and t.count == 0 for a in self.assets for k, t in enumerate(a.tilts)], np.bool_)
         self._num_tilts = np.array([len(a.tilts) for a in self.assets], np.int64)
         self._first_tilt = np.cumsum(self._num_tilts) - self._num_tilts
         self._codes = {name: k for k, name in enumerate(sorted({_kind(a.category) for a in self.assets} - {""}))}
         self._category = np.array([self._codes.get(_kind(a.category), -2) for a in self.assets], np.int64)
-        self._tickets = np.array([ticket(a.asset_id) for a in self.assets], np.uint64)
+        self._tickets = np.array([tie_break_number(a.asset_id) for a in self.assets], np.uint64)
         self._slack = 2.0 * self.features.shape[1] * 2.0**-24  # what a float32 product of unit rows may be off
 
     def choose(
@@ -168,7 +168,7 @@ class AssetScores:
             leans: Whether each may lean on what carries it, (B,).
             without: Ids of assets that are not to be chosen, for each query.
         """
-        shapes, barred = proportions(wanted), self._barred(without)
+        shapes, barred = box_proportions(wanted), self._barred(without)
         codes = np.array([self._codes.get(_kind(name or ""), -1) for name in categories], np.int64)
         parts = []
         size = max(1, min(_BLOCK, _MAX_SCORES // len(self.assets)))
@@ -298,7 +298,7 @@ class AssetScores:
         return np.where(self._only_leaning[tilts] & ~np.repeat(boxes.leans, counts), 0.0, scores), starts
 
 
-def ticket(*parts: str | int) -> int:
+def tie_break_number(*parts: str | int) -> int:
     """Sixty-four bits of a hash of some words and numbers: what lots are drawn with."""
     text = "\x00".join(map(str, parts))
     return int.from_bytes(hashlib.blake2b(text.encode("utf-8", "surrogatepass"), digest_size=8).digest(), "little")

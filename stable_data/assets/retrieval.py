@@ -13,12 +13,12 @@ from typing import TypeAlias
 
 import numpy as np
 
-from stable_data.assets.box_fitting import stretched_scale, uniform_factor
-from stable_data.assets.catalog import Asset, AssetLibrary, sentence
-from stable_data.assets.ranking import AssetScores, RankedAssets, RetrievalSettings, ticket
-from stable_data.assets.text_embeddings import Rows, TextEncoder, checked_rows
+from stable_data.assets.box_fitting import stretched_scale, uniform_scale_factor
+from stable_data.assets.catalog import Asset, AssetLibrary, asset_sentence
+from stable_data.assets.ranking import AssetScores, RankedAssets, RetrievalSettings, tie_break_number
+from stable_data.assets.text_embeddings import Rows, TextEncoder, check_rows
 from stable_data.errors import ConfigError, SceneError
-from stable_data.json_text import shown
+from stable_data.json_text import quote_value
 from stable_data.scene import QuatXyzw, Vec3
 
 _PROBED = 32  # assets whose words are encoded again to see whether features of unknown origin are this encoder's
@@ -51,13 +51,13 @@ class AssetQuery:
     def __post_init__(self) -> None:
         """Refuses a box without extent."""
         if len(self.size) != 3 or not all(map(math.isfinite, self.size)) or min(self.size) < 0 or max(self.size) <= 0:
-            found = f"query {shown(self.text)} has size {self.size}"
+            found = f"query {quote_value(self.text)} has size {self.size}"
             raise SceneError(f"{found}, expected width, depth and height in metres", "size_invalid")
 
     def sentence(self, *, names_category: bool = True) -> str:
         """What is encoded of it: its category and its words, or its words alone where it has any."""
         is_named = names_category or not self.text.strip()
-        return sentence(self.text, (self.category or "") if is_named else "")
+        return asset_sentence(self.text, (self.category or "") if is_named else "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +165,7 @@ class Retriever:
         """The row (D,) of each text; scenes say the same of their things again and again, so it is kept."""
         found = {text: self._known[text] for text in texts if text in self._known}
         if unknown := [text for text in texts if text not in found]:
-            rows = checked_rows(self._encoder(unknown), len(unknown), "the text encoder")
+            rows = check_rows(self._encoder(unknown), len(unknown), "the text encoder")
             if rows.shape[1] != (wanted := self._libraries[0][1].features.shape[1]):
                 message = f"the text encoder returns {rows.shape[1]} numbers per text, expected {wanted} as in the libraries"
                 raise ConfigError(f"{message}; embed the libraries with this encoder", "features_of_another_encoder")
@@ -187,7 +187,7 @@ class Retriever:
                 np.stack([rows[query.sentence(names_category=scores.names_category)] for query in asked]),
                 np.array([query.size for query in asked], np.float64),
                 [query.category for query in asked],
-                np.array([ticket(seed, query.key, query.sentence()) for query in asked], np.uint64),
+                np.array([tie_break_number(seed, query.key, query.sentence()) for query in asked], np.uint64),
                 np.array([query.leans for query in asked], np.bool_),
                 [query.without for query in asked],
             )
@@ -205,7 +205,7 @@ class Retriever:
             *(c.tolist() for c in (choices.asset, choices.tilt, choices.text, choices.size, choices.nearest)), strict=True
         )
         boxes = np.array([scores.assets[a].tilts[t].extents for a, t in zip(choices.asset, choices.tilt, strict=True)])
-        factors = uniform_factor([query.size for query in queries], boxes).tolist()
+        factors = uniform_scale_factor([query.size for query in queries], boxes).tolist()
         answers: list[Answer] = []
         for query, factor, (index, tilt, text, size, nearest) in zip(queries, factors, columns, strict=True):
             if index < 0 and scores.assets[nearest].asset_id in query.without:
@@ -247,8 +247,9 @@ class Retriever:
         )
 
     def _unmatched(self, name: str, nearest: Asset, text: float, query: AssetQuery) -> UnmatchedQuery:
-        found = f"{shown(nearest.words)} of library {name} at {text:.2f}"
-        reason = f"no asset is similar to {shown(query.sentence())}: the nearest is {found}, expected at least {self.settings.floor:g}"
+        found = f"{quote_value(nearest.words)} of library {name} at {text:.2f}"
+        wanted = quote_value(query.sentence())
+        reason = f"no asset is similar to {wanted}: the nearest is {found}, expected at least {self.settings.floor:g}"
         return UnmatchedQuery(reason, nearest.asset_id, name, text)
 
 
@@ -271,7 +272,7 @@ def _check_encoder(library: AssetLibrary, encoder: TextEncoder) -> None:
     step = math.ceil(len(library) / _PROBED)
     probed = list(range(0, len(library), step))
     words = [library.assets[k].words for k in probed]
-    rows = checked_rows(encoder(words), len(words), "the text encoder")
+    rows = check_rows(encoder(words), len(words), "the text encoder")
     if rows.shape[1] != library.features.shape[1]:
         found = f"{what} have {library.features.shape[1]} numbers, but this encoder returns {rows.shape[1]}"
         raise ConfigError(f"{found}; {hint}", "features_of_another_encoder")

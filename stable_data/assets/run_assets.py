@@ -10,10 +10,10 @@ import pyarrow as pa
 
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.store import AssetStore
-from stable_data.atomic_files import put_file
-from stable_data.errors import ConfigError, MeshError, unwritable
+from stable_data.atomic_files import write_file_atomically
+from stable_data.errors import ConfigError, MeshError, cannot_write
 from stable_data.geometry.mesh import Mesh
-from stable_data.json_text import shown
+from stable_data.json_text import quote_value
 from stable_data.storage.row_groups import TableFiles
 from stable_data.storage.run_folder import RunFolder, Uri
 
@@ -54,7 +54,7 @@ class RunAssets:
         try:
             files.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise unwritable(str(files), error) from error
+            raise cannot_write(str(files), error) from error
 
     def asset_path(self, asset_id: str) -> Path | None:
         """The asset's repaired mesh as a GLB file, or None where the run has none.
@@ -71,7 +71,7 @@ class RunAssets:
             if _digest(path) != sha256:
                 self._place(self._group_of[asset_id], sha256)
             if _digest(path) != sha256:
-                found = f"the glb in table meshes does not have the hash {shown(sha256)} that its row states"
+                found = f"the glb in table meshes does not have the hash {quote_value(sha256)} that its row states"
                 raise MeshError(f"asset {asset_id}: {found}; preprocess the dataset again", "mesh_differs")
             self._hashed.add(sha256)
         return path
@@ -105,9 +105,9 @@ class RunAssets:
                 content = glb.as_buffer()
                 is_due = content is not None and (sha256 == wanted or not self._path(sha256).exists())
                 if is_due and hashlib.sha256(content).hexdigest() == sha256:
-                    put_file(self._path(sha256), content)
+                    write_file_atomically(self._path(sha256), content)
         except OSError as error:
-            raise unwritable(str(self._files), error) from error
+            raise cannot_write(str(self._files), error) from error
 
 
 def _digest(path: Path) -> str | None:

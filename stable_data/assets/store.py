@@ -15,7 +15,7 @@ from stable_data.errors import MeshError, Notice
 from stable_data.geometry.gltf_reader import load_colliders, load_glb
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import Paint, load_paint
-from stable_data.geometry.mesh_repair import MeshReport, repair
+from stable_data.geometry.mesh_repair import MeshReport, repair_mesh
 from stable_data.geometry.sdf.build import build_grid
 from stable_data.geometry.sdf.grid import SdfGrid
 from stable_data.geometry.shape import Shape
@@ -25,7 +25,7 @@ from stable_data.position_convention import (
     keeps_box,
     to_box_centre,
 )
-from stable_data.rotations import normalised
+from stable_data.rotations import normalise_quat
 from stable_data.scene import QuatXyzw, Scene, SceneObject, Vec3
 
 ASPECT_STEP = math.log(1.05)
@@ -285,7 +285,7 @@ class AssetStore:
             )
         try:
             mesh, odd = load_glb(path, asset_id)
-            mesh, report, repaired = repair(mesh, asset_id)
+            mesh, report, repaired = repair_mesh(mesh, asset_id)
         except MeshError as error:
             if error.code in _PASSING:
                 raise
@@ -331,16 +331,16 @@ def aspect_of(steps: tuple[int, int, int]) -> Vec3:
     return x, y, z
 
 
-def with_one_sign(tilt_quat_xyzw: QuatXyzw) -> QuatXyzw:
+def canonical_quaternion(tilt_quat_xyzw: QuatXyzw) -> QuatXyzw:
     """The unit quaternion, with one of the two signs that mean the same rotation."""
     sign = 1.0 if next((q for q in reversed(tilt_quat_xyzw) if abs(q) > 0.01), 1.0) > 0 else -1.0
-    x, y, z, w = (sign * q + 0.0 for q in normalised(tilt_quat_xyzw))
+    x, y, z, w = (sign * q + 0.0 for q in normalise_quat(tilt_quat_xyzw))
     return x, y, z, w
 
 
 def tilt_key(tilt_quat_xyzw: QuatXyzw) -> QuatXyzw:
     """A tilt with each component snapped to 0.01: those within about a degree count as one."""
-    x, y, z, w = (round(q, 2) + 0.0 for q in with_one_sign(tilt_quat_xyzw))
+    x, y, z, w = (round(q, 2) + 0.0 for q in canonical_quaternion(tilt_quat_xyzw))
     return x, y, z, w
 
 

@@ -12,11 +12,11 @@ from stable_data.scene import SceneObject
 from stable_data.scene_graph.support_tree import SupportTree
 
 
-def with_asset(wanted: SceneObject, match: AssetMatch) -> SceneObject:
+def substitute_asset(wanted: SceneObject, match: AssetMatch) -> SceneObject:
     """The object as a match makes it.
 
     Its instance, x, y, yaw, description, stage and support stay, and so does the height of its underside. Asset, category
-    (where the asset has one), tilt, scale and size are the match's. What rests on it is not looked at: see :func:`with_assets`.
+    (where the asset has one), tilt, scale and size are the match's. What rests on it is not looked at: see :func:`substitute_assets`.
 
     Args:
         wanted: The object; ``position`` is the centre of its box in the yaw frame, metres, world frame.
@@ -34,7 +34,7 @@ def with_asset(wanted: SceneObject, match: AssetMatch) -> SceneObject:
     )
 
 
-def with_assets(objects: Sequence[SceneObject], matches: Mapping[str, AssetMatch]) -> tuple[SceneObject, ...]:
+def substitute_assets(objects: Sequence[SceneObject], matches: Mapping[str, AssetMatch]) -> tuple[SceneObject, ...]:
     """A layout with assets in place of wanted objects, what they carry moved with them.
 
     What stands on a carrier (``support``) is lifted or lowered by as much as the carrier's top moves; what lies within the
@@ -75,4 +75,4 @@ def _placed(
             low = after.bottom + above
     x, y, _ = o.position
     moved = replace(o, position=(x, y, low + o.size[2] / 2))
-    return moved if match is None else with_asset(moved, match)
+    return moved if match is None else substitute_asset(moved, match)

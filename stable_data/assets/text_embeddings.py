@@ -13,8 +13,8 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from stable_data.atomic_files import put_file
-from stable_data.errors import ConfigError, unwritable
+from stable_data.atomic_files import write_file_atomically
+from stable_data.errors import ConfigError, cannot_write
 
 Rows: TypeAlias = npt.NDArray[np.float32]
 """One unit row a text, (N, D) float32: compared by dot product."""
@@ -36,7 +36,7 @@ class TextEncoder(Protocol):
         ...
 
 
-def checked_rows(rows: npt.ArrayLike, num: int, where: str) -> Rows:
+def check_rows(rows: npt.ArrayLike, num: int, where: str) -> Rows:
     """Rows as they must be to be compared.
 
     Args:
@@ -58,7 +58,7 @@ def checked_rows(rows: npt.ArrayLike, num: int, where: str) -> Rows:
     return found
 
 
-def text_rows(texts: Sequence[str], encoder: TextEncoder, cache: Path | None = None) -> Rows:
+def embed_texts(texts: Sequence[str], encoder: TextEncoder, cache: Path | None = None) -> Rows:
     """The encoder's rows for texts; each different text is encoded once.
 
     Args:
@@ -81,7 +81,7 @@ def text_rows(texts: Sequence[str], encoder: TextEncoder, cache: Path | None = N
     place = {text: k for k, text in enumerate(kept)}
     missing = [text for text in distinct if text not in place]
     if missing:
-        new = checked_rows(encoder(missing), len(missing), "the text encoder")
+        new = check_rows(encoder(missing), len(missing), "the text encoder")
         if kept and known.shape[1] != new.shape[1]:
             message = f"{cache} contains features of {known.shape[1]} numbers, but the encoder returns {new.shape[1]}"
             raise ConfigError(f"{message}; delete the file or choose another file", "features_of_another_encoder")
@@ -111,7 +111,7 @@ def _read(cache: Path, fingerprint: str) -> tuple[list[str], Rows]:
     if found != fingerprint:
         message = f"{cache} contains features of encoder {found or 'unknown'}, expected {fingerprint}"
         raise ConfigError(f"{message}; delete the file or choose another file", "features_of_another_encoder")
-    return texts, checked_rows(rows, len(texts), str(cache))
+    return texts, check_rows(rows, len(texts), str(cache))
 
 
 def _write(cache: Path, texts: Sequence[str], rows: Rows, fingerprint: str) -> None:
@@ -122,6 +122,6 @@ def _write(cache: Path, texts: Sequence[str], rows: Rows, fingerprint: str) -> N
     pq.write_table(table.replace_schema_metadata({_FINGERPRINT: fingerprint}), sink)
     try:
         cache.parent.mkdir(parents=True, exist_ok=True)
-        put_file(cache, sink.getvalue().to_pybytes())
+        write_file_atomically(cache, sink.getvalue().to_pybytes())
     except OSError as error:
-        raise unwritable(str(cache), error) from error
+        raise cannot_write(str(cache), error) from error

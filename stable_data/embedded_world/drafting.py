@@ -14,8 +14,8 @@ import numpy as np
 import shapely
 
 from stable_data.embedded_world.families.catalogue import NUM_VARIANTS, asset
-from stable_data.embedded_world.groups.arrangement import GroupItem, GroupSampler, floor_of, scattered
-from stable_data.embedded_world.placing import PlacedObject, TableOccupancy, lowered
+from stable_data.embedded_world.groups.arrangement import GroupItem, GroupSampler, floor_of, scatter
+from stable_data.embedded_world.placing import PlacedObject, TableOccupancy, lower_group
 from stable_data.embedded_world.scenes import FEWEST, MOST, plan_of
 from stable_data.instructions.naming import ObjectName, ObjectNamer
 from stable_data.instructions.wording.words import plural, type_words
@@ -147,7 +147,7 @@ def _replacements(desk: SceneEditor) -> Iterator[EditDraft]:
         new = _new(key, desk.kit)
         name = desk.name(o.instance)
         text = desk.kit.pick(f"[replace|swap] {name} with {new}", f"exchange {name} for {new}", f"[put] {new} where {name} is")
-        there = lowered([item], desk.things[o.instance].group)[0]
+        there = lower_group([item], desk.things[o.instance].group)[0]
         yield EditDraft(desk.with_change({o.instance: there}), frozenset({o.instance}), text)
 
 
@@ -197,7 +197,7 @@ def _restyled(desk: SceneEditor, instances: frozenset[str], key: str) -> dict[st
         outline = shapely.union_all([item.outline() for item in items])
         if not desk.ground().allows(outline) or bool(shapely.dwithin(outline, others, 0.002).any()):
             return None
-        change |= {name: thing for (name, _), thing in zip(members, lowered(items, group), strict=True)}
+        change |= {name: thing for (name, _), thing in zip(members, lower_group(items, group), strict=True)}
     return change
 
 
@@ -226,7 +226,7 @@ def _beside(desk: SceneEditor, item: GroupItem, moving: str | None) -> Iterator[
         y = (y_min + y_max) / 2 + along_y * ((y_max - y_min + depth) / 2 + gap) + desk.kit.around(0.01)
         there = replace(item, x=x, y=y)
         if ground.is_free(there.outline()):
-            yield lowered([there])[0], f"{words} {desk.name(anchor.instance)}"
+            yield lower_group([there])[0], f"{words} {desk.name(anchor.instance)}"
 
 
 def _in_a_corner(desk: SceneEditor, item: GroupItem, moving: str | None) -> Iterator[tuple[PlacedObject, str]]:
@@ -237,7 +237,7 @@ def _in_a_corner(desk: SceneEditor, item: GroupItem, moving: str | None) -> Iter
         x, y = (0.17 if column == "left" else 0.83) * width, (0.17 if row == "front" else 0.83) * depth
         there = replace(item, x=x + desk.kit.around(0.14 * width), y=y + desk.kit.around(0.14 * depth))
         if ground.is_free(there.outline()):
-            yield lowered([there])[0], f"into the {row} {column} corner"
+            yield lower_group([there])[0], f"into the {row} {column} corner"
 
 
 def _onto(desk: SceneEditor, item: GroupItem, moving: str | None) -> Iterator[tuple[PlacedObject, str]]:
@@ -250,9 +250,9 @@ def _onto(desk: SceneEditor, item: GroupItem, moving: str | None) -> Iterator[tu
         if o.instance == moving or space is None or o.tilt_angle > 0.02 or held:
             continue
         carrier = desk.things[o.instance]
-        inside = scattered(floor_of(carrier.item, space, 0.002), [item], desk.kit)
+        inside = scatter(floor_of(carrier.item, space, 0.002), [item], desk.kit)
         if inside:
-            pair = lowered([carrier.item, inside[0]], carrier.group)
+            pair = lower_group([carrier.item, inside[0]], carrier.group)
             lift = carrier.z - pair[0].z
             yield PlacedObject(inside[0], pair[1].z + lift, carrier.group), f"{words} {desk.name(o.instance)}"
 

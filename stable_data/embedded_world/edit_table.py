@@ -16,7 +16,7 @@ import numpy as np
 
 from stable_data.content_id import content_id
 from stable_data.embedded_world.drafting import KINDS, EditDraft, SceneEditor
-from stable_data.embedded_world.edits import edited_objects, told
+from stable_data.embedded_world.edits import edited_objects, phrase_edit
 from stable_data.embedded_world.families.catalogue import KEYS, asset
 from stable_data.embedded_world.groups.arrangement import GroupItem, GroupSampler
 from stable_data.embedded_world.placing import PlacedObject
@@ -60,7 +60,7 @@ def edit_rows(row: Row, count: int = 4, seed: int = 0) -> list[Row]:
         desk = SceneEditor(scene, things, namer, GroupSampler(rng), carriers)
         first = (scene_hash + number) % len(KINDS)
         for kind, draft in _drafts(desk, (*KINDS[first:], *KINDS[:first])):
-            after, text = _objects_after(scene, draft), told(draft, rng)
+            after, text = _objects_after(scene, draft), phrase_edit(draft, rng)
             if after is not None and text not in rows:
                 rows[text] = _row(row, f"{scene.scene_id}_{number}", kind, text, scene, _supported(scene, after, draft))
                 break
@@ -112,12 +112,12 @@ def _containers(things: Mapping[str, PlacedObject]) -> dict[str, bool]:
 def _objects_after(scene: Scene, draft: EditDraft) -> tuple[SceneObject, ...] | None:
     """The objects of the edited scene as they were lowered."""
     found = [
-        scene[name] if name is not None and name not in draft.changed else lowered_object(thing) for name, thing in draft.things
+        scene[name] if name is not None and name not in draft.changed else lower_object(thing) for name, thing in draft.things
     ]
     return edited_objects(scene, draft, found)
 
 
-def lowered_object(thing: PlacedObject) -> SceneObject:
+def lower_object(thing: PlacedObject) -> SceneObject:
     """A thing as an object where it was put, before anything has settled; its name is its key."""
     item, source = thing.item, thing.asset
     x, y, z = (round(v, _DIGITS) for v in (item.x, item.y, thing.z))

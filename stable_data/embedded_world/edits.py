@@ -12,7 +12,7 @@ from stable_data.embedded_world.drafting import KINDS, EditDraft, SceneEditor
 from stable_data.embedded_world.groups.arrangement import GroupSampler
 from stable_data.embedded_world.placing import PlacedObject
 from stable_data.embedded_world.scenes import MOST, RECORD, EmbeddedScene, graph_of
-from stable_data.embedded_world.settling import audit, restless, settled_objects, unclean
+from stable_data.embedded_world.settling import audit, settle_objects, unclean_objects, unsteady_objects
 from stable_data.instructions.naming import ObjectNamer
 from stable_data.instructions.wording.paraphrase import request, reword
 from stable_data.scene import Scene, SceneObject
@@ -59,7 +59,7 @@ def make_edit(made: EmbeddedScene, rng: np.random.Generator, kinds: Sequence[str
     judged = audit(made.scene, made.placed)
     graph = graph_of(made.scene, judged, made.placed)
     carriers = frozenset(name for o in judged.objects for name in o.supports)
-    settled = {o.instance: as_settled(thing, o) for o, thing in zip(made.scene.objects, made.placed, strict=True)}
+    settled = {o.instance: place_as_settled(thing, o) for o, thing in zip(made.scene.objects, made.placed, strict=True)}
     desk = SceneEditor(made.scene, settled, ObjectNamer(made.scene, graph), GroupSampler(rng), carriers)
     for kind in kinds or [KINDS[k] for k in rng.permutation(len(KINDS))]:
         for draft in desk.drafts(kind):
@@ -69,7 +69,7 @@ def make_edit(made: EmbeddedScene, rng: np.random.Generator, kinds: Sequence[str
     return None
 
 
-def as_settled(thing: PlacedObject, o: SceneObject) -> PlacedObject:
+def place_as_settled(thing: PlacedObject, o: SceneObject) -> PlacedObject:
     """A thing where it has come to lie."""
     x, y, z = o.position
     return PlacedObject(replace(thing.item, x=x, y=y, yaw=o.yaw, tilt_quat_xyzw=o.tilt_quat_xyzw), z, thing.group)
@@ -78,7 +78,7 @@ def as_settled(thing: PlacedObject, o: SceneObject) -> PlacedObject:
 def _carried_out(kind: str, draft: EditDraft, desk: SceneEditor) -> SceneEdit | None:
     """The edit, where what it makes stays, is clean, and leaves alone what it does not speak of."""
     before, placed = desk.scene, [thing for _, thing in draft.things]
-    settled = settled_objects(placed, before.table)
+    settled = settle_objects(placed, before.table)
     if settled is None or settled[1]:
         return None
     objects = edited_objects(before, draft, settled[0])
@@ -91,15 +91,15 @@ def _carried_out(kind: str, draft: EditDraft, desk: SceneEditor) -> SceneEdit | 
         task=None,
         source={RECORD: {"keys": [thing.item.key for thing in placed]}},
     )
-    if unclean(audit(after, placed)) or restless(after, placed):
+    if unclean_objects(audit(after, placed)) or unsteady_objects(after, placed):
         return None
     old, new = {o.instance for o in before.objects}, {o.instance for o in objects}
     moved = tuple(o.instance for o in objects if o.instance in old and o != before[o.instance])
-    text = told(draft, desk.kit.rng)
+    text = phrase_edit(draft, desk.kit.rng)
     return SceneEdit(kind, text, before, after, tuple(sorted(new - old)), tuple(sorted(old - new)), moved, tuple(placed))
 
 
-def told(draft: EditDraft, rng: np.random.Generator) -> str:
+def phrase_edit(draft: EditDraft, rng: np.random.Generator) -> str:
     """The words of a draft as a request."""
     return request(reword(draft.text, rng), "", rng)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from stable_data.assets.catalog import AssetLibrary
 from stable_data.embedded_world.families.catalogue import KEYS, asset
 from stable_data.embedded_world.world import write_library
-from stable_data.errors import ConfigError, unwritable
+from stable_data.errors import ConfigError, cannot_write
 from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.mesatask.library import ANNOTATION_FILE
 from stable_data.scene import Scene, SceneObject, Tabletop
@@ -58,7 +58,7 @@ def _make(root: Path) -> None:
             aside.rename(root)
     except OSError as error:
         if not (root / ANNOTATION_FILE).is_file():  # else another process was faster
-            raise unwritable(str(root), error) from error
+            raise cannot_write(str(root), error) from error
 
 
 def _shown(tilts: dict[str, list[tuple[float, float, float, float]]]) -> Iterator[Scene]:

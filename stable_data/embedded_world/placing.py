@@ -142,11 +142,11 @@ class TableOccupancy:
             if self.is_free(there):
                 self._taken.append(there)
                 self._num_groups += 1
-                return lowered([item.moved(x, y, spot.yaw) for item in group], self._num_groups)
+                return lower_group([item.moved(x, y, spot.yaw) for item in group], self._num_groups)
         return []
 
 
-def lowered(group: Group, number: int = 0) -> list[PlacedObject]:
+def lower_group(group: Group, number: int = 0) -> list[PlacedObject]:
     """The things of a group, each lowered until it is just clear of what is under it."""
     placed: list[PlacedObject] = []
     for item in group:

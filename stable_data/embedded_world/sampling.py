@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from stable_data.embedded_world.edit_table import lowered_object
+from stable_data.embedded_world.edit_table import lower_object
 from stable_data.embedded_world.groups.arrangement import GroupSampler
 from stable_data.embedded_world.placing import compose
-from stable_data.embedded_world.scenes import FEWEST, MOST, drawn_number, drawn_table, plan_of, scene_id_of, table_type_of
+from stable_data.embedded_world.scenes import FEWEST, MOST, draw_scene_number, draw_table, plan_of, scene_id_of, table_type_of
 from stable_data.embedded_world.settling import instance_names
 from stable_data.errors import SceneError
 from stable_data.instructions import derive_task
@@ -22,7 +22,7 @@ _STREAM = 7  # apart from those that scenes of the same seed and number are draw
 _ATTEMPTS = 30
 
 
-def sampled_task(number: int, seed: int = 0, tables: tuple[str, ...] = ()) -> tuple[Tabletop, str]:
+def sample_task(number: int, seed: int = 0, tables: tuple[str, ...] = ()) -> tuple[Tabletop, str]:
     """A table and an instruction.
 
     Args:
@@ -41,12 +41,12 @@ def sampled_task(number: int, seed: int = 0, tables: tuple[str, ...] = ()) -> tu
     plan = plan_of(table_type)
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([seed, number, attempt, _STREAM])
-        table = drawn_table(table_type, plan, rng)
-        placed = compose(plan, table, GroupSampler(rng), drawn_number(plan, table, rng), MOST)
+        table = draw_table(table_type, plan, rng)
+        placed = compose(plan, table, GroupSampler(rng), draw_scene_number(plan, table, rng), MOST)
         if len(placed) < FEWEST:
             continue
         names = instance_names([thing.asset.category for thing in placed])
-        objects = tuple(replace(lowered_object(thing), instance=name) for name, thing in zip(names, placed, strict=True))
+        objects = tuple(replace(lower_object(thing), instance=name) for name, thing in zip(names, placed, strict=True))
         scene = Scene(scene_id_of(number, tables), table, objects)
         containers = {name: thing.asset.hollow is not None for name, thing in zip(names, placed, strict=True)}
         carriers = supports(scene, {}, containers=containers)

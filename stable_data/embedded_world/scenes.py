@@ -11,7 +11,7 @@ import numpy as np
 from stable_data.embedded_world.groups.arrangement import GroupSampler
 from stable_data.embedded_world.placing import PlacedObject, compose
 from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES, TablePlan
-from stable_data.embedded_world.settling import audit, restless, settled_objects, unclean
+from stable_data.embedded_world.settling import audit, settle_objects, unclean_objects, unsteady_objects
 from stable_data.errors import ConfigError, SceneError
 from stable_data.instructions import derive_task, task_rng
 from stable_data.metrics.audit import Audit
@@ -94,8 +94,8 @@ def make_scene(number: int, seed: int = 0, tables: Sequence[str] = ()) -> Embedd
     rejected: Counter[str] = Counter()
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([seed, number, attempt])
-        table = drawn_table(table_type, plan, rng)
-        placed = compose(plan, table, GroupSampler(rng), drawn_number(plan, table, rng), MOST)
+        table = draw_table(table_type, plan, rng)
+        placed = compose(plan, table, GroupSampler(rng), draw_scene_number(plan, table, rng), MOST)
         made = _mended(scene_id, table, placed, rejected)
         if made is None:
             rejected["too little left"] += 1
@@ -115,7 +115,7 @@ def _mended(
     for _ in range(_MENDINGS):
         if len(placed) < FEWEST:
             return None
-        settled = settled_objects(placed, table)
+        settled = settle_objects(placed, table)
         if settled is None:
             rejected["blew up"] += 1
             return None
@@ -124,9 +124,9 @@ def _mended(
         if not bad:
             scene = Scene(scene_id, table, objects)
             judged = audit(scene, placed)
-            bad, reason = unclean(judged), "not clean"
+            bad, reason = unclean_objects(judged), "not clean"
         if not bad:
-            bad, reason = restless(scene, placed), "not at rest"
+            bad, reason = unsteady_objects(scene, placed), "not at rest"
         if not bad:
             return scene, judged, placed
         groups = {placed[k].group for k in bad}
@@ -135,13 +135,13 @@ def _mended(
     return None
 
 
-def drawn_number(plan: TablePlan, table: Tabletop, rng: np.random.Generator) -> int:
+def draw_scene_number(plan: TablePlan, table: Tabletop, rng: np.random.Generator) -> int:
     """How many things are to be put on a table."""
     mean = plan.density * _free_area(table)
     return int(np.clip(round(mean * rng.lognormal(0.0, _SPREAD)), FEWEST + 1, MOST - 2))
 
 
-def drawn_table(table_type: str, plan: TablePlan, rng: np.random.Generator) -> Tabletop:
+def draw_table(table_type: str, plan: TablePlan, rng: np.random.Generator) -> Tabletop:
     """A table of a kind."""
     width, depth = (round(float(rng.uniform(*bounds)), 3) for bounds in (plan.width, plan.depth))
     if not plan.has_sink:

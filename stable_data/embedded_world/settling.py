@@ -10,7 +10,7 @@ from stable_data.embedded_world.placing import PlacedObject, yaw_frame_parts
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.scene import Scene, SceneObject, Tabletop
-from stable_data.simulation.scene_geometry import at_rest
+from stable_data.simulation.scene_geometry import object_at_rest
 from stable_data.simulation.settling import PhysicsOptions, RigidBody, SettleResult, settle
 
 MAX_PENETRATION_MM = 0.4
@@ -25,7 +25,7 @@ _TOPPLED = 45.0  # nor turned farther than this from its tilt, degrees, where it
 _ROUND = 1.3  # longest side over shortest of what may roll
 
 
-def settled_objects(placed: Sequence[PlacedObject], table: Tabletop) -> tuple[tuple[SceneObject, ...], frozenset[int]] | None:
+def settle_objects(placed: Sequence[PlacedObject], table: Tabletop) -> tuple[tuple[SceneObject, ...], frozenset[int]] | None:
     """Lets placed things settle.
 
     Returns:
@@ -70,7 +70,7 @@ def _object(thing: PlacedObject, name: str, result: SettleResult, index: int) ->
         tilt_quat_xyzw=item.tilt_quat_xyzw,
         description=source.captions[0],
     )
-    settled = at_rest(placed, source.mesh, result.pose(index), snap=_SNAP)
+    settled = object_at_rest(placed, source.mesh, result.pose(index), snap=_SNAP)
     x, y, z = np.multiply(item.scale, source.unit).tolist()
     return replace(settled, scale=(x, y, z))
 
@@ -83,7 +83,7 @@ def bodies_of(scene: Scene, placed: Sequence[PlacedObject]) -> list[RigidBody]:
     ]
 
 
-def restless(scene: Scene, placed: Sequence[PlacedObject]) -> frozenset[int]:
+def unsteady_objects(scene: Scene, placed: Sequence[PlacedObject]) -> frozenset[int]:
     """Numbers of the objects that do not stay where the scene says, by the engine; all of them where it cannot say."""
     everything = frozenset(range(len(placed)))
     result = settle(bodies_of(scene, placed), scene.table, _REST)
@@ -104,7 +104,7 @@ def audit(scene: Scene, placed: Sequence[PlacedObject]) -> Audit:
     return audit_scene(scene, shapes)
 
 
-def unclean(judged: Audit) -> frozenset[int]:
+def unclean_objects(judged: Audit) -> frozenset[int]:
     """Numbers of the objects that collide, float, sink or leave their area; what could not be judged is not clean."""
     index = {o.instance: k for k, o in enumerate(judged.objects)}
     found = {

@@ -63,7 +63,7 @@ class SceneCounts:
     depth: int
 
 
-def counted(scene: Scene) -> SceneCounts:
+def count_scene(scene: Scene) -> SceneCounts:
     """What a scene of the embedded world adds to the figures."""
     objects = sorted(scene.objects, key=lambda o: (o.category, o.position))
     record = (scene.source or {}).get(RECORD, {})
@@ -83,7 +83,7 @@ def counted(scene: Scene) -> SceneCounts:
     )
 
 
-def figures(scenes: Sequence[SceneCounts]) -> dict[str, str]:
+def summarise_counts(scenes: Sequence[SceneCounts]) -> dict[str, str]:
     """The figures of a set, by name."""
     count = np.array([len(s.categories) for s in scenes])
     num_objects = int(count.sum())
@@ -141,7 +141,7 @@ def _is_same(one: SceneCounts, other: SceneCounts) -> bool:
     return bool(distance[rows, columns].max(initial=0.0) < _SAME and not differs[rows, columns].any())
 
 
-def card(scenes: Sequence[SceneCounts], sheet: str | None = None) -> str:
+def dataset_card(scenes: Sequence[SceneCounts], sheet: str | None = None) -> str:
     """The dataset card, Markdown: the figures beside MesaTask-10K's, tables, categories, and a link to a sheet of pictures."""
     lines = [
         "# A set of the embedded world",
@@ -150,7 +150,7 @@ def card(scenes: Sequence[SceneCounts], sheet: str | None = None) -> str:
         "",
     ]
     lines += ["| | this set | MesaTask-10K |", "|---|---|---|"]
-    lines += [f"| {name} | {value} | {MESATASK.get(name, 'not known')} |" for name, value in figures(scenes).items()]
+    lines += [f"| {name} | {value} | {MESATASK.get(name, 'not known')} |" for name, value in summarise_counts(scenes).items()]
     lines += [
         "",
         "¹ Only office tables: a sample of 162.",

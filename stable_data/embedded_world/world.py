@@ -19,7 +19,7 @@ from stable_data.embedded_world.drafting import KINDS
 from stable_data.embedded_world.edits import SceneEdit, make_edit
 from stable_data.embedded_world.families.catalogue import KEYS, LICENCE, asset, unit_cube
 from stable_data.embedded_world.scenes import RECORD, EmbeddedScene, make_scene, plan_of, scene_id_of, table_type_of
-from stable_data.embedded_world.statistics import card, counted
+from stable_data.embedded_world.statistics import count_scene, dataset_card
 from stable_data.errors import ConfigError, SceneError
 from stable_data.geometry.gltf_writer import write_glb
 from stable_data.geometry.mesh import Mesh
@@ -190,14 +190,14 @@ def _write_edit(out: Path, edit: SceneEdit, *, pictures: bool) -> None:
 def close_world(out: Path, world: EmbeddedWorld) -> None:
     """Writes what is said of the whole set: its card (``README.md``), a sheet of pictures, the annotations, ``edits.jsonl``."""
     dataset = MesaTaskDataset(out)
-    scenes = [counted(dataset.read(scene_id)[0]) for scene_id in dataset.scene_ids]
+    scenes = [count_scene(dataset.read(scene_id)[0]) for scene_id in dataset.scene_ids]
     edits = sorted((out / EDIT_FOLDER).glob(f"*/*/{EDIT_FILE}"))
     try:
         if not world.whole_library:
             write_library(out, sorted(used_keys(out)))
         has_sheet = _write_sheet(out)
         if scenes:
-            (out / "README.md").write_text(card(scenes, SHEET_FILE if has_sheet else None), "utf-8")
+            (out / "README.md").write_text(dataset_card(scenes, SHEET_FILE if has_sheet else None), "utf-8")
         if edits:
             (out / EDITS_FILE).write_text("".join(json.dumps(json.loads(p.read_text("utf-8"))) + "\n" for p in edits), "utf-8")
     except OSError as error:
@@ -296,7 +296,7 @@ def _write_whole(
     aside = Path(tempfile.mkdtemp(prefix=".scene_", dir=out))
     try:
         extents = {thing.asset.uid: thing.asset.file_extents for thing in made.placed}
-        written = write_scene(aside, made.scene, picture(made) if pictures else None, extents=extents)
+        written = write_scene(aside, made.scene, render_preview(made) if pictures else None, extents=extents)
         for name, content in (beside or {}).items():
             (written / name).write_text(json.dumps(content, indent=2) + "\n", "utf-8")
         if folder.exists():  # left by a hand, without a layout
@@ -306,7 +306,7 @@ def _write_whole(
         shutil.rmtree(aside, ignore_errors=True)
 
 
-def picture(made: EmbeddedScene, size: tuple[int, int] = FRONT_SIZE) -> bytes | None:
+def render_preview(made: EmbeddedScene, size: tuple[int, int] = FRONT_SIZE) -> bytes | None:
     """The front view as PNG, in the colours of its things; None where the machine cannot draw."""
     paints = [thing.asset.paint for thing in made.placed]
     try:

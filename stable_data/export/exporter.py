@@ -9,11 +9,11 @@ from typing import Any, TypeAlias
 
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.run_assets import run_annotations
-from stable_data.atomic_files import put_file
+from stable_data.atomic_files import write_file_atomically
 from stable_data.code_version import code_version
 from stable_data.config_diff import refuse_changed
 from stable_data.content_id import content_id
-from stable_data.errors import ConfigError, StableDataError, unwritable
+from stable_data.errors import ConfigError, StableDataError, cannot_write
 from stable_data.export.formats import ExportFormat, format_named
 from stable_data.mesatask import write_annotations
 from stable_data.mesatask.library import ANNOTATION_FILE
@@ -80,7 +80,7 @@ def export_run(run: RunFolder, out: Path, name: str, choice: SceneSelection, pro
         try:
             return _export(scenes, annotations, out, chosen, progress)
         except OSError as error:
-            raise unwritable(str(out), error) from error
+            raise cannot_write(str(out), error) from error
 
 
 def _export(
@@ -93,12 +93,12 @@ def _export(
     made, there, boxes, failures, used = 0, 0, 0, list[str](), set[str]()
     for scene in scenes:
         try:
-            place = chosen.place(scene, out)
+            place = chosen.scene_path(scene, out)
             if place.exists():
                 there += 1
             else:
                 solid = scenes.solid(scene)
-                chosen.write(solid, out)
+                chosen.export_scene(solid, out)
                 made += 1
                 boxes += solid.meshes.count(None)
             used |= {o.asset_id or "" for o in scene.objects} & annotations.keys()
@@ -113,7 +113,9 @@ def _export(
         if progress is not None:
             progress(made + there + len(failures), len(scenes), len(failures))
     write_annotations(out, {asset_id: annotations[asset_id] for asset_id in used})
-    put_file(out / "README.md", _readme(chosen, made + there, [annotations[asset_id] for asset_id in used]).encode())
+    write_file_atomically(
+        out / "README.md", _readme(chosen, made + there, [annotations[asset_id] for asset_id in used]).encode()
+    )
     return ExportResult(made, there, boxes, tuple(failures))
 
 

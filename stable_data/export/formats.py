@@ -21,11 +21,11 @@ class ExportFormat(Protocol):
         """What an export is and how it is opened."""
         ...
 
-    def place(self, scene: Scene, out: Path) -> Path:
+    def scene_path(self, scene: Scene, out: Path) -> Path:
         """The file of a scene that is put in place last: where it is, the scene is exported."""
         ...
 
-    def write(self, solid: SceneGeometry, out: Path) -> None:
+    def export_scene(self, solid: SceneGeometry, out: Path) -> None:
         """Writes a scene, each file in one step."""
         ...
 

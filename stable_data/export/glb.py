@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stable_data.atomic_files import plain_name, put_file
+from stable_data.atomic_files import safe_file_name, write_file_atomically
 from stable_data.geometry.gltf_writer import material, pack
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import Paint
@@ -23,12 +23,12 @@ the node `scene`, which turns them, all coordinates are those of stable-data. No
 _Y_UP = (-float(np.sqrt(0.5)), 0.0, 0.0, float(np.sqrt(0.5)))  # turns z up into y up
 
 
-def place(scene: Scene, out: Path) -> Path:
+def scene_path(scene: Scene, out: Path) -> Path:
     """Where a scene's file is: once it is there, the scene is exported."""
-    return out / f"{plain_name(scene.scene_id)}.glb"
+    return out / f"{safe_file_name(scene.scene_id)}.glb"
 
 
-def write(solid: SceneGeometry, out: Path) -> None:
+def export_scene(solid: SceneGeometry, out: Path) -> None:
     """Writes a scene.
 
     Args:
@@ -38,7 +38,7 @@ def write(solid: SceneGeometry, out: Path) -> None:
     Raises:
         OSError: The folder cannot be written.
     """
-    put_file(place(solid.scene, out), scene_glb(solid))
+    write_file_atomically(scene_path(solid.scene, out), scene_glb(solid))
 
 
 def scene_glb(solid: SceneGeometry) -> bytes:

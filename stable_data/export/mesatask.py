@@ -14,7 +14,7 @@ quaternions xyzw; `Assets_library/<uid>.glb`, y up, with the convex parts as a s
 and `python -m pipelines preprocess` take it. Meshes are the repaired ones of the run, in up to eight colours each."""
 
 
-def place(scene: Scene, out: Path) -> Path:
+def scene_path(scene: Scene, out: Path) -> Path:
     """Where a scene's layout is: once it is there, the scene is exported.
 
     Raises:
@@ -23,7 +23,7 @@ def place(scene: Scene, out: Path) -> Path:
     return scene_folder(out, scene) / LAYOUT_FILE
 
 
-def write(solid: SceneGeometry, out: Path) -> None:
+def export_scene(solid: SceneGeometry, out: Path) -> None:
     """Writes a scene, and the meshes that are not there yet.
 
     Args:

@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from stable_data.atomic_files import plain_name, put_file
+from stable_data.atomic_files import safe_file_name, write_file_atomically
 from stable_data.scene import Scene
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.mujoco_model import VISUAL, engine_spec
@@ -39,12 +39,12 @@ _INERTIAS = {
 }
 
 
-def place(scene: Scene, out: Path) -> Path:
+def scene_path(scene: Scene, out: Path) -> Path:
     """Where a scene's file is: once it is there, the scene is exported."""
-    return out / plain_name(scene.scene_id, _RESERVED) / "scene.xml"
+    return out / safe_file_name(scene.scene_id, _RESERVED) / "scene.xml"
 
 
-def write(solid: SceneGeometry, out: Path) -> None:
+def export_scene(solid: SceneGeometry, out: Path) -> None:
     """Writes a scene, and the meshes that are not there yet.
 
     Args:
@@ -57,11 +57,11 @@ def write(solid: SceneGeometry, out: Path) -> None:
     """
     spec = engine_spec(solid)
     files = {mesh.name: _put_mesh(mesh, out / MESH_FOLDER) for mesh in spec.meshes}
-    path = place(solid.scene, out)
+    path = scene_path(solid.scene, out)
     path.parent.mkdir(parents=True, exist_ok=True)
     tree = _model(spec, files)
     ET.indent(tree)
-    put_file(path, ET.tostring(tree, encoding="utf-8") + b"\n")
+    write_file_atomically(path, ET.tostring(tree, encoding="utf-8") + b"\n")
 
 
 def _put_mesh(mesh: mujoco.MjsMesh, folder: Path) -> str:
@@ -73,7 +73,7 @@ def _put_mesh(mesh: mujoco.MjsMesh, folder: Path) -> str:
     path = folder / digest[:2] / f"{digest}.obj"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        put_file(path, content)
+        write_file_atomically(path, content)
     return f"{digest[:2]}/{digest}.obj"
 
 

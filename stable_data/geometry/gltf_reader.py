@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stable_data.errors import MeshError, Notice
-from stable_data.geometry.mesh import Mesh, centred, compact, double_areas
+from stable_data.geometry.mesh import Mesh, center_vertices, double_areas, drop_unused_vertices
 from stable_data.scene import FloatArray, IntArray
 
 _WELD = 1e-6  # vertices nearer than this share of the largest extent are one
@@ -125,7 +125,7 @@ class MaterialGroup:
     corner_uv: FloatArray | None
 
 
-def load_coats(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits()) -> list[MaterialGroup]:
+def load_material_groups(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits()) -> list[MaterialGroup]:
     """What a file says of the colours of its surface.
 
     Args:
@@ -195,7 +195,7 @@ class _GlbReader:
         return np.concatenate(vertices), np.concatenate(faces)
 
     def coats(self) -> list[MaterialGroup]:
-        """What the scene shows, by material; see :func:`load_coats`."""
+        """What the scene shows, by material; see :func:`load_material_groups`."""
         self._refuse_unsupported()
         found = []
         for primitive, corners, triangles in self._placed():
@@ -295,7 +295,7 @@ class _GlbReader:
         corners = corners - (corners.min(axis=0) + corners.max(axis=0)) / 2
         if not np.isfinite(corners).all():
             self.fail("glb_nan_vertices", "a collider has a corner that is not finite", "finite coordinates")
-        return tuple(Mesh(*compact(corners, part)) for part in np.split(faces, np.cumsum(counts)[:-1]))
+        return tuple(Mesh(*drop_unused_vertices(corners, part)) for part in np.split(faces, np.cumsum(counts)[:-1]))
 
     def open(self, content: bytes) -> None:
         """Splits the file into its two chunks."""
@@ -480,14 +480,14 @@ def _triangles(indices: IntArray, mode: int) -> IntArray:
 
 def _welded(soup: FloatArray, faces: IntArray, reader: _GlbReader) -> Mesh:
     """One clean mesh of placed corners (V, 3) and faces (F, 3)."""
-    soup, faces = compact(soup, faces)
+    soup, faces = drop_unused_vertices(soup, faces)
     if not np.isfinite(soup).all():
         bad = int((~np.isfinite(soup)).any(axis=1).sum())
         reader.fail("glb_nan_vertices", f"{bad} of {len(soup)} vertices are not finite", "finite coordinates; export it again")
     extent = float(np.ptp(soup, axis=0).max())
     if not _SMALLEST < extent < 1 / _SMALLEST:
         reader.fail("glb_degenerate_only", f"its largest extent is {extent:.3g}", "a surface of a usual size")
-    mesh = centred(*_weld(soup, faces, _WELD * extent))
+    mesh = center_vertices(*_weld(soup, faces, _WELD * extent))
     if not (double_areas(mesh) > _FLAT * extent * extent).any():
         reader.fail("glb_degenerate_only", f"none of {len(faces)} faces has an area", "a surface; export it again")
     return mesh

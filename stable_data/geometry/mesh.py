@@ -105,16 +105,16 @@ def is_closed(mesh: Mesh) -> bool:
     return bool((Edges.of(mesh.faces).balance == 0).all())
 
 
-def compact(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
+def drop_unused_vertices(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
     """Drops vertices that no face refers to."""
     used = np.zeros(len(vertices), bool)
     used[faces.ravel()] = True
     return vertices[used], (np.cumsum(used) - 1)[faces]
 
 
-def centred(vertices: FloatArray, faces: IntArray) -> Mesh:
+def center_vertices(vertices: FloatArray, faces: IntArray) -> Mesh:
     """A mesh without unused vertices, its box centred on the origin."""
-    vertices, faces = compact(vertices, faces)
+    vertices, faces = drop_unused_vertices(vertices, faces)
     if len(vertices):
         vertices = vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     return Mesh(vertices, faces)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from stable_data.errors import MeshError
-from stable_data.geometry.gltf_reader import MaterialGroup, load_coats
+from stable_data.geometry.gltf_reader import MaterialGroup, load_material_groups
 from stable_data.geometry.mesh import Mesh, double_areas
 from stable_data.scene import FloatArray, IntArray
 
@@ -47,7 +47,7 @@ def load_paint(data: bytes | Path, asset_id: str, mesh: Mesh) -> Paint:
         MeshError: What it says cannot be read; ``code`` is ``texture_invalid`` or one of
             :func:`stable_data.geometry.gltf_reader.load_glb`.
     """
-    coats = load_coats(data, asset_id)
+    coats = load_material_groups(data, asset_id)
     if all(coat.factor is None and coat.corner_colours is None for coat in coats):
         return ()
     images = {id(coat.image): coat.image for coat in coats if coat.image is not None and coat.corner_uv is not None}

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from scipy.spatial import KDTree
 
 from stable_data.errors import MeshError, Notice
-from stable_data.geometry.mesh import Edges, Mesh, area_vectors, centred, double_areas, signed_volumes, unit_normals
+from stable_data.geometry.mesh import Edges, Mesh, area_vectors, center_vertices, double_areas, signed_volumes, unit_normals
 from stable_data.geometry.shape import winding_number
 from stable_data.scene import FloatArray, IntArray
 
@@ -62,7 +62,7 @@ class MeshReport:
     actions: tuple[str, ...]
 
 
-def repair(mesh: Mesh, asset_id: str) -> tuple[Mesh, MeshReport, tuple[Notice, ...]]:
+def repair_mesh(mesh: Mesh, asset_id: str) -> tuple[Mesh, MeshReport, tuple[Notice, ...]]:
     """Makes a mesh as closed and outward as it can be without filling anything that could hold something.
 
     A hole is closed where it is a crack, where its mouth lies inside the object (the buried end of a handle), or where it is
@@ -97,7 +97,7 @@ def repair(mesh: Mesh, asset_id: str) -> tuple[Mesh, MeshReport, tuple[Notice, .
     is_filled |= _is_safe_to_fill(vertices, faces, caps, ~is_filled, asset_id)
     if is_filled.any():
         actions.append(f"closed {is_filled.sum()} of {len(is_filled)} holes")
-    repaired = centred(vertices, np.concatenate([faces, caps.faces[is_filled[caps.hole]]]))
+    repaired = center_vertices(vertices, np.concatenate([faces, caps.faces[is_filled[caps.hole]]]))
     report = _report(repaired, before.is_watertight, num_flipped, tuple(actions))
     if report.is_solid and num_flipped > len(given) / 2:
         message = f"asset {asset_id}: {num_flipped} of {len(given)} faces looked inwards; turned"

@@ -9,7 +9,7 @@ import shapely
 from scipy.spatial.transform import Rotation
 
 from stable_data.geometry.mesh import Mesh
-from stable_data.rotations import turned_xy
+from stable_data.rotations import rotate_xy
 from stable_data.scene import FloatArray, IntArray, QuatXyzw, Vec3
 
 _BOX_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
@@ -97,7 +97,7 @@ class Shape:
     def posed_footprint(self, pose: npt.ArrayLike) -> FloatArray:
         """Footprint in the world frame, (K, 2) float64, metres."""
         x, y, _, yaw = np.asarray(pose, np.float64)
-        posed: FloatArray = turned_xy(self.footprint, yaw) + np.array((x, y))
+        posed: FloatArray = rotate_xy(self.footprint, yaw) + np.array((x, y))
         return posed
 
 

@@ -1,7 +1,7 @@
 """What an instruction says of the scene it starts from, read from its words.
 
 ``take the jar out of the cup`` says that the jar is in the cup; ``put the jar into the cup`` says nothing of where it is.
-Types, and objects that the words single out, are replaced by numbers first (:func:`mark`); claims are about numbers.
+Types, and objects that the words single out, are replaced by numbers first (:func:`number_mentions`); claims are about numbers.
 """
 
 import re
@@ -87,7 +87,7 @@ class StatedRelation:
     b: int
 
 
-def mark(text: str, types: Sequence[str], said: Sequence[ObjectMention] = (), pins: Sequence[str] = ()) -> str:
+def number_mentions(text: str, types: Sequence[str], said: Sequence[ObjectMention] = (), pins: Sequence[str] = ()) -> str:
     """The instruction in lower case, what it mentions as ``<number>``, articles gone.
 
     Args:
@@ -108,10 +108,10 @@ def mark(text: str, types: Sequence[str], said: Sequence[ObjectMention] = (), pi
 
 def is_named(category: str, text: str) -> bool:
     """Does an instruction speak of such a thing, by any of its names?"""
-    return any("<0>" in mark(text.replace("<", " "), (noun,)) for noun in nouns_of(category))
+    return any("<0>" in number_mentions(text.replace("<", " "), (noun,)) for noun in nouns_of(category))
 
 
-def speaks_of_all(text: str) -> bool:
+def mentions_all(text: str) -> bool:
     """Could an instruction speak of things by their place alone: ``everything``, ``whatever is in there``, ``clear the tray``?"""
     return bool(_ALL.search(text))
 
@@ -186,6 +186,6 @@ def _claims(things: Sequence[int], kind: RelationKind | None, match: re.Match[st
     return (StatedRelation(a, kind, target) for a in things if a != target)
 
 
-def emptied(marked: str) -> tuple[int, ...]:
+def emptied_numbers(marked: str) -> tuple[int, ...]:
     """The numbers of what a marked instruction wants emptied or cleared, whatever is in or on it."""
     return tuple(int(next(filter(None, groups))) for groups in _EMPTIED.findall(marked))

@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
-from stable_data.instructions.naming import WEIGHTS, Distinction, ObjectName, ObjectNamer, relation_held
+from stable_data.instructions.naming import WEIGHTS, Distinction, ObjectName, ObjectNamer, holds_relation
 from stable_data.instructions.situation import TaskContext
 from stable_data.instructions.wording.paraphrase import reword
 from stable_data.instructions.wording.vocabulary import answers_to, is_counted
-from stable_data.instructions.wording.words import is_plural, listed, number_word, plural, type_name
+from stable_data.instructions.wording.words import is_plural, join_words, number_word, plural, type_name
 from stable_data.scene import Relation, RelationKind
 
 Roles: TypeAlias = Mapping[str, str | tuple[str, ...]]
@@ -240,7 +240,7 @@ def _phrase(objects: Sequence[str], names: Mapping[str, ObjectName], situation: 
             )
         elif n in names:
             parts.append(names[n].words)
-    words = listed(list(dict.fromkeys(parts))) if parts else ""
+    words = join_words(list(dict.fromkeys(parts))) if parts else ""
     noun = names[objects[0]].noun if objects[0] in names else namer.own_noun(objects[0])
     return _Phrase(words, len(objects) > 1 or is_plural(noun))
 
@@ -280,6 +280,6 @@ def _linked(
         said = (RelationKind.IN, RelationKind.ON) if link is None else (RelationKind(str(words.get(link, link))),)
         for a, b in itertools.product(spoken[one], spoken[other]):
             for k in said:
-                relation = relation_held(situation.graph, a, k, b)
+                relation = holds_relation(situation.graph, a, k, b)
                 if relation is not None:
                     yield relation

@@ -260,7 +260,7 @@ class ObjectNamer:
     def _at_side(self, instance: str, noun: str, alike: list[str], anchor: str) -> Iterator[ObjectName]:
         place = f"the {self.own_noun(anchor)}"
         for kind, (axis, sign) in SIDES.items():
-            relation = relation_held(self.graph, instance, kind, anchor)
+            relation = holds_relation(self.graph, instance, kind, anchor)
             others = (sign * (self._centre[n][axis] - self._centre[anchor][axis]) for n in alike)
             if relation is not None and all(step < -_APART for step in others):
                 for words in (f"that {_are(noun)}", "standing"):
@@ -289,7 +289,7 @@ def _are(noun: str) -> str:
     return "are" if is_plural(noun) else "is"
 
 
-def relation_held(graph: SceneGraph, subject: str, kind: RelationKind, target: str) -> Relation | None:
+def holds_relation(graph: SceneGraph, subject: str, kind: RelationKind, target: str) -> Relation | None:
     """The edge of a scene graph that says this, or its opposite the other way round; None where neither is held."""
     if graph.has_edge(subject, target, key=kind):
         return Relation(subject, kind, target)
@@ -336,6 +336,6 @@ def mentions(text: str, namer: ObjectNamer) -> tuple[ObjectMention, ...]:
     return tuple(sorted(kept, key=lambda m: m.start))
 
 
-def involved(names: Collection[ObjectName]) -> tuple[str, ...]:
+def involved_instances(names: Collection[ObjectName]) -> tuple[str, ...]:
     """The other objects that names speak of, each once."""
     return tuple(dict.fromkeys(name.anchor for name in names if name.anchor is not None))

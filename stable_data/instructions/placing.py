@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from stable_data.instructions.kind import Roles, TaskKind
-from stable_data.instructions.naming import relation_held
+from stable_data.instructions.naming import holds_relation
 from stable_data.instructions.picking import DIRECTION
 from stable_data.instructions.situation import OPPOSITE, SIDES, TaskContext
 from stable_data.scene import RelationKind
@@ -78,7 +78,7 @@ def _in_the_way(s: TaskContext) -> Iterator[Roles]:
     """What stands close in front of something, where nothing else does."""
     for y in s.mixed(s.standing):
         before = [n for n in s.standing if n != y and s.is_beside(n, y, RelationKind.IN_FRONT_OF, 0.2)]
-        if len(before) == 1 and before[0] in s.loose and relation_held(s.graph, before[0], RelationKind.IN_FRONT_OF, y):
+        if len(before) == 1 and before[0] in s.loose and holds_relation(s.graph, before[0], RelationKind.IN_FRONT_OF, y):
             for side in s.mixed((RelationKind.LEFT_OF, RelationKind.RIGHT_OF)):
                 cm = int(np.ceil(100 * s.way_past(before[0], y, side))) + 1
                 if s.can_slide(before[0], side, cm / 100):
@@ -89,7 +89,7 @@ def _crossings(s: TaskContext) -> Iterator[Roles]:
     """What stands close on one side of something and has room on the other."""
     for x, y in s.pairs(s.loose, s.standing):
         for side in SIDES:
-            is_there = s.is_beside(x, y, side) and relation_held(s.graph, x, side, y)
+            is_there = s.is_beside(x, y, side) and holds_relation(s.graph, x, side, y)
             if is_there and s.has_room(x, y, OPPOSITE[side]):
                 after = OPPOSITE[side]
                 yield {"x": x, "y": y, "here": _WORDS[side], "link": str(side), "side": _WORDS[after], "at": str(after)}

@@ -16,11 +16,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from stable_data.atomic_files import put_file
-from stable_data.errors import Notice, SceneError, unwritable
+from stable_data.atomic_files import write_file_atomically
+from stable_data.errors import Notice, SceneError, cannot_write
 from stable_data.instructions import derive_task, task_rng, type_name, type_words
-from stable_data.instructions.claims import OUTERMOST, StatedRelation, emptied, mark, read_claims
-from stable_data.instructions.naming import ObjectMention, ObjectNamer, involved, mentions
+from stable_data.instructions.claims import OUTERMOST, StatedRelation, emptied_numbers, number_mentions, read_claims
+from stable_data.instructions.naming import ObjectMention, ObjectNamer, involved_instances, mentions
 from stable_data.instructions.situation import OPPOSITE
 from stable_data.instructions.wording.words import singular
 from stable_data.scene import TABLE, Relation, RelationKind, Scene, SceneObject, TaskInfo
@@ -86,8 +86,8 @@ def resolve_task_objects(task: TaskInfo, scene: Scene, graph: SceneGraph) -> tup
     wanted = {k: max(1, sum(type_words(c) == type_words(types[k]) for c in task.objects_cluster)) for k in found}
     known = {name for names in found.values() for name in names}
     said = tuple(m for m in said if m.instance in known)
-    pins = [n for n in dict.fromkeys([*(m.instance for m in said), *involved([m.name for m in said])]) if n in known]
-    marked = mark(task.task, types, said, pins)
+    pins = [n for n in dict.fromkeys([*(m.instance for m in said), *involved_instances([m.name for m in said])]) if n in known]
+    marked = number_mentions(task.task, types, said, pins)
     claims = read_claims(marked)
     _pin(found, wanted, pins)
     slots = [*types, *(type_name(scene[name].category) for name in pins)]
@@ -95,7 +95,7 @@ def resolve_task_objects(task: TaskInfo, scene: Scene, graph: SceneGraph) -> tup
     chosen = [o.instance for o in scene.objects if any(o.instance in names for names in found.values())]
     relations_said = {r for claim in claims for r in _relations_said(graph, claim, found)}
     linked = ((a, k, b) for a, b, k in graph.edges(keys=True) if a in chosen and k in (RelationKind.IN, RelationKind.ON))
-    emptied_ones = {name for k in emptied(marked) for name in found[k] if len(found[k]) == 1}
+    emptied_ones = {name for k in emptied_numbers(marked) for name in found[k] if len(found[k]) == 1}
     relations_said |= {Relation(a, RelationKind(k), b) for a, k, b in linked if b in emptied_ones}
     relations_said |= {_as_said(m.name.relation, m.instance) for m in said if m.name.relation is not None}
     relations = tuple(sorted(relations_said))
@@ -130,9 +130,9 @@ def _types_of(task: TaskInfo, scene: Scene, said: Sequence[ObjectMention]) -> li
     if not named:
         categories = sorted({o.category for o in scene.objects})
         singled = list(dict.fromkeys(m.instance for m in said))
-        marked = mark(task.task, categories, said, singled)
+        marked = number_mentions(task.task, categories, said, singled)
         named = [category for k, category in enumerate(categories) if f"<{k}>" in marked]
-        named += [scene[name].category for name in (*singled, *involved([m.name for m in said]))]
+        named += [scene[name].category for name in (*singled, *involved_instances([m.name for m in said]))]
     unique = {type_words(name): name for name in reversed(named) if type_words(name) not in ((), (TABLE,))}
     return list(reversed(unique.values()))
 
@@ -296,6 +296,6 @@ def _keep(path: Path, data: Mapping[str, Any]) -> None:
     """Written aside and put in place in one step, so that a reader never sees half of it."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        put_file(path, json.dumps(data, indent=2, sort_keys=True).encode())
+        write_file_atomically(path, json.dumps(data, indent=2, sort_keys=True).encode())
     except OSError as error:
-        raise unwritable(str(path), error) from error
+        raise cannot_write(str(path), error) from error

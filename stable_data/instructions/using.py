@@ -4,14 +4,14 @@ from collections.abc import Iterator
 
 from stable_data.instructions.kind import Roles, TaskKind
 from stable_data.instructions.situation import TaskContext
-from stable_data.instructions.wording.vocabulary import classes_of, pressed_part
+from stable_data.instructions.wording.vocabulary import classes_of, control_part
 
 _OPEN, _CLOSED = 0.3, 0.15  # height of an open and of a closed laptop, as shares of its longer side
 
 
 def _pressed(s: TaskContext) -> Iterator[Roles]:
     for x in s.mixed(n for n in s.standing if n not in s.load):
-        part = pressed_part(s.objects[x].category)
+        part = control_part(s.objects[x].category)
         if part is not None:
             yield {"x": x, "part": part}
 
@@ -21,7 +21,7 @@ def _switched(s: TaskContext) -> Iterator[Roles]:
 
 
 def _dispensers(s: TaskContext) -> Iterator[Roles]:
-    return ({"x": x} for x in s.mixed(s.standing) if pressed_part(s.objects[x].category) == "the pump")
+    return ({"x": x} for x in s.mixed(s.standing) if control_part(s.objects[x].category) == "the pump")
 
 
 def _share(s: TaskContext, x: str) -> float:

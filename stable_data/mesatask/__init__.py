@@ -13,7 +13,7 @@ from stable_data.mesatask.layout import read_layout, read_reply_layout
 from stable_data.mesatask.library import AssetFolder, read_annotation, write_annotation
 from stable_data.mesatask.task_info import read_task_info, write_task_info
 from stable_data.mesatask.writing import write_annotations, write_asset, write_layout, write_reply_layout, write_scene
-from stable_data.position_convention import PositionConvention, has_size, keeps_box, tells_convention, to_box_centre
+from stable_data.position_convention import PositionConvention, has_size, keeps_box, reveals_convention, to_box_centre
 from stable_data.rotations import yaw_frame_box
 
 __all__ = [
@@ -31,7 +31,7 @@ __all__ = [
     "read_reply_layout",
     "read_task_info",
     "read_text_features",
-    "tells_convention",
+    "reveals_convention",
     "to_box_centre",
     "write_annotation",
     "write_annotations",

@@ -11,12 +11,12 @@ from stable_data.assets.catalog import (
     Asset,
     AssetLibrary,
     RestingTilt,
+    add_leaning_tilts,
     as_vec3,
-    assembled_library,
+    build_library,
     is_right_angled,
+    merge_similar_tilts,
     resting_tilts,
-    usual_tilts,
-    with_leaning_tilts,
 )
 from stable_data.errors import ConfigError, MeshError
 from stable_data.geometry.gltf_reader import load_glb
@@ -47,19 +47,19 @@ def library_of_folder(
     seen = _tilts_of(scenes)
     assets, left_out = list[Asset](), dict[str, str]()
     for uid in folder.asset_ids:
-        annotation, tilts = folder.annotation(uid), usual_tilts(seen.get(uid, ()))
+        annotation, tilts = folder.annotation(uid), merge_similar_tilts(seen.get(uid, ()))
         extents, vertices = annotation.extents_z_up, None
         if extents is None:
             vertices = _mesh_vertices(folder, uid)
             extents = None if vertices is None else as_vec3(np.ptp(vertices, axis=0))
-        tilts = tilts if extents is None else with_leaning_tilts(tilts, extents)
+        tilts = tilts if extents is None else add_leaning_tilts(tilts, extents)
         if vertices is None and any(not is_right_angled(quat) for quat, _ in tilts):
             vertices = _mesh_vertices(folder, uid)
         if extents is None:
             left_out[uid] = "without an annotated box or a readable mesh"
         else:
             assets.append(_annotated(annotation, uid, extents, resting_tilts(tilts, extents, vertices)))
-    return assembled_library(name or root.name, assets, features, left_out)
+    return build_library(name or root.name, assets, features, left_out)
 
 
 def _annotated(annotation: AssetAnnotation, uid: str, extents: Vec3, tilts: tuple[RestingTilt, ...]) -> Asset:

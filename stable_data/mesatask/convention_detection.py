@@ -4,7 +4,7 @@ import math
 from collections import Counter
 
 from stable_data.assets.store import AssetStore
-from stable_data.mesatask import MesaTaskDataset, PositionConvention, tells_convention
+from stable_data.mesatask import MesaTaskDataset, PositionConvention, reveals_convention
 from stable_data.metrics.audit import audit_scene
 from stable_data.scene import Scene
 
@@ -31,7 +31,7 @@ def position_convention(dataset: MesaTaskDataset, store: AssetStore, num_scenes:
         try:
             scene, _ = dataset.read(scene_id)
             pairs = [(o, store.mesh_of(o)) for o in scene.objects]
-            names = frozenset(o.instance for o, mesh in pairs if mesh is not None and tells_convention(o, mesh.vertices))
+            names = frozenset(o.instance for o, mesh in pairs if mesh is not None and reveals_convention(o, mesh.vertices))
         except Exception:  # noqa: BLE001, S112 - says nothing about positions; its own step reports it
             continue
         if names:

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from stable_data.assets.annotation import AssetAnnotation, category_of
-from stable_data.json_text import ReadLog, are_finite, number, numbers, shown
+from stable_data.json_text import ReadLog, are_finite, number, numbers, quote_value
 from stable_data.mesatask.library import is_inside, stem_of
-from stable_data.rotations import heading, is_upright, is_yaw_of, normalised, tilt_of, turned_extents
+from stable_data.rotations import heading, is_upright, is_yaw_of, normalise_quat, rotated_extents, tilt_of
 from stable_data.scene import UPRIGHT, QuatXyzw, SceneObject, Vec3
 
 POSE_KEYS = ("rotation", "scale_factor")
@@ -97,11 +97,11 @@ def _asset_id(entry: Mapping[str, Any], instance: str, border: ReadContext) -> s
         return None
     if not isinstance(uid, str) or len(uid) > MAX_NAME_LENGTH:
         border.log.warn(
-            "uid_invalid", f"object {instance} has uid {shown(uid)}, expected a name; it is kept as a box of its size"
+            "uid_invalid", f"object {instance} has uid {quote_value(uid)}, expected a name; it is kept as a box of its size"
         )
         return None
     if not is_inside(uid):
-        message = f"object {instance} has uid {shown(uid)}, which leads out of the asset folder; expected a plain name"
+        message = f"object {instance} has uid {quote_value(uid)}, which leads out of the asset folder; expected a plain name"
         raise border.log.error("uid_path_traversal", message)
     return uid
 
@@ -112,16 +112,18 @@ def _position(entry: Mapping[str, Any], instance: str, border: ReadContext) -> V
     found = numbers(value, 3)
     if found is None:
         code = "position_missing" if value is None else "position_invalid"
-        raise log.error(code, f"object {instance} has position {shown(value)}, expected three numbers in centimetres")
+        raise log.error(code, f"object {instance} has position {quote_value(value)}, expected three numbers in centimetres")
     if not are_finite(found):
         code = "position_nan" if any(map(math.isnan, found)) else "position_inf"
-        raise log.error(code, f"object {instance} has position {shown(value)}, expected finite centimetres")
+        raise log.error(code, f"object {instance} has position {quote_value(value)}, expected finite centimetres")
     x, y = border.origin_cm
     position = ((found[0] - x) / 100, (found[1] - y) / 100, found[2] / 100)
     reach = border.limits.max_reach
     beyond = max(max(-p, p - side) for p, side in zip(position, (*border.size_xy, 0.0), strict=True))
     if beyond > reach:
-        message = f"object {instance} has position {shown(value)} cm, {beyond:g} m off the table; expected at most {reach:g} m"
+        message = (
+            f"object {instance} has position {quote_value(value)} cm, {beyond:g} m off the table; expected at most {reach:g} m"
+        )
         raise log.error("coordinates_huge", message)
     return position
 
@@ -138,7 +140,9 @@ def _scale(entry: Mapping[str, Any], instance: str, log: ReadLog) -> Vec3 | None
         code = "scale_invalid"
     else:
         code = "scale_negative" if min(found) < 0 else "scale_zero"
-    message = f"object {instance} has scale_factor {shown(value)}, expected three positive numbers; its mesh is fitted to size"
+    message = (
+        f"object {instance} has scale_factor {quote_value(value)}, expected three positive numbers; its mesh is fitted to size"
+    )
     log.warn(code, message)
     return None
 
@@ -156,9 +160,7 @@ def _rotation(entry: Mapping[str, Any], instance: str, log: ReadLog) -> tuple[fl
     if z_rotation is None:
         return angle, tilt_of(rotation, angle)
     if yaw is None or not (is_yaw_of(yaw, rotation) or entry.get(BOX_YAW) == yaw):
-        message = (
-            f"object {instance} has z_rotation {shown(z_rotation)}, but its rotation turns by {angle:g} rad; rotation is used"
-        )
+        message = f"object {instance} has z_rotation {quote_value(z_rotation)}, but its rotation turns by {angle:g} rad; rotation is used"
         log.warn("z_rotation_disagrees", message)
         yaw = angle
     return yaw, tilt_of(rotation, yaw)
@@ -172,10 +174,10 @@ def _unit_rotation(entry: Mapping[str, Any], instance: str, log: ReadLog) -> Qua
     if found is not None and math.isfinite(norm) and norm > 1e-6:
         if abs(norm - 1) > _UNIT_TOLERANCE:
             log.warn("rotation_not_unit", f"object {instance} has a quaternion of norm {norm:g}, expected 1; it is normalised")
-        return normalised((found[0], found[1], found[2], found[3]))
+        return normalise_quat((found[0], found[1], found[2], found[3]))
     is_short = isinstance(value, list) and len(value) != 4
     code = "rotation_missing" if value is None else "rotation_wrong_length" if is_short else "rotation_invalid"
-    message = f"object {instance} has rotation {shown(value)}, expected a quaternion [x, y, z, w]; upright by z_rotation"
+    message = f"object {instance} has rotation {quote_value(value)}, expected a quaternion [x, y, z, w]; upright by z_rotation"
     log.warn(code, message)
     return None
 
@@ -185,7 +187,7 @@ def _reply_yaw(entry: Mapping[str, Any], instance: str, log: ReadLog) -> float:
     yaw_deg = number(entry.get("z_rotation"))
     if yaw_deg is not None and math.isfinite(yaw_deg):
         return math.radians(yaw_deg)
-    message = f"object {instance} has z_rotation {shown(entry.get('z_rotation'))}, expected degrees; it faces the viewer"
+    message = f"object {instance} has z_rotation {quote_value(entry.get('z_rotation'))}, expected degrees; it faces the viewer"
     log.warn("z_rotation_invalid", message)
     return 0.0
 
@@ -198,17 +200,23 @@ def _size(entry: Mapping[str, Any], instance: str, scale: Vec3 | None, tilt: Qua
     if found is None or not are_finite(found) or min(found) < 0 or max(found) <= 0:
         code = "size_missing" if value is None else "size_invalid"
         if exact is None or math.hypot(*exact) > reach:
-            raise log.error(code, f"object {instance} has size {shown(value)}, expected three positive numbers in centimetres")
-        log.warn(code, f"object {instance} has size {shown(value)}; the turned box of original_size and scale_factor is used")
-        return turned_extents(exact, tilt)
+            raise log.error(
+                code, f"object {instance} has size {quote_value(value)}, expected three positive numbers in centimetres"
+            )
+        log.warn(
+            code, f"object {instance} has size {quote_value(value)}; the turned box of original_size and scale_factor is used"
+        )
+        return rotated_extents(exact, tilt)
     size = (found[0] / 100, found[1] / 100, found[2] / 100)
     if max(size) > reach:
-        raise log.error("size_huge", f"object {instance} has size {shown(value)} cm, expected at most {reach:g} m")
+        raise log.error("size_huge", f"object {instance} has size {quote_value(value)} cm, expected at most {reach:g} m")
     if exact is None or not is_upright(tilt):
         return size
     if max(abs(a - b) for a, b in zip(exact, size, strict=True)) <= _SIZE_ROUNDING:
         return exact
-    message = f"object {instance} has size {shown(value)} cm, but original_size and scale_factor give {exact} m; size is used"
+    message = (
+        f"object {instance} has size {quote_value(value)} cm, but original_size and scale_factor give {exact} m; size is used"
+    )
     log.warn("size_disagrees", message)
     return size
 

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stable_data.errors import ConfigError
-from stable_data.json_text import shown
+from stable_data.json_text import quote_value
 
 FEATURES_FILE = "sbert_text_features.pkl"
 _MAX_BYTES = 1 << 28
@@ -67,7 +67,9 @@ def read_text_features(path: Path, max_bytes: int = _MAX_BYTES) -> tuple[tuple[s
     except ConfigError:
         raise
     except _UNSOUND as error:
-        raise ConfigError(f"{path} is not a valid pickle: {shown(str(error))}; fetch it again", "features_invalid") from error
+        raise ConfigError(
+            f"{path} is not a valid pickle: {quote_value(str(error))}; fetch it again", "features_invalid"
+        ) from error
     if not isinstance(document, dict) or not {"uids", "text_features"} <= document.keys():
         raise _invalid(path, f"holds a {type(document).__name__}")
     return _checked(document["uids"], document["text_features"], path)
@@ -161,9 +163,7 @@ class _PlainUnpickler(pickle.Unpickler):
         self._refuse("a persistent id")
 
     def _refuse(self, what: str) -> NoReturn:
-        message = (
-            f"{self._path} asks for {shown(what)}, expected numpy arrays in plain containers; it was not run, do not trust it"
-        )
+        message = f"{self._path} asks for {quote_value(what)}, expected numpy arrays in plain containers; it was not run, do not trust it"
         raise ConfigError(message, "pickle_refused")
 
 
@@ -209,7 +209,9 @@ def _check_operations(data: bytes, path: Path) -> None:
     except ConfigError:
         raise
     except _UNSOUND as error:
-        raise ConfigError(f"{path} is not a valid pickle: {shown(str(error))}; fetch it again", "features_invalid") from error
+        raise ConfigError(
+            f"{path} is not a valid pickle: {quote_value(str(error))}; fetch it again", "features_invalid"
+        ) from error
 
 
 def _tuple_depth(data: bytes) -> int:
@@ -250,7 +252,7 @@ def _checked(uids: Any, described: Any, path: Path) -> tuple[tuple[str, ...], np
             _check_rows(rows)
         features = np.asarray(rows, np.float32) if len(rows) else np.zeros((0, 0), np.float32)
     except _UNSOUND as error:
-        raise _invalid(path, f"has features that are no table ({shown(str(error))})") from error
+        raise _invalid(path, f"has features that are no table ({quote_value(str(error))})") from error
     if features.ndim != 2 or not np.isfinite(features).all():
         raise _invalid(path, f"has features of shape {features.shape}, or values that are not finite")
     return tuple(names), features
@@ -300,7 +302,7 @@ def _plain_array(value: _Described, path: Path) -> Any:
             return data
         return _from_bytes(data, dtype, shape, is_fortran)
     except _UNSOUND as error:
-        raise _invalid(path, f"describes an array that cannot be ({shown(str(error))})") from error
+        raise _invalid(path, f"describes an array that cannot be ({quote_value(str(error))})") from error
 
 
 def _size(shape: Any) -> int:
@@ -319,7 +321,7 @@ def _from_bytes(data: bytes | _Bytes, dtype: _Dtype, shape: tuple[int, ...], is_
     kind = name.lstrip("<>=|")
     is_big = bool(dtype.state) and dtype.state[1] == ">"
     if kind not in _FLOATS and not (kind[:1] == "U" and kind[1:].isdigit()):
-        raise ValueError(f"dtype {shown(kind)}, expected floats or strings")
+        raise ValueError(f"dtype {quote_value(kind)}, expected floats or strings")
     if kind[0] == "U" and size > _MAX_ROWS:
         raise ValueError(f"{size:,} strings, expected at most {_MAX_ROWS:,}")
     array = np.frombuffer(content, np.dtype((">" if is_big else "<") + kind))

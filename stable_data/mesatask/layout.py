@@ -14,7 +14,7 @@ from typing import Any
 
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.errors import Notice
-from stable_data.json_text import ReadLog, are_finite, numbers, parse_object, shown
+from stable_data.json_text import ReadLog, are_finite, numbers, parse_object, quote_value
 from stable_data.mesatask.entry import MAX_NAME_LENGTH, POSE_KEYS, LayoutLimits, ReadContext, read_object
 from stable_data.scene import TABLE, Rectangle, Scene, Tabletop
 
@@ -151,7 +151,7 @@ def _check_settings(document: Mapping[str, Any], log: ReadLog) -> None:
     """Refuses another unit, up axis or order of quaternions; where the file is silent it means the format's."""
     settings = document.get("scene_settings", {})
     if not isinstance(settings, Mapping):
-        raise log.error("scene_settings_invalid", f"scene_settings is {shown(settings)}, expected an object")
+        raise log.error("scene_settings_invalid", f"scene_settings is {quote_value(settings)}, expected an object")
     expected = {
         "units": ("centimeters", "centimetres", "cm"),
         "up_axis": ("z", "+z"),
@@ -161,7 +161,7 @@ def _check_settings(document: Mapping[str, Any], log: ReadLog) -> None:
         found = settings.get(key, values[0])
         if not isinstance(found, str) or found.lower() not in values:
             raise log.error(
-                f"{key}_unknown", f"scene_settings.{key} is {shown(found)}, expected {values[0]!r}; convert the file"
+                f"{key}_unknown", f"scene_settings.{key} is {quote_value(found)}, expected {values[0]!r}; convert the file"
             )
 
 
@@ -169,7 +169,7 @@ def _entries(document: Mapping[str, Any], border: ReadContext) -> list[dict[str,
     """The entries of the objects: not too many, all JSON objects; none only in a reply, whose stage may be empty."""
     entries, limits, log = document.get("objects"), border.limits, border.log
     if not isinstance(entries, list):
-        raise log.error("objects_invalid", f"objects is {shown(entries)}, expected a list")
+        raise log.error("objects_invalid", f"objects is {quote_value(entries)}, expected a list")
     if not entries and not border.is_reply:
         raise log.error("objects_empty", "objects is an empty list, expected at least one object; nothing to load")
     if len(entries) > limits.max_objects:
@@ -178,7 +178,7 @@ def _entries(document: Mapping[str, Any], border: ReadContext) -> list[dict[str,
     for index, entry in enumerate(entries):
         if not isinstance(entry, dict):
             raise log.error(
-                "object_invalid", f"objects[{index}] is {shown(entry)}, expected an object with instance and position"
+                "object_invalid", f"objects[{index}] is {quote_value(entry)}, expected an object with instance and position"
             )
     return entries
 
@@ -191,7 +191,9 @@ def _instances(entries: list[dict[str, Any]], log: ReadLog) -> list[str]:
         name = entry.get("instance")
         if not isinstance(name, str) or not name.strip() or len(name) > MAX_NAME_LENGTH:
             free = _free_name(f"{index + 1}_object_0", taken)
-            log.warn("instance_missing", f"objects[{index}] has instance {shown(name)}, expected a name; it is called {free}")
+            log.warn(
+                "instance_missing", f"objects[{index}] has instance {quote_value(name)}, expected a name; it is called {free}"
+            )
         elif name in names or name == TABLE:
             free = _free_name(name, taken)
             reason = "reserved for the table" if name == TABLE else "used before"
@@ -220,7 +222,7 @@ def _zone(document: Mapping[str, Any], key: str, log: ReadLog) -> Rectangle | No
         return None
     zone = numbers(value, 4)
     if zone is None or not are_finite(zone) or max(map(abs, zone)) > 1e5:
-        raise log.error("zone_invalid", f"{key} is {shown(value)}, expected [x_min, x_max, y_min, y_max] in centimetres")
+        raise log.error("zone_invalid", f"{key} is {quote_value(value)}, expected [x_min, x_max, y_min, y_max] in centimetres")
     return (zone[0], zone[1], zone[2], zone[3])
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.errors import ConfigError, SceneError
-from stable_data.json_text import ReadLog, are_finite, number, numbers, parse_object, read_bounded, shown
+from stable_data.json_text import ReadLog, are_finite, number, numbers, parse_object, quote_value, read_bounded
 from stable_data.scene import Vec3
 
 ANNOTATION_FILE = "Asset_annotation.json"
@@ -120,7 +120,7 @@ class AssetFolder:
             if self._is_own(path) if entry.is_symlink() else entry.is_file():
                 yield path
             else:
-                message = f"{LIBRARY_FOLDER} holds {shown(path.name)}, expected a regular file inside of it"
+                message = f"{LIBRARY_FOLDER} holds {quote_value(path.name)}, expected a regular file inside of it"
                 log.warn("glb_refused", f"{message}; it is not used; put the file itself there")
 
     def _is_own(self, path: Path) -> bool:
@@ -186,7 +186,8 @@ def _read_annotations(path: Path, log: ReadLog) -> dict[str, AssetAnnotation]:
             annotations[asset_id] = read_annotation(asset_id, entry)
         else:
             log.warn(
-                "annotation_invalid", f"asset {shown(asset_id)} is annotated with {shown(entry)}, expected an object; left out"
+                "annotation_invalid",
+                f"asset {quote_value(asset_id)} is annotated with {quote_value(entry)}, expected an object; left out",
             )
     return annotations
 

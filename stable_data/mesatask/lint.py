@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from tqdm import tqdm
 
 from stable_data.assets.store import AssetStore
-from stable_data.errors import Notice, StableDataError, unwritable
+from stable_data.errors import Notice, StableDataError, cannot_write
 from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.mesatask.convention_detection import position_convention
 from stable_data.metrics.audit import audit_scene
@@ -55,7 +55,7 @@ class LintResult:
             path.parent.mkdir(parents=True, exist_ok=True)
             pq.write_table(self._arrow(), path, compression="zstd")
         except OSError as error:
-            raise unwritable(str(path), error) from error
+            raise cannot_write(str(path), error) from error
 
     def __str__(self) -> str:
         """The page."""
@@ -85,7 +85,7 @@ def prepare_place(path: Path) -> None:
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
     except OSError as error:
-        raise unwritable(str(path), error) from error
+        raise cannot_write(str(path), error) from error
 
 
 def lint_folder(root: Path, *, progress: bool = False) -> LintResult:

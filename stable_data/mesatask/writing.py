@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from stable_data.assets.annotation import AssetAnnotation
-from stable_data.atomic_files import put_file
+from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError, SceneError
-from stable_data.json_text import ReadLog, inverse, json_text
+from stable_data.json_text import ReadLog, exact_preimage, json_text
 from stable_data.mesatask.entry import BOX_YAW, POSE_KEYS, LayoutLimits, ReadContext, read_object, scaled_extents
 from stable_data.mesatask.layout import LAYOUT_FILE, read_table
 from stable_data.mesatask.library import ANNOTATION_FILE, LIBRARY_FOLDER, is_inside, write_annotation
 from stable_data.mesatask.task_info import TASK_INFO_FILE, write_task_info
-from stable_data.rotations import is_upright, is_yaw_of, normalised, quat_product, yaw_quat
+from stable_data.rotations import is_upright, is_yaw_of, normalise_quat, quat_product, yaw_quat
 from stable_data.scene import UPRIGHT, QuatXyzw, Scene, SceneObject, Vec3
 
 LAYOUT_FOLDER = "Layout_info"
@@ -72,7 +72,7 @@ def write_reply_layout(scene: Scene, *, decimals: int | None = None) -> dict[str
         {
             "instance": o.instance,
             "description": o.description,
-            "z_rotation": _rounded(inverse(math.radians, math.degrees(o.yaw), o.yaw), decimals),
+            "z_rotation": _rounded(exact_preimage(math.radians, math.degrees(o.yaw), o.yaw), decimals),
             "size": [_centimetres(side, decimals=decimals) for side in o.size],
             "position": [_centimetres(side, decimals=decimals) for side in o.position],
         }
@@ -109,11 +109,11 @@ def write_scene(
     folder = scene_folder(root, scene)
     folder.mkdir(parents=True, exist_ok=True)
     if front_png is not None:
-        put_file(folder / "front.png", front_png)
+        write_file_atomically(folder / "front.png", front_png)
     if scene.task is not None:
-        put_file(folder / TASK_INFO_FILE, _json(write_task_info(scene.task, scene.table)))
+        write_file_atomically(folder / TASK_INFO_FILE, _json(write_task_info(scene.task, scene.table)))
     layout = write_layout(scene, extents=extents, decimals=decimals, annotations=annotations)
-    put_file(folder / LAYOUT_FILE, _json(layout))
+    write_file_atomically(folder / LAYOUT_FILE, _json(layout))
     return folder
 
 
@@ -134,7 +134,7 @@ def write_annotations(root: Path, annotations: Mapping[str, AssetAnnotation]) ->
     """Writes Asset_annotation.json, uids sorted, and returns its path."""
     root.mkdir(parents=True, exist_ok=True)
     path = root / ANNOTATION_FILE
-    put_file(path, _json({asset_id: write_annotation(annotations[asset_id]) for asset_id in sorted(annotations)}))
+    write_file_atomically(path, _json({asset_id: write_annotation(annotations[asset_id]) for asset_id in sorted(annotations)}))
     return path
 
 
@@ -149,7 +149,7 @@ def write_asset(root: Path, asset_id: str, glb: bytes) -> Path:
     folder = root / LIBRARY_FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{asset_id}.glb"
-    put_file(path, glb)
+    write_file_atomically(path, glb)
     return path
 
 
@@ -239,7 +239,7 @@ def _put_rotation(entry: dict[str, Any], o: SceneObject) -> None:
     """The whole rotation, and the yaw of the box; marked where the tilt has a heading of its own."""
     rotation: QuatXyzw = yaw_quat(o.yaw)
     if o.tilt_quat_xyzw != UPRIGHT:
-        rotation = normalised(quat_product(rotation, o.tilt_quat_xyzw))
+        rotation = normalise_quat(quat_product(rotation, o.tilt_quat_xyzw))
     entry["rotation"] = list(rotation)
     entry["z_rotation"] = yaw = math.remainder(o.yaw, 2 * math.pi)
     entry.pop(BOX_YAW, None)
@@ -251,7 +251,7 @@ def _centimetres(metres: float, offset_cm: float = 0.0, decimals: int | None = N
     """The number of centimetres that reads back as so many metres from ``offset_cm``."""
     if decimals is not None:
         return _rounded(metres * 100 + offset_cm, decimals)
-    return inverse(lambda found: (found - offset_cm) / 100, metres * 100 + offset_cm, metres)
+    return exact_preimage(lambda found: (found - offset_cm) / 100, metres * 100 + offset_cm, metres)
 
 
 def _rounded(value: float, decimals: int | None) -> float:

@@ -32,7 +32,7 @@ from dataclasses import dataclass
 from itertools import product
 
 from stable_data.errors import SceneError
-from stable_data.instructions.claims import is_named, speaks_of_all
+from stable_data.instructions.claims import is_named, mentions_all
 from stable_data.metrics.matching import DesiredRelation, ObjectMatching, Option, RequiredObject, candidates, match
 from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, Scene, TaskInfo
 from stable_data.scene_graph.relations import (
@@ -126,7 +126,7 @@ def reference_of(scene: Scene) -> AlignmentReference:
 
 def _unsaid(task: TaskInfo, category: Mapping[str, str]) -> tuple[frozenset[str], frozenset[str]]:
     """Task objects that an instruction speaks of by their place alone: one for each place, and the others."""
-    if not speaks_of_all(task.task):
+    if not mentions_all(task.task):
         return frozenset(), frozenset()
     said = {name for name in task.task_objects if is_named(category[name], task.task)}
     places: dict[str, list[str]] = {}

@@ -363,10 +363,10 @@ def audit_scene(scene: Scene, shapes: Sequence[Shape], tolerance: float = TOLERA
     Returns:
         Every verdict.
     """
-    return audit_posed(PosedScene(scene, shapes), tolerance)
+    return audit_posed_scene(PosedScene(scene, shapes), tolerance)
 
 
-def audit_posed(posed: PosedScene, tolerance: float = TOLERANCE) -> Audit:
+def audit_posed_scene(posed: PosedScene, tolerance: float = TOLERANCE) -> Audit:
     """Judges a scene whose meshes are posed already; see :func:`audit_scene`."""
     pairs = []
     for i, j in posed.meeting_boxes:

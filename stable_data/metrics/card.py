@@ -120,7 +120,7 @@ class MetricCard:
     )
 
 
-def with_counts(card: MetricCard, scene: Scene) -> MetricCard:
+def add_counts(card: MetricCard, scene: Scene) -> MetricCard:
     """The card with the counts that need relations and stages: stacked and contained objects, and the share of distractors.
 
     Args:

@@ -6,7 +6,7 @@ import numpy as np
 
 from stable_data.geometry.mesh import Mesh, is_closed
 from stable_data.geometry.shape import winding_number
-from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles, as_surface
+from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles, posed_triangles
 from stable_data.scene import FloatArray
 
 _axes = np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
@@ -52,12 +52,12 @@ def penetration(a: FloatArray | PosedTriangles, b: FloatArray | PosedTriangles, 
     Raises:
         WorkLimitError: The pair's budget is used up.
     """
-    first, second = as_surface(a), as_surface(b)
+    first, second = posed_triangles(a), posed_triangles(b)
     pair = pair or MeshPair(first, second, NEAR)
     contact = pair.contact()
     if contact is None:
         pair.budget.spend(_NESTING_WORK * (len(first.triangles) + len(second.triangles)))
-        return DEEPEST if nested(first, second) or nested(second, first) else 0.0
+        return DEEPEST if is_nested(first, second) or is_nested(second, first) else 0.0
     directions = _directions(contact.normals)
     below, bound = 0.0, np.inf
     for level in LEVELS:
@@ -105,7 +105,7 @@ def _parting(pair: MeshPair, directions: FloatArray, below: float, level: float,
     return best
 
 
-def nested(inner: FloatArray | PosedTriangles, outer: FloatArray | PosedTriangles) -> bool:
+def is_nested(inner: FloatArray | PosedTriangles, outer: FloatArray | PosedTriangles) -> bool:
     """Does one mesh lie wholly inside the solid that another one bounds, without crossing it?
 
     An open mesh bounds none: a die at the bottom of a vase without thickness is not inside its wall.
@@ -114,7 +114,7 @@ def nested(inner: FloatArray | PosedTriangles, outer: FloatArray | PosedTriangle
         inner: Triangles, (F, 3, 3) float64, metres, world frame.
         outer: Triangles, (G, 3, 3).
     """
-    inside, outside = as_surface(inner), as_surface(outer)
+    inside, outside = posed_triangles(inner), posed_triangles(outer)
     if (inside.box[0] < outside.box[0] - 1e-9).any() or (inside.box[1] > outside.box[1] + 1e-9).any():
         return False
     if abs(winding_number(inside.triangles[0, :1], outside.triangles)[0]) <= 0.5:

@@ -28,7 +28,7 @@ def movement(before: Scene, after: Scene) -> tuple[float, float, float]:
     return float(lengths.mean()), float(lengths.max()), float(turns.max())
 
 
-def with_movement(card: MetricCard, before: Scene, after: Scene, kept: RelationsKept) -> MetricCard:
+def add_movement(card: MetricCard, before: Scene, after: Scene, kept: RelationsKept) -> MetricCard:
     """A card with how far objects moved, millimetres and degrees, and what of their relations was kept.
 
     Args:

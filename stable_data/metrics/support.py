@@ -4,7 +4,7 @@ import igl
 import numpy as np
 
 from stable_data.metrics.collision import DIRECTIONS
-from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles, as_surface, near_triangles
+from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles, near_triangles, posed_triangles
 from stable_data.scene import FloatArray
 
 _UPWARD = 0.01
@@ -63,7 +63,7 @@ def distance_to_surface(points: FloatArray, triangles: FloatArray | PosedTriangl
         triangles: (F, 3, 3) float64, metres, world frame.
         at_most: Bound beyond which the distance does not matter, metres.
     """
-    surface = as_surface(triangles)
+    surface = posed_triangles(triangles)
     corners = surface.triangles[:: max(1, len(surface.triangles) // _PROBES), 0]
     probe = np.linalg.norm(points[:, None] - corners[None], axis=2).min(initial=at_most)
     at_most = min(at_most, float(probe))  # some corner is this near, so the surface is

@@ -101,7 +101,7 @@ class PosedTriangles:
         return low.min(axis=1, initial=np.inf), high.max(axis=1, initial=-np.inf)
 
 
-def as_surface(triangles: FloatArray | PosedTriangles) -> PosedTriangles:
+def posed_triangles(triangles: FloatArray | PosedTriangles) -> PosedTriangles:
     """Triangles (F, 3, 3), metres, world frame, with their boxes; a surface stays what it is."""
     return triangles if isinstance(triangles, PosedTriangles) else PosedTriangles(triangles)
 
@@ -180,7 +180,7 @@ def near_triangles(a: FloatArray | PosedTriangles, b: FloatArray | PosedTriangle
     Returns:
         Indices into ``a`` and into ``b``, int64.
     """
-    first, second = as_surface(a), as_surface(b)
+    first, second = posed_triangles(a), posed_triangles(b)
     low, high = np.maximum(first.box[0] - margin, second.box[0]), np.minimum(first.box[1] + margin, second.box[1])
     none = np.arange(0)
     if (low > high).any():
@@ -262,7 +262,7 @@ class MeshPair:
     def __init__(
         self, a: FloatArray | PosedTriangles, b: FloatArray | PosedTriangles, margin: float, budget: WorkBudget | None = None
     ) -> None:
-        first, second = as_surface(a), as_surface(b)
+        first, second = posed_triangles(a), posed_triangles(b)
         self.budget = budget or WorkBudget()
         self.budget.spend(len(first.triangles) + len(second.triangles))
         index_a, index_b = near_triangles(first, second, margin)

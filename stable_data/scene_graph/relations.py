@@ -20,7 +20,7 @@ import networkx as nx
 import numpy as np
 import shapely
 
-from stable_data.rotations import turned_xy
+from stable_data.rotations import rotate_xy
 from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, Scene, SceneObject
 from stable_data.scene_graph.support_tree import ancestors
 
@@ -110,7 +110,7 @@ def yawed_rectangle(item: SceneObject) -> FloatArray:
     """Corners of an object's box seen from above, (4, 2) float64, metres, world frame, counter-clockwise."""
     half = np.array(item.size[:2]) / 2
     corners = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]) * half
-    return turned_xy(corners, item.yaw) + item.position[:2]
+    return rotate_xy(corners, item.yaw) + item.position[:2]
 
 
 def supports(

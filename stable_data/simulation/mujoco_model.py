@@ -6,8 +6,8 @@ What collides, how and with what mass is what the stability verdict was given, n
 
 import numpy as np
 
-from stable_data.atomic_files import plain_name
-from stable_data.geometry.mesh import Mesh, compact, double_areas
+from stable_data.atomic_files import safe_file_name
+from stable_data.geometry.mesh import Mesh, double_areas, drop_unused_vertices
 from stable_data.rotations import wxyz
 from stable_data.scene import TABLE
 from stable_data.simulation.mujoco_import import mujoco
@@ -21,7 +21,7 @@ from stable_data.simulation.render import (
     object_colour,
     rgba,
     scene_bounds,
-    set_mood,
+    set_lighting,
 )
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import COLLIDER, compile_spec, spec_of
@@ -45,7 +45,7 @@ _PICTURE = (640, 480)  # the largest that is drawn off screen, where nobody says
 
 def body_name(instance: str) -> str:
     """The name that an instance has in the engine."""
-    return plain_name(instance, _RESERVED)
+    return safe_file_name(instance, _RESERVED)
 
 
 def engine_spec(solid: SceneGeometry, picture: tuple[int, int] = _PICTURE) -> mujoco.MjSpec:
@@ -65,7 +65,7 @@ def engine_spec(solid: SceneGeometry, picture: tuple[int, int] = _PICTURE) -> mu
         MeshError: An object has no solid part, or the engine refuses it.
     """
     spec = spec_of(solid.bodies, solid.scene.table)
-    spec.modelname = plain_name(solid.scene.scene_id)
+    spec.modelname = safe_file_name(solid.scene.scene_id)
     model = compile_spec(spec)
     for number, mesh in enumerate(spec.meshes):
         # The hull as the engine made it, so that files of it have faces and still give the same model to the last bit.
@@ -108,7 +108,7 @@ def _add_looks(
             key = (o.asset_id, o.scale, colour)
             if key not in meshes:  # objects of one asset share its looks
                 meshes[key] = own
-                vertices, faces = compact(mesh.vertices, mesh.faces[rows])
+                vertices, faces = drop_unused_vertices(mesh.vertices, mesh.faces[rows])
                 inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # what is only seen may be open or flat
                 spec.add_mesh(name=own, uservert=vertices.ravel(), userface=faces.ravel(), scale=list(o.scale), inertia=inertia)
             body.add_geom(
@@ -139,7 +139,7 @@ def _add_surroundings(spec: mujoco.MjSpec, solid: SceneGeometry, picture: tuple[
             size=[(x_max - x_min) / 2, (y_max - y_min) / 2, SINK_RISE],
             rgba=rgba(SINK_COLOUR),
         )
-    set_mood(spec, picture)
+    set_lighting(spec, picture)
     add_lights(spec, low, high)
     for view in CAMERAS:
         add_camera(spec, low, high, view, picture, name=view)

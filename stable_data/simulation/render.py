@@ -89,7 +89,7 @@ def render_scene(
         raise ConfigError(f"view is {view!r}, expected one of {sorted(_DIRECTIONS)}", "unknown_view")
     chosen: list[str | Paint] = [object_colour(o) for o in scene.objects] if colors is None else list(colors)
     spec = mujoco.MjSpec()
-    set_mood(spec, size)
+    set_lighting(spec, size)
     _add_table(spec, scene.table)
     for k, (o, mesh, colour) in enumerate(zip(scene.objects, meshes, chosen, strict=True)):
         _add_object(spec, o, mesh, colour, k)
@@ -155,7 +155,7 @@ def contact_sheet(images: Sequence[Picture], labels: Sequence[str], columns: int
     return np.asarray(sheet)
 
 
-def set_mood(spec: mujoco.MjSpec, size: tuple[int, int]) -> None:
+def set_lighting(spec: mujoco.MjSpec, size: tuple[int, int]) -> None:
     """Sets background, buffers and quality for pictures of so many pixels, width and height."""
     spec.add_texture(
         name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,

@@ -10,7 +10,7 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
 from stable_data.scene import Scene
 from stable_data.simulation.scene_geometry import RestPose, SceneGeometry
-from stable_data.storage.row_groups import TableFiles, slices
+from stable_data.storage.row_groups import TableFiles, row_slices
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import scene_from_row
 
@@ -78,7 +78,7 @@ class RunScenes:
         for group in range(len(self._scenes.groups)):
             if not left:
                 return
-            for part in slices(self._scenes.read([group])):
+            for part in row_slices(self._scenes.read([group])):
                 for row in part.slice(0, left).to_pylist():
                     left -= 1
                     yield scene_from_row(row)

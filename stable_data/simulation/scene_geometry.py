@@ -59,7 +59,7 @@ class SceneGeometry:
             missing = [o.instance for o in scene.objects if o.instance not in rest]
             if missing:
                 raise SceneError(f"{scene.scene_id}: no settled pose of {missing}, expected one per object", "not_settled")
-            scene = replace(scene, objects=tuple(at_rest(o, store.mesh_of(o), rest[o.instance]) for o in scene.objects))
+            scene = replace(scene, objects=tuple(object_at_rest(o, store.mesh_of(o), rest[o.instance]) for o in scene.objects))
             shapes = [_shape(o, shape, store) for o, shape in zip(scene.objects, shapes, strict=True)]
         meshes = (store.mesh_of(o) if s.is_exact and o.scale else None for o, s in zip(scene.objects, shapes, strict=True))
         return cls(scene, tuple(shapes), tuple(meshes), store, notices)
@@ -94,7 +94,7 @@ class SceneGeometry:
         return asset_parts(asset_id, mesh, self.store)
 
 
-def at_rest(o: SceneObject, mesh: Mesh | None, rest: RestPose, snap: float = 0.0) -> SceneObject:
+def object_at_rest(o: SceneObject, mesh: Mesh | None, rest: RestPose, snap: float = 0.0) -> SceneObject:
     """The object that a simulated body has become: its position, yaw, tilt and size are those of the body.
 
     Args:

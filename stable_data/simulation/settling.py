@@ -171,7 +171,7 @@ def settle(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions
         if not np.isfinite(path).all() or (options.hurries and _why_not(names, *_farthest(path), 0.0)):
             watched = settled[:0]
         else:
-            let_sleep(model, options)  # not before: what only just begins to fall is as slow as what rests
+            enable_sleeping(model, options)  # not before: what only just begins to fall is as slow as what rests
             watched = _run(model, data, options.watch_seconds, options)
     if not (np.isfinite(path).all() and np.isfinite(watched).all()):
         return _exploded(names, np.concatenate([path, watched])[:-1], penetration)
@@ -239,7 +239,7 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
         ) from error
 
 
-def let_sleep(model: mujoco.MjModel, options: PhysicsOptions) -> None:
+def enable_sleeping(model: mujoco.MjModel, options: PhysicsOptions) -> None:
     """From now on the engine does not look at what is slower than ``options.sleep_speed``, if that is more than 0."""
     if options.sleep_speed:
         model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP

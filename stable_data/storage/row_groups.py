@@ -14,11 +14,18 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from stable_data.content_id import content_id
-from stable_data.errors import ConfigError, unreadable
+from stable_data.errors import ConfigError, cannot_read
 from stable_data.scene import IntArray
 from stable_data.storage.filter_expression import FilterExpression, parse_filter
 from stable_data.storage.run_folder import RunFolder, Uri, read_row_groups
-from stable_data.storage.schemas import SCHEMAS, Row, check_schema, missing_columns, warn_of_missing, with_schema
+from stable_data.storage.schemas import (
+    SCHEMAS,
+    Row,
+    add_schema_metadata,
+    check_schema,
+    missing_columns,
+    warn_of_missing_columns,
+)
 
 SPLITS = ("train", "validation", "test", "unseen")
 """What a row's ``split`` may be."""
@@ -98,7 +105,9 @@ class TableFiles:
         with ThreadPoolExecutor(_REQUESTS) as pool:
             listed = list(pool.map(lambda found: self._list_groups(found[0], found[1], query), paths))
         self.groups = [group for groups, _ in listed for group in groups]
-        warn_of_missing(self.uri, table, (name for _, names in listed for name in names), query.columns if query else ())
+        warn_of_missing_columns(
+            self.uri, table, (name for _, names in listed for name in names), query.columns if query else ()
+        )
         self.starts: IntArray = np.cumsum([0, *(group.num_rows for group in self.groups)], dtype=np.int64)
 
     def __len__(self) -> int:
@@ -131,9 +140,9 @@ class TableFiles:
             with pq.ParquetFile(path, filesystem=folder.filesystem, pre_buffer=True) as file:
                 parts = [read_row_groups(file, path, [g.index], self._leaves, use_threads=use_threads) for g in groups]
         except (pa.ArrowException, OSError) as error:
-            raise unreadable(folder.uri, path, error) from error
+            raise cannot_read(folder.uri, path, error) from error
         return pa.concat_tables(
-            with_schema(part if g.chosen is None else part.take(g.chosen), self._schema)
+            add_schema_metadata(part if g.chosen is None else part.take(g.chosen), self._schema)
             for part, g in zip(parts, groups, strict=True)
         )
 
@@ -154,7 +163,7 @@ class TableFiles:
                 expected = [*self._schema, *(schema.field(name) for name in (query.columns if query else ()))]
                 missing = missing_columns(file.schema_arrow, expected)
         except (pa.ArrowException, OSError) as error:
-            raise unreadable(folder.uri, path, error) from error
+            raise cannot_read(folder.uri, path, error) from error
         return [group for group in groups if group.num_rows], missing
 
     def _query(self) -> FilterExpression | None:
@@ -177,7 +186,7 @@ def _row_group(
     footer = file.metadata.row_group(index)
     if query is None:
         return RowGroup(run, path, index, footer.num_rows, footer.total_byte_size)
-    columns = with_schema(
+    columns = add_schema_metadata(
         read_row_groups(file, path, [index], list(query.columns)), pa.schema([schema.field(name) for name in query.columns])
     )
     numbers = pa.array(np.arange(footer.num_rows))
@@ -237,7 +246,7 @@ def _check_split(table: str, split: str | None) -> None:
         raise ConfigError(f"split is {split!r}, expected one of {', '.join(SPLITS)}, or None for all rows", "split_unknown")
 
 
-def slices(table: pa.Table) -> Iterator[pa.Table]:
+def row_slices(table: pa.Table) -> Iterator[pa.Table]:
     """A table in slices of about 4 MB: as Python objects its rows take many times the room."""
     step = max(1, table.num_rows * _SLICE_BYTES // max(1, table.nbytes))
     return (table.slice(start, step) for start in range(0, table.num_rows, step))

@@ -24,9 +24,16 @@ import pyarrow.dataset as ds
 import pyarrow.fs as pafs
 import pyarrow.parquet as pq
 
-from stable_data.atomic_files import aside_of
-from stable_data.errors import ConfigError, unreadable, unwritable
-from stable_data.storage.schemas import SCHEMAS, arrow_table, check_schema, missing_columns, warn_of_missing, with_schema
+from stable_data.atomic_files import temporary_path
+from stable_data.errors import ConfigError, cannot_read, cannot_write
+from stable_data.storage.schemas import (
+    SCHEMAS,
+    add_schema_metadata,
+    arrow_table,
+    check_schema,
+    missing_columns,
+    warn_of_missing_columns,
+)
 
 Uri: TypeAlias = str | os.PathLike[str]
 """Where a run lies: a local path, or a URI that pyarrow knows, such as ``s3://bucket/prefix``."""
@@ -92,7 +99,7 @@ class RunFolder:
         try:
             handle = (Path(self.root) / ".lock").open("w")
         except OSError as error:
-            raise unwritable(self.uri, error) from error
+            raise cannot_write(self.uri, error) from error
         with handle:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -115,7 +122,7 @@ class RunFolder:
         try:
             self.filesystem.create_dir(self._path(folder), recursive=True)
         except OSError as error:
-            raise unwritable(self.uri, error) from error
+            raise cannot_write(self.uri, error) from error
 
     def write_bytes(self, name: str, content: bytes) -> None:
         """Puts a file in place in one step.
@@ -124,7 +131,7 @@ class RunFolder:
             ConfigError: It cannot be written: no permission, or the disk is full.
         """
         target = self._path(name)
-        aside = aside_of(Path(target))
+        aside = temporary_path(Path(target))
         try:
             if self.is_local:
                 aside.parent.mkdir(parents=True, exist_ok=True)
@@ -137,7 +144,7 @@ class RunFolder:
             if self.is_local:
                 with suppress(OSError):  # where a part of the path is a file, there is nothing to remove
                     aside.unlink()
-            raise unwritable(f"{self.uri}/{name}", error) from error
+            raise cannot_write(f"{self.uri}/{name}", error) from error
 
     def read_bytes(self, name: str) -> bytes | None:
         """Content of a file, or None where there is none.
@@ -209,7 +216,7 @@ class RunFolder:
         try:
             schema = pq.read_schema(files[0], filesystem=self.filesystem)
         except (pa.ArrowException, OSError) as error:
-            raise unreadable(self.uri, files[0], error) from error
+            raise cannot_read(self.uri, files[0], error) from error
         check_schema(schema, table, f"{self.uri}/{table}")
         return ds.dataset(files, format="parquet", filesystem=self.filesystem, schema=SCHEMAS[table])
 
@@ -270,7 +277,7 @@ class RunFolder:
         return self._read(table, path, None if columns is None else list(columns), None)
 
     def warn_of_missing(self, table: str, condition: Iterable[str] = ()) -> None:
-        """Warns of the columns that files of a table lack; see :func:`stable_data.storage.schemas.warn_of_missing`.
+        """Warns of the columns that files of a table lack; see :func:`stable_data.storage.schemas.warn_of_missing_columns`.
 
         Args:
             table: Name in SCHEMAS.
@@ -282,7 +289,7 @@ class RunFolder:
                 with self._naming_what_is_broken(part):
                     found = pool.map(lambda fragment: fragment.physical_schema, part.get_fragments())
                     missing += (name for schema in found for name in missing_columns(schema, SCHEMAS[table]))
-        warn_of_missing(self.uri, table, missing, condition)
+        warn_of_missing_columns(self.uri, table, missing, condition)
 
     def num_rows(self, table: str) -> int:
         """Number of rows of a table of the run; see :meth:`dataset`."""
@@ -303,9 +310,9 @@ class RunFolder:
             with pq.ParquetFile(path, filesystem=self.filesystem, metadata=fragment.metadata, pre_buffer=True) as file:
                 rows = read_row_groups(file, path, [group.id for group in fragment.row_groups], needed)
         except (pa.ArrowException, OSError) as error:
-            raise unreadable(self.uri, path, error) from error
+            raise cannot_read(self.uri, path, error) from error
         known = pa.schema([schema.field(name) for name in needed], schema.metadata)
-        return _chosen(with_schema(rows, known), wanted, where)
+        return _chosen(add_schema_metadata(rows, known), wanted, where)
 
     def _parts(self, table: str, files: Sequence[str] | None = None) -> Iterator[ds.Dataset]:
         """A table of the run, or some of its files, a few at a time.
@@ -322,7 +329,7 @@ class RunFolder:
         try:
             yield
         except (pa.ArrowException, OSError) as error:
-            raise unreadable(self.uri, self._broken(part.files) or part.files[0], error) from error
+            raise cannot_read(self.uri, self._broken(part.files) or part.files[0], error) from error
 
     def _broken(self, files: Sequence[str]) -> str | None:
         """The first file that cannot be read whole, or None."""

@@ -499,7 +499,7 @@ def check_schema(schema: pa.Schema, table: str, where: str) -> None:
         )
 
 
-def with_schema(table: pa.Table, schema: pa.Schema) -> pa.Table:
+def add_schema_metadata(table: pa.Table, schema: pa.Schema) -> pa.Table:
     """A table with the columns of a schema, in its order and types; columns and fields that the table lacks are null."""
     columns = [
         table[column.name].cast(column.type) if column.name in table.column_names else pa.nulls(len(table), column.type)
@@ -526,7 +526,7 @@ def _struct(type_: pa.DataType) -> Sequence[pa.Field]:
     return list(type_) if pa.types.is_struct(type_) else []
 
 
-def warn_of_missing(where: str, table: str, missing: Iterable[str], condition: Iterable[str] = ()) -> None:
+def warn_of_missing_columns(where: str, table: str, missing: Iterable[str], condition: Iterable[str] = ()) -> None:
     """Says in one line which columns a run lacks because it was made before they existed; says nothing where it lacks none.
 
     Args:

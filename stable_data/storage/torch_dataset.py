@@ -18,7 +18,7 @@ from torch.utils.data import Dataset, IterableDataset, get_worker_info
 from stable_data.errors import ConfigError
 from stable_data.scene import IntArray, Scene
 from stable_data.storage.epoch_shuffle import EpochOrder
-from stable_data.storage.row_groups import TableFiles, check_columns, rows_from_table, slices
+from stable_data.storage.row_groups import TableFiles, check_columns, row_slices, rows_from_table
 from stable_data.storage.run_folder import Uri
 from stable_data.storage.scene_arrays import ARRAY_LEAVES, SCENE_LEAVES, SceneArrays, scenes_from_table
 from stable_data.storage.schemas import Row
@@ -323,7 +323,7 @@ class TableStream(IterableDataset[Any]):
                 continue
             table = self._files.read(window.groups, use_threads=get_worker_info() is None).take(window.rows_at(places))
             if self._batch_size is None:
-                for part in slices(table):
+                for part in row_slices(table):
                     yield from self._items(part)
                 continue
             table = table if rest is None else pa.concat_tables([rest, table])

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from models.semantic_reasoner.engines.registry import KINDS
 from pipelines.generate.settings import GenerateSettings
-from pipelines.settings import resolve
+from pipelines.settings import resolve_settings
 
 DOC = Path(__file__).resolve().parents[2] / "docs" / "reasoner.md"
 TEXT = DOC.read_text("utf-8")
@@ -15,7 +15,7 @@ ENGINES = TEXT.partition("## Engines")[2].partition("## Training")[0]
 def test_its_settings_are_settings() -> None:
     written = re.findall(r"--set ([a-z_]+\.\S+=\S+)", ENGINES)
     assert len(written) > 5
-    resolve(GenerateSettings, "generate", None, written)
+    resolve_settings(GenerateSettings, "generate", None, written)
     checked = 0
     for names, defaults in re.findall(r"^\| `([^|]*)` \| ([^|]*) \|", ENGINES.partition("### Settings")[2], re.MULTILINE):
         last = ""
@@ -23,7 +23,7 @@ def test_its_settings_are_settings() -> None:
             name = last.rpartition(".")[0] + name if name.startswith(".") else name
             last = name
             if not name.endswith("*") and default not in ("", "none", "the engine's own"):
-                resolve(GenerateSettings, "generate", None, [f"{name}={default}"])
+                resolve_settings(GenerateSettings, "generate", None, [f"{name}={default}"])
                 found: object = GenerateSettings()
                 for part in name.split("."):
                     found = getattr(found, part)

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from pipelines.__main__ import app
 from pipelines.generate.settings import GenerateSettings
 from pipelines.retired import RETIRED
-from pipelines.settings import resolve
+from pipelines.settings import resolve_settings
 from stable_data.errors import ConfigError
 
 TABLE = ["--table", "dining_table", "--size", "120", "80"]
@@ -39,7 +39,7 @@ def test_the_table_of_a_retired_verb_is_refused_likewise(tmp_path: Path) -> None
     file = tmp_path / "run.toml"
     file.write_text("[generate]\n[propose]\none_shot = true\n")
     with pytest.raises(ConfigError, match=r"run.toml: the table \[propose\] .* write python -m pipelines generate") as caught:
-        resolve(GenerateSettings, "generate", file, [])
+        resolve_settings(GenerateSettings, "generate", file, [])
     assert caught.value.code == "retired"
 
 

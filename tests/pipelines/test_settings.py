@@ -20,8 +20,8 @@ from pipelines.edit.settings import EditSettings
 from pipelines.generate.settings import GenerateSettings
 from pipelines.preprocess.plan import PreprocessSettings
 from pipelines.retired import RETIRED
-from pipelines.settings import JOBS, list_settings, resolve
-from stable_data.config_diff import differences
+from pipelines.settings import JOBS, list_settings, resolve_settings
+from stable_data.config_diff import config_differences
 from stable_data.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -76,14 +76,14 @@ class Sample(Settings):
 def test_set_is_stronger_than_the_file(tmp_path: Path) -> None:
     file = tmp_path / "run.toml"
     file.write_text('[sample]\nsteps = 7\nshare = 1\n[sample.inner]\nwords = ["b", "a"]\n', "utf-8")
-    found = resolve(Sample, "sample", file, ["sample.steps=9", "name=b", "quick=true", "inner.reach=1"])
+    found = resolve_settings(Sample, "sample", file, ["sample.steps=9", "name=b", "quick=true", "inner.reach=1"])
     assert found == Sample(9, 1.0, "b", True, inner=Inner(1.0, frozenset({"a", "b"})))
     assert type(found.share) is float
 
 
 def test_what_nobody_says_is_that_of_the_base() -> None:
     base = Sample(5, inner=Inner(words=frozenset({"a"})))
-    assert resolve(Sample, "sample", None, ["inner.reach=1.5"], base) == Sample(5, inner=Inner(1.5, frozenset({"a"})))
+    assert resolve_settings(Sample, "sample", None, ["inner.reach=1.5"], base) == Sample(5, inner=Inner(1.5, frozenset({"a"})))
 
 
 @pytest.mark.parametrize(
@@ -114,13 +114,13 @@ def test_what_nobody_says_is_that_of_the_base() -> None:
 )
 def test_a_mistake_is_named(text: str, message: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        resolve(Sample, "sample", None, [text])
+        resolve_settings(Sample, "sample", None, [text])
     assert str(caught.value).startswith(message)
 
 
 def test_values_that_do_not_go_together_are_refused_in_a_file_and_in_code() -> None:
     attempts: tuple[Callable[[], Sample], ...] = (
-        lambda: resolve(Sample, "sample", None, ["quick=true", "steps=101"]),
+        lambda: resolve_settings(Sample, "sample", None, ["quick=true", "steps=101"]),
         lambda: Sample(101, quick=True),
     )
     for wrong in attempts:
@@ -144,7 +144,7 @@ def test_hostile_values_are_one_line(text: str, tmp_path: Path) -> None:
     file.write_text(f"[sample]\n{text}\n", "utf-8")
     for path, overrides in ((file, []), (None, [text.replace(" = ", "=")])):
         with pytest.raises(ConfigError) as caught:
-            resolve(Sample, "sample", path, overrides)
+            resolve_settings(Sample, "sample", path, overrides)
         assert "\n" not in str(caught.value)
         assert len(str(caught.value)) < 1000
 
@@ -152,7 +152,7 @@ def test_hostile_values_are_one_line(text: str, tmp_path: Path) -> None:
 @given(st.text(max_size=40))
 def test_any_text_is_settings_or_one_line(text: str) -> None:
     try:
-        line = str(resolve(Sample, "sample", None, [text]))
+        line = str(resolve_settings(Sample, "sample", None, [text]))
     except ConfigError as error:
         line = str(error)
     assert len(line.splitlines()) == 1
@@ -162,7 +162,7 @@ def test_a_file_that_is_no_toml_is_an_error(tmp_path: Path) -> None:
     file = tmp_path / "run.toml"
     file.write_text("[sample", "utf-8")
     with pytest.raises(ConfigError, match="cannot be read as TOML"):
-        resolve(Sample, "sample", file, [])
+        resolve_settings(Sample, "sample", file, [])
 
 
 @pytest.mark.parametrize(
@@ -180,28 +180,28 @@ def test_a_file_that_would_set_nothing_is_an_error(tmp_path: Path, text: str, me
     file = tmp_path / "run.toml"
     file.write_text(text, "utf-8")
     with pytest.raises(ConfigError, match=message):
-        resolve(Sample, "sample", file, [])
+        resolve_settings(Sample, "sample", file, [])
 
 
 def test_one_file_may_hold_the_settings_of_several_jobs(tmp_path: Path) -> None:
     file = tmp_path / "run.toml"
     file.write_text("[sample]\nsteps = 7\n[sample.inner]\n[preprocess]\nseed = 1\n", "utf-8")
-    assert resolve(Sample, "sample", file, []) == Sample(steps=7)
+    assert resolve_settings(Sample, "sample", file, []) == Sample(steps=7)
 
 
 def test_differences_say_was_and_now() -> None:
-    assert differences({"a": 1, "b": 2}, {"a": 1, "b": 3}) == ["b: 2 -> 3"]
+    assert config_differences({"a": 1, "b": 2}, {"a": 1, "b": 3}) == ["b: 2 -> 3"]
 
 
 @pytest.mark.parametrize("workflow", sorted((ROOT / "workflows").glob("*.toml")), ids=lambda p: p.stem)
 def test_every_workflow_is_a_valid_configuration(workflow: Path) -> None:
-    resolve(PreprocessSettings, "preprocess", workflow, [])
+    resolve_settings(PreprocessSettings, "preprocess", workflow, [])
 
 
 @pytest.mark.parametrize(("verb", "preset"), PRESETS)
 def test_settings_where_nothing_is_said_are_the_jobs_own_to_the_byte(verb: str, preset: str) -> None:
     own: Any = JOBS[verb].defaults(preset)
-    found = resolve(type(own), verb.replace("-", "_"), None, [], own)
+    found = resolve_settings(type(own), verb.replace("-", "_"), None, [], own)
     assert found == own
     assert repr(asdict(found)) == repr(asdict(own))  # 1 and 1.0 are equal, but name another shard
 
@@ -213,7 +213,7 @@ def test_every_setting_has_a_meaning_and_is_a_setting(verb: str) -> None:
     assert len({setting.key for setting in listed}) == len(listed)
     own: Any = JOBS[verb].defaults()
     said = [f"{s.key}={json.dumps(s.default)}" for s in listed if s.default is not None]
-    assert resolve(type(own), verb.replace("-", "_"), None, said, own) == own
+    assert resolve_settings(type(own), verb.replace("-", "_"), None, said, own) == own
 
 
 def test_a_listed_setting_has_its_unit_apart() -> None:
@@ -254,7 +254,7 @@ def test_a_setting_that_is_gone_is_one_line_that_names_what_to_write(kind: type[
         file.write_text(f"[{kind.section}.{table}]\n{last} = 1\n", "utf-8")
         for path, overrides in ((file, []), (None, [f"{key}=1"])):
             with pytest.raises(ConfigError, match=f"setting {kind.section}.{key} is retired; ") as caught:
-                resolve(kind, kind.section, path, overrides)
+                resolve_settings(kind, kind.section, path, overrides)
             assert caught.value.code == "retired"
         assert key not in {setting.key for setting in list_settings(kind.section)}
 

@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stable_data.atomic_files import plain_name, put_file
+from stable_data.atomic_files import safe_file_name, write_file_atomically
 
 
 def test_a_file_is_there_whole_and_nothing_beside_it(tmp_path: Path) -> None:
     for content in (b"first", b"second"):
-        put_file(tmp_path / "a.bin", content)
+        write_file_atomically(tmp_path / "a.bin", content)
         assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("a.bin", content)]
 
 
@@ -19,7 +19,7 @@ def test_what_cannot_be_put_in_place_leaves_nothing(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "held").touch()
     with pytest.raises(OSError, match=r".*"):
-        put_file(tmp_path / "a", b"content")
+        write_file_atomically(tmp_path / "a", b"content")
     assert [p.name for p in tmp_path.iterdir()] == ["a"]
 
 
@@ -31,7 +31,7 @@ def test_writers_with_the_number_of_one_process_do_not_disturb_each_other(
 
     def write(content: bytes) -> None:
         for _ in range(10):
-            put_file(path, content)
+            write_file_atomically(path, content)
             assert path.read_bytes() in contents
 
     with ThreadPoolExecutor(len(contents)) as pool:
@@ -41,8 +41,8 @@ def test_writers_with_the_number_of_one_process_do_not_disturb_each_other(
 
 @given(st.text())
 def test_any_text_becomes_a_plain_name(text: str) -> None:
-    name = plain_name(text)
-    assert plain_name(name) == name
+    name = safe_file_name(text)
+    assert safe_file_name(name) == name
     assert name.isascii()
     assert 0 < len(name) < 120
     assert not name.startswith(".")
@@ -51,9 +51,9 @@ def test_any_text_becomes_a_plain_name(text: str) -> None:
 
 @given(st.lists(st.text(alphabet="a_ /."), unique=True, max_size=30))
 def test_different_names_stay_different(names: list[str]) -> None:
-    assert len({plain_name(name) for name in names}) == len(names)
+    assert len({safe_file_name(name) for name in names}) == len(names)
 
 
 def test_a_reserved_name_is_changed() -> None:
-    assert plain_name("world") == "world"
-    assert plain_name("world", {"world"}) != "world"
+    assert safe_file_name("world") == "world"
+    assert safe_file_name("world", {"world"}) != "world"

@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from models.physics_corrector.certify.layout_search import LayoutSearch, scene_of
+from models.physics_corrector.certify.layout_search import LayoutSearch, build_scene
 from models.physics_corrector.certify.layout_state import LayoutState
 from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.options import CertificationResult, CertifyOptions, CorrectionStatus, DroppedObject
-from models.physics_corrector.certify.support_inference import carriers_of, wanted_carriers
+from models.physics_corrector.certify.support_inference import expected_carriers, infer_carriers
 from stable_data.errors import SceneError
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import BOUNDS_SLACK, Audit, audit_scene
@@ -88,7 +88,7 @@ class Certifier:
     def certify(self) -> CertificationResult:
         """Certifies the scene."""
         with one_blas_thread():
-            wanted = wanted_carriers(self.scene) if self.options.restore else {}
+            wanted = expected_carriers(self.scene) if self.options.restore else {}
             if not wanted and (audit := self._clean_as_it_is()) is not None:
                 return self.conclude(self.scene, audit)
             self.search = LayoutSearch(self.scene, self.original, self.shapes, self.meshes, self.options, wanted)
@@ -96,13 +96,13 @@ class Certifier:
             if found is None:
                 dropped = tuple(self.search.dropped)
                 return CertificationResult(None, CorrectionStatus.INFEASIBLE, self.search.reason, dropped)
-            return replace(self.conclude(scene_of(self.search.layout), found), num_broken=self.search.num_broken)
+            return replace(self.conclude(build_scene(self.search.layout), found), num_broken=self.search.num_broken)
 
     def layout(self) -> LayoutState:
         """The certified layout: as the search left it, else as the scene shows it."""
         if self.search is not None:
             return self.search.layout
-        carried = [choice[0] for choice in carriers_of(self.meshes, self.scene.poses(), {})]
+        carried = [choice[0] for choice in infer_carriers(self.meshes, self.scene.poses(), {})]
         return LayoutState(self.scene, self.shapes, carried, self.options.fixed)
 
     def conclude(self, scene: Scene, audit: Audit) -> CertificationResult:

@@ -10,7 +10,7 @@ from stable_data.errors import Notice
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.metrics.card import MetricCard
-from stable_data.metrics.movement import with_movement
+from stable_data.metrics.movement import add_movement
 from stable_data.metrics.relations_kept import RelationsKept, relations_kept
 from stable_data.scene import Scene
 
@@ -142,7 +142,7 @@ def shapes_by_instance(scene: Scene, shapes: Sequence[Shape]) -> dict[str, Shape
     return {o.instance: shape for o, shape in zip(scene.objects, shapes, strict=True)}
 
 
-def correction_of(
+def build_correction(
     start: InputScene,
     result: CertificationResult,
     shapes: Mapping[str, Shape],
@@ -163,7 +163,7 @@ def correction_of(
     if result.scene is not None and result.audit is not None:
         after = [shapes[o.instance] for o in result.scene.objects]
         kept = relations_kept(start.scene, result.scene, start.shapes, after, audits=(start.audit, result.audit))
-        card_after = with_movement(result.audit.card(), start.scene, result.scene, kept)
+        card_after = add_movement(result.audit.card(), start.scene, result.scene, kept)
     return Correction(
         status=result.status,
         reason=result.reason,
@@ -180,7 +180,7 @@ def correction_of(
     )
 
 
-def with_result_of(correction: Correction, again: Correction) -> Correction:
+def replace_result(correction: Correction, again: Correction) -> Correction:
     """A correction whose certified scene, and all figures of it, are those of another one of the same start."""
     return replace(
         correction, certified=again.certified, card_after=again.card_after, audit=again.audit, kept=again.kept, rest=again.rest

@@ -35,7 +35,7 @@ def certify_moved(
         The better result with its certifier: the one that drops fewer objects, then the one that breaks fewer relations, then
         the one that moves less.
     """
-    start = starting_point(scene, raw)
+    start = choose_start(scene, raw)
     certifier = Certifier(start, shapes, options, scene)
     result = certifier.certify()
     if start is scene or not (result.scene is None or result.dropped or (options.twice and result.num_broken)):
@@ -50,7 +50,7 @@ def certify_moved(
     return min(((result, certifier), (other.certify(), other)), key=badness)
 
 
-def starting_point(scene: Scene, raw: Scene | None) -> Scene:
+def choose_start(scene: Scene, raw: Scene | None) -> Scene:
     """The scene at which `certify` begins: the scene after the flow, without harmful moves.
 
     The flow decides in which directions objects part; the exact part finds millimetres and heights. If the flow moves nothing

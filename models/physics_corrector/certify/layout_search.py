@@ -8,11 +8,11 @@ import numpy as np
 from models.physics_corrector.certify.layout_state import LayoutState
 from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.options import CertifyOptions, DroppedObject
-from models.physics_corrector.certify.packing_bodies import PackingBodies, directional
+from models.physics_corrector.certify.packing_bodies import PackingBodies, directional_bodies
 from models.physics_corrector.certify.resting_pose import RestingPose, resting_pose
-from models.physics_corrector.certify.support_inference import TABLE_TOP, SupportEdge, carriers_of
-from models.physics_corrector.packing.packing_problem import AXES, PackingProblem, holds
-from models.physics_corrector.packing.separation import part
+from models.physics_corrector.certify.support_inference import TABLE_TOP, SupportEdge, infer_carriers
+from models.physics_corrector.packing.packing_problem import AXES, PackingProblem, holds_relation
+from models.physics_corrector.packing.separation import separate_bodies
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.metrics.collision import TOLERANCE
@@ -65,14 +65,14 @@ class LayoutSearch:
         self._floating: set[int] = set()
         self._unsteady: list[int] = []  # objects without a steady place on their carrier
         original_poses = original.poses()
-        choices = carriers_of(meshes, original_poses, wanted)
+        choices = infer_carriers(meshes, original_poses, wanted)
         carried = [choice[0] for choice in choices]
         self._others = [choice[1:] for choice in choices]  # other possible carriers of each object, the likeliest first
         if original is not scene:  # an object that floated may rest on something now
             known = {k: c for k, c in enumerate(carried) if c.parent != TABLE_TOP or self._stood_on_table(k)}
-            carried = [choice[0] for choice in carriers_of(meshes, scene.poses(), known)]
+            carried = [choice[0] for choice in infer_carriers(meshes, scene.poses(), known)]
         self.layout = LayoutState(scene, shapes, carried, options.fixed)
-        self._orders = directional(self.layout, original_poses)
+        self._orders = directional_bodies(self.layout, original_poses)
         self._packing = PackingBodies(self.layout, meshes, original_poses, self._orders, options.clearance)
         self._first_carriers = list(carried)
 
@@ -87,7 +87,7 @@ class LayoutSearch:
         for _ in range(self._options.rounds):
             if not self._part_trees():
                 return None
-            audit = audit_scene(scene_of(self.layout), [self._shapes[k] for k in self.layout.present()])
+            audit = audit_scene(build_scene(self.layout), [self._shapes[k] for k in self.layout.present()])
             if audit.card().clean or not self._change_refused(audit):
                 break
         if audit is None or not audit.card().clean:
@@ -107,7 +107,7 @@ class LayoutSearch:
         for relation in self._orders:
             i, j = number[relation.subject], number[relation.target]
             apart = layout.poses[i, :2] - layout.poses[j, :2]
-            broken += layout.is_there[i] and layout.is_there[j] and not holds(apart, np.array(AXES[relation.kind]))
+            broken += layout.is_there[i] and layout.is_there[j] and not holds_relation(apart, np.array(AXES[relation.kind]))
         return broken
 
     def _stood_on_table(self, k: int) -> bool:
@@ -195,7 +195,7 @@ class LayoutSearch:
                 for b in to_drop:
                     self._drop(roots[b])
                 continue
-            parted = part(crowd, crowd.aims, spare, self._options.tries)
+            parted = separate_bodies(crowd, crowd.aims, spare, self._options.tries)
             if parted is None:
                 self._set_full_reason(roots[b] for b in range(len(roots)) if crowd.is_free[b])
                 return False
@@ -288,7 +288,7 @@ class LayoutSearch:
         return not was_standing
 
 
-def scene_of(layout: LayoutState) -> Scene:
+def build_scene(layout: LayoutState) -> Scene:
     """A layout as a scene; what has not moved is the very object that was given."""
     given = layout.scene.poses()
     objects = []

@@ -7,7 +7,7 @@ import fcl
 import numpy as np
 
 from stable_data.geometry.shape import Shape
-from stable_data.metrics.collision import DIRECTIONS, NEAR, ROUNDING, TOLERANCE, nested
+from stable_data.metrics.collision import DIRECTIONS, NEAR, ROUNDING, TOLERANCE, is_nested
 from stable_data.metrics.support import carries
 from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles
 from stable_data.scene import FloatArray, IntArray
@@ -150,7 +150,7 @@ class MeshQueries:
         if not within:
             return False
         moved, still = PosedTriangles(self.surface(i, pose).triangles + way), self.surface(j, other)
-        return nested(moved, still) or nested(still, moved)
+        return is_nested(moved, still) or is_nested(still, moved)
 
     def _pair(self, i: int, pose: FloatArray, j: int, other: FloatArray) -> "_WholePair | _ThinnedPair":
         """Two meshes to be asked whether they cross: where no tree of one was wanted yet it is not worth the building.

@@ -10,7 +10,7 @@ from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.support_inference import TABLE_TOP
 from models.physics_corrector.packing.no_fit_polygon import NoFitPolygons, RigidGroup, no_fit
 from models.physics_corrector.packing.packing_problem import AXES, BodyArrays, OrderConstraint, PackingProblem
-from models.physics_corrector.packing.slab_outline import SlabOutline, joined, rectangle, slabs_of
+from models.physics_corrector.packing.slab_outline import SlabOutline, join_outlines, rectangle, slabs_of
 from stable_data.metrics.audit import BOUNDS_SLACK
 from stable_data.scene import TABLE, FloatArray, Relation, RelationKind
 from stable_data.scene_graph.relations import scene_graph
@@ -91,7 +91,7 @@ class PackingBodies:
             for m, offset in zip(tree, offsets, strict=True):
                 at = np.append(offset[:2], layout.low(m))
                 stacks.append(slabs_of(layout.shapes[m]).placed(layout.poses[m, 3], at))
-            self._stacks[tree] = inner, joined(stacks)
+            self._stacks[tree] = inner, join_outlines(stacks)
         return self._stacks[tree][1]
 
     def _orders_between(self, number: dict[int, int]) -> list[OrderConstraint]:
@@ -148,7 +148,7 @@ class PackingBodies:
         )
 
 
-def directional(layout: LayoutState, original: FloatArray) -> list[Relation]:
+def directional_bodies(layout: LayoutState, original: FloatArray) -> list[Relation]:
     """The directional relations that a scene graph finds where objects are at poses (N, 4)."""
     objects = [o.moved((p[0], p[1], p[2]), p[3]) for o, p in zip(layout.scene.objects, original.tolist(), strict=True)]
     names = [o.instance for o in objects]

@@ -9,7 +9,7 @@ from shapely.ops import nearest_points
 
 from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.static_stability import FALLS, STEADY, centre_of_mass, stands_alone, steadiness
-from models.physics_corrector.certify.support_inference import SupportEdge, beyond
+from models.physics_corrector.certify.support_inference import SupportEdge, distance_outside
 from stable_data.geometry.leaning import RIM_MARGIN
 from stable_data.metrics.collision import TOLERANCE
 from stable_data.scene import FloatArray
@@ -204,7 +204,7 @@ def _is_carried(meshes: MeshQueries, poses: FloatArray, k: int, pose: FloatArray
     bottom = float(pose[2] - meshes.shapes[k].size[2] / 2)
     if bottom < low[2] - TOLERANCE:
         return False
-    outside = beyond(pose[:2], meshes.shapes[p].posed_footprint(poses[p]))
+    outside = distance_outside(pose[:2], meshes.shapes[p].posed_footprint(poses[p]))
     if carried.is_in:
         return outside <= INSIDE_SLACK and bottom < high[2] - RIM_MARGIN
     return outside <= 0.0

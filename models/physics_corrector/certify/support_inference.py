@@ -131,7 +131,7 @@ def _first_heights(points: FloatArray, triangles: FloatArray, floor: float) -> F
     return heights
 
 
-def beyond(point: FloatArray, outline: FloatArray) -> float:
+def distance_outside(point: FloatArray, outline: FloatArray) -> float:
     """How far a point (2,) is outside a convex outline (K, 2), counter-clockwise, metres; negative inside."""
     edges = np.roll(outline, -1, axis=0) - outline
     length = np.maximum(np.linalg.norm(edges, axis=1), 1e-12)
@@ -139,7 +139,7 @@ def beyond(point: FloatArray, outline: FloatArray) -> float:
     return float(((point - outline) * normals).sum(axis=1).max())
 
 
-def wanted_carriers(scene: Scene) -> Mapping[int, SupportEdge]:
+def expected_carriers(scene: Scene) -> Mapping[int, SupportEdge]:
     """What the scene's own relations say that objects are on or in; never a circle. Objects on the table are left out."""
     number = {o.instance: k for k, o in enumerate(scene.objects)}
     found: dict[int, SupportEdge] = {}
@@ -154,7 +154,7 @@ def wanted_carriers(scene: Scene) -> Mapping[int, SupportEdge]:
     return found
 
 
-def carriers_of(meshes: MeshQueries, poses: FloatArray, wanted: Mapping[int, SupportEdge]) -> list[list[SupportEdge]]:
+def infer_carriers(meshes: MeshQueries, poses: FloatArray, wanted: Mapping[int, SupportEdge]) -> list[list[SupportEdge]]:
     """What may carry each object, the likeliest first. The first ones are never a circle.
 
     Args:
@@ -219,7 +219,7 @@ def _carried_by(
     if (poses[k, :2] > other_high[:2] + slip).any() or (poses[k, :2] < other_low[:2] - slip).any():
         return None
     outline = meshes.shapes[p].posed_footprint(poses[p])
-    outside = beyond(poses[k, :2], outline)
+    outside = distance_outside(poses[k, :2], outline)
     if outside > slip:
         return None
     over, own = shapely.Polygon(outline), shapely.Polygon(meshes.shapes[k].posed_footprint(poses[k]))
@@ -250,7 +250,7 @@ def _leant_in(
     (low, _), (other_low, other_high) = boxes[k], boxes[p]
     if low[2] < other_low[2] - _SUNK or low[2] > other_high[2] - _RIM:
         return None
-    outside = beyond(poses[k, :2], meshes.shapes[p].posed_footprint(poses[p]))
+    outside = distance_outside(poses[k, :2], meshes.shapes[p].posed_footprint(poses[p]))
     if outside > _TORN or not is_hollow(meshes.shapes[p]):
         return None
     return outside

@@ -16,7 +16,7 @@ from torch import Tensor
 from models.physics_corrector.flow.flow_matching import FlowMatching
 from models.physics_corrector.flow.presets import CorrectorSettings
 from models.physics_corrector.flow.velocity_network import VelocityNetwork
-from stable_data.atomic_files import put_file
+from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError
 
 DEFAULT_WEIGHTS = Path(__file__).resolve().parents[2] / "weights" / "physics_corrector.safetensors"
@@ -59,7 +59,7 @@ def save_corrector(
     path.parent.mkdir(parents=True, exist_ok=True)
     tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
     # Not by the library's own writer of files, whose files nobody but their owner may read.
-    put_file(path, _with_sorted_header(save(tensors, {**(notes or {}), _SETTINGS: settings.to_json()})))
+    write_file_atomically(path, _with_sorted_header(save(tensors, {**(notes or {}), _SETTINGS: settings.to_json()})))
 
 
 def _with_sorted_header(content: bytes) -> bytes:

@@ -17,25 +17,25 @@ _LONGEST_WAVE = 4.0  # metres: longer than a table, so that no two places on it 
 _SMALLEST = 1e-3  # metres: thinner objects look alike, and logarithms stay finite
 
 
-def waves(lengths: Tensor) -> Tensor:
+def fourier_features(lengths: Tensor) -> Tensor:
     """Sines and cosines of lengths in metres over ``NUM_WAVES`` wavelengths, and the lengths, (..., C) → (..., C (1 + 2 W))."""
     turns = 2 * math.pi / _LONGEST_WAVE * 2.0 ** torch.arange(NUM_WAVES, device=lengths.device)
     phase = (lengths[..., None] * turns).flatten(-2)
     return torch.cat([lengths, phase.sin(), phase.cos()], -1)
 
 
-def near(lengths: Tensor) -> Tensor:
+def squash_distances(lengths: Tensor) -> Tensor:
     """Lengths in metres squashed at 1 cm and at 10 cm, (..., C) → (..., 2 C)."""
     return torch.cat([torch.tanh(lengths / 0.01), torch.tanh(lengths / 0.1)], -1)
 
 
-def turned(offset: Tensor, yaw: Tensor) -> Tensor:
+def rotate_to_local(offset: Tensor, yaw: Tensor) -> Tensor:
     """Horizontal offsets (..., 2+) in the frame of an object at ``yaw`` (...), (..., 2)."""
     c, s = yaw.cos(), yaw.sin()
     return torch.stack([c * offset[..., 0] + s * offset[..., 1], c * offset[..., 1] - s * offset[..., 0]], -1)
 
 
-def place(poses: Tensor, condition: Condition) -> Tensor:
+def place_features(poses: Tensor, condition: Condition) -> Tensor:
     """Where objects are on the table, (B, N, PLACE_CHANNELS) float32.
 
     Args:
@@ -48,7 +48,17 @@ def place(poses: Tensor, condition: Condition) -> Tensor:
     edges = torch.stack([x, y, width - x, depth - y, bottom], -1)
     zone = (condition.zone[:, None, :] - poses[..., [0, 0, 1, 1]]) * condition.has_zone[:, None, None]
     over = _over_parent(poses, condition)
-    return torch.cat([waves(edges), near(bottom[..., None]), near(zone), over, yaw.sin()[..., None], yaw.cos()[..., None]], -1)
+    return torch.cat(
+        [
+            fourier_features(edges),
+            squash_distances(bottom[..., None]),
+            squash_distances(zone),
+            over,
+            yaw.sin()[..., None],
+            yaw.cos()[..., None],
+        ],
+        -1,
+    )
 
 
 PLACE_CHANNELS = 5 * (1 + 2 * NUM_WAVES) + 2 + 8 + 10 + 2
@@ -61,27 +71,29 @@ def _over_parent(poses: Tensor, condition: Condition) -> Tensor:
     parent = poses.gather(1, index.expand_as(poses))
     height = condition.sizes[..., 2]
     parent_height = height.gather(1, index[..., 0])
-    offset = turned(poses - parent, parent[..., 3])
+    offset = rotate_to_local(poses - parent, parent[..., 3])
     gap = poses[..., 2] - parent[..., 2] - (height + parent_height) / 2
     turn = poses[..., 3] - parent[..., 3]
-    values = torch.cat([near(offset), near(gap[..., None]), offset, turn.sin()[..., None], turn.cos()[..., None]], -1)
+    values = torch.cat(
+        [squash_distances(offset), squash_distances(gap[..., None]), offset, turn.sin()[..., None], turn.cos()[..., None]], -1
+    )
     return values * has_parent[..., None]
 
 
-def context(condition: Condition) -> Tensor:
+def context_features(condition: Condition) -> Tensor:
     """What is known of each object apart from its features, (B, N, CONTEXT_CHANNELS) float32."""
     parent = condition.parent
     flags = torch.stack([condition.is_fixed, parent >= 0, parent == -1, parent < -1], -1).float()
     carrier = condition.sizes.gather(1, parent.clamp_min(0)[..., None].expand_as(condition.sizes))
     scene = torch.cat([condition.table, condition.has_zone[:, None].float()], -1)[:, None, :].expand(*parent.shape, 3)
     sizes = [condition.sizes.clamp_min(_SMALLEST).log(), carrier.clamp_min(_SMALLEST).log() * flags[..., 1:2]]
-    return torch.cat([*sizes, condition.sizes, flags, scene, place(condition.poses, condition)], -1)
+    return torch.cat([*sizes, condition.sizes, flags, scene, place_features(condition.poses, condition)], -1)
 
 
 CONTEXT_CHANNELS = 9 + 4 + 3 + PLACE_CHANNELS
 
 
-def pairs(poses: Tensor, condition: Condition) -> Tensor:
+def pair_features(poses: Tensor, condition: Condition) -> Tensor:
     """What each object i sees of each other j in its own yaw frame, (B, N, N, PAIR_CHANNELS) float32.
 
     Offset, turn, the size of j, how far apart the boxes are along i's axes (below 0: they overlap there), who carries whom.
@@ -91,7 +103,7 @@ def pairs(poses: Tensor, condition: Condition) -> Tensor:
         condition: The scenes; its coarse poses are not read.
     """
     offset = poses[:, None] - poses[:, :, None]  # [b, i, j] = j − i
-    flat = turned(offset, poses[:, :, None, 3].expand(offset.shape[:-1]))
+    flat = rotate_to_local(offset, poses[:, :, None, 3].expand(offset.shape[:-1]))
     offset = torch.cat([flat, offset[..., 2:3]], -1)
     turn = poses[:, None, :, 3] - poses[:, :, None, 3]
     c, s = turn.cos(), turn.sin()
@@ -104,7 +116,19 @@ def pairs(poses: Tensor, condition: Condition) -> Tensor:
     siblings = (condition.parent[:, :, None] == condition.parent[:, None]) & (condition.parent[:, None] >= -1)
     flags = torch.stack([on_other, on_other.transpose(1, 2), siblings], -1).float()
     apart = gap.amax(-1, keepdim=True)
-    return torch.cat([torch.tanh(offset / 0.1), offset, c[..., None], s[..., None], near(gap), near(apart), flags, other], -1)
+    return torch.cat(
+        [
+            torch.tanh(offset / 0.1),
+            offset,
+            c[..., None],
+            s[..., None],
+            squash_distances(gap),
+            squash_distances(apart),
+            flags,
+            other,
+        ],
+        -1,
+    )
 
 
 PAIR_CHANNELS = 3 + 3 + 2 + 6 + 2 + 3 + 3

@@ -18,7 +18,7 @@ from models.settings import Positive, Settings
 Form: TypeAlias = Literal["residual", "absolute"]
 
 
-def wrap(angle: Tensor) -> Tensor:
+def wrap_angle(angle: Tensor) -> Tensor:
     """The same angle in (−π, π], radians, up to one rounding; angles that lie there come back bit for bit, the gradient is 1."""
     return angle - 2 * math.pi * torch.ceil((angle - math.pi) / (2 * math.pi))
 
@@ -44,7 +44,7 @@ class PoseCoordinates(Settings):
             coarse: The coarse poses x^c, the same.
         """
         delta = poses - coarse if self.form == "residual" else poses
-        return torch.cat([delta[..., :3] / self.length_unit, wrap(delta[..., 3:]) / self.yaw_unit], -1)
+        return torch.cat([delta[..., :3] / self.length_unit, wrap_angle(delta[..., 3:]) / self.yaw_unit], -1)
 
     def decode(self, y: Tensor, coarse: Tensor) -> Tensor:
         """The poses of coordinates, (B, N, 4), yaw wrapped: the inverse of :meth:`encode`.
@@ -55,12 +55,12 @@ class PoseCoordinates(Settings):
         """
         delta = torch.cat([y[..., :3] * self.length_unit, y[..., 3:] * self.yaw_unit], -1)
         poses = coarse + delta if self.form == "residual" else delta
-        return torch.cat([poses[..., :3], wrap(poses[..., 3:])], -1)
+        return torch.cat([poses[..., :3], wrap_angle(poses[..., 3:])], -1)
 
     def difference(self, start: Tensor, end: Tensor) -> Tensor:
         """From start to end, yaw the short way round, (B, N, 4)."""
         delta = end - start
-        return torch.cat([delta[..., :3], wrap(delta[..., 3:] * self.yaw_unit) / self.yaw_unit], -1)
+        return torch.cat([delta[..., :3], wrap_angle(delta[..., 3:] * self.yaw_unit) / self.yaw_unit], -1)
 
     def on_circle(self, y: Tensor) -> Tensor:
         """Coordinates as a network reads them: position, sine and cosine of yaw, (B, N, 5), continuous across ±π."""

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, field
 from models.physics_corrector.flow.flow_matching import FlowMatching, FlowSettings
 from models.physics_corrector.flow.pose_coordinates import PoseCoordinates
 from models.physics_corrector.flow.velocity_network import VelocityNetwork, VelocityNetworkSettings
-from models.settings import Settings, filled
-from stable_data.config_diff import differences, flat
+from models.settings import Settings, fill_settings
+from stable_data.config_diff import config_differences, flatten_config
 from stable_data.errors import ConfigError
 
 
@@ -43,14 +43,14 @@ class CorrectorSettings(Settings):
             raise ConfigError(f"settings of a corrector: not JSON ({error})", "config_invalid") from error
         if not isinstance(values, dict):
             raise ConfigError(f"settings of a corrector: found {values!r:.80}, expected an object", "config_invalid")
-        settings = filled(cls, values, "corrector")
-        if lacking := flat(asdict(settings)).keys() - flat(values).keys():
+        settings = fill_settings(cls, values, "corrector")
+        if lacking := flatten_config(asdict(settings)).keys() - flatten_config(values).keys():
             raise ConfigError(f"settings of a corrector: found no {', '.join(sorted(lacking))}, expected all", "config_invalid")
         return settings
 
     def differences(self, other: "CorrectorSettings") -> list[str]:
         """``key: was -> now`` for every setting in which another differs from these."""
-        return differences(flat(asdict(self)), flat(asdict(other)))
+        return config_differences(flatten_config(asdict(self)), flatten_config(asdict(other)))
 
 
 PRESETS: Mapping[str, CorrectorSettings] = {
@@ -89,7 +89,7 @@ def preset(name: str) -> CorrectorSettings:
     return PRESETS[name]
 
 
-def absolute(settings: CorrectorSettings) -> CorrectorSettings:
+def absolute_preset(settings: CorrectorSettings) -> CorrectorSettings:
     """The same in the paper's absolute coordinates: metres and radians as they are."""
     flow = asdict(settings.flow) | {"coordinates": PoseCoordinates("absolute", 1.0, 1.0)}
     return CorrectorSettings(settings.network, FlowSettings(**flow))

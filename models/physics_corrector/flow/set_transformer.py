@@ -1,6 +1,6 @@
 """The alternative to the U-Net: a set transformer whose attention sees every pair's relative pose and size.
 
-Collision is a relation of two. Here what i sees of j (:func:`~models.physics_corrector.flow.object_encoding.pairs`) biases the
+Collision is a relation of two. Here what i sees of j (:func:`~models.physics_corrector.flow.object_encoding.pair_features`) biases the
 logits of every head and is carried along with j's value, so that "it overlaps me by 4 mm on my left" reaches i as numbers.
 Blocks are modulated and gated by context and time, and start as the identity.
 """

@@ -127,8 +127,8 @@ class VelocityNetwork(nn.Module):
         y = torch.where(there, y, 0)
         now = torch.where(there, self.coordinates.decode(y, condition.poses), 0)
         x = self.state(self._state(y, now, condition, y1_hat))
-        pairs = object_encoding.pairs(now, condition) if self.backbone.needs_pairs else None
-        time = self.time(sinusoids(t, self.settings.channels))
+        pairs = object_encoding.pair_features(now, condition) if self.backbone.needs_pairs else None
+        time = self.time(time_embedding(t, self.settings.channels))
         x = self.backbone(x, self._context(condition, ranks), time, condition.mask, pairs)
         velocity: Tensor = self.head(x)
         return torch.where(condition.is_movable[..., None], velocity.float(), 0)
@@ -139,10 +139,10 @@ class VelocityNetwork(nn.Module):
         else:
             y1_hat = torch.where(condition.mask[..., None], y1_hat, 0)
             fed_back = torch.cat([self.coordinates.on_circle(y1_hat), torch.ones_like(y[..., :1])], -1)
-        return torch.cat([self.coordinates.on_circle(y), fed_back, object_encoding.place(now, condition)], -1)
+        return torch.cat([self.coordinates.on_circle(y), fed_back, object_encoding.place_features(now, condition)], -1)
 
     def _context(self, condition: Condition, ranks: Tensor) -> Tensor:
-        known = [object_encoding.context(condition)]
+        known = [object_encoding.context_features(condition)]
         if self.features is not None:
             found = 0 if condition.features is None else condition.features.shape[-1]
             if condition.features is None or found != self.settings.num_features:
@@ -158,7 +158,7 @@ class VelocityNetwork(nn.Module):
         return embedded
 
 
-def sinusoids(t: Tensor, channels: int) -> Tensor:
+def time_embedding(t: Tensor, channels: int) -> Tensor:
     """Sines and cosines of 1000 t over wavelengths from 2π to 20000π, (B,) → (B, channels)."""
     half = channels // 2
     rates = torch.exp(-math.log(10_000.0) / max(half - 1, 1) * torch.arange(half, device=t.device, dtype=torch.float32))

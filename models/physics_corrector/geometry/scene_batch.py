@@ -51,7 +51,7 @@ class LayoutBatch(SceneTensors):
         """
         resolved = [shapes.store.resolved(scene)[:2] for scene in scenes]
         fixed = [frozenset(o.instance for o in scene.objects if is_fixed is not None and is_fixed(o)) for scene in scenes]
-        layout = padded([scene for scene, _ in resolved], [own for _, own in resolved], fixed, num_slots)
+        layout = pad_scenes([scene for scene, _ in resolved], [own for _, own in resolved], fixed, num_slots)
         shape_index = np.zeros(layout["mask"].shape, np.int64)
         for b, (scene, own) in enumerate(resolved):
             shape_index[b, : len(own)] = [shapes.index(o, shape) for o, shape in zip(scene.objects, own, strict=True)]
@@ -59,7 +59,7 @@ class LayoutBatch(SceneTensors):
         return cls(shape_index=torch.from_numpy(shape_index), **arrays)
 
 
-def padded(
+def pad_scenes(
     scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Set[str]], num_slots: int = 0
 ) -> dict[str, npt.NDArray[Any]]:
     """Scenes as arrays of one length.

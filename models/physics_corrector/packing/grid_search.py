@@ -13,7 +13,7 @@ _BROKEN = 0.01  # what a broken directional relation costs, metres of overlap
 _PER_METRE = 0.02  # what a metre of movement costs, metres of overlap
 
 
-def least_blocked(
+def least_blocked_place(
     crowd: PackingProblem, shifts: FloatArray, aims: FloatArray, k: int, weights: FloatArray, num: int, order: int | None = None
 ) -> list[FloatArray]:
     """Shifts of one body at which it is least in the way of others, near to its aim and true to its relations.

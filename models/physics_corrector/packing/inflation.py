@@ -14,7 +14,7 @@ _SOFTER = (1.0, 0.3, 0.1)  # what relations cost while those that have to give w
 _STEPS = 16
 
 
-def grown(crowd: PackingProblem, shifts: FloatArray, aims: FloatArray, steps: int) -> tuple[FloatArray, bool]:
+def inflate_bodies(crowd: PackingProblem, shifts: FloatArray, aims: FloatArray, steps: int) -> tuple[FloatArray, bool]:
     """Parts a crowd. Directional relations that are in the way of that are given up one by one, the others stay dear.
 
     Args:

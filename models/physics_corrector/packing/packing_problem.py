@@ -21,7 +21,7 @@ AXES = {
 _LOOKS_AT = np.cos(np.pi / NUM_AROUND)
 
 
-def holds(apart: FloatArray, axis: FloatArray) -> bool:
+def holds_relation(apart: FloatArray, axis: FloatArray) -> bool:
     """Does a directional relation hold: is what is apart by a vector (2,), metres, within 45 degrees of its axis (2,), unit?"""
     return bool(apart @ axis > abs(apart @ axis[::-1]))
 

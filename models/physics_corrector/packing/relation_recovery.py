@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from models.physics_corrector.packing.grid_search import least_blocked
+from models.physics_corrector.packing.grid_search import least_blocked_place
 from models.physics_corrector.packing.inflation import RELEASED
 from models.physics_corrector.packing.packing_problem import PackingProblem
 from models.physics_corrector.packing.projection import HARD, is_free_of_overlap, project
@@ -12,7 +12,7 @@ _STEPS, _FEW_STEPS = 16, 4
 _PLACES = 2  # that are tried for a body
 
 
-def polished(crowd: PackingProblem, shifts: FloatArray, aims: FloatArray) -> FloatArray:
+def polish_layout(crowd: PackingProblem, shifts: FloatArray, aims: FloatArray) -> FloatArray:
     """Back to relations that were given up, then nearer to the aims, without passing one body by another.
 
     Args:
@@ -29,7 +29,7 @@ def polished(crowd: PackingProblem, shifts: FloatArray, aims: FloatArray) -> Flo
     return _nearer(crowd, shifts, aims, _STEPS)
 
 
-def repaired(crowd: PackingProblem, shifts: FloatArray, aims: FloatArray, tries: int) -> FloatArray:
+def recover_relations(crowd: PackingProblem, shifts: FloatArray, aims: FloatArray, tries: int) -> FloatArray:
     """Puts bodies of broken directional relations where those hold, and lets others make room.
 
     Args:
@@ -64,7 +64,7 @@ def _elsewhere(crowd: PackingProblem, shifts: FloatArray, aims: FloatArray, k: i
     """Shifts of all where one body is where a directional relation holds, and may be in others."""
     even = np.ones((len(shifts), len(shifts)))
     found = []
-    for place in least_blocked(crowd, shifts, aims, k, even, _PLACES, order):
+    for place in least_blocked_place(crowd, shifts, aims, k, even, _PLACES, order):
         there = shifts.copy()
         there[k] = place
         found.append(there)

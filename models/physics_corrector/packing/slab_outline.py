@@ -17,7 +17,7 @@ import numpy.typing as npt
 import shapely
 
 from stable_data.geometry.shape import Shape
-from stable_data.rotations import turned_xy
+from stable_data.rotations import rotate_xy
 from stable_data.scene import FloatArray
 
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
@@ -76,7 +76,7 @@ class SlabOutline:
 
     def placed(self, yaw: float, offset: FloatArray) -> "SlabOutline":
         """The slabs turned by an angle and moved by a vector (3,), metres."""
-        normals = turned_xy(self.normals, yaw)
+        normals = rotate_xy(self.normals, yaw)
         return SlabOutline(
             normals, self.offsets + normals @ offset[:2], self.bottoms + offset[2], self.tops + offset[2], self.is_within
         )
@@ -92,7 +92,7 @@ def slabs_of(shape: Shape) -> SlabOutline:
     return _slabs[shape]
 
 
-def joined(stacks: Sequence[SlabOutline]) -> SlabOutline:
+def join_outlines(stacks: Sequence[SlabOutline]) -> SlabOutline:
     """The slabs of several things that move as one."""
     if len(stacks) == 1:
         return stacks[0]

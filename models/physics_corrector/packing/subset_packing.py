@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.physics_corrector.packing.grid_search import least_blocked
-from models.physics_corrector.packing.inflation import RELEASED, grown
+from models.physics_corrector.packing.grid_search import least_blocked_place
+from models.physics_corrector.packing.inflation import RELEASED, inflate_bodies
 from models.physics_corrector.packing.packing_problem import PackingProblem
 from models.physics_corrector.packing.projection import project
 from stable_data.scene import FloatArray
@@ -17,7 +17,7 @@ _ROUNDS = 2  # in which all of those are tried
 _SHARES = (0.2, 0.4, 0.6)  # of the bodies that are left out for a while
 
 
-def fitted(crowd: PackingProblem, aims: FloatArray, spare: Sequence[int]) -> tuple[FloatArray, list[int]] | None:
+def pack_subset(crowd: PackingProblem, aims: FloatArray, spare: Sequence[int]) -> tuple[FloatArray, list[int]] | None:
     """Finds shifts at which nothing meets once as few bodies as possible are left out.
 
     Large things are placed first and small ones into what is left; where some find no place, that is weighed against leaving
@@ -53,7 +53,7 @@ def fitted(crowd: PackingProblem, aims: FloatArray, spare: Sequence[int]) -> tup
 
 def _without(crowd: PackingProblem, aims: FloatArray, out: Sequence[int]) -> tuple[FloatArray, list[int]] | None:
     """Parts a crowd without some bodies, then puts back those for which there is room."""
-    shifts, is_parted = grown(crowd.without(out), np.zeros_like(aims), aims, _GROWTH_STEPS)
+    shifts, is_parted = inflate_bodies(crowd.without(out), np.zeros_like(aims), aims, _GROWTH_STEPS)
     return _put_back(crowd, aims, shifts, list(out)) if is_parted else None
 
 
@@ -64,7 +64,7 @@ def _put_back(crowd: PackingProblem, aims: FloatArray, shifts: FloatArray, out: 
         before = len(out)
         for k in sorted(out, key=lambda k: _room(crowd, k)):
             others = crowd.without([b for b in out if b != k])
-            for place in least_blocked(others, shifts, aims, k, even, _PLACES):
+            for place in least_blocked_place(others, shifts, aims, k, even, _PLACES):
                 there = shifts.copy()
                 there[k] = place
                 moved, is_parted = project(others, there, there, _STEPS, RELEASED)

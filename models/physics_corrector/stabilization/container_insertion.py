@@ -20,7 +20,7 @@ from stable_data.geometry.leaning import (
     feet_radius,
 )
 from stable_data.geometry.shape import Shape
-from stable_data.rotations import rotation_matrix, stood_on_end
+from stable_data.rotations import rotation_matrix, stand_on_end
 from stable_data.scene import FloatArray, SceneObject
 from stable_data.scene_graph.relations import INSIDE_FLOOR, INSIDE_SLACK
 
@@ -178,7 +178,7 @@ def _on_end(o: SceneObject, store: AssetStore) -> tuple[Rotation, float]:
     assert o.scale is not None
     axis = int(np.argmax(mesh.extents * o.scale))
     is_down = rotation_matrix(o.tilt_quat_xyzw)[2, axis] < -_UPSIDE_DOWN
-    upright = Rotation.from_quat(stood_on_end(axis, is_down=is_down))
+    upright = Rotation.from_quat(stand_on_end(axis, is_down=is_down))
     vertices = upright.apply(mesh.vertices * o.scale)
     low = vertices[:, 2].min()
     foot = vertices[vertices[:, 2] < low + FOOT_SHARE_CORRECTED * np.ptp(vertices[:, 2])][:, :2]

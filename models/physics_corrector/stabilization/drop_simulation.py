@@ -28,7 +28,7 @@ from stable_data.errors import MeshError
 from stable_data.geometry.shape import Shape
 from stable_data.scene import RelationKind, Scene, SceneObject
 from stable_data.simulation.collision_bodies import bodies_of
-from stable_data.simulation.scene_geometry import RestPose, at_rest
+from stable_data.simulation.scene_geometry import RestPose, object_at_rest
 from stable_data.simulation.settling import PhysicsOptions, settle
 
 # Tuned on: not recorded.
@@ -216,7 +216,7 @@ def _outline(o: SceneObject, shape: Shape) -> shapely.Geometry:
 
 def _settled_object(o: SceneObject, rest: RestPose, store: AssetStore) -> SceneObject:
     """An object where it settled; a tilt that has hardly changed stays the same."""
-    there = at_rest(o, store.mesh_of(o), rest)
+    there = object_at_rest(o, store.mesh_of(o), rest)
     turn = Rotation.from_quat(there.tilt_quat_xyzw) * Rotation.from_quat(o.tilt_quat_xyzw).inv()
     if turn.magnitude() * float(np.linalg.norm(o.size)) / 2 < _SAME_TILT:
         return o.moved(there.position, there.yaw)

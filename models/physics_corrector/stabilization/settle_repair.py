@@ -13,14 +13,14 @@ import numpy as np
 import shapely
 
 from models.physics_corrector.certify.certifier import Certifier, one_blas_thread
-from models.physics_corrector.certify.layout_search import scene_of
+from models.physics_corrector.certify.layout_search import build_scene
 from models.physics_corrector.certify.layout_state import LayoutState
 from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.options import CertificationResult
-from models.physics_corrector.certify.packing_bodies import directional
+from models.physics_corrector.certify.packing_bodies import directional_bodies
 from models.physics_corrector.certify.resting_pose import is_at_rest
-from models.physics_corrector.certify.support_inference import TABLE_TOP, SupportEdge, beyond, wanted_carriers
-from models.physics_corrector.packing.packing_problem import AXES, holds
+from models.physics_corrector.certify.support_inference import TABLE_TOP, SupportEdge, distance_outside, expected_carriers
+from models.physics_corrector.packing.packing_problem import AXES, holds_relation
 from models.physics_corrector.stabilization.limits import LOOK_SECONDS, STAYS, VERDICT_SECONDS
 from models.physics_corrector.stabilization.settle_trial import SettleTrial
 from stable_data.errors import SceneError
@@ -92,11 +92,11 @@ def repair_settling(certifier: Certifier, done: CertificationResult, bodies: Seq
         layout = certifier.layout()
         before, unsteady = layout.poses.copy(), set(rest.unsteady)
         moved = [k for k in layout.present() if layout.scene.objects[k].instance in unsteady]
-        orders = directional(layout, certifier.original.poses())
+        orders = directional_bodies(layout, certifier.original.poses())
         SettleRepair(layout, certifier.meshes, bodies, orders, places).settle(moved)
         if np.array_equal(layout.poses, before):
             return replace(done, rest=rest)
-        repaired = scene_of(layout)
+        repaired = build_scene(layout)
         audit = audit_scene(repaired, [certifier.shapes[k] for k in layout.present()])
         after = verdict(repaired)
         if audit.card().clean and after.num_restless <= rest.num_restless:
@@ -119,7 +119,7 @@ class SettleRepair:
         self, layout: LayoutState, meshes: MeshQueries, bodies: Sequence[RigidBody], orders: Sequence[Relation], places: int
     ) -> None:
         self._layout, self._meshes, self._bodies, self._places = layout, meshes, bodies, places
-        self._wanted = set(wanted_carriers(layout.scene))
+        self._wanted = set(expected_carriers(layout.scene))
         self._seen: dict[tuple[tuple[int, ...], bytes], list[int]] = {}
         self._moved: list[int] = []
         self._moves_left = [_MOVES_PER_OBJECT] * len(bodies)
@@ -303,7 +303,7 @@ class SettleRepair:
         """Is an object, whose bottom was at a height, in its container as deep as to count, or on its carrier?"""
         layout, carried = self._layout, self._layout.carried[k]
         p = carried.parent
-        outside = beyond(layout.poses[k, :2], layout.shapes[p].posed_footprint(layout.poses[p]))
+        outside = distance_outside(layout.poses[k, :2], layout.shapes[p].posed_footprint(layout.poses[p]))
         low, high = self._meshes.box(p, layout.poses[p])
         if carried.is_in and was < high[2] - RIM_MARGIN:
             return outside <= INSIDE_SLACK and low[2] - TOLERANCE <= layout.low(k) < high[2] - RIM_MARGIN
@@ -381,5 +381,5 @@ class SettleRepair:
             if (i in tree) != (j in tree) and layout.is_there[i] and layout.is_there[j]:
                 offset = layout.poses[i, :2] - layout.poses[j, :2]
                 after = offset + (shift if i in tree else -shift)
-                broken += holds(offset, axis) and not holds(after, axis)
+                broken += holds_relation(offset, axis) and not holds_relation(after, axis)
         return float(np.linalg.norm(shift)) + _RELATION_COST * broken

@@ -8,7 +8,7 @@ import numpy as np
 from models.physics_corrector.packing.slab_outline import BoolArray
 from stable_data.scene import FloatArray, Tabletop
 from stable_data.simulation.mujoco_import import mujoco
-from stable_data.simulation.settling import PhysicsOptions, RigidBody, compile_bodies, let_sleep, without_log_file
+from stable_data.simulation.settling import PhysicsOptions, RigidBody, compile_bodies, enable_sleeping, without_log_file
 
 _OPTIONS = PhysicsOptions()  # as for the verdict of stability
 # Tuned on: not recorded.
@@ -98,7 +98,7 @@ class SettleTrial:
         with without_log_file():
             for number in range(round(seconds / _OPTIONS.timestep / self._stride)):
                 if number == settling:
-                    let_sleep(model, _OPTIONS)
+                    enable_sleeping(model, _OPTIONS)
                 mujoco.mj_step(model, data, nstep=self._stride)
                 now = np.array(data.qpos).reshape(-1, 7)
                 if not np.isfinite(now).all():

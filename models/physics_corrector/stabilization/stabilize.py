@@ -14,9 +14,9 @@ from models.physics_corrector.certify.correction import (
     Correction,
     Fixed,
     InputScene,
-    correction_of,
+    build_correction,
+    replace_result,
     shapes_by_instance,
-    with_result_of,
 )
 from models.physics_corrector.stabilization.drop_simulation import drop_into_container
 from models.physics_corrector.stabilization.limits import LEANS
@@ -26,7 +26,7 @@ from stable_data.errors import MeshError
 from stable_data.metrics.audit import audit_scene
 from stable_data.scene import RelationKind, Scene, Stage
 from stable_data.simulation.collision_bodies import bodies_of
-from stable_data.simulation.scene_geometry import at_rest
+from stable_data.simulation.scene_geometry import object_at_rest
 from stable_data.simulation.settling import PhysicsOptions, SettleResult, settle
 
 # Numbers of attempts. Tuned on: not recorded.
@@ -90,7 +90,7 @@ def relocate_unstable(done: Correction, start: InputScene, options: CertifyOptio
     certifier = Certifier(scene, shapes, options)
     clean = CertificationResult(scene, CorrectionStatus.CERTIFIED, audit=done.audit, rest=done.rest)
     result = repair_settling(certifier, clean, bodies_of(scene, shapes, store))
-    return with_result_of(done, correction_of(start, result, shapes_by_instance(scene, shapes)))
+    return replace_result(done, build_correction(start, result, shapes_by_instance(scene, shapes)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +118,9 @@ class _Stabilization:
         if not near or not np.isfinite(rest.positions).all():
             return None
         poses = {n: (tuple(rest.positions[k].tolist()), tuple(rest.quats_xyzw[k].tolist())) for n, k in number.items()}
-        objects = (at_rest(o, self.store.mesh_of(o), poses[o.instance]) if o.instance in near else o for o in scene.objects)
+        objects = (
+            object_at_rest(o, self.store.mesh_of(o), poses[o.instance]) if o.instance in near else o for o in scene.objects
+        )
         return replace(scene, objects=tuple(objects))
 
     def recertified_if_steadier(self, done: Correction, scene: Scene) -> Correction | None:
@@ -142,7 +144,7 @@ class _Stabilization:
             return None
         if _num_unstable(result.rest) >= _num_unstable(done.rest):
             return None
-        return with_result_of(done, correction_of(self.start, result, shapes_by_instance(scene, shapes)))
+        return replace_result(done, build_correction(self.start, result, shapes_by_instance(scene, shapes)))
 
     def without_unstable(self, done: Correction) -> Correction | None:
         """The correction without its unstable objects; None where others do not stay either, or one is of the task or fixed."""
@@ -164,7 +166,7 @@ class _Stabilization:
                 reason = "; ".join(f"{d.instance} dropped: {d.reason}" for d in dropped)
                 result = CertificationResult(scene, CorrectionStatus.DROPPED, reason, tuple(dropped), audit, rest)
                 shape_of = shapes_by_instance(scene, shapes)
-                return correction_of(self.start, result, shape_of, raw=done.raw, card_raw=done.card_raw)
+                return build_correction(self.start, result, shape_of, raw=done.raw, card_raw=done.card_raw)
             if not rest.unsteady:
                 return None
         return None

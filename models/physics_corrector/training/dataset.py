@@ -29,7 +29,7 @@ from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.geometry.sdf.grid import SdfGrid
 from stable_data.scene import FloatArray, QuatXyzw, Scene, Stage, Vec3
-from stable_data.storage.row_groups import TableFiles, rows_from_table, slices
+from stable_data.storage.row_groups import TableFiles, row_slices, rows_from_table
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.scene_arrays import SCENE_LEAVES, scenes_from_table
 
@@ -268,7 +268,7 @@ def _rows(run: RunFolder, table: str, columns: list[str] | None, assets: set[str
     files = TableFiles(run.uri, table, columns)
     for group in range(len(files.groups)):
         rows = files.read([group])
-        for part in slices(rows.filter(pc.is_in(rows["asset_id"], value_set=_texts(assets)))):
+        for part in row_slices(rows.filter(pc.is_in(rows["asset_id"], value_set=_texts(assets)))):
             yield from rows_from_table(part)
 
 

@@ -130,12 +130,12 @@ def physics_losses(
         poses = torch.where(batch.mask[..., None], poses, 0)
         poses = torch.where(batch.is_fixed[..., None], poses.detach(), poses)
         terms = PhysicsLosses(
-            object_object(
+            object_object_loss(
                 poses, batch, geometry, colliding_pairs(poses, batch, geometry, settings.clearance), settings.clearance
             ),
-            object_table(poses, batch),
-            support(poses, batch, geometry, settings),
-            bounds(poses, batch, geometry) if settings.bounds_weight else poses.new_zeros(len(poses)),
+            object_table_loss(poses, batch),
+            support_loss(poses, batch, geometry, settings),
+            bounds_loss(poses, batch, geometry) if settings.bounds_weight else poses.new_zeros(len(poses)),
         )
     return PhysicsLosses(*(getattr(terms, field.name) / settings.length_unit**2 for field in fields(terms)))
 
@@ -157,7 +157,7 @@ def colliding_pairs(poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, c
     return pairs.take(~is_fixed)
 
 
-def object_object(
+def object_object_loss(
     poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, pairs: ObjectPairs, clearance: float = 0.0
 ) -> Tensor:
     """L_obj-obj: Σ_{i<j} max(0, −dist_sdf(i, j))².
@@ -186,7 +186,7 @@ def object_object(
     return poses.new_zeros(len(poses)).index_add(0, queries.scene, share * deepest.square())
 
 
-def object_table(poses: Tensor, batch: LayoutBatch) -> Tensor:
+def object_table_loss(poses: Tensor, batch: LayoutBatch) -> Tensor:
     """L_obj-table: Σ_i max(0, −dist_sdf(i, τ))², (B,), square metres.
 
     Args:
@@ -218,7 +218,7 @@ def support_candidates(poses: Tensor, batch: LayoutBatch, reach: float) -> Close
     return ClosestPointQueries(ways.scene, ways.first, ways.second)
 
 
-def support(poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, settings: LossSettings = LossSettings()) -> Tensor:
+def support_loss(poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, settings: LossSettings = LossSettings()) -> Tensor:
     """L_sup: Σ_i max(0, gap(i, z_i) − ε)², gap(i, z_i) = min_s∈S_i min_b∈B_i |D_s(b)|.
 
     Args:
@@ -256,7 +256,7 @@ def support(poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, settings:
     return poses.new_zeros(len(poses)).index_add(0, scene, excess.square())
 
 
-def bounds(poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors) -> Tensor:
+def bounds_loss(poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors) -> Tensor:
     """The extra: squared lengths by which samples reach over the table's edges or into the restricted zone, the farthest each.
 
     Args:

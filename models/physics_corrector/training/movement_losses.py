@@ -9,7 +9,7 @@ alone: a price on them would leave everything a little above or below where it r
 import torch
 from torch import Tensor
 
-from models.physics_corrector.flow.pose_coordinates import wrap
+from models.physics_corrector.flow.pose_coordinates import wrap_angle
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from stable_data.rotations import YAW_ARM
 from stable_data.scene_graph.relations import NEAREST, REACH
@@ -18,7 +18,7 @@ _EASE = 2e-3  # below this length a movement costs its square, metres
 _MARGIN = 5e-3  # by which an order is to hold, where it did, metres
 
 
-def movement(poses: Tensor, coarse: Tensor, batch: LayoutBatch) -> Tensor:
+def movement_loss(poses: Tensor, coarse: Tensor, batch: LayoutBatch) -> Tensor:
     """How far objects were moved along the table and turned: Σ_i (√(|Δxy|² + (0.1 m/rad Δr)² + ε²) − ε), ε = 2 mm.
 
     It grows with the length and not with its square: one object that goes all the way is no worse than two that go half of it.
@@ -32,11 +32,11 @@ def movement(poses: Tensor, coarse: Tensor, batch: LayoutBatch) -> Tensor:
         (B,), metres.
     """
     offset = torch.where(batch.is_movable[..., None], poses - coarse, 0)
-    squared = offset[..., :2].square().sum(-1) + (YAW_ARM * wrap(offset[..., 3])).square()
+    squared = offset[..., :2].square().sum(-1) + (YAW_ARM * wrap_angle(offset[..., 3])).square()
     return ((squared + _EASE**2).sqrt() - _EASE).sum(1)
 
 
-def order(poses: Tensor, coarse: Tensor, batch: LayoutBatch) -> Tensor:
+def order_loss(poses: Tensor, coarse: Tensor, batch: LayoutBatch) -> Tensor:
     """By how much directional relations of the coarse layout are broken.
 
     Two objects that the scene graph would link are beside each other along x or y, whichever they are farther apart along; the

@@ -14,7 +14,7 @@ import torch
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from models.physics_corrector.flow.pose_coordinates import wrap
+from models.physics_corrector.flow.pose_coordinates import wrap_angle
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.settings import NonNegative, Settings, Share
 from stable_data.errors import ConfigError
@@ -128,7 +128,7 @@ def perturb(
     return _with_carried(batch, moved, is_together), kinds
 
 
-def reassign(coarse: Tensor, batch: LayoutBatch) -> Tensor:
+def reassign_targets(coarse: Tensor, batch: LayoutBatch) -> Tensor:
     """Targets of a coarse layout: clean poses in which interchangeable objects took the nearest of their places.
 
     Interchangeable are movable objects of one shape on one parent that carry nothing themselves. The assignment of a group is
@@ -150,7 +150,7 @@ def reassign(coarse: Tensor, batch: LayoutBatch) -> Tensor:
     if not len(scenes):
         return batch.poses
     offset = batch.poses[scenes, None] - coarse[scenes, :, None]  # [s, i, j] = target j − coarse i
-    cost = (offset[..., :3].square().sum(-1) + (YAW_ARM * wrap(offset[..., 3])).square()).sqrt()
+    cost = (offset[..., :3].square().sum(-1) + (YAW_ARM * wrap_angle(offset[..., 3])).square()).sqrt()
     costs, groups = cost.cpu().numpy(), alike[scenes].cpu().numpy()
     taken = place.cpu().numpy()[None].repeat(len(coarse), 0)
     for n, scene in enumerate(scenes.tolist()):
@@ -254,7 +254,7 @@ def _with_carried(batch: LayoutBatch, moved: Tensor, is_together: Tensor) -> Ten
         x, y, z = (clean - parent)[..., :3].unbind(-1)
         taken = torch.stack([c * x - s * y, s * x + c * y, z, clean[..., 3] - parent[..., 3]], -1) + carrier + extra
         coarse = torch.where(is_movable & goes, taken, coarse)
-    coarse = torch.cat([coarse[..., :3], wrap(coarse[..., 3:])], -1)
+    coarse = torch.cat([coarse[..., :3], wrap_angle(coarse[..., 3:])], -1)
     return torch.where(is_movable, coarse, clean)
 
 

@@ -12,7 +12,7 @@ from models.physics_corrector.training.losses import LossSettings
 from models.physics_corrector.training.perturbation import PerturbationSettings
 from models.physics_corrector.training.stage_prefixes import PrefixSettings
 from models.settings import Count, NonNegative, Positive, PositiveCount, Settings, Share
-from stable_data.config_diff import flat
+from stable_data.config_diff import flatten_config
 from stable_data.errors import ConfigError
 
 
@@ -156,7 +156,7 @@ class CorrectorTrainingSettings(Settings):
 
     def flat(self) -> dict[str, Any]:
         """Every setting by its dotted key."""
-        return flat(asdict(self))
+        return flatten_config(asdict(self))
 
 
 NEAR = "embedded_set_near"

@@ -31,7 +31,7 @@ class PrefixSettings(Settings):
             raise ConfigError(f"prefixes: {found}, expected shares that add up to at most 1", "config_invalid")
 
 
-def cut(batch: LayoutBatch, stage: Tensor, settings: PrefixSettings, generator: torch.Generator) -> LayoutBatch:
+def take_prefix(batch: LayoutBatch, stage: Tensor, settings: PrefixSettings, generator: torch.Generator) -> LayoutBatch:
     """A prefix of each scene.
 
     A prefix without objects is replaced by the whole scene; where a stage adds nothing, nothing is fixed.
@@ -62,7 +62,7 @@ def prefix(batch: LayoutBatch, stage: Tensor, last: Tensor, is_frozen: Tensor) -
     return replace(batch, mask=mask, is_fixed=batch.is_fixed | is_earlier, parent=torch.where(is_gone, NO_PARENT, parent))
 
 
-def compact(batch: LayoutBatch) -> LayoutBatch:
+def drop_empty_slots(batch: LayoutBatch) -> LayoutBatch:
     """The same scenes with their objects first and no more slots than the fullest one needs, at least one."""
     order = torch.argsort(~batch.mask, dim=1, stable=True)
     place = torch.argsort(order, dim=1)

@@ -21,11 +21,11 @@ from models.physics_corrector.flow.flow_matching import Velocity
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.training.dataset import TrainingSet
 from models.physics_corrector.training.losses import flow_loss, physics_losses
-from models.physics_corrector.training.movement_losses import movement, order
-from models.physics_corrector.training.perturbation import perturb, reassign
+from models.physics_corrector.training.movement_losses import movement_loss, order_loss
+from models.physics_corrector.training.perturbation import perturb, reassign_targets
 from models.physics_corrector.training.settings import CorrectorTrainingSettings
-from models.physics_corrector.training.stage_prefixes import compact, cut
-from models.training.checkpoint import keep, kept
+from models.physics_corrector.training.stage_prefixes import drop_empty_slots, take_prefix
+from models.training.checkpoint import load_checkpoint, save_checkpoint
 from models.training.distributed import CPU, ProcessContext
 from stable_data.errors import ConfigError
 
@@ -92,12 +92,12 @@ class CorrectorTrainer:
         """This process's chunks: their scenes, the share of the step's movable objects that is theirs, and their stream."""
         scenes = torch.from_numpy(self._drawn()).to(self.place.device)
         generator = self._generator(0)
-        batch = cut(self.data.batch.take(scenes), self.data.stage[scenes], self.settings.prefixes, generator)
+        batch = take_prefix(self.data.batch.take(scenes), self.data.stage[scenes], self.settings.prefixes, generator)
         order = torch.argsort(batch.mask.sum(1), stable=True)
         total = batch.is_movable.sum().clamp_min(1)
         for number, chunk in enumerate(torch.split(order, self.settings.chunk)):
             if number % self.place.world_size == self.place.rank:
-                part = compact(batch.take(chunk))
+                part = drop_empty_slots(batch.take(chunk))
                 yield part, float(part.is_movable.sum() / total), self._generator(1 + number)
 
     def _drawn(self) -> Any:
@@ -121,7 +121,7 @@ class CorrectorTrainer:
         flow, estimate = zero, None
         if settings.losses.flow_weight or settings.physics.share:
             condition = Condition.of(replace(batch, poses=coarse))
-            path = self.flow.path(condition, reassign(coarse, batch), generator)
+            path = self.flow.path(condition, reassign_targets(coarse, batch), generator)
             predicted = self.flow.predict(self.velocity(), path, condition, generator)
             flow = settings.losses.flow_weight * share * flow_loss(predicted.velocity, path.velocity, condition.is_movable)
             estimate = predicted.poses, path.t
@@ -145,10 +145,10 @@ class CorrectorTrainer:
         settings, share = self.settings.losses, self.settings.physics.unroll_scenes
         poses = self._sampled(batch, coarse, generator)
         weight = poses.new_full((len(poses),), self.settings.physics.unroll_weight)
-        moved = movement(poses, coarse, batch)
+        moved = movement_loss(poses, coarse, batch)
         near = settings.move_weight * moved / settings.length_unit
         if settings.order_weight:
-            near = near + settings.order_weight * order(poses, coarse, batch) / settings.length_unit**2
+            near = near + settings.order_weight * order_loss(poses, coarse, batch) / settings.length_unit**2
         unrolled, _ = self._physics(poses, batch, weight, share, near)
         return unrolled, moved.sum() / (share * self.settings.batch_size)
 
@@ -228,7 +228,7 @@ class CorrectorTrainer:
             "optimizer": self._optimizer.state_dict(),
             "average": self.average,
         }
-        keep(path, state, self._about())
+        save_checkpoint(path, state, self._about())
 
     def resume(self, path: Path) -> bool:
         """Goes on where :meth:`save` was called; False where nothing was kept.
@@ -236,7 +236,7 @@ class CorrectorTrainer:
         Raises:
             ConfigError: What is there cannot be read, or is of other settings or data.
         """
-        state = kept(path, self._about(), "step", "network", "optimizer", "average")
+        state = load_checkpoint(path, self._about(), "step", "network", "optimizer", "average")
         if state is None:
             return False
         self.network.load_state_dict(state["network"])

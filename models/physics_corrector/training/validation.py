@@ -15,17 +15,17 @@ from torch import Tensor
 
 from models.physics_corrector.flow.condition import Condition
 from models.physics_corrector.flow.flow_matching import FlowMatching, Velocity
-from models.physics_corrector.flow.pose_coordinates import wrap
+from models.physics_corrector.flow.pose_coordinates import wrap_angle
 from models.physics_corrector.geometry.closest_point import ClosestPointQueries, closest_sample
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.geometry.shape_tensors import ShapeTensors
 from models.physics_corrector.training.dataset import TrainingSet
 from models.physics_corrector.training.losses import colliding_pairs
-from models.physics_corrector.training.perturbation import KINDS, Kind, PerturbationSettings, perturb, reassign
-from models.physics_corrector.training.stage_prefixes import compact, prefix
+from models.physics_corrector.training.perturbation import KINDS, Kind, PerturbationSettings, perturb, reassign_targets
+from models.physics_corrector.training.stage_prefixes import drop_empty_slots, prefix
 from stable_data.assets.store import AssetStore
 from stable_data.geometry.shape import Shape
-from stable_data.metrics.audit import PosedScene, audit_posed
+from stable_data.metrics.audit import PosedScene, audit_posed_scene
 from stable_data.metrics.collision import TOLERANCE
 from stable_data.metrics.relations_kept import DIRECTIONAL
 from stable_data.rotations import YAW_ARM
@@ -101,7 +101,7 @@ def _row(
     if row.endswith("_fixed"):
         last = torch.full((len(batch),), 2, device=device)
         batch = prefix(batch, data.stage[places.to(device)], last, torch.ones_like(batch.has_zone))
-    batch = compact(batch)  # whole scenes: their objects keep their order
+    batch = drop_empty_slots(batch)  # whole scenes: their objects keep their order
     kind: Kind = next(k for k in KINDS if row.removesuffix("_fixed") == k)
     coarse, _ = perturb(batch, settings, generator, kind)
     condition = Condition.of(replace(batch, poses=coarse))
@@ -140,8 +140,8 @@ def grid_figures(poses: Tensor, coarse: Tensor, batch: LayoutBatch, geometry: Sh
 
     movable = batch.is_movable
     moved = torch.linalg.vector_norm(poses[..., :3] - coarse[..., :3], dim=-1)
-    offset = poses - reassign(poses, batch)
-    turned = wrap(offset[..., 3]).abs()
+    offset = poses - reassign_targets(poses, batch)
+    turned = wrap_angle(offset[..., 3]).abs()
     length = torch.linalg.vector_norm(offset[..., :3], dim=-1)
     return {
         "grid_oc": share(TOLERANCE),
@@ -201,7 +201,7 @@ def _judged(
     relations = frozenset(relations_of(scene_graph(scene, {}, footprints)))
     if not is_card_wanted:
         return {}, relations
-    card = audit_posed(PosedScene(scene, shapes)).card()
+    card = audit_posed_scene(PosedScene(scene, shapes)).card()
     figures: dict[str, float | None] = {
         name: getattr(card, name)
         for name in (
@@ -225,7 +225,7 @@ def _kept(before: frozenset[Relation], after: frozenset[Relation], kinds: Collec
     return len(wanted & after) / len(wanted) if wanted else None
 
 
-def scalars(card: Mapping[str, Mapping[str, Mapping[str, float | None]]]) -> dict[str, float]:
+def scalar_figures(card: Mapping[str, Mapping[str, Mapping[str, float | None]]]) -> dict[str, float]:
     """The card as ``row/figure/coarse`` -> number, for logs; unknown figures are left out."""
     return {
         f"{row}/{figure}/{of}": value

@@ -14,7 +14,7 @@ Conversation: TypeAlias = Generator[list[tuple[int, A]], Sequence[Q], None]
 """Yields answers, each with the number of its question; is sent further questions."""
 
 
-def in_batches(answer: Callable[[Sequence[Q]], Sequence[A]], questions: Sequence[Q]) -> Conversation[A, Q]:
+def batch_conversation(answer: Callable[[Sequence[Q]], Sequence[A]], questions: Sequence[Q]) -> Conversation[A, Q]:
     """The conversation with somebody who answers whole batches: what comes of one batch is the next.
 
     Args:
@@ -28,7 +28,7 @@ def in_batches(answer: Callable[[Sequence[Q]], Sequence[A]], questions: Sequence
         questions = yield found
 
 
-def converse(talk: Conversation[A, Q], answer: Callable[[list[tuple[int, A]]], Sequence[Q]]) -> None:
+def run_conversation(talk: Conversation[A, Q], answer: Callable[[list[tuple[int, A]]], Sequence[Q]]) -> None:
     """Leads a conversation to its end.
 
     Args:

@@ -14,8 +14,8 @@ from torch import Tensor
 from transformers import AutoModelForCausalLM, AutoTokenizer, PreTrainedModel, PreTrainedTokenizerFast
 
 from models.semantic_reasoner.engines.batched_decoding import ATTENTION, Decoder
-from models.semantic_reasoner.engines.incremental_batches import Conversation, converse
-from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling, too_long
+from models.semantic_reasoner.engines.incremental_batches import Conversation, run_conversation
+from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling, is_too_long
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from models.semantic_reasoner.text.reply_json import parse_reply
 from models.semantic_reasoner.text.tokenizer import chat_text
@@ -139,7 +139,7 @@ class LocalEngine:
             done.update(found)
             return ()
 
-        converse(self.converse(requests), keep)
+        run_conversation(self.converse(requests), keep)
         return [done[k] for k in range(len(requests))]
 
     def converse(self, requests: Sequence[Request]) -> Conversation[Completion, Request]:
@@ -183,7 +183,7 @@ class LocalEngine:
         prompt: list[int] = self._tokenizer(chat, add_special_tokens=False)["input_ids"]
         longest = self._model.config.get_text_config().max_position_embeddings
         if len(prompt) + 16 > longest:
-            return too_long(len(prompt), longest)
+            return is_too_long(len(prompt), longest)
         matcher = None
         if self._is_constrained and request.form.binds:
             matcher = self._matcher(request.form.grammar())

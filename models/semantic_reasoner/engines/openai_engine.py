@@ -143,7 +143,7 @@ class OpenAIEngine:
         except TimeoutError:
             return self._failure("endpoint_timeout", f"no answer within {s.total_s:g} s")
         except openai.APIError as error:
-            return self._failure(*reason_of(error))
+            return self._failure(*failure_reason(error))
         try:
             found = completion_of(answer.json(), s.prompt_price, s.reply_price)
         except (ValueError, RecursionError) as error:
@@ -152,7 +152,7 @@ class OpenAIEngine:
 
     def _failure(self, code: str, what: str) -> Completion:
         advice = _ADVICE[code].format(key_variable=self.settings.key_variable or "key_variable names none")
-        line = f"{self.name}: {self.settings.base_url}: {one_line(self._without_key(what))}; {advice}"
+        line = f"{self.name}: {self.settings.base_url}: {first_line(self._without_key(what))}; {advice}"
         return Completion("", failure=line, code=code)
 
     def _without_key(self, words: str) -> str:
@@ -170,7 +170,7 @@ def _client(settings: HttpSettings, key: str) -> openai.AsyncOpenAI:
             return openai.AsyncAzureOpenAI(azure_endpoint=settings.base_url, api_version=version, api_key=key, **more)
         return openai.AsyncOpenAI(base_url=settings.base_url, api_key=key or "none", **more)
     except (ImportError, OSError, ValueError) as error:
-        message = f"no client for {settings.base_url} can be made ({one_line(str(error))})"
+        message = f"no client for {settings.base_url} can be made ({first_line(str(error))})"
         raise ConfigError(f"{message}; check the proxies and SSL_CERT_FILE of the environment", "config_invalid") from error
 
 
@@ -228,14 +228,14 @@ def completion_of(answer: Any, prompt_price: float = 0.0, reply_price: float = 0
     elif choice.get("finish_reason") == "content_filter":
         failure, code = "reply was held back by the endpoint's content filter; reword the instruction", "reply_filtered"
     elif refusal := message.get("refusal"):
-        failure, code = f"model refused: {one_line(str(refusal))}; reword the instruction", "reply_refused"
+        failure, code = f"model refused: {first_line(str(refusal))}; reword the instruction", "reply_refused"
     elif not text.strip():
         failure, code = "reply is empty; ask again with another seed", "reply_empty"
     cost = (read * prompt_price + written * reply_price) / 1e6
     return Completion("" if failure else text, read, written, failure, code, cost=cost)
 
 
-def reason_of(error: openai.APIError) -> tuple[str, str]:
+def failure_reason(error: openai.APIError) -> tuple[str, str]:
     """The code of a failure, and what happened."""
     if not isinstance(error, openai.APIStatusError):
         cause = f"{type(error.__cause__).__name__}: {error.__cause__}"
@@ -255,6 +255,6 @@ def reason_of(error: openai.APIError) -> tuple[str, str]:
     return _STATUSES.get(status, "endpoint_error" if status >= 500 else "request_refused"), what
 
 
-def one_line(words: str) -> str:
+def first_line(words: str) -> str:
     """Words from outside as one line of at most 300 characters."""
     return " ".join(words.split())[:300]

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from models.semantic_reasoner.engines.incremental_batches import Conversation, in_batches
+from models.semantic_reasoner.engines.incremental_batches import Conversation, batch_conversation
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from models.semantic_reasoner.text.prompt import Message
 from models.settings import Count, NonNegative, PositiveCount, Settings, Share
@@ -80,7 +80,7 @@ class Completion:
     cost: float = 0.0
 
 
-def too_long(num_prompt: int, longest: int) -> Completion:
+def is_too_long(num_prompt: int, longest: int) -> Completion:
     """What comes back for a question that the model cannot read.
 
     Args:
@@ -123,4 +123,6 @@ def conversation(engine: Engine, requests: Sequence[Request]) -> Conversation[Co
         engine: Any engine.
         requests: Those to begin with.
     """
-    return engine.converse(requests) if isinstance(engine, ConversationEngine) else in_batches(engine.complete, requests)
+    return (
+        engine.converse(requests) if isinstance(engine, ConversationEngine) else batch_conversation(engine.complete, requests)
+    )

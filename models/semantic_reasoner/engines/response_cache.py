@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from models.semantic_reasoner.engines.protocol import Completion, Engine, Request, Sampling
-from stable_data.errors import Notice, unwritable
+from stable_data.errors import Notice, cannot_write
 
 CACHE_VERSION = 1
 """Raised whenever keys or entries change: older ones are then not found."""
@@ -54,7 +54,7 @@ class ResponseCache:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise unwritable(str(self.folder), error) from error
+            raise cannot_write(str(self.folder), error) from error
 
     @staticmethod
     def key(engine: str, sampling: Sampling, request: Request) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling, too_long
+from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling, is_too_long
 from models.semantic_reasoner.text.tokenizer import chat_text
 from stable_data.errors import ConfigError
 
@@ -65,7 +65,7 @@ class VllmEngine:
             [{"prompt_token_ids": prompts[k]} for k in fits], [self._of(requests[k]) for k in fits], use_tqdm=False
         )
         found = dict(zip(fits, map(_completion, outputs), strict=True))
-        return [found.get(k) or too_long(len(prompt), longest) for k, prompt in enumerate(prompts)]
+        return [found.get(k) or is_too_long(len(prompt), longest) for k, prompt in enumerate(prompts)]
 
     def _of(self, request: Request) -> Any:
         s = self.sampling

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from models.semantic_reasoner.language.noun_lookup import NounLookup, words_of
-from models.semantic_reasoner.language.noun_phrases import NounPhrase, phrases
+from models.semantic_reasoner.language.noun_phrases import NounPhrase, find_noun_phrases
 from models.semantic_reasoner.text.reply_json import layout_names
 from stable_data.errors import ConfigError
 from stable_data.scene import SceneObject, Stage, Vec3
@@ -253,7 +253,7 @@ class _Counting:
         seen: dict[str, Counter[str]] = {}
         right: dict[str, Counter[str]] = {}
         for (text, there), count in self._told.items():
-            for phrase in phrases(words_of(text), nouns):
+            for phrase in find_noun_phrases(words_of(text), nouns):
                 noun = phrase.mention.noun
                 for context in (phrase.before, "*"):
                     seen.setdefault(noun, Counter())[context] += count

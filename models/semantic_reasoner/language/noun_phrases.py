@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from models.semantic_reasoner.language.noun_lookup import NounLookup, NounMention, TextWord
 from models.semantic_reasoner.language.stop_words import COUNTS, DETERMINERS, FUNCTION_WORDS, HOMOGRAPHS, NONE_OF, word_set
 from stable_data.instructions import naming
-from stable_data.instructions.claims import mark
+from stable_data.instructions.claims import number_mentions
 
 MOST = 20
 """A larger number before a noun is no count of objects."""
@@ -48,7 +48,7 @@ class NounPhrase:
     clause: tuple[str, ...]
 
 
-def phrases(words: Sequence[TextWord], nouns: NounLookup) -> Iterator[NounPhrase]:
+def find_noun_phrases(words: Sequence[TextWord], nouns: NounLookup) -> Iterator[NounPhrase]:
     """The noun phrases of a text that speak of things of known categories, in its order.
 
     Args:
@@ -101,7 +101,7 @@ def _clause(words: Sequence[TextWord], mention: NounMention) -> tuple[str, ...]:
     return tuple(said) if said[-1] in _CLAUSE_ENDS else ()
 
 
-def marked(text: str, words: Sequence[TextWord], spoken: Sequence[NounPhrase]) -> str:
+def number_phrases(text: str, words: Sequence[TextWord], spoken: Sequence[NounPhrase]) -> str:
     """A text with each phrase as its number, its clause included, as :mod:`stable_data.instructions.claims` reads it.
 
     Args:
@@ -115,7 +115,7 @@ def marked(text: str, words: Sequence[TextWord], spoken: Sequence[NounPhrase]) -
         naming.ObjectMention(words[p.first].start, words[_last(words, p)].end, name, unnamed)
         for name, p in zip(names, spoken, strict=True)
     ]
-    return mark(text, (), said, names)
+    return number_mentions(text, (), said, names)
 
 
 def _last(words: Sequence[TextWord], phrase: NounPhrase) -> int:

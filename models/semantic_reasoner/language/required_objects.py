@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.language.noun_lookup import TextWord, own_noun, words_of
-from models.semantic_reasoner.language.noun_phrases import NounPhrase, marked, phrases
+from models.semantic_reasoner.language.noun_phrases import NounPhrase, find_noun_phrases, number_phrases
 from models.semantic_reasoner.language.stop_words import FUNCTION_WORDS, word_set
-from stable_data.instructions.claims import emptied
+from stable_data.instructions.claims import emptied_numbers
 from stable_data.instructions.wording.words import is_plural
 
 _EVERYTHING = re.compile(r"\b(?:everything|all|whatever|what)(?: else)?(?: that)?(?:'s| is| lies| stands)? (?:on|in|inside) <")
@@ -45,7 +45,7 @@ class ObjectRequirement:
         return len(found) >= self.at_least or any(is_plural(own_noun(c)) for c in found)
 
 
-def required(instruction: str, statistics: CategoryStatistics) -> tuple[ObjectRequirement, ...]:
+def required_objects(instruction: str, statistics: CategoryStatistics) -> tuple[ObjectRequirement, ...]:
     """What an instruction asks for.
 
     Mentions of one noun are the same thing, unless words tell them apart (``the red mug ... the blue mug``) or one of them is
@@ -62,7 +62,7 @@ def required(instruction: str, statistics: CategoryStatistics) -> tuple[ObjectRe
     words = words_of(instruction)
     found: dict[str, list[NounPhrase]] = {}
     spoken = []
-    for phrase in phrases(words, statistics.nouns):
+    for phrase in find_noun_phrases(words, statistics.nouns):
         if (
             phrase.is_denied
             or _is_wanted(words, phrase)
@@ -73,8 +73,8 @@ def required(instruction: str, statistics: CategoryStatistics) -> tuple[ObjectRe
         spoken.append(phrase)
         found.setdefault(phrase.mention.noun, []).append(phrase)
     asked = [_asked(instruction, words, same, statistics) for same in found.values()]
-    text = marked(instruction, words, spoken)
-    if emptied(text) or _EVERYTHING.search(text):
+    text = number_phrases(instruction, words, spoken)
+    if emptied_numbers(text) or _EVERYTHING.search(text):
         asked.append(ObjectRequirement("what is in or on it", ()))
     return tuple(asked)
 

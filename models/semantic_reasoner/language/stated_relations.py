@@ -6,8 +6,8 @@ import numpy as np
 
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.language.noun_lookup import own_noun, words_of
-from models.semantic_reasoner.language.noun_phrases import marked, phrases
-from stable_data.instructions.claims import emptied, read_claims
+from models.semantic_reasoner.language.noun_phrases import find_noun_phrases, number_phrases
+from stable_data.instructions.claims import emptied_numbers, read_claims
 from stable_data.instructions.task_info import resolve_task_objects
 from stable_data.instructions.wording.words import plural
 from stable_data.scene import MAX_INSTRUCTION, Relation, RelationKind, Scene, SceneObject, Tabletop, TaskInfo
@@ -17,7 +17,7 @@ from stable_data.scene_graph.support_from_boxes import carriers_of
 _CARRYING = (RelationKind.IN, RelationKind.ON)
 
 
-def understood(
+def interpret_layout(
     layout: Sequence[SceneObject], table: Tabletop, instruction: str, statistics: CategoryStatistics
 ) -> tuple[TaskInfo, Scene, SceneGraph]:
     """A layout with what an instruction means in it.
@@ -33,11 +33,11 @@ def understood(
         their scene graph by boxes.
     """
     instruction = instruction[:MAX_INSTRUCTION]
-    spoken = list(phrases(words_of(instruction), statistics.nouns))
+    spoken = list(find_noun_phrases(words_of(instruction), statistics.nouns))
     meant = {c for p in spoken for c in statistics.nouns.categories_of(p.mention.noun)}
     scene = Scene("layout", table, tuple(o for o in layout if o.category in meant))
     graph = scene_graph(scene, {})
-    task, _ = resolve_task_objects(TaskInfo("", in_words_of(layout, instruction, statistics)), scene, graph)
+    task, _ = resolve_task_objects(TaskInfo("", reword_for_layout(layout, instruction, statistics)), scene, graph)
     return task, scene, graph
 
 
@@ -62,11 +62,11 @@ def relations_not_held(
     """
     instruction = instruction[:MAX_INSTRUCTION]
     words = words_of(instruction)
-    spoken = list(phrases(words, statistics.nouns))
-    text = marked(instruction, words, spoken)
+    spoken = list(find_noun_phrases(words, statistics.nouns))
+    text = number_phrases(instruction, words, spoken)
     # "Some soap from the dispenser" is no soap that is there; "some pens from the cup" are.
     parts = {k for k, p in enumerate(spoken) if words[p.first].text == "some" and not p.mention.is_plural}
-    claims, empties = [claim for claim in read_claims(text) if claim.a not in parts], emptied(text)
+    claims, empties = [claim for claim in read_claims(text) if claim.a not in parts], emptied_numbers(text)
     corners = {k: cell for k, p in enumerate(spoken) if (cell := _corner(p.clause)) is not None}
     if not (claims or empties or corners):
         return ()  # most instructions say nothing of the start
@@ -112,12 +112,12 @@ def _corner(clause: Sequence[str]) -> str | None:
     return f"{row}_{column}" if "corner" in clause and row and column else None
 
 
-def in_words_of(layout: Sequence[SceneObject], instruction: str, statistics: CategoryStatistics) -> str:
+def reword_for_layout(layout: Sequence[SceneObject], instruction: str, statistics: CategoryStatistics) -> str:
     """The instruction with a layout's own nouns, where a noun can mean only one of its categories."""
     there = {o.category for o in layout}
     words = words_of(instruction)
     text = instruction
-    for phrase in reversed(list(phrases(words, statistics.nouns))):
+    for phrase in reversed(list(find_noun_phrases(words, statistics.nouns))):
         mention = phrase.mention
         meant = there & set(statistics.nouns.categories_of(mention.noun))
         if len(meant) != 1 or statistics.is_doubtful(phrase):

@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
-from models.semantic_reasoner.language.required_objects import ObjectRequirement, required
+from models.semantic_reasoner.language.required_objects import ObjectRequirement, required_objects
 from models.semantic_reasoner.language.stated_relations import relations_not_held
 from models.semantic_reasoner.replies.grammar import MOST_OBJECTS
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
@@ -92,11 +92,11 @@ class ReplyCheck:
 
     def __init__(self, statistics: CategoryStatistics, settings: CheckSettings = CheckSettings()) -> None:
         self._statistics, self._settings = statistics, settings
-        self._required = lru_cache(maxsize=512)(lambda instruction: required(instruction, statistics))
+        self._required = lru_cache(maxsize=512)(lambda instruction: required_objects(instruction, statistics))
 
     def __call__(self, reply: LayoutReply, ask: ReasonerQuestion, /) -> list[ReplyFault]:
         """The faults of a reply to a question."""
-        return check(reply.objects, reply.removed, ask, self._statistics, self.asks(ask), self._settings)
+        return check_reply(reply.objects, reply.removed, ask, self._statistics, self.asks(ask), self._settings)
 
     def asks(self, ask: ReasonerQuestion) -> tuple[ObjectRequirement, ...]:
         """What must be among the objects when the task objects are there."""
@@ -108,7 +108,7 @@ def form_check(reply: LayoutReply, ask: ReasonerQuestion, /) -> list[ReplyFault]
     return list(name_faults(reply.objects, reply.removed, ask)) or list(_unchanged(reply.objects, reply.removed, ask))
 
 
-def check(
+def check_reply(
     objects: Sequence[LayoutObject],
     removed: Sequence[str],
     ask: ReasonerQuestion,

@@ -34,7 +34,7 @@ _OFF_CENTRE = (0.0, 0.25, -0.25, 0.5, -0.5)  # of what carries, in halves of its
 _ABOVE_BOTTOM = 0.01  # where a thing in another one may lie, metres; how deep it really lies is for the correction
 
 
-def put_right(
+def repair_relations(
     reply: LayoutReply,
     faults: Sequence[ReplyFault],
     ask: ReasonerQuestion,

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
-from models.semantic_reasoner.language.stated_relations import understood
+from models.semantic_reasoner.language.stated_relations import interpret_layout
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutReply
 from stable_data.metrics.alignment import members
@@ -13,7 +13,7 @@ from stable_data.scene_graph.staging import stage_scene
 from stable_data.scene_graph.support_from_boxes import carriers_of
 
 
-def accepted(
+def objects_of_reply(
     reply: LayoutReply, ask: ReasonerQuestion, statistics: CategoryStatistics | None = None
 ) -> tuple[SceneObject, ...]:
     """The objects of a reply in SI units, each with its stage and what carries it.
@@ -40,7 +40,7 @@ def accepted(
     return tuple(replace(o, stage=stages[o.instance]) for o in objects)
 
 
-def with_task(
+def attach_task_info(
     scene: Scene, instruction: str, proposed: Sequence[SceneObject], statistics: CategoryStatistics | None = None
 ) -> Scene:
     """A scene with its task info: the instruction, the objects of O^t, and what the instruction says of them at the start.
@@ -54,7 +54,7 @@ def with_task(
     named = tuple(o.instance for o in scene.objects if o.stage is Stage.TASK)
     relations: tuple[Relation, ...] = ()
     if statistics is not None:
-        task, _, _ = understood(proposed, scene.table, instruction, statistics)
+        task, _, _ = interpret_layout(proposed, scene.table, instruction, statistics)
         relations = tuple(r for r in task.relations if set(members(r)) <= set(named))
     return replace(scene, task=TaskInfo("", instruction, task_objects=named, relations=relations))
 
@@ -65,7 +65,7 @@ def _stages(
     """The stages of a whole layout."""
     if statistics is None:
         statistics = CategoryStatistics.of_names(o.category for o in objects)
-    task, _, _ = understood(objects, ask.table, ask.instruction, statistics)
+    task, _, _ = interpret_layout(objects, ask.table, ask.instruction, statistics)
     if not task.task_objects:
         return dict.fromkeys((o.instance for o in objects), Stage.TASK)
     scene = Scene("layout", ask.table, objects, task=task)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from models.semantic_reasoner.text.reply_json import DECIMALS, LayoutObject, plain, render_objects
+from models.semantic_reasoner.text.reply_json import DECIMALS, LayoutObject, render_objects, sanitise_words
 from stable_data.errors import SceneError
 from stable_data.scene import MAX_INSTRUCTION, Stage, Tabletop, TaskInfo
 
@@ -94,36 +94,36 @@ def messages(ask: ReasonerQuestion, refused: Sequence[tuple[str, str]] = ()) -> 
     Raises:
         SceneError: The instruction is empty or too long (``instruction_invalid``).
     """
-    chat = [{"role": "system", "content": SYSTEM}, {"role": "user", "content": question(ask)}]
+    chat = [{"role": "system", "content": SYSTEM}, {"role": "user", "content": user_message(ask)}]
     for answer, reason in refused:
         chat.append({"role": "assistant", "content": answer})
-        chat.append({"role": "user", "content": RETRY.format(reason=plain(reason))})
+        chat.append({"role": "user", "content": RETRY.format(reason=sanitise_words(reason))})
     return chat
 
 
-def question(ask: ReasonerQuestion) -> str:
+def user_message(ask: ReasonerQuestion) -> str:
     """The user's message."""
-    instruction = checked_instruction(ask.instruction)
+    instruction = check_instruction(ask.instruction)
     width, depth = (f"{100 * s:.{DECIMALS}f}" for s in ask.table.size_xy)
     zone = ask.table.restricted_zone
-    parts = [INSTRUCTION, instruction, TABLE, plain(ask.table.table_type) or ANY_TABLE, ", ", width, BY, depth, CM]
+    parts = [INSTRUCTION, instruction, TABLE, sanitise_words(ask.table.table_type) or ANY_TABLE, ", ", width, BY, depth, CM]
     if zone is not None:
         x_min, x_max, y_min, y_max = (f"{100 * v:.{DECIMALS}f}" for v in zone)
         parts += [ZONE, f"[{x_min},{x_max},{y_min},{y_max}]"]
-    if ask.details is not None and (details := plain(details_of(ask.details))):
+    if ask.details is not None and (details := sanitise_words(details_of(ask.details))):
         parts += [DETAILS, details]
     if ask.layout:
         parts += [LAYOUT, render_objects(ask.layout)]
     return "".join([*parts, WANTED[ask.wanted]])
 
 
-def checked_instruction(words: str) -> str:
+def check_instruction(words: str) -> str:
     """An instruction as it is said.
 
     Raises:
         SceneError: It is empty or too long (``instruction_invalid``).
     """
-    instruction = plain(words)
+    instruction = sanitise_words(words)
     if not instruction:
         raise SceneError("instruction is empty, expected what is to be done on the table", "instruction_invalid")
     if len(instruction) > MAX_INSTRUCTION:
@@ -134,7 +134,7 @@ def checked_instruction(words: str) -> str:
     return instruction
 
 
-def answer(objects: Sequence[LayoutObject], removed: Sequence[str] | None = None) -> str:
+def assistant_message(objects: Sequence[LayoutObject], removed: Sequence[str] | None = None) -> str:
     """The assistant's message that a model is trained on."""
     return render_objects(objects, removed)
 

@@ -80,7 +80,7 @@ def layout_objects(objects: Iterable[SceneObject], known: Mapping[str, str] | No
     return tuple(
         LayoutObject(
             names[o.instance],
-            plain(o.description) or plain(o.category.replace("_", " ")) or "object",
+            sanitise_words(o.description) or sanitise_words(o.category.replace("_", " ")) or "object",
             _in_cm(o.size, least=0.1),
             _in_cm(o.position),
             _whole_degrees(o.yaw),
@@ -100,7 +100,7 @@ def layout_names(objects: Iterable[SceneObject]) -> dict[str, str]:
     return names
 
 
-def renumbered(objects: Iterable[LayoutObject], taken: Iterable[str]) -> tuple[LayoutObject, ...]:
+def renumber_instances(objects: Iterable[LayoutObject], taken: Iterable[str]) -> tuple[LayoutObject, ...]:
     """Objects whose names are unique: one that is taken already gets the next number of its category that is free.
 
     Numbers say nothing but which is which, so a reply that counts wrongly loses nothing by it.
@@ -139,7 +139,7 @@ def _whole_degrees(yaw: float) -> int:
     return -((180 - round(math.degrees(yaw))) % 360) + 180
 
 
-def plain(words: str) -> str:
+def sanitise_words(words: str) -> str:
     """Words from outside as one line that no chat template can mistake for its own marks."""
     return re.sub(r"<(?=[|/a-zA-Z])", "< ", " ".join(re.sub(r"[\x00-\x1f\x7f]", " ", words).split()))
 
@@ -229,7 +229,7 @@ def _parse(entry: Any, k: int) -> LayoutObject:
         raise SceneError(
             f'reply: object {k} has "instance" {_shown(str(instance))}, expected such as "mug_0"', "reply_malformed"
         )
-    if not isinstance(description, str) or not plain(description):
+    if not isinstance(description, str) or not sanitise_words(description):
         raise SceneError(f'reply: {instance} has "description" {_shown(str(description))}, expected words', "reply_malformed")
     size, position = _vector(entry, "size", instance), _vector(entry, "position", instance)
     if min(size) < LEAST_SIDE_CM:
@@ -237,7 +237,7 @@ def _parse(entry: Any, k: int) -> LayoutObject:
     angle: Any = entry.get("z_rotation")
     if not _is_number(angle):
         raise SceneError(f'reply: {instance} has "z_rotation" {_shown(str(angle))}, expected degrees', "reply_malformed")
-    return LayoutObject(instance, plain(description), size, position, _whole_degrees(math.radians(float(angle))))
+    return LayoutObject(instance, sanitise_words(description), size, position, _whole_degrees(math.radians(float(angle))))
 
 
 def _vector(entry: Mapping[str, Any], key: str, instance: str) -> Vec3:

@@ -19,15 +19,15 @@ from transformers import PreTrainedTokenizerBase
 
 from models.semantic_reasoner.text.prompt import ANY_TABLE, FIXED, PROMPT_VERSION
 from models.semantic_reasoner.text.tokenizer import train_tokenizer
-from models.semantic_reasoner.training.examples import TrainingExample, edit_example_of, example_of, with_whole
+from models.semantic_reasoner.training.examples import TrainingExample, add_whole_layouts, edit_example_of, example_of
 from models.semantic_reasoner.training.hf_folder import read_tokenizer
 from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
-from models.semantic_reasoner.training.table_crop import part_of_table
+from models.semantic_reasoner.training.table_crop import crop_table
 from models.semantic_reasoner.training.token_dataset import TokenDataset, read_tokens, write_tokens
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, SceneError
 from stable_data.scene import Stage
-from stable_data.storage.row_groups import TableFiles, rows_from_table, slices
+from stable_data.storage.row_groups import TableFiles, row_slices, rows_from_table
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import Row
 
@@ -128,7 +128,7 @@ class ExampleSource:
             rows = map(self._perhaps_a_part, rows)
         examples: Iterable[TrainingExample] = (example_of(row, self.settings.with_details) for row in rows)
         if self._asks_whole:
-            examples = with_whole(examples)
+            examples = add_whole_layouts(examples)
         if self.edits is not None:
             examples = chain(examples, (edit_example_of(row) for row in self._rows(self.edits, "edits", split)))
         if split != "train":  # every question is asked as it stands
@@ -138,7 +138,7 @@ class ExampleSource:
     def _rows(self, uri: str, name: str, split: Split) -> Iterator[Row]:
         table = TableFiles(uri, name, None, split)
         for group in tqdm(range(0, len(table.groups), self.every), desc=f"{split} {name}", unit="group", leave=False):
-            for part in slices(table.read([group])):
+            for part in row_slices(table.read([group])):
                 yield from rows_from_table(part)
 
     def num_examples(self, split: Split) -> Counter[str]:
@@ -162,7 +162,7 @@ class ExampleSource:
         """The row, or a part of its table, which is no table of its kind; the same part in all stages."""
         lot = content_id(self.settings.seed, "part", row["scene_id"], (row["task"] or {}).get("task", ""))
         rng = np.random.default_rng(int(lot, 16))
-        part = part_of_table(row, rng) if rng.random() < self.settings.part_share else None
+        part = crop_table(row, rng) if rng.random() < self.settings.part_share else None
         return row if part is None else {**part, "table_type": ANY_TABLE}
 
     def _texts(self) -> Iterator[str]:

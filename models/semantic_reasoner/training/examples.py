@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
-from models.semantic_reasoner.text.prompt import ANY_TABLE, Message, ReasonerQuestion, Wanted, answer, messages
+from models.semantic_reasoner.text.prompt import ANY_TABLE, Message, ReasonerQuestion, Wanted, assistant_message, messages
 from models.semantic_reasoner.text.reply_json import LayoutObject, layout_names, layout_objects
 from stable_data.scene import Stage, Tabletop
 from stable_data.scene_graph.staging import generation_order
@@ -34,7 +34,7 @@ class TrainingExample:
     @property
     def answer(self) -> str:
         """The answer's text."""
-        return answer(self.objects, self.removed)
+        return assistant_message(self.objects, self.removed)
 
     def on_any_table(self) -> "TrainingExample":
         """The same without the kind of table, so that a model learns to go by its size."""
@@ -76,7 +76,7 @@ def edit_example_of(row: Row) -> TrainingExample:
     return TrainingExample(row["scene_id"], ask, changes, tuple(names[instance] for instance in row["removed"]))
 
 
-def with_whole(examples: Iterable[TrainingExample]) -> Iterator[TrainingExample]:
+def add_whole_layouts(examples: Iterable[TrainingExample]) -> Iterator[TrainingExample]:
     """Examples and, after each last stage of a scene, its one-shot variant: the answer is the whole layout in one pass.
 
     Only the last stage of a scene says all: its layout so far and its own objects.

@@ -113,7 +113,7 @@ AttentionInterface.register(_ON_CPU, _attention_in_float32)
 AttentionMaskInterface.register(_ON_CPU, sdpa_mask)
 
 
-def put_in_place(loss: ReplyLoss, place: ProcessContext) -> None:
+def place_network(loss: ReplyLoss, place: ProcessContext) -> None:
     """Moves a network to where it is trained, in float32: whole, or this process's shard of each layer."""
     network: Any = loss.network
     if place.device.type == "cpu":
@@ -131,12 +131,12 @@ def put_in_place(loss: ReplyLoss, place: ProcessContext) -> None:
     fully_shard(loss, mesh=mesh)
 
 
-def gathered(value: Tensor) -> Tensor:
+def gather_tensor(value: Tensor) -> Tensor:
     """A tensor whole, on every process."""
     return value.full_tensor() if isinstance(value, DTensor) else value
 
 
-def sharded_as(value: Tensor, like: Tensor) -> Tensor:
+def shard_like(value: Tensor, like: Tensor) -> Tensor:
     """A whole tensor, which every process has, as another one lies."""
     if not isinstance(like, DTensor):
         return value.to(like.device)

@@ -122,9 +122,9 @@ class TrainableNetwork:
         self.network.train()
 
     def with_values(self, values: Mapping[str, Tensor]) -> "TrainableNetwork":
-        """The same with these values, by the names of :func:`trained`, in float32."""
+        """The same with these values, by the names of :func:`trainable_parameters`, in float32."""
         self.network.to(torch.float32)
-        parameters = trained(self.network)
+        parameters = trainable_parameters(self.network)
         with torch.no_grad():
             for name, value in values.items():
                 parameters[name].copy_(value)
@@ -140,7 +140,7 @@ class TrainableNetwork:
         return self._adapted.to(dtype).eval()
 
 
-def trained(network: PreTrainedModel) -> dict[str, torch.nn.Parameter]:
+def trainable_parameters(network: PreTrainedModel) -> dict[str, torch.nn.Parameter]:
     """The parameters that are trained, by name; one that has two places has one name."""
     return {name: p for name, p in network.named_parameters() if p.requires_grad}
 

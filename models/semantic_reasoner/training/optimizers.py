@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 import torch
 from torch import Tensor, nn
 
-from models.semantic_reasoner.training.loss import sharded_as
+from models.semantic_reasoner.training.loss import shard_like
 from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
 
 _KEPT = ("step", "exp_avg", "exp_avg_sq", "momentum_buffer")  # what AdamW and Muon know of a parameter
@@ -65,4 +65,4 @@ def is_hidden(name: str, parameter: Tensor) -> bool:
 
 
 def _placed(key: str, value: Tensor, like: Tensor) -> Tensor:
-    return value.to(like.device).clone() if key == "step" else sharded_as(value, like).clone()
+    return value.to(like.device).clone() if key == "step" else shard_like(value, like).clone()

@@ -8,7 +8,7 @@ from annotated_types import Ge, MultipleOf
 
 from models.semantic_reasoner.text.prompt import WANTED
 from models.settings import Count, NonNegative, Positive, PositiveCount, Settings, Share
-from stable_data.config_diff import flat
+from stable_data.config_diff import flatten_config
 from stable_data.errors import ConfigError
 
 Precision: TypeAlias = Literal["bfloat16", "float32"]
@@ -210,7 +210,7 @@ class ReasonerTrainingSettings(Settings):
 
     def flat(self) -> dict[str, Any]:
         """Every setting by its dotted key."""
-        return flat(asdict(self))
+        return flatten_config(asdict(self))
 
 
 EMBEDDED = ReasonerTrainingSettings(

@@ -14,7 +14,7 @@ _LEAST = 0.35
 """Sides of a part, metres; shorter only where the table is."""
 
 
-def part_of_table(row: Row, rng: np.random.Generator) -> Row | None:
+def crop_table(row: Row, rng: np.random.Generator) -> Row | None:
     """A row of ``samples`` seen through a window: what stands in it whole stays, its task objects among it.
 
     Args:

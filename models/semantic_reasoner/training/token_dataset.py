@@ -91,7 +91,7 @@ def _prompt(example: TrainingExample, tokenizer: PreTrainedTokenizerBase, index:
     return chat_text(tokenizer, chat)
 
 
-def tokenized(examples: Iterable[TrainingExample], tokenizer: PreTrainedTokenizerBase, max_tokens: int) -> TokenDataset:
+def tokenize_examples(examples: Iterable[TrainingExample], tokenizer: PreTrainedTokenizerBase, max_tokens: int) -> TokenDataset:
     """Examples as tokens.
 
     Args:
@@ -110,7 +110,7 @@ def tokenized(examples: Iterable[TrainingExample], tokenizer: PreTrainedTokenize
 def write_tokens(
     folder: Path, examples: Iterable[TrainingExample], tokenizer: PreTrainedTokenizerBase, max_tokens: int
 ) -> TokenDataset:
-    """The same as :func:`tokenized`, kept in a folder and mapped from it: it never is in memory whole.
+    """The same as :func:`tokenize_examples`, kept in a folder and mapped from it: it never is in memory whole.
 
     Args:
         folder: Where; put in place in one step, so it is whole where it is.

@@ -22,12 +22,12 @@ from torch import Tensor
 from transformers import PreTrainedTokenizerBase
 
 from models.semantic_reasoner.training.batch_sampler import Rows, batch_of, batches_in_order, batches_of_pass
-from models.semantic_reasoner.training.loss import ReplyLoss, gathered, put_in_place, sharded_as
-from models.semantic_reasoner.training.network import TrainableNetwork, trained
+from models.semantic_reasoner.training.loss import ReplyLoss, gather_tensor, place_network, shard_like
+from models.semantic_reasoner.training.network import TrainableNetwork, trainable_parameters
 from models.semantic_reasoner.training.optimizers import OptimizerSet
 from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
 from models.semantic_reasoner.training.token_dataset import KINDS, TokenDataset
-from models.training.checkpoint import keep, kept
+from models.training.checkpoint import load_checkpoint, save_checkpoint
 from models.training.distributed import CPU, ProcessContext
 from stable_data.errors import ConfigError
 
@@ -117,8 +117,8 @@ class ReasonerTrainer:
         self.data, self.settings, self.place, self.tokenizer = data, settings, place, tokenizer
         self._identity = identity
         self.loss = ReplyLoss(TrainableNetwork(settings, tokenizer).network, settings)
-        put_in_place(self.loss, place)
-        self._parameters = trained(self.loss.network)
+        place_network(self.loss, place)
+        self._parameters = trainable_parameters(self.loss.network)
         self._optimizers = OptimizerSet(self._parameters, settings)
         self.step = self.tokens = 0
         self._batches = self._from(0)
@@ -143,7 +143,7 @@ class ReasonerTrainer:
             loss = self.loss.of_batch(batch_of(self.data, rows, self._pad), self.place) / count
             (loss * world).backward()  # type: ignore[no-untyped-call]  # sharded gradients come as means over the processes
             figures[0] += loss.detach()
-        norm = gathered(torch.nn.utils.clip_grad_norm_(self._parameters.values(), self.settings.clip))
+        norm = gather_tensor(torch.nn.utils.clip_grad_norm_(self._parameters.values(), self.settings.clip))
         self._optimizers.step(self.settings.learning_rate_at(self.step))
         self._add_up(figures)
         self.step += 1
@@ -193,7 +193,7 @@ class ReasonerTrainer:
 
     def _on_first(self, items: Any) -> Iterator[tuple[str, Tensor]]:
         for name, value in items:
-            whole = gathered(value.detach())
+            whole = gather_tensor(value.detach())
             if self.place.rank == 0:
                 yield name, whole.cpu()
 
@@ -205,7 +205,7 @@ class ReasonerTrainer:
             averages.setdefault(key, {}).update(self._on_first([(name, value)]))
         if self.place.rank == 0:
             state = {"step": self.step, "tokens": self.tokens, "values": values, "averages": averages}
-            keep(path, state | {"learning_rates": self._rates(self.step)}, self._about())
+            save_checkpoint(path, state | {"learning_rates": self._rates(self.step)}, self._about())
 
     def resume(self, path: Path) -> bool:
         """Goes on where :meth:`save` was called, with any number of processes; False where nothing was kept.
@@ -215,7 +215,7 @@ class ReasonerTrainer:
         Raises:
             ConfigError: What is there cannot be read, or is of other settings, data or models.
         """
-        state = kept(path, self._about(), "step", "tokens", "values", "averages", "learning_rates")
+        state = load_checkpoint(path, self._about(), "step", "tokens", "values", "averages", "learning_rates")
         if state is None:
             return False
         if not torch.equal(state["learning_rates"], self._rates(state["step"])):
@@ -234,7 +234,7 @@ class ReasonerTrainer:
     @torch.no_grad()
     def _take(self, state: dict[str, Any]) -> None:
         for name, parameter in self._parameters.items():
-            parameter.copy_(sharded_as(state["values"][name], parameter))
+            parameter.copy_(shard_like(state["values"][name], parameter))
         self._optimizers.take(state["averages"])
         self.step, self.tokens = state["step"], state["tokens"]
         self._batches = self._from(self.step)

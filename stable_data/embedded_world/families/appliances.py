@@ -4,7 +4,7 @@ import math
 
 from stable_data.embedded_world.families.tables import KITCHEN
 from stable_data.embedded_world.families.vessels import angular_grip, lid_knob, pouring_lip
-from stable_data.embedded_world.families.wording import bare, pick_words, worded
+from stable_data.embedded_world.families.wording import fix_articles, material_word, pick_words
 from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import arc_points, disc, scaled
 from stable_data.embedded_world.modelling.solids import Ring, Solid, bar, box, circle, join, lathe, loft, rectangle, slab
@@ -37,7 +37,7 @@ def kettle(draw: VariantSampler) -> AssetDesign:
     r, h = draw.between(0.07, 0.082), draw.between(0.19, 0.225)
     solid = _electric_kettle(r, h, trim) if is_electric else _stovetop_kettle(1.3 * r, 0.62 * h, trim)
     words = "electric kettle on its base" if is_electric else "stovetop kettle with an arched handle"
-    captions = worded(f"a {bare(color)} {words}", f"{color} tea kettle", f"{color} kettle with {trim} parts")
+    captions = fix_articles(f"a {material_word(color)} {words}", f"{color} tea kettle", f"{color} kettle with {trim} parts")
     return AssetDesign(solid, "metal", color, captions, density=480.0)
 
 
@@ -55,7 +55,9 @@ def toaster(draw: VariantSampler) -> AssetDesign:
     dial = disc(0.012, 0.0, 0.012).turned(y=90).moved(width / 2 - 0.001, -0.16 * depth, 0.4 * h)
     solid = join([body, join([*slots, track]).painted("black"), *bread, join([feet, lever, dial]).painted(trim)])
     more = "toaster with two slices of toast" if bread else "two-slot toaster"
-    captions = worded(f"a {bare(color)} {more}", f"{color} toaster with a lever", f"toaster in {color} and {trim}")
+    captions = fix_articles(
+        f"a {material_word(color)} {more}", f"{color} toaster with a lever", f"toaster in {color} and {trim}"
+    )
     return AssetDesign(solid, "electronics", color, captions, density=250.0)
 
 
@@ -85,7 +87,7 @@ def blender(draw: VariantSampler) -> AssetDesign:
     panel = [knob.turned(x=90).moved(x, 0.003, 0.0).turned(x=-lean).moved(y=front, z=0.5 * low) for knob, x in knobs]
     light = "black" if color in ("silver", "white", "cream") else "silver"
     solid = join([base, collar.painted("black"), jug, join([lid, cap, grip]).painted("black"), join(panel).painted(light)])
-    captions = worded(f"a {color} blender with a glass jug", f"{color} kitchen blender", "blender for smoothies")
+    captions = fix_articles(f"a {color} blender with a glass jug", f"{color} kitchen blender", "blender for smoothies")
     return AssetDesign(solid, "electronics", color, captions, density=380.0)
 
 
@@ -138,7 +140,9 @@ def coffee_maker(draw: VariantSampler) -> AssetDesign:
     )
     make, density = _MACHINES[style]
     name = {"drip": "filter coffee maker with a jug", "espresso": "espresso machine"}.get(style, "stovetop moka pot")
-    captions = worded(f"a {bare(color)} {name}", f"{color} coffee maker", f"{style} coffee maker with {trim} parts")
+    captions = fix_articles(
+        f"a {material_word(color)} {name}", f"{color} coffee maker", f"{style} coffee maker with {trim} parts"
+    )
     return AssetDesign(make(draw.between(0.17, 0.2), trim), "electronics", color, captions, density=density)
 
 
@@ -177,8 +181,10 @@ def kitchen_scale(draw: VariantSampler) -> AssetDesign:
     make = _digital_scale if style == "digital" else _dial_scale
     body, r, y, z = make(w)
     pan = lathe([(r - 0.001, z - 0.007), (r, z - 0.006), (r, z)]).moved(y=y)
-    captions = worded(
-        f"a {bare(color)} {style} kitchen scale", f"scale with a {bare(plate)} plate", f"{color} scale for baking"
+    captions = fix_articles(
+        f"a {material_word(color)} {style} kitchen scale",
+        f"scale with a {material_word(plate)} plate",
+        f"{color} scale for baking",
     )
     top = SupportArea(2 * r - 0.004, 2 * r - 0.004, z, is_round=True, y=y)
     return AssetDesign(body + pan.painted(plate), "electronics", color, captions, top=top, density=800.0)

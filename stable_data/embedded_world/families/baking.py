@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN, OFFICE
-from stable_data.embedded_world.families.wording import pick_words, worded
+from stable_data.embedded_world.families.wording import fix_articles, pick_words
 from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import BALL, Outline, disc, scaled, wedge
 from stable_data.embedded_world.modelling.solids import Ring, Solid, box, chain, circle, hull, join, lathe, loft, slab
@@ -44,7 +44,7 @@ def bread(draw: VariantSampler) -> AssetDesign:
         profile = ((0.9, 0.0), (0.98, 0.1), (1.0, 0.28), (0.92, 0.58), (0.72, 0.83), (0.42, 0.97), (0.2, 1.0))
         slash = _cut_across(r, h, ((0.7, 0.83), (0.4, 1.015)), 0.012)
         solid = lathe(scaled(profile, r, h), 32) + (slash + slash.turned(z=90)).painted(_CRUMB)
-        captions = worded("a round loaf of bread with a cross on top", "round country bread", "crusty round loaf")
+        captions = fix_articles("a round loaf of bread with a cross on top", "round country bread", "crusty round loaf")
         return AssetDesign(solid, "food", color, captions, density=300.0)
     outline, crumb = _slices(w, h), "#8f6a45" if cut == "dark" else _CRUMB
     ends = [(-length / 2, 0.9), (0.015 - length / 2, 1.0), (length / 2 - 0.015, 1.0), (length / 2, 0.9)]
@@ -60,7 +60,7 @@ def bread(draw: VariantSampler) -> AssetDesign:
         face = _across(outline, [(0.2 * length - 0.002, 0.92), (0.2 * length + 0.0012, 0.92)]).moved(z=0.04 * h).painted(crumb)
         leaning = [slice_.turned(y=-lean).moved(0.2 * length + x) for lean, x in ((10, 0.165 * h), (20, 0.341 * h + 0.0107))]
         solid, words = join([_across(outline, ends), face, *leaning]), "sliced loaf"
-    captions = worded(f"a {words} of {cut if cut != 'plain' else 'brown'} bread", "loaf of bread", f"bread, a {words}")
+    captions = fix_articles(f"a {words} of {cut if cut != 'plain' else 'brown'} bread", "loaf of bread", f"bread, a {words}")
     return AssetDesign(solid, "food", color, captions, density=280.0)
 
 
@@ -80,7 +80,7 @@ def baguette(draw: VariantSampler) -> AssetDesign:
     spots = [0.07 - half + (k + 0.5) * (end - 0.07 + half) / num for k in range(num)]
     slashes = join([strip.moved(x, 0.0, h - 0.0036) for x in spots]).painted("#e6c68e")
     kind = "half of a baguette" if is_half else "a whole baguette"
-    captions = worded(
+    captions = fix_articles(
         f"{kind} with a golden crust", f"crusty French bread, {kind}", f"{'cut ' if is_half else 'long '}baguette"
     )
     return AssetDesign(join([_across(outline, places), slashes, *parts]), "food", color, captions, density=220.0)
@@ -125,7 +125,7 @@ def croissant(draw: VariantSampler) -> AssetDesign:
         lean = 0.07 * ((k > 3) - (k < 3))  # every fold narrows towards its tip of the crescent
         one = chain([ring(low, (0.85 + lean) * share), ring((low + high) / 2, 1.06 * share), ring(high, (0.85 - lean) * share)])
         parts.append(one.painted(fold) if k % 2 else one)
-    captions = worded(f"a {word} croissant", f"{word} butter croissant", "crescent-shaped pastry")
+    captions = fix_articles(f"a {word} croissant", f"{word} butter croissant", "crescent-shaped pastry")
     return AssetDesign(join(parts), "food", color, captions, density=220.0)
 
 
@@ -213,7 +213,7 @@ def muffin(draw: VariantSampler) -> AssetDesign:
         swirl = [(1.0, -0.1), (1.1, 0.2), (0.95, 0.42), (0.78, 0.46), (0.84, 0.66), (0.66, 0.84), (0.46, 0.88), (0.5, 1.05)]
         swirl.append((0.2, 1.3))
         parts = [lathe(scaled(swirl, r, r), 24), lathe(scaled(BALL, 0.008, 0.015), 12).moved(z=1.22 * r).painted(bits)]
-    captions = worded(f"a {word} {style} in a {paper} paper cup", f"{word} {style}", f"sweet {word} {style}")
+    captions = fix_articles(f"a {word} {style} in a {paper} paper cup", f"{word} {style}", f"sweet {word} {style}")
     return AssetDesign(join([cup, join(parts).moved(z=h)]), "food", dough, captions, density=400.0)
 
 

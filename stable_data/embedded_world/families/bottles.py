@@ -2,7 +2,7 @@
 
 from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN, OFFICE
 from stable_data.embedded_world.families.vessels import banded_lathe, round_handle
-from stable_data.embedded_world.families.wording import an, called
+from stable_data.embedded_world.families.wording import color_word, with_article
 from stable_data.embedded_world.modelling.family import EITHER, AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import scaled
 from stable_data.embedded_world.modelling.solids import bar, join
@@ -77,8 +77,12 @@ def water_bottle(draw: VariantSampler) -> AssetDesign:
     if style == "steel":
         loop = scaled([(-0.5, 0.97), (-0.4, 1.07), (0.4, 1.07), (0.5, 0.97)], radius, height)
         parts.append(bar(loop, 0.011, 0.004).painted(cap))
-    name = called(color)
-    captions = (f"{an(name)} {style} water bottle", f"{name} drinking bottle with {an(cap)} cap", f"{style} bottle of water")
+    name = color_word(color)
+    captions = (
+        f"{with_article(name)} {style} water bottle",
+        f"{name} drinking bottle with {with_article(cap)} cap",
+        f"{style} bottle of water",
+    )
     return AssetDesign(join(parts), "plastic", color, captions, tilts=EITHER)
 
 
@@ -97,7 +101,11 @@ def thermos(draw: VariantSampler) -> AssetDesign:
         parts.append(
             round_handle((radius - 0.003, 0.2 * height), (radius - 0.003, 0.56 * height), 0.03, 0.014, 0.008).painted("black")
         )
-    captions = (f"{an(color)} thermos{extra}", f"{color} vacuum flask with {an(lid)} lid", f"{color} flask for hot drinks")
+    captions = (
+        f"{with_article(color)} thermos{extra}",
+        f"{color} vacuum flask with {with_article(lid)} lid",
+        f"{color} flask for hot drinks",
+    )
     return AssetDesign(join(parts), "metal", color, captions, density=850.0)
 
 

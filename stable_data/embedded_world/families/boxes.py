@@ -2,7 +2,7 @@
 
 from stable_data.embedded_world.families.tables import BATHROOM, COFFEE, DINING, DRESSING, KITCHEN, OFFICE
 from stable_data.embedded_world.families.vessels import banded_box, banded_lathe, banded_vessel, cup, well
-from stable_data.embedded_world.families.wording import an, called
+from stable_data.embedded_world.families.wording import color_word, with_article
 from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import front_panel, scaled
 from stable_data.embedded_world.modelling.solids import Solid, bar, box, join, loft, rectangle, slab, vessel
@@ -39,7 +39,11 @@ def basket(draw: VariantSampler) -> AssetDesign:
     loop = bar([(-0.04, -0.02), (-0.036, 0.02), (-0.02, 0.034), (0.02, 0.034), (0.036, 0.02), (0.04, -0.02)], 0.007, 0.009)
     grips = [loop.turned(z=90 * side).moved(side * (end - wall / 2 - 0.001), 0.0, height).painted(weave) for side in (-1, 1)]
     shape = "round" if is_round else "oblong"
-    captions = (f"{an(shape)} {word} basket with two handles", f"open {word} basket", f"{shape} basket for keeping things in")
+    captions = (
+        f"{with_article(shape)} {word} basket with two handles",
+        f"open {word} basket",
+        f"{shape} basket for keeping things in",
+    )
     return AssetDesign(join([solid, *grips]), "fabric", color, captions, hollow=hollow, density=260.0)
 
 
@@ -143,8 +147,8 @@ def tin_box(draw: VariantSampler) -> AssetDesign:
         body = banded_box([(wide - 0.004, deep - 0.004, z) for z in (0.0, *(z for z, _ in marks), rim + 0.004)], 0.008, marks)
         cover = _lid(wide, deep, rim, height)
         top = SupportArea(wide - 0.015, deep - 0.015, height)
-    name = called(color)
-    captions = (f"{an(shape)} {name} {use} tin with a lid", f"{name} metal tin", f"closed {use} tin in {name}")
+    name = color_word(color)
+    captions = (f"{with_article(shape)} {name} {use} tin with a lid", f"{name} metal tin", f"closed {use} tin in {name}")
     return AssetDesign(body + cover.painted(lid), "tin", color, captions, top=top, density=420.0)
 
 

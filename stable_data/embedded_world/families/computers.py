@@ -6,7 +6,7 @@ import numpy as np
 
 from stable_data.embedded_world.families.displays import WALLPAPERS, lit_screen
 from stable_data.embedded_world.families.tables import COFFEE, OFFICE
-from stable_data.embedded_world.families.wording import an
+from stable_data.embedded_world.families.wording import with_article
 from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import panel, prism, silhouette
 from stable_data.embedded_world.modelling.solids import Solid, box, join, lathe, loft, slab
@@ -28,7 +28,7 @@ def laptop(draw: VariantSampler) -> AssetDesign:
     width, kind = draw.between(0.29, 0.38), draw.pick("open", "open", "closed")
     depth, opening = width * draw.between(0.64, 0.7), draw.between(98.0, 122.0)
     color, caps = draw.pick("silver", "black", "grey", "white", "navy", "pink"), draw.pick("black", "black", "white")
-    captions = (an(f"{kind} {color} laptop"), f"{color} laptop", f"{kind} notebook computer")
+    captions = (with_article(f"{kind} {color} laptop"), f"{color} laptop", f"{kind} notebook computer")
     if kind == "closed":
         hinge = box(0.7 * width, 0.012, 0.009).moved(0.0, depth / 2 - 0.007, 0.006)
         lid = slab(width, depth, 0.0085, 0.002).moved(z=0.0115) + hinge
@@ -65,7 +65,7 @@ def monitor(draw: VariantSampler) -> AssetDesign:
         foot = slab(0.1, 0.08, 0.013, 0.003).moved(y=0.04)
         foot += join(prism(legs, 0.0, 0.012).turned(z=turn).moved(y=0.03) for turn in (-122, 122))
     name = "computer monitor" if kind == "wide" else f"{kind} computer monitor"
-    captions = (an(f"{color} {name} on a stand"), f"{color} monitor", f"computer screen with a {stand} foot")
+    captions = (with_article(f"{color} {name} on a stand"), f"{color} monitor", f"computer screen with a {stand} foot")
     return AssetDesign(join([head, neck, foot.moved(y=0.014)]), "electronics", color, captions, density=420.0)
 
 
@@ -94,7 +94,7 @@ def tablet(draw: VariantSampler) -> AssetDesign:
         stylus = slab(0.009, 0.16, 0.0085, 0.002).moved(wide / 2 + 0.004)
         solid += stylus.painted("white" if color != "white" else "grey")
     name = {"flat": "tablet", "propped": "tablet leaning in its cover", "with a stylus": "tablet with a stylus"}[kind]
-    captions = (an(f"{color} {name}"), f"{color} tablet computer", f"touch-screen {name}")
+    captions = (with_article(f"{color} {name}"), f"{color} tablet computer", f"touch-screen {name}")
     return AssetDesign(solid, "electronics", color, captions, density=1500.0)
 
 
@@ -122,7 +122,7 @@ def keyboard(draw: VariantSampler) -> AssetDesign:
     )
     board = join([box(width, depth, z - 0.003, 0.004).moved(z=0.003), *fields, escape])
     tilted = board.moved(y=depth / 2).turned(x=3.6).moved(y=-depth / 2, z=-0.0004)
-    captions = (an(f"{kind} {color} keyboard with {caps} keys"), f"{color} keyboard", f"{kind} computer keyboard")
+    captions = (with_article(f"{kind} {color} keyboard with {caps} keys"), f"{color} keyboard", f"{kind} computer keyboard")
     return AssetDesign(rise + tilted, "electronics", color, captions, density=900.0)
 
 
@@ -147,7 +147,7 @@ def mouse(draw: VariantSampler) -> AssetDesign:
     solid = loft(rings) + buttons + split + wheel.painted(accent if kind == "gaming" else "#555b61")
     if kind == "gaming":
         solid += loft([np.c_[1.02 * oval, np.full(28, z * high)] for z in (0.16, 0.28)]).painted(accent)
-    captions = (an(f"{color} {kind} computer mouse"), f"{color} mouse", f"{kind} mouse with a scroll wheel")
+    captions = (with_article(f"{color} {kind} computer mouse"), f"{color} mouse", f"{kind} mouse with a scroll wheel")
     return AssetDesign(solid, "electronics", color, captions, density=650.0)
 
 
@@ -173,9 +173,9 @@ def mouse_pad(draw: VariantSampler) -> AssetDesign:
         top = SupportArea(0.9 * width, 0.9 * depth - 0.06, thick + 0.0008, y=0.03)
     name = "mouse pad with a wrist rest" if kind == "wrist-rest" else f"{kind} mouse pad"
     captions = (
-        an(f"{color} {name}"),
+        with_article(f"{color} {name}"),
         f"{color} mouse mat",
-        f"{name} and {an(second)} edge" if kind == "wrist-rest" else f"{name} with {an(second)} edge",
+        f"{name} and {with_article(second)} edge" if kind == "wrist-rest" else f"{name} with {with_article(second)} edge",
     )
     return AssetDesign(solid, "rubber", color, captions, top=top, density=500.0)
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN, OFFICE
 from stable_data.embedded_world.families.vessels import banded_lathe, banded_vessel, cup, well
-from stable_data.embedded_world.families.wording import an, called
+from stable_data.embedded_world.families.wording import color_word, with_article
 from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.solids import Solid, box, circle, join, loft, rectangle
 
@@ -32,7 +32,7 @@ def plate(draw: VariantSampler) -> AssetDesign:
     )  # fmt: skip
     radius, height = draw.between(low, high), draw.between(0.019, 0.026)
     solid, top = _dish(radius, height, draw.pick(0.6, 0.72, 0.66) * radius, rim, line)
-    name, trim = called(color), f" with {an(rim or line)} rim" if rim or line else ""
+    name, trim = color_word(color), f" with {with_article(rim or line)} rim" if rim or line else ""
     captions = (f"a {name} {kind}{trim}", f"round {name} ceramic plate", f"{name} {kind} for a meal")
     return AssetDesign(solid, "ceramic", color, captions, top, replace(top, height=height - top.z))
 
@@ -45,7 +45,7 @@ def saucer(draw: VariantSampler) -> AssetDesign:
     )  # fmt: skip
     radius, height = draw.between(0.066, 0.08), draw.between(0.015, 0.02)
     solid, top = _dish(radius, height, draw.between(0.52, 0.6) * radius, rim, line)
-    trim = f" with {an(rim or line)} rim" if rim or line else ""
+    trim = f" with {with_article(rim or line)} rim" if rim or line else ""
     captions = (f"a {color} saucer{trim}", f"small {color} plate for under a teacup", f"{color} porcelain saucer")
     return AssetDesign(solid, "ceramic", color, captions, top)
 
@@ -61,7 +61,7 @@ def bowl(draw: VariantSampler) -> AssetDesign:
         ("blue", "white"), ("white", ""), ("cream", "#c98f62"), ("green", "white"), ("#d8653f", "cream"), ("grey", "teal")
     )
     color, lining = {"wood": ("oak", ""), "metal": ("silver", "")}.get(material, (color, lining))
-    name = {"wood": "wooden", "metal": "steel"}.get(material, called(color))
+    name = {"wood": "wooden", "metal": "steel"}.get(material, color_word(color))
     radius, foot, wall = (
         draw.between(low, high),
         draw.between(0.48, 0.56),
@@ -104,7 +104,7 @@ def napkin(draw: VariantSampler) -> AssetDesign:
     color, stripe = draw.pick(
         ("white", "red"), ("#b9a88c", ""), ("navy", ""), ("olive", "cream"), ("terracotta", ""), ("cream", "blue")
     )
-    name = called(color)
+    name = color_word(color)
     side, layer, edge = draw.between(0.15, 0.19), 0.0032, ((0.0, 0.0008), (0.001, 0.0), (0.0022, 0.0), (0.0032, 0.0008))
     width = 0.56 * side if shape == "oblong" else side
     layers = []
@@ -141,7 +141,7 @@ def placemat(draw: VariantSampler) -> AssetDesign:
         width, depth, cut = draw.between(0.4, 0.45), draw.between(0.29, 0.32), 0.06 if shape == "eight-sided" else 0.002
         solid = box(width, depth, thick, cut) + box(width - 0.03, depth - 0.03, 0.0014, cut).moved(z=0.0016).painted(inner)
         top = SupportArea(width - 0.031 - cut, depth - 0.031 - cut, 0.003)
-    captions = (f"{an(shape)} {word} placemat", f"{word} table mat", f"flat {shape} {word} mat")
+    captions = (f"{with_article(shape)} {word} placemat", f"{word} table mat", f"flat {shape} {word} mat")
     return AssetDesign(solid, material, color, captions, top=top)
 
 

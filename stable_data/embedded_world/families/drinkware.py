@@ -2,7 +2,7 @@
 
 from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN, OFFICE
 from stable_data.embedded_world.families.vessels import banded_lathe, cup, radius_at, round_handle, square_handle, well
-from stable_data.embedded_world.families.wording import an, called
+from stable_data.embedded_world.families.wording import color_word, with_article
 from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import scaled
 
@@ -24,7 +24,12 @@ def mug(draw: VariantSampler) -> AssetDesign:
     handle = draw.pick(round_handle, round_handle, square_handle)(low, high, draw.between(0.024, 0.03), 0.012, 0.0075)
     body = cup(outer, inner, lining, bands=[(0.42 * height, dip)] if dip else ())
     word = f"{color} and {dip}" if dip else color
-    captions = (f"{an(word)} {style} mug with a handle", f"{word} coffee mug", f"ceramic mug, {word}", "mug for hot drinks")
+    captions = (
+        f"{with_article(word)} {style} mug with a handle",
+        f"{word} coffee mug",
+        f"ceramic mug, {word}",
+        "mug for hot drinks",
+    )
     return AssetDesign(body + handle, "ceramic", color, captions, hollow=well(foot - wall, 0.007, height - 0.007))
 
 
@@ -42,7 +47,7 @@ def teacup(draw: VariantSampler) -> AssetDesign:
     inner = [(0.4 * radius, floor), (belly * radius - wall, 0.45 * height), (radius - wall, height)]
     low, high = ((radius_at(outer, z * height) - wall / 2, z * height) for z in (0.36, 0.84))
     handle = draw.pick(round_handle, square_handle)(low, high, draw.between(0.018, 0.023), 0.0065, 0.0045)
-    trim = f" with {an(rim)} rim" if rim else ""
+    trim = f" with {with_article(rim)} rim" if rim else ""
     captions = (f"a {color} teacup{trim}", f"{color} porcelain cup for tea", f"small wide {color} tea cup with a handle")
     solid = cup(outer, inner, lining, 0.88 * height, rim) + handle
     return AssetDesign(solid, "ceramic", color, captions, hollow=well(0.4 * radius, floor, height - floor))
@@ -61,9 +66,9 @@ def tumbler(draw: VariantSampler) -> AssetDesign:
     body = cup(outer, [(foot - wall, 0.004), (radius - wall, height)], "white" if style == "enamel" else "", bands=edge)
     word = f"{color} {style}"
     captions = (
-        f"{an(word)} tumbler",
+        f"{with_article(word)} tumbler",
         f"{color} drinking cup without a handle",
-        f"{color} {style} cup with {an(edge[0][1])} rim",
+        f"{color} {style} cup with {with_article(edge[0][1])} rim",
     )
     material = "plastic" if style == "plastic" else "tin"
     return AssetDesign(body, material, color, captions, hollow=well(foot - wall, 0.004, height - 0.004))
@@ -74,7 +79,11 @@ def _travel_tumbler(draw: VariantSampler, color: str, radius: float, height: flo
     profile = [(foot - 0.002, 0.0), (foot, 0.002), (radius, 0.93 * height), (radius, height - 0.003), (radius - 0.003, height)]
     body = banded_lathe(profile, [(0.002, "silver"), (0.1 * height, color), (0.93 * height, "black")])
     straw = banded_lathe([(0.0038, 0.0), (0.0038, 0.07)], corners=12).painted(draw.pick("clear", "white", "black"))
-    captions = (f"{an(color)} tumbler with a lid and a straw", f"insulated {color} travel tumbler", "cup with a straw")
+    captions = (
+        f"{with_article(color)} tumbler with a lid and a straw",
+        f"insulated {color} travel tumbler",
+        "cup with a straw",
+    )
     return AssetDesign(
         body + straw.turned(y=8).moved(0.35 * radius, 0.0, height - 0.012), "metal", color, captions, density=650.0
     )
@@ -91,7 +100,7 @@ def drinking_glass(draw: VariantSampler) -> AssetDesign:
     profile = middle or [(draw.between(0.76, 0.96) * radius, 0.0), (radius, height)]
     outer = [(profile[0][0] - 0.001, 0.0), (profile[0][0], 0.001), *profile[1:]]
     inner = [(radius_at(outer, floor) - 1.3 * wall, floor), *((r - wall, z) for r, z in profile[1:])]
-    name = called(color)
+    name = color_word(color)
     captions = (f"a {style} {name} drinking glass", f"{name} water glass", f"empty {style} glass for drinks")
     return AssetDesign(
         cup(outer, inner), "glass", color, captions, hollow=well(inner[0][0], floor, height - floor), density=1900.0

@@ -7,7 +7,7 @@ import numpy as np
 
 from stable_data.embedded_world.families.palette import LEAF
 from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN, OFFICE
-from stable_data.embedded_world.families.wording import pick_words, worded
+from stable_data.embedded_world.families.wording import fix_articles, pick_words
 from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import BALL, HALF_BALL, disc, lying_lathe, prism, scaled
 from stable_data.embedded_world.modelling.solids import Ring, Solid, box, chain, circle, hull, join, lathe, loft, vessel
@@ -45,7 +45,7 @@ def apple(draw: VariantSampler) -> AssetDesign:
     rings = [circle(x * r, z * h, 32) for x, z in profile]
     body = vessel(rings, [circle(0.1 * r, 0.87 * h, 16), circle(0.46 * r, h, 16)])
     leaf = [_leaf(0.034, 25).moved(0.001, 0.0, h + 0.002)] if draw.pick(True, False) else []
-    captions = worded(
+    captions = fix_articles(
         f"a {word} apple{' with a leaf' if leaf else ' with a stem'}", f"{word} apple", f"fresh {word} apple, a fruit"
     )
     return AssetDesign(join([body, _stem(0.87 * h, 0.13 * h + 0.011), *leaf]), "fruit", color, captions)
@@ -57,13 +57,13 @@ def orange(draw: VariantSampler) -> AssetDesign:
     word, color = pick_words(draw, "ripe orange, bright #f08a24, dark #d9651f")
     if is_half:
         body, inside = _half(r, 0.9 * r, "#f6e3bd", "#f29a3a", 10)
-        captions = worded(f"half of a {word} orange, cut side up", "halved orange", "cut orange, a fruit")
+        captions = fix_articles(f"half of a {word} orange, cut side up", "halved orange", "cut orange, a fruit")
     else:
         h = 1.86 * r
         inside = [disc(0.005, h - 0.003, h + 0.0012, 5).painted(LEAF)]
         inside += [_leaf(0.035, 18).moved(z=h + 0.0003)] if draw.pick(True, False) else []
         body = lathe(scaled(BALL, r, h), 32)
-        captions = worded(f"a {word} orange", "whole round orange", f"{word} orange, a fruit")
+        captions = fix_articles(f"a {word} orange", "whole round orange", f"{word} orange, a fruit")
     return AssetDesign(join([body, *inside]), "fruit", color, captions)
 
 
@@ -77,12 +77,12 @@ def lemon(draw: VariantSampler) -> AssetDesign:
         body, inside = _half(r, 0.95 * r, "#f7f0cf", "#ecd964" if word != "green" else "#bcd07a", 9)
         tip = [circle(0.45 * r, 0.0, 16), circle(0.45 * r, 0.3 * r, 16)]
         solid = join([body, loft(tip), *inside])
-        captions = worded(f"half of a {word} lemon, cut side up", "halved lemon", f"cut {word} lemon")
+        captions = fix_articles(f"half of a {word} lemon, cut side up", "halved lemon", f"cut {word} lemon")
     else:
         curve = [(-1.28, 0.1), (-1.2, 0.2), (-1.0, 0.34), (-0.78, 0.7), (-0.45, 0.94), (-0.15, 1.0)]
         rings = [*curve, *((-x, y) for x, y in curve[::-1])]
         solid = lying_lathe([(x * stretch * r, y * r) for x, y in rings], corners=20)
-        captions = worded(f"a {word} lemon", f"whole {word} lemon", f"fresh {word} lemon, a sour fruit")
+        captions = fix_articles(f"a {word} lemon", f"whole {word} lemon", f"fresh {word} lemon, a sour fruit")
     return AssetDesign(solid, "fruit", color, captions)
 
 
@@ -105,7 +105,7 @@ def banana(draw: VariantSampler) -> AssetDesign:
     x, y = bend * math.sin(1.1 * turn), bend * (1 - math.cos(1.1 * turn))
     fan = [one.moved(x, y).turned(z=13 * k).moved(-x, -y) for k in range(num)]
     some = f"{word} banana{'s' if num > 1 else ''}"
-    captions = worded(f"a bunch of {num} {some}" if num > 1 else f"a {some}", some, f"fresh {some}, a fruit")
+    captions = fix_articles(f"a bunch of {num} {some}" if num > 1 else f"a {some}", some, f"fresh {some}, a fruit")
     return AssetDesign(join(fan).moved(z=0.4 * thick), "fruit", color, captions)
 
 
@@ -120,7 +120,7 @@ def pear(draw: VariantSampler) -> AssetDesign:
     profile = [*belly, (0.66, 0.66), (0.5, 0.82), (0.4, 0.93), (0.18, 1.0)]
     parts = [lathe(scaled(profile, r, h), 32), _stem(h, 0.018, draw.between(8, 20))]
     parts += [_leaf(0.035, 20).moved(0.001, 0.0, h + 0.004)] if draw.pick(False, False, True) else []
-    captions = worded(f"a {word} pear with a stem", f"ripe {word} pear", f"fresh pear, {word}")
+    captions = fix_articles(f"a {word} pear with a stem", f"ripe {word} pear", f"fresh pear, {word}")
     return AssetDesign(join(parts), "fruit", color, captions)
 
 
@@ -137,7 +137,7 @@ def avocado(draw: VariantSampler) -> AssetDesign:
     if not is_half:
         solid = lying_lathe([((x - 0.5) * length, y * r) for x, y in shape], corners=20)
         end = lying_lathe([(0.0, 0.005), (0.004, 0.004)], corners=8).moved(length / 2 - 0.002, 0.0, r - 0.005).painted(_BARK)
-        captions = worded(f"a {word} avocado", f"whole {word} avocado", "ripe avocado, a fruit")
+        captions = fix_articles(f"a {word} avocado", f"whole {word} avocado", "ripe avocado, a fruit")
         return AssetDesign(solid + end, "fruit", color, captions)
     outline = np.array(
         [*((x - 0.35, y * r / length) for x, y in shape), *((x - 0.35, -y * r / length) for x, y in shape[::-1])]
@@ -152,7 +152,7 @@ def avocado(draw: VariantSampler) -> AssetDesign:
     seed = lathe(scaled(((0.97, -0.1), (1.0, 0.05), (0.9, 0.45), (0.6, 0.8), (0.2, 0.95)), 0.5 * r, 0.5 * r), 32).painted(
         "#7a4a28"
     )
-    captions = worded("half of an avocado with its stone", f"halved {word} avocado", "cut avocado with a brown pit")
+    captions = fix_articles("half of an avocado with its stone", f"halved {word} avocado", "cut avocado with a brown pit")
     return AssetDesign(join([skin, flesh, seed.moved(-0.05 * length, 0.0, h)]), "fruit", color, captions)
 
 
@@ -168,7 +168,7 @@ def watermelon(draw: VariantSampler) -> AssetDesign:
         )
         seed = box(0.008, 0.004, 0.004, 0.0012).moved(0.55 * r, 0.0, h)
         seeds = join([seed.moved(x=-0.22 * r * (k % 2)).turned(z=36 * k) for k in range(10)]).painted("black")
-        captions = worded(
+        captions = fix_articles(
             "half of a small watermelon, cut side up", "halved watermelon with red flesh and seeds", "cut watermelon"
         )
         return AssetDesign(join([lathe(scaled(HALF_BALL, r, h), 48), rind, red, seeds]), "fruit", color, captions)
@@ -183,7 +183,7 @@ def watermelon(draw: VariantSampler) -> AssetDesign:
         ]
         bands.append(hull(np.concatenate([*arcs, [(x * 0.8 * r, 0.0, 0.0) for x in (-1, 1)]]) * 1.006).turned(x=45 * k + 22.5))
     dark = join(bands).moved(z=middle).painted(stripe)
-    captions = worded(f"a small {word} watermelon with stripes", f"whole {word} watermelon", "striped melon")
+    captions = fix_articles(f"a small {word} watermelon with stripes", f"whole {word} watermelon", "striped melon")
     return AssetDesign(body + dark, "fruit", color, captions, density=920.0)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN
 from stable_data.embedded_world.families.vessels import banded_box, banded_lathe, well
-from stable_data.embedded_world.families.wording import an, called, pick_words, worded
+from stable_data.embedded_world.families.wording import color_word, fix_articles, pick_words, with_article
 from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import HALF_BALL, disc, front_panel, lying_lathe, prism, scaled, wedge
 from stable_data.embedded_world.modelling.solids import bar, box, circle, join, lathe, loft
@@ -24,7 +24,7 @@ def jar(draw: VariantSampler) -> AssetDesign:
     solid = banded_lathe(body, [(0.2 * height, label), (0.6 * height, color)] if label != color else (), corners)
     cover = neck + 0.003
     solid += banded_lathe([(cover, 0.84 * height), (cover, height - 0.0015), (cover - 0.0015, height)]).painted(lid)
-    captions = (f"a jar of {food} with {an(lid)} lid", f"glass jar full of {food}", f"closed {food} jar")
+    captions = (f"a jar of {food} with {with_article(lid)} lid", f"glass jar full of {food}", f"closed {food} jar")
     return AssetDesign(solid, "glass", color, captions, top=well(cover - 0.0015, height))
 
 
@@ -44,7 +44,7 @@ def spice_jar(draw: VariantSampler) -> AssetDesign:
         body = box(1.8 * radius, 1.8 * radius, 0.8 * height, 0.004)
         body += front_panel(1.2 * radius, 0.34 * height, -0.9 * radius, 0.24 * height, label)
     cap = [(0.86 * radius, 0.78 * height), (0.86 * radius, height - 0.001), (0.86 * radius - 0.001, height)]
-    captions = (f"a small {shape} jar of {spice}", f"spice jar with {spice}", f"{spice} in a jar with {an(lid)} lid")
+    captions = (f"a small {shape} jar of {spice}", f"spice jar with {spice}", f"{spice} in a jar with {with_article(lid)} lid")
     return AssetDesign(body + banded_lathe(cap).painted(lid), "glass", color, captions, density=900.0)
 
 
@@ -59,7 +59,7 @@ def can(draw: VariantSampler) -> AssetDesign:
     bands = [(0.005, label), (0.3 * height, stripe), (0.45 * height, label), (height - 0.005, "silver")]
     body = banded_lathe([*bead, *((r, height - z) for r, z in reversed(bead))], bands)
     lid = banded_lathe([(0.86 * radius, height - 0.004), (0.86 * radius, height + 0.0005)]).painted("grey")
-    captions = (f"a tin of {food}", f"metal can of {food}", f"canned {food} with {an(called(label))} label")
+    captions = (f"a tin of {food}", f"metal can of {food}", f"canned {food} with {with_article(color_word(label))} label")
     return AssetDesign(body + lid, "tin", "silver", captions, top=well(0.86 * radius, height + 0.0005))
 
 
@@ -111,7 +111,7 @@ def cereal_box(draw: VariantSampler) -> AssetDesign:
     picture = loft([np.array([(x, y, z) for x, z in outline]) for y in (face - 0.0018, face + 0.002)]).painted(accent)
     parts = [box(width, depth, height), front_panel(0.86 * width, cut * height, face, 0.06 * height, panel), picture]
     parts.append(front_panel(0.7 * width, 0.11 * height, face, 0.76 * height, accent))
-    captions = (f"a box of {food}", f"{called(color)} cereal box", f"cardboard box of {food} with a picture")
+    captions = (f"a box of {food}", f"{color_word(color)} cereal box", f"cardboard box of {food} with a picture")
     return AssetDesign(join(parts), "cardboard", color, captions, density=140.0)
 
 
@@ -184,7 +184,7 @@ def egg(draw: VariantSampler) -> AssetDesign:
             .moved(-0.12 * r, 0.0, h)
             .painted("#eda93a")
         )
-        captions = worded("half of a boiled egg", "halved hard-boiled egg with a yellow yolk", "boiled egg, cut side up")
+        captions = fix_articles("half of a boiled egg", "halved hard-boiled egg with a yellow yolk", "boiled egg, cut side up")
         return AssetDesign(dome + yolk, "fruit", "#f4f0e6", captions, density=1030.0)
     solid = lying_lathe([(x * stretch * r, y * r) for x, y in shape], corners=20)
     return AssetDesign(

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from stable_data.embedded_world.families.tables import COFFEE, DINING, DRESSING, OFFICE
-from stable_data.embedded_world.families.wording import an
+from stable_data.embedded_world.families.wording import with_article
 from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import arc_points, ellipsoid, panel, prism, round_body, scaled, silhouette
 from stable_data.embedded_world.modelling.solids import Solid, bar, box, circle, join, lathe, loft, rectangle, vessel
@@ -165,7 +165,12 @@ def globe(draw: VariantSampler) -> AssetDesign:
     foot = lathe([(0.72 * r, 0.0), (0.74 * r, 0.006), (0.7 * r, 0.014), (0.3 * r, 0.02)])
     stem = lathe([(0.011, 0.015), (0.008, height - outside + 0.004)], 20)
     name = {"#cdb98a": "antique", "#8fc0dd": "pale blue"}.get(sea, sea)
-    captions = (an(f"{name} globe on a {wood} stand"), f"{name} globe", "desk globe with the continents", "model of the earth")
+    captions = (
+        with_article(f"{name} globe on a {wood} stand"),
+        f"{name} globe",
+        "desk globe with the continents",
+        "model of the earth",
+    )
     return AssetDesign(whole + foot + stem, "plastic", wood, captions, density=280.0)
 
 
@@ -195,7 +200,11 @@ def photo_frame(draw: VariantSampler) -> AssetDesign:
     up, y = 0.66 * height, 0.66 * height * slope
     strut = silhouette([(foot - 0.012, 0.0), (foot, 0.0), (y, up), (y - 0.06 * height * slope - 0.003, 0.6 * height)], 0.03)
     way = "landscape" if width > height else "upright"
-    captions = (an(f"{color} photo frame with a {kind} picture"), f"{color} picture frame", f"{way} photo in {an(color)} frame")
+    captions = (
+        with_article(f"{color} photo frame with a {kind} picture"),
+        f"{color} picture frame",
+        f"{way} photo in {with_article(color)} frame",
+    )
     return AssetDesign(frame + strut.turned(z=90), "wood", color, captions)
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from stable_data.embedded_world.families.tables import BATHROOM, COFFEE, DRESSING, OFFICE
-from stable_data.embedded_world.families.wording import an
+from stable_data.embedded_world.families.wording import with_article
 from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import lying_body, round_body, silhouette
 from stable_data.embedded_world.modelling.solids import bar, box, join, lathe, loft, rectangle, slab, turned_vessel
@@ -151,7 +151,7 @@ def glasses_case(draw: VariantSampler) -> AssetDesign:
         snap = lathe([(0.006, 0.0), (0.006, 0.004)]).turned(x=90).moved(0.0, 0.001 - width / 2, 0.54 * high)
         solid += flap.turned(z=90).painted("kraft") + snap.painted("silver")
         detail = "with a flap"
-    captions = (an(f"{color} glasses case {detail}"), f"{color} glasses case", "hard case for spectacles")
+    captions = (with_article(f"{color} glasses case {detail}"), f"{color} glasses case", "hard case for spectacles")
     return AssetDesign(solid, "plastic", color, captions, density=280.0)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from stable_data.embedded_world.families.tables import DINING, KITCHEN
 from stable_data.embedded_world.families.vessels import INSCRIBED, angular_grip, pouring_lip, side_grips, well
-from stable_data.embedded_world.families.wording import bare, pick_words, worded
+from stable_data.embedded_world.families.wording import fix_articles, material_word, pick_words
 from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import disc, scaled
 from stable_data.embedded_world.modelling.solids import (
@@ -39,7 +39,9 @@ def saucepan(draw: VariantSampler) -> AssetDesign:
     handle = bar([(r + 0.035, 0.83 * h), (r + 0.07, 0.9 * h), (r + reach, h + 0.004)], 0.024, 0.016).painted(grip)
     lip = [pouring_lip(0.995 * r, h, 0.008, 0.03)] if draw.pick(True, False) else []
     kind = "milk pan with a pouring lip" if lip else "sauce pot with one handle"
-    captions = worded(f"a {bare(color)} saucepan with a long {grip} handle", f"{color} saucepan", f"{color} {kind}")
+    captions = fix_articles(
+        f"a {material_word(color)} saucepan with a long {grip} handle", f"{color} saucepan", f"{color} {kind}"
+    )
     return AssetDesign(join([pot, *lip, neck, handle]), "metal", color, captions, hollow=hollow)
 
 
@@ -55,8 +57,8 @@ def frying_pan(draw: VariantSampler) -> AssetDesign:
     neck = bar([(r - 0.003, 0.8 * h), (r + 0.06, 1.1 * h + 0.008)], 0.018, 0.009)
     handle = bar([(r + 0.03, h), (r + 0.07, 1.1 * h + 0.01), (r + reach, 1.1 * h + 0.018)], 0.026, 0.015).painted(grip)
     size = "large" if r > 0.122 else "small"
-    captions = worded(
-        f"a {size} {bare(color)} frying pan with a {grip} handle", f"{color} skillet", f"{size} pan for eggs, {color}"
+    captions = fix_articles(
+        f"a {size} {material_word(color)} frying pan with a {grip} handle", f"{color} skillet", f"{size} pan for eggs, {color}"
     )
     hollow = SupportArea(free, free, 0.006, h - 0.006, is_round=True)
     return AssetDesign(join([pan, lining, neck, handle]), "metal", color, captions, hollow=hollow)
@@ -70,8 +72,8 @@ def cooking_pot(draw: VariantSampler) -> AssetDesign:
     pot, hollow = _pot(r, h, draw.between(0.9, 0.98))
     ears = side_grips(r, 0.8 * h, draw.between(0.026, 0.04), draw.between(0.032, 0.042))
     size, kind = ("tall", "stock pot") if share > 1 else ("low", "casserole")
-    captions = worded(
-        f"a {size} {bare(color)} cooking pot with two {grip} handles", f"{color} {kind}", f"open {color} pot for soup"
+    captions = fix_articles(
+        f"a {size} {material_word(color)} cooking pot with two {grip} handles", f"{color} {kind}", f"open {color} pot for soup"
     )
     return AssetDesign(pot + ears.painted(grip), "metal", color, captions, hollow=hollow)
 
@@ -89,8 +91,8 @@ def pot_lid(draw: VariantSampler) -> AssetDesign:
         "disc": lathe([(0.008, -0.003), (0.008, 0.016), (0.025, 0.02), (0.025, 0.026), (0.02, 0.031)]),
         "loop": angular_grip(-0.004, 0.0, 0.036, 0.036, 0.014, 0.009).turned(y=-90),
     }[style].moved(z=0.007 + dome)
-    said, end = bare(color), f"a {bare(knob)} {'handle' if style == 'loop' else 'knob'}"
-    captions = worded(f"a round {said} pot lid with {end}", f"{said} lid of a pot", f"saucepan lid with {end}")
+    said, end = material_word(color), f"a {material_word(knob)} {'handle' if style == 'loop' else 'knob'}"
+    captions = fix_articles(f"a round {said} pot lid with {end}", f"{said} lid of a pot", f"saucepan lid with {end}")
     solid = join([rim.painted("silver" if color == "clear" else color), cap, grip.painted(knob)])
     return AssetDesign(solid, "metal", color, captions, density=900.0)
 
@@ -113,9 +115,9 @@ def oven_dish(draw: VariantSampler) -> AssetDesign:
         inner = [rectangle(scale * w - 2 * wall, scale * share * w - 2 * wall, z, 0.018) for scale, z in inset]
         free = low * w - 2 * wall - 0.03
     ear = slab(0.034, 0.42 * share * w, 0.012, 0.004).moved(w / 2 + 0.011, 0.0, h - 0.0125)
-    said = f"{bare(color)}{'' if color in ('clear', 'terracotta') else ' ceramic'}"
+    said = f"{material_word(color)}{'' if color in ('clear', 'terracotta') else ' ceramic'}"
     name = f"a {shape} {said} oven dish"
-    captions = worded(name, f"{color} baking dish", f"{color} dish for baking lasagne")
+    captions = fix_articles(name, f"{color} baking dish", f"{color} dish for baking lasagne")
     solid, hollow = join([vessel(outer, inner), ear, ear.turned(z=180)]), SupportArea(free, share * free, 0.006, h - 0.006)
     return AssetDesign(solid, "glass" if color == "clear" else "ceramic", color, captions, hollow=hollow)
 
@@ -139,8 +141,8 @@ def mixing_bowl(draw: VariantSampler) -> AssetDesign:
     outer, inner = (scaled(profile, r, h) for profile in _BOWLS[shape])
     lip = [pouring_lip(0.99 * r, h, 0.02, 0.035, 0.024)] if material in ("glass", "plastic") else []
     size, more = "deep" if h > 0.9 * r else "wide", " with a pouring lip" if lip else ""
-    captions = worded(
-        f"a {size} {bare(color)} mixing bowl{more}", f"{shape} {color} {material} bowl", f"{color} bowl for dough"
+    captions = fix_articles(
+        f"a {size} {material_word(color)} mixing bowl{more}", f"{shape} {color} {material} bowl", f"{color} bowl for dough"
     )
     hollow = well(inner[0][0], inner[0][1], h - inner[0][1], INSCRIBED)
     density = 1100.0 if material == "metal" else None  # steel bowls are thinner than these walls
@@ -159,8 +161,8 @@ def colander(draw: VariantSampler) -> AssetDesign:
     for k in range(16):
         share = 0.34 if k % 2 else 0.7
         holes.append(hole.moved(low + share * (r - low), 0.0, 0.02 + share * (h - 0.02)).turned(z=22.5 * (k + 0.5)))
-    captions = worded(
-        f"a {bare(color)} colander with two handles",
+    captions = fix_articles(
+        f"a {material_word(color)} colander with two handles",
         f"{color} strainer",
         f"{color} bowl with holes for draining pasta",
     )
@@ -189,7 +191,11 @@ def measuring_cup(draw: VariantSampler) -> AssetDesign:
         marks = [box(w, 0.005, 0.0022).moved(w / 2 - 0.01, -r * (0.8 + 0.2 * z / h) + 0.0011, z) for w, z in lines]
         grip = angular_grip(0.86 * r, 0.55 * h, 0.7 * r, 0.3 * h, 0.014, 0.009)
         solid, kind = join([cup, pouring_lip(0.995 * r, h, 0.012, 0.03), grip, join(marks).painted(mark)]), "jug with a handle"
-    captions = worded(f"a {bare(color)} measuring cup, a {kind}", f"{bare(color)} measuring {style}", "cup for measuring flour")
+    captions = fix_articles(
+        f"a {material_word(color)} measuring cup, a {kind}",
+        f"{material_word(color)} measuring {style}",
+        "cup for measuring flour",
+    )
     return AssetDesign(solid, "glass" if color == "clear" else "plastic", color, captions, hollow=hollow)
 
 
@@ -205,7 +211,7 @@ def mortar(draw: VariantSampler) -> AssetDesign:
     bowl = turned_vessel(outer, [(0.35 * r, 0.35 * h), (0.66 * r, 0.55 * h), (0.78 * r, h)])
     curve = ((0.011, 0.0), (0.017, 0.008), (0.016, 0.02), (0.009, 0.06), (0.011, 0.14), (0.008, 0.147))
     pestle = lathe([(x, z * r / 0.058) for x, z in curve], 16).turned(y=36).moved(-0.25 * r, 0.0, 0.35 * h + 0.006)
-    captions = worded(
+    captions = fix_articles(
         f"a {color} {stone} mortar with a pestle", f"{stone} mortar and pestle", f"{color} mortar for grinding spices"
     )
     return AssetDesign(bowl + pestle.painted(tool), "wood" if stone == "wood" else "ceramic", color, captions)

@@ -6,7 +6,7 @@ import numpy as np
 
 from stable_data.embedded_world.families.tables import DINING, KITCHEN
 from stable_data.embedded_world.families.vessels import INSCRIBED, angular_grip, lid_knob, side_grips, well
-from stable_data.embedded_world.families.wording import bare, pick_words, worded
+from stable_data.embedded_world.families.wording import fix_articles, material_word, pick_words
 from stable_data.embedded_world.modelling.family import LYING, AssetDesign, AssetFamily, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import disc, prism
 from stable_data.embedded_world.modelling.solids import (
@@ -55,7 +55,7 @@ def cutting_board(draw: VariantSampler) -> AssetDesign:
         more = [rail.moved(y=y * (across / 2 - 0.01)) for y in (-1, 1)]
         more.append(slab(0.024, across, thick - 0.0005, 0.003).moved(-half - reach))
     solid, said = join([board, join(more).painted(second)]), _BOARDS.get(color, f"{color} wood")
-    captions = worded(
+    captions = fix_articles(
         f"a {style} {said} cutting board", f"{said} chopping board", f"{style} {color} board for cutting vegetables"
     )
     return AssetDesign(solid, "plastic" if color == "white" else "wood", color, captions, top=top)
@@ -81,7 +81,7 @@ def kitchen_knife(draw: VariantSampler) -> AssetDesign:
     handle = slab(0.022, hold, thick, 0.003).moved(0.0, -0.005 - hold / 2) + slab(0.026, 0.02, thick, 0.003).moved(0.0, -hold)
     rivets = [disc(0.0035, 0.0, 0.0015, 12).moved(0.0, -0.005 - share * hold, thick - 0.0005) for share in (0.2, 0.5, 0.78)]
     name, size = "cleaver" if style == "cleaver" else f"{style} knife", "small" if length < 0.12 else "large"
-    captions = worded(
+    captions = fix_articles(
         f"a {name} with a {grip} handle", f"{size} kitchen knife with a {grip} handle", f"sharp {name} for cooking"
     )
     return AssetDesign(join([blade, bolster, handle.painted(grip), *rivets]), "metal", "silver", captions)
@@ -97,7 +97,9 @@ def ladle(draw: VariantSampler) -> AssetDesign:
     bowl = bowl.turned(z=90 - 180 / 16).turned(x=-tilt).grounded()
     stick = bar([(1.24 * r, 0.2 * r), (1.7 * r, 0.0075), (length, 0.0055)], 0.013, 0.008)
     hold = bar([(0.55 * length, 0.007), (length + 0.01, 0.007)], 0.02, 0.0139).painted(grip)
-    captions = worded(f"a {bare(color)} soup ladle with a long handle", f"{color} ladle with a {grip} grip", "ladle for soup")
+    captions = fix_articles(
+        f"a {material_word(color)} soup ladle with a long handle", f"{color} ladle with a {grip} grip", "ladle for soup"
+    )
     solid, material = _stood_up(bowl + (stick + hold).turned(z=90)), "wood" if color == "oak" else "metal"
     return AssetDesign(solid, material, color, captions, tilts=LYING)
 
@@ -118,8 +120,8 @@ def spatula(draw: VariantSampler) -> AssetDesign:
         head = prism([*right, *((-x, y) for x, y in right[::-1])], 0.0, thick)
     stick = bar([(-0.012, 0.004), (0.004, 0.0045), (0.04, 0.012), (length, 0.006)], 0.014, 0.007)
     hold = bar([(0.38 * length, 0.0095), (length + 0.005, 0.0058)], 0.022, 0.0115)
-    name = f"{color} rubber spatula" if style == "rubber" else f"{style} {bare(color)} spatula"
-    captions = worded(f"a {name} with a {grip} handle", f"{color} spatula", f"{style} spatula for cooking")
+    name = f"{color} rubber spatula" if style == "rubber" else f"{style} {material_word(color)} spatula"
+    captions = fix_articles(f"a {name} with a {grip} handle", f"{color} spatula", f"{style} spatula for cooking")
     solid = _stood_up(head + (stick + hold).turned(z=90).painted(grip))
     return AssetDesign(solid, "plastic" if style == "rubber" else "wood", color, captions, tilts=LYING)
 
@@ -135,7 +137,9 @@ def wooden_spoon(draw: VariantSampler) -> AssetDesign:
     stick = bar([(root, 0.0085), (root + 0.3 * length, 0.007), (root + length, 0.0055)], 0.013, 0.0108)
     end = bar([(root + 0.8 * length, 0.006), (root + length + 0.006, 0.006)], 0.0145, 0.012).painted(tip)
     shape = {1.0: "round", 1.5: "long"}.get(stretch, "oval")
-    captions = worded(f"a wooden spoon with a {shape} bowl", f"{color} cooking spoon", f"{shape} wooden spoon for stirring")
+    captions = fix_articles(
+        f"a wooden spoon with a {shape} bowl", f"{color} cooking spoon", f"{shape} wooden spoon for stirring"
+    )
     return AssetDesign(_stood_up(vessel(outer, inner) + (stick + end).turned(z=90)), "wood", color, captions, tilts=LYING)
 
 
@@ -150,7 +154,9 @@ def whisk(draw: VariantSampler) -> AssetDesign:
     handle = lathe(profile, 16)
     # Lying it rests on two of its wires and on the end of its handle.
     lean = math.degrees(math.atan((0.87 * r + 0.0013 - 0.011) / (0.78 * long + hold)))
-    captions = worded(f"a whisk with a {bare(grip)} handle", f"{wire} balloon whisk", "kitchen whisk for beating eggs")
+    captions = fix_articles(
+        f"a whisk with a {material_word(grip)} handle", f"{wire} balloon whisk", "kitchen whisk for beating eggs"
+    )
     return AssetDesign((wires + handle).turned(y=-90).turned(y=lean).grounded(), "metal", grip, captions)
 
 
@@ -167,7 +173,7 @@ def rolling_pin(draw: VariantSampler) -> AssetDesign:
         pin += [end, end.turned(y=180)]
     kind = "tapered French rolling pin" if is_french else f"rolling pin with {grip} handles"
     said, material = ("grey marble", "marble") if color == "grey" else (color, "wooden")
-    captions = worded(f"a {said} {kind}", f"{material} rolling pin", "rolling pin for dough")
+    captions = fix_articles(f"a {said} {kind}", f"{material} rolling pin", "rolling pin for dough")
     return AssetDesign(join(pin).turned(y=90).grounded(), "wood", color, captions)
 
 
@@ -186,7 +192,9 @@ def grater(draw: VariantSampler) -> AssetDesign:
     )
     base = box(width + 0.004, depth + 0.004, 0.012, 0.007)
     solid = join([loft(rings), join(front).painted("black"), join([base, cap, grip.moved(z=h + 0.006)]).painted(trim)])
-    captions = worded(f"a four-sided box grater with a {bare(trim)} handle", "cheese grater", f"steel grater with {trim} trim")
+    captions = fix_articles(
+        f"a four-sided box grater with a {material_word(trim)} handle", "cheese grater", f"steel grater with {trim} trim"
+    )
     return AssetDesign(solid, "metal", "silver", captions, density=300.0)
 
 
@@ -214,7 +222,7 @@ def utensil_holder(draw: VariantSampler) -> AssetDesign:
         parts = [slab(0.6 * r, 0.4 * h, 0.006, 0.001).turned(x=90).moved(0.0, 0.0046 - r, 0.55 * h).painted("white")]
     material = {"silver": "metal", "oak": "wood"}.get(color, "ceramic")
     kind = {"square": "square jar", "labelled": "jar with a label"}.get(style, style)
-    captions = worded(f"a {color} {material} utensil holder", f"{color} {kind} for cooking spoons", "kitchen utensil jar")
+    captions = fix_articles(f"a {color} {material} utensil holder", f"{color} {kind} for cooking spoons", "kitchen utensil jar")
     return AssetDesign(join([cup, *parts]), material, color, captions, hollow=hollow)
 
 
@@ -237,7 +245,7 @@ def dish_sponge(draw: VariantSampler) -> AssetDesign:
         soft, rough = (box(x, y, high - low, b).moved(z=low) for x, y, low, high, b in layers)
     else:
         soft, rough = (_waisted(w, d + 0.001 * k, (z, h - z + 0.001)[k]).moved(z=(z - 0.001) * k) for k in (0, 1))
-    captions = worded(
+    captions = fix_articles(
         f"a {color} dish sponge with a {scour} scouring side",
         f"{color} kitchen sponge",
         f"{color} and {scour} sponge for washing up",

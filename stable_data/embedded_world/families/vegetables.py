@@ -7,7 +7,7 @@ import numpy as np
 
 from stable_data.embedded_world.families.palette import LEAF
 from stable_data.embedded_world.families.tables import DINING, KITCHEN
-from stable_data.embedded_world.families.wording import pick_words, worded
+from stable_data.embedded_world.families.wording import fix_articles, pick_words
 from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
 from stable_data.embedded_world.modelling.shapes import BALL, disc, lying_lathe, prism, scaled
 from stable_data.embedded_world.modelling.solids import Solid, bar, box, circle, hull, join, lathe, loft
@@ -27,7 +27,7 @@ def tomato(draw: VariantSampler) -> AssetDesign:
     star = [ray.turned(y=13).turned(z=72 * k + 20).moved(z=h + 0.0005) for k in range(5)]
     stalk = lathe([(0.0026, h - 0.002), (0.002, h + 0.008)], 8)
     shape = {0.72: "flat", 1.1: "plum"}.get(share, "round")
-    captions = worded(f"a {shape} {word} tomato", f"ripe {word} tomato", f"{shape} tomato with a green stem")
+    captions = fix_articles(f"a {shape} {word} tomato", f"ripe {word} tomato", f"{shape} tomato with a green stem")
     return AssetDesign(lathe(scaled(BALL, r, h), 32) + join([*star, stalk]).painted(LEAF), "fruit", color, captions)
 
 
@@ -46,7 +46,7 @@ def potato(draw: VariantSampler) -> AssetDesign:
     places = [points[k][n] - (0.0, 0.0, 0.0018) for k, n in ((2, 3), (4, 4), (6, 3), (3, 4), (5, 3))]
     eyes = [box(0.006, 0.0035, 0.0024).moved(*place) for place in places]
     solid = hull(np.concatenate(points)) + join(eyes).painted("#6a4d30")
-    captions = worded(
+    captions = fix_articles(
         f"a {word} potato", f"{'long' if length > 0.1 else 'small'} {word} potato", f"raw potato with {word} skin"
     )
     return AssetDesign(solid.moved(z=0.36 * height), "fruit", color, captions)
@@ -69,7 +69,7 @@ def carrot(draw: VariantSampler) -> AssetDesign:
             stalk += prism(scaled(blade, reach, reach), -0.001, 0.002).moved(z=0.7 * lift * r)
         greens.append(stalk.turned(z=turn).moved(length, 0.0, 0.75 * r))
     kind = "with its leaves" if has_leaves else "without leaves"
-    captions = worded(f"a {word} carrot {kind}", f"{word} carrot", f"raw {word} carrot, a root vegetable")
+    captions = fix_articles(f"a {word} carrot {kind}", f"{word} carrot", f"raw {word} carrot, a root vegetable")
     return AssetDesign(join([body, join(greens).painted(LEAF)]), "fruit", color, captions)
 
 
@@ -89,7 +89,7 @@ def cucumber(draw: VariantSampler) -> AssetDesign:
         parts = [face, *(one.grounded() for one in leaning)]
     body = lying_lathe(scaled(shape, length, r), corners=20)
     kind, more = ("cut", " with two slices") if is_cut else ("whole", "")
-    captions = worded(f"a {kind} {word} cucumber{more}", f"{kind} cucumber{more}", f"fresh {word} cucumber")
+    captions = fix_articles(f"a {kind} {word} cucumber{more}", f"{kind} cucumber{more}", f"fresh {word} cucumber")
     return AssetDesign(join([body, *parts]), "fruit", color, captions)
 
 
@@ -109,7 +109,9 @@ def onion(draw: VariantSampler) -> AssetDesign:
     # Rings of the skin: the same outline, flattened to a rib that stands out by a millimetre.
     wide = [circle(x * r + 0.0009, z * h, 32) * (1.0, 0.11, 1.0) for x, z in profile[1:6]]
     ribs = join([loft(wide).turned(z=angle) for angle in (11, 56, 101, 146)]).painted(stripe)
-    captions = worded(f"a {word} onion", f"whole {word} onion", f"{'long' if is_long else 'round'} {word} onion with dry skin")
+    captions = fix_articles(
+        f"a {word} onion", f"whole {word} onion", f"{'long' if is_long else 'round'} {word} onion with dry skin"
+    )
     return AssetDesign(lathe(scaled(profile, r, h), 32) + ribs, "fruit", color, captions)
 
 
@@ -125,7 +127,7 @@ def bell_pepper(draw: VariantSampler) -> AssetDesign:
     cap = lathe(scaled(((0.36, 0.9), (0.26, 0.98)), r, h), 12)
     stalk = bar([(0.0, 0.93 * h), (0.0, h + 0.008), (0.007, h + 0.022)], 0.0085, 0.0085, corners=8)
     solid = join([*(lobe.turned(z=360 / num * k + 20) for k in range(num)), core, (cap + stalk).painted(LEAF)])
-    captions = worded(
+    captions = fix_articles(
         f"a {word} bell pepper", f"{'tall' if h > 2 * r else 'squat'} {word} pepper", f"fresh {word} sweet pepper"
     )
     return AssetDesign(solid, "fruit", color, captions, density=450.0)
@@ -147,7 +149,7 @@ def eggplant(draw: VariantSampler) -> AssetDesign:
     leaves = [tongue.turned(x=80).moved(y=0.0016 - 0.57 * r).turned(z=60 * k) for k in range(6)]
     stalk = bar([(0.0, 0.004), (0.0, 0.018), (0.008, 0.032)], 0.011, 0.011, corners=8)
     top = join([cap, stalk, *leaves]).painted("#6d8a45").turned(y=90).moved(length - 0.004, 0.0, math.cos(math.pi / 20) * r)
-    captions = worded(
+    captions = fix_articles(
         f"a {word} eggplant with a green cap",
         f"{word} aubergine",
         f"{'long' if length > 0.2 else 'small'} {word} eggplant",
@@ -171,7 +173,7 @@ def pumpkin(draw: VariantSampler) -> AssetDesign:
     stalk = bar([(0.0, 0.84 * h), (0.0, h + 0.008), (0.16 * r, h + 0.3 * r)], 0.17 * r, 0.17 * r, corners=6).painted("#7c7a42")
     lobes = [lobe.turned(z=360 / num * k) for k in range(num)]
     size = "flat" if share < 0.7 else "round"
-    captions = worded(f"a small {size} {word} pumpkin", f"{word} pumpkin with ribs and a stem", f"{size} {word} squash")
+    captions = fix_articles(f"a small {size} {word} pumpkin", f"{word} pumpkin with ribs and a stem", f"{size} {word} squash")
     return AssetDesign(join([*lobes, core, stalk]), "fruit", color, captions, density=600.0)
 
 

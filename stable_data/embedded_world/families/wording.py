@@ -15,22 +15,22 @@ _NAMES: Mapping[str, str] = MappingProxyType(
 )  # fmt: skip
 
 
-def an(words: str) -> str:
+def with_article(words: str) -> str:
     """Words with their article."""
     return f"{'an' if words[0] in 'aeiou' else 'a'} {words}"
 
 
-def worded(*captions: str) -> tuple[str, ...]:
+def fix_articles(*captions: str) -> tuple[str, ...]:
     """Captions, every article in them made the one that fits the next word."""
     return tuple(re.sub(r"\ba (?=[aeiou])", "an ", caption) for caption in captions)
 
 
-def called(color: str) -> str:
+def color_word(color: str) -> str:
     """What people call a colour."""
     return _NAMES.get(color, color)
 
 
-def bare(color: str) -> str:
+def material_word(color: str) -> str:
     """What people call a kitchen thing of that colour: by its material where that is bare."""
     return {"silver": "stainless steel", "clear": "glass"}.get(color, color)
 

@@ -185,7 +185,7 @@ def floor_of(item: GroupItem, space: SupportArea, margin: float = 0.0) -> shapel
     return shapely.Polygon(corners @ np.array([[c, s], [-s, c]]) + (item.x, item.y))
 
 
-def scattered(
+def scatter(
     area: shapely.Polygon, items: Sequence[GroupItem], kit: GroupSampler, *, gap: float = 0.004, overhang: float = 0.0
 ) -> Group:
     """Things that lie side by side in an area, in any order, each with its own yaw; those that find no place are left out.
@@ -212,25 +212,25 @@ def scattered(
     return placed
 
 
-def filled(container: GroupItem, contents: Sequence[GroupItem], kit: GroupSampler, *, gap: float = 0.004) -> Group:
+def fill_container(container: GroupItem, contents: Sequence[GroupItem], kit: GroupSampler, *, gap: float = 0.004) -> Group:
     """A container and what lies in it, side by side; what finds no room is left out."""
     hollow = asset(container.key).hollow
     if hollow is None:
         return [container]
-    return [container, *scattered(floor_of(container, hollow, 0.002), contents, kit, gap=gap)]
+    return [container, *scatter(floor_of(container, hollow, 0.002), contents, kit, gap=gap)]
 
 
-def carrying(
+def place_on_carrier(
     carrier: GroupItem, things: Sequence[GroupItem], kit: GroupSampler, *, gap: float = 0.008, overhang: float = 0.0
 ) -> Group:
     """A thing and what stands on its top or, where it has none, in it; what finds no room is left out."""
     top = asset(carrier.key).top
     if top is None:
-        return filled(carrier, things, kit, gap=gap)
-    return [carrier, *scattered(floor_of(carrier, top), things, kit, gap=gap, overhang=overhang)]
+        return fill_container(carrier, things, kit, gap=gap)
+    return [carrier, *scatter(floor_of(carrier, top), things, kit, gap=gap, overhang=overhang)]
 
 
-def heaped(bowl: GroupItem, things: Sequence[GroupItem], kit: GroupSampler) -> Group:
+def heap_in_bowl(bowl: GroupItem, things: Sequence[GroupItem], kit: GroupSampler) -> Group:
     """A bowl and round things in a ring in it, as many as have room side by side; they roll together."""
     width, depth, _ = bowl.size
     widest = max((max(o.size[:2]) for o in things), default=0.0)
@@ -249,7 +249,7 @@ def heaped(bowl: GroupItem, things: Sequence[GroupItem], kit: GroupSampler) -> G
     return [bowl, *ring]
 
 
-def leaning(cup: GroupItem, keys: Sequence[str], kit: GroupSampler) -> Group:
+def lean_in_cup(cup: GroupItem, keys: Sequence[str], kit: GroupSampler) -> Group:
     """A cup and long things that lean in it, each outwards to its own side, its foot near the middle."""
     hollow = asset(cup.key).hollow
     if hollow is None:

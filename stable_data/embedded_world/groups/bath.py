@@ -2,7 +2,16 @@
 
 from dataclasses import replace
 
-from stable_data.embedded_world.groups.arrangement import Group, GroupItem, GroupSampler, carrying, filled, leaning, row, stack
+from stable_data.embedded_world.groups.arrangement import (
+    Group,
+    GroupItem,
+    GroupSampler,
+    fill_container,
+    lean_in_cup,
+    place_on_carrier,
+    row,
+    stack,
+)
 
 BOTTLES = ("lotion_bottle", "shampoo_bottle", "soap_dispenser", "deodorant", "perfume", "cream_jar", "cotton_jar")
 MAKEUP = ("lipstick", "nail_polish", "makeup_palette", "cream_jar", "perfume")
@@ -10,7 +19,7 @@ MAKEUP = ("lipstick", "nail_polish", "makeup_palette", "cream_jar", "perfume")
 
 def toothbrushes(kit: GroupSampler) -> Group:
     """A cup with toothbrushes that lean in it, the tube beside it."""
-    group = leaning(
+    group = lean_in_cup(
         kit.item(kit.key("toothbrush_cup", "tumbler")), [kit.key("toothbrush") for _ in range(kit.count(1, 3))], kit
     )
     if kit.chance(0.6):
@@ -34,7 +43,7 @@ def bottles(kit: GroupSampler) -> Group:
 def tray_of_bottles(kit: GroupSampler) -> Group:
     """A tray with bottles and jars on it."""
     things = [kit.item(kit.key(*BOTTLES), yaw=kit.around(0.4)) for _ in range(kit.count(3, 5))]
-    return carrying(kit.item(kit.key("decor_tray", "serving_tray")), things, kit, gap=0.01)
+    return place_on_carrier(kit.item(kit.key("decor_tray", "serving_tray")), things, kit, gap=0.01)
 
 
 def perfumes(kit: GroupSampler) -> Group:
@@ -47,7 +56,7 @@ def perfumes(kit: GroupSampler) -> Group:
 def brushes(kit: GroupSampler) -> Group:
     """A holder with brushes that lean in it."""
     keys = [kit.key("makeup_brush") for _ in range(kit.count(2, 3))]
-    return leaning(kit.item(kit.key("brush_holder", "pen_holder")), keys, kit)
+    return lean_in_cup(kit.item(kit.key("brush_holder", "pen_holder")), keys, kit)
 
 
 def makeup(kit: GroupSampler) -> Group:
@@ -62,7 +71,7 @@ def jewelry(kit: GroupSampler) -> Group:
     box = kit.item(kit.key("jewelry_box"), wobble=0.15)
     thing = kit.item(kit.key("ring_dish", "watch", "perfume", "nail_polish"), wobble=1)
     if kit.chance(0.5):
-        return carrying(box, [thing], kit)
+        return place_on_carrier(box, [thing], kit)
     return row([box, thing], kit.between(0.02, 0.05))
 
 
@@ -79,7 +88,7 @@ def towel_basket(kit: GroupSampler) -> Group:
         kit.item(kit.key("soap", "cream_jar", "comb", "deodorant", "nail_polish", "toothpaste"), yaw=kit.around(3))
         for _ in range(3)
     ]
-    return filled(kit.item(kit.key("basket", "storage_bin")), things, kit)
+    return fill_container(kit.item(kit.key("basket", "storage_bin")), things, kit)
 
 
 def hair(kit: GroupSampler) -> Group:

@@ -4,7 +4,16 @@ import math
 from dataclasses import replace
 
 from stable_data.embedded_world.families.catalogue import asset
-from stable_data.embedded_world.groups.arrangement import Group, GroupItem, GroupSampler, carrying, filled, leaning, row, stack
+from stable_data.embedded_world.groups.arrangement import (
+    Group,
+    GroupItem,
+    GroupSampler,
+    fill_container,
+    lean_in_cup,
+    place_on_carrier,
+    row,
+    stack,
+)
 from stable_data.embedded_world.modelling.family import ON_EDGE
 
 WRITING = ("pen", "pencil", "marker", "highlighter")
@@ -70,12 +79,12 @@ def standing_books(kit: GroupSampler) -> Group:
 def cup_of_pens(kit: GroupSampler) -> Group:
     """A holder with two to four pens."""
     keys = [kit.key(*WRITING) for _ in range(kit.count(2, 4))]
-    return leaning(kit.item(kit.key("pen_holder")), keys, kit)
+    return lean_in_cup(kit.item(kit.key("pen_holder")), keys, kit)
 
 
 def mug_of_pens(kit: GroupSampler) -> Group:
     """A mug that serves as a holder."""
-    return leaning(kit.item(kit.key("mug"), yaw=kit.around(2)), [kit.key(*WRITING) for _ in range(kit.count(1, 3))], kit)
+    return lean_in_cup(kit.item(kit.key("mug"), yaw=kit.around(2)), [kit.key(*WRITING) for _ in range(kit.count(1, 3))], kit)
 
 
 def writing(kit: GroupSampler) -> Group:
@@ -102,7 +111,7 @@ def office_bits(kit: GroupSampler) -> Group:
 def file_tray(kit: GroupSampler) -> Group:
     """A tray with papers or magazines in it or on it."""
     tray = kit.item(kit.key("file_tray"), wobble=0.05)
-    return carrying(tray, [kit.item(kit.key("notebook", "envelope", "paper_stack", "magazine"))], kit)
+    return place_on_carrier(tray, [kit.item(kit.key("notebook", "envelope", "paper_stack", "magazine"))], kit)
 
 
 def organizer(kit: GroupSampler) -> Group:
@@ -111,7 +120,7 @@ def organizer(kit: GroupSampler) -> Group:
         kit.item(kit.key("eraser", "sticky_notes", "tape_dispenser", "calculator", "mouse"), yaw=kit.around(3))
         for _ in range(3)
     ]
-    return filled(kit.item(kit.key("storage_bin", "basket")), things, kit)
+    return fill_container(kit.item(kit.key("storage_bin", "basket")), things, kit)
 
 
 def boxes(kit: GroupSampler) -> Group:

@@ -7,12 +7,12 @@ from stable_data.embedded_world.groups.arrangement import (
     Group,
     GroupItem,
     GroupSampler,
-    carrying,
-    filled,
-    heaped,
-    leaning,
+    fill_container,
+    heap_in_bowl,
+    lean_in_cup,
+    place_on_carrier,
     row,
-    scattered,
+    scatter,
     stack,
 )
 from stable_data.embedded_world.modelling.family import LAID
@@ -81,13 +81,13 @@ def tea_tray(kit: GroupSampler) -> Group:
     things = [kit.item(kit.key("teapot", "pitcher"), wobble=0.4)]
     things += [GroupItem(kit.own("teacup", "mug"), yaw=kit.around(0.6)) for _ in range(kit.count(1, 2))]
     things += [kit.item(kit.key("sugar_bowl", "muffin", "donut"), wobble=0.5)]
-    return carrying(kit.item(kit.key("serving_tray")), things, kit)
+    return place_on_carrier(kit.item(kit.key("serving_tray")), things, kit)
 
 
 def breakfast_tray(kit: GroupSampler) -> Group:
     """A tray with a plate that holds something, and a drink: things on things on a tray."""
     tray, plate = kit.item(kit.key("serving_tray")), GroupItem(kit.own("saucer", "plate"), yaw=kit.around(3))
-    placed = carrying(tray, [plate, GroupItem(kit.own("mug", "teacup"), yaw=kit.around(0.6))], kit)
+    placed = place_on_carrier(tray, [plate, GroupItem(kit.own("mug", "teacup"), yaw=kit.around(0.6))], kit)
     for there in placed[1:]:
         if there.key == plate.key:
             placed.append(kit.item(kit.key(*SWEET[:4], "apple", "bun"), there.x, there.y, kit.around(3)))
@@ -97,7 +97,7 @@ def breakfast_tray(kit: GroupSampler) -> Group:
 def fruit_bowl(kit: GroupSampler) -> Group:
     """A bowl with two to five fruits."""
     kinds = [kit.key(*FRUIT) for _ in range(kit.count(2, 5))]
-    return heaped(
+    return heap_in_bowl(
         kit.item(kit.key("bowl", "mixing_bowl", "colander"), yaw=kit.around(3)), [kit.item(key) for key in kinds], kit
     )
 
@@ -106,7 +106,7 @@ def bread_basket(kit: GroupSampler) -> Group:
     """A basket with buns or fruit side by side."""
     kinds = kit.pick("bun", "croissant", "apple", "orange", "egg", "muffin")
     basket = kit.item(kit.key("basket"))
-    return filled(basket, [kit.item(kit.key(kinds), yaw=kit.around(3)) for _ in range(kit.count(2, 4))], kit, gap=0.006)
+    return fill_container(basket, [kit.item(kit.key(kinds), yaw=kit.around(3)) for _ in range(kit.count(2, 4))], kit, gap=0.006)
 
 
 def centrepiece(kit: GroupSampler) -> Group:
@@ -147,14 +147,14 @@ def cutlery(kit: GroupSampler) -> Group:
 def cake(kit: GroupSampler) -> Group:
     """A cake or buns on a stand or a plate."""
     sweet = kit.item(kit.key("cake", "muffin", "donut", "croissant"), yaw=kit.around(3))
-    return carrying(kit.item(kit.key("cake_stand", "plate"), yaw=kit.around(3)), [sweet], kit, overhang=0.3)
+    return place_on_carrier(kit.item(kit.key("cake_stand", "plate"), yaw=kit.around(3)), [sweet], kit, overhang=0.3)
 
 
 def plate_of_sweets(kit: GroupSampler) -> Group:
     """A plate with two or three small sweet things side by side."""
     plate = GroupItem(kit.own("plate"), yaw=kit.around(3))
     kind = kit.pick("cookie", "donut", "muffin")
-    return carrying(plate, [kit.item(kit.key(kind), yaw=kit.around(3)) for _ in range(kit.count(2, 4))], kit, gap=0.003)
+    return place_on_carrier(plate, [kit.item(kit.key(kind), yaw=kit.around(3)) for _ in range(kit.count(2, 4))], kit, gap=0.003)
 
 
 def cup_on_saucer(kit: GroupSampler) -> Group:
@@ -182,7 +182,9 @@ def lying_bottle(kit: GroupSampler) -> Group:
 
 def spoons_in_cup(kit: GroupSampler) -> Group:
     """Chopsticks or spoons that lean in a cup; the wooden kind that is kept standing."""
-    return leaning(kit.item(kit.key("tumbler", "utensil_holder")), [kit.key("wooden_spoon", "spatula") for _ in range(2)], kit)
+    return lean_in_cup(
+        kit.item(kit.key("tumbler", "utensil_holder")), [kit.key("wooden_spoon", "spatula") for _ in range(2)], kit
+    )
 
 
 def leftovers(kit: GroupSampler) -> Group:
@@ -199,4 +201,4 @@ def glasses(kit: GroupSampler) -> Group:
     """Equal glasses in a small cluster."""
     key = kit.own("drinking_glass", "tumbler", "wine_glass")
     area = GroupItem(key).outline().buffer(1.6 * GroupItem(key).size[0])
-    return scattered(area, [GroupItem(key, yaw=kit.around(3)) for _ in range(kit.count(2, 4))], kit, gap=0.012)
+    return scatter(area, [GroupItem(key, yaw=kit.around(3)) for _ in range(kit.count(2, 4))], kit, gap=0.012)

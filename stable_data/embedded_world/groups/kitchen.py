@@ -7,12 +7,12 @@ from stable_data.embedded_world.groups.arrangement import (
     Group,
     GroupItem,
     GroupSampler,
-    carrying,
-    filled,
-    heaped,
-    leaning,
+    fill_container,
+    heap_in_bowl,
+    lean_in_cup,
+    place_on_carrier,
     row,
-    scattered,
+    scatter,
     stack,
 )
 
@@ -28,7 +28,7 @@ def chopping(kit: GroupSampler) -> Group:
     knife = replace(knife, yaw=(math.pi / 2 if width > depth else 0.0) + kit.around(0.25))
     kinds = kit.some(kit.count(1, 3), *VEGETABLES)
     on_board = [kit.item(kit.key(kind), yaw=kit.around(3)) for kind in kinds]
-    group = carrying(board, [knife, *on_board], kit, overhang=0.3)
+    group = place_on_carrier(board, [knife, *on_board], kit, overhang=0.3)
     if kit.chance(0.6):
         other = kit.item(kit.key(*VEGETABLES), yaw=kit.around(3))
         reach = max(board.size[:2]) / 2 + max(other.size[:2]) / 2 + 0.02
@@ -43,14 +43,14 @@ def bread_board(kit: GroupSampler) -> Group:
         kit.item(kit.key("bread", "baguette", "cheese"), wobble=0.3),
         kit.item(kit.key("cheese", "kitchen_knife", "tomato")),
     ]
-    return carrying(board, things, kit, overhang=0.3)
+    return place_on_carrier(board, things, kit, overhang=0.3)
 
 
 def pan_with_spatula(kit: GroupSampler) -> Group:
     """A pan, with something in it or a spatula beside it."""
     pan = kit.item(kit.key("frying_pan"), wobble=0.6)
     if kit.chance(0.5):
-        return filled(
+        return fill_container(
             pan, [kit.item(kit.key("egg", "tomato", "onion"), yaw=kit.around(3)) for _ in range(kit.count(1, 2))], kit
         )
     return [pan]
@@ -61,9 +61,9 @@ def pot(kit: GroupSampler) -> Group:
     vessel = kit.item(kit.key("cooking_pot", "saucepan"), wobble=0.5)
     choice = kit.pick("ladle", "food", "none")
     if choice == "ladle":
-        return leaning(vessel, [kit.key("ladle", "wooden_spoon")], kit)
+        return lean_in_cup(vessel, [kit.key("ladle", "wooden_spoon")], kit)
     if choice == "food":
-        return filled(
+        return fill_container(
             vessel, [kit.item(kit.key("potato", "egg", "carrot"), yaw=kit.around(3)) for _ in range(kit.count(2, 3))], kit
         )
     return [vessel]
@@ -77,7 +77,9 @@ def pot_and_lid(kit: GroupSampler) -> Group:
 def mixing(kit: GroupSampler) -> Group:
     """A mixing bowl with a spatula that leans in it or eggs, and what goes into it beside it."""
     bowl = kit.item(kit.key("mixing_bowl"), yaw=kit.around(3))
-    group = leaning(bowl, [kit.key("spatula", "wooden_spoon")], kit) if kit.chance(0.4) else heaped(bowl, _eggs(kit), kit)
+    group = (
+        lean_in_cup(bowl, [kit.key("spatula", "wooden_spoon")], kit) if kit.chance(0.4) else heap_in_bowl(bowl, _eggs(kit), kit)
+    )
     beside = kit.item(kit.key("milk_carton", "measuring_cup", "jar"), wobble=0.6)
     reach = bowl.size[0] / 2 + max(beside.size[:2]) / 2 + kit.between(0.01, 0.04)
     return [*group, beside.moved(reach, kit.around(0.05))]
@@ -97,7 +99,7 @@ def tray_of_bottles(kit: GroupSampler) -> Group:
     """A tray with oil, sauce and spices."""
     kinds = ("sauce_bottle", "bottle", "spice_jar", "salt_shaker", "pepper_mill", "jar")
     things = [kit.item(kit.key(*kinds), yaw=kit.around(3)) for _ in range(kit.count(3, 5))]
-    return carrying(kit.item(kit.key("serving_tray", "decor_tray")), things, kit, gap=0.012)
+    return place_on_carrier(kit.item(kit.key("serving_tray", "decor_tray")), things, kit, gap=0.012)
 
 
 def crate(kit: GroupSampler) -> Group:
@@ -106,14 +108,14 @@ def crate(kit: GroupSampler) -> Group:
         things = [kit.item(kit.key("jar", "can", "bottle", "sauce_bottle", "soda_can"), yaw=kit.around(3)) for _ in range(5)]
     else:
         things = [kit.item(kit.key(kit.pick("apple", "orange", "potato", "onion")), yaw=kit.around(3)) for _ in range(4)]
-    return filled(kit.item(kit.key("crate")), things[: kit.count(2, 5)], kit, gap=0.012)
+    return fill_container(kit.item(kit.key("crate")), things[: kit.count(2, 5)], kit, gap=0.012)
 
 
 def bowl_in_crate(kit: GroupSampler) -> Group:
     """A crate or tray that holds a bowl, which holds a fruit: nested three deep."""
     outer = kit.item(kit.key("crate", "serving_tray", "oven_dish"))
     bowl = kit.item(kit.key("bowl"), yaw=kit.around(3))
-    group = filled(outer, [bowl], kit) if kit.chance(0.5) else carrying(outer, [bowl], kit)
+    group = fill_container(outer, [bowl], kit) if kit.chance(0.5) else place_on_carrier(outer, [bowl], kit)
     if len(group) == 2:
         inner = kit.key("apple", "orange", "lemon", "egg", "tomato", "muffin")
         group.append(kit.item(inner, group[1].x + kit.around(0.004), group[1].y + kit.around(0.004), kit.around(3)))
@@ -123,7 +125,7 @@ def bowl_in_crate(kit: GroupSampler) -> Group:
 def utensils(kit: GroupSampler) -> Group:
     """A holder with spoons and spatulas that lean in it."""
     keys = [kit.key("wooden_spoon", "spatula", "ladle") for _ in range(kit.count(2, 3))]
-    return leaning(kit.item(kit.key("utensil_holder")), keys, kit)
+    return lean_in_cup(kit.item(kit.key("utensil_holder")), keys, kit)
 
 
 def appliance(kit: GroupSampler) -> Group:
@@ -132,7 +134,7 @@ def appliance(kit: GroupSampler) -> Group:
     machine = kit.item(kit.key(kind), wobble=0.12)
     company = {"toaster": ("bread", "bun"), "kettle": ("mug", "teapot"), "coffee_maker": ("mug", "teacup")}.get(kind)
     if kind == "kitchen_scale" and kit.chance(0.7):
-        return carrying(machine, [kit.item(kit.key("bowl", "onion", "apple", "potato"), yaw=kit.around(3))], kit)
+        return place_on_carrier(machine, [kit.item(kit.key("bowl", "onion", "apple", "potato"), yaw=kit.around(3))], kit)
     if company is None or kit.chance(0.4):
         return [machine]
     return row([machine, kit.item(kit.key(*company), wobble=0.5)], kit.between(0.03, 0.07))
@@ -141,7 +143,7 @@ def appliance(kit: GroupSampler) -> Group:
 def vegetables(kit: GroupSampler) -> Group:
     """Vegetables in a colander, a basket or a baking dish."""
     dish = kit.item(kit.key("colander", "basket", "oven_dish"), wobble=0.4)
-    return filled(dish, [kit.item(kit.key(*VEGETABLES), yaw=kit.around(3)) for _ in range(kit.count(2, 4))], kit)
+    return fill_container(dish, [kit.item(kit.key(*VEGETABLES), yaw=kit.around(3)) for _ in range(kit.count(2, 4))], kit)
 
 
 def loose_food(kit: GroupSampler) -> Group:
@@ -149,7 +151,7 @@ def loose_food(kit: GroupSampler) -> Group:
     kind = kit.pick("apple", "orange", "lemon", "potato", "onion", "tomato", "pear", "egg", "banana")
     items = [kit.item(kit.key(kind), yaw=kit.around(3)) for _ in range(kit.count(2, 3))]
     area = items[0].outline().buffer(1.3 * max(items[0].size[:2]))
-    return scattered(area, items, kit, gap=0.006)
+    return scatter(area, items, kit, gap=0.006)
 
 
 def shopping(kit: GroupSampler) -> Group:

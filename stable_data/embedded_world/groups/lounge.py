@@ -6,10 +6,10 @@ from stable_data.embedded_world.groups.arrangement import (
     Group,
     GroupItem,
     GroupSampler,
-    carrying,
-    filled,
+    fill_container,
+    place_on_carrier,
     row,
-    scattered,
+    scatter,
     stack,
 )
 
@@ -65,7 +65,7 @@ def candle_tray(kit: GroupSampler) -> Group:
     things = [
         kit.item(kit.key("candle", "tea_light", "diffuser", "figurine"), yaw=kit.around(3)) for _ in range(kit.count(2, 3))
     ]
-    return carrying(kit.item(kit.key("decor_tray", "serving_tray")), things, kit, gap=0.015)
+    return place_on_carrier(kit.item(kit.key("decor_tray", "serving_tray")), things, kit, gap=0.015)
 
 
 def toys(kit: GroupSampler) -> Group:
@@ -73,14 +73,14 @@ def toys(kit: GroupSampler) -> Group:
     kinds = ("toy_car", "toy_block", "rubber_duck", "puzzle_cube", "ball", "dice", "toy_train", "toy_robot", "stacking_rings")
     items = [kit.item(kit.key(kind), yaw=kit.around(3)) for kind in kit.some(kit.count(2, 4), *kinds)]
     area = items[0].outline().buffer(0.16)
-    return scattered(area, items, kit, gap=0.01)
+    return scatter(area, items, kit, gap=0.01)
 
 
 def toy_bin(kit: GroupSampler) -> Group:
     """A bin or basket with toys in it."""
     kinds = ("toy_car", "toy_block", "rubber_duck", "puzzle_cube", "dice")
     things = [kit.item(kit.key(*kinds), yaw=kit.around(3)) for _ in range(kit.count(2, 4))]
-    return filled(kit.item(kit.key("storage_bin", "basket", "crate")), things, kit)
+    return fill_container(kit.item(kit.key("storage_bin", "basket", "crate")), things, kit)
 
 
 def blocks(kit: GroupSampler) -> Group:
@@ -93,7 +93,7 @@ def blocks(kit: GroupSampler) -> Group:
 def board_game(kit: GroupSampler) -> Group:
     """A game's box with cards or dice on it, or beside it."""
     box = kit.item(kit.key("board_game"), wobble=0.2)
-    return carrying(
+    return place_on_carrier(
         box, [kit.item(kit.key("card_deck", "dice", "chess_piece"), yaw=kit.around(3)) for _ in range(kit.count(1, 3))], kit
     )
 
@@ -101,7 +101,7 @@ def board_game(kit: GroupSampler) -> Group:
 def chess(kit: GroupSampler) -> Group:
     """A few chess pieces."""
     items = [kit.item(kit.key("chess_piece")) for _ in range(kit.count(2, 4))]
-    return scattered(items[0].outline().buffer(0.09), items, kit, gap=0.01)
+    return scatter(items[0].outline().buffer(0.09), items, kit, gap=0.01)
 
 
 def glasses_and_keys(kit: GroupSampler) -> Group:

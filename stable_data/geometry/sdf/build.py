@@ -113,10 +113,10 @@ def build_grid(
     inside = np.zeros(lattice.shape, np.bool_) if is_sheet else _inside(exact, lattice, band, distance)
     values = exact.signed(distance, inside).astype(np.float16)
     grid = SdfGrid(values, lattice.origin, lattice.spacing, extent, 2 * exact.half_thickness, wall)
-    return with_errors(grid, exact)
+    return measure_grid_errors(grid, exact)
 
 
-def with_errors(grid: SdfGrid, exact: SignedDistance, *, num_near: int = _NUM_NEAR, num_far: int = _NUM_FAR) -> SdfGrid:
+def measure_grid_errors(grid: SdfGrid, exact: SignedDistance, *, num_near: int = _NUM_NEAR, num_far: int = _NUM_FAR) -> SdfGrid:
     """The grid with its errors measured at points that are not nodes.
 
     Args:

@@ -217,7 +217,7 @@ def classes_of(category: str) -> frozenset[str]:
 
 
 @cache
-def pressed_part(category: str) -> str | None:
+def control_part(category: str) -> str | None:
     """What one presses on such a thing, such as ``the pump``; None where there is nothing to press."""
     words = type_words(category)
     ends = (" ".join(words[start:]) for start in range(len(words)))

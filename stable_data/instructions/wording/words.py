@@ -48,7 +48,7 @@ def number_word(count: int) -> str:
     return _NUMBERS.get(count, str(count))
 
 
-def listed(phrases: Sequence[str]) -> str:
+def join_words(phrases: Sequence[str]) -> str:
     """``a``, ``a and b``, ``a, b and c``."""
     return " and ".join([", ".join(phrases[:-1]), phrases[-1]]) if len(phrases) > 1 else phrases[0]
 

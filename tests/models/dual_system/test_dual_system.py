@@ -20,7 +20,7 @@ from models.dual_system.requests import (
 from models.physics_corrector.certify import CertifyOptions, CorrectionStatus
 from models.physics_corrector.certify.correction import Correction, CorrectionOptions
 from models.physics_corrector.corrector import PhysicsCorrector
-from models.semantic_reasoner.engines.incremental_batches import Conversation, in_batches
+from models.semantic_reasoner.engines.incremental_batches import Conversation, batch_conversation
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.reasoner import Proposal, RefusedReply
 from models.semantic_reasoner.staged_layout import LayoutTask
@@ -54,7 +54,7 @@ class Answers:
     batches: list[int] = field(default_factory=list)  # of corrections
 
     def propose(self, questions: Sequence[ProposalRequest]) -> Conversation[Proposal, ProposalRequest]:
-        return in_batches(self.proposed, questions)
+        return batch_conversation(self.proposed, questions)
 
     def proposed(self, questions: Sequence[ProposalRequest]) -> list[Proposal]:
         self.asked += questions

@@ -8,7 +8,7 @@ import pytest
 
 from models.physics_corrector.certify import CorrectionStatus
 from models.physics_corrector.certify.correction import CorrectionOptions, KnownShapes, shapes_by_instance
-from models.physics_corrector.certify.flow_start import certify_moved, starting_point
+from models.physics_corrector.certify.flow_start import certify_moved, choose_start
 from models.physics_corrector.corrector import PhysicsCorrector
 from models.physics_corrector.flow.checkpoint import load_corrector, save_corrector
 from models.physics_corrector.learned_flow import LearnedFlow, load_flow, weights_fingerprint
@@ -176,7 +176,7 @@ def test_movement_of_objects_that_are_still_there() -> None:
 
 def test_certify_begins_where_the_flow_ended_if_that_is_farther_than_its_error() -> None:
     (scene, _), _ = two_scenes()
-    assert starting_point(scene, None) is scene
+    assert choose_start(scene, None) is scene
     for shift, begins_anew in (
         ((0.004, 0.0, 0.0, 0.0), False),
         ((0.0, 0.0, 0.1, 2 * np.pi), False),  # heights are found exactly, and a whole turn is none
@@ -185,11 +185,11 @@ def test_certify_begins_where_the_flow_ended_if_that_is_farther_than_its_error()
     ):
         poses = scene.poses()
         poses[1] += shift
-        begin = starting_point(scene, scene.with_poses(poses))
+        begin = choose_start(scene, scene.with_poses(poses))
         assert (begin is not scene) == begins_anew
         assert begin.poses() == pytest.approx(poses if begins_anew else scene.poses())
     empty = replace(scene, objects=())
-    assert starting_point(empty, replace(empty)) is empty
+    assert choose_start(empty, replace(empty)) is empty
 
 
 def test_what_would_change_sides_goes_back_with_what_it_carries() -> None:
@@ -203,7 +203,7 @@ def test_what_would_change_sides_goes_back_with_what_it_carries() -> None:
     poses[0, 0] += 0.03  # stays to the left
     poses[1, 0] -= 0.3  # goes past it
     poses[3, 0] -= 0.28
-    begin = starting_point(scene, scene.with_poses(poses)).poses()
+    begin = choose_start(scene, scene.with_poses(poses)).poses()
     assert begin[0] == pytest.approx(poses[0])
     assert begin[1:] == pytest.approx(scene.poses()[1:])
 

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.point_encoder.cloud import MODELNET, SCANNET, SONATA, PointCloud, Preprocessing, voxelised
+from models.point_encoder.cloud import MODELNET, SCANNET, SONATA, PointCloud, Preprocessing, voxelise
 from models.point_encoder.encoder import FEATURE_CHANNELS, PointEncoder
 from models.point_encoder.transformer import EMBEDDED
 from stable_data.errors import ConfigError, MeshError
@@ -78,7 +78,7 @@ def test_a_cloud_of_another_number_of_points_is_refused() -> None:
 def test_points_of_a_voxel_are_averaged() -> None:
     points = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], np.float32)
     normals = np.eye(3, dtype=np.float32)[[0, 1, 2, 2]]
-    found = voxelised([PointCloud(points, normals, np.array([2, 1, 1], np.float32))], Preprocessing(4, "extent", 0.5))
+    found = voxelise([PointCloud(points, normals, np.array([2, 1, 1], np.float32))], Preprocessing(4, "extent", 0.5))
     assert found.coords.tolist() == [[0, 0, 0], [2, 0, 0], [4, 0, 0]]
     assert torch.allclose(found.features[1], torch.tensor([0.05, 0.0, 0.0, 0.5, 0.5, 0.0]))
 
@@ -86,12 +86,12 @@ def test_points_of_a_voxel_are_averaged() -> None:
 def test_a_face_at_the_end_of_the_box_falls_into_one_layer_of_voxels(rng: np.random.Generator) -> None:
     points = np.concatenate([np.full((500, 1), 0.15) + rng.normal(0, 1e-8, (500, 1)), rng.uniform(-0.1, 0.1, (500, 2))], axis=1)
     cloud = PointCloud(points.astype(np.float32), np.zeros((500, 3), np.float32), np.full(3, 0.3, np.float32))
-    assert len(voxelised([cloud], Preprocessing()).coords[:, 0].bincount()) == 1
+    assert len(voxelise([cloud], Preprocessing()).coords[:, 0].bincount()) == 1
 
 
 @pytest.mark.parametrize("preprocessing", [SCANNET, MODELNET, SONATA])
 def test_published_preprocessing_gives_as_many_channels_as_it_says(preprocessing: Preprocessing) -> None:
-    found = voxelised(clouds(), preprocessing)
+    found = voxelise(clouds(), preprocessing)
     assert found.features.shape == (len(found.batch), preprocessing.num_channels)
 
 

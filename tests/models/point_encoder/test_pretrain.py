@@ -11,8 +11,8 @@ from models.point_encoder.cloud import PointCloud, Preprocessing
 from models.point_encoder.evaluation import effective_rank
 from models.point_encoder.heads import ClearanceHead, PretrainingModel, spread_loss
 from models.point_encoder.pretrain import CONFIGS, ENCODER, STATE, PretrainSettings, pretrain
-from models.point_encoder.pretraining_data import PosedShape, ShapePair, TrainingShape, corpus, training_shape
-from models.point_encoder.pretraining_targets import questions
+from models.point_encoder.pretraining_data import PosedShape, ShapePair, TrainingShape, pretraining_corpus, training_shape
+from models.point_encoder.pretraining_targets import draw_targets
 from stable_data.embedded_world.families.catalogue import KEYS
 from stable_data.errors import ConfigError
 from stable_data.geometry.mesh import Mesh
@@ -64,7 +64,7 @@ def test_a_pair_is_asked_in_the_frame_of_its_first(rng: np.random.Generator) -> 
 
 
 def test_assets_held_out_are_never_trained_on() -> None:
-    shapes, held_out = corpus(3, 2, 32, 32)
+    shapes, held_out = pretraining_corpus(3, 2, 32, 32)
     trained = {s.key.partition("#")[0] for s in shapes}
     assert (len(shapes), len(held_out)) == (30, 3)
     assert not trained & {s.key.partition("#")[0] for s in held_out}
@@ -137,9 +137,9 @@ def test_the_smallest_distance_is_the_same_when_few_points_are_asked(rng: np.ran
 
 
 def test_labels_are_kept_and_made_anew_where_they_are_of_others(tmp_path: Path) -> None:
-    made = corpus(1, 1, 32, 16, tmp_path / "labels.npz")
+    made = pretraining_corpus(1, 1, 32, 16, tmp_path / "labels.npz")
     written = (tmp_path / "labels.npz").stat().st_mtime_ns
-    read = corpus(1, 1, 32, 16, tmp_path / "labels.npz")
+    read = pretraining_corpus(1, 1, 32, 16, tmp_path / "labels.npz")
     assert (tmp_path / "labels.npz").stat().st_mtime_ns == written
     for shapes, again in zip(made, read, strict=True):
         for shape, other in zip(shapes, again, strict=True):
@@ -147,7 +147,7 @@ def test_labels_are_kept_and_made_anew_where_they_are_of_others(tmp_path: Path) 
             for a, b in ((shape.cloud.points, other.cloud.points), (shape.distances, other.distances)):
                 assert a.tobytes() == b.tobytes()
             assert np.array_equal(shape.cloud.size, other.cloud.size)
-    assert len(corpus(1, 1, 32, 12, tmp_path / "labels.npz")[0][0].distances) == 12
+    assert len(pretraining_corpus(1, 1, 32, 12, tmp_path / "labels.npz")[0][0].distances) == 12
     assert (tmp_path / "labels.npz").stat().st_mtime_ns != written
 
 
@@ -163,7 +163,7 @@ def test_the_spread_loss_is_for_unit_deviation_and_no_correlation() -> None:
 def test_the_encoder_that_is_left_gives_the_codes_that_were_asked() -> None:
     model = PretrainingModel(replace(TINY, enc_mode=True), Preprocessing(num_points=128, grid_size=1 / 4))
     shapes = [training_shape(key, 0, 128, 64) for key in KEYS[:6]]
-    x = questions(shapes, 16, 2, np.random.default_rng(0))
+    x = draw_targets(shapes, 16, 2, np.random.default_rng(0))
     for _ in range(3):
         model(x)  # levels learn what is usual
     model.eval()
@@ -175,7 +175,7 @@ def test_the_encoder_that_is_left_gives_the_codes_that_were_asked() -> None:
 
 def test_a_pair_has_one_clearance_whichever_is_first() -> None:
     shapes = [training_shape(key, 0, 128, 64) for key in KEYS[:6]]
-    x = questions(shapes, 16, 2, np.random.default_rng(0))
+    x = draw_targets(shapes, 16, 2, np.random.default_rng(0))
     head, codes = ClearanceHead(with_codes=True), torch.randn(6, 64)
     c, s = x.poses[:, 3], x.poses[:, 4]
     back = torch.stack(

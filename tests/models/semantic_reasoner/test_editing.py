@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.semantic_reasoner.editing import EditPrompt, EditResult, apply_edit, editing
+from models.semantic_reasoner.editing import EditPrompt, EditResult, apply_edit, edit_prompt_of
 from models.semantic_reasoner.text.prompt import messages
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply, parse_reply
 from models.semantic_reasoner.training.examples import edit_example_of
@@ -42,7 +42,7 @@ SCENE = Scene(
 
 
 def shown(name: str) -> LayoutObject:
-    return next(o for o in editing(SCENE).layout if o.instance == name)
+    return next(o for o in edit_prompt_of(SCENE).layout if o.instance == name)
 
 
 def edit(*objects: LayoutObject, remove: tuple[str, ...] = ()) -> EditResult:
@@ -50,18 +50,18 @@ def edit(*objects: LayoutObject, remove: tuple[str, ...] = ()) -> EditResult:
 
 
 def test_the_layout_is_in_the_order_of_generation() -> None:
-    assert [o.instance for o in editing(SCENE).layout] == ["tray_0", "mug_0", "spoon_0", "mug_1"]
+    assert [o.instance for o in edit_prompt_of(SCENE).layout] == ["tray_0", "mug_0", "spoon_0", "mug_1"]
 
 
 def test_an_empty_edit_changes_nothing() -> None:
     assert edit().scene is SCENE
     assert edit().kind == "none"
-    assert edit(*editing(SCENE).layout).scene is SCENE  # a model that repeats the whole layout changes nothing either
+    assert edit(*edit_prompt_of(SCENE).layout).scene is SCENE  # a model that repeats the whole layout changes nothing either
 
 
-@given(st.sets(st.sampled_from([o.instance for o in editing(SCENE).layout])), st.floats(-0.1, 0.1))
+@given(st.sets(st.sampled_from([o.instance for o in edit_prompt_of(SCENE).layout])), st.floats(-0.1, 0.1))
 def test_what_a_reply_repeats_stays_to_the_last_bit(names: set[str], shift: float) -> None:
-    repeated = tuple(o for o in editing(SCENE).layout if o.instance in names)
+    repeated = tuple(o for o in edit_prompt_of(SCENE).layout if o.instance in names)
     x, y, z = shown("mug_1").position_cm
     moved = replace(shown("mug_1"), position_cm=(round(x + 100 * shift, 1), y, z))
     done = edit(*(o for o in repeated if o.instance != "mug_1"), moved)
@@ -156,7 +156,7 @@ def test_a_reply_that_cannot_be_meant_is_refused_with_a_reason(reply: LayoutRepl
     assert caught.value.code == "edit_refused"
     assert reason in str(caught.value)
     assert "\n" not in str(caught.value)
-    chat = messages(editing(SCENE).ask("Take the mug away."), [("{}", str(caught.value))])
+    chat = messages(edit_prompt_of(SCENE).ask("Take the mug away."), [("{}", str(caught.value))])
     assert reason in chat[-1]["content"]
 
 
@@ -172,7 +172,7 @@ def test_the_answer_of_an_example_makes_the_scene_that_it_was_made_of() -> None:
         row = row_of(made)
         scene = scene_from_row(row)
         for told in edit_rows(row, 10):
-            example, shown_to = edit_example_of(told), editing(scene)
+            example, shown_to = edit_example_of(told), edit_prompt_of(scene)
             assert shown_to.ask(told["instruction"]) == example.ask
             done = apply_edit(shown_to, parse_reply(example.answer))
             new = {o["instance"]: object_from_row(o) for o in told["objects_out"]}
@@ -212,7 +212,7 @@ def test_real_scenes_keep_what_is_not_named(real_data: Path, reply_to: Callable[
         read = dataset.read(scene_id)[0]
         carriers = supports(read, {})
         scene = replace(read, objects=tuple(replace(o, support=carriers[o.instance]) for o in read.objects))
-        done = apply_edit(scene, reply_to(editing(scene)))
+        done = apply_edit(scene, reply_to(edit_prompt_of(scene)))
         assert done.kind == kind
         assert all(done.scene[name] == scene[name] for name in done.untouched)
         expected = len(scene.objects) - len(done.removed) + len(done.added)

@@ -9,7 +9,7 @@ import pytest
 from models.semantic_reasoner.engines.http_settings import HttpSettings
 from models.semantic_reasoner.engines.protocol import Sampling
 from models.semantic_reasoner.engines.registry import EngineSettings
-from models.semantic_reasoner.factory import ReasonerSettings, load_reasoner, shaping_of_proposals
+from models.semantic_reasoner.factory import ReasonerSettings, load_reasoner, proposal_config
 from models.semantic_reasoner.language.category_statistics import FILE
 from models.semantic_reasoner.replies.checks import CheckSettings
 from models.semantic_reasoner.text.reply_json import render_objects
@@ -29,13 +29,13 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_proposals_depend_on_the_content_of_a_model_and_not_on_its_place(folder: Path, tmp_path: Path) -> None:
-    one = shaping_of_proposals(EngineSettings(f"transformers:{folder}"))
+    one = proposal_config(EngineSettings(f"transformers:{folder}"))
     assert json.loads(json.dumps(one)) == one
     moved = folder.rename(tmp_path / "elsewhere")
-    assert shaping_of_proposals(EngineSettings(f"transformers:{moved}")) == one
+    assert proposal_config(EngineSettings(f"transformers:{moved}")) == one
     for name, content in (("model.safetensors", b"1"), ("tokenizer.json", b"{}"), ("config.json", b"{ }")):
         (moved / name).write_bytes(content)
-        other = shaping_of_proposals(EngineSettings(f"transformers:{moved}"))
+        other = proposal_config(EngineSettings(f"transformers:{moved}"))
         assert other != one
         one = other
 
@@ -43,7 +43,7 @@ def test_proposals_depend_on_the_content_of_a_model_and_not_on_its_place(folder:
 def test_they_depend_on_how_it_is_asked_and_not_on_how_patiently() -> None:
     http = HttpSettings(URL, "default")
     engine, settings = EngineSettings("openai:large", http=http), ReasonerSettings()
-    one = shaping_of_proposals(engine, settings)
+    one = proposal_config(engine, settings)
     others = [
         (replace(engine, engine="openai:small"), settings),
         (replace(engine, sampling=Sampling(temperature=0.1)), settings),
@@ -51,17 +51,17 @@ def test_they_depend_on_how_it_is_asked_and_not_on_how_patiently() -> None:
         (engine, replace(settings, tries=5)),
         (engine, replace(settings, checks=CheckSettings(overhang_cm=3.0))),
     ]
-    found = [shaping_of_proposals(*other) for other in others]
+    found = [proposal_config(*other) for other in others]
     assert all(other != one for other in found)
     patient = replace(http, base_url="http://127.0.0.1:2/v1", tries=3, read_s=1.0)
-    assert shaping_of_proposals(replace(engine, http=patient, cache="kept", num_slots=3), settings) == one
+    assert proposal_config(replace(engine, http=patient, cache="kept", num_slots=3), settings) == one
 
 
 def test_statistics_of_another_folder_count(folder: Path, tmp_path: Path) -> None:
     STATISTICS.save(tmp_path / "known")
     engine = EngineSettings("openai:large", http=HttpSettings(URL, "default"))
-    with_them = shaping_of_proposals(engine, ReasonerSettings(statistics=str(tmp_path / "known")))
-    assert with_them != shaping_of_proposals(engine)
+    with_them = proposal_config(engine, ReasonerSettings(statistics=str(tmp_path / "known")))
+    assert with_them != proposal_config(engine)
     assert (tmp_path / "known" / FILE).is_file()
 
 
@@ -76,7 +76,7 @@ def test_statistics_of_another_folder_count(folder: Path, tmp_path: Path) -> Non
 def test_an_engine_that_is_not_there_is_said_before_anything_is_asked(engine: str, said: str, tmp_path: Path) -> None:
     kind, _, name = engine.partition(":")
     with pytest.raises(ConfigError, match=said) as caught:
-        shaping_of_proposals(EngineSettings(f"{kind}:{tmp_path / name}"))
+        proposal_config(EngineSettings(f"{kind}:{tmp_path / name}"))
     assert caught.value.code == "engine_missing"
 
 
@@ -84,9 +84,9 @@ def test_a_key_that_is_not_set_is_said_before_anything_is_asked(monkeypatch: pyt
     monkeypatch.delenv("A_KEY", raising=False)
     engine = EngineSettings("openai:large", http=HttpSettings(URL, "default", key_variable="A_KEY"))
     with pytest.raises(ConfigError, match="A_KEY is not set"):
-        shaping_of_proposals(engine)
+        proposal_config(engine)
     monkeypatch.setenv("A_KEY", "very-secret")
-    assert "very-secret" not in json.dumps(shaping_of_proposals(engine))
+    assert "very-secret" not in json.dumps(proposal_config(engine))
 
 
 def test_paths_are_settled_for_any_working_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

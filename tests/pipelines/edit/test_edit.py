@@ -16,7 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 import stable_data.storage.run_folder as shards
-from models.semantic_reasoner.editing import apply_edit, editing
+from models.semantic_reasoner.editing import apply_edit, edit_prompt_of
 from models.semantic_reasoner.text.reply_json import LayoutReply, render_objects
 from pipelines.__main__ import app
 from pipelines.edit.assets import AssetFinder
@@ -107,7 +107,7 @@ def test_a_run_is_edited_as_its_folder_is_and_carries_its_assets(
 def onto_another(dataset: Path, scene_id: str) -> tuple[dict[str, Any], str]:
     """A line that moves a thing into its neighbour, and the name of the neighbour's instance."""
     scene = MesaTaskDataset(dataset).read(scene_id)[0]
-    shown = editing(scene)
+    shown = edit_prompt_of(scene)
     standing = [o for o in shown.layout if abs(o.position_cm[2] - o.size_cm[2] / 2) <= 0.1]
     big, small = standing[0], standing[-1]
     there = replace(small, position_cm=(big.position_cm[0], big.position_cm[1], small.position_cm[2]))
@@ -140,7 +140,7 @@ def test_a_thing_of_another_size_is_the_same_mesh_scaled(
 ) -> None:
     source = FolderSource(dataset)
     scene = source.dataset.read(source.dataset.scene_ids[0])[0]
-    shown = editing(scene)
+    shown = edit_prompt_of(scene)
     last = shown.layout[-1]  # carries nothing
     (instance,) = [i for i, name in shown.names.items() if name == last.instance]
     x, y, z = (s * f for s, f in zip(scene[instance].size, factors, strict=True))

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 import models.semantic_reasoner.factory as assembly
-from models.semantic_reasoner.editing import editing
+from models.semantic_reasoner.editing import edit_prompt_of
 from models.semantic_reasoner.engines.protocol import Completion, Request
 from models.semantic_reasoner.engines.registry import EMBEDDED, EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings
@@ -151,7 +151,7 @@ def test_what_is_known_of_categories_keeps_bad_replies_out_and_odd_ones_are_name
     dataset: Path, clean_run: Path, wanted: list[dict[str, Any]], tmp_path: Path
 ) -> None:
     scene_id = wanted[0]["scene_id"]
-    thing = editing(MesaTaskDataset(dataset).read(scene_id)[0]).layout[-1]
+    thing = edit_prompt_of(MesaTaskDataset(dataset).read(scene_id)[0]).layout[-1]
     away = replace(thing, position_cm=(900.0, 10.0, thing.position_cm[2]))
     odd = replace(thing, instance="zeppelin_0", description="a zeppelin", position_cm=(10.0, 10.0, thing.size_cm[2] / 2))
     lines = [{"scene_id": scene_id, "instruction": f"{words} it.", "edit_id": words} for words in ("Away", "Odd")]

@@ -14,7 +14,7 @@ import ray
 from tqdm import tqdm
 
 from pipelines.execution import ray_executor
-from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, alone, limited
+from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, run_isolated, time_limited
 from stable_data.errors import ConfigError
 
 
@@ -74,7 +74,7 @@ class Slow:
     """Hangs over one shard unless its items are run alone."""
 
     def __call__(self, shard: int, *, isolated: bool = False) -> str:
-        with limited(2.0):
+        with time_limited(2.0):
             if shard == 2 and not isolated:
                 time.sleep(600)
         return f"{shard} {'alone' if isolated else 'together'}"
@@ -216,26 +216,26 @@ def test_a_cluster_that_wants_a_token_says_how_to_show_it(monkeypatch: pytest.Mo
 
 
 def test_an_item_alone_gives_its_result() -> None:
-    assert alone(abs, -3, seconds=60) == 3
+    assert run_isolated(abs, -3, seconds=60) == 3
 
 
 def test_an_item_alone_that_dies_says_so() -> None:
-    assert alone(os.abort, seconds=60) is ProcessFailure.CRASHED
+    assert run_isolated(os.abort, seconds=60) is ProcessFailure.CRASHED
 
 
 def test_an_item_alone_that_hangs_is_stopped_and_says_so() -> None:
     began = time.monotonic()
-    assert alone(time.sleep, 300, seconds=1) is ProcessFailure.TIMED_OUT
+    assert run_isolated(time.sleep, 300, seconds=1) is ProcessFailure.TIMED_OUT
     assert time.monotonic() - began < 60
 
 
 def test_the_clock_of_an_item_alone_starts_once_it_is_prepared() -> None:
-    assert alone(abs, -3, seconds=1, prepare=partial(time.sleep, 2)) == 3
+    assert run_isolated(abs, -3, seconds=1, prepare=partial(time.sleep, 2)) == 3
 
 
 def test_an_error_of_an_item_alone_comes_back() -> None:
     with pytest.raises(ValueError, match="invalid literal"):
-        alone(int, "x", seconds=60)
+        run_isolated(int, "x", seconds=60)
 
 
 def test_one_process_serves_until_a_call_ends_it() -> None:
@@ -249,7 +249,7 @@ def test_one_process_serves_until_a_call_ends_it() -> None:
 
 
 def test_time_is_limited_in_workers_alone() -> None:
-    with limited(0.01):
+    with time_limited(0.01):
         time.sleep(0.05)
 
 

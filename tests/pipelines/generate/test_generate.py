@@ -21,14 +21,14 @@ from pipelines.execution.shard_step import Shard, ShardTask, ShardWriter
 from pipelines.generate.job import GenerateJob, generate
 from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import GenerateWork
-from pipelines.settings import resolve
+from pipelines.settings import resolve_settings
 from pipelines.sources.assets import AssetLibraries
-from pipelines.sources.generation_tasks import TaskSource, sampled
+from pipelines.sources.generation_tasks import TaskSource, sample_tasks
 from stable_data.assets.ranking import RetrievalSettings
 from stable_data.assets.run_assets import run_store
 from stable_data.assets.store import AssetStore
 from stable_data.cli import app as stable_data
-from stable_data.embedded_world.sampling import sampled_task
+from stable_data.embedded_world.sampling import sample_task
 from stable_data.errors import ConfigError, Notice
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.audit import audit_scene
@@ -451,14 +451,16 @@ def test_settings_of_all_parts_are_settings_of_the_job(dataset: Path, tmp_path: 
     file.write_text(
         '[generate]\nschedule = "whole"\n[generate.retrieval]\nlicences = ["CC0"]\n[generate.engine.sampling]\ntop_k = 7\n'
     )
-    found = resolve(GenerateSettings, "generate", file, ["retrieval.top_k_text=20", "engine.http.tries=3", "reasoner.tries=2"])
+    found = resolve_settings(
+        GenerateSettings, "generate", file, ["retrieval.top_k_text=20", "engine.http.tries=3", "reasoner.tries=2"]
+    )
     assert found.retrieval == RetrievalSettings(licences=frozenset({"CC0"}), top_k_text=20)
     assert (found.schedule, found.engine.sampling.top_k, found.engine.http.tries, found.reasoner.tries) == ("whole", 7, 3, 2)
     plan = json.loads(json.dumps(describe(GenerateJob(tasks("Lift it."), found, [str(dataset)]))))
     assert plan["settings"]["retrieval"]["licences"] == ["CC0"]
     for wrong in ("retrieval.licences=CC0", "retrieval.top_k_text=many", "engine.engine=gpt", "scenes_per_shard=-1"):
         with pytest.raises(ConfigError):
-            resolve(GenerateSettings, "generate", None, [wrong])
+            resolve_settings(GenerateSettings, "generate", None, [wrong])
 
 
 def test_no_task_at_all_is_refused_before_anything_is_written(settings: GenerateSettings, tmp_path: Path) -> None:
@@ -503,13 +505,13 @@ def test_the_report_tells_of_scenes_time_and_cost(
 
 
 def test_drawn_tasks_are_drawn_where_they_are_needed(dataset: Path, settings: GenerateSettings, tmp_path: Path) -> None:
-    manifest = generate(sampled(3, 1), str(tmp_path), settings, ALONE, [str(dataset)])
+    manifest = generate(sample_tasks(3, 1), str(tmp_path), settings, ALONE, [str(dataset)])
     rows = rows_of(tmp_path, "scenes")
     assert manifest["counts"]["failed_scenes"] == 3 - len(rows)
     assert rows
     for row in rows:
         number = int(row["scene_id"].removesuffix("_seed1").rpartition("_")[2])
-        assert row["task"]["task"] == sampled_task(number, 1)[1]
+        assert row["task"]["task"] == sample_task(number, 1)[1]
 
 
 def test_a_run_serves_as_a_library_and_its_convex_parts_are_kept(

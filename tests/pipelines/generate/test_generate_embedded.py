@@ -7,13 +7,13 @@ import pytest
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
-from pipelines.sources.generation_tasks import sampled
+from pipelines.sources.generation_tasks import sample_tasks
 from stable_data.storage.run_folder import RunFolder
 from tests.pipelines.runs import content
 
 pytestmark = pytest.mark.sim
 
-TASKS = sampled(2)
+TASKS = sample_tasks(2)
 SETTINGS = GenerateSettings(num_pictures=0)
 
 

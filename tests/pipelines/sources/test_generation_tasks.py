@@ -8,11 +8,11 @@ import pytest
 from typer.testing import CliRunner
 
 from models.point_encoder.checkpoint import DEFAULT_WEIGHTS as ENCODER
-from models.semantic_reasoner.staged_layout import LayoutTask, of_scene
+from models.semantic_reasoner.staged_layout import LayoutTask, task_of_scene
 from pipelines.__main__ import app
-from pipelines.sources.generation_tasks import SampledTask, of_file, of_instruction, of_scenes, sampled
+from pipelines.sources.generation_tasks import SampledTask, sample_tasks, task_of_instruction, tasks_of_file, tasks_of_scenes
 from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES
-from stable_data.embedded_world.sampling import sampled_task
+from stable_data.embedded_world.sampling import sample_task
 from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import Tabletop
@@ -23,64 +23,64 @@ ONE = ["--instruction", "Lift it.", "--table", "office_table", "--size", "120", 
 
 
 def test_drawn_tasks_depend_on_seed_and_number_alone() -> None:
-    found = sampled(30, 5)
-    assert [task.drawn() for task in sampled(4, 5).tasks if isinstance(task, SampledTask)] == [
+    found = sample_tasks(30, 5)
+    assert [task.drawn() for task in sample_tasks(4, 5).tasks if isinstance(task, SampledTask)] == [
         task.drawn() for task in found.tasks[:4] if isinstance(task, SampledTask)
     ]
-    assert sampled_task(3, 5) != sampled_task(3, 6)
+    assert sample_task(3, 5) != sample_task(3, 6)
     names = [task.scene_id for task in found.tasks]
     assert len(set(names)) == 30
-    assert not set(names) & {task.scene_id for seed in (0, 6) for task in sampled(30, seed).tasks}  # runs can be joined
+    assert not set(names) & {task.scene_id for seed in (0, 6) for task in sample_tasks(30, seed).tasks}  # runs can be joined
     kinds = {re.sub(r"_\d{5}_seed5", "", name) for name in names}
     assert kinds >= set(TABLES)
     assert kinds & set(UNSEEN_TABLES)
 
 
 def test_drawn_tasks_say_something_different_each() -> None:
-    said = {sampled_task(number, 2)[1] for number in range(40)}
+    said = {sample_task(number, 2)[1] for number in range(40)}
     assert len(said) > 36
     assert all(text[-1] in ".?!" for text in said)
 
 
 def test_a_kind_of_table_may_be_asked_for() -> None:
-    tasks = sampled(3, 0, ["nightstand"]).tasks
+    tasks = sample_tasks(3, 0, ["nightstand"]).tasks
     assert {task.drawn().table.table_type for task in tasks if isinstance(task, SampledTask)} == {"nightstand"}
     with pytest.raises(ConfigError, match="expected one of"):
-        sampled(3, 0, ["moon"])
+        sample_tasks(3, 0, ["moon"])
     with pytest.raises(ConfigError, match="count is 0"):
-        sampled(0)
+        sample_tasks(0)
 
 
 def test_tasks_of_scenes_are_their_instructions_and_tables(dataset: Path, clean_run: Path) -> None:
-    of_folder, of_run = of_scenes(str(dataset)), of_scenes(str(clean_run))
+    of_folder, of_run = tasks_of_scenes(str(dataset)), tasks_of_scenes(str(clean_run))
     scene_id = of_folder.tasks[0].scene_id
-    assert of_folder.tasks[0] == of_scene(MesaTaskDataset(dataset).read(scene_id)[0])
+    assert of_folder.tasks[0] == task_of_scene(MesaTaskDataset(dataset).read(scene_id)[0])
     rows = RunFolder(str(clean_run)).table("scenes").to_pylist()
-    assert list(of_run.tasks) == [of_scene(scene_from_row(row)) for row in rows]
-    few = of_scenes(str(clean_run), f"scene_id == '{rows[0]['scene_id']}'")
+    assert list(of_run.tasks) == [task_of_scene(scene_from_row(row)) for row in rows]
+    few = tasks_of_scenes(str(clean_run), f"scene_id == '{rows[0]['scene_id']}'")
     assert [task.scene_id for task in few.tasks] == [rows[0]["scene_id"]]
 
 
 def test_one_instruction_is_one_task() -> None:
-    (task,) = of_instruction(" Lift it. ", "Office Table", (120.0, 60.0), (0.0, 40.0, 40.0, 60.0)).tasks
+    (task,) = task_of_instruction(" Lift it. ", "Office Table", (120.0, 60.0), (0.0, 40.0, 40.0, 60.0)).tasks
     assert task == LayoutTask("task", "Lift it.", Tabletop("office_table", (1.2, 0.6), (0.0, 0.4, 0.4, 0.6)))
 
 
 def test_scenes_that_are_no_run_take_no_condition(dataset: Path) -> None:
     with pytest.raises(ConfigError, match="has no table scenes"):
-        of_scenes(str(dataset), "clean")
+        tasks_of_scenes(str(dataset), "clean")
 
 
 def test_scenes_without_a_task_are_named(clean_run: Path, dataset: Path) -> None:
     with pytest.raises(ConfigError, match="holds no task"):
-        of_scenes(str(clean_run), "num_objects >= 1000")
+        tasks_of_scenes(str(clean_run), "num_objects >= 1000")
 
 
 def test_broken_rows_of_a_file_are_named_and_the_rest_is_used(tmp_path: Path) -> None:
     path = tmp_path / "tasks.jsonl"
     good = {"instruction": "Lift it.", "table_type": "office_table", "table_size_cm": [120, 60]}
     path.write_text("\n".join(["{", json.dumps(good), json.dumps(good | {"table_size_cm": [0, 1]})]))
-    found = of_file(path)
+    found = tasks_of_file(path)
     assert [type(task) for task in found.tasks] == [LayoutTask]
     assert [notice.code for notice in found.lost] == ["task_invalid", "table_invalid"]
 
@@ -89,7 +89,7 @@ def test_a_file_without_a_usable_row_says_why(tmp_path: Path) -> None:
     path = tmp_path / "tasks.csv"
     path.write_text("instruction,table_type,table_size_cm\nLift it.,office_table,120,60\n")
     with pytest.raises(ConfigError, match=r"expected one at least; 1 are none, such as tasks\.csv, row 1: has .fields beyond"):
-        of_file(path)
+        tasks_of_file(path)
 
 
 @pytest.mark.parametrize(

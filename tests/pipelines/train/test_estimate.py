@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from models.semantic_reasoner.training.loss import ReplyLoss, put_in_place
+from models.semantic_reasoner.training.loss import ReplyLoss, place_network
 from models.semantic_reasoner.training.network import new_network
 from models.semantic_reasoner.training.settings import EMBEDDED, LanguageModelSettings, Precision, ReasonerTrainingSettings
 from models.training.distributed import CPU
@@ -16,7 +16,7 @@ TOKENS = 128
 def bytes_kept_for_backward(settings: ReasonerTrainingSettings) -> int:
     """What autograd keeps of the layers' forward pass over one row, beside the parameters."""
     loss = ReplyLoss(new_network(settings.network, tokenizer(), 512, 0), settings)
-    put_in_place(loss, CPU)
+    place_network(loss, CPU)
     parameters = {p.untyped_storage().data_ptr() for p in loss.parameters()}
     kept: dict[int, torch.Tensor] = {}
 

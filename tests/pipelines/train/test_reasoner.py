@@ -29,7 +29,7 @@ from pipelines.__main__ import app
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess.job import preprocess
 from pipelines.settings import SECTIONS
-from pipelines.train.estimate import plan_of
+from pipelines.train.estimate import training_plan
 from pipelines.train.reasoner import ReasonerMonitoring, ReasonerTrainingJob
 from pipelines.train.run import STATE
 from stable_data.embedded_world.edit_table import write_edits
@@ -404,7 +404,7 @@ def test_the_plan_says_what_would_be_done_and_keeps_nothing(run: Path, tmp_path:
 
 def test_the_plan_is_what_then_is_done(run: Path, out: Path) -> None:
     settings = replace(SETTINGS, steps=0, passes=2.0)
-    planned = plan_of(job(run, out, settings), 0)
+    planned = training_plan(job(run, out, settings), 0)
     job(run, out, settings, minutes=1e-9).run()
     manifest = json.loads((out / "manifest.json").read_text("utf-8"))
     assert planned["steps"] == manifest["settings"]["steps"]
@@ -415,16 +415,16 @@ def test_the_plan_is_what_then_is_done(run: Path, out: Path) -> None:
 
 @pytest.mark.filterwarnings("ignore:.is_gradient_checkpointing.:FutureWarning")  # of peft about transformers
 def test_memory_is_shared_and_lora_trains_little(run: Path, out: Path, base: Path) -> None:
-    whole = plan_of(job(run, out, replace(SETTINGS, base=str(base))), 2)["memory_bytes"]
-    alone = plan_of(job(run, out, replace(SETTINGS, base=str(base))), 0)["memory_bytes"]
+    whole = training_plan(job(run, out, replace(SETTINGS, base=str(base))), 2)["memory_bytes"]
+    alone = training_plan(job(run, out, replace(SETTINGS, base=str(base))), 0)["memory_bytes"]
     lora = replace(SETTINGS, base=str(base), lora=LoraSettings(4, 8))
-    little = plan_of(job(run, out, lora), 0)["memory_bytes"]
+    little = training_plan(job(run, out, lora), 0)["memory_bytes"]
     assert whole["weights"] == alone["weights"] / 2
     assert whole["gathered"] > alone["gathered"] == 0
     assert little["num_weights"] == alone["num_weights"]
     job(run, out, lora, minutes=1e-9).run()
     assert little["num_trained"] == sum(v.numel() for v in torch.load(out / STATE)["values"].values())
-    again = plan_of(job(run, out, replace(SETTINGS, base=str(base), recomputes=True)), 0)["memory_bytes"]
+    again = training_plan(job(run, out, replace(SETTINGS, base=str(base), recomputes=True)), 0)["memory_bytes"]
     assert again["activations"] < alone["activations"]
 
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from stable_data.assets.box_fitting import proportions, size_score, stretched_scale, uniform_factor
-from stable_data.rotations import turned_extents
+from stable_data.assets.box_fitting import box_proportions, size_score, stretched_scale, uniform_scale_factor
+from stable_data.rotations import rotated_extents
 from stable_data.scene import UPRIGHT, QuatXyzw, Vec3
 from tests.stable_data.assets.bag_of_words import LAID
 
@@ -19,7 +19,7 @@ FACTOR = st.floats(1e-6, 1e6)
 
 
 def score(one: Vec3, other: Vec3) -> float:
-    return float(size_score(proportions(one), proportions(other)))
+    return float(size_score(box_proportions(one), box_proportions(other)))
 
 
 @given(BOX, BOX, FACTOR, FACTOR)
@@ -33,7 +33,7 @@ def test_the_score_knows_proportions_alone(one: Vec3, other: Vec3, a: float, b: 
 def test_a_box_scores_one_with_itself_enlarged_and_its_factor_is_found(box: Vec3, factor: float) -> None:
     wanted = (factor * box[0], factor * box[1], factor * box[2])
     assert score(wanted, box) == pytest.approx(1)
-    assert uniform_factor(wanted, box) == pytest.approx(factor)
+    assert uniform_scale_factor(wanted, box) == pytest.approx(factor)
 
 
 def test_the_score_is_the_cosine() -> None:
@@ -44,7 +44,7 @@ def test_the_score_is_the_cosine() -> None:
 @given(BOX, BOX)
 def test_no_factor_comes_nearer_and_the_diagonal_is_never_longer(wanted: Vec3, box: Vec3) -> None:
     w, e = np.array(wanted), np.array(box)
-    factor = float(uniform_factor(w, e))
+    factor = float(uniform_scale_factor(w, e))
     distance = np.linalg.norm(w - factor * e)
     for other in (0.99 * factor, 1.01 * factor):
         assert distance <= np.linalg.norm(w - other * e)
@@ -55,11 +55,11 @@ def test_no_factor_comes_nearer_and_the_diagonal_is_never_longer(wanted: Vec3, b
 
 
 def test_a_sheet_keeps_its_length_however_thin_it_is_wanted() -> None:
-    assert uniform_factor((0.21, 0.30, 0.001), (210, 300, 5)) == pytest.approx(0.001, rel=1e-3)
+    assert uniform_scale_factor((0.21, 0.30, 0.001), (210, 300, 5)) == pytest.approx(0.001, rel=1e-3)
 
 
 def test_boxes_that_share_no_edge_still_get_a_factor() -> None:
-    assert uniform_factor((0.3, 0.0, 0.0), (0.0, 0.0, 2.0)) == pytest.approx(0.15)
+    assert uniform_scale_factor((0.3, 0.0, 0.0), (0.0, 0.0, 2.0)) == pytest.approx(0.15)
 
 
 TURNS = Rotation.create_group("O").as_quat()
@@ -69,10 +69,10 @@ TURNS = Rotation.create_group("O").as_quat()
 def test_a_stretched_mesh_fills_the_wanted_box_at_every_right_angle(wanted: Vec3, extents: Vec3, turn: int) -> None:
     x, y, z, w = (float(q) for q in TURNS[turn])
     tilt: QuatXyzw = (x, y, z, w)
-    scale, distortion = stretched_scale(wanted, turned_extents(extents, tilt), tilt)
+    scale, distortion = stretched_scale(wanted, rotated_extents(extents, tilt), tilt)
     assert scale is not None
     a, b, c = (s * e for s, e in zip(scale, extents, strict=True))
-    assert turned_extents((a, b, c), tilt) == pytest.approx(wanted)
+    assert rotated_extents((a, b, c), tilt) == pytest.approx(wanted)
     assert distortion == pytest.approx(max(scale) / min(scale))
 
 

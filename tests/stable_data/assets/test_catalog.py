@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stable_data.assets.catalog import AssetLibrary, RestingTilt, library_of_run, sentence
+from stable_data.assets.catalog import AssetLibrary, RestingTilt, asset_sentence, library_of_run
 from stable_data.errors import ConfigError
 from stable_data.geometry.gltf_writer import write_glb
 from stable_data.geometry.mesh import Mesh
@@ -147,9 +147,9 @@ def test_a_folders_own_features_are_read_without_pickle(tmp_path: Path) -> None:
 def test_embedding_names_the_category_and_keeps_the_encoder(tmp_path: Path) -> None:
     encoder = BagOfWords()
     library = AssetLibrary("mine", (thing("a", "a slim one", category="water_bottle"),)).embedded(encoder, tmp_path / "rows")
-    assert encoder.asked == ["water bottle, a slim one"] == [sentence("a slim one", "water_bottle")]
+    assert encoder.asked == ["water bottle, a slim one"] == [asset_sentence("a slim one", "water_bottle")]
     assert library.encoder_fingerprint == encoder.fingerprint
-    assert sentence(" ", "") == ""
+    assert asset_sentence(" ", "") == ""
 
 
 def test_a_library_without_assets_is_refused(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stable_data.assets.text_embeddings import checked_rows, text_rows
+from stable_data.assets.text_embeddings import check_rows, embed_texts
 from stable_data.errors import ConfigError
 from tests.stable_data.assets.bag_of_words import BagOfWords
 
@@ -16,26 +16,26 @@ TEXTS = ["a mug", "a bowl", "a mug", "ein Löffel 🥄"]
 
 def test_each_text_is_encoded_once_and_has_its_row() -> None:
     encoder = BagOfWords()
-    rows = text_rows(TEXTS, encoder)
+    rows = embed_texts(TEXTS, encoder)
     assert encoder.asked == ["a mug", "a bowl", "ein Löffel 🥄"]
     assert np.array_equal(rows, BagOfWords()(TEXTS))
     assert rows.dtype == np.float32
 
 
 def test_no_texts_have_no_rows() -> None:
-    assert text_rows([], BagOfWords()).shape == (0, 0)
+    assert embed_texts([], BagOfWords()).shape == (0, 0)
 
 
 def test_a_file_serves_what_it_holds_and_takes_what_it_lacks(tmp_path: Path) -> None:
     cache = tmp_path / "deep" / "rows.parquet"
-    first = text_rows(TEXTS, BagOfWords(), cache)
+    first = embed_texts(TEXTS, BagOfWords(), cache)
     encoder = BagOfWords()
-    assert np.array_equal(text_rows(TEXTS[::-1], encoder, cache), first[::-1])
+    assert np.array_equal(embed_texts(TEXTS[::-1], encoder, cache), first[::-1])
     assert encoder.asked == []
-    more = text_rows(["a fork", *TEXTS], encoder, cache)
+    more = embed_texts(["a fork", *TEXTS], encoder, cache)
     assert encoder.asked == ["a fork"]
     assert np.array_equal(more[1:], first)
-    text_rows(["a fork", *TEXTS], encoder, cache)
+    embed_texts(["a fork", *TEXTS], encoder, cache)
     assert encoder.asked == ["a fork"]
     assert [path.name for path in cache.parent.iterdir()] == ["rows.parquet"]
 
@@ -49,7 +49,7 @@ def test_writers_with_the_number_of_one_process_do_not_disturb_each_other(
     def ask(writer: int) -> None:
         for number in range(20):
             texts = [f"thing {writer} {number} {k}" for k in range(50)]
-            assert np.array_equal(text_rows(texts, BagOfWords(), cache), BagOfWords()(texts))
+            assert np.array_equal(embed_texts(texts, BagOfWords(), cache), BagOfWords()(texts))
 
     with ThreadPoolExecutor(4) as pool:
         list(pool.map(ask, range(4)))
@@ -58,19 +58,19 @@ def test_writers_with_the_number_of_one_process_do_not_disturb_each_other(
 
 def test_a_file_of_another_encoder_is_refused(tmp_path: Path) -> None:
     cache = tmp_path / "rows.parquet"
-    text_rows(TEXTS, BagOfWords(), cache)
+    embed_texts(TEXTS, BagOfWords(), cache)
     with pytest.raises(ConfigError, match="contains features of encoder bag-0-128, expected bag-1-128; delete") as caught:
-        text_rows(TEXTS, BagOfWords(seed=1), cache)
+        embed_texts(TEXTS, BagOfWords(seed=1), cache)
     assert caught.value.code == "features_of_another_encoder"
 
 
 def test_an_encoder_of_another_length_under_the_same_name_is_refused(tmp_path: Path) -> None:
     cache = tmp_path / "rows.parquet"
-    text_rows(TEXTS, BagOfWords(), cache)
+    embed_texts(TEXTS, BagOfWords(), cache)
     other = BagOfWords(width=16)
     other.fingerprint = BagOfWords().fingerprint
     with pytest.raises(ConfigError, match="contains features of 128 numbers, but the encoder returns 16"):
-        text_rows(["a fork"], other, cache)
+        embed_texts(["a fork"], other, cache)
 
 
 @pytest.mark.parametrize("content", [b"", b"PAR1 no parquet", b"\x00" * 100])
@@ -78,7 +78,7 @@ def test_a_file_that_is_no_cache_is_refused(content: bytes, tmp_path: Path) -> N
     cache = tmp_path / "rows.parquet"
     cache.write_bytes(content)
     with pytest.raises(ConfigError, match=r"rows\.parquet cannot be read .*delete the file") as caught:
-        text_rows(TEXTS, BagOfWords(), cache)
+        embed_texts(TEXTS, BagOfWords(), cache)
     assert "\n" not in str(caught.value)
 
 
@@ -94,4 +94,4 @@ def test_a_file_that_is_no_cache_is_refused(content: bytes, tmp_path: Path) -> N
 )
 def test_rows_that_cannot_be_compared_are_refused(rows: np.ndarray, what: str) -> None:
     with pytest.raises(ConfigError, match=what):
-        checked_rows(rows, 2, "here")
+        check_rows(rows, 2, "here")

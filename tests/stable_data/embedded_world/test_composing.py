@@ -9,11 +9,19 @@ import shapely
 from stable_data.embedded_world import scenes
 from stable_data.embedded_world.families.catalogue import BY_CATEGORY, asset
 from stable_data.embedded_world.groups import bath, desk, dining, kitchen, lounge
-from stable_data.embedded_world.groups.arrangement import GroupItem, GroupSampler, filled, heaped, leaning, row, stack
-from stable_data.embedded_world.placing import TableOccupancy, compose, lowered
+from stable_data.embedded_world.groups.arrangement import (
+    GroupItem,
+    GroupSampler,
+    fill_container,
+    heap_in_bowl,
+    lean_in_cup,
+    row,
+    stack,
+)
+from stable_data.embedded_world.placing import TableOccupancy, compose, lower_group
 from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES, Slot
 from stable_data.embedded_world.scenes import EmbeddedScene, make_scene, plan_of, scene_id_of, table_type_of
-from stable_data.embedded_world.settling import audit, bodies_of, instance_names, restless, unclean
+from stable_data.embedded_world.settling import audit, bodies_of, instance_names, unclean_objects, unsteady_objects
 from stable_data.errors import ConfigError, SceneError
 from stable_data.scene import Tabletop
 from stable_data.simulation.settling import settle
@@ -63,7 +71,7 @@ def test_stack_stays_over_its_first_thing(kit: GroupSampler) -> None:
 
 def test_contents_lie_within_their_container_and_apart(kit: GroupSampler) -> None:
     crate = GroupItem("crate/0", 0.2, 0.1, 0.4)
-    group = filled(crate, [GroupItem("can/0", yaw=k) for k in range(20)], kit)
+    group = fill_container(crate, [GroupItem("can/0", yaw=k) for k in range(20)], kit)
     assert 2 <= len(group) < 21
     outlines = [item.outline() for item in group[1:]]
     assert all(crate.outline().contains(o) for o in outlines)
@@ -72,12 +80,12 @@ def test_contents_lie_within_their_container_and_apart(kit: GroupSampler) -> Non
 
 def test_heap_and_leaning_things_stay_in_what_holds_them(kit: GroupSampler) -> None:
     bowl = GroupItem("bowl/0")
-    for item in heaped(bowl, [GroupItem("egg/0")] * 3, kit)[1:]:
+    for item in heap_in_bowl(bowl, [GroupItem("egg/0")] * 3, kit)[1:]:
         assert bowl.outline().contains(shapely.Point(item.x, item.y))
     holder = GroupItem("pen_holder/0")
     hollow = asset("pen_holder/0").hollow
     assert hollow is not None
-    group = leaning(holder, ["pen/0", "pen/1"], kit)
+    group = lean_in_cup(holder, ["pen/0", "pen/1"], kit)
     assert len(group) == 3
     assert all(item.tilt_quat_xyzw != GroupItem("pen/0").tilt_quat_xyzw for item in group[1:])
 
@@ -94,7 +102,7 @@ def test_group_that_does_not_fit_is_left_out(kit: GroupSampler) -> None:
 
 
 def test_lowered_things_are_just_clear() -> None:
-    low, high = lowered([GroupItem("book/0"), GroupItem("eraser/0")])
+    low, high = lower_group([GroupItem("book/0"), GroupItem("eraser/0")])
     gap = high.z - high.shape.size[2] / 2 - (low.z + low.shape.size[2] / 2)
     assert 0 < gap < 2e-4
 
@@ -134,7 +142,7 @@ def test_made_scenes_are_clean_at_rest_and_full(made: list[EmbeddedScene]) -> No
     for one in made:
         card = audit(one.scene, one.placed).card()
         assert card.clean
-        assert not restless(one.scene, one.placed)
+        assert not unsteady_objects(one.scene, one.placed)
         assert scenes.FEWEST <= len(one.placed) <= scenes.MOST
     assert 9 < np.mean([len(one.placed) for one in made]) < 20
 
@@ -162,21 +170,21 @@ def test_scene_has_a_task_of_its_own_objects_and_a_record(made: list[EmbeddedSce
 
 def test_scene_that_never_passes_is_an_error_with_a_record(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scenes, "_ATTEMPTS", 2)
-    monkeypatch.setattr(scenes, "restless", lambda scene, placed: frozenset(range(len(placed))))
+    monkeypatch.setattr(scenes, "unsteady_objects", lambda scene, placed: frozenset(range(len(placed))))
     with pytest.raises(SceneError, match=r"none of 2 compositions came to rest clean .*not at rest") as caught:
         make_scene(0)
     assert caught.value.code == "synth_failed"
 
 
 def test_unclean_group_is_taken_away_and_the_rest_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = unclean
+    found = unclean_objects
     calls: list[int] = []
 
     def first_is_bad(judged):  # type: ignore[no-untyped-def]
         calls.append(len(judged.objects))
         return frozenset({0}) if len(calls) == 1 else found(judged)
 
-    monkeypatch.setattr(scenes, "unclean", first_is_bad)
+    monkeypatch.setattr(scenes, "unclean_objects", first_is_bad)
     one = make_scene(1, seed=5)
     assert len(one.placed) < calls[0]
     assert one.scene.source is not None

@@ -10,12 +10,12 @@ from typer.testing import CliRunner
 from stable_data.cli import app
 from stable_data.embedded_world.drafting import DRAFTERS, KINDS, SceneEditor
 from stable_data.embedded_world.edit_table import edit_rows, write_edits
-from stable_data.embedded_world.edits import as_settled
+from stable_data.embedded_world.edits import place_as_settled
 from stable_data.embedded_world.families.catalogue import KEYS, asset
 from stable_data.embedded_world.groups.arrangement import GroupItem, GroupSampler
 from stable_data.embedded_world.placing import PlacedObject
 from stable_data.embedded_world.scenes import EmbeddedScene, graph_of
-from stable_data.embedded_world.settling import audit, unclean
+from stable_data.embedded_world.settling import audit, unclean_objects
 from stable_data.errors import SceneError
 from stable_data.instructions.naming import ObjectNamer
 from stable_data.scene import Scene, Tabletop
@@ -87,7 +87,7 @@ def test_what_is_drafted_is_mostly_clean_as_it_was_lowered(rows: list[Row], draf
     for edit in drafted[::4]:
         scene = after(edit, scenes[edit["scene_id"]])
         placed = [_placed(o.asset_id, o.scale, keys) for o in scene.objects]
-        clean.append(not unclean(audit(scene, placed)))
+        clean.append(not unclean_objects(audit(scene, placed)))
     assert np.mean(clean) > 0.8
 
 
@@ -118,7 +118,7 @@ def test_a_table_without_room_ends_the_search(made: list[EmbeddedScene]) -> None
     one = made[0]
     width, depth = one.scene.table.size_xy
     full = replace(one.scene, table=Tabletop(one.scene.table.table_type, (width, depth), (0.0, width, 0.0, depth)))
-    things = {o.instance: as_settled(thing, o) for o, thing in zip(one.scene.objects, one.placed, strict=True)}
+    things = {o.instance: place_as_settled(thing, o) for o, thing in zip(one.scene.objects, one.placed, strict=True)}
     graph = graph_of(one.scene, audit(one.scene, one.placed), one.placed)
     carriers = frozenset(things)  # nothing can be put on anything either
     desk = SceneEditor(full, things, ObjectNamer(full, graph), GroupSampler(np.random.default_rng(0)), carriers)

@@ -6,7 +6,7 @@ import pytest
 from stable_data.embedded_world.drafting import KINDS
 from stable_data.embedded_world.edits import make_edit
 from stable_data.embedded_world.scenes import EmbeddedScene, make_scene
-from stable_data.embedded_world.settling import audit, bodies_of, restless
+from stable_data.embedded_world.settling import audit, bodies_of, unsteady_objects
 from stable_data.simulation.settling import settle
 
 pytestmark = pytest.mark.sim
@@ -35,7 +35,7 @@ def test_edit_of_every_kind_is_clean_and_changes_only_what_it_says(kind: str, ma
         else:
             assert len(edit.moved) >= 2
         assert audit(edit.after, edit.placed).card().clean
-        assert not restless(edit.after, edit.placed)
+        assert not unsteady_objects(edit.after, edit.placed)
         assert settle(bodies_of(edit.after, edit.placed), edit.after.table).stable
         assert edit.instruction[0].isupper()
         assert edit.instruction[-1] in ".?!"

@@ -17,8 +17,8 @@ Z_UP = trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0])
 
 def load(scene: Scene, store: AssetStore, out: Path) -> trimesh.Scene:
     """A scene written, and read by trimesh, turned back to z up."""
-    glb.write(SceneGeometry.of(scene, store), out)
-    loaded = trimesh.load(glb.place(scene, out))
+    glb.export_scene(SceneGeometry.of(scene, store), out)
+    loaded = trimesh.load(glb.scene_path(scene, out))
     loaded.apply_transform(Z_UP)
     return loaded
 
@@ -64,5 +64,5 @@ def test_the_same_scene_gives_the_same_bytes(store: AssetStore) -> None:
 @pytest.mark.parametrize("name", ["a/b", "..", "", "x" * 300])
 def test_any_name_of_a_scene_is_a_file_of_the_folder(name: str, store: AssetStore, tmp_path: Path) -> None:
     scene = Scene(name, EMPTY.table, ())
-    glb.write(SceneGeometry.of(scene, store), tmp_path)
+    glb.export_scene(SceneGeometry.of(scene, store), tmp_path)
     assert len(list(tmp_path.iterdir())) == 1

@@ -61,8 +61,8 @@ def xyzw(poses: Any) -> FloatArray:
 @pytest.mark.parametrize("scene", [at_rest(), falling()], ids=["at rest", "falling"])
 def test_mujoco_alone_finds_what_the_verdict_found(scene: Scene, store: AssetStore, tmp_path: Path) -> None:
     solid = SceneGeometry.of(scene, store)
-    mjcf.write(solid, tmp_path)
-    found, rest = read(mjcf.place(scene, tmp_path)), settle(solid.bodies, scene.table)
+    mjcf.export_scene(solid, tmp_path)
+    found, rest = read(mjcf.scene_path(scene, tmp_path)), settle(solid.bodies, scene.table)
     assert found["names"] == [body_name(o.instance) for o in scene.objects]
     np.testing.assert_allclose(found["masses"], [body.mass for body in solid.bodies], rtol=1e-12)
     assert found["colliders"] == [sum(hull_volume(part) > 0 for part in body.parts) for body in solid.bodies]
@@ -77,8 +77,11 @@ def test_mujoco_alone_finds_what_the_verdict_found(scene: Scene, store: AssetSto
 @pytest.mark.parametrize("scene", SCENES, ids=["at rest", "falling", "empty"])
 def test_the_model_is_the_one_of_the_verdict_to_the_last_bit(scene: Scene, store: AssetStore, tmp_path: Path) -> None:
     solid = SceneGeometry.of(scene, store)
-    mjcf.write(solid, tmp_path)
-    read_back, own = mujoco.MjModel.from_xml_path(str(mjcf.place(scene, tmp_path))), compile_bodies(solid.bodies, scene.table)
+    mjcf.export_scene(solid, tmp_path)
+    read_back, own = (
+        mujoco.MjModel.from_xml_path(str(mjcf.scene_path(scene, tmp_path))),
+        compile_bodies(solid.bodies, scene.table),
+    )
     for name in (
         "timestep",
         "cone",
@@ -104,8 +107,8 @@ def test_the_model_is_the_one_of_the_verdict_to_the_last_bit(scene: Scene, store
 def test_what_is_seen_is_the_mesh_where_the_object_is(store: AssetStore, tmp_path: Path) -> None:
     scene = at_rest()
     solid = SceneGeometry.of(scene, store)
-    mjcf.write(solid, tmp_path)
-    model = mujoco.MjModel.from_xml_path(str(mjcf.place(scene, tmp_path)))
+    mjcf.export_scene(solid, tmp_path)
+    model = mujoco.MjModel.from_xml_path(str(mjcf.scene_path(scene, tmp_path)))
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     for k, (o, shape) in enumerate(zip(scene.objects, solid.shapes, strict=True)):
@@ -141,8 +144,8 @@ def test_settled_poses_are_those_that_the_engine_left(store: AssetStore, tmp_pat
         np.linalg.norm(np.subtract(o.position, p.position)) for o, p in zip(scene.objects, after.scene.objects, strict=True)
     ]
     assert moved[0] > 0.005
-    mjcf.write(after, tmp_path)
-    found = read(mjcf.place(scene, tmp_path))
+    mjcf.export_scene(after, tmp_path)
+    found = read(mjcf.scene_path(scene, tmp_path))
     start, end = np.array(found["start"]), np.array(found["end"])
     np.testing.assert_allclose(end[:, :3], start[:, :3], atol=5e-4)
     for k, shape in enumerate(before.shapes):  # every corner is where the engine left it
@@ -159,28 +162,28 @@ def mujoco_matrix(quat_xyzw: FloatArray) -> FloatArray:
 
 
 def test_a_part_that_two_scenes_share_is_one_file(store: AssetStore, tmp_path: Path) -> None:
-    mjcf.write(SceneGeometry.of(at_rest(), store), tmp_path)
+    mjcf.export_scene(SceneGeometry.of(at_rest(), store), tmp_path)
     files = {path: path.stat().st_mtime_ns for path in (tmp_path / "assets").rglob("*.obj")}
     again = Scene("again", at_rest().table, at_rest().objects)
-    mjcf.write(SceneGeometry.of(again, store), tmp_path)
+    mjcf.export_scene(SceneGeometry.of(again, store), tmp_path)
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "assets").rglob("*.obj")} == files
 
 
 def test_versions_with_other_defaults_are_told_what_the_verdict_had(store: AssetStore, tmp_path: Path) -> None:
     """Before version 4 MuJoCo found one contact point for two meshes, and no version leaves a blown-up scene as it is."""
-    mjcf.write(SceneGeometry.of(at_rest(), store), tmp_path)
-    flag = ElementTree.parse(mjcf.place(at_rest(), tmp_path)).find("option/flag")  # noqa: S314 - our own file
+    mjcf.export_scene(SceneGeometry.of(at_rest(), store), tmp_path)
+    flag = ElementTree.parse(mjcf.scene_path(at_rest(), tmp_path)).find("option/flag")  # noqa: S314 - our own file
     assert flag is not None
     assert flag.attrib == {"autoreset": "disable", "multiccd": "enable"}
 
 
 @pytest.mark.parametrize("name", ["assets", "README.md", "..", "a/b"])
 def test_a_scene_takes_the_place_of_nothing_else(name: str, tmp_path: Path) -> None:
-    folder = mjcf.place(replace(EMPTY, scene_id=name), tmp_path).parent
+    folder = mjcf.scene_path(replace(EMPTY, scene_id=name), tmp_path).parent
     assert folder.parent == tmp_path
     assert folder.name != name
 
 
 def test_an_empty_scene_is_a_table(store: AssetStore, tmp_path: Path) -> None:
-    mjcf.write(SceneGeometry.of(EMPTY, store), tmp_path)
-    assert read(mjcf.place(EMPTY, tmp_path))["names"] == []
+    mjcf.export_scene(SceneGeometry.of(EMPTY, store), tmp_path)
+    assert read(mjcf.scene_path(EMPTY, tmp_path))["names"] == []

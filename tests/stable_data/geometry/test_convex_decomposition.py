@@ -12,7 +12,7 @@ import trimesh
 from stable_data.geometry.convex_decomposition import ConvexParts, convex_parts, inside_convex
 from stable_data.geometry.gltf_reader import load_glb
 from stable_data.geometry.mesh import Mesh, signed_volumes
-from stable_data.geometry.mesh_repair import repair
+from stable_data.geometry.mesh_repair import repair_mesh
 from stable_data.scene import FloatArray
 
 
@@ -97,7 +97,7 @@ def test_a_floor_of_no_thickness_is_kept() -> None:
     floor = trimesh.Trimesh(
         [[-0.8, -0.8, -0.5], [0.8, -0.8, -0.5], [0.8, 0.8, -0.5], [-0.8, 0.8, -0.5]], [[0, 2, 1], [0, 3, 2]]
     )
-    mesh, report, _ = repair(of(trimesh.util.concatenate([ring, floor])), "crate")
+    mesh, report, _ = repair_mesh(of(trimesh.util.concatenate([ring, floor])), "crate")
     parts = convex_parts(mesh)
     assert report.is_solid
     assert parts.uncovered_max < 1e-3
@@ -122,7 +122,7 @@ def test_the_budget_is_kept(max_parts: int) -> None:
 def test_a_marble_lies_in_real_containers(real_data: Path, category: str, radius: float) -> None:
     notes = json.loads((real_data / "Asset_annotation.json").read_text())
     asset_id = next(uid for uid, note in notes.items() if note["category"] == category)
-    mesh, _, _ = repair(load_glb(real_data / "Assets_library" / f"{asset_id}.glb", asset_id)[0], asset_id)
+    mesh, _, _ = repair_mesh(load_glb(real_data / "Assets_library" / f"{asset_id}.glb", asset_id)[0], asset_id)
     parts, extent = convex_parts(mesh), mesh.extents.max()
     assert parts.overfill_max < 0.05 * extent
     assert holds_ball(parts, np.array([0.0, 0.0, mesh.extents[2] / 2]), radius * extent)

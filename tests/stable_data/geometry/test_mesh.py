@@ -16,7 +16,7 @@ from stable_data.errors import MeshError
 from stable_data.geometry.gltf_reader import MeshLimits, load_glb
 from stable_data.geometry.mass_properties import mass_properties
 from stable_data.geometry.mesh import Edges, Mesh, is_closed, signed_volumes, unit_normals
-from stable_data.geometry.mesh_repair import repair
+from stable_data.geometry.mesh_repair import repair_mesh
 from stable_data.scene import FloatArray, IntArray
 from tests.broken_inputs import BROKEN_INPUTS, BrokenInput
 from tests.stable_data.geometry.glb_files import document_of, glb_bytes, rebuilt
@@ -187,7 +187,7 @@ def test_triangles_without_area_have_no_normal() -> None:
 
 
 def test_a_closed_mesh_is_left_as_it_is() -> None:
-    mesh, report, notices = repair(BALL, "ball")
+    mesh, report, notices = repair_mesh(BALL, "ball")
     assert np.array_equal(mesh.faces, BALL.faces)
     assert report.was_watertight
     assert report.is_watertight
@@ -200,7 +200,7 @@ def test_a_closed_mesh_is_left_as_it_is() -> None:
 
 
 def test_an_inside_out_mesh_is_turned_and_says_so() -> None:
-    mesh, report, notices = repair(Mesh(BALL.vertices, BALL.faces[:, ::-1]), "ball")
+    mesh, report, notices = repair_mesh(Mesh(BALL.vertices, BALL.faces[:, ::-1]), "ball")
     assert [n.code for n in notices] == ["glb_inside_out"]
     assert report.num_flipped_faces == len(BALL.faces)
     assert signed_volumes(mesh.triangles).sum() > 4
@@ -209,7 +209,7 @@ def test_an_inside_out_mesh_is_turned_and_says_so() -> None:
 def test_a_few_turned_faces_are_turned_back() -> None:
     faces = BALL.faces.copy()
     faces[::10] = faces[::10, ::-1]
-    mesh, report, notices = repair(Mesh(BALL.vertices, faces), "ball")
+    mesh, report, notices = repair_mesh(Mesh(BALL.vertices, faces), "ball")
     assert is_closed(mesh)
     assert report.num_flipped_faces == len(faces[::10])
     assert not notices
@@ -219,14 +219,14 @@ def test_a_few_turned_faces_are_turned_back() -> None:
 def test_a_cavity_stays_a_cavity(is_inside_out: bool) -> None:
     faces = np.concatenate([BALL.faces, BALL.faces[:, ::-1] + len(BALL.vertices)])
     hollow = Mesh(np.concatenate([BALL.vertices, 0.5 * BALL.vertices]), faces[:, ::-1] if is_inside_out else faces)
-    _, report, _ = repair(hollow, "ball")
+    _, report, _ = repair_mesh(hollow, "ball")
     assert report.volume == pytest.approx(7 / 8 * 4 / 3 * np.pi, rel=0.01)
 
 
 @pytest.mark.parametrize("missing", [[7], [7, 40], list(range(4))])
 def test_a_crack_is_closed(missing: list[int]) -> None:
     ball = of(trimesh.creation.icosphere(subdivisions=5))
-    _, report, _ = repair(Mesh(ball.vertices, np.delete(ball.faces, missing, axis=0)), "ball")
+    _, report, _ = repair_mesh(Mesh(ball.vertices, np.delete(ball.faces, missing, axis=0)), "ball")
     assert report.is_watertight
     assert not report.was_watertight
     assert report.is_solid
@@ -235,7 +235,7 @@ def test_a_crack_is_closed(missing: list[int]) -> None:
 @pytest.mark.parametrize("turn", [np.eye(3), np.diag([1.0, -1.0, -1.0]), np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])])
 def test_an_open_bowl_stays_open_whichever_way_it_lies(turn: FloatArray) -> None:
     shell = bowl()
-    mesh, report, notices = repair(Mesh(shell.vertices @ turn.T, shell.faces), "bowl")
+    mesh, report, notices = repair_mesh(Mesh(shell.vertices @ turn.T, shell.faces), "bowl")
     assert len(mesh.faces) == len(shell.faces)
     assert report.is_sheet
     assert not report.is_solid
@@ -249,7 +249,7 @@ def test_the_buried_end_of_a_handle_is_closed() -> None:
     tube = trimesh.Trimesh(rod.vertices, rod.faces[np.abs(rod.face_normals[:, 2]) < 0.5], process=True)
     tube.apply_translation([0, 0, 1.5])
     parts = trimesh.util.concatenate([of_trimesh(BALL), tube])
-    _, report, _ = repair(of(parts), "pan")
+    _, report, _ = repair_mesh(of(parts), "pan")
     assert report.num_boundary_edges == 16  # its free end looks up: it might be a vase
     assert report.actions == ("closed 1 of 2 holes",)
 
@@ -260,7 +260,7 @@ def of_trimesh(mesh: Mesh) -> trimesh.Trimesh:
 
 def test_a_flap_of_no_thickness_is_removed() -> None:
     flap = np.concatenate([BALL.faces, BALL.faces[:1], BALL.faces[:1, ::-1]])
-    mesh, report, _ = repair(Mesh(BALL.vertices, flap), "ball")
+    mesh, report, _ = repair_mesh(Mesh(BALL.vertices, flap), "ball")
     assert report.actions == ("dropped 2 duplicate faces",)
     assert len(mesh.faces) == len(BALL.faces)
     assert report.is_watertight
@@ -268,7 +268,7 @@ def test_a_flap_of_no_thickness_is_removed() -> None:
 
 def test_a_flat_sheet_encloses_nothing() -> None:
     square = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
-    _, report, _ = repair(square, "paper")
+    _, report, _ = repair_mesh(square, "paper")
     assert report.is_sheet
     assert report.volume == 0
 
@@ -291,7 +291,7 @@ def lattice(side: int) -> FloatArray:
 def test_many_loose_triangles_take_little_time() -> None:
     mesh = copies(TETRAHEDRON_CORNERS[:3], TETRAHEDRON[:1], lattice(28)[:20_000])
     begun = time.process_time()
-    _, report, _ = repair(mesh, "leaves")
+    _, report, _ = repair_mesh(mesh, "leaves")
     assert time.process_time() - begun < 10  # seconds; one, unless the machine is busy
     assert report.num_components == 20_000
     assert report.actions == ("closed 20000 of 20000 holes",)
@@ -302,7 +302,7 @@ def test_many_parts_that_look_inwards_take_little_time() -> None:
     faces = mesh.faces.copy()
     faces[20_004:] = faces[20_004:, ::-1]  # 4999 of 10,000
     begun = time.process_time()
-    repaired, report, _ = repair(Mesh(mesh.vertices, faces), "gravel")
+    repaired, report, _ = repair_mesh(Mesh(mesh.vertices, faces), "gravel")
     assert time.process_time() - begun < 10
     assert np.array_equal(repaired.faces, mesh.faces)
     assert report.num_flipped_faces == 4 * 4999
@@ -314,7 +314,7 @@ def test_many_faces_on_one_edge_take_little_time() -> None:
     corners = np.concatenate([[[0.0, 0, 0], [0, 0, 1]], rim])
     faces = np.insert(np.arange(len(rim))[:, None] + 2, [0, 0], [0, 1], axis=1)
     begun = time.process_time()
-    _, report, _ = repair(Mesh(corners, faces), "book")
+    _, report, _ = repair_mesh(Mesh(corners, faces), "book")
     assert time.process_time() - begun < 10
     assert report.num_components == 1
 
@@ -335,7 +335,7 @@ def test_what_would_take_too_long_is_refused_with_the_limit(mesh: Callable[[], M
     shells = mesh()
     shells.faces[: len(shells.faces) // 2] = shells.faces[: len(shells.faces) // 2, ::-1].copy()
     with pytest.raises(MeshError, match=f"asset dust: repair meets .*{found}.* at most .*; simplify the mesh") as caught:
-        repair(shells, "dust")
+        repair_mesh(shells, "dust")
     assert caught.value.code == "mesh_too_complex"
 
 
@@ -347,7 +347,7 @@ def test_a_moebius_strip_is_one_part_that_repair_bears() -> None:
     low, high = np.arange(24), np.arange(24) + 24
     after, above = np.append(low[1:], 24), np.append(high[1:], 0)  # the far end meets the near one upside down
     faces = np.concatenate([np.stack([low, after, high], axis=1), np.stack([after, above, high], axis=1)])
-    mesh, report, _ = repair(Mesh(vertices, faces), "strip")
+    mesh, report, _ = repair_mesh(Mesh(vertices, faces), "strip")
     assert report.num_components == 1
     assert report.is_sheet
     edges = Edges.of(mesh.faces)
@@ -356,8 +356,8 @@ def test_a_moebius_strip_is_one_part_that_repair_bears() -> None:
 
 def test_repairing_twice_changes_nothing() -> None:
     torn = Mesh(BALL.vertices, np.delete(BALL.faces, [3, 99], axis=0))
-    once, _, _ = repair(torn, "ball")
-    twice, report, _ = repair(once, "ball")
+    once, _, _ = repair_mesh(torn, "ball")
+    twice, report, _ = repair_mesh(once, "ball")
     assert np.array_equal(once.faces, twice.faces)
     assert np.array_equal(once.vertices, twice.vertices)
     assert report.actions == ()
@@ -406,7 +406,7 @@ def test_broken_files_are_refused_or_noticed_with_their_code(broken_data: Path, 
         assert caught.value.code == case.mesh_code
         return
     mesh, notices = load_glb(path, case.asset_id)
-    repaired, report, more = repair(mesh, case.asset_id)
+    repaired, report, more = repair_mesh(mesh, case.asset_id)
     assert [notice.code for notice in notices + more] == [case.mesh_code]
     assert not report.is_sheet
     assert signed_volumes(repaired.triangles).sum() > 0
@@ -415,7 +415,7 @@ def test_broken_files_are_refused_or_noticed_with_their_code(broken_data: Path, 
 def test_an_open_bowl_stays_open(broken_data: Path) -> None:
     case = next(case for case in BROKEN_INPUTS if case.name == "glb_open_bowl")
     mesh, notices = load_glb(broken_data / "Assets_library" / f"{case.asset_id}.glb", case.asset_id)
-    _, report, more = repair(mesh, case.asset_id)
+    _, report, more = repair_mesh(mesh, case.asset_id)
     assert report.is_sheet
     assert not notices + more
 
@@ -428,7 +428,7 @@ def test_real_meshes_have_the_annotated_size_and_nearly_all_become_solid(measure
     notes = json.loads((measured_data / "Asset_annotation.json").read_text())
     for asset_id, note in notes.items():
         mesh, notices = load_glb(measured_data / "Assets_library" / f"{asset_id}.glb", asset_id)
-        repaired, report, more = repair(mesh, asset_id)
+        repaired, report, more = repair_mesh(mesh, asset_id)
         if set("xyz") <= set(note.get("bbox", ())):  # some annotation entries lack it
             bbox = np.array([note["bbox"][axis] for axis in "xzy"])
             assert np.allclose(mesh.extents, bbox, atol=1e-5 * bbox.max())

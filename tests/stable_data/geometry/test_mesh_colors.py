@@ -24,7 +24,7 @@ from stable_data.geometry.gltf_reader import load_glb
 from stable_data.geometry.gltf_writer import write_glb
 from stable_data.geometry.mesh import double_areas
 from stable_data.geometry.mesh_colors import MOST_COLOURS, Paint, load_paint
-from stable_data.geometry.mesh_repair import repair
+from stable_data.geometry.mesh_repair import repair_mesh
 from stable_data.scene import Scene, SceneObject, Tabletop
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.mujoco_model import VISUAL_GROUP, engine_spec
@@ -46,7 +46,7 @@ class Folder:
 
 def painted(content: bytes) -> Paint:
     mesh, _ = load_glb(content, "a")
-    return load_paint(content, "a", repair(mesh, "a")[0])
+    return load_paint(content, "a", repair_mesh(mesh, "a")[0])
 
 
 def textured(image: Image.Image, uv: list[list[float]] | None = None) -> bytes:
@@ -63,14 +63,14 @@ def test_a_thing_has_the_colours_that_it_was_painted_with(key: str) -> None:
     areas = double_areas(thing.mesh)
     wanted = {colour: areas[rows].sum() / areas.sum() for colour, rows in thing.paint}
     mesh, _ = load_glb(thing.glb, key)
-    mesh = repair(mesh, key)[0]
+    mesh = repair_mesh(mesh, key)[0]
     found, areas = load_paint(thing.glb, key, mesh), double_areas(mesh)
     assert sorted(np.concatenate([rows for _, rows in found])) == list(range(len(mesh.faces)))
     assert {colour: areas[rows].sum() / areas.sum() for colour, rows in found} == pytest.approx(wanted, abs=0.02)
 
 
 def test_what_is_written_is_read_again_with_the_same_colours() -> None:
-    mesh = repair(load_glb(asset("laptop/0").glb, "a")[0], "a")[0]
+    mesh = repair_mesh(load_glb(asset("laptop/0").glb, "a")[0], "a")[0]
     given = load_paint(asset("laptop/0").glb, "a", mesh)
     content = write_glb(mesh, paint=given)
     again = load_glb(content, "a")[0]
@@ -164,7 +164,7 @@ def test_the_pixels_of_all_textures_are_limited(monkeypatch: pytest.MonkeyPatch)
 @settings(max_examples=150, deadline=None)
 @given(st.sampled_from(["PNG", "JPEG", "WEBP"]), st.randoms(use_true_random=False))
 def test_of_a_damaged_texture_only_colours_and_mesh_errors_come(file_format: str, random: Random) -> None:
-    num_faces = len(repair(load_glb(with_pictures(b""), "a")[0], "a")[0].faces)
+    num_faces = len(repair_mesh(load_glb(with_pictures(b""), "a")[0], "a")[0].faces)
     picture = bytearray(
         encoded(Image.linear_gradient("L").resize((16, 16)).convert("P" if file_format == "PNG" else "RGB"), file_format)
     )
@@ -186,7 +186,7 @@ def test_vertices_may_have_colours() -> None:
 
 
 def test_of_many_colours_few_are_left_and_every_face_has_one() -> None:
-    mesh = repair(load_glb(asset("vase/0").glb, "a")[0], "a")[0]
+    mesh = repair_mesh(load_glb(asset("vase/0").glb, "a")[0], "a")[0]
     rng = np.random.default_rng(0)
     noisy = [
         (f"#{r:02x}{g:02x}{b:02x}", np.array([k])) for k, (r, g, b) in enumerate(rng.integers(0, 256, (len(mesh.faces), 3)))

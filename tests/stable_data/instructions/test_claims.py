@@ -2,7 +2,7 @@
 
 import pytest
 
-from stable_data.instructions.claims import StatedRelation, emptied, mark, read_claims
+from stable_data.instructions.claims import StatedRelation, emptied_numbers, number_mentions, read_claims
 from stable_data.scene import RelationKind
 
 IN, ON, FRONT = RelationKind.IN, RelationKind.ON, RelationKind.IN_FRONT_OF
@@ -10,7 +10,10 @@ TYPES = ("Apple", "FruitBowl", "Bowl")
 
 
 def test_the_longest_types_are_marked_first() -> None:
-    assert mark("Put the apple and all apples from the fruit bowl into a bowl.", TYPES) == "put <0> and <0> from <1> into <2>."
+    assert (
+        number_mentions("Put the apple and all apples from the fruit bowl into a bowl.", TYPES)
+        == "put <0> and <0> from <1> into <2>."
+    )
 
 
 @pytest.mark.parametrize(
@@ -73,4 +76,4 @@ def test_claims_are_what_the_words_presuppose(marked: str, claims: list[StatedRe
     ],
 )
 def test_what_is_to_be_emptied_is_found(text: str) -> None:
-    assert emptied(text) == (3,)
+    assert emptied_numbers(text) == (3,)

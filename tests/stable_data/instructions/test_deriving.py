@@ -10,7 +10,7 @@ import pytest
 
 from stable_data.errors import SceneError
 from stable_data.instructions import derive_task, task_rng, type_words
-from stable_data.instructions.naming import ObjectNamer, mentions, relation_held
+from stable_data.instructions.naming import ObjectNamer, holds_relation, mentions
 from stable_data.instructions.task_info import resolve_task_objects
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import Scene, TaskInfo
@@ -130,7 +130,7 @@ def test_made_up_tasks_are_true_and_are_understood(measured_data: Path) -> None:
             assert set(task.relations) <= set(relations_of(graph)), task.task
             assert {m.instance for m in mentions(task.task, ObjectNamer(scene, graph))} <= set(task.task_objects), task.task
             understood, _ = resolve_task_objects(replace(task, task_objects=(), relations=()), scene, graph)
-            held = {relation_held(graph, r.subject, r.kind, r.target) or r for r in understood.relations}
+            held = {holds_relation(graph, r.subject, r.kind, r.target) or r for r in understood.relations}
             same_objects += understood.task_objects == task.task_objects
             same_relations += held == set(task.relations)
             num_tasks += 1

@@ -2,7 +2,7 @@
 
 import pytest
 
-from stable_data.instructions.naming import Distinction, ObjectName, mentions, relation_held
+from stable_data.instructions.naming import Distinction, ObjectName, holds_relation, mentions
 from stable_data.instructions.wording.vocabulary import answers_to
 from stable_data.scene import RelationKind
 from tests.stable_data.instructions.tables import DINING, MUG, TABLES, Table, Thing, table
@@ -67,7 +67,7 @@ def test_other_things_tell_apart() -> None:
     assert "the mug that is next to the lamp" in two.words("mug_1")
     (name,) = [n for n in two.namer.names("2_mug_0") if n.words == "the mug that is on the book"]
     assert name.anchor == "1_book_0"
-    assert name.relation == relation_held(two.graph, "2_mug_0", RelationKind.ON, "1_book_0")
+    assert name.relation == holds_relation(two.graph, "2_mug_0", RelationKind.ON, "1_book_0")
 
 
 @pytest.mark.parametrize("one", TABLES, ids=lambda t: t.scene.scene_id)

@@ -15,7 +15,7 @@ from stable_data.mesatask import (
     write_layout,
     yaw_frame_box,
 )
-from stable_data.rotations import normalised, quat_product, rotation_matrix, yaw_quat
+from stable_data.rotations import normalise_quat, quat_product, rotation_matrix, yaw_quat
 from stable_data.scene import UPRIGHT, SceneObject, Tabletop
 from tests.stable_data.mesatask.layouts import LAID_FLAT, UID, entry, layout, read
 
@@ -132,7 +132,7 @@ def test_the_product_is_taken_where_size_was_rounded_from_it() -> None:
 
 @pytest.mark.parametrize("offset", [0.0, math.pi, -math.pi, 2 * math.pi])
 def test_a_tilted_object_may_use_either_euler_branch(offset: float) -> None:
-    rotation = normalised(quat_product(yaw_quat(0.7), normalised((0.3, 0.0, 0.0, 1.0))))
+    rotation = normalise_quat(quat_product(yaw_quat(0.7), normalise_quat((0.3, 0.0, 0.0, 1.0))))
     scene, codes = read(layout(entry(rotation=list(rotation), z_rotation=0.7 + offset, size=[18, 40, 50])))
     assert codes == []
     whole = rotation_matrix(quat_product(yaw_quat(scene.objects[0].yaw), scene.objects[0].tilt_quat_xyzw))
@@ -182,10 +182,10 @@ def test_unknown_keys_survive_a_change() -> None:
 
 def test_the_box_of_a_laid_wedge_is_off_its_meshs_centre() -> None:
     wedge = np.array([[-1, -1, -1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], np.float64)
-    low, high = yaw_frame_box(wedge, (0.1, 0.1, 0.1), normalised((0.0, -1.0, 0.0, 1 + math.sqrt(2))))  # 45 degrees about y
+    low, high = yaw_frame_box(wedge, (0.1, 0.1, 0.1), normalise_quat((0.0, -1.0, 0.0, 1 + math.sqrt(2))))  # 45 degrees about y
     assert low[2] == pytest.approx(-0.1 * math.sqrt(2))
     assert high[2] == pytest.approx(0.0, abs=1e-15)
     leaning = SceneObject("a", "a", (0.5, 0.5, 0.1 * math.sqrt(2)), math.pi / 2, (0.3, 0.2, 0.15), UID, (0.1, 0.1, 0.1))
-    leaning = replace(leaning, tilt_quat_xyzw=normalised((0.0, -1.0, 0.0, 1 + math.sqrt(2))))
+    leaning = replace(leaning, tilt_quat_xyzw=normalise_quat((0.0, -1.0, 0.0, 1 + math.sqrt(2))))
     assert to_box_centre(leaning, wedge).position[2] == pytest.approx(0.05 * math.sqrt(2))
     assert to_box_centre(replace(leaning, scale=None), wedge).position == leaning.position

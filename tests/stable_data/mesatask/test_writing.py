@@ -22,13 +22,13 @@ from stable_data.mesatask import (
     write_scene,
     write_task_info,
 )
-from stable_data.rotations import normalised
+from stable_data.rotations import normalise_quat
 from stable_data.scene import UPRIGHT, QuatXyzw, Relation, RelationKind, Scene, SceneObject, Tabletop, TaskInfo
 from tests.stable_data.mesatask.layouts import LAID_FLAT, UID, entry, layout, make_dataset
 
 lengths = st.floats(0.001, 3.0)
 places = st.tuples(st.floats(-1, 3), st.floats(-1, 3), st.floats(-0.5, 2))
-quaternions = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: math.hypot(*q) > 0.1).map(normalised)
+quaternions = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: math.hypot(*q) > 0.1).map(normalise_quat)
 zones = st.tuples(*[st.floats(0.0, 0.5)] * 2, *[st.floats(0.6, 1.0)] * 2).map(lambda z: (z[0], z[2], z[1], z[3]))
 
 

@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 
 from stable_data.geometry.shape import Shape
-from stable_data.metrics.audit import Audit, ObjectVerdict, PairVerdict, PosedScene, _without_circles, audit_posed, audit_scene
+from stable_data.metrics.audit import (
+    Audit,
+    ObjectVerdict,
+    PairVerdict,
+    PosedScene,
+    _without_circles,
+    audit_posed_scene,
+    audit_scene,
+)
 from stable_data.scene import Scene
 from tests.scenes import Placed, ball, ball_in_bowl, bowl, box, box_on_table, leaning_plate, overlapping_balls, scene_of
 
@@ -277,7 +285,7 @@ def test_a_mesh_is_in_its_copy_as_deep_as_the_two_would_be_told_apart() -> None:
 def cut_short(built: tuple[Scene, list[Shape]], limit: int) -> Audit:
     posed = PosedScene(*built)
     posed.budget.limit = limit
-    return audit_posed(posed)
+    return audit_posed_scene(posed)
 
 
 def test_what_is_beyond_the_budget_of_work_is_unknown_and_said() -> None:
@@ -285,7 +293,7 @@ def test_what_is_beyond_the_budget_of_work_is_unknown_and_said() -> None:
     objects = tuple(replace(o, yaw=o.yaw + 1e-4 * k) for k, o in enumerate(scene.objects[:16]))
     scene, shapes = replace(scene, objects=objects), shapes[:16]
     posed = PosedScene(scene, shapes)
-    whole, half = audit_posed(posed), posed.budget.spent // 2
+    whole, half = audit_posed_scene(posed), posed.budget.spent // 2
     part = cut_short((scene, shapes), half)
     assert part == cut_short((scene, shapes), half)
     assert not whole.is_cut_short

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stable_data.geometry.shape import Shape
-from stable_data.metrics.collision import DEEPEST, LEVELS, nested, penetration
+from stable_data.metrics.collision import DEEPEST, LEVELS, is_nested, penetration
 from stable_data.metrics.triangle_intersection import MeshPair
 from tests.scenes import ball, bowl, box, hollow, sheet, triangles
 
@@ -91,19 +91,19 @@ def test_a_sheet_inside_a_box_nests() -> None:
 
 def test_an_open_mesh_has_no_inside() -> None:
     open_box = Shape(CUBE.vertices, CUBE.faces[:-2])
-    assert not nested(triangles(box(0.02, 0.02, 0.02)), triangles(open_box))
-    assert nested(triangles(box(0.02, 0.02, 0.02)), triangles(CUBE))
+    assert not is_nested(triangles(box(0.02, 0.02, 0.02)), triangles(open_box))
+    assert is_nested(triangles(box(0.02, 0.02, 0.02)), triangles(CUBE))
 
 
 def test_an_inside_out_solid_still_has_an_inside() -> None:
     turned = Shape(CUBE.vertices, CUBE.faces[:, ::-1].copy())
-    assert nested(triangles(box(0.02, 0.02, 0.02)), triangles(turned))
+    assert is_nested(triangles(box(0.02, 0.02, 0.02)), triangles(turned))
 
 
 def test_the_hollow_of_a_closed_shell_is_not_its_inside() -> None:
     cavity = box(0.08, 0.08, 0.08)
     shell = hollow(CUBE, Shape(cavity.vertices, cavity.faces[:, ::-1].copy()))
-    assert not nested(triangles(box(0.02, 0.02, 0.02)), triangles(shell))
+    assert not is_nested(triangles(box(0.02, 0.02, 0.02)), triangles(shell))
     assert penetration(triangles(box(0.02, 0.02, 0.02)), triangles(shell)) == 0.0
 
 

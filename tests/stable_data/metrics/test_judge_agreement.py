@@ -15,7 +15,7 @@ import pytest
 
 from stable_data.assets.store import AssetStore
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.metrics.audit import BOUNDS_SLACK, PosedScene, audit_posed
+from stable_data.metrics.audit import BOUNDS_SLACK, PosedScene, audit_posed_scene
 
 TOLERANCES = (5e-4, 1e-3, 3e-3)
 Difference = tuple[str, str, str, float]
@@ -94,7 +94,7 @@ def ours(dataset: MesaTaskDataset, scene_ids: tuple[str, ...]) -> set[Difference
     for scene_id in scene_ids:
         scene, _ = dataset.read(scene_id)
         posed = PosedScene(scene, store.shapes(scene)[0])
-        audit = audit_posed(posed)
+        audit = audit_posed_scene(posed)
         found |= {(scene_id, "leaves", o.instance, 0.0) for o in audit.objects if o.leaves_table}
         for t in TOLERANCES:
             pairs = [(sorted((p.first, p.second)), p.penetration) for p in audit.pairs]

@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stable_data.content_id import content_id
-from stable_data.errors import ConfigError, unwritable
+from stable_data.errors import ConfigError, cannot_write
 from stable_data.storage import run_folder
 from stable_data.storage.row_groups import TableFiles
 from stable_data.storage.run_folder import RunFolder
@@ -234,7 +234,7 @@ def test_a_full_disk_is_reported_and_leaves_nothing(run: RunFolder, monkeypatch:
 
 
 def test_an_error_without_a_reason_of_the_system_says_its_own() -> None:
-    assert "(lost connection)" in str(unwritable("s3://bucket/run", OSError("lost connection")))
+    assert "(lost connection)" in str(cannot_write("s3://bucket/run", OSError("lost connection")))
 
 
 def test_a_missing_table_is_reported_with_those_there_are(run: RunFolder) -> None:

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.physics_corrector.flow.pose_coordinates import PoseCoordinates, wrap
+from models.physics_corrector.flow.pose_coordinates import PoseCoordinates, wrap_angle
 from stable_data.errors import ConfigError
 
 BOTH = [PoseCoordinates(), PoseCoordinates("absolute", 1.0, 1.0)]
@@ -24,7 +24,7 @@ def turn_between(a: torch.Tensor, b: torch.Tensor) -> float:
 
 @given(angles)
 def test_a_wrapped_angle_lies_in_range_and_is_the_same_angle(angle: float) -> None:
-    wrapped = wrap(torch.tensor(angle, dtype=torch.float64)).item()
+    wrapped = wrap_angle(torch.tensor(angle, dtype=torch.float64)).item()
     assert -math.pi < wrapped <= math.pi + 1e-14
     assert abs(math.remainder(wrapped - angle, 2 * math.pi)) < 1e-12
 
@@ -32,12 +32,12 @@ def test_a_wrapped_angle_lies_in_range_and_is_the_same_angle(angle: float) -> No
 def test_half_a_turn_is_plus_pi() -> None:
     for dtype in (torch.float32, torch.float64):
         pi = torch.tensor(math.pi, dtype=dtype)
-        torch.testing.assert_close(wrap(torch.stack([pi, -pi, 3 * pi, -3 * pi])), pi.expand(4))
+        torch.testing.assert_close(wrap_angle(torch.stack([pi, -pi, 3 * pi, -3 * pi])), pi.expand(4))
 
 
 @given(st.floats(-3.125, 3.125, width=32))
 def test_an_angle_in_range_comes_back_bit_for_bit(angle: float) -> None:
-    assert wrap(torch.tensor(angle)).item() == angle
+    assert wrap_angle(torch.tensor(angle)).item() == angle
 
 
 @pytest.mark.parametrize("coordinates", BOTH, ids=lambda c: c.form)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from models.physics_corrector.flow.condition import Condition
 from models.physics_corrector.flow.presets import PRESETS
-from models.physics_corrector.flow.velocity_network import VelocityNetwork, VelocityNetworkSettings, sinusoids
+from models.physics_corrector.flow.velocity_network import VelocityNetwork, VelocityNetworkSettings, time_embedding
 from stable_data.errors import ConfigError
 from tests.models.physics_corrector.flow.conditions import awake_network, condition, padded, permuted, query, small_settings
 
@@ -138,7 +138,7 @@ def test_whole_turns_change_nothing(network: VelocityNetwork) -> None:
 
 
 def test_time_is_scaled_before_the_sinusoid(network: VelocityNetwork) -> None:
-    early, late, later = sinusoids(torch.tensor([0.1, 0.9, 0.901]), 32)
+    early, late, later = time_embedding(torch.tensor([0.1, 0.9, 0.901]), 32)
     assert (early - late).norm() > 1
     assert (late - later).norm() > 0.5  # a thousandth is seen: unscaled it would be 1e-3
     scenes = condition(1, 4)

@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from models.physics_corrector.packing.no_fit_polygon import RigidGroup, no_fit
 from models.physics_corrector.packing.packing_problem import AXES, BodyArrays, OrderConstraint, PackingProblem
 from models.physics_corrector.packing.projection import box_dual, is_free_of_overlap, project
-from models.physics_corrector.packing.relation_recovery import repaired
-from models.physics_corrector.packing.separation import part
+from models.physics_corrector.packing.relation_recovery import recover_relations
+from models.physics_corrector.packing.separation import separate_bodies
 from models.physics_corrector.packing.slab_outline import rectangle
-from models.physics_corrector.packing.subset_packing import fitted
+from models.physics_corrector.packing.subset_packing import pack_subset
 from stable_data.scene import FloatArray, RelationKind
 
 
@@ -58,7 +58,7 @@ def test_a_relation_that_was_given_up_is_won_back() -> None:
     crowd = crowd_of([(0.1, 0.1)] * 3, places, (1.0, 0.8), (order(0, 1, RelationKind.LEFT_OF, places),))
     swapped = np.array([[0.45, 0.0], [0.0, 0.0], [0.0, 0.0]])
     assert crowd.broken(swapped).all()
-    shifts = repaired(crowd, swapped, np.zeros((3, 2)), 8)
+    shifts = recover_relations(crowd, swapped, np.zeros((3, 2)), 8)
     assert not crowd.broken(shifts).any()
     assert is_free_of_overlap(crowd, shifts)
     assert np.abs(shifts).max() < 0.01
@@ -80,7 +80,7 @@ def test_bodies_that_are_without_leave_no_trace() -> None:
 def test_what_was_left_out_is_put_back_where_there_is_room() -> None:
     places = np.array([[0.15, 0.15], [0.16, 0.15], [0.15, 0.16], [0.2, 0.2], [0.2, 0.21]])
     crowd = crowd_of([(0.2, 0.2)] * 3 + [(0.09, 0.09)] * 2, places, (0.42, 0.42))
-    found = fitted(crowd, np.zeros((5, 2)), [])
+    found = pack_subset(crowd, np.zeros((5, 2)), [])
     assert found is not None
     shifts, out = found
     assert not out
@@ -91,7 +91,7 @@ def test_what_was_left_out_is_put_back_where_there_is_room() -> None:
 def test_only_what_may_be_left_out_is(spare: list[int]) -> None:
     places = np.array([[0.1, 0.1], [0.3, 0.1], [0.1, 0.3], [0.3, 0.3], [0.2, 0.2]])
     crowd = crowd_of([(0.2, 0.2)] * 4 + [(0.1, 0.1)], places, (0.402, 0.402))
-    found = part(crowd, np.zeros((5, 2)), spare, 4)
+    found = separate_bodies(crowd, np.zeros((5, 2)), spare, 4)
     if not spare:
         assert found is None
         return

@@ -13,7 +13,7 @@ from models.physics_corrector.stabilization.container_insertion import interior_
 from models.physics_corrector.stabilization.drop_simulation import DropResult, drop_into_container, drop_new_objects
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import audit_scene
-from stable_data.rotations import rotation_matrix, stood_on_end
+from stable_data.rotations import rotation_matrix, stand_on_end
 from stable_data.scene import QuatXyzw, Relation, RelationKind, Scene, SceneObject
 from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.settling import settle
@@ -80,7 +80,7 @@ def test_as_many_stand_side_by_side_as_have_room() -> None:
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("is_down", [False, True])
 def test_stood_on_end(axis: int, is_down: bool) -> None:
-    way = rotation_matrix(stood_on_end(axis, is_down=is_down))[:, axis]
+    way = rotation_matrix(stand_on_end(axis, is_down=is_down))[:, axis]
     assert list(way) == pytest.approx([0, 0, -1 if is_down else 1], abs=1e-12)
 
 

@@ -15,13 +15,13 @@ from models.physics_corrector.geometry.shape_tensors import ShapeCollector, Shap
 from models.physics_corrector.training.losses import (
     LossSettings,
     PhysicsLosses,
-    bounds,
+    bounds_loss,
     colliding_pairs,
     flow_loss,
-    object_object,
-    object_table,
+    object_object_loss,
+    object_table_loss,
     physics_losses,
-    support,
+    support_loss,
 )
 from stable_data.assets.store import AssetStore
 from stable_data.embedded_world import EmbeddedWorld, write_world
@@ -88,7 +88,7 @@ def test_an_object_in_a_container_that_it_does_not_touch_costs_nothing() -> None
 
 def test_sinking_below_the_table_costs_the_square_of_the_depth() -> None:
     batch, geometry = batch_of([scene(thing("cube", (0.5, 0.5, 0.03, 0.7)), thing("ball", (0.2, 0.2, 0.2, 0.0)))])
-    assert object_table(batch.poses, batch).item() == pytest.approx(0.02**2)
+    assert object_table_loss(batch.poses, batch).item() == pytest.approx(0.02**2)
     assert terms(batch, geometry).object_table.sqrt().item() == pytest.approx(0.02, abs=1e-6)
 
 
@@ -140,7 +140,7 @@ def test_beyond_the_edge_and_in_the_zone_costs_only_where_it_is_asked_for() -> N
     over = scene(thing("cube_1", (1.03, 0.4, 0.05, 0.0)))
     entering = scene(thing("cube_1", (0.21, 0.4, 0.05, 0.0)), zone=(0.0, 0.2, 0.0, 0.8))
     batch, geometry = batch_of([over, entering, scene(thing("cube_1", (0.5, 0.4, 0.05, 0.0)))])
-    found = bounds(batch.poses, batch, geometry).sqrt()
+    found = bounds_loss(batch.poses, batch, geometry).sqrt()
     assert found.tolist() == pytest.approx([0.08, 0.04, 0.0], abs=1.5e-3)
     assert terms(batch, geometry).bounds.tolist() == [0.0] * 3
     assert terms(batch, geometry, LossSettings(bounds_weight=0.1)).bounds.sqrt()[0].item() == pytest.approx(0.08, abs=1.5e-3)
@@ -182,7 +182,7 @@ def test_the_broad_phase_drops_no_pair_that_contributes(seed: int, clearance: fl
     batch, geometry = shaken(seed, num_scenes=1, spread=spread)
     near = colliding_pairs(batch.poses, batch, geometry, clearance)
     every = all_pairs(batch.poses, batch)
-    kept, full = (object_object(batch.poses, batch, geometry, pairs, clearance) for pairs in (near, every))
+    kept, full = (object_object_loss(batch.poses, batch, geometry, pairs, clearance) for pairs in (near, every))
     torch.testing.assert_close(kept, full)
 
 
@@ -280,4 +280,4 @@ def test_the_flow_loss_is_a_mean_over_objects() -> None:
     assert velocity.grad is not None
     assert (velocity.grad[~mask] == 0).all()
     assert flow_loss(velocity, target, torch.zeros_like(mask)).item() == 0
-    torch.testing.assert_close(support(torch.zeros(1, 0, 4), *batch_of([scene()])), torch.zeros(1))
+    torch.testing.assert_close(support_loss(torch.zeros(1, 0, 4), *batch_of([scene()])), torch.zeros(1))

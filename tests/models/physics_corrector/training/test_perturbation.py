@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
-from models.physics_corrector.training.perturbation import KINDS, Kind, PerturbationSettings, perturb, reassign
+from models.physics_corrector.training.perturbation import KINDS, Kind, PerturbationSettings, perturb, reassign_targets
 from stable_data.errors import ConfigError
 from tests.models.physics_corrector.geometry.shapes import RADIUS
 from tests.models.physics_corrector.training.training_scenes import rows, with_fixed
@@ -134,8 +134,8 @@ def test_equal_objects_that_changed_places_have_nothing_to_correct() -> None:
     batch = repeated(1)
     swapped = batch.poses.clone()
     swapped[:, [2, 3]] = batch.poses[:, [3, 2]]
-    assert torch.equal(reassign(swapped, batch), swapped)
-    assert torch.equal(reassign(batch.poses, batch), batch.poses)
+    assert torch.equal(reassign_targets(swapped, batch), swapped)
+    assert torch.equal(reassign_targets(batch.poses, batch), batch.poses)
 
 
 def test_objects_that_differ_or_are_fixed_or_lie_elsewhere_keep_their_own_targets() -> None:
@@ -143,11 +143,11 @@ def test_objects_that_differ_or_are_fixed_or_lie_elsewhere_keep_their_own_target
     exchanged = batch.poses.clone()
     exchanged[:, [0, 4]] = batch.poses[:, [4, 0]]  # a cube and a plate
     exchanged[:, [1, 2]] = batch.poses[:, [2, 1]]  # equal balls, on a cube and on the table
-    targets = reassign(exchanged, batch)
+    targets = reassign_targets(exchanged, batch)
     assert torch.equal(targets, batch.poses)
     swapped = batch.poses.clone()
     swapped[:, [2, 3]] = batch.poses[:, [3, 2]]
-    assert torch.equal(reassign(swapped, with_fixed(batch, 2)), batch.poses)
+    assert torch.equal(reassign_targets(swapped, with_fixed(batch, 2)), batch.poses)
 
 
 def test_the_assignment_is_the_cheapest_of_all() -> None:
@@ -156,7 +156,7 @@ def test_the_assignment_is_the_cheapest_of_all() -> None:
     parent[:, ON_CUBE] = -1  # three equal balls on the table
     batch = replace(batch, parent=parent)
     coarse, _ = perturb(batch, PerturbationSettings(), generator(), "jitter")
-    targets = reassign(coarse, batch)
+    targets = reassign_targets(coarse, batch)
 
     def cost(to: Tensor) -> Tensor:
         offset = to - coarse

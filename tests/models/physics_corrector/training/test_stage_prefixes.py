@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from models.physics_corrector.training.losses import physics_losses
-from models.physics_corrector.training.stage_prefixes import PrefixSettings, compact, cut, prefix
+from models.physics_corrector.training.stage_prefixes import PrefixSettings, drop_empty_slots, prefix, take_prefix
 from stable_data.errors import ConfigError
 from tests.models.physics_corrector.training.training_scenes import STAGES, training_set
 
@@ -45,7 +45,7 @@ def test_an_empty_prefix_and_an_unstaged_scene_are_whole() -> None:
 
 def test_shares_are_kept() -> None:
     batch, stage = WHOLE.take(torch.zeros(4000, dtype=torch.int64)), DATA.stage[:1].expand(4000, -1)
-    part = cut(batch, stage, PrefixSettings(0.2, 0.3, 0.5), torch.Generator().manual_seed(0))
+    part = take_prefix(batch, stage, PrefixSettings(0.2, 0.3, 0.5), torch.Generator().manual_seed(0))
     shares = [float((part.mask.sum(1) == count).float().mean()) for count in (1, 3, 5)]
     assert shares == pytest.approx([0.2, 0.3, 0.5], abs=0.03)
     assert float(part.is_fixed.any(1).float().mean()) == pytest.approx(0.8 * 0.5, abs=0.03)
@@ -55,13 +55,13 @@ def test_compacting_changes_nothing_but_the_padding() -> None:
     stage = DATA.stage.clone()
     stage[:, 0], stage[:, 3] = 2, 0  # a gap in front
     part = prefix(WHOLE, stage, last(1), NONE)
-    small = compact(part)
+    small = drop_empty_slots(part)
     assert small.mask.shape[1] == int(part.mask.sum(1).max()) < part.mask.shape[1]
     assert torch.equal(small.poses[small.mask], part.poses[part.mask])
-    assert torch.equal(compact(small).poses, small.poses)
+    assert torch.equal(drop_empty_slots(small).poses, small.poses)
     before, after = (physics_losses(b.poses, b, DATA.geometry) for b in (part, small))
     assert torch.allclose(before.support, after.support)
-    whole = compact(WHOLE)
+    whole = drop_empty_slots(WHOLE)
     carried = whole.parent[whole.mask] >= 0
     assert int(carried.sum()) == len(WHOLE)
     assert (whole.parent[:, 1] == 0).all()

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from models.physics_corrector.flow.flow_matching import FlowMatching, FlowSettings
 from models.physics_corrector.training.perturbation import PerturbationSettings
-from models.physics_corrector.training.validation import ROWS, ValidationScenes, grid_figures, scalars, validation_card
+from models.physics_corrector.training.validation import ROWS, ValidationScenes, grid_figures, scalar_figures, validation_card
 from tests.models.physics_corrector.geometry.shapes import store
 from tests.models.physics_corrector.training.training_scenes import row, training_set
 
@@ -72,4 +72,4 @@ def test_fixed_objects_of_earlier_stages_stay() -> None:
 
 def test_unknown_figures_are_left_out_of_logs() -> None:
     card = {"pile": {"raw": {"oc": None, "grid_oc": 0.5}}}
-    assert scalars(card) == {"pile/grid_oc/raw": 0.5}
+    assert scalar_figures(card) == {"pile/grid_oc/raw": 0.5}

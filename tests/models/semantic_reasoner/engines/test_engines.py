@@ -17,8 +17,8 @@ from models.semantic_reasoner.engines.protocol import Completion, Engine, Reques
 from models.semantic_reasoner.engines.registry import EMBEDDED, EngineSettings, load_engine
 from models.semantic_reasoner.engines.scripted_engine import ScriptedEngine
 from models.semantic_reasoner.replies.grammar import HIGHEST_CM, ReplyGrammar
-from models.semantic_reasoner.replies.to_scene import accepted
-from models.semantic_reasoner.text.prompt import ReasonerQuestion, messages, question
+from models.semantic_reasoner.replies.to_scene import objects_of_reply
+from models.semantic_reasoner.text.prompt import ReasonerQuestion, messages, user_message
 from models.semantic_reasoner.text.reply_json import LayoutObject, parse_reply, render_objects
 from models.semantic_reasoner.text.tokenizer import train_tokenizer
 from models.semantic_reasoner.training.network import new_network
@@ -41,7 +41,7 @@ KINDS = ["embedded", "transformers", "openai", "scripted", "vllm"]
 def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A Hugging Face folder of a Qwen3 that has seen a few replies, so that its descriptions come to an end."""
     folder = tmp_path_factory.mktemp("models") / "tiny"
-    tokenizer = train_tokenizer([question(ASK), render_objects([MUG])] * 4, 300)
+    tokenizer = train_tokenizer([user_message(ASK), render_objects([MUG])] * 4, 300)
     taught(new_network(TINY, tokenizer, 1024, seed=3), tokenizer).save_pretrained(folder)
     tokenizer.save_pretrained(folder)
     return folder
@@ -50,7 +50,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def taught(network: Qwen3ForCausalLM, tokenizer: PreTrainedTokenizerFast) -> Qwen3ForCausalLM:
     """A network after a moment of training on replies with a mug."""
     told = [render_objects([replace(MUG, position_cm=(10.0 * k + 5, 30.5, 5.0), z_rotation_deg=20 * k)]) for k in range(1, 9)]
-    tokens = tokenizer([question(ASK) + text + str(tokenizer.eos_token) for text in told], add_special_tokens=False)[
+    tokens = tokenizer([user_message(ASK) + text + str(tokenizer.eos_token) for text in told], add_special_tokens=False)[
         "input_ids"
     ]
     batch = torch.tensor([row[-40:] for row in tokens])
@@ -113,7 +113,7 @@ def test_its_replies_have_the_form_and_become_objects(engine: Engine) -> None:
             assert 0 <= o.position_cm[2] <= HIGHEST_CM
             assert max(o.size_cm) <= max(FORM.longest_cm, HIGHEST_CM)
             assert min(o.size_cm) > 0
-        assert {o.stage for o in accepted(reply, ASK)} == {Stage.TASK}
+        assert {o.stage for o in objects_of_reply(reply, ASK)} == {Stage.TASK}
 
 
 def test_the_same_seed_says_the_same_and_another_another(engine: Engine) -> None:

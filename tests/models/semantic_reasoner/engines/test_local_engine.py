@@ -17,7 +17,7 @@ from models.semantic_reasoner.engines.qwen3_step import Qwen3Step
 from models.semantic_reasoner.engines.vllm_engine import VllmEngine
 from models.semantic_reasoner.language.required_objects import ObjectRequirement
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
-from models.semantic_reasoner.text.prompt import ReasonerQuestion, messages, question
+from models.semantic_reasoner.text.prompt import ReasonerQuestion, messages, user_message
 from models.semantic_reasoner.text.reply_json import LayoutObject, parse_reply, render_objects
 from models.semantic_reasoner.text.tokenizer import train_tokenizer
 from models.semantic_reasoner.training.network import new_network
@@ -35,7 +35,7 @@ MUG = LayoutObject("mug_0", "a red mug", (9.0, 8.4, 10.0), (20.0, 30.5, 5.0), -1
 @pytest.fixture(scope="module")
 def tokenizer() -> PreTrainedTokenizerFast:
     ask = ReasonerQuestion("Put the red mug on the table.", TABLE, Stage.TASK)
-    return train_tokenizer([question(ask), render_objects([MUG])] * 4, 300)
+    return train_tokenizer([user_message(ask), render_objects([MUG])] * 4, 300)
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.semantic_reasoner.language.noun_lookup import NounLookup, words_of
-from models.semantic_reasoner.language.noun_phrases import marked, phrases
+from models.semantic_reasoner.language.noun_phrases import find_noun_phrases, number_phrases
 from models.semantic_reasoner.language.stop_words import FUNCTION_WORDS, is_verb
 from stable_data.instructions.claims import StatedRelation, read_claims
 from stable_data.scene import RelationKind
@@ -60,10 +60,10 @@ def test_nothing_is_read_where_nothing_is_known() -> None:
 def test_phrases_are_marked_for_the_reader_of_claims() -> None:
     text = "Take the small red mug out of my large serving tray."
     words = words_of(text)
-    spoken = list(phrases(words, NOUNS))
+    spoken = list(find_noun_phrases(words, NOUNS))
     assert [p.modifiers for p in spoken] == [("small", "red"), ("large",)]
-    assert marked(text, words, spoken) == "take <0> out of <1>."
-    assert read_claims(marked(text, words, spoken)) == (StatedRelation(0, RelationKind.IN, 1),)
+    assert number_phrases(text, words, spoken) == "take <0> out of <1>."
+    assert read_claims(number_phrases(text, words, spoken)) == (StatedRelation(0, RelationKind.IN, 1),)
 
 
 def test_verbs_are_known_in_their_forms() -> None:

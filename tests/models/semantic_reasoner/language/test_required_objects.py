@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
-from models.semantic_reasoner.language.required_objects import ObjectRequirement, required
+from models.semantic_reasoner.language.required_objects import ObjectRequirement, required_objects
 from stable_data.instructions.wording.words import plural
 from tests.models.semantic_reasoner.language.known_categories import SIZES_CM, STATISTICS
 
@@ -13,7 +13,7 @@ NOUNS = ("mug", "plate", "laptop", "pen", "apple", "cookie", "napkin", "pitcher"
 
 
 def asked(instruction: str, statistics: CategoryStatistics = STATISTICS) -> dict[str, int]:
-    return {r.words.lower(): r.at_least for r in required(instruction, statistics)}
+    return {r.words.lower(): r.at_least for r in required_objects(instruction, statistics)}
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_what_is_asked_for(instruction: str, expected: dict[str, int]) -> None:
     ],
 )
 def test_other_names_mean_the_categories_that_answer_to_them(instruction: str, words: str, categories: set[str]) -> None:
-    (found,) = required(instruction, STATISTICS)
+    (found,) = required_objects(instruction, STATISTICS)
     assert found.words == words
     assert set(found.categories) == categories
 
@@ -80,14 +80,14 @@ def test_other_names_mean_the_categories_that_answer_to_them(instruction: str, w
     ["Take everything off the tray.", "Empty the black tray.", "Clear the tray.", "Move everything that is on the tray."],
 )
 def test_what_is_emptied_holds_something(text: str) -> None:
-    tray, content = required(text, STATISTICS)
+    tray, content = required_objects(text, STATISTICS)
     assert tray.categories == ("serving_tray",)
     assert not content.is_met_by(["serving_tray"])
     assert content.is_met_by(["serving_tray", "mug"])
 
 
 def test_one_thing_that_is_many_is_enough() -> None:
-    (found,) = required("Put the wooden blocks away.", CategoryStatistics.of_names(["wooden_block", "wooden_blocks"]))
+    (found,) = required_objects("Put the wooden blocks away.", CategoryStatistics.of_names(["wooden_block", "wooden_blocks"]))
     assert found.at_least == 2
     assert not found.is_met_by(["wooden_block"])
     assert found.is_met_by(["wooden_blocks"])
@@ -104,7 +104,7 @@ def test_a_doubtful_word_asks_for_nothing() -> None:
 def test_exactly_the_named_things_are_asked_for(nouns: list[str], data: st.DataObject) -> None:
     counts = [data.draw(st.integers(1, 5)) for _ in nouns]
     said = [f"the {n}" if k == 1 else f"{k} {plural(n)}" for n, k in zip(nouns, counts, strict=True)]
-    found = required(f"Please put {' and '.join(said)} in a row.", STATISTICS)
+    found = required_objects(f"Please put {' and '.join(said)} in a row.", STATISTICS)
     there = [n for n, k in zip(nouns, counts, strict=True) for _ in range(k)]
     assert all(r.is_met_by(there) for r in found)
     assert [r.at_least for r in found] == counts
@@ -117,8 +117,8 @@ def test_exactly_the_named_things_are_asked_for(nouns: list[str], data: st.DataO
 @settings(deadline=None)
 @given(st.text(max_size=300))
 def test_any_text_can_be_read(text: str) -> None:
-    found = required(text, STATISTICS)
-    assert found == required(text, STATISTICS)
+    found = required_objects(text, STATISTICS)
+    assert found == required_objects(text, STATISTICS)
     assert all(set(r.categories) <= set(SIZES_CM) and r.at_least >= 1 for r in found)
 
 
@@ -127,5 +127,5 @@ def test_a_very_long_text_can_be_read() -> None:
 
 
 def test_statistics_of_names_alone_suffice() -> None:
-    found = required("Take the nesting cup.", CategoryStatistics.of_names(["nesting_cups", "Burger Patty"]))
+    found = required_objects("Take the nesting cup.", CategoryStatistics.of_names(["nesting_cups", "Burger Patty"]))
     assert found == (ObjectRequirement("nesting cup", ("nesting_cups",)),)

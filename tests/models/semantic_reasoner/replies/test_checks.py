@@ -6,8 +6,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from models.semantic_reasoner.language.required_objects import required
-from models.semantic_reasoner.replies.checks import CheckSettings, ReplyFault, check, form_check
+from models.semantic_reasoner.language.required_objects import required_objects
+from models.semantic_reasoner.replies.checks import CheckSettings, ReplyFault, check_reply, form_check
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from stable_data.scene import Scene, SceneObject, Stage
@@ -22,7 +22,9 @@ def faults(
     *objects: LayoutObject, of: ReasonerQuestion | None = None, removed: tuple[str, ...] = (), **settings: Any
 ) -> list[ReplyFault]:
     asked = of or ask()
-    return check(objects, removed, asked, STATISTICS, required(asked.instruction, STATISTICS), CheckSettings(**settings))
+    return check_reply(
+        objects, removed, asked, STATISTICS, required_objects(asked.instruction, STATISTICS), CheckSettings(**settings)
+    )
 
 
 def hard(*objects: LayoutObject, **more: Any) -> set[str]:

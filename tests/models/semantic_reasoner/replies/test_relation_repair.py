@@ -8,8 +8,8 @@ import pytest
 from models.semantic_reasoner.engines.scripted_engine import ScriptedEngine
 from models.semantic_reasoner.reasoner import SemanticReasoner
 from models.semantic_reasoner.replies.checks import ReplyCheck, ReplyFault
-from models.semantic_reasoner.replies.relation_repair import put_right
-from models.semantic_reasoner.text.prompt import ReasonerQuestion, answer
+from models.semantic_reasoner.replies.relation_repair import repair_relations
+from models.semantic_reasoner.text.prompt import ReasonerQuestion, assistant_message
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from tests.models.semantic_reasoner.language.known_categories import STATISTICS, ask, thing
 
@@ -20,7 +20,7 @@ CUP, APPLE, TRAY = thing("cup_0", 30, 45), thing("apple_0", 70, 50), thing("serv
 
 def righted(objects: Sequence[LayoutObject], said: ReasonerQuestion) -> tuple[LayoutReply, tuple[ReplyFault, ...]] | None:
     reply = LayoutReply(tuple(objects))
-    return put_right(reply, CHECK(reply, said), said, CHECK)
+    return repair_relations(reply, CHECK(reply, said), said, CHECK)
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_what_cannot_be_put_right_is_left_to_others() -> None:
 
 def test_it_is_the_last_resort() -> None:
     said = ask("Take the mug off the plate.")
-    wrong, right = (answer(objects) for objects in ([PLATE, MUG], [PLATE, thing("mug_0", 70, 30, bottom=2.0)]))
+    wrong, right = (assistant_message(objects) for objects in ([PLATE, MUG], [PLATE, thing("mug_0", 70, 30, bottom=2.0)]))
 
     def proposal(*answers: str) -> tuple[int, set[str]]:
         replies = iter(answers)

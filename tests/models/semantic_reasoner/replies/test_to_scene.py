@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from models.semantic_reasoner.replies.to_scene import accepted, with_task
+from models.semantic_reasoner.replies.to_scene import attach_task_info, objects_of_reply
 from models.semantic_reasoner.text.prompt import Wanted
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from stable_data.scene import Relation, RelationKind, Scene, Stage
@@ -13,7 +13,7 @@ PLATE, MUG = thing("plate_0", 30, 30, turned=90), thing("mug_0", 30, 30, bottom=
 
 @pytest.mark.parametrize("stage", list(Stage))
 def test_objects_have_the_stage_that_was_asked_for_and_what_carries_them(stage: Stage) -> None:
-    plate, mug = accepted(LayoutReply((PLATE, MUG)), ask(wanted=stage))
+    plate, mug = objects_of_reply(LayoutReply((PLATE, MUG)), ask(wanted=stage))
     assert (plate.stage, mug.stage) == (stage, stage)
     assert (plate.support, mug.support) == ("table", "plate_0")
     assert plate.position == pytest.approx((0.3, 0.3, 0.01))
@@ -22,19 +22,19 @@ def test_objects_have_the_stage_that_was_asked_for_and_what_carries_them(stage: 
 
 
 def test_what_carries_may_be_in_the_layout() -> None:
-    (mug,) = accepted(LayoutReply((MUG,)), ask(wanted=Stage.IMPORTANT, layout=[PLATE]))
+    (mug,) = objects_of_reply(LayoutReply((MUG,)), ask(wanted=Stage.IMPORTANT, layout=[PLATE]))
     assert (mug.support, mug.stage) == ("plate_0", Stage.IMPORTANT)
 
 
 def test_what_floats_has_no_support() -> None:
-    (mug,) = accepted(LayoutReply((thing("mug_0", 30, 30, bottom=30.0),)), ask())
+    (mug,) = objects_of_reply(LayoutReply((thing("mug_0", 30, 30, bottom=30.0),)), ask())
     assert mug.support is None
 
 
 def whole(instruction: str) -> dict[str, Stage | None]:
     far, near = thing("laptop_0", 100, 40), thing("pen_0", 30, 46)
     wanted: Wanted = "whole"
-    objects = accepted(LayoutReply((PLATE, far, MUG, near)), ask(instruction, wanted), STATISTICS)
+    objects = objects_of_reply(LayoutReply((PLATE, far, MUG, near)), ask(instruction, wanted), STATISTICS)
     return {o.instance: o.stage for o in objects}
 
 
@@ -61,20 +61,20 @@ def test_a_whole_layout_that_means_nothing_known_is_all_task() -> None:
 def test_an_edit_sees_what_stays() -> None:
     tall = thing("cake_stand_0", 90, 30)
     edit = ask("Put the mug on the cake stand.", "edit", [PLATE, MUG, tall])
-    (mug,) = accepted(LayoutReply((thing("mug_0", 90, 30, bottom=12.0),)), edit)
+    (mug,) = objects_of_reply(LayoutReply((thing("mug_0", 90, 30, bottom=12.0),)), edit)
     assert (mug.support, mug.stage) == ("cake_stand_0", None)
-    gone = accepted(LayoutReply((thing("mug_0", 90, 30, bottom=12.0),), removed=("cake_stand_0",)), edit)
+    gone = objects_of_reply(LayoutReply((thing("mug_0", 90, 30, bottom=12.0),), removed=("cake_stand_0",)), edit)
     assert gone[0].support is None
 
 
 def test_an_empty_reply_is_nothing() -> None:
     nothing: tuple[LayoutObject, ...] = ()
-    assert accepted(LayoutReply(nothing), ask(wanted=Stage.IMPORTANT)) == ()
+    assert objects_of_reply(LayoutReply(nothing), ask(wanted=Stage.IMPORTANT)) == ()
 
 
 def test_a_task_says_in_which_corner_its_object_is() -> None:
     wanted = ask("Lift the mug that is in the back right corner.")
-    mugs = accepted(LayoutReply((thing("mug_0", 15, 10), thing("mug_1", 110, 55))), wanted)
-    scene = with_task(Scene("scene", wanted.table, mugs), wanted.instruction, mugs, STATISTICS)
+    mugs = objects_of_reply(LayoutReply((thing("mug_0", 15, 10), thing("mug_1", 110, 55))), wanted)
+    scene = attach_task_info(Scene("scene", wanted.table, mugs), wanted.instruction, mugs, STATISTICS)
     assert scene.task is not None
     assert scene.task.relations == (Relation("mug_1", RelationKind.IS_AT, "back_right"),)

@@ -14,15 +14,15 @@ from models.semantic_reasoner.text.reply_json import (
     layout_names,
     layout_objects,
     parse_reply,
-    plain,
     render_objects,
-    renumbered,
+    renumber_instances,
+    sanitise_words,
 )
 from stable_data.errors import SceneError
 from stable_data.scene import SceneObject
 from stable_data.storage.json_schemas import MOST_ENTRIES
 
-words = st.text(min_size=1, max_size=60).map(plain).filter(bool)
+words = st.text(min_size=1, max_size=60).map(sanitise_words).filter(bool)
 tenths = st.integers(-3000, 3000).map(lambda n: n / 10 + 0.0)
 sides = st.integers(1, 3000).map(lambda n: n / 10)
 names = st.builds(lambda c, n: f"{c}_{n}", st.from_regex(r"[a-z][a-z_]{0,12}", fullmatch=True), st.integers(0, 30))
@@ -70,10 +70,10 @@ def test_names_are_numbered_by_category_in_the_order_given() -> None:
 
 @given(st.lists(objects, max_size=12), st.lists(names, max_size=6))
 def test_names_that_are_taken_get_the_next_free_number(layout: list[LayoutObject], taken: list[str]) -> None:
-    found = renumbered(layout, taken)
+    found = renumber_instances(layout, taken)
     assert len({*taken, *(o.instance for o in found)}) == len(set(taken)) + len(layout)
     assert [o.category for o in found] == [o.category for o in layout]
-    assert renumbered(found, taken) == found
+    assert renumber_instances(found, taken) == found
 
 
 @pytest.mark.parametrize(
@@ -130,10 +130,10 @@ def test_a_hostile_reply_is_refused_at_once(text: str) -> None:
 def test_many_objects_of_one_name_are_renumbered_at_once() -> None:
     count = 20_000
     start = time.process_time()
-    found = renumbered([MUG] * count, ["mug_1"])
+    found = renumber_instances([MUG] * count, ["mug_1"])
     assert time.process_time() - start < 1
     assert [o.instance for o in found] == [f"mug_{n}" for n in range(count + 1) if n != 1]
-    assert renumbered([MUG, replace(MUG, instance="mug_1"), MUG], ["mug_2"])[-1].instance == "mug_3"
+    assert renumber_instances([MUG, replace(MUG, instance="mug_1"), MUG], ["mug_2"])[-1].instance == "mug_3"
 
 
 @pytest.mark.parametrize(

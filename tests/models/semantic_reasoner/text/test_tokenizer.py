@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from transformers import AutoTokenizer, PreTrainedTokenizerFast
 
-from models.semantic_reasoner.text.prompt import FIXED, ReasonerQuestion, messages, question
+from models.semantic_reasoner.text.prompt import FIXED, ReasonerQuestion, messages, user_message
 from models.semantic_reasoner.text.reply_json import LayoutObject, render_objects
 from models.semantic_reasoner.text.tokenizer import scaffolding, train_tokenizer
 from stable_data.scene import Stage, Tabletop
@@ -16,7 +16,7 @@ ASK = ReasonerQuestion("Put the red mug on the table.", Tabletop("office_table",
 
 @pytest.fixture(scope="module")
 def tokenizer() -> PreTrainedTokenizerFast:
-    return train_tokenizer([question(ASK), render_objects([MUG])] * 4, 400)
+    return train_tokenizer([user_message(ASK), render_objects([MUG])] * 4, 400)
 
 
 def test_fixed_parts_and_scaffolding_are_one_token_each(tokenizer: PreTrainedTokenizerFast) -> None:

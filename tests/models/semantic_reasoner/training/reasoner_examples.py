@@ -10,7 +10,7 @@ from models.semantic_reasoner.text.reply_json import LayoutObject
 from models.semantic_reasoner.text.tokenizer import train_tokenizer
 from models.semantic_reasoner.training.examples import TrainingExample
 from models.semantic_reasoner.training.settings import LanguageModelSettings, ReasonerTrainingSettings
-from models.semantic_reasoner.training.token_dataset import TokenDataset, tokenized
+from models.semantic_reasoner.training.token_dataset import TokenDataset, tokenize_examples
 from stable_data.scene import Stage, Tabletop
 
 TINY = ReasonerTrainingSettings(
@@ -50,7 +50,7 @@ def tokenizer() -> PreTrainedTokenizerBase:
 
 
 def token_set(count: int) -> TokenDataset:
-    return tokenized(examples(count), tokenizer(), TINY.max_tokens)
+    return tokenize_examples(examples(count), tokenizer(), TINY.max_tokens)
 
 
 PACKED = replace(TINY, packs=True)

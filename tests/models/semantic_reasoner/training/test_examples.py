@@ -6,7 +6,7 @@ import pytest
 
 from models.semantic_reasoner.text.prompt import ANY_TABLE, ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import parse_reply
-from models.semantic_reasoner.training.examples import TrainingExample, example_of, with_whole
+from models.semantic_reasoner.training.examples import TrainingExample, add_whole_layouts, example_of
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess.job import preprocess
 from pipelines.preprocess.plan import PreprocessSettings
@@ -53,7 +53,7 @@ def test_names_are_unique_over_a_scene_and_the_same_in_question_and_answer(real:
 
 
 def test_the_one_shot_answer_is_the_last_stage_with_all_before_it(real: list[TrainingExample]) -> None:
-    both = list(with_whole(real))
+    both = list(add_whole_layouts(real))
     whole = [e for e in both if e.ask.wanted == "whole"]
     assert [e for e in both if e.ask.wanted != "whole"] == real
     lasts = [e for e in real if e.ask.wanted is Stage.SECONDARY]

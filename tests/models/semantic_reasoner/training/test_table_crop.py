@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.semantic_reasoner.training.table_crop import part_of_table
+from models.semantic_reasoner.training.table_crop import crop_table
 from stable_data.scene import Stage
 from stable_data.storage.schemas import Row
 from tests.models.semantic_reasoner.language.known_categories import entry, in_metres, row
@@ -31,7 +31,7 @@ ROW = table(MUG, FAR, TRAY, ON_TRAY)
 
 @given(st.integers(0, 10_000))
 def test_what_is_in_the_window_stays_where_it_was_seen_from_its_corner(seed: int) -> None:
-    part = part_of_table(ROW, np.random.default_rng(seed))
+    part = crop_table(ROW, np.random.default_rng(seed))
     if part is None:
         return  # nothing of the stage was in it
     width, depth = part["table_size"]
@@ -55,7 +55,7 @@ def test_what_is_in_the_window_stays_where_it_was_seen_from_its_corner(seed: int
 def test_all_stages_of_a_scene_are_seen_through_one_window() -> None:
     first, second = table(MUG, stage=Stage.TASK), table(MUG, {**FAR, "stage": Stage.IMPORTANT}, stage=Stage.IMPORTANT)
     for seed in range(20):
-        one, other = (part_of_table(r, np.random.default_rng(seed)) for r in (first, second))
+        one, other = (crop_table(r, np.random.default_rng(seed)) for r in (first, second))
         assert one is not None
         assert other is not None
         assert one["table_size"] == other["table_size"]
@@ -66,7 +66,7 @@ def test_small_windows_are_as_likely_as_large_ones() -> None:
     widths = [
         part["table_size"][0]
         for k in range(400)
-        if (part := part_of_table(table(MUG, stage=Stage.TASK), np.random.default_rng(k)))
+        if (part := crop_table(table(MUG, stage=Stage.TASK), np.random.default_rng(k)))
     ]
     found, _ = np.histogram(widths, np.linspace(0.35, 1.2, 6))
     assert found.min() > 50
@@ -74,16 +74,16 @@ def test_small_windows_are_as_likely_as_large_ones() -> None:
 
 def test_an_instruction_that_speaks_of_a_part_of_the_table_is_left_alone() -> None:
     rng = np.random.default_rng(0)
-    assert part_of_table(table(MUG, FAR, text="Move the mug that is in the back left corner."), rng) is None
+    assert crop_table(table(MUG, FAR, text="Move the mug that is in the back left corner."), rng) is None
     told = table(MUG, FAR)
     told["task"]["relations"] = [{"subject": "mug_0", "kind": "is at", "target": "front_left"}]
-    assert part_of_table(told, rng) is None
+    assert crop_table(told, rng) is None
 
 
 def test_a_window_with_nothing_of_the_stage_says_so_where_that_is_an_answer() -> None:
     far = table(MUG, FAR)
     near = table(MUG, {**FAR, "stage": Stage.IMPORTANT}, stage=Stage.IMPORTANT)
-    found = [[part_of_table(r, np.random.default_rng(k)) for k in range(60)] for r in (far, near)]
+    found = [[crop_table(r, np.random.default_rng(k)) for k in range(60)] for r in (far, near)]
     assert any(part is None for part in found[0])
     assert all(part is not None for part in found[1])
     assert any(part["objects_out"] == [] for part in found[1] if part is not None)
@@ -91,7 +91,7 @@ def test_a_window_with_nothing_of_the_stage_says_so_where_that_is_an_answer() ->
 
 def test_a_restricted_zone_is_seen_through_the_window_too() -> None:
     zoned = table(MUG, stage=Stage.TASK) | {"restricted_zone": (0.0, 0.2, 0.0, 0.6)}
-    parts = [part for k in range(80) if (part := part_of_table(zoned, np.random.default_rng(k)))]
+    parts = [part for k in range(80) if (part := crop_table(zoned, np.random.default_rng(k)))]
     kept = [part for part in parts if part["restricted_zone"]]
     assert 0 < len(kept) < len(parts)
     for part in kept:

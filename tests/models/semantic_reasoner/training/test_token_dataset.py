@@ -17,7 +17,7 @@ from models.semantic_reasoner.training.batch_sampler import (
     rows_of,
 )
 from models.semantic_reasoner.training.settings import ReasonerTrainingSettings, StageShares
-from models.semantic_reasoner.training.token_dataset import KINDS, TokenDataset, read_tokens, tokenized, write_tokens
+from models.semantic_reasoner.training.token_dataset import KINDS, TokenDataset, read_tokens, tokenize_examples, write_tokens
 from stable_data.scene import Stage
 from tests.models.semantic_reasoner.training.reasoner_examples import PACKED, TABLE, TINY, examples, token_set, tokenizer
 
@@ -44,7 +44,7 @@ def test_the_tokens_are_the_chat_and_the_reply_that_ends_it() -> None:
 def test_what_is_too_long_or_cannot_be_asked_is_left_out_and_counted() -> None:
     longest = int(DATA.length.max())
     asked = [replace(e, ask=replace(e.ask, instruction="")) if n == 0 else e for n, e in enumerate(examples(24))]
-    found = tokenized(asked, tokenizer(), longest - 1)
+    found = tokenize_examples(asked, tokenizer(), longest - 1)
     assert int(found.too_long.sum()) == int((DATA.length == longest).sum()) > 0
     assert found.unasked.tolist() == [1, 0, 0, 0, 0]
     assert len(found) + int(found.too_long.sum()) + 1 == 24
@@ -140,4 +140,4 @@ def test_padding_is_counted() -> None:
 
 def test_an_ask_that_is_a_novel_is_not_asked() -> None:
     example = replace(examples(1)[0], ask=ReasonerQuestion("word " * 1000, TABLE, Stage.TASK))
-    assert tokenized([example], tokenizer(), TINY.max_tokens).unasked.sum() == 1
+    assert tokenize_examples([example], tokenizer(), TINY.max_tokens).unasked.sum() == 1

@@ -9,8 +9,8 @@ from transformers import AutoModelForCausalLM, AutoTokenizer
 
 from models.semantic_reasoner.training.batch_sampler import TokenBatch, batch_of
 from models.semantic_reasoner.training.hf_folder import read_model, read_tokenizer, write_model
-from models.semantic_reasoner.training.loss import ReplyLoss, put_in_place
-from models.semantic_reasoner.training.network import TrainableNetwork, new_network, trained
+from models.semantic_reasoner.training.loss import ReplyLoss, place_network
+from models.semantic_reasoner.training.network import TrainableNetwork, new_network, trainable_parameters
 from models.semantic_reasoner.training.settings import (
     LanguageModelSettings,
     LoraSettings,
@@ -91,7 +91,7 @@ def test_where_it_is_trained_the_loss_and_its_gradient_are_those_of_transformers
     settings: ReasonerTrainingSettings, rows: list[list[int]]
 ) -> None:
     plain, placed = sharp(settings), sharp(settings)
-    put_in_place(placed, CPU)
+    place_network(placed, CPU)
     losses = [loss.of_batch(batch_of(DATA, rows, 0), CPU) for loss in (plain, placed)]
     torch.testing.assert_close(*losses)
     for loss in losses:
@@ -336,7 +336,7 @@ def test_lora_trains_its_matrices_alone(base: Path, tmp_path: Path, merges: bool
     before = {name: p.detach().clone() for name, p in made.loss.network.named_parameters()}
     losses = [made.advance().loss for _ in range(4)]
     changed = {name for name, p in made.loss.network.named_parameters() if not torch.equal(p, before[name])}
-    assert changed == set(trained(made.loss.network))
+    assert changed == set(trainable_parameters(made.loss.network))
     assert all("lora_" in name for name in changed)
     assert losses[-1] < losses[0]
     model = TrainableNetwork(settings, tokenizer()).with_values(made.values()).to_keep(settings)

@@ -16,7 +16,7 @@ from stable_data.errors import ConfigError
 from stable_data.geometry.convex_decomposition import convex_parts
 from stable_data.geometry.gltf_reader import load_colliders, load_glb
 from stable_data.geometry.gltf_writer import write_glb
-from stable_data.geometry.mesh_repair import repair
+from stable_data.geometry.mesh_repair import repair_mesh
 from stable_data.scene import Tabletop
 from stable_data.simulation.settling import PhysicsOptions, RigidBody, settle
 
@@ -78,7 +78,7 @@ def test_variants_of_a_family_differ_and_stand_still(category: str) -> None:
 def test_asset_is_one_connected_solid() -> None:
     for category in CATEGORIES:
         key = f"{category}/{len(category) % NUM_VARIANTS}"
-        assert repair(asset(key).mesh, key)[1].num_components == 1, key
+        assert repair_mesh(asset(key).mesh, key)[1].num_components == 1, key
 
 
 def test_uids_are_hexadecimal_and_distinct() -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from stable_data.errors import MeshError
 from stable_data.geometry.gltf_reader import load_glb
 from stable_data.geometry.mesh import Mesh
-from stable_data.geometry.mesh_repair import repair
+from stable_data.geometry.mesh_repair import repair_mesh
 from stable_data.geometry.sdf.build import GridLimits, build_grid, probe_points, unit_mesh, wall_thickness
 from stable_data.geometry.sdf.exact import SignedDistance
 from stable_data.geometry.sdf.grid import GridAtlas, SdfGrid, sample_grid
@@ -237,7 +237,7 @@ def test_no_faces_and_no_extent_are_refused() -> None:
 def test_hollow_of_real_open_vessels_is_outside(real_data: Path) -> None:
     vessels = []
     for path in sorted((real_data / "Assets_library").glob("*.glb"))[::3]:
-        mesh, report, _ = repair(load_glb(path, path.stem)[0], path.stem)
+        mesh, report, _ = repair_mesh(load_glb(path, path.stem)[0], path.stem)
         unit, _ = unit_mesh(mesh)
         above = SignedDistance(unit).first_hit(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]]))[0]
         depth = unit.vertices[:, 2].max() - (1 - above)

@@ -2,8 +2,8 @@
 
 import pytest
 
-from stable_data.instructions.wording.vocabulary import answers_to, classes_of, nouns_of, pressed_part
-from stable_data.instructions.wording.words import is_plural, listed, plural, sentences, type_name, type_words
+from stable_data.instructions.wording.vocabulary import answers_to, classes_of, control_part, nouns_of
+from stable_data.instructions.wording.words import is_plural, join_words, plural, sentences, type_name, type_words
 
 
 @pytest.mark.parametrize(
@@ -44,7 +44,7 @@ def test_some_single_things_are_many_to_grammar(noun: str, many: bool) -> None:
 
 
 def test_lists_and_sentences() -> None:
-    assert [listed(x) for x in (["a"], ["a", "b"], ["a", "b", "c"])] == ["a", "a and b", "a, b and c"]
+    assert [join_words(x) for x in (["a"], ["a", "b"], ["a", "b", "c"])] == ["a", "a and b", "a, b and c"]
     assert sentences("take it. then go") == "Take it. Then go."
     assert sentences("could you go?") == "Could you go?"
 
@@ -54,7 +54,7 @@ def test_a_category_has_the_classes_of_its_longest_known_end() -> None:
     assert "drinkware" not in classes_of("toothbrush_cup")
     assert "cutlery" not in classes_of("kitchen_knife")
     assert classes_of("gizmo") == frozenset()
-    assert (pressed_part("kitchen_soap_dispenser"), pressed_part("gizmo")) == ("the pump", None)
+    assert (control_part("kitchen_soap_dispenser"), control_part("gizmo")) == ("the pump", None)
 
 
 def test_nouns_and_who_answers_to_them() -> None:
