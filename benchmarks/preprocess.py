@@ -18,7 +18,8 @@ from typing import Any
 
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_step import Shard, ShardTask, ShardWriter
-from pipelines.preprocess.plan import PreprocessSettings, plan_run
+from pipelines.preprocess.plan import plan_run
+from pipelines.preprocess.settings import PreprocessSettings
 from pipelines.preprocess.shard import SceneStep
 from stable_data.mesatask import MesaTaskDataset
 

@@ -89,7 +89,7 @@ def preprocess(
     from pipelines.execution.shard_job import describe
     from pipelines.preprocess.job import PreprocessJob
     from pipelines.preprocess.job import preprocess as run
-    from pipelines.preprocess.plan import PreprocessSettings
+    from pipelines.preprocess.settings import PreprocessSettings
     from pipelines.settings import resolve_settings
 
     count = _count(workers, address)

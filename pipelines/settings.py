@@ -54,7 +54,7 @@ class SettingsLocation:
 
 
 JOBS: Mapping[str, SettingsLocation] = {
-    "preprocess": SettingsLocation("pipelines.preprocess.plan:PreprocessSettings"),
+    "preprocess": SettingsLocation("pipelines.preprocess.settings:PreprocessSettings"),
     "correct": SettingsLocation("pipelines.correct.settings:CorrectSettings"),
     "edit": SettingsLocation("pipelines.edit.settings:EditSettings"),
     "generate": SettingsLocation("pipelines.generate.settings:GenerateSettings"),

@@ -14,9 +14,10 @@ from models.physics_corrector.learned_flow import load_flow, weights_fingerprint
 from pipelines.correct.report import write_correct_report
 from pipelines.correct.settings import CorrectSettings
 from pipelines.correct.shard import CorrectWork
-from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, run_isolated
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
 from pipelines.execution.shard_step import Shard, StepShards
+from pipelines.preprocess.convention import resolve_convention
 from pipelines.sources.scenes import FolderSource, SceneChunk, SceneSource, TableSource, scene_source
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice, cannot_write
@@ -54,7 +55,10 @@ class SceneJob(ShardJob, Generic[S]):
     def __init__(self, scenes: str, settings: S, workers: WorkerPool) -> None:
         self.where = _absolute(scenes)
         self.source: SceneSource = scene_source(self.where)
-        self.settings = _settled(self.source, settings, workers)
+        if isinstance(self.source, TableSource):  # a run states its convention; nothing is measured
+            self.settings = settings.settled(self.source)
+        else:
+            self.settings = resolve_convention(settings.settled, self.source, self.source.name, settings, workers)
         self.dataset = self.source.name
 
     def finish(self, folder: RunFolder) -> dict[str, Any]:
@@ -137,20 +141,6 @@ def check_place(scenes: str, out: str) -> None:
 
 def _absolute(scenes: str) -> str:
     return scenes if "://" in scenes else str(Path(scenes).expanduser().resolve())
-
-
-def _settled(source: SceneSource, settings: S, workers: WorkerPool) -> S:
-    """The settings with ``auto`` replaced, by a process of its own where workers are: a mesh must not end the run's."""
-    if settings.position_convention != "auto" or workers.are_this_process or isinstance(source, TableSource):
-        return settings.settled(source)
-    settled = run_isolated(settings.settled, source, seconds=64 * settings.seconds_per_item)
-    if isinstance(settled, ProcessFailure):
-        raise ConfigError(
-            f"{source.name}: the check of what positions mean {str(settled).replace('_', ' ')} over a layout or mesh; set "
-            "position_convention to box_centre or mesh_centre",
-            "convention_unknown",
-        )
-    return settled
 
 
 def _carry_assets(source: SceneSource, folder: RunFolder) -> list[str]:

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal, Self, cast
 
 from models.settings import Count, Positive, Settings
 from pipelines.execution.shard_size import shard_size
-from pipelines.preprocess.plan import ConventionChoice
+from pipelines.preprocess.convention import ConventionChoice
 from pipelines.preprocess.scene import SceneSettings
 from pipelines.sources.scenes import SceneSource
 from stable_data.mesatask import PositionConvention

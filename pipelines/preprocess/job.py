@@ -6,16 +6,18 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, run_isolated
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
 from pipelines.execution.shard_step import Shard, StepShards
+from pipelines.preprocess.convention import resolve_convention
 from pipelines.preprocess.features import AUTO, NONE, fingerprint_of
-from pipelines.preprocess.plan import PreprocessPlan, PreprocessSettings, plan_run
+from pipelines.preprocess.plan import PreprocessPlan, plan_run
 from pipelines.preprocess.report import write_report
+from pipelines.preprocess.settings import PreprocessSettings
 from pipelines.preprocess.shard import AssetStep, FeatureStep, SceneStep, task_writer
 from stable_data.assets.store import AssetStore
 from stable_data.content_id import content_id
-from stable_data.errors import ConfigError, Notice
+from stable_data.errors import Notice
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.storage.run_folder import RunFolder
 
@@ -49,7 +51,7 @@ class PreprocessJob(ShardJob):
     def __init__(self, data: str, settings: PreprocessSettings, workers: WorkerPool) -> None:
         self.source = MesaTaskDataset(_absolute(data))
         self.dataset = self.source.root.name
-        self.settings = _settled(self.source, settings, workers)
+        self.settings = resolve_convention(settings.settled, self.source, str(self.source.root), settings, workers)
         self._placed = replace(
             self.settings, task_cache=str(_absolute(settings.task_cache)), features=_placed(settings.features)
         )
@@ -111,17 +113,3 @@ def _placed(features: str) -> str:
         return features
     kind, colon, file = features.rpartition(":")
     return f"{kind}{colon}{_absolute(file)}"
-
-
-def _settled(dataset: MesaTaskDataset, settings: PreprocessSettings, workers: WorkerPool) -> PreprocessSettings:
-    """The settings with ``auto`` replaced, by a process of its own where workers are: a mesh must not end the run's."""
-    if settings.position_convention != "auto" or workers.are_this_process:
-        return settings.settled(dataset)
-    settled = run_isolated(settings.settled, dataset, seconds=64 * settings.seconds_per_item)
-    if isinstance(settled, ProcessFailure):
-        raise ConfigError(
-            f"{dataset.root}: the check of what positions mean {str(settled).replace('_', ' ')} over a layout or mesh; "
-            "set position_convention to box_centre or mesh_centre",
-            "convention_unknown",
-        )
-    return settled

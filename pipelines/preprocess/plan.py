@@ -1,4 +1,4 @@
-"""The plan of a preprocess run: settings, and the shards that a dataset is cut into.
+"""The plan of a preprocess run: the shards that a dataset is cut into.
 
 Assets and scenes are cut by a fixed rule, and each shard is named by the content of its inputs and the settings that shape it:
 the plan of the same dataset and settings is the same, whoever makes it.
@@ -7,119 +7,27 @@ the plan of the same dataset and settings is the same, whoever makes it.
 import hashlib
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Literal, TypeAlias, cast
 
 import numpy as np
 from tqdm import tqdm
 
 import stable_data
-from models.settings import Count, Positive, PositiveCount, Settings, Share
 from pipelines.execution.shard_size import split_groups
 from pipelines.execution.shard_step import Shard
 from pipelines.preprocess.asset import AssetUse, TextFeature
 from pipelines.preprocess.features import FeatureUse, ShapeUse
-from pipelines.preprocess.scene import SceneSettings
-from stable_data.assets.store import AssetStore, aspect_steps, canonical_quaternion, tilt_key
+from pipelines.preprocess.settings import PreprocessSettings
+from stable_data.assets.store import aspect_steps, canonical_quaternion, tilt_key
 from stable_data.content_id import content_id
-from stable_data.errors import ConfigError, Notice
-from stable_data.mesatask import MesaTaskDataset, PositionConvention, read_text_features
-from stable_data.mesatask.convention_detection import position_convention
+from stable_data.errors import Notice
+from stable_data.mesatask import MesaTaskDataset, read_text_features
 from stable_data.scene import QuatXyzw, Vec3
 from stable_data.storage import schemas
 
-ConventionChoice: TypeAlias = Literal["auto", "box_centre", "mesh_centre"]
-"""A position convention, or ``auto``: the one that the dataset shows."""
-
 _MAX_SCALES = 1001  # of one asset that its typical scale is taken from
 _MAX_TILTS = 8
-
-
-@dataclass(frozen=True, slots=True)
-class PreprocessSettings(Settings):
-    """Settings of the job; ``--set key=value`` or the table ``[preprocess]`` of a TOML file."""
-
-    section: ClassVar[str] = "preprocess"
-
-    important_threshold: Positive = 0.02
-    """Metres; objects nearer than this to a task object are O^B."""
-
-    seed: int = 0
-    """Seed of task templates and splits."""
-
-    train_share: Share = 0.9
-    """Share of near-duplicate groups in the training split."""
-
-    validation_share: Share = 0.05
-    """Share of near-duplicate groups in the validation split; the rest is the test split."""
-
-    position_convention: ConventionChoice = "auto"
-    """What a position in the dataset is the centre of: ``box_centre``, ``mesh_centre``, or ``auto``, which decides from the
-    dataset.
-    """
-
-    tasks_per_scene: PositiveCount = 1
-    """Tasks of a scene in the table ``samples``: its own, then others by template. MesaTask trains on five."""
-
-    num_points: PositiveCount = 1024
-    """Surface points of an asset."""
-
-    all_assets: bool = True
-    """Whether every annotated asset with a mesh is processed; else only those that a scene uses."""
-
-    scenes_per_shard: PositiveCount = 32
-    """Scenes of a shard."""
-
-    assets_per_shard: PositiveCount = 8
-    """Assets of a shard."""
-
-    task_writer: str = ""
-    """``module:function`` that writes task infos for scenes without one; empty uses templates."""
-
-    task_cache: str = "data/task_cache"
-    """Folder that keeps the task writer's answers; on a cluster every node must see it."""
-
-    features: str = "auto"
-    """Encoder of the point features: ``auto`` (the file in models/weights, where it exists), ``none``, a file that
-    ``models.point_encoder.save`` wrote, or a published encoder as ``scannet:FILE``, ``modelnet:FILE`` or ``sonata:FILE``, by
-    its training data. On a cluster every node must see the file. The encoder in models/weights takes a core about 30 ms a
-    feature, and torch takes 200 MB of memory in each worker; ``none`` does not load it.
-    """
-
-    num_pictures: Count = 12
-    """Scenes that the report shows."""
-
-    seconds_per_item: Positive = 600.0
-    """Seconds; a scene or asset that takes longer is a failure. Not enforced without worker processes."""
-
-    def check(self) -> None:
-        """Refuses a cache that is no folder, and shares over 1; see the base class."""
-        if "://" in self.task_cache:
-            raise ConfigError(f"setting preprocess.task_cache is {self.task_cache}, expected a folder", "config_invalid")
-        shares = (self.train_share, self.validation_share)
-        if sum(shares) > 1:
-            raise ConfigError(
-                f"train_share and validation_share are {shares}, expected shares that add up to at most 1", "config_invalid"
-            )
-
-    def shaping(self) -> dict[str, Any]:
-        """The settings that shape rows: a run is resumed only under the same. Of the encoder, its fingerprint counts."""
-        aside = ("features", "num_pictures", "seconds_per_item", "task_cache")
-        return {k: v for k, v in asdict(self).items() if k not in aside}
-
-    def scene_settings(self) -> SceneSettings:
-        """Those of the scene step."""
-        convention = PositionConvention(self.position_convention)  # settled() has replaced auto
-        return SceneSettings(
-            self.important_threshold, self.seed, self.train_share, self.validation_share, convention, self.tasks_per_scene
-        )
-
-    def settled(self, dataset: MesaTaskDataset) -> "PreprocessSettings":
-        """The settings with ``auto`` replaced by what the dataset shows."""
-        if self.position_convention != "auto":
-            return self
-        return replace(self, position_convention=cast(ConventionChoice, str(position_convention(dataset, AssetStore(dataset)))))
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,8 +11,9 @@ from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.shard_step import ItemStep, Rows
 from pipelines.preprocess.asset import AssetSettings, AssetUse, TextFeature, preprocess_asset
 from pipelines.preprocess.features import FeatureUse, encoder_of, feature_rows
-from pipelines.preprocess.plan import PreprocessSettings, text_features
+from pipelines.preprocess.plan import text_features
 from pipelines.preprocess.scene import CachedTaskWriter, preprocess_scene
+from pipelines.preprocess.settings import PreprocessSettings
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset

@@ -10,8 +10,10 @@ from typing import Protocol, TypeAlias, cast
 
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.shard_size import split_groups
-from pipelines.preprocess.plan import ConventionChoice, PreprocessSettings, plan_run
+from pipelines.preprocess.convention import ConventionChoice
+from pipelines.preprocess.plan import plan_run
 from pipelines.preprocess.scene import SceneSettings, origin_of, prepare_scene
+from pipelines.preprocess.settings import PreprocessSettings
 from stable_data.assets.catalog import AssetLibrary, library_of_run
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore

@@ -9,7 +9,7 @@ from pathlib import Path
 from typer.testing import CliRunner, Result
 
 from pipelines.__main__ import app
-from pipelines.preprocess.plan import PreprocessSettings
+from pipelines.preprocess.settings import PreprocessSettings
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = PreprocessSettings(

@@ -18,7 +18,7 @@ from models.settings import PositiveCount, Settings
 from pipelines.__main__ import app
 from pipelines.edit.settings import EditSettings
 from pipelines.generate.settings import GenerateSettings
-from pipelines.preprocess.plan import PreprocessSettings
+from pipelines.preprocess.settings import PreprocessSettings
 from pipelines.retired import RETIRED
 from pipelines.settings import JOBS, list_settings, resolve_settings
 from stable_data.config_diff import config_differences

@@ -16,7 +16,7 @@ from benchmarks.chaos import busy_workers
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess import job
 from pipelines.preprocess.job import preprocess
-from pipelines.preprocess.plan import PreprocessSettings
+from pipelines.preprocess.settings import PreprocessSettings
 from pipelines.preprocess.shard import SceneStep
 from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder

@@ -19,7 +19,8 @@ from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import describe
 from pipelines.preprocess.features import FeatureUse, ShapeUse, encoder_of, feature_rows, fingerprint_of
 from pipelines.preprocess.job import PreprocessJob, preprocess
-from pipelines.preprocess.plan import PreprocessSettings, plan_run
+from pipelines.preprocess.plan import plan_run
+from pipelines.preprocess.settings import PreprocessSettings
 from stable_data.assets.point_features import PointFeatures, feature_key, read_features
 from stable_data.assets.store import AssetStore, aspect_of, aspect_steps
 from stable_data.embedded_world.modelling.family import LAID

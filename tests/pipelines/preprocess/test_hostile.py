@@ -11,7 +11,7 @@ from pipelines.execution.ray_executor import ProcessFailure, WorkerPool
 from pipelines.execution.shard_step import Shard
 from pipelines.preprocess import job
 from pipelines.preprocess.job import preprocess
-from pipelines.preprocess.plan import PreprocessSettings
+from pipelines.preprocess.settings import PreprocessSettings
 from pipelines.preprocess.shard import SceneStep
 from stable_data.errors import ConfigError
 from stable_data.geometry.gltf_reader import load_glb

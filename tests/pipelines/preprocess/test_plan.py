@@ -12,7 +12,8 @@ import pytest
 
 from pipelines.execution.shard_step import Shard
 from pipelines.preprocess.asset import AssetUse
-from pipelines.preprocess.plan import PreprocessPlan, PreprocessSettings, plan_run
+from pipelines.preprocess.plan import PreprocessPlan, plan_run
+from pipelines.preprocess.settings import PreprocessSettings
 from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset, write_text_features
 from stable_data.scene import QuatXyzw

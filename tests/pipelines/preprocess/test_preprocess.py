@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from pipelines.__main__ import app
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess.job import preprocess
-from pipelines.preprocess.plan import PreprocessSettings
+from pipelines.preprocess.settings import PreprocessSettings
 from pipelines.preprocess.shard import AssetStep, SceneStep
 from stable_data.assets.catalog import library_of_run
 from stable_data.assets.store import AssetStore

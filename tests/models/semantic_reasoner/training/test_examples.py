@@ -9,7 +9,7 @@ from models.semantic_reasoner.text.reply_json import parse_reply
 from models.semantic_reasoner.training.examples import TrainingExample, add_whole_layouts, example_of
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess.job import preprocess
-from pipelines.preprocess.plan import PreprocessSettings
+from pipelines.preprocess.settings import PreprocessSettings
 from stable_data.errors import SceneError
 from stable_data.scene import Stage
 from stable_data.storage.row_groups import rows_from_table

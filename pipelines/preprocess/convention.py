@@ -1,0 +1,58 @@
+"""The setting ``position_convention`` of a job, and how ``auto`` is resolved."""
+
+from collections.abc import Callable
+from typing import Literal, Protocol, TypeAlias, TypeVar
+
+from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, run_isolated
+from stable_data.errors import ConfigError
+
+ConventionChoice: TypeAlias = Literal["auto", "box_centre", "mesh_centre"]
+"""A position convention, or ``auto``: the convention that the dataset shows."""
+
+_MEASURED_ITEMS = 64  # scenes that the check may read, each within the time limit of an item
+
+
+class ConventionSettings(Protocol):
+    """Settings with a position convention."""
+
+    @property
+    def position_convention(self) -> ConventionChoice:
+        """The convention, or ``auto``."""
+        ...
+
+    @property
+    def seconds_per_item(self) -> float:
+        """The time limit of an item, seconds."""
+        ...
+
+
+S = TypeVar("S", bound=ConventionSettings)
+D = TypeVar("D")
+
+
+def resolve_convention(resolve: Callable[[D], S], source: D, name: str, settings: S, workers: WorkerPool) -> S:
+    """Replaces ``auto`` in a job's settings.
+
+    The check reads meshes, and a broken mesh can crash or block its reader. If the job has worker processes, the check therefore
+    runs in a process of its own.
+
+    Args:
+        resolve: Returns the settings without ``auto``.
+        source: The scenes, passed to ``resolve``.
+        name: The name of the source in messages.
+        settings: The settings as given.
+        workers: The workers of the job.
+
+    Raises:
+        ConfigError: The check crashed or took too long (``convention_unknown``).
+    """
+    if settings.position_convention != "auto" or workers.are_this_process:
+        return resolve(source)
+    resolved = run_isolated(resolve, source, seconds=_MEASURED_ITEMS * settings.seconds_per_item)
+    if isinstance(resolved, ProcessFailure):
+        raise ConfigError(
+            f"{name}: the check of what positions mean {str(resolved).replace('_', ' ')} over a layout or mesh; set "
+            "position_convention to box_centre or mesh_centre",
+            "convention_unknown",
+        )
+    return resolved
