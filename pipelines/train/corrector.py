@@ -9,7 +9,6 @@ OUT/cache/                                  what was computed of the run's table
 """
 
 import json
-import sys
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,12 +19,9 @@ from models.physics_corrector.training.settings import CorrectorTrainingSettings
 from models.physics_corrector.training.trainer import CorrectorTrainer, train
 from models.physics_corrector.training.validation import Card, ValidationScenes, scalar_figures, validation_card
 from models.training.distributed import ProcessContext
-from pipelines.train.run import STATE, TrainingMonitor, json_bytes, refuse_changes, training_device
+from pipelines.train.run import STATE, TrainingJob, TrainingMonitor, json_bytes
 from stable_data.code_version import code_version
-from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
-
-WEIGHTS = "weights/physics_corrector.safetensors"
 
 _FAST_ROWS = ("small", "jitter", "pile")
 
@@ -51,28 +47,27 @@ class CorrectorMonitoring:
     save_minutes: float = 5.0
 
 
-@dataclass(frozen=True, slots=True)
-class CorrectorTrainingJob:
-    """The job; sent to the workers.
+@dataclass(frozen=True)
+class CorrectorTrainingJob(TrainingJob):
+    """The training of the Physics Corrector.
 
     Attributes:
-        data: Folder of a preprocess run.
-        out: Folder of the training.
         settings: What shapes the weights.
         watch: How it is watched.
-        minutes: After which it stops and keeps its checkpoint; 0 is no limit.
+        minutes: Time after which it stops and saves its checkpoint; 0 is no limit.
     """
 
-    data: str
-    out: Path
+    NAME = "train_corrector"
+    WEIGHTS = "weights/physics_corrector.safetensors"
+    COMPARED = ("data_fingerprint", "encoder_fingerprint")
+
     settings: CorrectorTrainingSettings
     watch: CorrectorMonitoring = CorrectorMonitoring()
     minutes: float = 0.0
 
     def source(self) -> TrainingScenes:
         """Where the scenes come from."""
-        data = self.data if "://" in self.data else str(Path(self.data).expanduser().resolve())
-        return TrainingScenes(data, self._folder() / "cache", self.settings.num_surface, self.settings.num_bottom)
+        return TrainingScenes(self.data_uri, self.folder / "cache", self.settings.num_surface, self.settings.num_bottom)
 
     def describe(self) -> dict[str, Any]:
         """What a run would do, for ``--dry-run``; the tables are looked for and none is read whole."""
@@ -85,38 +80,22 @@ class CorrectorTrainingJob:
             "num_parameters": sum(p.numel() for p in network.parameters()),
         }
 
-    def run(self, workers: int = 0, address: str | None = None) -> str:
-        """Trains, or goes on.
-
-        Args:
-            workers: Processes of Ray Train; 0 trains in this one.
-            address: An existing Ray cluster; None starts a local one.
-
-        Returns:
-            One line on what was done.
-
-        Raises:
-            ConfigError: The run cannot start or go on; the checkpoint stays.
-        """
-        folder = RunFolder(str(self._folder()))
-        with folder.locked():
-            data = self.source().load(self.settings.features)
-            settings = self.settings.resolved(len(data.of_split(0)))
-            job = replace(self, settings=settings, out=self._folder())
-            manifest = _manifest(job, data)
-            refuse_changes(folder, manifest, ("job", "code_version", "data_fingerprint", "encoder_fingerprint"))
-            folder.write_bytes("manifest.json", json_bytes(manifest))
-            if workers:
-                from pipelines.train.ray_train import run_on_ray  # Ray Train takes seconds to import
-
-                del data  # each process reads its own
-                run_on_ray(job, workers, address)
-            else:
-                job.work(ProcessContext(training_device()), data)
-            return _finish(folder, manifest)
+    def prepare(self) -> tuple["CorrectorTrainingJob", dict[str, Any], TrainingSet]:
+        """Reads the scenes; see the base class."""
+        data = self.source().load(self.settings.features)
+        job = replace(self, settings=self.settings.resolved(len(data.of_split(0))), out=self.folder)
+        details = {
+            "data_fingerprint": data.fingerprint,
+            "encoder_fingerprint": data.encoder,
+            "targets": dict(data.counts),
+            "num_train": len(data.of_split(0)),
+            "num_validation": len(data.of_split(1)),
+            "settings": asdict(job.settings),
+        }
+        return job, details, data
 
     def work(self, place: ProcessContext, data: TrainingSet | None = None) -> None:
-        """The part of one process."""
+        """Trains, or continues; the part of one process."""
         source = self.source()
         data = source.load(self.settings.features) if data is None else data
         training = CorrectorTrainer(data, self.settings, place)
@@ -152,12 +131,20 @@ class CorrectorTrainingJob:
             "training": json.dumps(asdict(self.settings), sort_keys=True),
             "code_version": code_version(),
         }
-        save_corrector(self.out / WEIGHTS, self.settings.corrector, training.average, notes)
+        save_corrector(self.out / self.WEIGHTS, self.settings.corrector, training.average, notes)
 
-    def _folder(self) -> Path:
-        if "://" in str(self.out):
-            raise ConfigError(f"--out is {self.out}, expected a local folder", "output_invalid")
-        return self.out.expanduser().resolve()
+    def finish(self, folder: RunFolder, manifest: dict[str, Any]) -> str:
+        """Closes the manifest; one line on what was done."""
+        from safetensors import safe_open
+
+        with safe_open(Path(folder.root) / self.WEIGHTS, framework="pt") as file:
+            step = int(file.metadata()["steps"])
+        is_done = step >= self.settings.steps
+        closed = manifest | {"status": "complete" if is_done else "stopped", "steps_done": step}
+        folder.write_bytes("manifest.json", json_bytes(closed))
+        steps, used = f"{step} of {self.settings.steps}", f"{manifest['num_train']} scenes"
+        rest = "card.json" if is_done else "run again to go on"
+        return self.result_line(folder, steps, used, manifest["targets"], self.WEIGHTS, rest)
 
 
 def _card_of(
@@ -182,38 +169,3 @@ def _card_of(
 
 def _scalars(card: Card) -> dict[str, float]:
     return {f"card/{name}": value for name, value in scalar_figures(card).items()}
-
-
-def _manifest(job: CorrectorTrainingJob, data: TrainingSet) -> dict[str, Any]:
-    return {
-        "job": "train_corrector",
-        "status": "running",
-        "code_version": code_version(),
-        "code_versions": [code_version()],
-        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-        "data_fingerprint": data.fingerprint,
-        "encoder_fingerprint": data.encoder,
-        "targets": dict(data.counts),
-        "num_train": len(data.of_split(0)),
-        "num_validation": len(data.of_split(1)),
-        "settings": asdict(job.settings),
-    }
-
-
-def _finish(folder: RunFolder, manifest: dict[str, Any]) -> str:
-    """Closes the manifest; one line on what was done."""
-    from safetensors import safe_open
-
-    with safe_open(Path(folder.root) / WEIGHTS, framework="pt") as file:
-        step = int(file.metadata()["steps"])
-    steps = manifest["settings"]["steps"]
-    is_done = step >= steps
-    folder.write_bytes(
-        "manifest.json", json_bytes(manifest | {"status": "complete" if is_done else "stopped", "steps_done": step})
-    )
-    left_out = {k.removeprefix("left_out_"): v for k, v in manifest["targets"].items() if k.startswith("left_out_") and v}
-    without = (
-        f", {sum(left_out.values())} scenes left out ({', '.join(f'{k} {v}' for k, v in left_out.items())})" if left_out else ""
-    )
-    rest = "; card.json" if is_done else "; run again to go on"
-    return f"{folder.uri}: {step} of {steps} steps on {manifest['num_train']} scenes{without}; {WEIGHTS}{rest}"

@@ -5,8 +5,7 @@ training goes on with another number of processes than it was begun with.
 """
 
 import os
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import ray
 import torch
@@ -15,20 +14,8 @@ from ray.train.torch import TorchTrainer, get_device
 
 from models.training.distributed import ProcessContext
 from pipelines.execution.ray_executor import WorkerPool, connect
+from pipelines.train.run import TrainingJob
 from stable_data.errors import ConfigError, StableDataError
-
-
-class TrainingJob(Protocol):
-    """A training that several processes can share."""
-
-    @property
-    def out(self) -> Path:
-        """Its folder, which every process sees."""
-        ...
-
-    def work(self, place: ProcessContext) -> None:
-        """The part of one process."""
-        ...
 
 
 def run_on_ray(job: TrainingJob, workers: int, address: str | None) -> None:

@@ -1,8 +1,7 @@
 """Trains the Semantic Reasoner: in this process, or in the processes of Ray Train with its weights sharded, with the same loop.
 
 OUT/weights/                     a plain Hugging Face folder; reasoner.json, which says how it was made; and categories.json,
-what
-                                 the checks of its replies know of the run's categories
+                                 which the checks of its replies use
 OUT/checkpoint/state.pt          where a run that was stopped goes on
 OUT/logs/events.out.tfevents.*   losses, for TensorBoard
 OUT/manifest.json                settings, data and models
@@ -10,7 +9,6 @@ OUT/cache/                       tokens and tokenizer; may be deleted
 """
 
 import json
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -28,12 +26,10 @@ from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
 from models.semantic_reasoner.training.token_dataset import TokenDataset
 from models.semantic_reasoner.training.trainer import CheckpointIdentity, ReasonerTrainer, StepMetrics, train
 from models.training.distributed import ProcessContext
-from pipelines.train.run import STATE, TrainingMonitor, json_bytes, refuse_changes, training_device
+from pipelines.train.run import STATE, TrainingJob, TrainingMonitor, json_bytes
 from stable_data.code_version import code_version
 from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
-
-WEIGHTS = "weights"
 
 Judge: TypeAlias = Callable[[Any, PreTrainedTokenizerBase], Mapping[str, float]]
 """Figures of a model by what it generates, by name; the model is whole and of transformers or peft."""
@@ -59,73 +55,53 @@ class ReasonerMonitoring:
     judge: Judge | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class ReasonerTrainingJob:
-    """The job; sent to the workers.
+@dataclass(frozen=True)
+class ReasonerTrainingJob(TrainingJob):
+    """The training of the Semantic Reasoner.
 
     Attributes:
-        data: Folder of a preprocess run.
-        out: Folder of the training.
         settings: What shapes the weights.
         watch: How it is watched.
-        minutes: After which it stops and keeps its checkpoint; 0 is no limit.
+        minutes: Time after which it stops and saves its checkpoint; 0 is no limit.
     """
 
-    data: str
-    out: Path
+    NAME = "train_reasoner"
+    WEIGHTS = "weights"
+    COMPARED = tuple(asdict(CheckpointIdentity()))
+
     settings: ReasonerTrainingSettings
     watch: ReasonerMonitoring = ReasonerMonitoring()
     minutes: float = 0.0
 
     def source(self) -> ExampleSource:
         """Where the examples come from."""
-        data = self.data if "://" in self.data else str(Path(self.data).expanduser().resolve())
-        return ExampleSource(data, self._folder() / "cache", self.settings)
+        return ExampleSource(self.data_uri, self.folder / "cache", self.settings)
 
-    def run(self, workers: int = 0, address: str | None = None) -> str:
-        """Trains, or goes on.
-
-        Args:
-            workers: Processes of Ray Train; 0 trains in this one.
-            address: An existing Ray cluster; None starts a local one.
-
-        Returns:
-            One line on what was done.
-
-        Raises:
-            ConfigError: The run cannot start or go on; the checkpoint stays.
-        """
-        base = self.settings.base
-        if base:
-            read_config(Path(base).expanduser(), self.settings.max_tokens)  # before anything takes long
-        self.check_workers(workers)
-        self.source().fingerprint()
-        folder = RunFolder(str(self._folder()))
-        with folder.locked():
-            tokenizer, data, held_out = self._read()
-            job = replace(self, settings=self.settings.resolved(len(self.batches(data))), out=self._folder())
-            manifest = _manifest(job, tokenizer, data, held_out)
-            refuse_changes(folder, manifest, ("job", "code_version", *asdict(CheckpointIdentity())))
-            folder.write_bytes("manifest.json", json_bytes(manifest))
-            if workers:
-                from pipelines.train.ray_train import run_on_ray  # Ray Train takes seconds to import
-
-                run_on_ray(job, workers, address)
-            else:
-                job.work(ProcessContext(training_device()))
-            return _finish(folder, manifest, self.source().uri)
+    def prepare(self) -> tuple["ReasonerTrainingJob", dict[str, Any], None]:
+        """Reads the examples; see the base class. The tokens are mapped from a file, so that each process opens its own."""
+        tokenizer, data, held_out = self._read()
+        job = replace(self, settings=self.settings.resolved(len(self.batches(data))), out=self.folder)
+        details = {
+            **asdict(job.identity(tokenizer)),
+            "examples": {"train": _counts(data), "validation": _counts(held_out)},
+            "settings": asdict(job.settings),
+        }
+        return job, details, None
 
     def check_workers(self, workers: int) -> None:
-        """Refuses a number of processes that cannot share a step's batches.
+        """Refuses a base that cannot be read, data that is not there, and a number of processes that cannot share a step.
 
         Raises:
-            ConfigError: ``accumulate`` is not a multiple of it.
+            ConfigError: One of these; or ``accumulate`` is not a multiple of the number of processes.
         """
+        if self.settings.base:
+            read_config(Path(self.settings.base).expanduser(), self.settings.max_tokens)
         if workers and self.settings.accumulate % workers:
             raise ConfigError(
                 f"accumulate is {self.settings.accumulate}, expected a multiple of --workers {workers}: they share its batches",
                 "config_invalid",
             )
+        self.source().fingerprint()
 
     def batches(self, data: TokenDataset) -> list[Rows]:
         """Batches of the first pass.
@@ -138,10 +114,10 @@ class ReasonerTrainingJob:
             raise ConfigError("shares leave no example of those that there are, expected some", "config_invalid")
         return batches
 
-    def work(self, place: ProcessContext) -> None:
-        """The part of one process."""
-        tokenizer, data, held_out = self._read()  # kept already: it is mapped
-        training = ReasonerTrainer(data, self.settings, tokenizer, place, self.identity(tokenizer))
+    def work(self, place: ProcessContext, data: None = None) -> None:
+        """Trains, or continues; the part of one process."""
+        tokenizer, examples, held_out = self._read()
+        training = ReasonerTrainer(examples, self.settings, tokenizer, place, self.identity(tokenizer))
         training.resume(self.out / STATE)
         watch, settings = self.watch, self.settings
         with TrainingMonitor(training, settings.steps, self.out, self.minutes, watch.log_every, watch.save_minutes) as monitor:
@@ -166,7 +142,7 @@ class ReasonerTrainingJob:
                 if watch.judge is not None:
                     figures |= watch.judge(model, tokenizer)
                 monitor.log(figures)
-                write_model(self.out / WEIGHTS, model, tokenizer, self._notes(training, figures))
+                write_model(self.out / self.WEIGHTS, model, tokenizer, self._notes(training, figures))
 
     def _validate(self, training: ReasonerTrainer, held_out: TokenDataset) -> dict[str, float]:
         found = training.validate(held_out, self.watch.validate_examples)
@@ -195,46 +171,21 @@ class ReasonerTrainingJob:
         tokenizer = source.tokenizer()
         return tokenizer, source.load("train", tokenizer), source.load("validation", tokenizer)
 
-    def _folder(self) -> Path:
-        if "://" in str(self.out):
-            raise ConfigError(f"--out is {self.out}, expected a local folder", "output_invalid")
-        return self.out.expanduser().resolve()
-
-
-def _manifest(
-    job: ReasonerTrainingJob, tokenizer: PreTrainedTokenizerBase, data: TokenDataset, held_out: TokenDataset
-) -> dict[str, Any]:
-    return {
-        "job": "train_reasoner",
-        "status": "running",
-        "code_version": code_version(),
-        "code_versions": [code_version()],
-        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-        **asdict(job.identity(tokenizer)),
-        "examples": {"train": _counts(data), "validation": _counts(held_out)},
-        "settings": asdict(job.settings),
-    }
+    def finish(self, folder: RunFolder, manifest: dict[str, Any]) -> str:
+        """Closes the manifest; one line on what was done. Finished weights get the statistics that the checks of replies use."""
+        weights = Path(folder.root) / self.WEIGHTS
+        notes = json.loads((weights / NOTES).read_text("utf-8"))
+        if notes["is_done"]:
+            CategoryStatistics.of_run(self.data_uri).save(weights)
+        closed = manifest | {"status": "complete" if notes["is_done"] else "stopped", "steps_done": notes["steps"]}
+        folder.write_bytes("manifest.json", json_bytes(closed))
+        counts = manifest["examples"]["train"]
+        nats = ", ".join(f"{k.partition('/')[2]} {v:.3f}" for k, v in notes["figures"].items() if k.startswith("validation/"))
+        steps, used = f"{notes['steps']} of {self.settings.steps}", f"{counts['used']} examples"
+        rest = "" if notes["is_done"] else "run again to go on"
+        return self.result_line(folder, steps, used, counts, nats and f"nats a token {nats}", self.WEIGHTS, rest)
 
 
 def _counts(data: TokenDataset) -> dict[str, int]:
     counts = {"used": len(data), "left_out_too_long": int(data.too_long.sum()), "left_out_unasked": int(data.unasked.sum())}
     return counts | {"tokens": int(data.start[-1]), "reply_tokens": int(data.reply_length.sum())}
-
-
-def _finish(folder: RunFolder, manifest: dict[str, Any], run: str) -> str:
-    """Closes the manifest; one line on what was done. Finished weights get what the checks know of the run's categories."""
-    weights = Path(folder.root) / WEIGHTS
-    notes = json.loads((weights / NOTES).read_text("utf-8"))
-    if notes["is_done"]:
-        CategoryStatistics.of_run(run).save(weights)
-    status = "complete" if notes["is_done"] else "stopped"
-    folder.write_bytes("manifest.json", json_bytes(manifest | {"status": status, "steps_done": notes["steps"]}))
-    of_train = manifest["examples"]["train"]
-    left_out = {k.removeprefix("left_out_"): v for k, v in of_train.items() if k.startswith("left_out_") and v}
-    without = f", {sum(left_out.values())} left out ({', '.join(f'{k} {v}' for k, v in left_out.items())})" if left_out else ""
-    nats = ", ".join(f"{k.partition('/')[2]} {v:.3f}" for k, v in notes["figures"].items() if k.startswith("validation/"))
-    rest = "" if notes["is_done"] else "; run again to go on"
-    return (
-        f"{folder.uri}: {notes['steps']} of {manifest['settings']['steps']} steps on {of_train['used']} examples{without}"
-        f"{f'; nats a token {nats}' if nats else ''}; {WEIGHTS}{rest}"
-    )

@@ -1,12 +1,15 @@
-"""What the trainings share: their manifest, their log, their checkpoints and how they are stopped."""
+"""What the trainings share: how they are run and resumed, their manifest, log and checkpoints, and how they are stopped."""
 
 import json
 import signal
+import sys
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import torch
 from tqdm import tqdm
@@ -14,13 +17,124 @@ from tqdm import tqdm
 from models.training.distributed import ProcessContext
 from pipelines.execution.code_history import record_code, take_over_code, with_release
 from pipelines.execution.resume import read_manifest
+from stable_data.code_version import code_version
 from stable_data.config_diff import refuse_changed
+from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
 
 STATE = "checkpoint/state.pt"
 """The checkpoint in a training's folder."""
 
 _COSTLY = 20  # a checkpoint is kept no more often than this many times what keeping it takes
+
+
+@dataclass(frozen=True)
+class TrainingJob(ABC):
+    """A training of a network on the tables of a run; it is sent to the workers.
+
+    Attributes:
+        data: Folder of a preprocess run, or its URI.
+        out: Folder of the training.
+        NAME: The job's name in the manifest.
+        WEIGHTS: Where the weights are, in the folder of the training.
+        COMPARED: Keys of the manifest, beside the settings, that must not change between a stop and a resume.
+    """
+
+    NAME: ClassVar[str]
+    WEIGHTS: ClassVar[str]
+    COMPARED: ClassVar[tuple[str, ...]]
+
+    data: str
+    out: Path
+
+    @abstractmethod
+    def prepare(self) -> tuple[Self, dict[str, Any], Any]:
+        """Reads the data.
+
+        Returns:
+            The job with its settings resolved; what the manifest states of data and settings; and the data for :meth:`work`,
+            or None if each process reads its own.
+
+        Raises:
+            ConfigError: The data cannot be used.
+        """
+
+    @abstractmethod
+    def work(self, place: ProcessContext, data: Any = None) -> None:
+        """Trains, or continues; the part of one process."""
+
+    @abstractmethod
+    def finish(self, folder: RunFolder, manifest: dict[str, Any]) -> str:
+        """Closes the manifest and returns one line on what was done."""
+
+    def check_workers(self, workers: int) -> None:  # noqa: B027 - not every training has such limits
+        """Refuses what cannot be trained by a number of processes, before anything takes long.
+
+        Raises:
+            ConfigError: It cannot.
+        """
+
+    def run(self, workers: int = 0, address: str | None = None) -> str:
+        """Trains, or continues.
+
+        Args:
+            workers: Processes of Ray Train; 0 trains in this process.
+            address: An existing Ray cluster; None starts a local one.
+
+        Returns:
+            One line on what was done.
+
+        Raises:
+            ConfigError: The run cannot start or continue; the checkpoint stays.
+        """
+        self.check_workers(workers)
+        folder = RunFolder(str(self.folder))
+        with folder.locked():
+            job, details, data = self.prepare()
+            version = {"code_version": code_version(), "code_versions": [code_version()]}
+            command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
+            manifest = {"job": self.NAME, "status": "running", **version, "command": command, **details}
+            refuse_changes(folder, manifest, ("job", "code_version", *self.COMPARED))
+            folder.write_bytes("manifest.json", json_bytes(manifest))
+            if workers:
+                from pipelines.train.ray_train import run_on_ray  # Ray Train takes seconds to import
+
+                del data  # each process reads its own
+                run_on_ray(job, workers, address)
+            else:
+                job.work(ProcessContext(training_device()), data)
+            return job.finish(folder, manifest)
+
+    def result_line(self, folder: RunFolder, steps: str, used: str, counts: Mapping[str, int], *notes: str) -> str:
+        """The line that a training ends with.
+
+        Args:
+            folder: The training's folder.
+            steps: How many steps of how many were done.
+            used: What it was trained on.
+            counts: Counts of the data; keys ``left_out_*`` name what was left out.
+            notes: Further parts of the line; empty ones are skipped.
+        """
+        left_out = {k.removeprefix("left_out_"): v for k, v in counts.items() if k.startswith("left_out_") and v}
+        reasons = ", ".join(f"{reason} {count}" for reason, count in left_out.items())
+        without = f", {sum(left_out.values())} left out ({reasons})" if left_out else ""
+        return "; ".join(part for part in (f"{folder.uri}: {steps} steps on {used}{without}", *notes) if part)
+
+    @property
+    def folder(self) -> Path:
+        """The training's folder, absolute.
+
+        Raises:
+            ConfigError: It is not local (``output_invalid``).
+        """
+        if "://" in str(self.out):
+            raise ConfigError(f"--out is {self.out}, expected a local folder", "output_invalid")
+        return self.out.expanduser().resolve()
+
+    @property
+    def data_uri(self) -> str:
+        """The run, as an absolute path or a URI."""
+        return self.data if "://" in self.data else str(Path(self.data).expanduser().resolve())
 
 
 class MonitoredTraining(Protocol):

@@ -12,7 +12,7 @@ from models.physics_corrector.flow.presets import CorrectorSettings
 from models.physics_corrector.training.dataset import TrainingScenes
 from models.physics_corrector.training.settings import CorrectorTrainingSettings
 from pipelines.__main__ import app
-from pipelines.train.corrector import WEIGHTS, CorrectorMonitoring, CorrectorTrainingJob
+from pipelines.train.corrector import CorrectorMonitoring, CorrectorTrainingJob
 from pipelines.train.run import STATE
 from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
@@ -58,7 +58,7 @@ def write_features(run: Path, fingerprints: tuple[str, ...] = ("one",), skip: in
 def test_a_training_leaves_weights_logs_card_and_manifest(clean_run: Path, out: Path) -> None:
     line = job(clean_run, out).run()
     assert "4 of 4 steps" in line
-    checkpoint = load_corrector(out / WEIGHTS, SETTINGS.corrector)
+    checkpoint = load_corrector(out / CorrectorTrainingJob.WEIGHTS, SETTINGS.corrector)
     run = TrainingScenes(str(clean_run), out / "cache", 64, 16)
     assert checkpoint.notes["steps"] == "4"
     assert checkpoint.notes["data_fingerprint"] == run.fingerprint()
@@ -83,10 +83,10 @@ def test_stopped_and_run_again_it_gives_the_bytes_of_one_run(clean_run: Path, ou
     assert not (out / "card.json").exists()
     assert json.loads((out / "manifest.json").read_text("utf-8"))["status"] == "stopped"
     assert "4 of 4 steps" in job(clean_run, out).run()
-    assert (out / WEIGHTS).read_bytes() == (other / WEIGHTS).read_bytes()
-    before = (out / WEIGHTS).read_bytes()
+    assert (out / CorrectorTrainingJob.WEIGHTS).read_bytes() == (other / CorrectorTrainingJob.WEIGHTS).read_bytes()
+    before = (out / CorrectorTrainingJob.WEIGHTS).read_bytes()
     job(clean_run, out).run()  # done already
-    assert (out / WEIGHTS).read_bytes() == before
+    assert (out / CorrectorTrainingJob.WEIGHTS).read_bytes() == before
 
 
 @pytest.mark.slow
@@ -98,8 +98,8 @@ def test_ray_gives_what_this_process_gives(clean_run: Path, out: Path, tmp_path:
     job(clean_run, other).run()
     job(clean_run, out).run(workers)
     if workers == 1:
-        assert (out / WEIGHTS).read_bytes() == (other / WEIGHTS).read_bytes()
-    here, there = (load_corrector(folder / WEIGHTS).network.state_dict() for folder in (other, out))
+        assert (out / CorrectorTrainingJob.WEIGHTS).read_bytes() == (other / CorrectorTrainingJob.WEIGHTS).read_bytes()
+    here, there = (load_corrector(folder / CorrectorTrainingJob.WEIGHTS).network.state_dict() for folder in (other, out))
     assert all(here[name].allclose(value, atol=1e-3) for name, value in there.items())
 
 
@@ -145,7 +145,7 @@ def test_point_features_are_read_and_their_encoder_is_noted(clean_run: Path, cac
     write_features(run)
     out = copied(cache, tmp_path / "out")
     job(run, out, point).run()
-    assert load_corrector(out / WEIGHTS).notes["encoder_fingerprint"] == "one"
+    assert load_corrector(out / CorrectorTrainingJob.WEIGHTS).notes["encoder_fingerprint"] == "one"
     write_features(run, ("two",))
     with pytest.raises(ConfigError, match=r"encoder_fingerprint: one -> two"):
         job(run, out, point).run()
