@@ -16,7 +16,7 @@ from models.physics_corrector.learned_flow import load_flow
 from pipelines.correct.settings import CorrectSettings
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import ProcessFailure, run_isolated, time_limited
-from pipelines.execution.shard_step import Rows, Shard, ShardResult, ShardStep, rows_alone, rows_or_failure
+from pipelines.execution.shard_step import Rows, Shard, ShardResult, ShardStep, rows_isolated, rows_or_failure
 from pipelines.sources.scenes import SceneSource, SourceScene
 from stable_data.errors import ConfigError, Notice
 
@@ -131,7 +131,7 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
     def _limited(self, make: Callable[[X], Rows], item: X, item_id: str, isolated: bool) -> Rows:
         seconds = self.settings.seconds_per_item
         if isolated:
-            return rows_alone(make, item, item_id, seconds=seconds, prepare=self._prepare)
+            return rows_isolated(make, item, item_id, seconds=seconds, prepare=self._prepare)
         self._prepare()
         with time_limited(seconds):
             return make(item)

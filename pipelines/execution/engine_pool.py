@@ -1,7 +1,6 @@
-"""Engines that several workers share: actors on the nodes that have the GPUs, asked over Ray.
+"""Engines that several workers share: Ray actors on the nodes with GPUs.
 
-A worker that waits for an engine gives its core to another shard meanwhile, so engines and correctors are busy at the same
-time.
+A worker that waits for an engine releases its core to another shard, so engines and correctors work at the same time.
 """
 
 import sys
@@ -16,17 +15,17 @@ from models.semantic_reasoner.engines.protocol import Completion, Request
 from models.semantic_reasoner.engines.registry import EngineSettings, load_engine
 from stable_data.errors import ConfigError
 
-_QUIET_SECONDS = 30.0  # after which it is said what is waited for
+_QUIET_SECONDS = 30.0  # of waiting, after which a line tells the reason
 
 
 class _EngineActor:
-    """An engine in a process of its own."""
+    """An engine in an actor."""
 
     def __init__(self, settings: EngineSettings) -> None:
         self._engine = load_engine(settings)
 
     def name(self) -> tuple[str, bool]:
-        """The engine's name, and whether it repeats itself."""
+        """The engine's name, and whether equal requests get equal completions."""
         return self._engine.name, self._engine.repeats
 
     def complete(self, requests: list[Request]) -> list[Completion]:
@@ -36,12 +35,12 @@ class _EngineActor:
 
 @dataclass(slots=True, eq=False)
 class PooledEngine:
-    """An engine that hands each batch to one of several actors; sent to the workers.
+    """An engine that sends each batch to one of several actors; sent to the workers.
 
     Attributes:
         actors: The actors.
-        name: As every engine has it.
-        repeats: Likewise.
+        name: The name of the engine.
+        repeats: Whether equal requests get equal completions.
     """
 
     actors: tuple[Any, ...]
@@ -51,7 +50,7 @@ class PooledEngine:
     def complete(self, requests: Sequence[Request]) -> list[Completion]:
         """One completion for each request, in their order.
 
-        Which actor answers follows from the batch. One that is lost with its node is started anew elsewhere and asked again.
+        The batch determines the actor. Ray restarts an actor that is lost with its node and repeats the call.
         """
         if not requests:
             return []
@@ -61,18 +60,18 @@ class PooledEngine:
 
 
 def engine_pool(settings: EngineSettings, count: int, gpus: float, *, may_grow: bool) -> PooledEngine:
-    """Starts engines on a cluster that this process is connected to.
+    """Starts engines on the cluster that this process is connected to.
 
-    Where they have no place yet on a cluster that may grow, they are waited for, and a line on stderr says so.
+    On a cluster that may grow, the function waits until all engines have a place, and a line on stderr tells the user.
 
     Args:
         settings: The engine.
-        count: How many.
-        gpus: GPUs of each; a part of one, too. None of the cores that Ray reckons with is theirs.
-        may_grow: Whether GPUs may come that are not there yet; never to a Ray that this process has started.
+        count: Number of engines.
+        gpus: GPUs of each engine; may be a fraction. Engines reserve no CPU cores in Ray.
+        may_grow: Whether the cluster may get more GPUs; false for a Ray that this process has started.
 
     Raises:
-        ConfigError: It cannot be loaded there, or there is no place for so many and none can come.
+        ConfigError: The engine cannot be loaded, or the GPUs have no place for all engines and the cluster cannot grow.
     """
     if not may_grow:
         _check_place(count, gpus)
@@ -84,8 +83,8 @@ def engine_pool(settings: EngineSettings, count: int, gpus: float, *, may_grow: 
         if waiting:
             there = ray.cluster_resources().get("GPU", 0)
             tqdm.write(
-                f"{len(waiting)} of {count} engines are not there yet, each wants {gpus:g} GPUs and the cluster has {there:g} in all; "
-                "waiting for nodes that have them, or for the model to load",
+                f"{len(waiting)} of {count} engines have not started; each needs {gpus:g} GPUs and the cluster has {there:g} in all; "
+                "waiting for nodes with free GPUs, or for the model to load",
                 file=sys.stderr,
             )
         name, repeats = ray.get(names)[0]
@@ -99,17 +98,17 @@ def engine_pool(settings: EngineSettings, count: int, gpus: float, *, may_grow: 
 
 
 def _check_place(count: int, gpus: float) -> None:
-    """Refuses more engines than the GPUs that are there can take.
+    """Refuses more engines than the present GPUs can hold.
 
     Raises:
-        ConfigError: There is no place for all of them.
+        ConfigError: There is no place for all engines (``engine_pool``).
     """
     there = int(ray.cluster_resources().get("GPU", 0))
-    # A part of a GPU is of one GPU. The little more is for parts whose inverse is rounded down to less than a whole number.
+    # A fraction never spans two GPUs. The 1e-9 is for fractions whose inverse is rounded below a whole number.
     places = count if gpus == 0 else int(there / gpus) if gpus >= 1 else there * int(1 / gpus + 1e-9)
     if count > places:
         raise ConfigError(
-            f"engines={count} with engine_gpus={gpus:g} want {count * gpus:g} GPUs, but this machine has {there}, room for {places} "
-            "of them; set one of the two lower, or name a cluster with --address",
+            f"engines={count} with engine_gpus={gpus:g} need {count * gpus:g} GPUs, but this machine has {there}, enough for {places} "
+            "engines; lower one of the two, or name a cluster with --address",
             "engine_pool",
         )

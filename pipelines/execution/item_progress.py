@@ -1,14 +1,14 @@
-"""How far an item came, so that a failure names its step."""
+"""The current step of an item, so that a failure can name it."""
 
 from dataclasses import dataclass
 
 
 @dataclass(slots=True)
 class ItemProgress:
-    """How far an item came.
+    """The progress of an item.
 
     Attributes:
-        step: What is being done to it.
+        step: The part of the work that is running, such as ``read``.
     """
 
     step: str

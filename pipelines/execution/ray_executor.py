@@ -1,4 +1,4 @@
-"""Runs shards: in this process, or on Ray. What a shard does, and where its rows go, is the caller's."""
+"""Runs shards in this process or on Ray. The caller decides what a shard does and where its rows are written."""
 
 import faulthandler
 import logging
@@ -28,13 +28,13 @@ R = TypeVar("R")
 R_co = TypeVar("R_co", covariant=True)
 T_contra = TypeVar("T_contra", contravariant=True)
 
-_AHEAD = 2  # shards in flight for each worker: the next one is there when one ends, and memory stays flat
-_ALONE_FROM = 2  # deaths of workers over a shard from which it runs isolated: the first may have come from outside
-_MAX_DEATHS = 4  # of workers over one shard, before it is left to a later run
-_MAX_NODES = 8  # lost under one shard before it is left to a later run: it is hardly ever at fault, but nothing loops forever
-_LOOK_SECONDS = 10.0  # between looks at a cluster on which no shard ends
-_PATIENCE_SECONDS = 1800.0  # with a cluster that has no core at all, as between two spot machines
-_START_SECONDS = 600.0  # in which a process of its own is there and ready
+_AHEAD = 2  # shards in flight for each worker: the next shard is ready when one ends, and memory stays bounded
+_ISOLATE_FROM = 2  # worker deaths from which a shard runs isolated: the first death may have an outside cause
+_MAX_DEATHS = 4  # worker deaths after which a shard is given up; a later run retries it
+_MAX_NODES = 8  # node losses after which a shard is given up: it is rarely the cause, but retries must be bounded
+_LOOK_SECONDS = 10.0  # between checks of the cluster while no shard ends
+_PATIENCE_SECONDS = 1800.0  # how long a cluster may have no core, for example while spot machines are replaced
+_START_SECONDS = 600.0  # time limit for the start of a separate process
 _CHECKOUT = Path(__file__).resolve().parents[2]
 _NOT_SHIPPED = ["/.git", "/.venv", "/data", "/out", "/runs"]
 _WORKER_LOST = (ray.exceptions.WorkerCrashedError, ray.exceptions.TaskCancelledError, ray.exceptions.OutOfMemoryError)
@@ -42,31 +42,31 @@ _NODE_LOST = (
     ray.exceptions.NodeDiedError,
     ray.exceptions.LocalRayletDiedError,
     ray.exceptions.ObjectLostError,
-    ray.exceptions.RaySystemError,  # in a worker: what it stands on is gone
-    ray.exceptions.RuntimeEnvSetupError,  # also where a node goes while it is prepared
+    ray.exceptions.RaySystemError,  # raised in a worker whose raylet is gone
+    ray.exceptions.RuntimeEnvSetupError,  # also raised if a node is lost while its environment is prepared
 )
 
 
 class Work(Protocol[T_contra, R_co]):
-    """What is done with one shard. It must give the same rows each time, in whatever process."""
+    """The work for one shard. It must give the same rows every time, in every process."""
 
     def __call__(self, shard: T_contra, *, isolated: bool = False) -> R_co:
-        """Does it.
+        """Processes a shard.
 
         Args:
             shard: The shard.
-            isolated: Workers died over this shard: do what may end a process in one of its own, item by item.
+            isolated: Workers died while they processed this shard: run each item in a separate process.
         """
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class WorkerPool:
-    """Who runs the shards.
+    """The workers that run the shards.
 
     Attributes:
-        count: Worker processes of a local Ray, or how many shards an existing cluster does at once, where 0 is one for each
-            of its cores. 0 without a cluster runs in this process, without Ray.
+        count: Worker processes of a local Ray; with an existing cluster, the number of shards at once, where 0 is one for each
+            core. 0 without a cluster runs in this process, without Ray.
         address: An existing Ray cluster; None starts a local one.
     """
 
@@ -75,15 +75,15 @@ class WorkerPool:
 
     @property
     def are_this_process(self) -> bool:
-        """Whether shards run here, where what kills the process ends the run."""
+        """Whether shards run in this process; a crash then ends the run."""
         return self.count == 0 and self.address is None
 
     def run(self, work: Work[T, R], shards: Sequence[T]) -> Iterator[R]:
-        """Does the work for every shard, in whatever order they end.
+        """Processes every shard and yields the results in the order in which shards end.
 
         Raises:
-            ConfigError: The work cannot go on at all, such as when the disk is full, Ray cannot be reached or a cluster stays
-                without nodes; or, once all others are done, some shards were lost with their workers or nodes again and again.
+            ConfigError: The work cannot continue: the disk is full, Ray cannot be reached, or the cluster stays without nodes.
+                Also, after all other shards are done, if some shards lost their workers or nodes too often.
         """
         if self.are_this_process:
             return (work(shard) for shard in shards)
@@ -92,14 +92,14 @@ class WorkerPool:
 
 @dataclass
 class _Attempt(Generic[T]):
-    """A shard, and what was lost over it."""
+    """A shard with its counts of lost workers and nodes."""
 
     shard: T
     deaths: int = 0
     nodes: int = 0
 
     def is_given_up(self, error: ray.exceptions.RayError) -> bool:
-        """Counts a loss; gives whether it was the last one that is borne."""
+        """Counts a loss and returns whether the retry limit is reached."""
         if isinstance(error, _NODE_LOST):
             self.nodes += 1
         else:
@@ -126,7 +126,7 @@ class _RayRun(Generic[T, R]):
                 width = self._width()
                 while waiting and len(in_flight) < width:
                     attempt = waiting.popleft()
-                    in_flight[self._task.remote(self._work, attempt.shard, attempt.deaths >= _ALONE_FROM)] = attempt
+                    in_flight[self._task.remote(self._work, attempt.shard, attempt.deaths >= _ISOLATE_FROM)] = attempt
                 ended, _ = ray.wait(list(in_flight), timeout=_LOOK_SECONDS)
                 if not ended:
                     self._look_for_nodes()
@@ -138,7 +138,7 @@ class _RayRun(Generic[T, R]):
                     if attempt.is_given_up(error):
                         lost.append(f"{attempt.shard} ({type(error).__name__})")
                     else:
-                        waiting.append(attempt)  # behind the rest, so that it holds up nothing
+                        waiting.append(attempt)  # last, so that it delays no other shard
                     continue
                 yield result
         except ray.exceptions.RayTaskError as error:
@@ -152,17 +152,17 @@ class _RayRun(Generic[T, R]):
                 ray.shutdown()
         if lost:
             raise ConfigError(
-                f"{len(lost)} of {len(self._shards)} shards were lost, each with {_MAX_DEATHS} workers although what may end one had a "
-                f"process of its own at last, or with {_MAX_NODES} nodes: {', '.join(lost[:3])}{', …' if len(lost) > 3 else ''}; free "
-                "memory or take fewer workers and run again: finished shards are kept",
+                f"{len(lost)} of {len(self._shards)} shards were lost, each with {_MAX_DEATHS} workers (in the last tries every "
+                f"item had a separate process) or {_MAX_NODES} nodes: {', '.join(lost[:3])}{', …' if len(lost) > 3 else ''}; free "
+                "memory or use fewer workers and run again: finished shards are kept",
                 "worker_lost",
             )
 
     def _look_for_nodes(self) -> None:
-        """Says once that the cluster has no core, as when all its spot machines were taken at once; waits for new ones.
+        """Waits for new nodes if the cluster has no core, and prints one line about it.
 
         Raises:
-            ConfigError: None has come for too long.
+            ConfigError: The cluster had no core for too long.
         """
         if ray.cluster_resources().get("CPU", 0) >= 1:
             self._empty_since = None
@@ -173,20 +173,20 @@ class _RayRun(Generic[T, R]):
             tqdm.write(f"the cluster has no core at the moment; waiting for a node, up to {minutes}", file=sys.stderr)
         elif time.monotonic() - self._empty_since > _PATIENCE_SECONDS:
             raise ConfigError(
-                f"the cluster at {self._workers.address} had no core for {minutes}, expected one at least; see that it gets "
+                f"the cluster at {self._workers.address} had no core for {minutes}, expected at least one; add "
                 "nodes and run again: finished shards are kept",
                 "cluster_empty",
             )
 
     def _width(self) -> int:
-        """How many shards may be in flight; asked each time, for a cluster may grow."""
+        """The number of shards that may be in flight; read each time, because a cluster may grow."""
         if self._workers.address is None:
             return _AHEAD * self._workers.count
         return self._workers.count or max(1, _AHEAD * int(ray.cluster_resources().get("CPU", 0)))
 
 
 def connect(workers: WorkerPool) -> bool:
-    """Starts a local Ray or connects to the cluster, where this process has none yet; gives whether it started one.
+    """Starts a local Ray or connects to the cluster, unless this process is connected; returns whether it started one.
 
     Raises:
         ConfigError: Ray cannot be reached.
@@ -196,16 +196,16 @@ def connect(workers: WorkerPool) -> bool:
     address = workers.address
     try:
         if address not in (None, "auto", "local"):
-            _knock(address)  # Ray itself waits for minutes before it says that nobody is there
+            _test_connection(address)  # Ray itself would wait for minutes before it fails
         if address is not None:
             ray.init(address=address, runtime_env=_checkout(), log_to_driver=False, logging_level=logging.ERROR)
             return False
-        own = {"address": "local", "num_cpus": workers.count}  # without the word Ray joins any cluster of this machine
+        own = {"address": "local", "num_cpus": workers.count}  # without "local", Ray joins any cluster of this machine
         ray.init(**own, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
     except (OSError, ValueError, RuntimeError) as error:
         hint = "start it, or leave out --address"
         if "AuthToken" in str(error.__cause__):
-            hint = "it wants a token: set RAY_AUTH_MODE=token, and RAY_AUTH_TOKEN where ~/.ray/auth_token is not its token"
+            hint = "it requires a token: set RAY_AUTH_MODE=token, and RAY_AUTH_TOKEN unless ~/.ray/auth_token holds the token"
         raise ConfigError(
             f"Ray at {address or 'this machine'} cannot be reached ({error}); {hint}", "ray_unreachable"
         ) from error
@@ -219,7 +219,7 @@ def _checkout() -> dict[str, Any] | None:
     return {"working_dir": str(_CHECKOUT), "excludes": _NOT_SHIPPED}
 
 
-def _knock(address: str) -> None:
+def _test_connection(address: str) -> None:
     """Opens and closes a connection to ``host:port`` or ``ray://host:port``."""
     host, _, port = address.rpartition("://")[2].rpartition(":")
     socket.create_connection((host, int(port)), timeout=10).close()
@@ -230,7 +230,7 @@ def _call(work: Work[T, R], shard: T, isolated: bool) -> R:
 
 
 def _cause(error: ray.exceptions.RayTaskError, shard: object) -> StableDataError:
-    """What a task raised, without the worker's traceback in its message."""
+    """The error that a task raised, without the worker's traceback in its message."""
     if isinstance(error.cause, StableDataError):
         return error.cause
     found = f"{type(error.cause).__name__}: {_first_line(error.cause)}"
@@ -243,12 +243,12 @@ def _first_line(error: BaseException) -> str:
 
 @contextmanager
 def time_limited(seconds: float) -> Iterator[None]:
-    """Ends this process where it is a worker of Ray and the body takes longer; its shard is then run item by item.
+    """Ends this process if it is a worker of Ray and the body exceeds a time limit; its shard is then run item by item.
 
-    Nothing gentler stops a parser that hangs in C code. In any other process the body takes as long as it takes.
+    Only the end of the process stops a parser that hangs in C code. In any other process there is no limit.
 
     Args:
-        seconds: How long it may take.
+        seconds: The time limit.
     """
     if not (ray.is_initialized() and ray.get_runtime_context().worker.mode == ray.WORKER_MODE):
         yield
@@ -261,17 +261,17 @@ def time_limited(seconds: float) -> Iterator[None]:
 
 
 class ProcessFailure(StrEnum):
-    """How a process of its own ended without a result."""
+    """How a separate process ended without a result."""
 
     CRASHED = "crashed"
     TIMED_OUT = "timed_out"
 
 
 class IsolatedProcess:
-    """A process of its own for calls that may end it; where one does, the next call has another. Used in a ``with`` statement.
+    """A separate process for calls that may crash it; after a crash, the next call starts a new one. Used in a ``with`` statement.
 
     Args:
-        prepare: Called first in each process, such as to open what the functions need.
+        prepare: Called first in each process, for example to open a model.
     """
 
     def __init__(self, prepare: Callable[[], object] | None = None) -> None:
@@ -279,7 +279,7 @@ class IsolatedProcess:
         self._pool: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> "IsolatedProcess":
-        """Starts nothing yet."""
+        """Returns the object; the process starts with the first call."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -287,17 +287,17 @@ class IsolatedProcess:
         self._end()
 
     def call(self, function: Callable[..., R], *arguments: object, seconds: float) -> R | ProcessFailure:
-        """Calls a function there.
+        """Calls a function in the separate process.
 
         Args:
-            function: A function that can be pickled.
-            arguments: What it is called with.
-            seconds: How long it may take, once the process is there and prepared.
+            function: A picklable function.
+            arguments: Its arguments.
+            seconds: The time limit of the call, without the start of the process.
 
         Returns:
-            What it returned, or how the process ended: it died twice, or took too long.
+            The result, or how the process ended: it died twice, or exceeded the limit.
         """
-        for _ in range(2):  # the first death may have come from outside
+        for _ in range(2):  # the first death may have an outside cause
             try:
                 if self._pool is None:
                     self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
@@ -321,10 +321,10 @@ class IsolatedProcess:
 def run_isolated(
     function: Callable[..., R], *arguments: object, seconds: float, prepare: Callable[[], object] | None = None
 ) -> R | ProcessFailure:
-    """Calls a function in a process of its own, see :meth:`IsolatedProcess.call`."""
-    with IsolatedProcess(prepare) as apart:
-        return apart.call(function, *arguments, seconds=seconds)
+    """Calls a function in a separate process, see :meth:`IsolatedProcess.call`."""
+    with IsolatedProcess(prepare) as process:
+        return process.call(function, *arguments, seconds=seconds)
 
 
 def _nothing() -> None:
-    """Takes as long as the process takes to start."""
+    """The default preparation: the call returns when the process has started."""

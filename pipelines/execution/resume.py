@@ -1,4 +1,4 @@
-"""The manifest of a run: what is compared where a run goes on, and what is checked where it ends."""
+"""The manifest of a run: what is compared when a run resumes, and what is checked when it ends."""
 
 import json
 from collections import Counter
@@ -14,23 +14,23 @@ from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
 
 OF_DATASET = content_id("dataset")
-"""The shard of rows that belong to no other: what is lost or odd of the input as a whole."""
+"""The shard of rows that belong to no other shard: failures and warnings about the input as a whole."""
 
 _COMPARED = ("job", "code_version", "table_version", "dataset")
 
 
 def new_manifest(job: str, dataset: str, inputs: Mapping[str, Any], **more: Any) -> dict[str, Any]:
-    """The manifest of a run that starts."""
+    """The manifest of a new run."""
     code = {"code_version": code_version(), "code_versions": [code_version()]}
     head = {"job": job, "status": "running", **code, "table_version": schemas.TABLE_VERSION}
     return {**head, "dataset": dataset, "inputs": dict(inputs), "input_fingerprint": content_id(dict(inputs)), **more}
 
 
 def read_manifest(folder: RunFolder) -> dict[str, Any] | None:
-    """The manifest that lies in a folder; None where there is none.
+    """The manifest in a folder, or None if there is none.
 
     Raises:
-        ConfigError: It is not a manifest (``manifest_invalid``).
+        ConfigError: The file is not a manifest (``manifest_invalid``).
     """
     content = folder.read_bytes("manifest.json")
     if content is None:
@@ -51,20 +51,20 @@ def check_resume(
 
     Args:
         folder: The run.
-        manifest: Of the run that starts; its ``inputs`` are compared one by one. Other sources of the same version are not
-            refused, but noted, see :func:`pipelines.execution.code_history.record_code`. How long the former run was at work
-            is taken over.
+        manifest: The manifest of this run; its ``inputs`` are compared one by one. Changed source code of the same version is
+            not refused but recorded, see :func:`pipelines.execution.code_history.record_code`. The list ``work`` of the former
+            run is copied into it.
         shaping: The settings that shape rows.
-        may_be_added: Keys of the manifest that are compared too, unless the former run had none of it.
+        may_be_added: Further keys of the manifest to compare if the former run has them.
 
     Raises:
-        ConfigError: The folder is of another run: ``key: was -> now``.
+        ConfigError: The folder belongs to another run; the message lists ``key: was -> now``.
     """
     was = read_manifest(folder)
     if was is None:
         if there := [table for table in schemas.SCHEMAS if folder.files(table)]:
             raise ConfigError(
-                f"{folder.uri}: holds {', '.join(there)} but no manifest.json to say of what; choose a new folder",
+                f"{folder.uri}: contains the tables {', '.join(there)} but no manifest.json; choose a new folder",
                 "manifest_missing",
             )
         return
@@ -80,20 +80,20 @@ def check_resume(
 
 
 def write_manifest(folder: RunFolder, manifest: Mapping[str, Any]) -> None:
-    """Puts ``manifest.json`` in place."""
+    """Writes ``manifest.json``."""
     text = json.dumps(manifest, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
     folder.write_bytes("manifest.json", text.encode())
 
 
 def check_shards(folder: RunFolder, planned: Mapping[str, set[str]]) -> None:
-    """Refuses a folder that holds other shards than the plan's: its rows would be of several runs.
+    """Refuses a folder whose shards are not those of the plan: its rows would be of several runs.
 
     Args:
         folder: The run.
-        planned: Table -> ids of its shards.
+        planned: Ids of the shards, by table.
 
     Raises:
-        ConfigError: A table has others, or lacks some.
+        ConfigError: A table has other shards, or lacks some.
     """
     for table, expected in planned.items():
         found = folder.shard_ids(table)
@@ -101,41 +101,41 @@ def check_shards(folder: RunFolder, planned: Mapping[str, set[str]]) -> None:
             foreign, absent = sorted(found - expected), sorted(expected - found)
             raise ConfigError(
                 f"{folder.uri}/{table}: {len(foreign)} shards are not of this run {foreign[:3]} and {len(absent)} are missing "
-                f"{absent[:3]}, expected those of the plan alone; choose a new folder, or remove the former and run again",
+                f"{absent[:3]}, expected exactly the shards of the plan; choose a new folder, or remove those shards and run again",
                 "shards_differ",
             )
 
 
 def count_items(folder: RunFolder, table: str, column: str, planned: Iterable[str], *, with_lost: bool = False) -> int:
-    """How many planned items failed.
+    """Counts the planned items that failed.
 
     Args:
         folder: The run, complete.
-        table: Where the usable ones are.
-        column: Their ids there.
-        planned: Ids of all.
-        with_lost: Whether items that were lost before there were shards (those of :data:`OF_DATASET`) are among them.
+        table: The table of the usable items.
+        column: The column of their ids.
+        planned: Ids of all items.
+        with_lost: Whether failures of :data:`OF_DATASET` (items that failed before shards were planned) count too.
 
     Raises:
         ConfigError: An item is not exactly one row of its table or one failure.
     """
     usable = Counter(folder.table(table, [column])[column].to_pylist())
-    # Of the same shards: other items of the run, or features of these, may fail under the same names.
+    # Only failures of the same shards: items of other tables may fail under the same ids.
     shard_ids = folder.shard_ids(table) | ({OF_DATASET} if with_lost else set())
     failed = Counter(folder.table("failures", ["id"], shard_ids=shard_ids)["id"].to_pylist())
     wanted = set(planned)
     odd = sorted({i for i in wanted if usable[i] + failed[i] != 1} | (usable.keys() - wanted))
     if odd:
         raise ConfigError(
-            f"{folder.uri}: {len(odd)} {table} such as {odd[0]} are not exactly one row of {table} or failures, expected "
-            "each to be; choose a new folder",
+            f"{folder.uri}: {len(odd)} {table} such as {odd[0]} are not in exactly one row of {table} or failures; "
+            "choose a new folder",
             "rows_differ",
         )
     return len(wanted - usable.keys())
 
 
 def count_rows(folder: RunFolder, names: Iterable[str]) -> dict[str, Any]:
-    """Rows by table, and warnings and failures by kind."""
+    """The number of rows by table, of warnings by code, and of failures by code and step."""
     failures = folder.table("failures", ["code", "step"])
     return {
         **{table: folder.num_rows(table) for table in names},

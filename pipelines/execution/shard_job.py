@@ -32,13 +32,13 @@ class JobSettings(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
     def shaping(self) -> dict[str, Any]:
-        """The settings that shape rows: a run is resumed only under the same."""
+        """The settings that shape rows; a run is resumed only if they are equal."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class NoSettings:
-    """Settings of a job without any."""
+    """The settings of a job without settings."""
 
     def shaping(self) -> dict[str, Any]:
         """None."""
@@ -47,14 +47,14 @@ class NoSettings:
 
 @dataclass(frozen=True, slots=True)
 class ExpectedItems:
-    """Items each of which must be exactly one row of its table, or one of ``failures``.
+    """Items that must each be exactly one row of their table or one row of ``failures``.
 
     Attributes:
-        table: Where the usable ones are.
-        column: Their ids there.
-        ids: All of them.
-        failed_key: What those that failed are counted as, in the manifest.
-        with_lost: Whether those of :meth:`ShardJob.lost` are among them.
+        table: The table of the usable items.
+        column: The column of their ids.
+        ids: Ids of all items.
+        failed_key: The key of the number of failed items in the manifest.
+        with_lost: Whether the items of :meth:`ShardJob.lost` are among ``ids``.
     """
 
     table: str
@@ -65,13 +65,13 @@ class ExpectedItems:
 
 
 class ShardJob(ABC):
-    """A job: items cut into shards, which steps turn into tables. :func:`run_job` runs it.
+    """A job: items are split into shards, and steps turn the shards into tables. :func:`run_job` runs it.
 
     Attributes:
         name: The job's verb.
         dataset: Name of its input as a whole.
-        settings: Its settings, with nothing left to be found out.
-        ADDED: Keys of :meth:`about` that must be as they were, unless the former run had none of it.
+        settings: Its settings, fully resolved.
+        ADDED: Keys of :meth:`about` that must not change on a resume, if the former run has them.
     """
 
     ADDED: ClassVar[tuple[str, ...]] = ()
@@ -82,34 +82,34 @@ class ShardJob(ABC):
 
     @abstractmethod
     def inputs(self) -> dict[str, Any]:
-        """Content of all inputs by their kind; what cannot be used is refused here, before anything is written."""
+        """Hashes of all inputs by kind. An input that cannot be used is refused here, before anything is written."""
 
     @abstractmethod
     def plan(self) -> Sequence[StepShards[Any]]:
-        """The steps with their shards, done side by side."""
+        """The steps with their shards; all of them may run at the same time."""
 
     @abstractmethod
     def expected(self) -> Sequence[ExpectedItems]:
-        """Which items must be in which table."""
+        """The items that must be in each table."""
 
     def later_plans(self, folder: RunFolder) -> Iterator[Sequence[StepShards[Any]]]:
-        """Further steps, each planned from the tables of the run when all before it are in place."""
+        """Further steps, each planned from the run's tables when all earlier steps are finished."""
         yield from ()
 
     def about(self) -> dict[str, Any]:
-        """What else the manifest says of the job, such as how many items there are."""
+        """Further entries of the manifest, such as the number of items."""
         return {}
 
     def lost(self) -> Sequence[Notice]:
-        """Items that are failures before there are shards."""
+        """Items that failed before shards were planned."""
         return ()
 
     def odd(self) -> Sequence[Notice]:
-        """What is odd about the input as a whole."""
+        """Warnings about the input as a whole."""
         return ()
 
     def finish(self, folder: RunFolder) -> dict[str, Any]:
-        """Writes what is made of the whole run, once its shards are checked, and gives further counts for the manifest."""
+        """Writes the outputs of the whole run after its shards are checked; returns further counts for the manifest."""
         return {}
 
     def report(self, folder: RunFolder, manifest: dict[str, Any]) -> None:  # noqa: B027 - a report is not a must
@@ -117,21 +117,21 @@ class ShardJob(ABC):
 
 
 def run_job(job: ShardJob, out: str, workers: WorkerPool, *, report: bool = True) -> dict[str, Any]:
-    """Runs a job, or what is missing of it.
+    """Runs a job, or only its missing shards if it was started before.
 
     Args:
         job: The job.
-        out: Local folder that every worker can write, or object-store URI.
-        workers: Who runs the shards.
+        out: A local folder that every worker can write, or an object-store URI.
+        workers: The workers that run the shards.
         report: Whether to write the report page.
 
     Returns:
         The manifest: settings, fingerprint, versions and counts.
 
     Raises:
-        ConfigError: The run cannot start or go on; what is in place stays.
+        ConfigError: The run cannot start or continue; finished shards are kept.
     """
-    folder, inputs = RunFolder(out), job.inputs()  # what cannot be used is refused before anything is written
+    folder, inputs = RunFolder(out), job.inputs()  # bad inputs are refused before anything is written
     with folder.locked():
         manifest = new_manifest(job.name, job.dataset, inputs, settings=_settings(job), work=[], **job.about())
         check_resume(folder, manifest, job.settings.shaping(), may_be_added=job.ADDED)
@@ -157,7 +157,7 @@ def run_job(job: ShardJob, out: str, workers: WorkerPool, *, report: bool = True
 
 
 def describe(job: ShardJob) -> dict[str, Any]:
-    """What a run would do: settings, inputs and counts, for ``--dry-run``."""
+    """Describes what a run would do: settings, inputs and counts, for ``--dry-run``."""
     inputs = job.inputs()
     return {
         "job": job.name,
@@ -176,14 +176,14 @@ def _settings(job: ShardJob) -> dict[str, Any]:
 
 
 def _write_notices(folder: RunFolder, job: ShardJob) -> None:
-    """Rows that belong to no shard."""
+    """Writes the rows that belong to no shard."""
     for table, found in (("failures", job.lost()), ("warnings", job.odd())):
         if OF_DATASET not in folder.shard_ids(table):
             folder.write_shard(table, OF_DATASET, [schemas.notice_row(n) for n in found])
 
 
 def _planned(steps: Sequence[StepShards[Any]]) -> dict[str, set[str]]:
-    """Ids of the shards of each table."""
+    """The ids of the shards of each table."""
     planned = {"warnings": {OF_DATASET}, "failures": {OF_DATASET}}
     for each in steps:
         for table in each.step.TABLES:
@@ -194,17 +194,17 @@ def _planned(steps: Sequence[StepShards[Any]]) -> dict[str, set[str]]:
 def _run_missing(
     folder: RunFolder, manifest: dict[str, Any], steps: Sequence[StepShards[Any]], workers: WorkerPool, name: str
 ) -> list[dict[str, Any]]:
-    """Does the shards whose tables are not all in place; where there are any, the code of now is put into the manifest.
+    """Processes the missing shards; if there are any, the current code version is recorded in the manifest.
 
     Args:
         folder: The run.
-        manifest: Of the run.
-        steps: Steps that are done side by side, with all their shards.
-        workers: Who does it.
-        name: Of the job, on the progress bar.
+        manifest: Its manifest.
+        steps: Steps that may run at the same time, with all their shards.
+        workers: The workers.
+        name: Name of the job on the progress bar.
 
     Returns:
-        How long that took and for how many items, for the manifest; empty where nothing was missing.
+        The seconds and the number of items, for the manifest; empty if no shard was missing.
     """
     for each in steps:
         add_schemas(each.step)

@@ -1,4 +1,4 @@
-"""The steps of a job: what is done with one shard, or with one item of a shard, in whatever process."""
+"""The steps of a job: a step turns one shard, or one item of a shard, into rows of tables, in any process."""
 
 from abc import ABC, abstractmethod
 from collections import defaultdict
@@ -25,11 +25,11 @@ I = TypeVar("I")  # noqa: E741 - an item
 
 @dataclass(frozen=True, slots=True)
 class Shard(Generic[I]):
-    """Items that are done together.
+    """Items that are processed together.
 
     Attributes:
-        shard_id: Content of the items, of all that they are made from and of the settings that shape their rows.
-        items: The items; they can be pickled.
+        shard_id: Hash of the items, their inputs and the settings that shape their rows.
+        items: The items, picklable.
     """
 
     shard_id: str
@@ -44,11 +44,11 @@ class Shard(Generic[I]):
 
 @dataclass(frozen=True, slots=True)
 class ShardResult:
-    """What a step makes of a shard.
+    """The result of a step for one shard.
 
     Attributes:
-        rows: Rows of its tables; an item that cannot be used is a row of ``failures``.
-        files: Further files of the run's folder, by their path in it.
+        rows: Rows by table. An item that cannot be used is a row of ``failures``.
+        files: Further files by their path in the run's folder.
     """
 
     rows: Mapping[str, Sequence[schemas.Row]]
@@ -56,12 +56,12 @@ class ShardResult:
 
 
 class ShardStep(ABC, Generic[I]):
-    """What is done with one shard; sent to the workers, so it can be pickled.
+    """A step that processes one shard. It is sent to the workers, so it must be picklable.
 
     Attributes:
-        TABLES: Tables of a shard, in the order in which they are put in place; ``failures`` is one of them.
-        SCHEMAS: Schemas of those tables that are not in :data:`stable_data.storage.schemas.SCHEMAS`.
-        UNIT: What an item is called on the progress bar.
+        TABLES: Tables that a shard writes, in the order of writing, ``failures`` among them.
+        SCHEMAS: Schemas of the tables that are not in :data:`stable_data.storage.schemas.SCHEMAS`.
+        UNIT: Name of an item on the progress bar.
     """
 
     TABLES: ClassVar[tuple[str, ...]]
@@ -70,82 +70,82 @@ class ShardStep(ABC, Generic[I]):
 
     @abstractmethod
     def shard(self, shard: Shard[I], *, isolated: bool = False) -> ShardResult:
-        """Makes the rows of a shard; the same shard gives the same rows in whatever process.
+        """Computes the rows of a shard. The same shard gives the same rows in every process.
 
         Args:
             shard: The shard.
-            isolated: Workers died over this shard: what may end a process is done in one of its own, item by item.
+            isolated: Workers died while they processed this shard: each item runs in a separate process.
 
         Raises:
-            ConfigError: The run itself cannot go on.
+            ConfigError: The whole run cannot continue.
         """
 
     @contextmanager
     def sharing(self, workers: WorkerPool) -> Iterator[tuple[Self, ProgressTally | None]]:
-        """Holds what the workers share as long as shards are done.
+        """Holds the resources that the workers share while shards are processed.
 
         Yields:
-            The step as it is sent to the workers, and whom they tell of their progress.
+            The step as it is sent to the workers, and the tally that receives their progress, if there is one.
         """
         yield self, None
 
 
 class ItemStep(ShardStep[I]):
-    """A step whose items are made one by one.
+    """A step that processes its items one by one.
 
     Attributes:
-        OF_THE_RUN: Errors that are not an item's but the run's, see :func:`rows_or_failure`.
+        OF_THE_RUN: Errors that end the run instead of failing an item, see :func:`rows_or_failure`.
     """
 
     OF_THE_RUN: ClassVar[tuple[type[Exception], ...]] = (ConfigError,)
 
     @property
     def seconds_per_item(self) -> float:
-        """An item that takes longer is a failure; not watched without worker processes."""
+        """The time limit of an item, seconds; an item that takes longer fails. Not enforced without worker processes."""
         return 600.0
 
     def item_id(self, item: I) -> str:
-        """What the rows of an item are named by; by default the item itself."""
+        """The id of an item in its rows; by default the item as text."""
         return str(item)
 
     @abstractmethod
     def item_rows(self, item: I, progress: ItemProgress) -> Rows:
-        """Makes the rows of one item.
+        """Computes the rows of one item.
 
         Args:
             item: The item.
-            progress: Is told of each step, which a failure names.
+            progress: Set its ``step`` before each part of the work; a failure names it.
 
         Raises:
-            SceneError, MeshError: The item cannot be used; that becomes a row of ``failures``.
+            SceneError, MeshError: The item cannot be used; it becomes a row of ``failures``.
         """
 
     def prepare(self, item: I) -> None:
-        """Opens what an item needs, outside of the time of the first one."""
+        """Opens what items need, such as a model. Its time does not count against the limit of an item."""
 
     def item(self, item: I) -> Rows:
-        """Rows of one item, or its row of ``failures``."""
+        """The rows of one item, or its row of ``failures``."""
         progress = ItemProgress("read")
         return rows_or_failure(
             self.item_id(item), progress, partial(self.item_rows, item, progress), of_the_run=self.OF_THE_RUN
         )
 
     def shard(self, shard: Shard[I], *, isolated: bool = False) -> ShardResult:
-        """Makes the rows of a shard, item by item."""
+        """Computes the rows of a shard, item by item."""
         rows: Rows = defaultdict(list)
         for item in shard.items:
-            for table, found in (self._alone(item) if isolated else self._limited(item)).items():
+            for table, found in (self._isolated_rows(item) if isolated else self._limited_rows(item)).items():
                 rows[table] += found
         return ShardResult(rows)
 
-    def _limited(self, item: I) -> Rows:
+    def _limited_rows(self, item: I) -> Rows:
         self.prepare(item)
         with time_limited(self.seconds_per_item):
             return self.item(item)
 
-    def _alone(self, item: I) -> Rows:
+    def _isolated_rows(self, item: I) -> Rows:
         seconds = self.seconds_per_item
-        return rows_alone(self.item, item, self.item_id(item), seconds=seconds, prepare=partial(self.prepare, item))
+        return rows_isolated(self.item, item, self.item_id(item), seconds=seconds, prepare=partial(self.prepare, item))
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,24 +154,24 @@ class StepShards(Generic[I]):
 
     Attributes:
         step: The step.
-        shards: Its shards; where there are none its tables must be empty.
+        shards: Its shards; if there are none, its tables must be empty.
     """
 
     step: ShardStep[I]
     shards: Sequence[Shard[I]]
 
     def missing(self, folder: RunFolder) -> list[Shard[I]]:
-        """Shards whose tables are not all in place."""
+        """Shards of which at least one table is not yet written."""
         present = [folder.shard_ids(table) for table in self.step.TABLES]
         return [shard for shard in self.shards if not all(shard.shard_id in there for there in present)]
 
 
 @dataclass(frozen=True, slots=True)
 class ShardTask:
-    """A shard that is to be done.
+    """A shard to be processed.
 
     Attributes:
-        step: Number of its step, in the order of :attr:`ShardWriter.steps`.
+        step: Index of its step in :attr:`ShardWriter.steps`.
         shard: The shard.
     """
 
@@ -184,10 +184,10 @@ class ShardTask:
 
 @dataclass(frozen=True, slots=True)
 class ShardWriter:
-    """Does shards of several steps and puts their tables in place; sent to the workers.
+    """Processes shards of several steps and writes their tables; sent to the workers.
 
     Attributes:
-        out: The run's folder, which every worker can write: an absolute path, or a URI.
+        out: The run's folder, writable for every worker: an absolute path or a URI.
         steps: The steps.
     """
 
@@ -195,14 +195,14 @@ class ShardWriter:
     steps: tuple[ShardStep[Any], ...]
 
     def __call__(self, shard: ShardTask, *, isolated: bool = False) -> tuple[int, int]:
-        """Does one shard.
+        """Processes one shard.
 
         Args:
             shard: The shard and its step.
             isolated: See :meth:`ShardStep.shard`.
 
         Returns:
-            How many items the shard has, and how many of them failed.
+            The number of items of the shard, and the number of failed items.
         """
         step, items, folder = self.steps[shard.step], shard.shard, RunFolder(self.out)
         add_schemas(step)
@@ -215,7 +215,7 @@ class ShardWriter:
 
 
 def add_schemas(step: ShardStep[Any]) -> None:
-    """Makes the tables of a step known to this process."""
+    """Registers the tables of a step in this process."""
     for table, schema in step.SCHEMAS.items():
         schemas.add_table(table, schema)
 
@@ -223,17 +223,17 @@ def add_schemas(step: ShardStep[Any]) -> None:
 def rows_or_failure(
     item_id: str, progress: ItemProgress, make: Callable[[], Rows], *, of_the_run: tuple[type[Exception], ...] = (ConfigError,)
 ) -> Rows:
-    """Rows of one item; where it cannot be used, a row of ``failures`` that says in which step and why.
+    """The rows of one item, or a row of ``failures`` with the step and the reason if the item cannot be used.
 
     Args:
-        item_id: What a failure is named by.
-        progress: Which step it is at.
-        make: Makes the rows.
-        of_the_run: Errors that are not the item's but the run's, and are raised. What is read from outside can bring forth any
-            but ConfigError; a job that makes its items itself names those that may pass, too.
+        item_id: The id of the item in its failure.
+        progress: The current step of the item.
+        make: Computes the rows.
+        of_the_run: Errors that are raised because they end the run. Foreign data may cause any error except ConfigError; a job
+            that creates its items itself can name further errors.
 
     Raises:
-        ConfigError: The run itself cannot go on.
+        ConfigError: The whole run cannot continue.
     """
     try:
         return make()
@@ -241,20 +241,20 @@ def rows_or_failure(
         raise
     except StableDataError as error:
         return {"failures": [schemas.notice_row(Notice(item_id, progress.step, error.code, str(error)))]}
-    except Exception as error:  # noqa: BLE001 - the one place where what nobody foresaw becomes a row
+    except Exception as error:  # noqa: BLE001 - the one place where an unexpected error becomes a row
         message = f"{item_id}: {unexpected_failure(error)}"
         return {"failures": [schemas.notice_row(Notice(item_id, progress.step, "unexpected", message))]}
 
 
 def unexpected_failure(error: Exception) -> str:
-    """What is said of an error that nobody foresaw, one line."""
+    """The message for an unexpected error, one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}; please report this with the file"
 
 
-def rows_alone(
+def rows_isolated(
     make: Callable[[I], Rows], item: I, item_id: str, *, seconds: float, prepare: Callable[[], object] | None = None
 ) -> Rows:
-    """Rows of one item, made in a process of its own; a failure where that process dies or takes too long."""
+    """The rows of one item from a separate process; a failure if that process dies or takes too long."""
     found = run_isolated(make, item, seconds=seconds, prepare=prepare)
     if not isinstance(found, ProcessFailure):
         return found
@@ -266,5 +266,5 @@ def rows_alone(
 
 
 def engine_stopped(failure: str) -> ConfigError:
-    """What stops a run whose engine answers nothing any more, see :data:`models.semantic_reasoner.engines.protocol.OFF`."""
-    return ConfigError(f"{failure}; what is done is kept, run again to go on", "engine_off")
+    """The error that stops a run if its engine no longer answers, see :data:`models.semantic_reasoner.engines.protocol.OFF`."""
+    return ConfigError(f"{failure}; finished shards are kept, run again to continue", "engine_off")

@@ -137,7 +137,7 @@ def test_an_endpoint_that_is_down_stops_the_run_and_costs_no_edit(
     lines = [{"scene_id": wanted[0]["scene_id"], "instruction": f"{k} is asked.", "edit_id": str(k)} for k in range(6)]
     path, out = file_of(lines, tmp_path / "e.jsonl"), tmp_path / "out"
     engine = Told({f"{k} is asked.": "down" if k == 5 else "still not" for k in range(6)})  # shards are of four
-    with pytest.raises(ConfigError, match=r"^5: nobody answers; what is done is kept, run again to go on$") as caught:
+    with pytest.raises(ConfigError, match=r"^5: nobody answers; finished shards are kept, run again to continue$") as caught:
         edit(str(dataset), path, str(out), asked(engine), ALONE, report=False)
     assert caught.value.code == "engine_off"
     engine.replies["5 is asked."] = "nor is this"

@@ -52,7 +52,7 @@ def test_a_run_goes_on_with_other_sources_and_names_both(
         lines = [line for line in capsys.readouterr().err.splitlines() if "other code" in line]
         assert len(lines) == (1 if number == 0 else 0)
         for line in lines:
-            assert f"{out}: was worked on with other code ({OTHER}), what is missing is done with {NOW}" in line
+            assert f"{out}: earlier rows were made with other code ({OTHER}), missing rows are made with {NOW}" in line
             assert "choose a new folder" in line
     assert f"code {OTHER}, {NOW}, tables" in (out / "report" / "index.html").read_text("utf-8")
 

@@ -74,7 +74,7 @@ def test_a_cluster_is_waited_for_and_a_line_says_so(
     assert pool.name == "scripted"
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert said.startswith("1 of 1 engines are not there yet, each wants 1 GPUs and the cluster has 1 in all; waiting for")
+    assert said.startswith("1 of 1 engines have not started; each needs 1 GPUs and the cluster has 1 in all; waiting for")
 
 
 @pytest.mark.ray
@@ -83,7 +83,7 @@ def test_a_run_that_wants_gpus_that_no_machine_has_ends_with_one_line(
 ) -> None:
     asked = GenerateSettings(settings, weights="none", num_pictures=0, engines=1, engine_gpus=1000.0)
     with pytest.raises(
-        ConfigError, match=r"^engines=1 with engine_gpus=1000 want 1000 GPUs, but this machine has \d+, "
+        ConfigError, match=r"^engines=1 with engine_gpus=1000 need 1000 GPUs, but this machine has \d+, "
     ) as caught:
         generate(ONE, str(tmp_path / "out"), asked, WorkerPool(1), [str(dataset)])
     assert caught.value.code == "engine_pool"

@@ -134,8 +134,8 @@ def test_the_bar_shows_what_is_in_place_and_where_the_rest_is(
     shown = capsys.readouterr().err.strip().split("\r")
     assert any(re.search(r"generate: .* 2/10 scenes \[\S+<\S+, 3 propose, 1 correct\]$", line.rstrip()) for line in shown)
     so_far = r"generate: .* 6/10 scenes \[\S+<\S+, \d+/min, 75\.0 % valid; "
-    assert any(re.search(so_far + r"3 propose, 1 correct; 1 shards to come\]$", line.rstrip()) for line in shown)
-    assert re.search(so_far + r"1 shards to come\]$", shown[-1])
+    assert any(re.search(so_far + r"3 propose, 1 correct; 1 shards left\]$", line.rstrip()) for line in shown)
+    assert re.search(so_far + r"1 shards left\]$", shown[-1])
 
 
 @pytest.mark.ray

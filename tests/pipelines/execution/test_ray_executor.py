@@ -210,7 +210,7 @@ def test_a_cluster_that_wants_a_token_says_how_to_show_it(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(ray, "init", refused)
     with pytest.raises(
-        ConfigError, match=r"cannot be reached \(Failed to connect\); it wants a token: set RAY_AUTH_MODE=token"
+        ConfigError, match=r"cannot be reached \(Failed to connect\); it requires a token: set RAY_AUTH_MODE=token"
     ):
         ray_executor.connect(WorkerPool(1, address="auto"))
 

@@ -148,7 +148,7 @@ def test_shards_of_another_run_are_refused(bare: Path, bare_run: Path, tmp_path:
 
 def test_a_scene_that_ends_nowhere_stops(bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SceneStep, "item", lambda *_: {})
-    with pytest.raises(ConfigError, match=r"1 scenes such as \w+ are not exactly one row of scenes or failures"):
+    with pytest.raises(ConfigError, match=r"1 scenes such as \w+ are not in exactly one row of scenes or failures"):
         preprocess(str(bare), str(tmp_path / "out"), SMALL, WorkerPool())
 
 

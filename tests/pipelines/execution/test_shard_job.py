@@ -91,6 +91,6 @@ def test_a_scene_that_is_lost_under_the_name_of_an_asset_is_no_failure_of_the_as
 def test_an_item_that_is_not_exactly_one_row_is_refused(
     scenes: list[str], failures: list[str], odd: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(ConfigError, match=f"1 scenes such as {odd} are not exactly one row of scenes or failures") as caught:
+    with pytest.raises(ConfigError, match=f"1 scenes such as {odd} are not in exactly one row of scenes or failures") as caught:
         count_items(run_of(tmp_path, scenes, failures), "scenes", "scene_id", ["a", "b"])
     assert caught.value.code == "rows_differ"

@@ -129,7 +129,7 @@ def test_an_endpoint_that_dies_halfway_stops_the_run_with_one_line_and_costs_no_
         settings = replace(PLAIN, engine=EngineSettings("openai:large", http=http, cache=str(tmp_path / "kept")))
         out, undisturbed = tmp_path / "out", tmp_path / "undisturbed"
         left[0] = 2 * len(Stage) + 1  # two scenes, and a stage of the third
-        with pytest.raises(ConfigError, match=r"^task_\d: .*; what is done is kept, run again to go on$") as caught:
+        with pytest.raises(ConfigError, match=r"^task_\d: .*; finished shards are kept, run again to continue$") as caught:
             generate(FOUR, str(out), settings, ALONE, [str(dataset)], report=False)
         assert caught.value.code == "engine_off"
         assert len(ids(out, "scenes")) == 2
