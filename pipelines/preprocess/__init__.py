@@ -1,1 +1,1 @@
-"""Job preprocess: a folder of scenes becomes tables."""
+"""The job preprocess: a folder of scenes becomes tables."""

@@ -1,4 +1,4 @@
-"""One asset: repaired, weighed, sampled, split into convex parts, its signed distance on grids; its rows."""
+"""The rows of one asset: repaired mesh, mass properties, surface points, convex parts and signed-distance grids."""
 
 import hashlib
 from dataclasses import asdict, dataclass
@@ -30,10 +30,10 @@ class AssetUse:
 
     Attributes:
         asset_id: The asset.
-        mesh_sha256: Content of its mesh file.
-        typical_scale: Median scale, metres per mesh unit, or None where no scene uses it.
-        aspects: Aspects that grids are made for, in steps of 5 % (``stable_data.assets.store.aspect_steps``).
-        tilts: Tilts seen with how often, most frequent first.
+        mesh_sha256: Hash of its mesh file.
+        typical_scale: Median scale, metres per mesh unit, or None if no scene uses it.
+        aspects: Aspects that get a grid, in steps of 5 % (``stable_data.assets.store.aspect_steps``).
+        tilts: Tilts with their counts, most frequent first.
     """
 
     asset_id: str
@@ -45,7 +45,7 @@ class AssetUse:
 
 @dataclass(frozen=True, slots=True)
 class AssetSettings:
-    """What shapes the rows of an asset.
+    """Settings that shape the rows of an asset.
 
     Attributes:
         num_points: Surface points of an asset.
@@ -56,7 +56,7 @@ class AssetSettings:
 
 @dataclass(frozen=True, slots=True)
 class AssetRows:
-    """Rows of one asset, by table."""
+    """The rows of one asset, by table."""
 
     asset: schemas.Row
     mesh: schemas.Row
@@ -72,14 +72,14 @@ def preprocess_asset(
     progress: ItemProgress,
     embedding: TextFeature | None = None,
 ) -> AssetRows:
-    """Everything that preprocess makes of one asset.
+    """Computes all rows of one asset.
 
     Args:
         use: How the scenes use it.
-        annotation: What the library says of it.
-        store: Where its mesh is.
-        settings: What shapes the rows.
-        progress: Is told of each step.
+        annotation: Its annotation in the library.
+        store: The store that reads its mesh.
+        settings: Settings that shape the rows.
+        progress: Receives the name of each step.
         embedding: Its row of the library's text features.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Point features of one asset, at every aspect and tilt in which the scenes use it; its rows."""
+"""The point features of one asset, at every aspect and tilt in which the scenes use it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from stable_data.geometry.shape import Shape
 from stable_data.scene import QuatXyzw
 from stable_data.storage import schemas
 
-if TYPE_CHECKING:  # torch is loaded where features are made, and there alone
+if TYPE_CHECKING:  # torch is loaded only if features are computed
     from models.point_encoder import PointEncoder
 
 AUTO, NONE = "auto", "none"
@@ -25,7 +25,7 @@ class ShapeUse:
     """An aspect and tilt in which scenes use an asset.
 
     Attributes:
-        steps: Aspect, in steps of 5 % (``stable_data.assets.store.aspect_steps``).
+        steps: The aspect, in steps of 5 % (``stable_data.assets.store.aspect_steps``).
         tilt_quat_xyzw: Rotation before yaw.
         scale: Median of the scales' largest components, metres per mesh unit.
     """
@@ -37,12 +37,12 @@ class ShapeUse:
 
 @dataclass(frozen=True, slots=True)
 class FeatureUse:
-    """An asset and the shapes whose features are made.
+    """An asset and the shapes whose features are computed.
 
     Attributes:
         asset_id: The asset.
-        mesh_sha256: Content of its mesh file.
-        shapes: At least one.
+        mesh_sha256: Hash of its mesh file.
+        shapes: The shapes, at least one.
     """
 
     asset_id: str
@@ -51,16 +51,19 @@ class FeatureUse:
 
 
 def feature_rows(use: FeatureUse, store: AssetStore, encoder: PointEncoder, progress: ItemProgress) -> list[schemas.Row]:
-    """Features of an asset, one row a shape; none where its mesh cannot be used, which the asset's own row of failures says.
+    """Computes the features of an asset, one row for each shape.
 
     Args:
         use: How the scenes use it.
-        store: Where its mesh is.
-        encoder: What makes them.
-        progress: Is told of each step.
+        store: The store that reads its mesh.
+        encoder: The point encoder.
+        progress: Receives the name of each step.
+
+    Returns:
+        The rows; none if the mesh cannot be used, because the step of assets reports that failure.
 
     Raises:
-        MeshError: A shape has no cloud that the encoder takes.
+        MeshError: A shape has no point cloud that the encoder accepts.
     """
     from models.point_encoder import PointCloud, one_thread
 
@@ -75,7 +78,7 @@ def feature_rows(use: FeatureUse, store: AssetStore, encoder: PointEncoder, prog
         shape = Shape.from_mesh(mesh, (x, y, z), shape_use.tilt_quat_xyzw)
         clouds.append(PointCloud.of_shape(shape, encoder.preprocessing.num_points))
     with one_thread():
-        # One by one: in a batch, the last bits of a feature would depend on the others.
+        # One by one: in a batch, the last bits of a feature would depend on the other shapes.
         found = encoder.encode(clouds, batch_size=1)
     return [
         {
@@ -91,12 +94,12 @@ def feature_rows(use: FeatureUse, store: AssetStore, encoder: PointEncoder, prog
 
 
 def fingerprint_of(setting: str) -> str | None:
-    """Fingerprint of the encoder that the setting ``features`` names; None where no features are made.
+    """The fingerprint of the encoder that the setting ``features`` names, or None if no features are computed.
 
     Raises:
-        ConfigError: It cannot be used.
+        ConfigError: The encoder cannot be used.
     """
-    encoder = _opened(setting)
+    encoder = _open_encoder(setting)
     return None if encoder is None else encoder.fingerprint()
 
 
@@ -104,20 +107,20 @@ def encoder_of(setting: str, fingerprint: str) -> PointEncoder:
     """The encoder that the setting ``features`` names; each process opens it once.
 
     Raises:
-        ConfigError: It cannot be used, or it is another here than where the run was planned.
+        ConfigError: The encoder cannot be used, or it differs from the encoder with which the run was planned.
     """
-    encoder = _opened(setting)
+    encoder = _open_encoder(setting)
     if encoder is None or encoder.fingerprint() != fingerprint:
         found = "none" if encoder is None else encoder.fingerprint()
         raise ConfigError(
-            f"setting preprocess.features is {setting}: here it is encoder {found}, expected {fingerprint} as on the driver; "
-            "give a file that every node sees",
+            f"setting preprocess.features is {setting}: this node has encoder {found}, expected {fingerprint} as on the driver; "
+            "use a file that every node can read",
             "encoder_differs",
         )
     return encoder
 
 
-def _opened(setting: str) -> PointEncoder | None:
+def _open_encoder(setting: str) -> PointEncoder | None:
     if setting == NONE:
         return None
     try:
@@ -139,12 +142,12 @@ def _opened(setting: str) -> PointEncoder | None:
             f"setting preprocess.features is {setting}: {path} cannot be read ({error.strerror}), expected an encoder's weights"
         )
         raise ConfigError(message, "weights_invalid") from error
-    return _loaded(path, kind, changed)
+    return _load_encoder(path, kind, changed)
 
 
 @lru_cache(maxsize=1)
-def _loaded(path: Path, kind: str, changed: int) -> PointEncoder:
-    """An encoder; another file of that name is another one."""
+def _load_encoder(path: Path, kind: str, changed: int) -> PointEncoder:
+    """Loads an encoder; ``changed`` is part of the cache key, so that a replaced file is loaded again."""
     from models.point_encoder import PUBLISHED, load, load_published
 
     if not kind:
@@ -153,7 +156,7 @@ def _loaded(path: Path, kind: str, changed: int) -> PointEncoder:
     if encoder.needs_projection:
         raise ConfigError(
             f"{path} gives {encoder.config.out_channels} channels, expected 64; fit a projection on your assets "
-            "(PointEncoder.fit_projection), save it (models.point_encoder.save) and give that file",
+            "(PointEncoder.fit_projection), save it (models.point_encoder.save) and use that file",
             "encoder_unprojected",
         )
     return encoder

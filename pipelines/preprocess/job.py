@@ -1,4 +1,4 @@
-"""Preprocess: a folder of scenes in the MesaTask-10K format becomes staged, geometry-complete tables."""
+"""The preprocess job: a folder of scenes in the MesaTask-10K format becomes tables with stages and geometry."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -27,20 +27,20 @@ T = TypeVar("T")
 def preprocess(
     data: str, out: str, settings: PreprocessSettings, workers: WorkerPool, *, report: bool = True
 ) -> dict[str, Any]:
-    """Runs the job, or what is missing of it; see :func:`pipelines.execution.shard_job.run_job`."""
+    """Runs the job, or its missing shards; see :func:`pipelines.execution.shard_job.run_job`."""
     return run_job(PreprocessJob(data, settings, workers), out, workers, report=report)
 
 
 class PreprocessJob(ShardJob):
-    """A folder of scenes becomes staged, geometry-complete tables.
+    """Turns a folder of scenes into tables with stages and geometry.
 
     Args:
-        data: Root of a dataset in the MesaTask-10K format; every node of a cluster must see it in this place.
-        settings: What shapes the rows.
-        workers: Who runs the shards.
+        data: Root of a dataset in the MesaTask-10K format; every node of a cluster must see it under this path.
+        settings: The job's settings.
+        workers: The workers that run the shards.
 
     Raises:
-        ConfigError: It is no dataset, what its positions mean cannot be found out, or the writer of tasks is not there.
+        ConfigError: The folder is not a dataset, its position convention cannot be determined, or the task writer is missing.
     """
 
     ADDED = ("encoder",)
@@ -52,26 +52,26 @@ class PreprocessJob(ShardJob):
         self.source = MesaTaskDataset(_absolute(data))
         self.dataset = self.source.root.name
         self.settings = resolve_convention(settings.settled, self.source, str(self.source.root), settings, workers)
-        self._placed = replace(
-            self.settings, task_cache=str(_absolute(settings.task_cache)), features=_placed(settings.features)
+        self._absolute_settings = replace(
+            self.settings, task_cache=str(_absolute(settings.task_cache)), features=_absolute_features(settings.features)
         )
-        task_writer(self._placed)
+        task_writer(self._absolute_settings)
 
     @cached_property
     def _plan(self) -> PreprocessPlan:
-        return plan_run(self.source, self.settings, fingerprint_of(self._placed.features))
+        return plan_run(self.source, self.settings, fingerprint_of(self._absolute_settings.features))
 
     def inputs(self) -> dict[str, Any]:
-        """Content of the dataset by its kind."""
+        """Hashes of the dataset's contents by kind."""
         return dict(self._plan.inputs)
 
     def about(self) -> dict[str, Any]:
-        """The encoder, and how much there is."""
+        """The encoder and the numbers of scenes, assets and features."""
         return {"encoder": self._plan.encoder, **self._plan.counts()}
 
     def plan(self) -> Sequence[StepShards[Any]]:
-        """Assets, their point features, and scenes; where there are no assets, empty shards, so that the tables are there."""
-        found, of_step = self._plan, (str(self.source.root), self._placed, content_id(self.inputs()))
+        """The steps; a step without assets gets an empty shard, so that its tables exist."""
+        found, of_step = self._plan, (str(self.source.root), self._absolute_settings, content_id(self.inputs()))
         features = FeatureStep(*of_step, found.encoder or "")
         return [
             StepShards(AssetStep(*of_step), _or_empty(found.assets)),
@@ -80,7 +80,7 @@ class PreprocessJob(ShardJob):
         ]
 
     def expected(self) -> Sequence[ExpectedItems]:
-        """Every scene, and every asset with a mesh."""
+        """All scenes, and all assets with a mesh."""
         return [
             ExpectedItems("scenes", "scene_id", self._plan.scene_ids, "failed_scenes"),
             ExpectedItems("assets", "asset_id", self._plan.asset_ids, "failed_assets", with_lost=False),
@@ -91,7 +91,7 @@ class PreprocessJob(ShardJob):
         return [n for n in self._plan.notices if n.code == "layout_missing"]
 
     def odd(self) -> Sequence[Notice]:
-        """What else is odd about the dataset."""
+        """All other notices about the dataset."""
         return [n for n in self._plan.notices if n.code != "layout_missing"]
 
     def report(self, folder: RunFolder, manifest: dict[str, Any]) -> None:
@@ -107,8 +107,8 @@ def _absolute(path: str) -> Path:
     return Path(path).expanduser().resolve()
 
 
-def _placed(features: str) -> str:
-    """The setting ``features`` with its file as an absolute path, for workers have folders of their own."""
+def _absolute_features(features: str) -> str:
+    """The setting ``features`` with an absolute path, because workers have other current folders."""
     if features in (AUTO, NONE):
         return features
     kind, colon, file = features.rpartition(":")

@@ -1,7 +1,7 @@
-"""The plan of a preprocess run: the shards that a dataset is cut into.
+"""The plan of a preprocess run: the shards that a dataset is split into.
 
-Assets and scenes are cut by a fixed rule, and each shard is named by the content of its inputs and the settings that shape it:
-the plan of the same dataset and settings is the same, whoever makes it.
+Assets and scenes are split by a fixed rule, and the id of a shard is a hash of its inputs and settings. The plan therefore
+depends on the dataset and the settings alone.
 """
 
 import hashlib
@@ -26,24 +26,24 @@ from stable_data.mesatask import MesaTaskDataset, read_text_features
 from stable_data.scene import QuatXyzw, Vec3
 from stable_data.storage import schemas
 
-_MAX_SCALES = 1001  # of one asset that its typical scale is taken from
+_MAX_SCALES = 1001  # of one asset, of which the typical scale is the median
 _MAX_TILTS = 8
 
 
 @dataclass(frozen=True, slots=True)
 class PreprocessPlan:
-    """What a run has to do.
+    """The work of a run.
 
     Attributes:
         assets: Shards of assets, with their use.
-        features: Shards of assets with the shapes whose features are made.
+        features: Shards of assets, with the shapes whose features are computed.
         scenes: Shards of scene ids.
-        inputs: Content of all inputs, by their kind.
-        scene_ids: Scenes of the dataset, with those whose layout is missing.
+        inputs: Hashes of all inputs, by kind.
+        scene_ids: Scenes of the dataset, including those whose layout is missing.
         asset_ids: Assets that are processed.
-        notices: What is odd about the dataset as a whole: scene folders without a layout (``layout_missing``, failures),
-            assets that are wanted but have no mesh file (``glb_missing``), and what its reader noticed.
-        encoder: Fingerprint of the encoder of the point features, or None: none are made.
+        notices: Notices about the dataset as a whole: scene folders without a layout (``layout_missing``, failures), requested
+            assets without a mesh file (``glb_missing``), and the notices of its reader.
+        encoder: Fingerprint of the encoder of the point features, or None if no features are computed.
     """
 
     assets: tuple[Shard[AssetUse], ...]
@@ -56,7 +56,7 @@ class PreprocessPlan:
     encoder: str | None = None
 
     def counts(self) -> dict[str, int]:
-        """How much there is to do."""
+        """The numbers of scenes, assets and features."""
         return {
             "num_scenes": len(self.scene_ids),
             "num_assets": len(self.asset_ids),
@@ -67,7 +67,7 @@ class PreprocessPlan:
 
 @dataclass
 class AssetUseCount:
-    """How scenes use an asset, being counted."""
+    """Counts how scenes use an asset."""
 
     scales: list[Vec3] = field(default_factory=list)
     tilts: dict[QuatXyzw, tuple[QuatXyzw, int]] = field(default_factory=dict)
@@ -75,7 +75,7 @@ class AssetUseCount:
 
     def add(self, scale: Vec3 | None, tilt: QuatXyzw) -> None:
         """Counts an object."""
-        key = tilt_key(tilt)  # of tilts that count as one: the first that was seen
+        key = tilt_key(tilt)  # nearly equal tilts share a key; the first of them is stored
         first, count = self.tilts.get(key, (canonical_quaternion(tilt), 0))
         self.tilts[key] = (first, count + 1)
         if scale is not None:
@@ -84,22 +84,22 @@ class AssetUseCount:
                 self.scales.append(scale)
 
     def typical_scale(self) -> Vec3 | None:
-        """The median scale, metres per mesh unit; None where no scale is known."""
+        """The median scale, metres per mesh unit, or None if no scale is known."""
         if not self.scales:
             return None
         x, y, z = np.median(np.array(self.scales), axis=0).tolist()
         return x, y, z
 
     def aspects(self) -> set[tuple[int, int, int]]:
-        """Aspects in which it is used, in steps."""
+        """The aspects in which the asset is used, in steps."""
         return {steps for steps, _ in self.shapes}
 
     def most_tilts(self) -> list[tuple[QuatXyzw, int]]:
-        """Tilts with how often, most frequent first."""
+        """The tilts with their counts, most frequent first."""
         return sorted(self.tilts.values(), key=lambda item: (-item[1], item[0]))[:_MAX_TILTS]
 
     def shape_uses(self) -> tuple[ShapeUse, ...]:
-        """Every aspect and tilt in which it is used; and evenly scaled, as it is generated, at the tilts it has most."""
+        """Every used pair of aspect and tilt, and the uniform scale (which generation uses) at the most frequent tilts."""
         scales = {key: float(np.median(found)) for key, found in self.shapes.items()}
         if (typical := self.typical_scale()) is not None:
             for tilt, _ in self.most_tilts():
@@ -109,7 +109,7 @@ class AssetUseCount:
 
 @dataclass
 class _Content:
-    """Hashes of what a dataset holds, by scene and by asset."""
+    """Hashes of the contents of a dataset, by scene and by asset."""
 
     layouts: dict[str, str]
     task_infos: dict[str, str | None]
@@ -125,17 +125,17 @@ class _Content:
 
 
 def plan_run(dataset: MesaTaskDataset, settings: PreprocessSettings, encoder: str | None = None) -> PreprocessPlan:
-    """Cuts a dataset into shards.
+    """Splits a dataset into shards.
 
     Args:
-        dataset: The dataset; every layout and mesh file is read once for its content.
-        settings: What shapes the rows.
-        encoder: Fingerprint of the encoder of the point features, or None: none are made.
+        dataset: The dataset; every layout and mesh file is read once for its hash.
+        settings: Settings that shape the rows.
+        encoder: Fingerprint of the encoder of the point features, or None to compute none.
 
     Raises:
         ConfigError: The text features cannot be used.
     """
-    # Of the code the version alone: where sources change, check_resume tells, and what is in place stays.
+    # The version without the hash of the sources: after a change of the code, check_resume prints a line and shards are kept.
     versions = {"table_version": schemas.TABLE_VERSION, "code": stable_data.__version__}
     shaping = settings.shaping() | versions
     uses: dict[str, AssetUseCount] = defaultdict(AssetUseCount)
@@ -178,7 +178,7 @@ def plan_run(dataset: MesaTaskDataset, settings: PreprocessSettings, encoder: st
 
 
 def text_features(root: Path) -> dict[str, TextFeature]:
-    """The library's text features by asset; empty where there are none.
+    """The library's text features by asset; empty if the library has none.
 
     Raises:
         ConfigError: The file cannot be used.
@@ -206,7 +206,7 @@ def _content(dataset: MesaTaskDataset, wanted: Sequence[str]) -> _Content:
 def _count_uses(dataset: MesaTaskDataset, scene_id: str, uses: dict[str, AssetUseCount]) -> list[str]:
     try:
         scene, _ = dataset.read(scene_id)
-    except Exception:  # noqa: BLE001 - its own step will say why, whatever it is
+    except Exception:  # noqa: BLE001 - the step of scenes reports the error
         return []
     for o in scene.objects:
         if o.asset_id is not None:
@@ -226,7 +226,7 @@ def _without_mesh(asset_id: str, is_used: bool) -> Notice:
 
 
 def file_digest(path: Path) -> str:
-    """Hash of a file's content; of one that cannot be read, the reason: whoever needs it will report that."""
+    """The hash of a file's content, or the reason if it cannot be read; the step that reads the file reports the error."""
     try:
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()

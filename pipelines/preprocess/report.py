@@ -1,4 +1,4 @@
-"""The report page of a preprocess run: one HTML file that needs no other, with counts, histograms and pictures."""
+"""The report page of a preprocess run: one self-contained HTML file with counts, histograms and pictures."""
 
 from collections.abc import Iterable
 from functools import partial
@@ -21,10 +21,10 @@ def write_report(folder: RunFolder, manifest: dict[str, Any], store: AssetStore,
     """Writes ``report/index.html``.
 
     Args:
-        folder: The run; its tables are complete.
+        folder: The run, with complete tables.
         manifest: Its manifest, with counts.
-        store: Geometry of the assets, for the pictures.
-        num_pictures: Scenes that are drawn: half of them the worst, half an even choice.
+        store: The geometry of the assets, for the pictures.
+        num_pictures: Number of scenes that are drawn: half of them the worst, half evenly chosen.
     """
     columns = [
         c for c in folder.dataset("scenes").schema.names if c not in ("source_json", "relations", "task", "restricted_zone")
@@ -118,10 +118,10 @@ def _pictures(folder: RunFolder, scenes: pl.DataFrame, store: AssetStore, count:
     rows = folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()
     ordered = sorted(rows, key=lambda r: chosen.index(r["scene_id"]))
     yield "<h2>Pictures</h2>"
-    yield from picture_grid((row["scene_id"], partial(_shown, row, store)) for row in ordered)
+    yield from picture_grid((row["scene_id"], partial(_scene_pictures, row, store)) for row in ordered)
 
 
-def _shown(row: dict[str, Any], store: AssetStore) -> Shown:
+def _scene_pictures(row: dict[str, Any], store: AssetStore) -> Shown:
     verdict = {True: '<span class="good">clean</span>', False: '<span class="bad">not clean</span>', None: "unknown"}[
         row["clean"]
     ]

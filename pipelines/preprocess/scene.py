@@ -1,4 +1,4 @@
-"""The item function of preprocess for a scene: read it, audit it, relate its objects, give it a task and stages, make its rows."""
+"""The rows of one scene: it is read, audited, related, and given a task and stages."""
 
 import hashlib
 from collections.abc import Iterator
@@ -30,8 +30,8 @@ class SceneSettings:
         seed: For the choice among task templates and for the split.
         train_share: Share of near-duplicate groups in the training split.
         validation_share: Share in the validation split; the rest is the test split.
-        position_convention: Which point of a tilted object the files call its position.
-        tasks_per_scene: Number of tasks of a scene in ``samples``: its own, then others by template. (MesaTask trains on five.)
+        position_convention: The point of a tilted object that the files use as its position.
+        tasks_per_scene: Number of tasks of a scene in ``samples``: its own, then others from templates. (MesaTask trains on five.)
     """
 
     important_threshold: float = 0.02
@@ -44,7 +44,7 @@ class SceneSettings:
 
 @dataclass(frozen=True, slots=True)
 class SceneRows:
-    """Rows of one scene, by table."""
+    """The rows of one scene, by table."""
 
     scene: schemas.Row
     samples: tuple[schemas.Row, ...]
@@ -53,7 +53,7 @@ class SceneRows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedScene:
-    """A scene with everything that its rows are made from.
+    """A scene with all that its rows are computed from.
 
     Attributes:
         scene: With supports, relations, task and stages.
@@ -77,7 +77,7 @@ class CachedTaskWriter:
     Attributes:
         write: The model.
         cache: Folder of its answers.
-        name: Names the model in the keys of the cache.
+        name: Name of the model in the keys of the cache.
     """
 
     write: TaskWriter
@@ -110,15 +110,15 @@ def prepare_scene(
     progress: ItemProgress,
     writer: CachedTaskWriter | None = None,
 ) -> PreparedScene:
-    """Reads a scene, audits it, relates its objects, and gives it a task and stages.
+    """Reads a scene, audits it, derives its relations, and gives it a task and stages.
 
     Args:
-        dataset: The dataset that the scene is in.
+        dataset: The dataset of the scene.
         scene_id: Its id.
-        store: Geometry of the assets.
-        settings: What the rows depend on.
+        store: The geometry of the assets.
+        settings: Settings that shape the rows.
         progress: Receives the name of each step.
-        writer: A model that writes the task info of a scene without one; None: a template is filled.
+        writer: A model that writes the task info of a scene without one, or None to fill a template.
 
     Raises:
         SceneError: The scene cannot be used.
@@ -147,7 +147,7 @@ def prepare_scene(
 
 
 def other_tasks(scene: Scene, graph: SceneGraph, settings: SceneSettings) -> tuple[Scene, ...]:
-    """A staged scene with each of the further tasks that the settings ask for; no two instructions are the same."""
+    """Copies of a staged scene with further tasks, as many as the settings request; all instructions differ."""
     instructions = {scene.task.task} if scene.task else set()
     others = []
     for k in range(1, settings.tasks_per_scene):
@@ -159,7 +159,7 @@ def other_tasks(scene: Scene, graph: SceneGraph, settings: SceneSettings) -> tup
 
 
 def sample_rows(scene: Scene, split: str) -> Iterator[schemas.Row]:
-    """Rows of ``samples`` of a staged scene: one a stage."""
+    """The rows of ``samples`` of a staged scene, one for each stage."""
     row = schemas.scene_row(scene) | {"split": split}
     head = {k: row[k] for k in ("scene_id", "split", "table_type", "table_size", "restricted_zone", "task")}
     for sample in samples_of(scene):
@@ -172,7 +172,7 @@ def sample_rows(scene: Scene, split: str) -> Iterator[schemas.Row]:
 
 
 def origin_of(dataset: MesaTaskDataset, scene: Scene, settings: SceneSettings) -> schemas.Row:
-    """Columns of ``scenes`` that say which file a scene comes from and which split it is in."""
+    """The columns of ``scenes`` that state the file and the split of a scene."""
     layout = dataset.layout_path(scene.scene_id)
     group = duplicate_group(scene)
     shares = SplitShares(settings.seed, settings.train_share, settings.validation_share)

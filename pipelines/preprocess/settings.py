@@ -14,7 +14,7 @@ from stable_data.mesatask.convention_detection import position_convention
 
 @dataclass(frozen=True, slots=True)
 class PreprocessSettings(Settings):
-    """Settings of the job; ``--set key=value`` or the table ``[preprocess]`` of a TOML file."""
+    """Settings of the preprocess job, from ``--set key=value`` or the table ``[preprocess]`` of a TOML file."""
 
     section: ClassVar[str] = "preprocess"
 
@@ -70,7 +70,7 @@ class PreprocessSettings(Settings):
     """Seconds; a scene or asset that takes longer is a failure. Not enforced without worker processes."""
 
     def check(self) -> None:
-        """Refuses a cache that is no folder, and shares over 1; see the base class."""
+        """Refuses a cache that is not a folder, and shares over 1; see the base class."""
         if "://" in self.task_cache:
             raise ConfigError(f"setting preprocess.task_cache is {self.task_cache}, expected a folder", "config_invalid")
         shares = (self.train_share, self.validation_share)
@@ -80,19 +80,19 @@ class PreprocessSettings(Settings):
             )
 
     def shaping(self) -> dict[str, Any]:
-        """The settings that shape rows: a run is resumed only under the same. Of the encoder, its fingerprint counts."""
+        """The settings that shape rows; a run is resumed only if they are equal. The encoder is compared by its fingerprint."""
         aside = ("features", "num_pictures", "seconds_per_item", "task_cache")
         return {k: v for k, v in asdict(self).items() if k not in aside}
 
     def scene_settings(self) -> SceneSettings:
-        """Those of the scene step."""
+        """The settings of the scene step."""
         convention = PositionConvention(self.position_convention)  # settled() has replaced auto
         return SceneSettings(
             self.important_threshold, self.seed, self.train_share, self.validation_share, convention, self.tasks_per_scene
         )
 
     def settled(self, dataset: MesaTaskDataset) -> "PreprocessSettings":
-        """The settings with ``auto`` replaced by what the dataset shows."""
+        """The settings with ``auto`` replaced by the convention that the dataset shows."""
         if self.position_convention != "auto":
             return self
         return replace(self, position_convention=cast(ConventionChoice, str(position_convention(dataset, AssetStore(dataset)))))

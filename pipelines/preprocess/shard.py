@@ -1,4 +1,4 @@
-"""The steps of preprocess: assets, their point features, and scenes of a folder in the MesaTask-10K format become rows."""
+"""The three steps of preprocess: assets, their point features, and scenes of a folder in the MesaTask-10K format."""
 
 import importlib
 from collections.abc import Callable
@@ -30,9 +30,9 @@ class DatasetStep(ItemStep[I]):
     """A step over a dataset.
 
     Attributes:
-        data: Root of the dataset, which every worker can read: an absolute path, for each worker has a folder of its own.
+        data: Root of the dataset, readable for every worker; absolute, because each worker has its own current folder.
         settings: The job's settings, with absolute paths.
-        fingerprint: Content of the dataset: what a process keeps of one is not used for another in the same place.
+        fingerprint: Hash of the dataset, the key of what a process caches of it.
     """
 
     data: str
@@ -41,11 +41,11 @@ class DatasetStep(ItemStep[I]):
 
     @property
     def seconds_per_item(self) -> float:
-        """As the settings say."""
+        """The time limit of an item, from the settings."""
         return self.settings.seconds_per_item
 
     def opened(self) -> tuple[MesaTaskDataset, AssetStore]:
-        """What this process keeps of the dataset."""
+        """The dataset and its store, cached in this process."""
         return _opened(self.data, self.fingerprint)
 
     def prepare(self, item: I) -> None:
@@ -55,7 +55,7 @@ class DatasetStep(ItemStep[I]):
 
 @dataclass(frozen=True, slots=True)
 class AssetStep(DatasetStep[AssetUse]):
-    """Assets: their repaired meshes, grids of signed distance, physics and points."""
+    """Computes repaired meshes, signed-distance grids, mass properties and surface points of assets."""
 
     TABLES: ClassVar = ("warnings", "failures", "sdf", "meshes", "assets")
 
@@ -69,7 +69,7 @@ class AssetStep(DatasetStep[AssetUse]):
         _text_features(self.data, self.fingerprint)
 
     def item_rows(self, item: AssetUse, progress: ItemProgress) -> Rows:
-        """Rows of one asset."""
+        """The rows of one asset."""
         dataset, store = self.opened()
         embedding = _text_features(self.data, self.fingerprint).get(item.asset_id)
         shaping = AssetSettings(self.settings.num_points)
@@ -80,10 +80,10 @@ class AssetStep(DatasetStep[AssetUse]):
 
 @dataclass(frozen=True, slots=True)
 class FeatureStep(DatasetStep[FeatureUse]):
-    """Point features of assets.
+    """Computes the point features of assets.
 
     Attributes:
-        encoder: Fingerprint of their encoder.
+        encoder: Fingerprint of the encoder.
     """
 
     TABLES: ClassVar = ("failures", "features")
@@ -100,7 +100,7 @@ class FeatureStep(DatasetStep[FeatureUse]):
         self._encoder()
 
     def item_rows(self, item: FeatureUse, progress: ItemProgress) -> Rows:
-        """Features of one asset, at every aspect and tilt."""
+        """The features of one asset, at every aspect and tilt."""
         return {"features": feature_rows(item, self.opened()[1], self._encoder(), progress)}
 
     def _encoder(self) -> "PointEncoder":
@@ -109,12 +109,12 @@ class FeatureStep(DatasetStep[FeatureUse]):
 
 @dataclass(frozen=True, slots=True)
 class SceneStep(DatasetStep[str]):
-    """Scenes, by their ids: judged, tasked and staged, with the training samples of their stages."""
+    """Reads and audits scenes and gives them tasks and stages; also writes the training samples of their stages."""
 
     TABLES: ClassVar = ("warnings", "failures", "samples", "scenes")
 
     def item_rows(self, item: str, progress: ItemProgress) -> Rows:
-        """Rows of one scene."""
+        """The rows of one scene."""
         dataset, store = self.opened()
         made = preprocess_scene(dataset, item, store, self.settings.scene_settings(), progress, task_writer(self.settings))
         warnings = [schemas.notice_row(n) for n in made.notices]
@@ -134,7 +134,7 @@ def _text_features(data: str, fingerprint: str) -> dict[str, TextFeature]:
 
 @lru_cache(maxsize=2)
 def task_writer(settings: PreprocessSettings) -> CachedTaskWriter | None:
-    """Who writes the tasks of scenes without one; None: templates.
+    """The model that writes the tasks of scenes without one, or None if templates are used.
 
     Raises:
         ConfigError: The setting ``task_writer`` names no function (``config_invalid``).
