@@ -1,1 +1,1 @@
-"""Job correct: scenes become exactly clean scenes."""
+"""The job correct: scenes become exactly clean scenes."""

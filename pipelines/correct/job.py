@@ -1,7 +1,4 @@
-"""Correct: scenes of a dataset or of a run become scenes that are exactly clean.
-
-Repair of other people's datasets, and rearrangement.
-"""
+"""The correct job: makes the scenes of a dataset or run exactly clean, to repair a dataset or rearrange its scenes."""
 
 from abc import abstractmethod
 from collections import Counter
@@ -29,25 +26,25 @@ from stable_data.storage.run_folder import RunFolder
 S = TypeVar("S", bound=CorrectSettings)
 
 CARRIED_TABLES = ("assets", "meshes", "sdf", "features")
-"""Tables of the input run that the output carries, so that it can be trained on and exported as it is."""
+"""Tables of the input run that are copied to the output, so that it can be used for training and export by itself."""
 
 
 def correct(scenes: str, out: str, settings: CorrectSettings, workers: WorkerPool, *, report: bool = True) -> dict[str, Any]:
-    """Runs the job, or what is missing of it; see :func:`pipelines.execution.shard_job.run_job`."""
+    """Runs the job, or its missing shards; see :func:`pipelines.execution.shard_job.run_job`."""
     check_place(scenes, out)
     return run_job(CorrectJob(scenes, settings, workers), out, workers, report=report)
 
 
 class SceneJob(ShardJob, Generic[S]):
-    """A job that makes other scenes of scenes, which have the assets of these.
+    """A job that changes scenes; the results use the same assets.
 
     Args:
         scenes: A folder in the MesaTask-10K format, or a run with a table ``scenes``; every node of a cluster must see it.
-        settings: What shapes the rows.
-        workers: Who runs the shards.
+        settings: The job's settings.
+        workers: The workers that run the shards.
 
     Raises:
-        ConfigError: There are no such scenes, or what their positions mean cannot be found out.
+        ConfigError: There are no such scenes, or their position convention cannot be determined.
     """
 
     settings: S
@@ -62,7 +59,7 @@ class SceneJob(ShardJob, Generic[S]):
         self.dataset = self.source.name
 
     def finish(self, folder: RunFolder) -> dict[str, Any]:
-        """Carries the assets; writes the scenes in the format that they came in, where that was a folder's."""
+        """Copies the tables of assets; also writes the scenes in the MesaTask-10K format if they came from a folder."""
         carried = _carry_assets(self.source, folder)
         if self.settings.write_dataset and isinstance(self.source, FolderSource) and folder.is_local:
             write_dataset(self.source, folder)
@@ -70,11 +67,11 @@ class SceneJob(ShardJob, Generic[S]):
 
     @abstractmethod
     def kinds(self, folder: RunFolder) -> dict[str, Any]:
-        """How many scenes there are of each kind, for the manifest."""
+        """The number of scenes of each kind, for the manifest."""
 
 
 class CorrectJob(SceneJob[CorrectSettings]):
-    """Scenes become scenes that are exactly clean."""
+    """Makes scenes exactly clean."""
 
     name = "correct"
 
@@ -93,21 +90,21 @@ class CorrectJob(SceneJob[CorrectSettings]):
         return fingerprint
 
     def inputs(self) -> dict[str, Any]:
-        """Content of the scenes, their meshes and the corrector's weights."""
+        """Hashes of the scenes, their meshes and the corrector's weights."""
         return self._read[1] | {"weights": self._weights}
 
     def about(self) -> dict[str, Any]:
-        """How many scenes there are."""
+        """The number of scenes."""
         return {"num_scenes": len(self.source.scene_ids)}
 
     def plan(self) -> Sequence[StepShards[Any]]:
-        """Scenes in shards."""
+        """One step over the scenes."""
         named = "correct", self.settings.shaping(), self._weights
         shards = [Shard(content_id(*named, part.content), part.scene_ids) for part in self._read[0]]
         return [StepShards(CorrectWork(self.where, self.settings, content_id(self.inputs())), shards)]
 
     def expected(self) -> Sequence[ExpectedItems]:
-        """Every scene."""
+        """All scenes."""
         ids = [*self.source.scene_ids, *(notice.item_id for notice in self.lost())]
         return [ExpectedItems("scenes", "scene_id", ids, "failed_scenes")]
 
@@ -116,11 +113,11 @@ class CorrectJob(SceneJob[CorrectSettings]):
         return [n for n in self.source.notices if n.code == "layout_missing"]
 
     def odd(self) -> Sequence[Notice]:
-        """What the reader noticed of the dataset."""
+        """All other notices of the reader."""
         return [n for n in self.source.notices if n.code != "layout_missing"]
 
     def kinds(self, folder: RunFolder) -> dict[str, Any]:
-        """Corrections by status."""
+        """The number of corrections by status."""
         return {"by_status": dict(Counter(folder.table("corrections", ["status"])["status"].to_pylist()))}
 
     def report(self, folder: RunFolder, manifest: dict[str, Any]) -> None:
@@ -129,14 +126,14 @@ class CorrectJob(SceneJob[CorrectSettings]):
 
 
 def check_place(scenes: str, out: str) -> None:
-    """Refuses a run's folder that lies in the scenes that are read.
+    """Refuses an output folder inside the input folder.
 
     Raises:
-        ConfigError: It does (``output_invalid``).
+        ConfigError: The output is inside the input (``output_invalid``).
     """
     folder, where = RunFolder(out), Path(_absolute(scenes))
     if "://" not in scenes and folder.is_local and where in (Path(folder.root), *Path(folder.root).parents):
-        raise ConfigError(f"{out}: lies in the scenes that are read, expected another folder", "output_invalid")
+        raise ConfigError(f"{out}: is inside the folder of the input scenes, expected another folder", "output_invalid")
 
 
 def _absolute(scenes: str) -> str:
@@ -144,12 +141,12 @@ def _absolute(scenes: str) -> str:
 
 
 def _carry_assets(source: SceneSource, folder: RunFolder) -> list[str]:
-    """Copies the tables of assets of a run, file by file, and gives their names; a dataset has none."""
+    """Copies the tables of assets of a run, file by file, and returns their names; a dataset has none."""
     carried = []
     if isinstance(source, TableSource):
         for table in CARRIED_TABLES:
             files, there = ({Path(path).name for path in run.files(table)} for run in (source.folder, folder))
-            # The first file of a shard, which has no number, last: where it exists, the others do.
+            # The first file of a shard, which has no number, is copied last: if it exists, the others do.
             for file in sorted(files - there, key=lambda name: (-name.count("-"), name)):
                 content = source.folder.read_bytes(f"{table}/{file}")
                 assert content is not None  # it was just listed
@@ -159,15 +156,15 @@ def _carry_assets(source: SceneSource, folder: RunFolder) -> list[str]:
 
 
 def write_dataset(source: FolderSource, folder: RunFolder) -> Path:
-    """Writes the corrected scenes in the format that they came in, to ``dataset/`` in the run's folder.
+    """Writes the corrected scenes in the MesaTask-10K format to ``dataset/`` in the run's folder.
 
-    Layouts hold everything that the files held, poses changed; the meshes are those of the source, linked.
+    Layouts keep all entries of the input files except poses; the asset library is a link to that of the source.
 
     Returns:
-        Where it is: ``stable-data lint`` and ``preprocess`` take it.
+        The folder, which ``stable-data lint`` and ``preprocess`` accept.
 
     Raises:
-        ConfigError: It cannot be written.
+        ConfigError: The folder cannot be written.
     """
     root = Path(folder.root) / "dataset"
     dataset = source.dataset

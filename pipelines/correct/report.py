@@ -23,10 +23,10 @@ def write_correct_report(folder: RunFolder, manifest: dict[str, Any], store: Ass
     """Writes ``report/index.html``.
 
     Args:
-        folder: The run; its tables are complete.
+        folder: The run, with complete tables.
         manifest: Its manifest, with counts.
-        store: Geometry of the assets, for the pictures.
-        num_pictures: Scenes that are drawn before and after: those with the most collisions before.
+        store: The geometry of the assets, for the pictures.
+        num_pictures: Number of scenes that are drawn before and after: those with the most collisions before.
     """
     corrections = pl.from_arrow(folder.table("corrections"))
     assert isinstance(corrections, pl.DataFrame)
@@ -96,17 +96,17 @@ def _pictures(folder: RunFolder, corrections: pl.DataFrame, store: AssetStore, c
     starts = {row["scene_id"]: row["start"] for row in done.filter(pl.col("scene_id").is_in(chosen)).iter_rows(named=True)}
     rows = {row["scene_id"]: row for row in folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()}
     yield "<h2>Pictures</h2><p class=note>Left: before. Right: corrected.</p>"
-    yield from picture_grid((name, partial(_shown, rows[name], starts[name], store)) for name in chosen)
+    yield from picture_grid((name, partial(_scene_pictures, rows[name], starts[name], store)) for name in chosen)
 
 
-def _shown(row: dict[str, Any], start: list[dict[str, Any]], store: AssetStore) -> Shown:
+def _scene_pictures(row: dict[str, Any], start: list[dict[str, Any]], store: AssetStore) -> Shown:
     after = scene_from_row(row)
     both = ((_before(after, start), "before"), (after, "corrected"))
     return [(draw_scene(scene, store), f"<b>{escape(after.scene_id)}</b> {title}") for scene, title in both]
 
 
 def _before(after: Scene, start: list[dict[str, Any]]) -> Scene:
-    """The scene as it came, without what was left out of it since."""
+    """The input scene without the objects that the correction removed."""
     poses = {row["instance"]: row for row in start}
     objects = (o.moved(tuple(poses[o.instance]["position"]), poses[o.instance]["yaw"]) for o in after.objects)
     return replace(after, objects=tuple(objects))

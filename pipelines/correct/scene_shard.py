@@ -1,6 +1,7 @@
-"""A shard of a job over scenes that asks one costly question for all of them: the flow of correct, the reasoner of edit.
+"""A shard of a job over scenes with one batched computation: the flow in correct, the reasoner in edit.
 
-Each item is looked at alone, all that stand are asked about at once, each is finished alone; so a bad one costs no other.
+Each item is checked alone, then the batch is computed for all valid items, then each item is finished alone. A bad item
+therefore costs no other item.
 """
 
 from abc import abstractmethod
@@ -30,12 +31,12 @@ WhenFull: TypeAlias = Literal["drop", "infeasible"]
 
 @dataclass(frozen=True, eq=False)
 class SceneWorkerState:
-    """What a process keeps of its work.
+    """The objects that a process caches for its work.
 
     Attributes:
-        source: Where the scenes are.
-        corrector: Corrects them.
-        taken: The scenes of the shard, each of which is asked for several times.
+        source: The source of the scenes.
+        corrector: The Physics Corrector.
+        taken: The scenes of the shard; each is used several times.
     """
 
     source: SceneSource
@@ -48,9 +49,9 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
     """The work of one shard; sent to the workers.
 
     Attributes:
-        scenes: Where the scenes are: an absolute path or a URI that every worker can read.
+        scenes: The source of the scenes: an absolute path or a URI that every worker can read.
         settings: The job's settings.
-        fingerprint: Content of the inputs: what a process keeps of one is not used for another in the same place.
+        fingerprint: Hash of the inputs, the key of what a process caches of them.
     """
 
     scenes: str
@@ -58,7 +59,7 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
     fingerprint: str = ""
 
     def shard(self, shard: Shard[I], *, isolated: bool = False) -> ShardResult:
-        """Makes the rows of a shard."""
+        """Computes the rows of a shard."""
         rows: Rows = defaultdict(list)
         usable = []
         for item in shard.items:
@@ -68,40 +69,40 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
                 usable.append(item)
         for pair in zip(usable, self._answers(usable, isolated), strict=True):
             _add(rows, self._limited(self._finish, pair, self.item_id(pair[0]), isolated))
-        if not isolated:  # else nothing was opened here
+        if not isolated:  # otherwise nothing was opened in this process
             self.opened().taken.clear()
         return ShardResult(rows)
 
     @abstractmethod
     def item_id(self, item: I) -> str:
-        """What the rows of an item are named by."""
+        """The id of an item in its rows."""
 
     @abstractmethod
     def opened(self) -> SceneWorkerState:
-        """What this process keeps, opened when it is first asked for."""
+        """The objects that this process caches, opened at the first call."""
 
     @abstractmethod
     def look(self, item: I, progress: ItemProgress) -> None:
-        """Takes an item from its source, and raises where it cannot be used."""
+        """Reads an item from its source; raises if it cannot be used."""
 
     @abstractmethod
     def answers(self, items: Sequence[I]) -> list[A]:
-        """The costly question, for all items of a shard."""
+        """The batched computation for all valid items of a shard."""
 
     @abstractmethod
     def unanswered(self, loss: ProcessFailure, items: Sequence[I]) -> ConfigError:
-        """What to say where the process that asked it was lost."""
+        """The error if the process of the batched computation was lost."""
 
     @abstractmethod
     def finished(self, item: I, answer: A) -> Rows:
-        """Rows of an item, from its answer; what cannot be done is a row of ``failures``."""
+        """The rows of an item from its answer; a failed item is a row of ``failures``."""
 
     def prepare_to_ask(self) -> None:
-        """Opens what the question needs, outside of its time."""
+        """Opens what the batched computation needs; this time does not count against its limit."""
         self._prepare()
 
     def take(self, scene_id: str, progress: ItemProgress) -> SourceScene:
-        """A scene of the source, as it was first taken for this shard."""
+        """A scene of the source, read once for this shard."""
         opened = self.opened()
         if scene_id not in opened.taken:
             opened.taken[scene_id] = opened.source.take(scene_id, self.settings.scene_settings(), progress)
@@ -137,16 +138,16 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
             return make(item)
 
     def _prepare(self) -> None:
-        """Opens what items need, outside of the time of the first one."""
+        """Opens what items need; this time does not count against their limit."""
         self.opened()
 
 
 def corrector_of(settings: CorrectSettings, *, flows: bool = True) -> PhysicsCorrector:
-    """The corrector of some settings.
+    """The corrector for the settings of a job.
 
     Args:
-        settings: Of the job.
-        flows: Whether the flow moves objects before they are certified, where there are weights.
+        settings: The settings.
+        flows: Whether the flow moves objects before certification, if there are weights.
     """
     when_full: WhenFull = "infeasible" if settings.when_full == "infeasible" else "drop"
     options = CertifyOptions(when_full=when_full, restore=settings.restore)
@@ -154,15 +155,15 @@ def corrector_of(settings: CorrectSettings, *, flows: bool = True) -> PhysicsCor
 
 
 def dropped_notice(dropped: DroppedObject, scene_id: str) -> Notice:
-    """Says what was left out, and why."""
-    return Notice(scene_id, "certify", "dropped", f"{scene_id}: {dropped.instance} is left out: {dropped.reason}")
+    """A notice about a removed object, with the reason."""
+    return Notice(scene_id, "certify", "dropped", f"{scene_id}: {dropped.instance} was removed: {dropped.reason}")
 
 
 def notices_of(done: Correction, scene_id: str) -> list[Notice]:
-    """What of a correction deserves a look."""
+    """The warnings about a correction."""
     notices = [dropped_notice(d, scene_id) for d in done.dropped]
     if done.rest is not None and done.rest.unsteady:
-        message = f"{scene_id}: {', '.join(done.rest.unsteady)} would not stay in the physics engine"
+        message = f"{scene_id}: {', '.join(done.rest.unsteady)} do not stay at rest in the physics engine"
         notices.append(Notice(scene_id, "certify", "unsteady", message))
     if done.status is CorrectionStatus.UNKNOWN:
         notices.append(Notice(scene_id, "certify", "unknown", f"{scene_id}: {done.reason}"))

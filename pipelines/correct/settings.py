@@ -1,4 +1,4 @@
-"""Settings of the correct job: what shapes its rows, and what does not."""
+"""Settings of the correct job: which of them shape its rows."""
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from stable_data.scene import Scene
 
 @dataclass(frozen=True, slots=True)
 class CorrectSettings(Settings):
-    """Settings of the job; ``--set key=value`` or the table ``[correct]`` of a TOML file."""
+    """Settings of the correct job, from ``--set key=value`` or the table ``[correct]`` of a TOML file."""
 
     section: ClassVar[str] = "correct"
 
@@ -68,17 +68,17 @@ class CorrectSettings(Settings):
     """Seconds; a scene that takes longer is a failure. Not enforced without worker processes."""
 
     def shaping(self) -> dict[str, Any]:
-        """The settings that shape rows: a run is resumed only under the same."""
+        """The settings that shape rows; a run is resumed only if they are equal."""
         aside = ("num_pictures", "seconds_per_item", "write_dataset")
         return {k: v for k, v in asdict(self).items() if k not in aside}
 
     def scene_settings(self) -> SceneSettings:
-        """Those of reading a scene."""
+        """The settings for reading a scene."""
         convention = PositionConvention(self.position_convention)  # settled() has replaced auto
         return SceneSettings(self.important_threshold, self.seed, position_convention=convention)
 
     def settled(self, source: SceneSource) -> Self:
-        """The settings with ``auto`` replaced: what positions mean, and where the weights are."""
+        """The settings with the position convention resolved and an absolute path of the weights."""
         settings = self
         if settings.position_convention == "auto":
             settings = replace(settings, position_convention=cast(ConventionChoice, str(source.position_convention())))
@@ -87,7 +87,7 @@ class CorrectSettings(Settings):
         return settings
 
     def of_items(self, count: int) -> Self:
-        """The same with as many items a shard as a number of items makes it."""
+        """The settings with the shard size for a number of items."""
         return replace(self, scenes_per_shard=self.scenes_per_shard or shard_size(count, parts=8, fewest=4, most=32))
 
     def fixed_in(self, scene: Scene) -> frozenset[str]:

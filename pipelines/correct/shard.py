@@ -1,6 +1,6 @@
-"""One shard of the correct job: scenes taken, sent through the flow as one batch, certified; their rows.
+"""One shard of the correct job: scenes are read, moved by the flow as one batch, and certified.
 
-A shard's rows depend on nothing but the shard.
+The rows of a shard depend on the shard alone.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ from stable_data.storage import schemas
 
 @dataclass(frozen=True, slots=True)
 class CorrectWork(SceneWork[CorrectSettings, str, FloatArray | None]):
-    """The work of one shard: an item is a scene's id, and its answer where the flow puts its objects, (N, 4) float64."""
+    """The work of one shard: an item is a scene id, its answer the poses from the flow, (N, 4) float64, metres and radians."""
 
     TABLES: ClassVar = ("warnings", "failures", "corrections", "scenes")
     UNIT: ClassVar = "scene"
@@ -35,27 +35,27 @@ class CorrectWork(SceneWork[CorrectSettings, str, FloatArray | None]):
         return item
 
     def opened(self) -> SceneWorkerState:
-        """What this process keeps."""
+        """The source and the corrector, cached in this process."""
         return _opened(self)
 
     def look(self, item: str, progress: ItemProgress) -> None:
-        """Takes a scene."""
+        """Reads a scene."""
         self.take(item, progress)
 
     def answers(self, items: Sequence[str]) -> list[FloatArray | None]:
-        """What the flow makes of scenes; None without a flow."""
+        """The poses from the flow for each scene; None without a flow."""
         opened, taken = self.opened(), [self.take(scene_id, ItemProgress("read")) for scene_id in items]
         options = [CorrectionOptions(self.settings.fixed_in(t.scene)) for t in taken]
         requests = opened.corrector.move([t.scene for t in taken], opened.source.store, options)
         return [None if r.raw is None else r.raw.poses() for r in requests]
 
     def unanswered(self, loss: ProcessFailure, items: Sequence[str]) -> ConfigError:
-        """What to do where the flow was lost."""
+        """The error if the process of the flow was lost."""
         found = f"the flow {str(loss).replace('_', ' ')} over {len(items)} scenes such as {items[0]}"
-        return ConfigError(f"{found}; free memory, take smaller shards, or set weights to none", "flow_failed")
+        return ConfigError(f"{found}; free memory, set scenes_per_shard lower, or set weights to none", "flow_failed")
 
     def finished(self, item: str, answer: FloatArray | None) -> Rows:
-        """Rows of one scene, from where the flow put its objects."""
+        """The rows of one scene from its poses after the flow."""
         progress = ItemProgress("certify")
         return rows_or_failure(item, progress, lambda: self._rows(item, answer, progress))
 
@@ -67,7 +67,7 @@ class CorrectWork(SceneWork[CorrectSettings, str, FloatArray | None]):
         opened, notices = self.opened(), list(taken.notices)
         done = opened.corrector.certify(CertificationRequest(taken.scene, raw, options, taken.audit), opened.source.store)
         if done.engine_fault:
-            message = f"{scene_id}: the engine was not asked: {done.engine_fault}"
+            message = f"{scene_id}: the physics engine was not used: {done.engine_fault}"
             notices.append(Notice(scene_id, "certify", "not_settled", message))
         found: Rows = {"corrections": [correction_row(done)]}
         if done.certified is None or done.audit is None or done.card_after is None:
@@ -90,7 +90,7 @@ def _opened(work: CorrectWork) -> SceneWorkerState:
 
 
 def correction_row(done: Correction) -> schemas.Row:
-    """A correction as a row of ``corrections``."""
+    """The row of ``corrections`` for a correction."""
     kept = done.kept
     counted = ("on_in_held", "on_in_kept", "asked_broken", "asked_restored", "directional_held", "directional_kept")
     return {

@@ -1,1 +1,1 @@
-"""Job edit: instructions change scenes."""
+"""The job edit: instructions change scenes."""

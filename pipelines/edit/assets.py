@@ -1,4 +1,4 @@
-"""Assets for what an edit adds or changes, from the library that the scene's own assets are of."""
+"""Assets for the objects that an edit adds or resizes, from the library of the scene's own assets."""
 
 import os
 from dataclasses import dataclass, replace
@@ -19,18 +19,18 @@ from stable_data.rotations import rotation_matrix
 from stable_data.scene import UPRIGHT, FloatArray, Scene, SceneObject, Vec3
 from stable_data.scene_graph.support_tree import SupportTree
 
-_AS_GOOD = 0.01  # a thing of another size keeps its tilt where no other fits better by this cosine
-_EVEN, _MOST_UNEVEN = 1.03, 1.6  # between these distortions it is stretched, below and above scaled evenly
+_AS_GOOD = 0.01  # a resized object keeps its tilt unless another tilt fits better by this cosine
+_EVEN, _MOST_UNEVEN = 1.03, 1.6  # distortions between these are stretched; smaller and larger ones are scaled uniformly
 
 
 @dataclass(frozen=True, slots=True)
 class AssignedEdit:
-    """An edited scene whose new things have assets.
+    """An edited scene whose new objects have assets.
 
     Attributes:
         scene: The scene.
-        kept: Instances that are where they were before assets were found.
-        notices: What about the choice deserves a look.
+        kept: Instances whose pose the choice of assets did not change.
+        notices: Warnings about the choice.
     """
 
     scene: Scene
@@ -39,10 +39,10 @@ class AssignedEdit:
 
 
 class AssetFinder:
-    """Finds assets; the library is read and encoded when the first is wanted.
+    """Finds assets; the library is read and encoded at the first use.
 
     Args:
-        source: Where the scenes, and so their assets, are.
+        source: The source of the scenes and their assets.
     """
 
     def __init__(self, source: SceneSource) -> None:
@@ -54,19 +54,19 @@ class AssetFinder:
         cache = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "stable-data" / "text"
         return Retriever([self._library.embedded(encoder, cache / f"{encoder.fingerprint}.parquet")], encoder)
 
-    def with_assets(self, edited: EditResult, edit_id: str, seed: int) -> AssignedEdit:
-        """The scene with an asset for each thing that wants one, and its own for each that is of another size.
+    def assign(self, edited: EditResult, edit_id: str, seed: int) -> AssignedEdit:
+        """Assigns an asset to each new object, and fits the own asset of each resized object to its new size.
 
-        Equal words get equal assets within an edit. The underside of a thing stays at its height; what rests on it comes with
-        it.
+        Equal descriptions get equal assets within an edit. The underside of an object stays at its height, and the objects on
+        it move with its top.
 
         Args:
             edited: The scene after the reply.
-            edit_id: Together with the seed, what decides among assets that are as good.
-            seed: Likewise.
+            edit_id: With the seed, decides among equally good assets.
+            seed: The seed of the edit.
 
         Raises:
-            SceneError: The library has nothing like it (``asset_unmatched``).
+            SceneError: The library has no similar asset (``asset_unmatched``).
         """
         scene, wanting = edited.scene, set(edited.wanting)
         resized = [o for o in scene.objects if o.instance in edited.changed and o.scale is None and o.asset_id is not None]
@@ -98,7 +98,7 @@ class AssetFinder:
         return AssignedEdit(replace(scene, objects=objects), kept, notes)
 
     def _fitted(self, o: SceneObject) -> AssetMatch | None:
-        """An object's own asset at the tilt and scale that come nearest to its size; None where it has no mesh."""
+        """An object's own asset at the tilt and scale nearest to its size, or None if it has no mesh."""
         mesh = self._source.store.mesh_of(o)
         if mesh is None or o.asset_id is None:
             return None
@@ -132,5 +132,5 @@ def _triple(values: FloatArray) -> Vec3:
 
 
 def _named_so(now: SceneObject, wanted: SceneObject) -> SceneObject:
-    """The object under the category that its instance names."""
+    """The object with the category of its instance name."""
     return now if now.category == wanted.category else replace(now, category=wanted.category)

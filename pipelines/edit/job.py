@@ -1,4 +1,4 @@
-"""Edit: scenes and instructions that change them become changed scenes, all that was not named where it was."""
+"""The edit job: instructions change scenes; objects that an instruction does not mention stay in place."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -29,19 +29,19 @@ from stable_data.storage.run_folder import RunFolder
 def edit(
     scenes: str, edits: Path, out: str, settings: EditSettings, workers: WorkerPool, *, report: bool = True
 ) -> dict[str, Any]:
-    """Runs the job, or what is missing of it; see :func:`pipelines.execution.shard_job.run_job`."""
+    """Runs the job, or its missing shards; see :func:`pipelines.execution.shard_job.run_job`."""
     check_place(scenes, out)
     return run_job(EditJob(scenes, edits, settings, workers), out, workers, report=report)
 
 
 class EditJob(SceneJob[EditSettings]):
-    """Scenes and instructions that change them become changed scenes.
+    """Changes scenes by instructions.
 
     Args:
         scenes: A folder in the MesaTask-10K format, or a run with a table ``scenes``; every node of a cluster must see it.
-        edits: File with one edit a line, see :func:`pipelines.sources.edits.read_edits`.
-        settings: What shapes the rows, the reasoner included, which only edits without a reply need.
-        workers: Who runs the shards.
+        edits: File with one edit in each line, see :func:`pipelines.sources.edits.read_edits`.
+        settings: The job's settings; those of the reasoner matter only for edits without a reply.
+        workers: The workers that run the shards.
     """
 
     name = "edit"
@@ -60,7 +60,7 @@ class EditJob(SceneJob[EditSettings]):
         _, of_scenes = self.source.parts(settings.scene_settings(), settings.scenes_per_shard)
         asked = [asdict(edit) for edit in self.found.edits], [asdict(notice) for notice in self.found.failures]
         inputs: dict[str, Any] = {**of_scenes, "edits": content_id(asked)}
-        if isinstance(self.source, FolderSource):  # assets that no scene uses yet may be put into one
+        if isinstance(self.source, FolderSource):  # an edit may add assets that no scene uses yet
             path = self.source.dataset.root / ANNOTATION_FILE
             inputs |= {"library": content_id(path.read_text("utf-8") if path.is_file() else "")}
         inputs |= {"weights": weights}
@@ -68,19 +68,19 @@ class EditJob(SceneJob[EditSettings]):
 
     @property
     def _asks(self) -> bool:
-        """Whether the reasoner is asked: not where each edit has its reply."""
+        """Whether at least one edit has no reply, so that the reasoner is asked."""
         return any(edit.reply is None for edit in self.found.edits)
 
     def inputs(self) -> dict[str, Any]:
-        """Content of the scenes, the edits, the weights, and what the replies depend on."""
+        """Hashes of the scenes, the edits, the weights, and the configuration of the reasoner."""
         return self._inputs
 
     def about(self) -> dict[str, Any]:
-        """How many edits there are, and who is asked."""
+        """The number of edits and the name of the engine."""
         return {"engine": self.settings.engine.engine if self._asks else NONE, "num_edits": len(self.found.ids)}
 
     def plan(self) -> Sequence[StepShards[Any]]:
-        """The edits in order; at least one shard, so that every table is there."""
+        """One step over the edits in order; at least one shard, so that every table exists."""
         fingerprint = content_id(self._inputs)
         parts: list[Sequence[EditRequest]] = [*split_groups(self.found.edits, self.settings.scenes_per_shard)] or [()]
         named = "edit", self.settings.shaping(), fingerprint
@@ -88,15 +88,15 @@ class EditJob(SceneJob[EditSettings]):
         return [StepShards(EditWork(self.where, self.settings, fingerprint), shards)]
 
     def expected(self) -> Sequence[ExpectedItems]:
-        """Every edit."""
+        """All edits."""
         return [ExpectedItems("scenes", "scene_id", self.found.ids, "failed_edits")]
 
     def lost(self) -> Sequence[Notice]:
-        """Lines that cannot be used."""
+        """The invalid lines."""
         return self.found.failures
 
     def kinds(self, folder: RunFolder) -> dict[str, Any]:
-        """Edits by kind."""
+        """The number of edits by kind."""
         return {"by_kind": dict(sorted(Counter(folder.table("edits", ["kind"])["kind"].to_pylist()).items()))}
 
     def report(self, folder: RunFolder, manifest: dict[str, Any]) -> None:

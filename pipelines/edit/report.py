@@ -20,10 +20,10 @@ def write_edit_report(folder: RunFolder, manifest: dict[str, Any], store: AssetS
     """Writes ``report/index.html``.
 
     Args:
-        folder: The run; its tables are complete.
+        folder: The run, with complete tables.
         manifest: Its manifest, with counts.
-        store: Geometry of the assets, for the pictures.
-        num_pictures: Edits that are drawn before and after, the first of each kind in turn.
+        store: The geometry of the assets, for the pictures.
+        num_pictures: Number of edits that are drawn before and after; the kinds alternate.
     """
     counts = manifest["counts"]
     edits = folder.table("edits", ["edit_id", "kind", "instruction"]).to_pylist()
@@ -62,10 +62,10 @@ def _pictures(folder: RunFolder, edits: list[Row], store: AssetStore, count: int
     befores = {row["edit_id"]: row for row in folder.table("edits", where=pc.field("edit_id").isin(chosen)).to_pylist()}
     afters = {row["scene_id"]: row for row in folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()}
     yield "<h2>Pictures</h2><p class=note>Left: before. Right: after.</p>"
-    yield from picture_grid((name, partial(_shown, befores[name], afters[name], store)) for name in chosen)
+    yield from picture_grid((name, partial(_edit_pictures, befores[name], afters[name], store)) for name in chosen)
 
 
-def _shown(was: Row, row: Row, store: AssetStore) -> Shown:
+def _edit_pictures(was: Row, row: Row, store: AssetStore) -> Shown:
     now, name = scene_from_row(row), escape(was["edit_id"])
     goes = f"<br>removed: {escape(', '.join(was['removed']))}" if was["removed"] else ""
     return [
@@ -75,7 +75,7 @@ def _shown(was: Row, row: Row, store: AssetStore) -> Shown:
 
 
 def _in_turn(edits: list[Row]) -> list[Row]:
-    """Edits with the kinds taking turns."""
+    """The edits in an order in which the kinds alternate."""
     seen: dict[str, int] = {}
     rank = []
     for k, row in enumerate(edits):

@@ -1,4 +1,4 @@
-"""Settings of the edit job: those of correcting, and who is asked and how."""
+"""Settings of the edit job: those of correct, and those of the reasoner."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal, Self
@@ -11,9 +11,9 @@ from pipelines.sources.scenes import SceneSource
 
 @dataclass(frozen=True, slots=True)
 class EditSettings(CorrectSettings):
-    """Settings of the job; ``--set key=value`` or the table ``[edit]`` of a TOML file.
+    """Settings of the edit job, from ``--set key=value`` or the table ``[edit]`` of a TOML file.
 
-    ``scenes_per_shard`` counts edits; ``when_full`` is ``infeasible``, so that nothing goes that was not asked to.
+    ``scenes_per_shard`` counts edits. The default of ``when_full`` is ``infeasible``, so that no other object is removed.
     """
 
     section: ClassVar[str] = "edit"
@@ -24,7 +24,7 @@ class EditSettings(CorrectSettings):
     """
 
     correct: bool = True
-    """Whether the edited scene is corrected; else it is as the reply has it."""
+    """Whether the edited scene is corrected; otherwise it is stored as the reply states it."""
 
     others: Literal["fixed", "free", "fixed_first"] = "fixed_first"
     """Objects that the edit does not name: ``fixed`` never move, ``free`` may move, ``fixed_first`` move only where no clean
@@ -38,12 +38,12 @@ class EditSettings(CorrectSettings):
     """How the language model is asked."""
 
     def shaping(self) -> dict[str, Any]:
-        """The settings that shape rows: a run is resumed only under the same.
+        """The settings that shape rows; a run is resumed only if they are equal.
 
-        What of the reasoner does is an input, by its content (:func:`models.semantic_reasoner.factory.proposal_config`).
+        The configuration of the reasoner is compared as an input (:func:`models.semantic_reasoner.factory.proposal_config`).
         """
         return {k: v for k, v in CorrectSettings.shaping(self).items() if k not in ("engine", "reasoner")}
 
     def settled(self, source: SceneSource) -> Self:
-        """The settings with ``auto`` replaced, and with paths that workers elsewhere can follow."""
+        """The settings with the position convention resolved and absolute paths, which workers on all nodes can open."""
         return replace(CorrectSettings.settled(self, source), engine=self.engine.settled(), reasoner=self.reasoner.settled())

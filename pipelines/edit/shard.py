@@ -1,6 +1,6 @@
-"""One shard of the edit job: scenes taken, the reasoner asked for all of them at once, each reply carried out; their rows.
+"""One shard of the edit job: scenes are read, the reasoner is asked for all edits at once, and each reply is applied.
 
-A shard's rows depend on nothing but the shard.
+The rows of a shard depend on the shard alone.
 """
 
 from collections.abc import Sequence
@@ -37,11 +37,11 @@ from stable_data.storage import schemas
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EditReply:
-    """What a reply makes of a scene.
+    """A reply, applied to its scene.
 
     Attributes:
-        edited: The scene, or why there is none.
-        notices: What about the question or the reply deserves a look.
+        edited: The edited scene, or the reason why there is none.
+        notices: Warnings about the question or the reply.
     """
 
     edited: EditResult | Notice
@@ -50,7 +50,7 @@ class EditReply:
 
 @dataclass(frozen=True, slots=True)
 class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
-    """The work of one shard: an item is an edit, and its answer what its reply makes of the scene."""
+    """The work of one shard: an item is an edit, and its answer is the applied reply."""
 
     TABLES: ClassVar = ("warnings", "failures", "corrections", "edits", "scenes")
     UNIT: ClassVar = "edit"
@@ -60,7 +60,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         return item.edit_id
 
     def opened(self) -> "_Opened":
-        """What this process keeps."""
+        """The source, the corrector and the asset finder, cached in this process."""
         return _opened(self)
 
     def prepare_to_ask(self) -> None:
@@ -68,14 +68,14 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         _ = self.opened().reasoner
 
     def look(self, item: EditRequest, progress: ItemProgress) -> None:
-        """Takes an edit's scene."""
+        """Reads the scene of an edit."""
         edit_prompt_of(self.take(item.scene_id, progress).scene)
 
     def answers(self, items: Sequence[EditRequest]) -> list[EditReply]:
-        """What the replies make of the scenes; the reasoner is asked for all that have none at once.
+        """Applies the replies to the scenes; all edits without a reply are sent to the reasoner in one batch.
 
         Raises:
-            ConfigError: The engine answers nothing any more (``engine_off``).
+            ConfigError: The engine no longer answers (``engine_off``).
         """
         shown = [edit_prompt_of(self.take(edit.scene_id, ItemProgress("read")).scene) for edit in items]
         waiting = [k for k, edit in enumerate(items) if edit.reply is None]
@@ -90,12 +90,12 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         return [_replied(edit, own, proposals.get(k)) for k, (edit, own) in enumerate(zip(items, shown, strict=True))]
 
     def unanswered(self, loss: ProcessFailure, items: Sequence[EditRequest]) -> ConfigError:
-        """What to do where the reasoner was lost."""
+        """The error if the process of the reasoner was lost."""
         found = f"the reasoner {str(loss).replace('_', ' ')} over {len(items)} edits such as {items[0].edit_id}"
         return ConfigError(f"{found}; free memory, or set scenes_per_shard lower", "engine_failed")
 
     def finished(self, item: EditRequest, answer: EditReply) -> Rows:
-        """Rows of one edit, from its reply."""
+        """The rows of one edit from its reply."""
         edited = answer.edited
         if isinstance(edited, Notice):
             return {"failures": [schemas.notice_row(edited)], "warnings": _notice_rows(item, answer.notices)}
@@ -107,7 +107,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         taken, opened = self.take(edit.scene_id, progress), self.opened()
         notices = [*taken.notices, *said]
         progress.step = "assets"
-        found = opened.finder.with_assets(replied, edit.edit_id, self.settings.seed)
+        found = opened.finder.assign(replied, edit.edit_id, self.settings.seed)
         notices += found.notices
         progress.step = "mesh"
         scene, shapes, odd = opened.source.store.resolved(replace(found.scene, scene_id=edit.edit_id))
@@ -135,7 +135,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
             audit, card = done.audit, done.card_after
         progress.step = "relations"
         scene = relate_scene(posed, audit, opened.source.containers(posed.scene)).scene
-        assert card is not None  # a certified scene has one
+        assert card is not None  # a certified scene has a card
         card = add_counts(card, scene)
         if replied.kind == "none":
             notices.append(Notice(edit.edit_id, "reply", "nothing_changed", f"{edit.edit_id}: the reply changes nothing"))
@@ -144,7 +144,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         return rows | {"warnings": _notice_rows(edit, notices)}
 
     def _corrected(self, scene: Scene, audit: Audit, untouched: frozenset[str]) -> tuple[Correction, list[Notice]]:
-        """The scene corrected, with what the edit does not name fixed as the settings say."""
+        """Corrects a scene; objects that the edit does not mention are fixed as the settings state."""
         always = self.settings.fixed_in(scene)
         wished = [always | untouched, always | (untouched - _at_fault(scene, audit)), always]
         allowed = {"fixed": wished[:1], "free": wished[2:], "fixed_first": wished}[self.settings.others]
@@ -159,7 +159,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
             was = {o.instance: (o.position, o.yaw) for o in scene.objects if o.instance in untouched}
             moved = [o.instance for o in done.certified.objects if was.get(o.instance, ()) not in ((), (o.position, o.yaw))]
             if moved:
-                message = f"{scene.scene_id}: {', '.join(moved)} moved too, for there was no clean layout otherwise"
+                message = f"{scene.scene_id}: {', '.join(moved)} moved too, because there was no clean layout otherwise"
                 notices.append(Notice(scene.scene_id, "certify", "others_moved", message))
         return done, notices
 
@@ -170,16 +170,16 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
 
 
 def seed_of(edit: EditRequest, seed: int) -> int:
-    """The seed of an edit's draws: of the edit and the job's seed, whichever shard it is in."""
+    """The seed of an edit, from the edit and the job's seed; it does not depend on the shard."""
     return int(content_id(seed, edit.edit_id, edit.scene_id, edit.instruction), 16)
 
 
 def _replied(edit: EditRequest, shown: EditPrompt, proposal: Proposal | None) -> EditReply:
-    """What the reply of an edit, or what was proposed where it has none, makes of its scene."""
+    """Applies the reply of an edit, or the proposal of the reasoner if it has none, to its scene."""
     notices = []
     if proposal is not None:
         told = [(n.step, n.code, n.message) for n in proposal.notices]
-        told += [("reply", f.code, f.message) for f in proposal.faults if f.code != "nothing_changed"]  # which is seen later
+        told += [("reply", f.code, f.message) for f in proposal.faults if f.code != "nothing_changed"]  # reported later
         notices = [Notice(edit.edit_id, step, code, f"{edit.edit_id}: {message}") for step, code, message in told]
     try:
         reply = parse_reply(edit.reply or "") if proposal is None else proposal.reply
@@ -194,11 +194,11 @@ def _replied(edit: EditRequest, shown: EditPrompt, proposal: Proposal | None) ->
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Opened(SceneWorkerState):
-    """What a process keeps of its work.
+    """The objects that a process caches for its work.
 
     Attributes:
-        settings: Of the job.
-        finder: Finds assets for what is new.
+        settings: The job's settings.
+        finder: Finds assets for new objects.
     """
 
     settings: EditSettings
@@ -206,7 +206,7 @@ class _Opened(SceneWorkerState):
 
     @cached_property
     def reasoner(self) -> SemanticReasoner:
-        """The reasoner, opened when the first edit without a reply comes."""
+        """The reasoner, opened at the first edit without a reply."""
         reasoner, _ = load_reasoner(self.settings.engine, self.settings.reasoner)
         return reasoner
 
@@ -219,12 +219,12 @@ def _opened(work: EditWork) -> _Opened:
 
 
 def _is_poor(done: Correction) -> bool:
-    """Whether something was not found a place."""
+    """Whether an object found no place."""
     return done.certified is None or bool(done.dropped)
 
 
 def _at_fault(scene: Scene, audit: Audit) -> frozenset[str]:
-    """What keeps a scene from being clean, with all that rests on it."""
+    """The objects that keep a scene from being clean, with all objects on them."""
     deep = audit.tolerance + ROUNDING
     found = {
         o.instance for o in audit.objects if o.floats is not False or o.is_outside is not False or o.table_penetration > deep
@@ -236,7 +236,7 @@ def _at_fault(scene: Scene, audit: Audit) -> frozenset[str]:
 
 
 def _staged(scene: Scene, threshold: float) -> tuple[Scene, list[Notice]]:
-    """The scene with stages as they are now, and its task without objects that are gone."""
+    """The scene with updated stages, and with a task from which removed objects are deleted."""
     task = scene.task
     if task is None:
         return scene, []
@@ -247,13 +247,13 @@ def _staged(scene: Scene, threshold: float) -> tuple[Scene, list[Notice]]:
         relations = tuple(r for r in task.relations if names >= {r.subject} and r.target not in gone)
         there = tuple(name for name in task.task_objects if name in names)
         scene = replace(scene, task=replace(task, task_objects=there, relations=relations))
-        message = f"{scene.scene_id}: the task {task.task!r} speaks of {', '.join(gone)}, which the edit took away"
+        message = f"{scene.scene_id}: the task {task.task!r} mentions {', '.join(gone)}, which the edit removed"
         notices = [Notice(scene.scene_id, "stage", "task_object_removed", message)]
     return stage_scene(scene, threshold), notices
 
 
 def _edit_row(edit: EditRequest, kind: str, taken: SourceScene, after: Scene) -> schemas.Row:
-    """What was done in all, correction and others that moved included."""
+    """The row of ``edits``: all changes of the scene, including those of the correction."""
     before = {o.instance: o for o in taken.scene.objects}
     names = {o.instance for o in after.objects}
     changed = [o for o in after.objects if o.instance not in before or _is_other(o, before[o.instance])]
@@ -271,7 +271,7 @@ def _edit_row(edit: EditRequest, kind: str, taken: SourceScene, after: Scene) ->
 
 
 def _is_other(o: SceneObject, was: SceneObject) -> bool:
-    """Whether it is elsewhere or another thing, whatever its stage and support."""
+    """Whether the pose or the asset of an object differs; stage and support are ignored."""
     return replace(o, stage=was.stage, support=was.support) != was
 
 

@@ -169,7 +169,7 @@ class GenerateWork(ShardStep[Task]):
         """The tasks of a shard; one that cannot be drawn is a failure."""
         for task in shard.items:
             try:
-                yield task if isinstance(task, LayoutTask) else task.drawn()
+                yield task if isinstance(task, LayoutTask) else task.sample()
             except SceneError as error:
                 rows["failures"].append(schemas.notice_row(Notice(task.scene_id, "tasks", error.code, str(error))))
 

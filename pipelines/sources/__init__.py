@@ -1,1 +1,1 @@
-"""Where jobs take scenes, tasks, edits and assets from."""
+"""The inputs of jobs: scenes, tasks, edits and assets."""

@@ -1,4 +1,4 @@
-"""The libraries that assets are taken from, in order, with the meshes behind them."""
+"""The asset libraries of a job, searched in order, with their meshes."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -31,14 +31,14 @@ from stable_data.storage.schemas import SCHEMAS
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """A library and what lies behind it.
+    """A library with access to its files.
 
     Attributes:
         library: Its catalogue.
-        meshes: Its meshes.
-        annotation: What is known of an asset of it.
-        contents: What the meshes of all its assets are, by their content; of an asset without one nothing.
-        parts: Convex parts that it keeps of an asset; none where it keeps none.
+        meshes: The mesh file of an asset.
+        annotation: The annotation of an asset.
+        contents: Content hashes of the meshes, by asset; an asset without a mesh has none.
+        parts: The stored convex parts of an asset; empty if it stores none.
     """
 
     library: AssetLibrary
@@ -49,18 +49,17 @@ class _Place:
 
 
 class AssetLibraries:
-    """Libraries in order, with their meshes; an asset that two have is the earlier one's.
+    """Libraries in order, with their meshes. An asset that two libraries have is taken from the earlier one.
 
     Args:
         places: Folders in the MesaTask-10K format (layouts may be missing), or runs with the tables ``assets`` and ``meshes``;
-            ``embedded`` is the embedded world's library, made where it is missing, and all that there is where nothing is
-            named.
+            ``embedded`` is the embedded world's library, which is made if it is missing. Empty: the embedded library alone.
 
     Attributes:
         libraries: The catalogues, not encoded.
 
     Raises:
-        ConfigError: One cannot be read, or holds nothing that can be used.
+        ConfigError: A library cannot be read, or contains no usable asset.
     """
 
     def __init__(self, places: Sequence[str] = ()) -> None:
@@ -79,11 +78,10 @@ class AssetLibraries:
 
     @cached_property
     def fingerprints(self) -> dict[str, str]:
-        """What each library says of its assets, and what their meshes are, by its name: a run goes on with the same alone.
+        """A hash of the annotations and meshes of each library, by its name; a run is resumed only if they are equal.
 
-        Every GLB of a folder is read whole, when this is first asked for: names, sizes and times of files are no content. On
-        two cores 12,000 files of 1 MB take 14 s, or 52 s where the disk is asked for all of them; of a run its own hashes are
-        read.
+        The first call reads every GLB of a folder whole, because names, sizes and times of files do not identify their
+        content. On two cores 12,000 files of 1 MB take 14 s from memory and 52 s from the disk. A run stores its own hashes.
         """
         found = {}
         for library in self.libraries:
@@ -94,23 +92,23 @@ class AssetLibraries:
         return found
 
     def retriever(self, settings: RetrievalSettings | None = None) -> Retriever:
-        """Finds assets in the libraries, whose words are encoded where they were not before."""
+        """A retriever over the libraries; words that are not yet in the cache are encoded."""
         encoder = load_default()
         cache = _cache() / "text" / f"{encoder.fingerprint}.parquet"
         return Retriever([library.embedded(encoder, cache) for library in self.libraries], encoder, settings)
 
     def asset_path(self, asset_id: str) -> Path | None:
-        """The asset's GLB, or None where there is none."""
+        """The asset's GLB, or None if it has none."""
         place = self._of.get(asset_id)
         return None if place is None else place.meshes(asset_id)
 
     def parts(self, asset_id: str) -> tuple[Mesh, ...]:
-        """The convex parts that a run or the embedded world keeps of its asset; none of other libraries' assets."""
+        """The convex parts of an asset that a run or the embedded world stores; empty for other libraries."""
         place = self._of.get(asset_id)
         return () if place is None else place.parts(asset_id)
 
     def annotation(self, asset_id: str) -> AssetAnnotation:
-        """What is known of an asset of the libraries, its box included."""
+        """The annotation of an asset of the libraries, with its box."""
         found = self._of[asset_id].annotation(asset_id)
         return found if found.extents_z_up is not None else replace(found, extents_z_up=self._extents[asset_id])
 
@@ -127,7 +125,7 @@ def _opened(place: str, name: str) -> _Place:
     if place == EMBEDDED:
         root, library = embedded_library(_cache())
         made = _of_folder(root, library)
-        # The folder is named by what made it; parts are true by their making, and need no measuring.
+        # The folder is named by a hash of the code that made it; its convex parts are exact by construction.
         of_all = dict.fromkeys((a.asset_id for a in library.assets), root.name)
         return replace(made, contents=lambda: of_all, parts=partial(_parts_of_file, made.meshes))
     if "://" in place or RunFolder(place).files("assets"):
@@ -151,16 +149,16 @@ def _of_folder(root: Path, library: AssetLibrary) -> _Place:
 
 
 def _contents_of_run(run: RunFolder) -> dict[str, object]:
-    """Of each mesh of a run all that the table says but the mesh itself: the hash of it, and measures of its convex parts."""
+    """The columns of each mesh of a run except the mesh itself: its hash and the measures of its convex parts."""
     rows = run.table("meshes", [name for name in SCHEMAS["meshes"].names if name not in ("glb", "parts")]).to_pylist()
     return {row["asset_id"]: row for row in rows}
 
 
 def _contents_of_folder(folder: AssetFolder, library: AssetLibrary) -> dict[str, object]:
-    """The hash of each mesh of a folder; one file may serve several assets, and is read once."""
+    """The hash of each mesh of a folder; a file that several assets share is read once."""
     path_of = {a.asset_id: path for a in library.assets if (path := folder.path(a.asset_id)) is not None}
     paths = sorted(set(path_of.values()))
-    with ThreadPoolExecutor() as pool:  # hashing lets go of the interpreter, and so does a disk
+    with ThreadPoolExecutor() as pool:  # hashing and reading release the interpreter lock
         digests = tqdm(pool.map(file_digest, paths), "meshes", len(paths), unit="file", leave=False)
         digest_of = dict(zip(paths, digests, strict=True))
     return {asset_id: digest_of[path] for asset_id, path in path_of.items()}

@@ -1,4 +1,4 @@
-"""What the edit job is asked: a file with one edit a line, each of which becomes a scene or a failure."""
+"""The input of the edit job: a file with one edit in each line, which becomes a scene or a failure."""
 
 import json
 import re
@@ -18,13 +18,13 @@ _PLAIN = re.compile(r"[\w.-]+(?:/[\w.-]+)*")
 
 @dataclass(frozen=True, slots=True)
 class EditRequest:
-    """An edit that is asked for.
+    """A requested edit.
 
     Attributes:
-        edit_id: The name of the scene that it makes.
-        scene_id: The scene.
-        instruction: What is to be changed.
-        reply: The text of a reply that is there already; None: the reasoner is asked.
+        edit_id: The id of the edited scene.
+        scene_id: The scene to edit.
+        instruction: The requested change, in words.
+        reply: The text of a given reply, or None to ask the reasoner.
     """
 
     edit_id: str
@@ -38,8 +38,8 @@ class EditFile:
     """A file of edits.
 
     Attributes:
-        edits: Those that can be tried, in order.
-        failures: One for each other line.
+        edits: The valid edits, in order.
+        failures: One notice for each invalid line.
     """
 
     edits: tuple[EditRequest, ...]
@@ -47,31 +47,31 @@ class EditFile:
 
     @property
     def ids(self) -> list[str]:
-        """Ids of all, failures after the others."""
+        """The ids of all lines, failures last."""
         return [*(edit.edit_id for edit in self.edits), *(notice.item_id for notice in self.failures)]
 
 
 def read_edits(path: Path, scene_ids: Container[str]) -> EditFile:
-    """Reads edits, one JSON object a line: ``scene_id``, ``instruction``, and if wanted ``edit_id`` and ``reply``.
+    """Reads edits, one JSON object in each line: ``scene_id``, ``instruction``, and optionally ``edit_id`` and ``reply``.
 
     Args:
-        path: The file. Empty lines are passed over; a line that is no edit is a failure of its own.
-        scene_ids: The scenes that are there.
+        path: The file. Empty lines are skipped; an invalid line becomes a failure.
+        scene_ids: The ids of the existing scenes.
 
     Returns:
-        The edits. Without an id the k-th edit of a scene is ``<scene_id>_edit<k>``, counted from 1. A line that is none
-        is called by its number, ``line 000002``: with a space, so that no edit has its name.
+        The edits. The default id of the k-th edit of a scene is ``<scene_id>_edit<k>``, counted from 1. A failure is named by
+        its line, such as ``line 000002``; the space keeps it apart from ids of edits.
 
     Raises:
-        ConfigError: It cannot be read, or holds nothing (``edits_invalid``).
+        ConfigError: The file cannot be read, or contains no line (``edits_invalid``).
     """
     try:
-        # Bytes that are no UTF-8 become halves of surrogate pairs, which their line is refused for.
+        # Bytes that are not UTF-8 become lone surrogates, for which their line is refused.
         with path.open(encoding="utf-8-sig", errors="surrogateescape") as stream:
             lines = list(stream)
     except OSError as error:
         raise ConfigError(
-            f"{path}: cannot be read ({error.strerror}), expected one edit a line as JSON", "edits_invalid"
+            f"{path}: cannot be read ({error.strerror}), expected one JSON object in each line", "edits_invalid"
         ) from error
     edits: dict[str, EditRequest] = {}
     failures: list[Notice] = []
@@ -82,15 +82,17 @@ def read_edits(path: Path, scene_ids: Container[str]) -> EditFile:
         try:
             edit = _edit_of(line, count)
             if edit.edit_id in edits or edit.edit_id in scene_ids:
-                raise SceneError(f"edit_id {edit.edit_id} is taken, expected one of its own; choose another", "edit_invalid")
+                raise SceneError(f"edit_id {edit.edit_id} is used twice, expected a unique id", "edit_invalid")
             if edit.scene_id not in scene_ids:
-                raise SceneError(f"scene {edit.scene_id} is not in the scenes; is it their edit?", "scene_unknown")
+                raise SceneError(
+                    f"scene {edit.scene_id} is not among the scenes; are these the edits of this folder?", "scene_unknown"
+                )
         except SceneError as error:
             failures.append(Notice(f"line {number:06d}", "edits", error.code, f"{path.name}, line {number}: {error}"))
         else:
             edits[edit.edit_id] = edit
     if not edits and not failures:
-        raise ConfigError(f"{path}: holds no edits, expected one a line as JSON", "edits_invalid")
+        raise ConfigError(f"{path}: contains no edits, expected one JSON object in each line", "edits_invalid")
     return EditFile(tuple(edits.values()), tuple(failures))
 
 
@@ -98,7 +100,7 @@ def _edit_of(line: str, count: Counter[str]) -> EditRequest:
     try:
         data = json_value(line)
     except ValueError as error:
-        raise SceneError(f"no JSON ({error})", "edit_invalid") from error
+        raise SceneError(f"is not JSON ({error})", "edit_invalid") from error
     if not isinstance(data, dict):
         raise SceneError(f"is {type(data).__name__}, expected an object", "edit_invalid")
     if unknown := sorted(data.keys() - set(KEYS)):
@@ -118,6 +120,6 @@ def _words(data: dict[str, Any], key: str) -> str:
     found = data.get(key)
     if not isinstance(found, str) or not found.strip():
         raise SceneError(
-            f"has {key} {quote_value(found)}, expected words", "instruction_invalid" if key == "instruction" else "edit_invalid"
+            f"has {key} {quote_value(found)}, expected text", "instruction_invalid" if key == "instruction" else "edit_invalid"
         )
     return found.strip()

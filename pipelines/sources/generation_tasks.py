@@ -1,4 +1,4 @@
-"""What the generate job is asked for: tasks of a file, of scenes that are there, of a command line, or drawn where they are needed."""
+"""The task sources of the generate job: a file, existing scenes, one instruction, or sampled tasks."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -18,12 +18,12 @@ from stable_data.storage.run_folder import RunFolder
 
 @dataclass(frozen=True, slots=True)
 class SampledTask:
-    """A task that is drawn where it is needed, so that a million of them weigh nothing.
+    """A task that a worker samples when it needs it, so that a million of them need no memory.
 
     Attributes:
-        number: Which.
-        seed: Of which set.
-        tables: Kinds of table that take turns; all of them where empty.
+        number: The index of the task.
+        seed: The seed of the set.
+        tables: Table types to alternate; empty uses all types.
     """
 
     number: int
@@ -32,14 +32,14 @@ class SampledTask:
 
     @property
     def scene_id(self) -> str:
-        """Names the scene; of runs with other seeds no two scenes have one name, so that they can be joined."""
+        """The id of the scene. It contains the seed, so that runs with different seeds can be joined."""
         return scene_id_of(self.number, self.tables) + (f"_seed{self.seed}" if self.seed else "")
 
-    def drawn(self) -> LayoutTask:
-        """The task.
+    def sample(self) -> LayoutTask:
+        """Samples the task.
 
         Raises:
-            SceneError: None could be drawn (``synth_failed``).
+            SceneError: No task could be sampled (``synth_failed``).
         """
         table, instruction = sample_task(self.number, self.seed, self.tables)
         return LayoutTask(self.scene_id, instruction, table)
@@ -50,12 +50,12 @@ Task: TypeAlias = LayoutTask | SampledTask
 
 @dataclass(frozen=True, slots=True)
 class TaskSource:
-    """What is asked for.
+    """The tasks of a run.
 
     Attributes:
-        name: Where it comes from.
+        name: The name of the source.
         tasks: The tasks.
-        lost: What could not be read as one.
+        lost: One notice for each input that is not a valid task.
     """
 
     name: str
@@ -64,24 +64,24 @@ class TaskSource:
 
     @classmethod
     def of(cls, name: str, found: Iterable[LayoutTask | Notice]) -> "TaskSource":
-        """What was found, tasks and what is none apart."""
+        """Separates tasks from notices."""
         both = list(found)
         return cls(name, [t for t in both if isinstance(t, LayoutTask)], [n for n in both if isinstance(n, Notice)])
 
     def __post_init__(self) -> None:
-        """Refuses what asks for nothing."""
+        """Refuses a source without tasks."""
         if not self.tasks:
-            why = f"; {len(self.lost)} are none, such as {self.lost[0].message}" if self.lost else ""
-            raise ConfigError(f"{self.name}: holds no task that can be used, expected one at least{why}", "tasks_invalid")
+            why = f"; {len(self.lost)} are invalid, such as {self.lost[0].message}" if self.lost else ""
+            raise ConfigError(f"{self.name}: contains no usable task, expected at least one{why}", "tasks_invalid")
 
 
 def sample_tasks(count: int, seed: int = 0, kinds: Sequence[str] = ()) -> TaskSource:
-    """So many tasks of the embedded world, that none of its scenes has.
+    """Sampled tasks of the embedded world, different from the tasks of its scenes.
 
     Args:
-        count: How many.
+        count: Number of tasks.
         seed: Task k depends on the seed and k alone.
-        kinds: Kinds of table that take turns; all of them where empty.
+        kinds: Table types to alternate; empty uses all types.
 
     Raises:
         ConfigError: ``invalid_count`` or ``unknown_table``.
@@ -94,21 +94,21 @@ def sample_tasks(count: int, seed: int = 0, kinds: Sequence[str] = ()) -> TaskSo
 
 
 def tasks_of_file(path: Path) -> TaskSource:
-    """The tasks of a file, see :func:`pipelines.sources.tasks.read_tasks`, whose error it raises."""
+    """The tasks of a file; format and errors are those of :func:`pipelines.sources.tasks.read_tasks`."""
     return TaskSource.of(path.name, read_tasks(path))
 
 
 def task_of_instruction(instruction: str, table_type: str, size_cm: object, restricted_cm: object = None) -> TaskSource:
-    """The one task of a command line; its scene is called ``task``.
+    """One task from a command line; the id of its scene is ``task``.
 
     Args:
-        instruction: What is to be done on the table.
-        table_type: Kind of table.
-        size_cm: Its width and depth.
-        restricted_cm: x_min, x_max, y_min, y_max where nothing may stand, or None.
+        instruction: The instruction.
+        table_type: The table type.
+        size_cm: Width and depth of the table, cm.
+        restricted_cm: x_min, x_max, y_min, y_max of the restricted zone, cm, or None.
 
     Raises:
-        ConfigError: It is none (``tasks_invalid``).
+        ConfigError: The task is invalid (``tasks_invalid``).
     """
     row = {"instruction": instruction, "table_type": table_type, "table_size_cm": size_cm, "restricted_zone_cm": restricted_cm}
     try:
@@ -118,19 +118,19 @@ def task_of_instruction(instruction: str, table_type: str, size_cm: object, rest
 
 
 def tasks_of_scenes(place: str, where: str = "") -> TaskSource:
-    """The tasks of scenes that are there: their instructions and tables, and nothing else of them.
+    """The tasks of existing scenes: their instructions and tables, without their objects.
 
     Args:
         place: A run with a table ``scenes``, or a folder in the MesaTask-10K format.
-        where: Of a run, which scenes: a condition, see :mod:`stable_data.storage.filter_expression`.
+        where: A condition on the scenes of a run, see :mod:`stable_data.storage.filter_expression`.
 
     Raises:
-        ConfigError: It is neither, or ``where`` is no condition on a run.
+        ConfigError: The place is neither, or ``where`` is not a valid condition on a run.
     """
     if "://" in place or RunFolder(place).files("scenes"):
         return TaskSource.of(Path(place).name, _of_run(RunFolder(place), where))
     if where:
-        raise ConfigError(f"{place}: has no table scenes, expected a run where there is a condition", "not_a_run")
+        raise ConfigError(f"{place}: has no table scenes; a condition needs a run", "not_a_run")
     dataset = MesaTaskDataset(Path(place).expanduser().resolve())
     return TaskSource.of(dataset.root.name, _of_dataset(dataset))
 
@@ -155,5 +155,5 @@ def _of_dataset(dataset: MesaTaskDataset) -> Iterator[LayoutTask | Notice]:
 
 def _without_task(scene_id: str) -> Notice:
     return Notice(
-        scene_id, STEP, "task_missing", f"{scene_id}: has no task info, expected its instruction; preprocess writes one"
+        scene_id, STEP, "task_missing", f"{scene_id}: has no task info, expected an instruction; preprocess writes one"
     )

@@ -1,4 +1,4 @@
-"""Where a job takes scenes from: a folder in the MesaTask-10K format, or the tables of a run."""
+"""The scene sources of a job: a folder in the MesaTask-10K format, or the tables of a run."""
 
 import os
 from collections import Counter
@@ -29,25 +29,25 @@ from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
 
 ORIGIN_COLUMNS = ("source", "split", "layout_path", "layout_sha256", "duplicate_group")
-"""Columns of ``scenes`` that say where a scene comes from."""
+"""Columns of ``scenes`` that state the origin of a scene."""
 
-_LOOKED_AT = 2000  # scenes of a folder that show how its assets rest
+_MAX_TILT_SCENES = 2000  # scenes of a folder from which the resting tilts of its assets are taken
 
 Containers: TypeAlias = Mapping[str, bool | None]
-"""Whether things can be put into an object, by instance; None or missing where it is not known."""
+"""Whether an object is a container, by instance; None or missing if unknown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SourceScene:
-    """A scene that was taken from its source.
+    """A scene that was read from a source.
 
     Attributes:
-        scene: With supports, task and stages; its relations are those that are asked for.
+        scene: The scene with supports, task and stages; its relations are those that its task requires.
         shapes: The geometry of its objects, in order.
-        audit: Every verdict.
-        containers: Which of its objects can hold things.
-        origin: The ORIGIN_COLUMNS.
-        notices: What about it deserves a look.
+        audit: Its audit.
+        containers: Which of its objects are containers.
+        origin: The values of ORIGIN_COLUMNS.
+        notices: Warnings about it.
     """
 
     scene: Scene
@@ -60,10 +60,10 @@ class SourceScene:
 
 @dataclass(frozen=True, slots=True)
 class SceneChunk:
-    """Scenes of a source that are done together.
+    """Scenes of a source that are processed together.
 
     Attributes:
-        content: Names the content of the scenes and of the meshes that they use.
+        content: A hash of the scenes and of the meshes that they use.
         scene_ids: The scenes.
     """
 
@@ -72,7 +72,7 @@ class SceneChunk:
 
 
 class SceneSource(Protocol):
-    """Where scenes are."""
+    """A source of scenes."""
 
     name: str
     store: AssetStore
@@ -80,27 +80,27 @@ class SceneSource(Protocol):
     notices: tuple[Notice, ...]
 
     def position_convention(self) -> PositionConvention:
-        """Which point of a tilted object its positions are."""
+        """The point of a tilted object that the source uses as its position."""
         ...
 
     def parts(self, settings: SceneSettings, scenes_per_part: int) -> tuple[list[SceneChunk], dict[str, str]]:
-        """All scenes, cut by a fixed rule, and the content of all inputs by their kind."""
+        """All scenes, split by a fixed rule, and the hashes of all inputs by kind."""
         ...
 
     def take(self, scene_id: str, settings: SceneSettings, progress: ItemProgress) -> SourceScene:
-        """One scene, judged.
+        """Reads and audits one scene.
 
         Raises:
-            SceneError: It cannot be used.
+            SceneError: The scene cannot be used.
         """
         ...
 
     def containers(self, scene: Scene) -> Containers:
-        """Which objects of a scene can hold things, by their assets."""
+        """Which objects of a scene are containers, according to their assets."""
         ...
 
     def library(self) -> AssetLibrary:
-        """The catalogue of its assets, not encoded."""
+        """The catalogue of its assets, without text embeddings."""
         ...
 
 
@@ -122,11 +122,11 @@ class FolderSource:
         self.notices = self.dataset.notices
 
     def position_convention(self) -> PositionConvention:
-        """Judged on a few of its scenes."""
+        """The convention that a few of its scenes show."""
         return position_convention(self.dataset, self.store)
 
     def parts(self, settings: SceneSettings, scenes_per_part: int) -> tuple[list[SceneChunk], dict[str, str]]:
-        """The scenes in order of their names."""
+        """All scenes in the order of their names; see the protocol."""
         plan = plan_run(
             self.dataset,
             PreprocessSettings(
@@ -138,25 +138,23 @@ class FolderSource:
         return [SceneChunk(shard.shard_id, shard.items) for shard in plan.scenes], dict(plan.inputs)
 
     def take(self, scene_id: str, settings: SceneSettings, progress: ItemProgress) -> SourceScene:
-        """One scene: read, judged, tasked and staged as preprocess does, with supports and without relations."""
+        """Reads and audits one scene and gives it a task and stages, as preprocess does, but without relations."""
         found = prepare_scene(self.dataset, scene_id, self.store, settings, progress)
-        scene = replace(
-            found.scene, relations=()
-        )  # a layout says nothing of relations; what it shows may be what is wrong with it
+        scene = replace(found.scene, relations=())  # a layout states no relations, and those that hold in it may be errors
         origin = origin_of(self.dataset, scene, settings)
         return SourceScene(scene, found.posed.shapes, found.audit, self.containers(scene), origin, found.notices)
 
     def containers(self, scene: Scene) -> Containers:
-        """As the annotations have it."""
+        """Which objects are containers according to the annotations."""
         return {o.instance: self.dataset.annotation(o.asset_id).is_container if o.asset_id else None for o in scene.objects}
 
     def library(self) -> AssetLibrary:
-        """Its annotated assets; how they rest is what its first scenes show."""
+        """Its annotated assets, with the resting tilts of its first scenes."""
         return library_of_folder(self.dataset.root, self.name, scenes=self.first_scenes())
 
     def first_scenes(self) -> Iterator[Scene]:
-        """Those that show how its assets rest; what cannot be read shows nothing."""
-        for scene_id in self.dataset.scene_ids[:_LOOKED_AT]:
+        """The first readable scenes, for the resting tilts of assets."""
+        for scene_id in self.dataset.scene_ids[:_MAX_TILT_SCENES]:
             with suppress(SceneError):
                 yield self.dataset.read(scene_id)[0]
 
@@ -166,10 +164,10 @@ class TableSource:
 
     Args:
         uri: The run's folder.
-        cache: Local folder for the files of its meshes; by default one of the user's.
+        cache: Local folder for its mesh files; by default in the user's cache folder.
 
     Raises:
-        ConfigError: It holds no such tables, or tables of another version.
+        ConfigError: The run lacks these tables, or they have another version.
     """
 
     notices: tuple[Notice, ...] = ()
@@ -186,11 +184,11 @@ class TableSource:
         self._read: tuple[str, dict[str, schemas.Row]] = ("", {})
 
     def position_convention(self) -> PositionConvention:
-        """That of all tables."""
+        """The convention of all tables: the centre of the box."""
         return PositionConvention.BOX_CENTRE
 
     def parts(self, settings: SceneSettings, scenes_per_part: int) -> tuple[list[SceneChunk], dict[str, str]]:
-        """The scenes file by file, and those of large files cut; files are named by their content."""
+        """All scenes file by file, large files split; the names of files are hashes of their content."""
         inputs = {table: content_id(sorted(self.folder.shard_ids(table))) for table in ("scenes", "meshes", "assets")}
         meshes = inputs["meshes"], inputs["assets"]
         parts = []
@@ -201,7 +199,7 @@ class TableSource:
         return parts, inputs
 
     def take(self, scene_id: str, settings: SceneSettings, progress: ItemProgress) -> SourceScene:
-        """One scene as its row has it, judged anew."""
+        """Reads one scene from its row and audits it again."""
         progress.step = "read"
         row = self.row(scene_id)
         scene = schemas.scene_from_row(row)
@@ -213,15 +211,15 @@ class TableSource:
         return SourceScene(scene, shapes, audit, self.containers(scene), origin, notices + audit.notices)
 
     def containers(self, scene: Scene) -> Containers:
-        """As the table ``assets`` has it."""
+        """Which objects are containers according to the table ``assets``."""
         return {o.instance: self._is_container.get(o.asset_id or "") for o in scene.objects}
 
     def library(self) -> AssetLibrary:
-        """The table ``assets``."""
+        """The catalogue from the table ``assets``."""
         return library_of_run(self.folder, self.name)
 
     def row(self, scene_id: str) -> schemas.Row:
-        """A row of ``scenes``; the file that it is in is kept for the next one."""
+        """A row of ``scenes``; its file stays in memory for the next row."""
         path = self._file_of[scene_id]
         if self._read[0] != path:
             rows = self.folder.read_file("scenes", path).to_pylist()
@@ -230,29 +228,29 @@ class TableSource:
 
 
 def mesh_cache() -> Path:
-    """Where the meshes of runs lie as files, named by their content: shared by all processes and runs of a user."""
+    """The folder of mesh files of all runs, named by content hash and shared by all processes of a user."""
     return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "stable-data" / "meshes"
 
 
 def _ids_by_file(folder: RunFolder) -> dict[str, tuple[str, ...]]:
-    """Scene ids by the file of ``scenes`` that they are in.
+    """Scene ids by their file of ``scenes``.
 
     Raises:
-        ConfigError: A scene is there twice, or the table cannot be read.
+        ConfigError: A scene is in the table twice, or the table cannot be read.
     """
     paths = folder.dataset("scenes").files  # refuses another version
     ids = {path: tuple(folder.read_file("scenes", path, ["scene_id"])["scene_id"].to_pylist()) for path in paths}
     counted = Counter(scene_id for scene_ids in ids.values() for scene_id in scene_ids)
     if twice := [scene_id for scene_id, count in counted.items() if count > 1]:
-        raise ConfigError(f"{folder.uri}/scenes: {twice[0]} is there twice, expected each scene once", "duplicate_scene")
+        raise ConfigError(f"{folder.uri}/scenes: {twice[0]} is in the table twice, expected each scene once", "duplicate_scene")
     return ids
 
 
 def scene_source(uri: str) -> SceneSource:
-    """The source that lies at a path or URI.
+    """The source at a path or URI.
 
     Raises:
-        ConfigError: Neither a dataset nor a run with scenes is there.
+        ConfigError: It contains neither a dataset nor a run with scenes.
     """
     if "://" in uri or RunFolder(uri).files("scenes"):
         return TableSource(uri)

@@ -1,4 +1,4 @@
-"""A file of tasks, read a row at a time: each row becomes a task or says why not."""
+"""Reads a file of tasks row by row: each row becomes a task or a notice with the reason."""
 
 import csv
 import math
@@ -17,35 +17,35 @@ from stable_data.json_text import is_unicode, json_value, quote_value
 from stable_data.scene import Tabletop
 
 KEYS = ("scene_id", "instruction", "table_type", "table_size_cm", "restricted_zone_cm")
-"""Columns of the file; the first and the last may be left out."""
+"""Columns of the file; the first and the last are optional."""
 
 STEP = "tasks"
-"""The step that notices of tasks name."""
+"""The step in notices about tasks."""
 
 LONGEST_CM = 1000.0
-"""No table is wider or deeper."""
+"""The largest width and depth of a table, cm."""
 
 SHORTEST_CM = 1.0
-"""No table is narrower or less deep."""
+"""The smallest width and depth of a table, cm."""
 
 _PLAIN = re.compile(r"\w[\w.-]{0,119}")
 _BETWEEN = re.compile(r"[\s,;x×\[\]()]+")
-_ROWS = 1024  # of a Parquet file that are held at a time
+_ROWS = 1024  # of a Parquet file that are in memory at once
 
 
 def read_tasks(path: Path) -> Iterator[LayoutTask | Notice]:
-    """Reads tasks, one a row, as they are asked for.
+    """Reads tasks lazily, one from each row.
 
     Args:
-        path: JSONL, CSV or Parquet by its ending, with the columns KEYS. Lengths are in centimetres: lists, or such as ``120 x
-            60`` in CSV. The restricted zone is x_min, x_max, y_min, y_max. Empty lines are passed over.
+        path: A file that ends in .jsonl, .csv or .parquet, with the columns KEYS. Lengths are in centimetres: lists, or text such
+            as ``120 x 60`` in CSV. The restricted zone is x_min, x_max, y_min, y_max. Empty lines are skipped.
 
     Yields:
-        A task, or what keeps a row from being one, in the file's order. A task without ``scene_id`` is called by the number of
-        its row, ``task_000002``; a row that is none likewise, but with a space, so that no task has its name.
+        A task, or a notice with the reason why the row is not a task, in the file's order. The default ``scene_id`` is the
+        number of the row, ``task_000002``; the id of a notice has a space instead, so that it cannot be the id of a task.
 
     Raises:
-        ConfigError: It cannot be read, is of another kind, or holds nothing (``tasks_invalid``).
+        ConfigError: The file cannot be read, has another format, or contains no row (``tasks_invalid``).
     """
     taken: set[str] = set()
     number = 0
@@ -54,9 +54,7 @@ def read_tasks(path: Path) -> Iterator[LayoutTask | Notice]:
             try:
                 task = task_of(read(), f"task_{number:06d}")
                 if task.scene_id in taken:
-                    raise SceneError(
-                        f"scene_id {task.scene_id} is taken, expected one of its own; choose another", "task_invalid"
-                    )
+                    raise SceneError(f"scene_id {task.scene_id} is used twice, expected a unique id", "task_invalid")
             except SceneError as error:
                 yield Notice(f"row {number:06d}", STEP, error.code, f"{path.name}, row {number}: {error}")
             else:
@@ -64,17 +62,17 @@ def read_tasks(path: Path) -> Iterator[LayoutTask | Notice]:
                 yield task
     except (OSError, csv.Error, pa.ArrowException) as error:
         reason = (isinstance(error, OSError) and error.strerror) or str(error).strip().partition("\n")[0]
-        raise _unreadable(path, f"cannot be read ({reason})") from error
+        raise _invalid_file(path, f"cannot be read ({reason})") from error
     if not number:
-        raise _unreadable(path, "holds no tasks")
+        raise _invalid_file(path, "contains no tasks")
 
 
 def task_of(row: Mapping[str, Any], scene_id: str) -> LayoutTask:
     """The task of a row.
 
     Args:
-        row: By the names KEYS; values that are None or empty count as left out.
-        scene_id: What it is called where the row does not say.
+        row: Values by the names KEYS; None and empty values count as missing.
+        scene_id: The id if the row has none.
 
     Raises:
         SceneError: ``instruction_invalid``, ``table_invalid`` or ``task_invalid``.
@@ -85,11 +83,11 @@ def task_of(row: Mapping[str, Any], scene_id: str) -> LayoutTask:
     instruction, table_type = values.get("instruction"), values.get("table_type")
     if not isinstance(instruction, str) or not instruction.strip():
         raise SceneError(
-            f"instruction is {quote_value(row.get('instruction'))}, expected what is to be done on the table",
+            f"instruction is {quote_value(row.get('instruction'))}, expected a sentence that says what to do on the table",
             "instruction_invalid",
         )
     if not is_unicode(instruction):
-        raise SceneError("instruction is no UTF-8; save the file as UTF-8", "instruction_invalid")
+        raise SceneError("instruction is not UTF-8; save the file as UTF-8", "instruction_invalid")
     name = _name(values.get("scene_id", scene_id), "scene_id", "task_invalid")
     kind = _name("_".join(str(table_type or "").lower().split()), "table_type", "table_invalid")
     return LayoutTask(name, instruction.strip(), tabletop(kind, values.get("table_size_cm"), values.get("restricted_zone_cm")))
@@ -99,12 +97,12 @@ def tabletop(table_type: str, size_cm: object, restricted_cm: object = None) -> 
     """A table from its lengths in centimetres.
 
     Args:
-        table_type: Its kind.
+        table_type: The table type.
         size_cm: Width and depth.
-        restricted_cm: x_min, x_max, y_min, y_max where nothing may stand, or None.
+        restricted_cm: x_min, x_max, y_min, y_max of the restricted zone, or None.
 
     Raises:
-        SceneError: They are no such lengths (``table_invalid``).
+        SceneError: The values are not such lengths (``table_invalid``).
     """
     size = _numbers(size_cm, 2)
     if size is None or not all(SHORTEST_CM <= side <= LONGEST_CM for side in size):
@@ -126,13 +124,13 @@ def tabletop(table_type: str, size_cm: object, restricted_cm: object = None) -> 
 
 
 def _rows(path: Path) -> Iterator[tuple[int, Callable[[], Mapping[str, Any]]]]:
-    """Rows with their numbers, from 1 on: each is what reads it, and may raise a SceneError.
+    """Yields the number of each row, from 1, with a function that reads the row and may raise a SceneError.
 
-    Bytes that are no UTF-8 become halves of surrogate pairs, which the row is refused for.
+    Bytes that are not UTF-8 become lone surrogates, for which the row is refused.
     """
     if path.suffix == ".jsonl":
         with path.open(encoding="utf-8-sig", errors="surrogateescape") as lines:
-            yield from ((number, partial(_parsed, line)) for number, line in enumerate(lines, 1) if line.strip())
+            yield from ((number, partial(_parse_line, line)) for number, line in enumerate(lines, 1) if line.strip())
     elif path.suffix == ".csv":
         with path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as stream:
             reader = csv.DictReader(stream, restkey="fields beyond the header")
@@ -147,7 +145,7 @@ def _rows(path: Path) -> Iterator[tuple[int, Callable[[], Mapping[str, Any]]]]:
                     number += 1
                     yield number, partial(_parquet_row, batch, index)
     else:
-        raise _unreadable(path, f"ends in {path.suffix or 'nothing'}")
+        raise _invalid_file(path, f"ends in {path.suffix or 'nothing'}")
 
 
 def _csv_rows(reader: Iterator[dict[str, Any]]) -> Iterator[Callable[[], Mapping[str, Any]]]:
@@ -156,7 +154,7 @@ def _csv_rows(reader: Iterator[dict[str, Any]]) -> Iterator[Callable[[], Mapping
             row = next(reader)
         except StopIteration:
             return
-        except csv.Error as error:  # of this row alone: the reader goes on with the next line
+        except csv.Error as error:  # concerns this row alone: the reader continues with the next line
             yield partial(_refused, str(error))
         else:
             yield partial(dict, row)
@@ -169,33 +167,33 @@ def _refused(reason: str) -> Mapping[str, Any]:
 def _parquet_row(batch: pa.RecordBatch, index: int) -> Mapping[str, Any]:
     try:
         return {name: batch.column(name)[index].as_py() for name in batch.schema.names}
-    except (ValueError, OverflowError) as error:  # texts that are no UTF-8, times that Python does not have
+    except (ValueError, OverflowError) as error:  # text that is not UTF-8, or a time outside the range of Python
         return _refused(str(error))
 
 
 def _check_columns(path: Path, names: Sequence[str]) -> None:
     if missing := [key for key in KEYS[1:4] if key not in names]:
-        raise _unreadable(path, f"has no column {missing[0]}")
-    if unknown := [name for name in names if name not in KEYS]:  # else the rows alone would be lost that fill it
-        raise _unreadable(path, f"has a column {quote_value(unknown[0])}")
+        raise _invalid_file(path, f"has no column {missing[0]}")
+    if unknown := [name for name in names if name not in KEYS]:  # otherwise only the rows with a value in it would fail
+        raise _invalid_file(path, f"has a column {quote_value(unknown[0])}")
 
 
-def _unreadable(path: Path, found: str) -> ConfigError:
+def _invalid_file(path: Path, found: str) -> ConfigError:
     return ConfigError(f"{path}: {found}, expected tasks as .jsonl, .csv or .parquet with {', '.join(KEYS)}", "tasks_invalid")
 
 
-def _parsed(line: str) -> Mapping[str, Any]:
+def _parse_line(line: str) -> Mapping[str, Any]:
     try:
         found = json_value(line)
     except ValueError as error:
-        raise SceneError(f"no JSON ({error})", "task_invalid") from error
+        raise SceneError(f"is not JSON ({error})", "task_invalid") from error
     if not isinstance(found, dict):
         raise SceneError(f"is {type(found).__name__}, expected an object", "task_invalid")
     return found
 
 
 def _name(value: object, key: str, code: str) -> str:
-    """A name that a folder may have."""
+    """A value as a name that is valid for a folder."""
     is_number = isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 10**120
     text = str(value) if isinstance(value, str) or is_number else ""
     if not _PLAIN.fullmatch(text):
@@ -204,7 +202,7 @@ def _name(value: object, key: str, code: str) -> str:
 
 
 def _numbers(value: object, count: int) -> list[float] | None:
-    """So many finite numbers, given as a list or as text; None where they are not."""
+    """Reads ``count`` finite numbers from a list or text; None if the value is anything else."""
     if isinstance(value, str):
         value = [part for part in _BETWEEN.split(value) if part]
     if not isinstance(value, list | tuple) or len(value) != count or any(isinstance(part, bool) for part in value):

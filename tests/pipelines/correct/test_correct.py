@@ -227,5 +227,5 @@ def test_settings_that_cannot_be_are_refused(bare: Path, tmp_path: Path, setting
 
 
 def test_the_output_may_not_lie_in_the_input(bare: Path) -> None:
-    with pytest.raises(ConfigError, match="lies in the scenes that are read"):
+    with pytest.raises(ConfigError, match="is inside the folder of the input scenes"):
         correct(str(bare), str(bare / "out"), SMALL, ALONE)

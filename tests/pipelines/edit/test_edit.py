@@ -145,7 +145,7 @@ def test_a_thing_of_another_size_is_the_same_mesh_scaled(
     (instance,) = [i for i, name in shown.names.items() if name == last.instance]
     x, y, z = (s * f for s, f in zip(scene[instance].size, factors, strict=True))
     resized = replace(last, size_cm=(round(100 * x, 1), round(100 * y, 1), round(100 * z, 1)))
-    done = AssetFinder(source).with_assets(apply_edit(scene, LayoutReply((resized,))), "edit", 0)
+    done = AssetFinder(source).assign(apply_edit(scene, LayoutReply((resized,))), "edit", 0)
     now, was = done.scene[instance], scene[instance]
     assert (now.asset_id, now.tilt_quat_xyzw) == (was.asset_id, was.tilt_quat_xyzw)
     assert now.scale is not None

@@ -24,8 +24,8 @@ ONE = ["--instruction", "Lift it.", "--table", "office_table", "--size", "120", 
 
 def test_drawn_tasks_depend_on_seed_and_number_alone() -> None:
     found = sample_tasks(30, 5)
-    assert [task.drawn() for task in sample_tasks(4, 5).tasks if isinstance(task, SampledTask)] == [
-        task.drawn() for task in found.tasks[:4] if isinstance(task, SampledTask)
+    assert [task.sample() for task in sample_tasks(4, 5).tasks if isinstance(task, SampledTask)] == [
+        task.sample() for task in found.tasks[:4] if isinstance(task, SampledTask)
     ]
     assert sample_task(3, 5) != sample_task(3, 6)
     names = [task.scene_id for task in found.tasks]
@@ -44,7 +44,7 @@ def test_drawn_tasks_say_something_different_each() -> None:
 
 def test_a_kind_of_table_may_be_asked_for() -> None:
     tasks = sample_tasks(3, 0, ["nightstand"]).tasks
-    assert {task.drawn().table.table_type for task in tasks if isinstance(task, SampledTask)} == {"nightstand"}
+    assert {task.sample().table.table_type for task in tasks if isinstance(task, SampledTask)} == {"nightstand"}
     with pytest.raises(ConfigError, match="expected one of"):
         sample_tasks(3, 0, ["moon"])
     with pytest.raises(ConfigError, match="count is 0"):
@@ -88,7 +88,9 @@ def test_broken_rows_of_a_file_are_named_and_the_rest_is_used(tmp_path: Path) ->
 def test_a_file_without_a_usable_row_says_why(tmp_path: Path) -> None:
     path = tmp_path / "tasks.csv"
     path.write_text("instruction,table_type,table_size_cm\nLift it.,office_table,120,60\n")
-    with pytest.raises(ConfigError, match=r"expected one at least; 1 are none, such as tasks\.csv, row 1: has .fields beyond"):
+    with pytest.raises(
+        ConfigError, match=r"expected one at least; 1 are invalid, such as tasks\.csv, row 1: has .fields beyond"
+    ):
         tasks_of_file(path)
 
 

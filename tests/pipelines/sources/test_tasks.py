@@ -84,7 +84,7 @@ def test_no_task_has_the_name_of_a_row_that_is_none(tmp_path: Path) -> None:
     lost = {notice.item_id: notice.message for notice in found if isinstance(notice, Notice)}
     assert tasks == ["row_000002", "row_000004", "task_000006"]
     assert list(lost) == ["row 000002", "row 000005", "row 000006", "row 000007"]
-    assert "scene_id task_000006 is taken, expected one of its own" in lost["row 000006"]  # first come keeps the name
+    assert "scene_id task_000006 is used twice, expected a unique id" in lost["row 000006"]  # first come keeps the name
 
 
 def test_an_empty_instruction_is_shown_as_it_is(tmp_path: Path) -> None:
