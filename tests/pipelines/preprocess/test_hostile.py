@@ -31,7 +31,7 @@ def write(scene, relations):
 """
 
 
-@pytest.mark.parametrize(("broken", "step"), [("read", "read"), ("audit_posed", "audit"), ("derive_task", "task")])
+@pytest.mark.parametrize(("broken", "step"), [("read", "read"), ("audit_posed_scene", "audit"), ("derive_task", "task")])
 def test_what_nobody_foresaw_is_a_failure_of_its_step(
     bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str, step: str
 ) -> None:
@@ -106,7 +106,7 @@ def test_a_check_of_positions_that_dies_stops_with_what_to_set(
     ("loss", "message"), [(ProcessFailure.CRASHED, "is the file hostile"), (ProcessFailure.TIMED_OUT, "took over 600 s")]
 )
 def test_how_a_process_ended_is_the_reason(monkeypatch: pytest.MonkeyPatch, loss: ProcessFailure, message: str) -> None:
-    monkeypatch.setattr("pipelines.execution.shard_step.alone", lambda *_, seconds, prepare: loss)
+    monkeypatch.setattr("pipelines.execution.shard_step.run_isolated", lambda *_, seconds, prepare: loss)
     step = SceneStep("nowhere", PreprocessSettings())
     [row] = step.shard(Shard("0" * 16, ("office_table_0001",)), isolated=True).rows["failures"]
     assert (row["id"], row["code"]) == ("office_table_0001", str(loss))
