@@ -122,7 +122,7 @@ def arm(run: str, out: Path, name: str, full: CorrectorTrainingSettings, watch: 
     if not card.is_file() or json.loads(card.read_text("utf-8"))["steps"] != full.steps:
         print(job.run())
     if not card.is_file():
-        raise SystemExit(f"{folder}: stopped before it was done; run again to go on")
+        raise SystemExit(f"{folder}: stopped before it was done; run again to continue")
     found: dict[str, Any] = json.loads(card.read_text("utf-8"))
     network, _ = settings.resolved(1).corrector.build()
     return Arm(name, found["steps"], settings.batch_size, sum(p.numel() for p in network.parameters()), found["rows"])

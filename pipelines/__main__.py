@@ -37,23 +37,27 @@ Scenes = Annotated[
     str, typer.Option(help="A folder in the MesaTask-10K format, or a run with a table scenes; every node must see it.")
 ]
 RunOut = Annotated[str, typer.Option(help="Run folder: a path that every node sees, or a URI such as s3://bucket/prefix.")]
-Settings = Annotated[list[str] | None, typer.Option("--set", help="key=value, stronger than the file; may be repeated.")]
+Settings = Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the file; may be repeated.")]
 NumWorkers = Annotated[
     int,
-    typer.Option(help="Worker processes on a local Ray, or shards at once with --address; -1 is one a core; 0 this process."),
+    typer.Option(
+        help="Worker processes on a local Ray, or shards at once with --address. -1: one for each core. 0: this process."
+    ),
 ]
 Assets = Annotated[
     list[str] | None,
     typer.Option(
         help="A folder in the MesaTask-10K format, or a run, to take assets from, or embedded: the embedded world's library, which "
-        "is made where it is missing. May be repeated: the first that has a match serves. By default embedded alone."
+        "is made if it is missing. May be repeated: libraries are searched in order, and the first match is used. Default: embedded."
     ),
 ]
 _KEYS = "python -m pipelines settings {} lists every key of --set and of the file with its default, unit and meaning."
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")]
-Minutes = Annotated[float, typer.Option(help="Stop after so long and keep the checkpoint; run again to go on. 0 is no limit.")]
+Minutes = Annotated[
+    float, typer.Option(help="Stop after this many minutes and keep the checkpoint; run again to continue. 0 is no limit.")
+]
 Trainers = Annotated[
-    int, typer.Option(help="Training processes of Ray Train, one GPU each where there are any. 0 trains in this process.")
+    int, typer.Option(help="Training processes of Ray Train, one GPU each if the cluster has GPUs. 0 trains in this process.")
 ]
 
 
@@ -74,16 +78,16 @@ def preprocess(
     workers: Annotated[
         int,
         typer.Option(
-            help="Worker processes on a local Ray, or shards at once with --address; -1 is one a core of the machine or the "
-            "cluster. 0 runs in this process, where a file that crashes or hangs its parser ends or holds the run."
+            help="Worker processes on a local Ray, or shards at once with --address; -1: one for each core of the machine or "
+            "the cluster. 0: this process; a file that crashes or blocks its parser then stops the run."
         ),
     ] = -1,
     address: Address = None,
     dry_run: DryRun = False,
 ) -> None:
-    """Turn a dataset into staged, geometry-complete tables. Run again to go on where it was stopped.
+    """Turn a dataset into tables with stages and geometry. Run again to continue after a stop.
 
-    Status 0: done. 1: some scenes or assets could not be used; the table failures says which and why. 2: could not start.
+    Status 0: done. 1: some scenes or assets could not be used; the table failures gives the reasons. 2: could not start.
     """
     from pipelines.execution.ray_executor import WorkerPool
     from pipelines.execution.shard_job import describe
@@ -119,11 +123,11 @@ def correct(
     address: Address = None,
     dry_run: DryRun = False,
 ) -> None:
-    """Turn scenes into scenes that are exactly clean: repair, or rearrangement. Run again to go on where it was stopped.
+    """Turn scenes into scenes that are exactly clean: repair, or rearrangement. Run again to continue after a stop.
 
-    Corrected scenes are in the table scenes, what was done in the table corrections; of a folder in the MesaTask-10K format
-    OUT/dataset is the corrected folder. Status 0: done. 1: some scenes could not be corrected; the table failures says which
-    and why. 2: could not start.
+    Corrected scenes are in the table scenes, the changes in the table corrections. For a folder in the MesaTask-10K format,
+    OUT/dataset is the corrected folder. Status 0: done. 1: some scenes could not be corrected; the table failures gives the
+    reasons. 2: could not start.
     """
     from pipelines.correct.job import CorrectJob
     from pipelines.correct.job import correct as run
@@ -155,16 +159,16 @@ def edit(
     edits: Annotated[
         Path,
         typer.Option(
-            help='One edit a line: {"scene_id": ..., "instruction": ...}; if wanted "edit_id", the name of the new scene, and '
-            '"reply", which is carried out without asking the reasoner.'
+            help='One edit in each line: {"scene_id": ..., "instruction": ...}; optional are "edit_id", the id of the new scene, and '
+            '"reply", which is applied without the reasoner.'
         ),
     ],
     out: RunOut,
     engine: Annotated[
         str | None,
         typer.Option(
-            help="Who is asked: embedded, transformers:FOLDER, vllm:FOLDER, openai:MODEL (--set engine.http.base_url=URL, and "
-            "engine.http.key_variable=NAME of the variable that holds the key) or scripted:FILE. By default embedded."
+            help="The language model: embedded, transformers:FOLDER, vllm:FOLDER, openai:MODEL (--set engine.http.base_url=URL, and "
+            "engine.http.key_variable=NAME of the variable that holds the key) or scripted:FILE. Default: embedded."
         ),
     ] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file; its table edit is read.")] = None,
@@ -173,11 +177,11 @@ def edit(
     address: Address = None,
     dry_run: DryRun = False,
 ) -> None:
-    """Change scenes as instructions say, and nothing else. Run again to go on where it was stopped.
+    """Change scenes by instructions, and nothing else in them. Run again to continue after a stop.
 
-    Edited scenes are in the table scenes, what was changed in the table edits; of a folder in the MesaTask-10K format
-    OUT/dataset is the folder of edited scenes. Status 0: done. 1: some edits could not be done; the table failures says which
-    and why. 2: could not start.
+    Edited scenes are in the table scenes, the changes in the table edits. For a folder in the MesaTask-10K format, OUT/dataset
+    is the folder of edited scenes. Status 0: done. 1: some edits failed; the table failures gives the reasons. 2: could not
+    start.
     """
     from pipelines.edit.job import EditJob
     from pipelines.edit.job import edit as run
@@ -210,7 +214,7 @@ def generate(
     tasks: Annotated[
         Path | None,
         typer.Option(
-            help="Tasks: .jsonl, .csv or .parquet with instruction, table_type, table_size_cm and, if wanted, scene_id and "
+            help="Tasks: .jsonl, .csv or .parquet with instruction, table_type, table_size_cm and, optionally, scene_id and "
             "restricted_zone_cm."
         ),
     ] = None,
@@ -218,15 +222,13 @@ def generate(
         str | None, typer.Option(help="Take the tasks of these scenes: a run, or a folder in the MesaTask-10K format.")
     ] = None,
     where: Annotated[str, typer.Option(help="Which scenes of a run, such as \"split == 'test'\".")] = "",
-    count: Annotated[int | None, typer.Option(help="Draw so many tasks of the embedded world.")] = None,
-    instruction: Annotated[
-        str | None, typer.Option(help="One task: what is to be done on the table; with --table and --size.")
-    ] = None,
+    count: Annotated[int | None, typer.Option(help="Sample this many tasks of the embedded world.")] = None,
+    instruction: Annotated[str | None, typer.Option(help="One task: its instruction, with --table and --size.")] = None,
     table: Annotated[
         list[str] | None,
         typer.Option(
-            help="Kind of table, such as office_table: that of --instruction, or those that --count draws, where it may be repeated; "
-            "there all kinds by default."
+            help="Table type, such as office_table: of --instruction, or of the tasks of --count, where it may be repeated and all "
+            "types are the default."
         ),
     ] = None,
     size: Annotated[
@@ -234,25 +236,24 @@ def generate(
     ] = None,
     restricted: Annotated[
         tuple[float, float, float, float] | None,
-        typer.Option(help="x_min x_max y_min y_max where nothing may stand on the table of --instruction, centimetres."),
+        typer.Option(help="x_min x_max y_min y_max of the restricted zone of the table of --instruction, centimetres."),
     ] = None,
     assets: Assets = None,
     engine: Annotated[
         str | None,
-        typer.Option(help="embedded, transformers:FOLDER, vllm:FOLDER, openai:MODEL or scripted:FILE; stronger than the file."),
+        typer.Option(help="embedded, transformers:FOLDER, vllm:FOLDER, openai:MODEL or scripted:FILE; overrides the file."),
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Of tasks, draws and choices; stronger than the file.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of tasks and random choices; overrides the file.")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file; its table generate is read.")] = None,
     set_: Settings = None,
     workers: NumWorkers = -1,
     address: Address = None,
     dry_run: DryRun = False,
 ) -> None:
-    """Make simulation-ready scenes: the two systems in turns, every scene proven clean and settled. Run again to go on.
+    """Make simulation-ready scenes by Algorithm 1; every scene is audited and simulated. Run again to continue after a stop.
 
-    Accepted scenes are in the table scenes, what was made and not accepted in rejected, every turn of the two systems in
-    turns, the assets in assets and meshes. Status 0: done. 1: some tasks have no accepted scene; the table failures says which
-    and why. 2: could not start.
+    Accepted scenes are in the table scenes, others in rejected, every turn of the two systems in turns, the assets in assets
+    and meshes. Status 0: done. 1: some tasks have no accepted scene; the table failures gives the reasons. 2: could not start.
     """
     from pipelines.execution.ray_executor import WorkerPool
     from pipelines.execution.shard_job import describe
@@ -271,7 +272,7 @@ def generate(
     if (size or restricted) and instruction is None:
         raise ConfigError("--size and --restricted belong to --instruction; leave them out, or name it", "usage")
     if instruction is not None and (size is None or len(table or ()) != 1):
-        raise ConfigError("--instruction TEXT is without its table, expected one --table TYPE and --size W D", "usage")
+        raise ConfigError("--instruction TEXT has no table, expected one --table TYPE and --size W D", "usage")
     workers = _count(workers, address)
     asked = [f"engine.engine={json.dumps(engine)}"] * (engine is not None) + [f"seed={seed}"] * (seed is not None)
     settings = resolve_settings(GenerateSettings, "generate", config, [*(set_ or []), *asked])
@@ -307,12 +308,14 @@ def synth(
     edits: Edits = False,
     pictures: Pictures = True,
     whole_library: WholeLibrary = False,
-    workers: Annotated[int, typer.Option(help="Worker processes on a local Ray, or shards at once; -1 is one a core.")] = -1,
+    workers: Annotated[
+        int, typer.Option(help="Worker processes on a local Ray, or shards at once with --address. -1: one a core.")
+    ] = -1,
     address: Address = None,
 ) -> None:
-    """Make a set of the embedded world with many workers: the same files as ``stable-data synth`` makes.
+    """Make a set of the embedded world with many workers: the same files as ``stable-data synth``.
 
-    Status 0: done. 1: some scenes could not be made; synth_failures says why. 2: could not start.
+    Status 0: done. 1: some scenes could not be made; synth_failures gives the reasons. 2: could not start.
     """
     from pipelines.execution.ray_executor import WorkerPool
     from pipelines.synth.job import synth as run
@@ -333,11 +336,11 @@ def synth(
 @with_clear_errors
 def train_corrector(
     data: Annotated[str, typer.Option(help="Folder of a preprocess run; every node of a cluster must see it under this path.")],
-    out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint, logs and card; likewise.")],
+    out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint, logs and card; every node must see it too.")],
     preset: Annotated[
         str,
         typer.Option(
-            help="paper, paper_set, embedded, embedded_set or embedded_set_near: network and training; the file and --set change it."
+            help="paper, paper_set, embedded, embedded_set or embedded_set_near: network and training; the file and --set override it."
         ),
     ] = "embedded_set",
     config: Annotated[Path | None, typer.Option(help="TOML file; its table train_corrector is read.")] = None,
@@ -345,11 +348,11 @@ def train_corrector(
     minutes: Minutes = 0.0,
     workers: Trainers = 0,
     address: Address = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the settings and the set, and stop.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the settings and a summary of the data, and stop.")] = False,
 ) -> None:
-    """Train the Physics Corrector on the clean scenes of a run. Run again to go on where it was stopped.
+    """Train the Physics Corrector on the clean scenes of a run. Run again to continue after a stop.
 
-    Status 0: done, or stopped with its checkpoint kept. 2: could not start or go on.
+    Status 0: done, or stopped with a checkpoint. 2: could not start or continue.
     """
     from models.physics_corrector.training.settings import CorrectorTrainingSettings, training_preset
     from pipelines.settings import resolve_settings
@@ -367,7 +370,7 @@ def train_corrector(
 @with_clear_errors
 def train_reasoner(
     data: Annotated[str, typer.Option(help="Folder of a preprocess run, or its URI; every node of a cluster must see it.")],
-    out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint and logs; likewise.")],
+    out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint and logs; every node must see it too.")],
     preset: Annotated[
         str,
         typer.Option(
@@ -383,10 +386,9 @@ def train_reasoner(
         bool, typer.Option("--dry-run", help="Print examples, tokens, steps, memory and time, and stop.")
     ] = False,
 ) -> None:
-    """Train the Semantic Reasoner on the samples and edits of a run. Run again to go on where it was stopped.
+    """Train the Semantic Reasoner on the samples and edits of a run. Run again to continue after a stop.
 
-    OUT/weights is a plain Hugging Face folder. Status 0: done, or stopped with its checkpoint kept. 2: could not start or go
-    on.
+    OUT/weights is a plain Hugging Face folder. Status 0: done, or stopped with a checkpoint. 2: could not start or continue.
     """
     from models.semantic_reasoner.training.settings import ReasonerTrainingSettings, training_preset
     from pipelines.settings import resolve_settings
@@ -409,8 +411,8 @@ def train_reasoner(
 @with_clear_errors
 def show_settings(
     verb: Annotated[str, typer.Argument(help="The job, such as generate.")],
-    preset: Annotated[str, typer.Option(help="Of a training job: show the values of these named settings.")] = "",
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object a setting.")] = False,
+    preset: Annotated[str, typer.Option(help="For a training job: show the values of this preset.")] = "",
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object for each setting.")] = False,
 ) -> None:
     """List every setting of a job: its key, default, unit and meaning."""
     from pipelines.settings import list_settings, settings_text
@@ -420,7 +422,7 @@ def show_settings(
 
 
 def _count(workers: int, address: str | None) -> int:
-    """Workers as the runner counts them."""
+    """The number of workers, with -1 resolved."""
     if address and workers == 0:
         raise ConfigError(f"--workers 0 is this process, but --address is {address}; leave out one of them", "config_invalid")
     return workers if workers >= 0 else 0 if address else os.cpu_count() or 1

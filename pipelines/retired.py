@@ -1,4 +1,4 @@
-"""Verbs, options and settings that are gone: one line says what to write instead, wherever they are written."""
+"""Retired verbs, options and settings, each with one line that names the replacement."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ RETIRED = {
         "that are not corrected add --set corrects=never --set accept=, then stable-data export RUN OUT --format mesatask"
     ),
     "generate --one-shot": "write python -m pipelines generate --set schedule=whole",
-    "engine.http.connect_s": "a connection is waited for 10 seconds; set engine.http.read_s and engine.http.total_s",
+    "engine.http.connect_s": "the time limit of a connection is 10 seconds; set engine.http.read_s and engine.http.total_s",
     "engine.http.first_wait_s": _WAITS,
     "engine.http.longest_wait_s": _WAITS,
     "engine.http.give_up_after": (
@@ -36,14 +36,14 @@ A verb is also the name of its table in a file of settings; a key is the same in
 
 
 class CommandGroup(TyperGroup):
-    """The verbs of a command line; names that are gone are refused before any option is read."""
+    """The verbs of a command line; retired names are refused before any option is read."""
 
     @with_clear_errors
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The command that words ask for, see the base class.
+        """Finds the command for the arguments, see the base class.
 
         Raises:
-            typer.Exit: With status 2, where the verb or one of its options is gone.
+            typer.Exit: With status 2, if the verb or one of its options is retired.
         """
         verb, *words = args
         for name in (verb, *(f"{verb} {word.partition('=')[0]}" for word in words)):

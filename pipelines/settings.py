@@ -1,6 +1,6 @@
 """Settings of a run: frozen dataclasses, filled from a TOML file and ``--set key=value``, and the list of all of them.
 
-What the values may be is checked in one place, :mod:`models.settings`.
+Values are checked in one place, :mod:`models.settings`.
 """
 
 import difflib
@@ -22,20 +22,20 @@ from stable_data.errors import ConfigError
 C = TypeVar("C")
 
 UNITS = ("Centimetres", "Metres", "Radians", "Seconds", "Tokens")
-"""Words that a meaning may begin with, ``Metres; ...``."""
+"""Units with which a meaning may begin, such as ``Metres; ...``."""
 
 _WIDTH = 100  # characters of a line
-_INT64 = 2**63  # what TOML's integers are within
+_INT64 = 2**63  # the range of TOML's integers
 
 
 @dataclass(frozen=True, slots=True)
 class SettingsLocation:
-    """Where the settings of a job stand.
+    """The location of a job's settings in the code.
 
     Attributes:
         kind: Their class, as ``module:name``.
-        presets: The function that gives named settings, likewise; empty where there are none.
-        preset: The name that the job takes by default.
+        presets: The function that returns a preset, as ``module:name``; empty if the job has no presets.
+        preset: The name of the default preset.
     """
 
     kind: str
@@ -43,14 +43,14 @@ class SettingsLocation:
     preset: str = ""
 
     def defaults(self, preset: str = "") -> Any:
-        """The settings where nobody says anything.
+        """The default settings, or those of a preset.
 
         Raises:
-            ConfigError: There are no settings of that name.
+            ConfigError: The preset is unknown.
         """
         if preset and not self.presets:
             raise ConfigError(f"preset {preset!r} is not known: this job has none, leave out --preset", "usage")
-        return _loaded(self.presets)(preset or self.preset) if self.presets else _loaded(self.kind)()
+        return _load_name(self.presets)(preset or self.preset) if self.presets else _load_name(self.kind)()
 
 
 JOBS: Mapping[str, SettingsLocation] = {
@@ -69,10 +69,10 @@ JOBS: Mapping[str, SettingsLocation] = {
         "embedded",
     ),
 }
-"""The jobs that have settings, by verb."""
+"""The jobs with settings, by verb."""
 
 SECTIONS = tuple(verb.replace("-", "_") for verb in JOBS)
-"""Tables that a file may have: one for each job."""
+"""The tables that a file may have, one for each job."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,10 +80,10 @@ class Setting:
     """One setting of a job.
 
     Attributes:
-        key: Its key, dotted where it is of a nested table.
-        default: Its value where nobody says anything; None: it has none.
-        unit: Its unit; empty where it has none.
-        meaning: What it means.
+        key: Its key, with dots for nested tables.
+        default: Its default, or None.
+        unit: Its unit, or empty.
+        meaning: Its meaning.
     """
 
     key: str
@@ -99,11 +99,11 @@ def resolve_settings(kind: type[C], section: str, file: Path | None, overrides: 
         kind: A frozen dataclass whose fields have defaults; such dataclasses in it are nested settings.
         section: Its table in the file; nested settings are tables in it.
         file: A TOML file, or None.
-        overrides: ``key=value`` or ``section.key=value``, stronger than the file; ``outer.inner=value`` for nested settings.
-        base: What stands where neither says anything; by default the defaults.
+        overrides: ``key=value`` or ``section.key=value``, which override the file; ``outer.inner=value`` for nested settings.
+        base: The values of all other settings; by default the defaults of the class.
 
     Raises:
-        ConfigError: A table or key is not known, or a value has the wrong type or is out of its range.
+        ConfigError: A table or key is unknown, or a value has the wrong type or is outside its range.
     """
     defaults: dict[str, Any] = asdict(kind() if base is None else base)  # type: ignore[call-overload]
     values = asdict(kind() if base is None else base)  # type: ignore[call-overload]
@@ -115,7 +115,7 @@ def resolve_settings(kind: type[C], section: str, file: Path | None, overrides: 
             if not equals:
                 raise ConfigError(f"--set {_line(text)}: expected key=value", "config_invalid")
             path = key.strip().removeprefix(f"{section}.").split(".")
-            _merge(values, _nested(path, _parsed(value.strip())), section, defaults)
+            _merge(values, _nested(path, _parse_value(value.strip())), section, defaults)
     except RecursionError:
         raise ConfigError(f"settings of {section}: tables or lists are nested too deep", "config_invalid") from None
     return fill_settings(kind, values, section)
@@ -126,18 +126,18 @@ def list_settings(verb: str, preset: str = "") -> list[Setting]:
 
     Args:
         verb: One of :data:`JOBS`.
-        preset: Named settings whose values are the defaults; empty takes those that the job takes.
+        preset: A preset whose values are shown as defaults; empty uses the default preset of the job.
 
     Raises:
         ConfigError: There is no such job, or no such preset.
     """
     if verb not in JOBS:
         raise ConfigError(f"{verb!r} has no settings{_hint(verb, JOBS)}", "usage")
-    return list(_listed(JOBS[verb].defaults(preset), ""))
+    return list(_iterate_settings(JOBS[verb].defaults(preset), ""))
 
 
 def settings_text(settings: Iterable[Setting]) -> str:
-    """Settings for a reader, each nested table under a heading of its own; a value is written as a file would say it."""
+    """Settings as text, each nested table under its heading; values are written as in TOML."""
     lines: list[str] = []
     for table, group in groupby(settings, lambda setting: setting.key.rpartition(".")[0]):
         lines += ["", f"[{table}]"] if table else []
@@ -149,7 +149,7 @@ def settings_text(settings: Iterable[Setting]) -> str:
     return "\n".join(lines)
 
 
-def _listed(settings: Any, prefix: str) -> Iterator[Setting]:
+def _iterate_settings(settings: Any, prefix: str) -> Iterator[Setting]:
     nested = []
     kind: Any = type(settings)
     texts = setting_meanings(kind)
@@ -164,7 +164,7 @@ def _listed(settings: Any, prefix: str) -> Iterator[Setting]:
         default = sorted(value) if isinstance(value, frozenset) else value
         yield Setting(prefix + field.name, default, unit.lower() if is_unit else "", text.replace("``", "`"))
     for value, own in nested:
-        yield from _listed(value, own)
+        yield from _iterate_settings(value, own)
 
 
 def _merge(values: dict[str, Any], new: Mapping[str, Any], name: str, defaults: Mapping[str, Any]) -> None:
@@ -196,7 +196,7 @@ def _nested(path: list[str], value: Any) -> dict[str, Any]:
 
 
 def _near(key: str, defaults: Mapping[str, Any], section: str) -> str:
-    """Which setting may be meant: one of like name, or of the same name in another table."""
+    """A hint at the expected setting: one with a similar name, or with the same name in another table."""
     known = flatten_config(defaults)
     last = key.rpartition(".")[2]
     near = difflib.get_close_matches(key, known, 1) or [name for name in known if name.rpartition(".")[2] == last]
@@ -213,11 +213,11 @@ def _section(file: Path, section: str) -> Mapping[str, Any]:
     known = dict.fromkeys((section, *SECTIONS))
     for name in document:
         if line := RETIRED.get(name):
-            raise ConfigError(f"{file}: the table [{name}] is of a verb that is retired; {line}", "retired")
+            raise ConfigError(f"{file}: the table [{name}] belongs to a retired verb; {line}", "retired")
         if name not in known:
             raise ConfigError(f"{file}: {_line(name)} is not a known table{_hint(name, known)}", "config_invalid")
     if section not in document:
-        raise ConfigError(f"{file}: has no table [{section}], expected one; an empty one takes all defaults", "config_invalid")
+        raise ConfigError(f"{file}: has no table [{section}], expected one; an empty table uses all defaults", "config_invalid")
     found = document[section]
     if not isinstance(found, dict):
         raise ConfigError(f"{file}: {section} is {found!r:.80}, expected a table [{section}]", "config_invalid")
@@ -230,7 +230,7 @@ def _hint(name: str, known: Iterable[str]) -> str:
     return f"; did you mean {near[0]}?" if near else f"; known are {', '.join(known)}"
 
 
-def _parsed(value: str) -> Any:
+def _parse_value(value: str) -> Any:
     try:
         return tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
@@ -245,6 +245,6 @@ def _line(text: str) -> str:
     return text if len(text) < 80 else f"{text[:80]}…"
 
 
-def _loaded(name: str) -> Any:
+def _load_name(name: str) -> Any:
     module, _, attribute = name.partition(":")
     return getattr(import_module(module), attribute)

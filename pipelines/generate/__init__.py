@@ -1,1 +1,1 @@
-"""Job generate: tasks become simulation-ready scenes."""
+"""The job generate: tasks become simulation-ready scenes."""

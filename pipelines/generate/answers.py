@@ -1,4 +1,4 @@
-"""Answers the requests of Algorithm 1 in one process: with its own reasoner, libraries and corrector."""
+"""Answers the requests of Algorithm 1 in one process, with its own reasoner, libraries and corrector."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -18,10 +18,10 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
 
 NOT_OF_A_SCENE = (ConfigError, OSError, MemoryError)
-"""Errors of the run or of the machine, not of a scene: they may not occur again at another time or elsewhere."""
+"""Errors of the run or the machine, not of a scene: a retry may succeed."""
 
 Certify: TypeAlias = Callable[[CertificationRequest], Correction]
-"""Certifies one scene; in a process of its own where a mesh may end this one."""
+"""Certifies one scene, in a separate process if a mesh may crash this one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,19 +30,19 @@ class LocalCertifier:
 
     Attributes:
         corrector: Corrects scenes.
-        store: Geometry of the assets.
+        store: The geometry of the assets.
     """
 
     corrector: PhysicsCorrector
     store: AssetStore
 
     def __call__(self, request: CertificationRequest) -> Correction:
-        """Certifies one scene; an unforeseen error rejects it, and no other.
+        """Certifies one scene; an unexpected error rejects this scene alone.
 
         Raises:
-            ConfigError: The run itself cannot go on.
-            OSError: The same, for now.
-            MemoryError: Likewise.
+            ConfigError: The whole run cannot continue.
+            OSError: The machine has a problem, such as a full disk.
+            MemoryError: The machine has too little memory.
         """
         try:
             return self.corrector.certify(request, self.store)
@@ -59,12 +59,12 @@ class LocalRequestHandler:
     Attributes:
         reasoner: Proposes objects.
         retriever: Finds assets.
-        certifier: Certifies scenes; holds the corrector.
+        certifier: Certifies scenes; contains the corrector.
         seed: Decides among assets that match equally well.
-        settles: Whether MuJoCo is asked in the last correction of a scene.
-        certify: Certifies one scene in place of ``certifier``; None: ``certifier`` does.
-        fault_of: Says why an asset cannot be used, in place of the certifier's store; None: the store does.
-        seconds: Spent on each kind of request so far.
+        settles: Whether the last correction of a scene simulates it in MuJoCo.
+        certify: Certifies one scene; None uses ``certifier``.
+        fault_of: Returns why an asset cannot be used; None uses the certifier's store.
+        seconds: Time spent so far, by kind of request.
     """
 
     reasoner: SemanticReasoner
@@ -77,7 +77,7 @@ class LocalRequestHandler:
     seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("propose", "retrieve", "flow", "certify"), 0.0))
 
     def propose(self, questions: Sequence[ProposalRequest], /) -> Conversation[Proposal, ProposalRequest]:
-        """Proposes the objects of stages; later requests join the batch that the engine still works on."""
+        """Proposes the objects of stages; later requests join the engine's running batch."""
         began = perf_counter()
         conversation = self.reasoner.converse([(q.ask, q.seed) for q in questions])
         found = next(conversation, None)
@@ -92,7 +92,7 @@ class LocalRequestHandler:
         self.seconds["propose"] += perf_counter() - began
 
     def retrieve(self, questions: Sequence[RetrievalRequest], /) -> list[AssignedLayout]:
-        """Finds the assets of objects, of all requests at once."""
+        """Finds the assets of the objects of all requests at once."""
         began = perf_counter()
         fault_of = self.fault_of or self.certifier.store.fault_of
         found = assign_assets([q.scene for q in questions], self.retriever, self.seed, fault_of)
@@ -100,7 +100,7 @@ class LocalRequestHandler:
         return found
 
     def correct(self, questions: Sequence[CorrectionRequest], /) -> Iterator[Correction]:
-        """Clean poses of scenes: the flow moves all of them as one batch, each is certified alone."""
+        """Corrects scenes: the flow moves all of them as one batch, then each is certified alone."""
         began = perf_counter()
         corrector, certify = self.certifier.corrector, self.certify or self.certifier
         options = [CorrectionOptions(q.fixed, q.new, may_tilt=True, asks_engine=q.is_last and self.settles) for q in questions]
@@ -114,10 +114,10 @@ class LocalRequestHandler:
 
 
 def failed_correction(request: CertificationRequest, reason: str) -> Correction:
-    """The correction of a scene that could not be certified at all: it is rejected, and the others go on.
+    """The correction of a scene whose certification failed; the scene is rejected, the others continue.
 
     Args:
         request: The scene.
-        reason: Why, one line.
+        reason: The reason, one line.
     """
     return Correction(CorrectionStatus.UNKNOWN, reason, request.scene, request.raw)

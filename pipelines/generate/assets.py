@@ -1,4 +1,4 @@
-"""The assets that generated scenes use, carried into their run: it is looked at, loaded and exported without the libraries."""
+"""Copies the assets of generated scenes into their run, which can then be loaded and exported without the libraries."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -24,13 +24,13 @@ _PER_SHARD = 16
 
 
 @dataclass(frozen=True, slots=True)
-class CarryWork(ItemStep[AssetUse]):
-    """The rows of some assets; sent to the workers.
+class CopyAssets(ItemStep[AssetUse]):
+    """Copies the rows of assets; sent to the workers.
 
     Attributes:
-        places: Where assets are taken from, see :class:`~pipelines.sources.assets.AssetLibraries`.
-        fingerprint: Content of the libraries.
-        seconds: An asset that takes longer is given up.
+        places: The asset libraries, see :class:`~pipelines.sources.assets.AssetLibraries`.
+        fingerprint: Hash of the libraries.
+        seconds: Time limit of an asset.
     """
 
     TABLES: ClassVar = ("warnings", "failures", "meshes", "assets")
@@ -43,7 +43,7 @@ class CarryWork(ItemStep[AssetUse]):
 
     @property
     def seconds_per_item(self) -> float:
-        """As the settings say."""
+        """The time limit of an asset, seconds."""
         return self.seconds
 
     def item_id(self, item: AssetUse) -> str:
@@ -55,7 +55,7 @@ class CarryWork(ItemStep[AssetUse]):
         _opened(self)
 
     def item_rows(self, item: AssetUse, progress: ItemProgress) -> Rows:
-        """Rows of one asset."""
+        """The rows of one asset."""
         progress.step = "mesh"
         shelf, store = _opened(self)
         path = shelf.asset_path(item.asset_id)
@@ -66,18 +66,18 @@ class CarryWork(ItemStep[AssetUse]):
 
 
 @lru_cache(maxsize=1)
-def _opened(work: CarryWork) -> tuple[AssetLibraries, AssetStore]:
+def _opened(work: CopyAssets) -> tuple[AssetLibraries, AssetStore]:
     shelf = AssetLibraries(work.places)
     return shelf, AssetStore(shelf)
 
 
 def asset_shards(run: RunFolder, names: Sequence[str], fingerprint: str) -> list[Shard[AssetUse]]:
-    """The assets that the scenes of a run use, in shards; one without any where no scene was made, so that the tables are there.
+    """The assets that the scenes of a run use, in shards. A run without scenes gets one empty shard, so that its tables exist.
 
     Args:
         run: The run.
         names: Its tables of scenes.
-        fingerprint: Content of the libraries.
+        fingerprint: Hash of the libraries.
     """
     uses: dict[str, AssetUseCount] = defaultdict(AssetUseCount)
     for name in names:
@@ -87,7 +87,7 @@ def asset_shards(run: RunFolder, names: Sequence[str], fingerprint: str) -> list
             for asset_id, scale, tilt in zip(*columns, strict=True):
                 if asset_id is not None:
                     uses[asset_id].add(None if scale is None else tuple(scale), tuple(tilt))
-    # Grids of signed distance are for training, which prepares its own.
+    # No signed-distance grids: only training needs them, and it computes its own.
     found = [AssetUse(a, "", use.typical_scale(), (), tuple(use.most_tilts())) for a, use in sorted(uses.items())]
     parts: list[Sequence[AssetUse]] = [*split_groups(found, _PER_SHARD)] or [()]
     return [Shard(content_id("carry", fingerprint, [asdict(use) for use in part]), tuple(part)) for part in parts]

@@ -1,4 +1,4 @@
-"""Generate: tasks become simulation-ready scenes, by Algorithm 1, in this process or on a Ray cluster."""
+"""The generate job: Algorithm 1 turns tasks into simulation-ready scenes, in this process or on a Ray cluster."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
@@ -12,7 +12,7 @@ from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
 from pipelines.execution.shard_size import split_groups
 from pipelines.execution.shard_step import Shard, StepShards
-from pipelines.generate.assets import CarryWork, asset_shards
+from pipelines.generate.assets import CopyAssets, asset_shards
 from pipelines.generate.report import write_generate_report
 from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import GenerateWork
@@ -33,10 +33,10 @@ def generate(
     *,
     report: bool = True,
 ) -> dict[str, Any]:
-    """Runs the job, or what is missing of it; see :func:`pipelines.execution.shard_job.run_job`."""
+    """Runs the job, or its missing shards; see :func:`pipelines.execution.shard_job.run_job`."""
     if settings.engines and workers.are_this_process:
         raise ConfigError(
-            f"engines is {settings.engines}, but in this process alone (--workers 0) nobody shares them; take workers, or leave "
+            f"engines is {settings.engines}, but a single process (--workers 0) cannot share them; use more workers, or leave "
             "engines at 0",
             "config_invalid",
         )
@@ -44,13 +44,13 @@ def generate(
 
 
 class GenerateJob(ShardJob):
-    """Tasks become simulation-ready scenes.
+    """Turns tasks into simulation-ready scenes.
 
     Args:
-        tasks: What is asked for.
-        settings: What shapes the rows.
-        assets: Where assets are taken from, see :class:`pipelines.sources.assets.AssetLibraries`; every node of a cluster must
-            see them.
+        tasks: The tasks.
+        settings: The job's settings.
+        assets: The asset libraries, see :class:`pipelines.sources.assets.AssetLibraries`; every node of a cluster must see
+            them.
     """
 
     name = "generate"
@@ -77,15 +77,15 @@ class GenerateJob(ShardJob):
         }
 
     def inputs(self) -> dict[str, Any]:
-        """Content of the tasks, the weights, the reasoner and the libraries."""
+        """Hashes of the tasks, the weights, the configuration of the reasoner and the libraries."""
         return self._inputs
 
     def about(self) -> dict[str, Any]:
-        """Who proposes, and how many tasks there are."""
+        """The name of the engine and the number of tasks."""
         return {"engine": self.settings.engine.engine, "num_tasks": len(self.tasks.tasks) + len(self.tasks.lost)}
 
     def plan(self) -> Sequence[StepShards[Any]]:
-        """Tasks in shards, named by what shapes their rows; of the other tasks nothing does."""
+        """One step over the tasks. The id of a shard is a hash of its own tasks and of the settings, not of other tasks."""
         shaping = self.settings.shaping(), {key: value for key, value in self._inputs.items() if key != "tasks"}
         shards = [
             Shard(content_id("generate", *shaping, [asdict(task) for task in part]), tuple(part))
@@ -94,20 +94,20 @@ class GenerateJob(ShardJob):
         return [StepShards(GenerateWork(self.places, self.settings, content_id(self._inputs)), shards)]
 
     def later_plans(self, folder: RunFolder) -> Iterator[Sequence[StepShards[Any]]]:
-        """The assets that the scenes use. Engines are gone by then, and so is what the workers of a Ray of our own had opened."""
+        """The step that copies the assets of the scenes. It runs last, after engines and workers have released their memory."""
         libraries = content_id(self._libraries.fingerprints)
-        carry = CarryWork(self.places, libraries, self.settings.seconds_per_item)
+        carry = CopyAssets(self.places, libraries, self.settings.seconds_per_item)
         yield [StepShards(carry, asset_shards(folder, ("scenes", "rejected"), libraries))]
 
     def expected(self) -> Sequence[ExpectedItems]:
-        """Every task."""
+        """All tasks."""
         ids = [*(task.scene_id for task in self.tasks.tasks), *(notice.item_id for notice in self.tasks.lost)]
         return [ExpectedItems("scenes", "scene_id", ids, "failed_scenes")]
 
     def lost(self) -> Sequence[Notice]:
-        """Tasks that cannot be used."""
+        """The invalid tasks."""
         return self.tasks.lost
 
     def report(self, folder: RunFolder, manifest: dict[str, Any]) -> None:
-        """Writes the report page and the sheet of pictures."""
+        """Writes the report page and the contact sheet."""
         write_generate_report(folder, manifest, self.settings)

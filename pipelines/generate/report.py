@@ -29,7 +29,7 @@ from stable_data.storage.schemas import scene_from_row
 SHEET = "report/contact_sheet.png"
 """Contact sheet of the pictures."""
 
-_AT_ONCE = 16  # small files that are fetched side by side: on an object store each has to be waited for
+_AT_ONCE = 16  # small files that are read in parallel, because each read from an object store has a delay
 _COLUMNS = 5
 _SMALL = (384, 240)
 _MEASURES = (
@@ -47,10 +47,10 @@ _MEASURES = (
 
 
 def write_generate_report(folder: RunFolder, manifest: dict[str, Any], settings: GenerateSettings) -> None:
-    """Writes ``report/index.html`` and the sheet of its pictures.
+    """Writes ``report/index.html`` and the contact sheet.
 
     Args:
-        folder: The run; its tables are complete.
+        folder: The run, with complete tables.
         manifest: Its manifest, with counts.
         settings: The job's settings.
     """
@@ -81,7 +81,7 @@ def _frame(folder: RunFolder, name: str, columns: Sequence[str]) -> pl.DataFrame
 
 
 def _spent(folder: RunFolder) -> Counter[str]:
-    """Seconds of single processes by what they were spent on, and the scenes that they were spent for."""
+    """Process seconds by kind of work, and the number of scenes."""
     spent: Counter[str] = Counter()
     files = [f"{TIMING_FOLDER}/{shard_id}.json" for shard_id in folder.shard_ids("scenes")]
     with ThreadPoolExecutor(_AT_ONCE) as pool:
@@ -138,7 +138,7 @@ def _quality(scenes: pl.DataFrame, rejected: pl.DataFrame) -> Iterable[str]:
 
 
 def _stages(folder: RunFolder, turns: pl.DataFrame) -> Iterable[str]:
-    """What each stage was when it was proposed, and what became of it."""
+    """The proposals of each stage and their outcomes."""
     cards = [_cards(folder, column) for column in ("card_before", "card_after")]
     rows = []
     for stage in turns["stage"].unique(maintain_order=True).to_list():
@@ -162,11 +162,11 @@ def _stages(folder: RunFolder, turns: pl.DataFrame) -> Iterable[str]:
 
 
 def _cards(folder: RunFolder, column: str) -> pl.DataFrame:
-    """What the page says of the cards of the turns that have one: two of their many columns, for turns are many."""
+    """One column of the cards of turns that have a card; turns are many, so other columns are not read."""
     wanted = {"stage": pc.field("stage")} | {key: pc.field(column, key) for key in ("num_objects", "oc", "clean")}
     frame = pl.from_arrow(folder.table("turns", wanted))
     assert isinstance(frame, pl.DataFrame)
-    return frame.filter(pl.col("num_objects").is_not_null())  # always known where there is a card
+    return frame.filter(pl.col("num_objects").is_not_null())  # always known if there is a card
 
 
 def _time(spent: Counter[str]) -> Iterable[str]:
@@ -177,7 +177,7 @@ def _time(spent: Counter[str]) -> Iterable[str]:
 
 
 def _chosen(scenes: pl.DataFrame, count: int) -> list[str]:
-    """An even choice."""
+    """An evenly spaced choice of scene ids."""
     names = sorted(scenes["scene_id"].to_list())
     return [names[k] for k in np.unique(np.linspace(0, len(names) - 1, min(count, len(names))).astype(int))] if names else []
 
@@ -187,10 +187,10 @@ def _pictures(folder: RunFolder, scenes: pl.DataFrame, name: str, title: str, st
         return
     rows = {row["scene_id"]: row for row in folder.table(name, where=pc.field("scene_id").isin(chosen)).to_pylist()}
     yield f"<h2>{title}</h2>"
-    yield from picture_grid((scene_id, partial(_shown, rows[scene_id], store)) for scene_id in chosen)
+    yield from picture_grid((scene_id, partial(_scene_pictures, rows[scene_id], store)) for scene_id in chosen)
 
 
-def _shown(row: dict[str, Any], store: AssetStore) -> Shown:
+def _scene_pictures(row: dict[str, Any], store: AssetStore) -> Shown:
     said = escape(row["task"]["task"]) if row["task"] else ""
     why = f'<br><span class="bad">{escape(row["reason"])}</span>' if row.get("reason") else ""
     return [(draw_scene(scene_from_row(row), store), f"<b>{escape(row['scene_id'])}</b><br>{said}{why}")]
@@ -202,7 +202,7 @@ def _write_sheet(folder: RunFolder, scenes: pl.DataFrame, store: AssetStore, cou
     rows = {row["scene_id"]: row for row in folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()}
     try:
         images = [np.asarray(Image.fromarray(draw_scene(scene_from_row(rows[name]), store)).resize(_SMALL)) for name in chosen]
-    except ConfigError:  # this machine draws nothing, as the page says
+    except ConfigError:  # this machine cannot render, as the page states
         return
     stream = io.BytesIO()
     Image.fromarray(contact_sheet(images, chosen, _COLUMNS)).save(stream, "png")

@@ -1,4 +1,4 @@
-"""Settings of the generate job: who proposes, how assets are chosen, how the two systems take turns, and what is accepted."""
+"""Settings of the generate job: the reasoner, the retrieval, the schedule of Algorithm 1, and the rule of acceptance."""
 
 from dataclasses import asdict, dataclass, field, replace
 from typing import Annotated, Any, ClassVar, cast
@@ -17,12 +17,12 @@ from stable_data.scene import Stage
 from stable_data.storage.filter_expression import FilterExpression, parse_filter
 from stable_data.storage.schemas import SCHEMAS
 
-_FEWEST, _MOST = 16, 128  # scenes of a shard: with fewer the reasoner's batches are small, with more a lost worker costs much
+_FEWEST, _MOST = 16, 128  # scenes of a shard: fewer make small batches for the reasoner, more make a lost worker costly
 
 
 @dataclass(frozen=True, slots=True)
 class GenerateSettings(Settings):
-    """Settings of the job; ``--set key=value`` or the table ``[generate]`` of a TOML file."""
+    """Settings of the generate job, from ``--set key=value`` or the table ``[generate]`` of a TOML file."""
 
     section: ClassVar[str] = "generate"
 
@@ -91,20 +91,20 @@ class GenerateSettings(Settings):
     """Seconds; a correction that takes longer is ended. Not enforced without worker processes."""
 
     def check(self) -> None:
-        """Refuses GPUs that cannot be given, and schedules and conditions that cannot be read; see the base class."""
+        """Refuses an impossible number of GPUs, and invalid schedules and conditions; see the base class."""
         if self.engine_gpus > 1 and not float(self.engine_gpus).is_integer():
             raise ConfigError(
-                f"setting {self.section}.engine_gpus is {self.engine_gpus}, expected a part of a GPU or whole ones",
+                f"setting {self.section}.engine_gpus is {self.engine_gpus}, expected a fraction of a GPU or a whole number",
                 "config_invalid",
             )
         _ = self.loop, self.accepting
 
     @property
     def stages(self) -> tuple[Wanted, ...]:
-        """What is asked for, in order.
+        """The stages of the schedule, in order.
 
         Raises:
-            ConfigError: A stage is not known.
+            ConfigError: A stage is unknown.
         """
         names = [name.strip() for name in self.schedule.split(",")]
         known = [str(wanted) for wanted in WANTED if wanted != "edit"]
@@ -116,23 +116,23 @@ class GenerateSettings(Settings):
 
     @property
     def loop(self) -> LoopSettings:
-        """How the two systems take turns."""
+        """The settings of Algorithm 1."""
         return LoopSettings(self.stages, self.corrects, self.earlier_move, self.tries, self.full)
 
     @property
     def accepting(self) -> FilterExpression | None:
-        """Which scenes are accepted; None: all."""
+        """The rule of acceptance, or None to accept all scenes."""
         return parse_filter(self.accept, SCHEMAS["scenes"]) if self.accept.strip() else None
 
     def of_tasks(self, count: int) -> "GenerateSettings":
-        """The same with as many scenes a shard as a number of tasks makes it."""
+        """The settings with the shard size for a number of tasks."""
         return replace(self, scenes_per_shard=self.scenes_per_shard or shard_size(count, parts=4, fewest=_FEWEST, most=_MOST))
 
     def shaping(self) -> dict[str, Any]:
-        """The settings that shape rows beside the reasoner's own: a run is resumed only under the same."""
+        """The settings that shape rows, without those of the reasoner; a run is resumed only if they are equal."""
         aside = ("engine", "reasoner", "num_pictures", "core_hour_price", "engines", "engine_gpus", "seconds_per_item")
         own = {k: v for k, v in asdict(self).items() if k not in aside}
         licences = self.retrieval.licences
         own["retrieval"]["licences"] = None if licences is None else sorted(licences)  # JSON has no sets
-        # A shared engine answers batch by batch, which may round otherwise than a worker's own.
+        # A shared engine forms other batches than a worker's own engine, which can change rounding.
         return own | {"shares_engines": self.engines > 0}

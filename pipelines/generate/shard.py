@@ -1,7 +1,7 @@
-"""One shard of the generate job: scenes made side by side by Algorithm 1, then judged one by one; their rows.
+"""One shard of the generate job: Algorithm 1 makes its scenes concurrently, then each scene is judged.
 
-A shard's rows depend on nothing but the shard: batches form from the order of its tasks, and a correction that is given up is
-given up in whatever process it runs.
+The rows of a shard depend on the shard alone: batches follow from the order of its tasks, and the time limit of a correction
+is the same in every process.
 """
 
 import json
@@ -69,28 +69,28 @@ SOURCE = "generated"
 """The ``source`` of rows of ``scenes``."""
 
 TIMING_FOLDER = "timing"
-"""In the run's folder: what each shard spent on what, seconds of one process. No table, for it is another each time."""
+"""Files in the run's folder with the process seconds of each shard. They are no table, because they differ between runs."""
 
 _DEPTH = 0.8 * TOLERANCE
-"""How deep things may be in each other, metres: judges that try fewer directions than the audit measure up to an eighth more."""
+"""Largest accepted penetration, metres; a margin, because a judge with fewer directions measures up to an eighth more."""
 
 _PLACES = 6
-"""Where a thing that does not stay is tried: with more, half of that time goes into what is left out in the end all the same."""
+"""Number of places that are tried for an unsteady object; half of the time of further tries goes into objects that fail anyway."""
 
-_NOT_OF_A_SCENE = (*NOT_OF_A_SCENE, ray.exceptions.RayError)  # the engines may be elsewhere
+_NOT_OF_A_SCENE = (*NOT_OF_A_SCENE, ray.exceptions.RayError)  # the engines may run on another node
 
 REJECTED = "rejected"
-"""Code of a scene that breaks the rule of acceptance."""
+"""Code of a scene that the rule of acceptance rejects."""
 
 
 @dataclass(frozen=True, eq=False)
 class GenerateWorkerState:
-    """What a process keeps of its work.
+    """The objects that a process caches for its work.
 
     Attributes:
         answers: Proposes, retrieves and corrects.
-        shelf: Where assets come from.
-        statistics: What is known of categories.
+        shelf: The asset libraries.
+        statistics: The statistics of categories.
     """
 
     answers: LocalRequestHandler
@@ -103,11 +103,11 @@ class GenerateWork(ShardStep[Task]):
     """The work of one shard; sent to the workers.
 
     Attributes:
-        assets: Where assets are taken from, see :class:`~pipelines.sources.assets.AssetLibraries`.
+        assets: The asset libraries, see :class:`~pipelines.sources.assets.AssetLibraries`.
         settings: The job's settings.
-        fingerprint: Content of the inputs: what a process keeps of one is not used for another in the same place.
-        pool: Engines that are shared; None: a process has its own.
-        tally: Told where the scenes of a shard are; None: nobody looks.
+        fingerprint: Hash of the inputs, the key of what a process caches of them.
+        pool: The shared engines, or None if each process has its own.
+        tally: Receives the progress of the scenes, or None.
     """
 
     TABLES: ClassVar = ("warnings", "failures", "turns", "settled", "rejected", "scenes")
@@ -121,7 +121,7 @@ class GenerateWork(ShardStep[Task]):
 
     @contextmanager
     def sharing(self, workers: WorkerPool) -> Iterator[tuple["GenerateWork", ProgressTally | None]]:
-        """Holds the engines, unless each process has its own, and the tally."""
+        """Holds the shared engines, if there are any, and the tally."""
         if workers.are_this_process:
             here = LocalTally()
             yield replace(self, tally=here), here
@@ -141,7 +141,7 @@ class GenerateWork(ShardStep[Task]):
         """Makes the scenes of a shard.
 
         Raises:
-            ConfigError: The engine answers nothing any more (``engine_off``).
+            ConfigError: The engine no longer answers (``engine_off``).
         """
         with (
             IsolatedProcess(partial(_prepare, self._physics())) as apart,
@@ -149,12 +149,12 @@ class GenerateWork(ShardStep[Task]):
         ):
             return self._made(shard, apart if isolated else None, tell)
 
-    def _made(self, shard: Shard[Task], apart: IsolatedProcess | None, tell: ProgressReporter) -> ShardResult:
+    def _made(self, shard: Shard[Task], process: IsolatedProcess | None, tell: ProgressReporter) -> ShardResult:
         began, opened = perf_counter(), _opened(self)
         seconds = opened.answers.seconds
         seconds.update(dict.fromkeys(seconds, 0.0))
-        opened.answers.certify = partial(self._certified, apart=apart)
-        opened.answers.fault_of = lru_cache(maxsize=None)(partial(self._fault_of, apart=apart))
+        opened.answers.certify = partial(self._certified, process=process)
+        opened.answers.fault_of = lru_cache(maxsize=None)(partial(self._fault_of, process=process))
         rows: Rows = defaultdict(list)
         tasks = list(self._tasks(shard, rows))
         for made in self._generated(tasks, opened, tell):
@@ -166,7 +166,7 @@ class GenerateWork(ShardStep[Task]):
         return ShardResult(rows, {f"{TIMING_FOLDER}/{shard.shard_id}.json": json.dumps(spent).encode()})
 
     def _tasks(self, shard: Shard[Task], rows: Rows) -> Iterator[LayoutTask]:
-        """The tasks of a shard; one that cannot be drawn is a failure."""
+        """The tasks of a shard; a task that cannot be sampled is a failure."""
         for task in shard.items:
             try:
                 yield task if isinstance(task, LayoutTask) else task.sample()
@@ -176,7 +176,7 @@ class GenerateWork(ShardStep[Task]):
     def _generated(
         self, tasks: Sequence[LayoutTask], opened: GenerateWorkerState, tell: ProgressReporter
     ) -> Iterator[GenerationResult]:
-        """What becomes of tasks: made side by side, or one by one where something unforeseen ends that, which costs its scene."""
+        """Generates scenes concurrently; after an unexpected error one by one, so that it costs one scene only."""
 
         def made(some: Sequence[LayoutTask], watch: Callable[[QueueCounts], None] | None = None) -> list[GenerationResult]:
             loops = [dual_system(t, named_seed(seed, t.scene_id), settings, opened.statistics) for t in some]
@@ -192,14 +192,14 @@ class GenerateWork(ShardStep[Task]):
                 yield found
         except _NOT_OF_A_SCENE:
             raise
-        except Exception:  # noqa: BLE001 - which scene it was is found out below
+        except Exception:  # noqa: BLE001 - the scene is identified below
             for number, task in enumerate(tasks):
                 tell(propose=len(tasks) - number)
                 try:
                     found = made([task])[0]
                 except _NOT_OF_A_SCENE:
                     raise
-                except Exception as error:  # noqa: BLE001 - what nobody foresaw becomes a row
+                except Exception as error:  # noqa: BLE001 - an unexpected error becomes a row
                     message = f"{task.scene_id}: {unexpected_failure(error)}"
                     blank = Scene(task.scene_id, task.table, ())
                     found = GenerationResult(
@@ -207,29 +207,29 @@ class GenerateWork(ShardStep[Task]):
                     )
                 yield found
 
-    def _certified(self, asked: CertificationRequest, *, apart: IsolatedProcess | None) -> Correction:
-        """One scene certified; in a process of its own where workers died over its shard."""
+    def _certified(self, asked: CertificationRequest, *, process: IsolatedProcess | None) -> Correction:
+        """Certifies one scene, in a separate process if workers died while they processed its shard."""
         seconds = self.settings.seconds_per_item
-        if apart is None:
+        if process is None:
             with time_limited(seconds):
                 return _opened(self).answers.certifier(asked)
-        found = apart.call(partial(_certify, self._physics()), asked, seconds=seconds)
+        found = process.call(partial(_certify, self._physics()), asked, seconds=seconds)
         if isinstance(found, ProcessFailure):
             return failed_correction(asked, f"the correction {str(found).replace('_', ' ')} ({seconds:g} s are allowed)")
         return found
 
-    def _fault_of(self, asset_id: str, *, apart: IsolatedProcess | None) -> str | None:
-        """Why an asset cannot be used; where workers died over the shard it is read in a process of its own first."""
+    def _fault_of(self, asset_id: str, *, process: IsolatedProcess | None) -> str | None:
+        """Why an asset cannot be used; if workers died over the shard, a separate process reads it first."""
         seconds, store = self.settings.seconds_per_item, _opened(self).answers.certifier.store
-        if apart is not None:
-            found = apart.call(partial(_read, self._physics()), asset_id, seconds=seconds)
+        if process is not None:
+            found = process.call(partial(_read_asset, self._physics()), asset_id, seconds=seconds)
             if isinstance(found, ProcessFailure):
                 return f"asset {asset_id}: reading it {str(found).replace('_', ' ')} ({seconds:g} s are allowed)"
         with time_limited(seconds):
             return store.fault_of(asset_id)
 
     def _physics(self) -> "GenerateWork":
-        """The work for a process that corrects alone: it is no worker of Ray, and reaches none of what the workers share."""
+        """The work for a separate process, which is no worker of Ray and cannot reach shared engines or the tally."""
         return replace(self, pool=None, tally=None)
 
     def _rows(self, made: GenerationResult) -> Rows:
@@ -249,7 +249,7 @@ class GenerateWork(ShardStep[Task]):
         return rows | judged | {"warnings": [*rows["warnings"], *judged.get("warnings", [])]}
 
     def _judged(self, made: GenerationResult, scene: Scene, progress: ItemProgress) -> Rows:
-        """The rows of a scene that was made: accepted, or rejected and said why."""
+        """The rows of a generated scene: accepted, or rejected with the reason."""
         opened, name = _opened(self), scene.scene_id
         progress.step = "mesh"
         scene, shapes, notices = opened.answers.certifier.store.resolved(scene)
@@ -281,12 +281,14 @@ class GenerateWork(ShardStep[Task]):
         told = [Notice(name, n.step, n.code, n.message) for n in (*notices, *audit.notices)]
         if not_as_said:
             lost = ", ".join(map(str, not_as_said))
-            told.append(Notice(name, "card", "not_as_said", f"{name}: the instruction says what does not hold: {lost}"))
+            told.append(
+                Notice(name, "card", "not_as_said", f"{name}: the instruction states relations that do not hold: {lost}")
+            )
         told += [dropped_notice(d, name) for d in made.dropped]
         if made.correction is not None:
             told += notices_of(made.correction, name)
         if why_not:
-            told.append(Notice(name, "settle", "not_settled", f"{name}: the engine was not asked: {why_not}"))
+            told.append(Notice(name, "settle", "not_settled", f"{name}: the physics engine was not used: {why_not}"))
         found: Rows = {"warnings": [schemas.notice_row(n) for n in dict.fromkeys(told)]}
         if rest is not None and self.settings.keep_settled:
             found["settled"] = [_settled_row(name, rest)]
@@ -298,9 +300,9 @@ class GenerateWork(ShardStep[Task]):
         return found | {"rejected": [row | {"code": REJECTED, "reason": reason}], "failures": [schemas.notice_row(failure)]}
 
     def _settled(self, correction: Correction | None, scene: Scene, shapes: Sequence[Shape]) -> tuple[SettleResult | None, str]:
-        """What the physics engine makes of a scene, and why it was not asked."""
+        """The result of the physics engine for a scene, or the reason why there is none."""
         if correction is not None and correction.rest is not None:
-            return correction.rest, ""  # it was asked of this very scene
+            return correction.rest, ""  # the correction has simulated this scene
         try:
             return settle(bodies_of(scene, shapes, _opened(self).answers.certifier.store), scene.table), ""
         except MeshError as error:
@@ -308,20 +310,20 @@ class GenerateWork(ShardStep[Task]):
 
 
 def _prepare(work: GenerateWork) -> None:
-    """Opens what a correction needs, outside of its time."""
-    _apart(work)
+    """Opens what a correction needs; this time does not count against its limit."""
+    _open_certifier(work)
 
 
 def _certify(work: GenerateWork, asked: CertificationRequest) -> Correction:
-    return _apart(work)(asked)
+    return _open_certifier(work)(asked)
 
 
-def _read(work: GenerateWork, asset_id: str) -> None:
-    _apart(work).store.fault_of(asset_id)
+def _read_asset(work: GenerateWork, asset_id: str) -> None:
+    _open_certifier(work).store.fault_of(asset_id)
 
 
 @lru_cache(maxsize=1)
-def _apart(work: GenerateWork) -> LocalCertifier:
+def _open_certifier(work: GenerateWork) -> LocalCertifier:
     return _certifier(work.settings, AssetLibraries(work.assets))
 
 
@@ -348,13 +350,13 @@ def _opened(work: GenerateWork) -> GenerateWorkerState:
 def _with_movement(
     card: MetricCard, start: Scene, scene: Scene, posed: PosedScene, audit: Audit, store: AssetStore
 ) -> MetricCard:
-    """How far the corrections have moved what was proposed, and what of its relations they have kept."""
+    """Adds to a card how far the corrections moved the proposed objects, and how many relations they kept."""
     there = {o.instance for o in start.objects}
     if there != {o.instance for o in scene.objects}:
         return card
     order = {o.instance: k for k, o in enumerate(scene.objects)}
     start = replace(start, objects=tuple(sorted(start.objects, key=lambda o: order[o.instance])))
-    start, shapes, _ = store.resolved(start)  # at the tilts that were proposed
+    start, shapes, _ = store.resolved(start)  # with the proposed tilts
     kept = relations_kept(start, scene, shapes, posed.shapes, audits=(None, audit))
     return add_movement(card, start, scene, kept)
 
@@ -362,7 +364,7 @@ def _with_movement(
 def _with_alignment(
     card: MetricCard, seen: RelatedScene, containers: Mapping[str, bool | None], statistics: CategoryStatistics | None
 ) -> tuple[MetricCard, tuple[Relation, ...]]:
-    """What of the instruction the scene has: the things that it asks for, and what it says of the start; what of that is not so."""
+    """Adds AwT and AwS to a card; also returns the stated relations that do not hold."""
     scene = seen.scene
     if scene.task is None or statistics is None:
         return card, ()
@@ -371,7 +373,7 @@ def _with_alignment(
     card = replace(card, awt=sum(one.is_met_by(categories) for one in asked) / len(asked) if asked else None)
     named = [o for o in scene.objects if o.instance in scene.task.task_objects]
     on_in = {r for r in scene.relations if r.kind in (RelationKind.ON, RelationKind.IN)}
-    # What contradicts itself, or could be read of no such things, is among no task's relations.
+    # Contradictory relations, and relations between objects that were not found, are in no task.
     broken = relations_not_held(named, scene.table, scene.task.task, statistics, on_in)
     if not (scene.task.relations and named):
         return replace(card, aws=0.0 if broken else None), broken

@@ -1,4 +1,4 @@
-"""Parts of a report page: one HTML file that needs no other."""
+"""Parts of a report page, which is one self-contained HTML file."""
 
 import base64
 import io
@@ -15,11 +15,11 @@ from PIL import Image
 from stable_data.storage.run_folder import RunFolder
 
 _STYLE = Path(__file__).with_name("report.css")
-_SHOWN = 200  # notices of a table
+_SHOWN = 200  # notices of a table that the page lists
 
 
 def page(title: str, body: Iterable[str]) -> bytes:
-    """A whole page."""
+    """A complete page."""
     text = (
         '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>{escape(title)}</title><style>{_STYLE.read_text('utf-8')}</style>"
@@ -29,7 +29,7 @@ def page(title: str, body: Iterable[str]) -> bytes:
 
 
 def head(manifest: dict[str, Any]) -> str:
-    """The title of a run, and what it was made from."""
+    """The title of a run with its code versions and inputs."""
     return (
         f"<h1>{escape(manifest['dataset'])}</h1>"
         f'<p class="note">{manifest["job"]}, code {escape(", ".join(manifest["code_versions"]))}, tables version '
@@ -58,7 +58,7 @@ def notices(folder: RunFolder) -> Iterable[str]:
 
 
 def image_uri(picture: Any) -> str:
-    """A picture, (H, W, 3) uint8, as it stands in the page itself."""
+    """A picture, (H, W, 3) uint8, as a data URI."""
     stream = io.BytesIO()
     Image.fromarray(picture).convert("RGB").save(stream, "JPEG", quality=88)
     return "data:image/jpeg;base64," + base64.b64encode(stream.getvalue()).decode()
@@ -71,10 +71,10 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def histogram(title: str, values: pl.Series, edges: Sequence[float]) -> str:
-    """How often values lie between edges; null is unknown."""
+    """A histogram of values; null counts as unknown."""
     known = values.drop_nulls().to_numpy()
     counts = np.histogram(known, edges)[0]
-    step = 1 if values.dtype.is_integer() else 0  # 4 – 7, but 0.5 – 1
+    step = 1 if values.dtype.is_integer() else 0  # ranges of whole numbers end one below the next, such as 4 – 7
     labels = [
         f"{a:g}" if a == b - step else f"{a:g} – {b - step:g}" if b < 1000 else f"{a:g} or more" for a, b in pairwise(edges)
     ]
@@ -87,7 +87,7 @@ def histogram(title: str, values: pl.Series, edges: Sequence[float]) -> str:
 
 
 def bars(title: str, values: pl.Series) -> str:
-    """How often each value is there."""
+    """A bar for the count of each value."""
     counted = values.cast(pl.String).fill_null("none").value_counts(sort=True, name="n")
     return _chart(title, list(counted.iter_rows()))
 

@@ -1,4 +1,4 @@
-"""Pictures of scenes on a report page; one that cannot be drawn is no reason to be without the page."""
+"""Pictures of scenes on a report page; the page is written even if a picture fails."""
 
 from collections.abc import Callable, Iterable, Sequence
 from html import escape
@@ -14,11 +14,11 @@ from stable_data.simulation.render import object_colour, render_scene
 Shown: TypeAlias = Sequence[tuple[Any, str]]
 """Pictures, (H, W, 3) uint8, each with its caption in HTML."""
 
-_SIZE = (512, 320)  # of pictures on a page, pixels: tables are wide
+_SIZE = (512, 320)  # of pictures on a page, pixels; wide, because tables are wide
 
 
 def draw_scene(scene: Scene, store: AssetStore, size: tuple[int, int] = _SIZE) -> Any:
-    """A picture of a scene, (H, W, 3) uint8, in the colours of its assets where they are known.
+    """A picture of a scene, (H, W, 3) uint8, in the colours of its assets if they are known.
 
     Args:
         scene: The scene.
@@ -26,7 +26,7 @@ def draw_scene(scene: Scene, store: AssetStore, size: tuple[int, int] = _SIZE) -
         size: Width and height, pixels.
 
     Raises:
-        ConfigError: The machine cannot draw (``no_gl``).
+        ConfigError: The machine cannot render (``no_gl``).
     """
     shapes, _ = store.shapes(scene)
     meshes = [Mesh(s.vertices, s.faces) if s.is_exact else None for s in shapes]
@@ -37,13 +37,13 @@ def picture_grid(scenes: Iterable[tuple[str, Callable[[], Shown]]]) -> Iterable[
     """A grid of pictures.
 
     Args:
-        scenes: A scene's name, and what draws its pictures.
+        scenes: The name of each scene, and a function that draws its pictures.
     """
     yield "<div class=grid>"
     for name, draw in scenes:
         try:
             shown = draw()
-        except ConfigError as error:  # this machine draws nothing at all
+        except ConfigError as error:  # this machine cannot render any picture
             yield f'</div><p class="note">{escape(str(error))}</p>'
             return
         except Exception as error:  # noqa: BLE001 - see the module

@@ -1,1 +1,1 @@
-"""Job synth: the embedded world, made by many workers."""
+"""The job synth: many workers write scenes of the embedded world."""

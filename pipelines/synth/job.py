@@ -1,4 +1,8 @@
-"""The embedded world made by many workers: scenes in shards, each scene by its seed and number alone."""
+"""Writes a set of the embedded world with many workers.
+
+The output is a folder in the MesaTask-10K format and not a run with tables: a finished scene is a folder that exists. The job
+therefore has no manifest, and resumes by skipping the scenes whose folders exist.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,42 +17,40 @@ from stable_data.errors import SceneError
 _SCENES_PER_SHARD = 20
 
 Progress = Callable[[int, int], None]
-"""Told after every shard how many scenes are done, and how many failed."""
+"""Called after every shard with the number of finished and of failed scenes."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneWriter:
     """Writes shards of scenes; sent to the workers.
 
-    Its rows are folders in the MesaTask-10K format, each whole or not there, so there is no table that tells what is missing.
-
     Attributes:
-        out: The folder, as every worker sees it.
-        world: What the scenes depend on.
+        out: The folder, under the path that every worker sees.
+        world: The settings of the set; a scene depends on them and on its number alone.
     """
 
     out: str
     world: EmbeddedWorld
 
     def __call__(self, shard: Shard[int], *, isolated: bool = False) -> tuple[int, list[SceneError]]:
-        """Writes the scenes of a shard that are missing; gives their number and those that could not be made."""
+        """Writes the missing scenes of a shard; returns the size of the shard and the errors of failed scenes."""
         return len(shard), write_scenes(Path(self.out), shard.items, self.world)
 
 
 def synth(
     out: Path, num_scenes: int, world: EmbeddedWorld, workers: WorkerPool, progress: Progress | None = None
 ) -> list[SceneError]:
-    """Writes a set of the embedded world, or what is missing of it, with many workers.
+    """Writes a set of the embedded world, or its missing scenes, with many workers.
 
     Args:
-        out: The folder; on a cluster one that every node sees under this name.
-        num_scenes: How many scenes.
-        world: What they depend on.
-        workers: Who makes them.
+        out: The folder; every node of a cluster must see it under this path.
+        num_scenes: Number of scenes.
+        world: The settings of the set.
+        workers: The workers.
         progress: Called after every shard.
 
     Returns:
-        The scenes that could not be made.
+        The errors of the scenes that could not be made.
 
     Raises:
         ConfigError: As for :func:`stable_data.embedded_world.world.write_world`, or Ray cannot be reached.

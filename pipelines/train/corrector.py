@@ -1,11 +1,11 @@
 """Trains the Physics Corrector: in this process, or in the processes of Ray Train, with the same loop.
 
-OUT/weights/physics_corrector.safetensors   the averaged weights, with how they were made
-OUT/checkpoint/state.pt                     where a run that was stopped goes on
+OUT/weights/physics_corrector.safetensors   the averaged weights, with the settings of their training
+OUT/checkpoint/state.pt                     the checkpoint from which a stopped run continues
 OUT/logs/events.out.tfevents.*              losses and validation cards, for TensorBoard
 OUT/card.json                               the validation card of the weights
 OUT/manifest.json                           settings, data and encoder
-OUT/cache/                                  what was computed of the run's tables; may be deleted
+OUT/cache/                                  data computed from the run's tables; may be deleted
 """
 
 import json
@@ -28,15 +28,15 @@ _FAST_ROWS = ("small", "jitter", "pile")
 
 @dataclass(frozen=True, slots=True)
 class CorrectorMonitoring:
-    """How a run is watched; none of it shapes the weights.
+    """Logging and validation of a training; these settings do not shape the weights.
 
     Attributes:
-        log_every: Steps between the losses that are logged, each a mean over them.
+        log_every: Steps between log entries; a logged loss is the mean over them.
         card_every: Steps between validation cards.
-        card_scenes: Held-out scenes of those, without the exact figures.
-        final_scenes: Held-out scenes of the card at the end.
-        exact_scenes: How many of them are also judged exactly.
-        save_minutes: Between checkpoints.
+        card_scenes: Held-out scenes of these cards, which have no exact figures.
+        final_scenes: Held-out scenes of the final card.
+        exact_scenes: Scenes of the final card that are also judged exactly.
+        save_minutes: Minutes between checkpoints.
     """
 
     log_every: int = 20
@@ -52,8 +52,8 @@ class CorrectorTrainingJob(TrainingJob):
     """The training of the Physics Corrector.
 
     Attributes:
-        settings: What shapes the weights.
-        watch: How it is watched.
+        settings: The settings that shape the weights.
+        watch: Logging and validation.
         minutes: Time after which it stops and saves its checkpoint; 0 is no limit.
     """
 
@@ -66,11 +66,11 @@ class CorrectorTrainingJob(TrainingJob):
     minutes: float = 0.0
 
     def source(self) -> TrainingScenes:
-        """Where the scenes come from."""
+        """The source of the training scenes."""
         return TrainingScenes(self.data_uri, self.folder / "cache", self.settings.num_surface, self.settings.num_bottom)
 
     def describe(self) -> dict[str, Any]:
-        """What a run would do, for ``--dry-run``; the tables are looked for and none is read whole."""
+        """Describes what a run would do, for ``--dry-run``; no table is read whole."""
         fingerprint = self.source().fingerprint()
         network, _ = self.settings.resolved(1).corrector.build()
         return {
@@ -134,7 +134,7 @@ class CorrectorTrainingJob(TrainingJob):
         save_corrector(self.out / self.WEIGHTS, self.settings.corrector, training.average, notes)
 
     def finish(self, folder: RunFolder, manifest: dict[str, Any]) -> str:
-        """Closes the manifest; one line on what was done."""
+        """Closes the manifest and returns one line on what was done."""
         from safetensors import safe_open
 
         with safe_open(Path(folder.root) / self.WEIGHTS, framework="pt") as file:
@@ -143,7 +143,7 @@ class CorrectorTrainingJob(TrainingJob):
         closed = manifest | {"status": "complete" if is_done else "stopped", "steps_done": step}
         folder.write_bytes("manifest.json", json_bytes(closed))
         steps, used = f"{step} of {self.settings.steps}", f"{manifest['num_train']} scenes"
-        rest = "card.json" if is_done else "run again to go on"
+        rest = "card.json" if is_done else "run again to continue"
         return self.result_line(folder, steps, used, manifest["targets"], self.WEIGHTS, rest)
 
 
@@ -155,7 +155,7 @@ def _card_of(
     num_exact: int,
     rows: tuple[str, ...] | None = None,
 ) -> Card:
-    """The validation card of the averaged weights; empty where no scene is held out."""
+    """The validation card of the averaged weights; empty if no scene is held out."""
     places = data.of_split(1)
     places = (places if len(places) else data.of_split(2))[:num_scenes]
     if not len(places):

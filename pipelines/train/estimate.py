@@ -1,7 +1,7 @@
-"""What a training of the reasoner would do: examples, tokens, steps, memory and time, before anything is kept (``--dry-run``).
+"""Plans a training of the reasoner without running it (``--dry-run``): examples, tokens, steps, memory and time.
 
-Token lengths come from a part of the table where it is large. Memory follows from the sizes of the network. Time is measured
-where the network is small; else it follows from the number of operations and an assumed speed.
+Token lengths of a large table are estimated from a part of it. Memory follows from the sizes of the network. Time is measured
+for a small network; for a large one it follows from the number of operations and an assumed speed.
 """
 
 import time
@@ -25,26 +25,26 @@ from pipelines.train.reasoner import ReasonerTrainingJob
 from pipelines.train.run import training_device
 
 ASSUMED_FLOPS = 4e14
-"""Operations a second of each process where nothing can be measured: 40 % of an H100's peak in bfloat16."""
+"""Assumed operations per second of each process: 40 % of an H100's peak in bfloat16."""
 
-_READ = 6000  # examples whose lengths are looked at
-_MEASURED_WEIGHTS = 5e7  # of the largest network of which a few steps are measured
+_READ = 6000  # examples whose token lengths are counted
+_MEASURED_WEIGHTS = 5e7  # largest number of weights of a network whose steps are measured
 _STEPS = 3
-_FLOAT = 4  # bytes
+_FLOAT = 4  # bytes of a float32
 
 
 def training_plan(job: ReasonerTrainingJob, workers: int) -> dict[str, Any]:
-    """What a run would do.
+    """Describes what a run would do.
 
     Args:
         job: The job.
         workers: Processes of Ray Train; 0 is this process.
 
     Returns:
-        Settings and figures, as JSON takes them.
+        Settings and figures, ready for JSON.
 
     Raises:
-        ConfigError: It could not start.
+        ConfigError: The run could not start.
     """
     job.check_workers(workers)
     world, source = max(1, workers), job.source()
@@ -57,7 +57,9 @@ def training_plan(job: ReasonerTrainingJob, workers: int) -> dict[str, Any]:
         scale = total / max(1, len(data) + int(data.too_long.sum() + data.unasked.sum()))
         batches = job.batches(data)
         settings = job.settings.resolved(max(1, round(scale * len(batches))))
-        sizes = [len(rows) * max(int(data.length[row].sum()) for row in rows) for rows in batches]  # padding included
+        sizes = [
+            len(rows) * max(int(data.length[row].sum()) for row in rows) for rows in batches
+        ]  # tokens of each batch, with padding
         replies = max(sum(int(data.reply_length[row].sum()) for row in rows) for rows in batches)
         memory = memory_bytes(settings, tokenizer, max(sizes), replies, world)
         tokens_a_step = round(settings.accumulate * sum(sizes) / len(sizes))
@@ -96,17 +98,17 @@ def _tokens(data: TokenDataset, scale: float) -> dict[str, Any]:
 def memory_bytes(
     settings: ReasonerTrainingSettings, tokenizer: PreTrainedTokenizerBase, tokens: int, replies: int, world: int
 ) -> dict[str, int]:
-    """Memory of each process.
+    """Estimates the memory of each process.
 
     Args:
-        settings: Of the training.
-        tokenizer: What makes its tokens.
-        tokens: Of the largest batch, padding included.
-        replies: Most tokens of a batch of which the loss is taken.
+        settings: The settings of the training.
+        tokenizer: Its tokenizer.
+        tokens: Tokens of the largest batch, with padding.
+        replies: Largest number of tokens in a batch for which the loss is computed.
         world: Number of processes, which share weights, gradients and averages.
 
     Returns:
-        Bytes by what they are for; also the numbers of weights and of trained ones.
+        Bytes by use; also the numbers of weights and of trained weights.
     """
     with torch.device("meta"):
         network: Any = (
@@ -120,19 +122,19 @@ def memory_bytes(
     num_low_rank = sum(rank * (module.in_features + module.out_features) for module in linear)
     num_hidden = sum(p.numel() for name, p in network.named_parameters() if is_hidden(name, p))
     trained, of_muon = (num_low_rank, num_low_rank) if rank else (num_weights, num_hidden)
-    averages = 2 * trained - (of_muon if settings.optimizer == "muon" else 0)  # AdamW keeps two of each weight, Muon one
-    size = 2 if settings.precision == "bfloat16" else _FLOAT  # of what is multiplied
+    averages = 2 * trained - (
+        of_muon if settings.optimizer == "muon" else 0
+    )  # AdamW stores two averages of each weight, Muon one
+    size = 2 if settings.precision == "bfloat16" else _FLOAT  # bytes of a factor in matrix products
     head = getattr(config, "head_dim", None) or config.hidden_size // config.num_attention_heads
     heads = (config.num_attention_heads + config.num_key_value_heads) * head
-    # What the backward pass of a layer needs: for each token the inputs of norms, attention and products, and weights in
-    # bfloat16.
+    # The backward pass of a layer needs, for each token, the inputs of norms, attention and products, and weights in bfloat16.
     of_layer = tokens * (24 * config.hidden_size + 16 * heads + 4 * size * config.intermediate_size)
     of_layer += 2 * num_layer if size == 2 else 0
     inputs = tokens * config.hidden_size * _FLOAT * len(layers)
-    activations = inputs + 2 * of_layer if settings.recomputes else (len(layers) + 1) * of_layer  # one more for its gradients
+    activations = inputs + 2 * of_layer if settings.recomputes else (len(layers) + 1) * of_layer  # one more for the gradients
     logits = (min(replies, 1024) if settings.recomputes else replies) * config.vocab_size * (2 + 3 * _FLOAT)
-    # Whole on each process while they are used: embedding and head with their gradients; a layer, its gradient and the next
-    # one.
+    # Not sharded while in use: embedding and head with their gradients; a layer, its gradient and the next layer.
     whole = 2 * (num_weights - len(layers) * num_layer) + 3 * num_layer if world > 1 else 0
     numbers = {"weights": num_weights / world, "gradients": trained / world, "optimizer": averages / world, "gathered": whole}
     parts = {name: round(_FLOAT * number) for name, number in numbers.items()} | {"activations": activations + logits}
@@ -148,15 +150,14 @@ def _seconds_a_step(
     tokens: int,
     world: int,
 ) -> tuple[float, str]:
-    """Seconds of a step, and where they come from."""
+    """The seconds of a step, and how they were obtained."""
     if memory["num_weights"] <= _MEASURED_WEIGHTS and world == 1:
         training = ReasonerTrainer(data, settings, tokenizer, ProcessContext(training_device()))
-        training.advance()  # the first step makes what is made once
+        training.advance()  # the first step allocates buffers; it is not measured
         began = time.perf_counter()
         for _ in range(_STEPS):
             training.advance()
         return (time.perf_counter() - began) / _STEPS, f"measured on {training_device().type}"
-    # Of a weight and token: 2 operations forward, 2 for the gradient of the input, 2 for that of the weight where it is
-    # trained.
+    # For each weight and token: 2 operations forward, 2 for the gradient of the input, 2 for that of a trained weight.
     operations = memory["num_weights"] * (6 if settings.recomputes else 4) + 2 * memory["num_trained"]
-    return tokens * operations / (ASSUMED_FLOPS * world), f"assumed: {ASSUMED_FLOPS / 1e12:g} TFLOP/s a process"
+    return tokens * operations / (ASSUMED_FLOPS * world), f"assumed: {ASSUMED_FLOPS / 1e12:g} TFLOP/s for each process"

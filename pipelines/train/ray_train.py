@@ -1,7 +1,7 @@
-"""A training on Ray Train: so many processes, each with a GPU where there are any, run the job's own loop.
+"""A training on Ray Train: several processes, each with a GPU if the cluster has GPUs, run the job's own loop.
 
-What a process needs lies in the job's folder: the checkpoint to go on from, the cached data. So Ray moves no data, and a
-training goes on with another number of processes than it was begun with.
+The job's folder contains all that a process needs: the checkpoint and the cached data. Ray therefore moves no data, and a
+training can continue with another number of processes.
 """
 
 import os
@@ -22,8 +22,8 @@ def run_on_ray(job: TrainingJob, workers: int, address: str | None) -> None:
     """Trains in the processes of Ray Train.
 
     Args:
-        job: The job, its settings resolved and its data cached.
-        workers: How many processes.
+        job: The job with resolved settings and cached data.
+        workers: Number of processes.
         address: An existing Ray cluster; None starts a local one.
 
     Raises:
@@ -49,7 +49,7 @@ def run_on_ray(job: TrainingJob, workers: int, address: str | None) -> None:
 
 
 def _cause(error: BaseException) -> StableDataError:
-    """What a process said, or what became of it."""
+    """The error that a process raised, or a description of how it ended."""
     found: BaseException | None = error
     while found is not None:
         if isinstance(found, StableDataError):
@@ -57,12 +57,12 @@ def _cause(error: BaseException) -> StableDataError:
         found = getattr(found, "cause", None) or found.__cause__
     line = str(error).strip().rpartition("\n")[2]
     return ConfigError(
-        f"the training on Ray ended ({type(error).__name__}: {line}); run again to go on from its checkpoint", "ray_failed"
+        f"the training on Ray ended ({type(error).__name__}: {line}); run again to continue from its checkpoint", "ray_failed"
     )
 
 
 def _work(config: dict[str, Any]) -> None:
-    """One process's part."""
+    """The part of one process."""
     job: TrainingJob = config["job"]
     context = get_context()
     if os.environ.get("OMP_NUM_THREADS") is None:

@@ -1,8 +1,8 @@
 """Trains the Semantic Reasoner: in this process, or in the processes of Ray Train with its weights sharded, with the same loop.
 
-OUT/weights/                     a plain Hugging Face folder; reasoner.json, which says how it was made; and categories.json,
-                                 which the checks of its replies use
-OUT/checkpoint/state.pt          where a run that was stopped goes on
+OUT/weights/                     a plain Hugging Face folder, with reasoner.json (the settings of its training) and
+                                 categories.json (used by the checks of its replies)
+OUT/checkpoint/state.pt          the checkpoint from which a stopped run continues
 OUT/logs/events.out.tfevents.*   losses, for TensorBoard
 OUT/manifest.json                settings, data and models
 OUT/cache/                       tokens and tokenizer; may be deleted
@@ -32,20 +32,20 @@ from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
 
 Judge: TypeAlias = Callable[[Any, PreTrainedTokenizerBase], Mapping[str, float]]
-"""Figures of a model by what it generates, by name; the model is whole and of transformers or peft."""
+"""Computes named figures from the text that a model generates; the model is a complete one of transformers or peft."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReasonerMonitoring:
-    """How a run is watched; none of it shapes the weights.
+    """Logging and validation of a training; these settings do not shape the weights.
 
     Attributes:
-        log_every: Steps between the losses that are logged, each a mean over them.
+        log_every: Steps between log entries; a logged loss is the mean over them.
         validate_every: Steps between evaluations on the split ``validation``.
-        validate_examples: Examples of each kind of those.
-        save_minutes: Between checkpoints.
-        judge: More figures for each evaluation, of what the model generates; while it is trained only where one process has it
-            whole, in the end always. A function of a module, since it is sent to the workers.
+        validate_examples: Examples of each kind in an evaluation.
+        save_minutes: Minutes between checkpoints.
+        judge: Computes more figures from generated text: during the training only if one process holds the whole model, at
+            the end always. It must be a module-level function, because it is sent to the workers.
     """
 
     log_every: int = 20
@@ -60,8 +60,8 @@ class ReasonerTrainingJob(TrainingJob):
     """The training of the Semantic Reasoner.
 
     Attributes:
-        settings: What shapes the weights.
-        watch: How it is watched.
+        settings: The settings that shape the weights.
+        watch: Logging and validation.
         minutes: Time after which it stops and saves its checkpoint; 0 is no limit.
     """
 
@@ -74,7 +74,7 @@ class ReasonerTrainingJob(TrainingJob):
     minutes: float = 0.0
 
     def source(self) -> ExampleSource:
-        """Where the examples come from."""
+        """The source of the training examples."""
         return ExampleSource(self.data_uri, self.folder / "cache", self.settings)
 
     def prepare(self) -> tuple["ReasonerTrainingJob", dict[str, Any], None]:
@@ -89,10 +89,10 @@ class ReasonerTrainingJob(TrainingJob):
         return job, details, None
 
     def check_workers(self, workers: int) -> None:
-        """Refuses a base that cannot be read, data that is not there, and a number of processes that cannot share a step.
+        """Refuses an unreadable base, missing data, and a number of processes that cannot share a step.
 
         Raises:
-            ConfigError: One of these; or ``accumulate`` is not a multiple of the number of processes.
+            ConfigError: One of these; a step is shared if ``accumulate`` is a multiple of the number of processes.
         """
         if self.settings.base:
             read_config(Path(self.settings.base).expanduser(), self.settings.max_tokens)
@@ -104,14 +104,14 @@ class ReasonerTrainingJob(TrainingJob):
         self.source().fingerprint()
 
     def batches(self, data: TokenDataset) -> list[Rows]:
-        """Batches of the first pass.
+        """The batches of the first pass.
 
         Raises:
-            ConfigError: There are none.
+            ConfigError: There is no batch.
         """
         batches = batches_of_pass(data, self.settings, 0)
         if not batches:
-            raise ConfigError("shares leave no example of those that there are, expected some", "config_invalid")
+            raise ConfigError("the setting shares leaves no example, expected at least one", "config_invalid")
         return batches
 
     def work(self, place: ProcessContext, data: None = None) -> None:
@@ -130,13 +130,13 @@ class ReasonerTrainingJob(TrainingJob):
                     if watch.judge is not None and place.world_size == 1:
                         figures |= watch.judge(training.loss.network, tokenizer)
                     monitor.log(figures)
-                if step.saves and not step.stops:  # in the end it is kept anyway
+                if step.saves and not step.stops:  # the last checkpoint is saved after the loop
                     monitor.save()
 
             train(training, wants_stop=monitor.wants_stop, wants_save=monitor.wants_save, after=after)
             monitor.save()
             figures = self._validate(training, held_out)
-            values = training.values()  # all processes share in it
+            values = training.values()  # a collective operation of all processes
             if monitor.is_first:
                 model = TrainableNetwork(self.settings, tokenizer).with_values(values).to_keep(self.settings)
                 if watch.judge is not None:
@@ -161,7 +161,7 @@ class ReasonerTrainingJob(TrainingJob):
         }
 
     def identity(self, tokenizer: PreTrainedTokenizerBase) -> CheckpointIdentity:
-        """What a checkpoint goes with."""
+        """The data, tokenizer and base model that a checkpoint belongs to."""
         base = self.settings.base
         of_base = model_fingerprint(Path(base).expanduser()) if base else ""
         return CheckpointIdentity(self.source().fingerprint(), fingerprint_of(tokenizer), of_base)
@@ -182,7 +182,7 @@ class ReasonerTrainingJob(TrainingJob):
         counts = manifest["examples"]["train"]
         nats = ", ".join(f"{k.partition('/')[2]} {v:.3f}" for k, v in notes["figures"].items() if k.startswith("validation/"))
         steps, used = f"{notes['steps']} of {self.settings.steps}", f"{counts['used']} examples"
-        rest = "" if notes["is_done"] else "run again to go on"
+        rest = "" if notes["is_done"] else "run again to continue"
         return self.result_line(folder, steps, used, counts, nats and f"nats a token {nats}", self.WEIGHTS, rest)
 
 

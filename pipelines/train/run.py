@@ -1,4 +1,4 @@
-"""What the trainings share: how they are run and resumed, their manifest, log and checkpoints, and how they are stopped."""
+"""The parts that both trainings share: run and resume, manifest, log, checkpoints and signals."""
 
 import json
 import signal
@@ -25,7 +25,7 @@ from stable_data.storage.run_folder import RunFolder
 STATE = "checkpoint/state.pt"
 """The checkpoint in a training's folder."""
 
-_COSTLY = 20  # a checkpoint is kept no more often than this many times what keeping it takes
+_MIN_PAUSE = 20  # shortest time between checkpoints, in units of the time of saving one
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class TrainingJob(ABC):
         data: Folder of a preprocess run, or its URI.
         out: Folder of the training.
         NAME: The job's name in the manifest.
-        WEIGHTS: Where the weights are, in the folder of the training.
+        WEIGHTS: The path of the weights in the folder of the training.
         COMPARED: Keys of the manifest, beside the settings, that must not change between a stop and a resume.
     """
 
@@ -68,10 +68,10 @@ class TrainingJob(ABC):
         """Closes the manifest and returns one line on what was done."""
 
     def check_workers(self, workers: int) -> None:  # noqa: B027 - not every training has such limits
-        """Refuses what cannot be trained by a number of processes, before anything takes long.
+        """Makes quick checks before the data is read.
 
         Raises:
-            ConfigError: It cannot.
+            ConfigError: The training cannot run with this number of processes.
         """
 
     def run(self, workers: int = 0, address: str | None = None) -> str:
@@ -110,9 +110,9 @@ class TrainingJob(ABC):
 
         Args:
             folder: The training's folder.
-            steps: How many steps of how many were done.
-            used: What it was trained on.
-            counts: Counts of the data; keys ``left_out_*`` name what was left out.
+            steps: The number of finished steps and of all steps.
+            used: The number and name of the training items.
+            counts: Counts of the data; a key ``left_out_REASON`` counts items that were not used.
             notes: Further parts of the line; empty ones are skipped.
         """
         left_out = {k.removeprefix("left_out_"): v for k, v in counts.items() if k.startswith("left_out_") and v}
@@ -138,7 +138,7 @@ class TrainingJob(ABC):
 
 
 class MonitoredTraining(Protocol):
-    """A training as a monitor sees it."""
+    """The part of a training that a monitor uses."""
 
     step: int
     place: ProcessContext
@@ -149,17 +149,17 @@ class MonitoredTraining(Protocol):
 
 
 class TrainingMonitor:
-    """Progress bar, log, checkpoints and the end of one process's part of a training. Used in a ``with`` statement.
+    """Progress bar, log, checkpoints and stop conditions of one process of a training. Used in a ``with`` statement.
 
-    Bar and log are the first process's.
+    Only the first process has a bar and a log.
 
     Args:
-        training: The training, resumed.
-        steps: Length of the run.
+        training: The training, already resumed.
+        steps: Number of steps of the run.
         out: Its folder.
-        minutes: After which it is to stop; 0 is no limit.
-        log_every: Steps between the losses that are logged, each a mean over them.
-        save_minutes: Between checkpoints.
+        minutes: Time limit; 0 is no limit.
+        log_every: Steps between log entries; a logged loss is the mean over them.
+        save_minutes: Minutes between checkpoints.
 
     Attributes:
         is_first: Whether this process writes the files.
@@ -179,12 +179,12 @@ class TrainingMonitor:
         self._bar = tqdm(total=steps, initial=training.step, desc="train", unit="step", disable=not self.is_first)
 
     def __enter__(self) -> Self:
-        """Takes signals over, so that they end the run after its step."""
+        """Installs signal handlers that end the run after the current step."""
         self._former_handlers = _on_signals(self._stopped)
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Gives the signals back and closes bar and log."""
+        """Restores the signal handlers and closes bar and log."""
         for number, handler in self._former_handlers.items():
             signal.signal(number, handler)
         self._bar.close()
@@ -192,21 +192,21 @@ class TrainingMonitor:
             self._log.close()
 
     def wants_stop(self) -> bool:
-        """Whether a signal came or the time is over."""
+        """Whether a signal has arrived or the time limit is reached."""
         is_late = self._seconds > 0 and time.monotonic() - self._began > self._seconds
         return is_late or self._stopped.is_set()
 
     def wants_save(self) -> bool:
         """Whether it is time for a checkpoint; only the first process decides."""
-        pause = max(self._save_seconds, _COSTLY * self._save_took)
+        pause = max(self._save_seconds, _MIN_PAUSE * self._save_took)
         return self.is_first and time.monotonic() - self._saved > pause
 
     def count(self, losses: Mapping[str, float], **others: float) -> None:
         """Counts a step.
 
         Args:
-            losses: By name; their means over some steps are logged.
-            others: Figures of the step; the last ones are logged.
+            losses: Losses by name; their means over ``log_every`` steps are logged.
+            others: Further figures of the step; the latest ones are logged.
         """
         self._bar.update(1)
         for name, value in losses.items():
@@ -217,7 +217,7 @@ class TrainingMonitor:
             self._sums = {}
 
     def log(self, figures: Mapping[str, float]) -> None:
-        """Logs figures of the training as it is."""
+        """Logs figures at the current step."""
         if self._log is not None:
             for name, value in figures.items():
                 self._log.add_scalar(name, value, self._training.step)
@@ -231,16 +231,16 @@ class TrainingMonitor:
 
 
 def _event_log(folder: Path, step: int) -> Any:
-    """A writer of TensorBoard's files; what an earlier process logged of later steps is hidden."""
+    """A writer of TensorBoard files; entries of an earlier process for later steps are hidden."""
     from torch.utils.tensorboard import SummaryWriter
 
     return SummaryWriter(str(folder), purge_step=step + 1, flush_secs=20)
 
 
 def _on_signals(stopped: threading.Event) -> dict[int, Any]:
-    """Lets an interrupt or termination end the run after its step; gives the former handlers."""
+    """Makes SIGINT and SIGTERM end the run after the current step; returns the former handlers."""
     if threading.current_thread() is not threading.main_thread():
-        return {}  # a worker of Ray: its driver passes the end on
+        return {}  # in a worker of Ray, the driver handles signals
 
     def stop(number: int, frame: object) -> None:
         stopped.set()
@@ -254,16 +254,16 @@ def training_device() -> torch.device:
 
 
 def refuse_changes(folder: RunFolder, manifest: dict[str, Any], compared: Sequence[str]) -> None:
-    """Refuses to go on with a training of other settings, data or version.
+    """Refuses to continue a training with other settings, data or another version.
 
     Args:
         folder: The training's folder.
-        manifest: Of the training that is to start. Other sources of the same version are not refused, but said, and put into
-            its ``code_versions``, see :func:`pipelines.execution.code_history.record_code`.
-        compared: Keys of it that must be as they were, beside ``settings``.
+        manifest: The manifest of this training. Changed source code of the same version is not refused but recorded, see
+            :func:`pipelines.execution.code_history.record_code`.
+        compared: Keys of the manifest that must not differ, beside ``settings``.
 
     Raises:
-        ConfigError: Something differs, or the manifest there is none.
+        ConfigError: A value differs, or the file in the folder is not a manifest.
     """
     was = read_manifest(folder)
     if was is None:
@@ -276,5 +276,5 @@ def refuse_changes(folder: RunFolder, manifest: dict[str, Any], compared: Sequen
 
 
 def json_bytes(document: dict[str, Any]) -> bytes:
-    """A document as the text of a file."""
+    """A document as JSON bytes for a file."""
     return (json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False) + "\n").encode()

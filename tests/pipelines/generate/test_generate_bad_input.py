@@ -153,7 +153,7 @@ def test_an_endpoint_that_is_down_for_one_stage_leaves_no_hole(dataset: Path, tm
 
     with endpoint(plan) as server:
         settings = replace(PLAIN, engine=EngineSettings("openai:large", http=server.settings(rest_s=0.0)))
-        with pytest.raises(ConfigError, match="run again to go on"):
+        with pytest.raises(ConfigError, match="run again to continue"):
             generate(FOUR, str(tmp_path), settings, ALONE, [str(dataset)], report=False)
         is_down[0] = False
         generate(FOUR, str(tmp_path), settings, ALONE, [str(dataset)], report=False)

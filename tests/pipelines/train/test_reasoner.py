@@ -142,7 +142,7 @@ def test_stopped_and_run_again_it_gives_the_weights_of_one_run(run: Path, out: P
     job(run, other).run()
     stopped = job(run, out, minutes=1e-9).run()
     assert "1 of 6 steps" in stopped
-    assert "run again to go on" in stopped
+    assert "run again to continue" in stopped
     assert json.loads((out / "manifest.json").read_text("utf-8"))["status"] == "stopped"
     assert "6 of 6 steps" in job(run, out).run()
     file = "weights/model.safetensors"
