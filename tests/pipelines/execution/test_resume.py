@@ -132,7 +132,7 @@ def test_shards_without_a_manifest_are_refused(bare: Path, bare_run: Path, tmp_p
     out = tmp_path / "out"
     shutil.copytree(bare_run, out)
     (out / "manifest.json").unlink()
-    with pytest.raises(ConfigError, match=r"holds .*scenes.* but no manifest.json"):
+    with pytest.raises(ConfigError, match=r"contains the tables .*scenes.* but no manifest.json"):
         preprocess(str(bare), str(out), SMALL, WorkerPool())
 
 
