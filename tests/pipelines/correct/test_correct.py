@@ -111,6 +111,7 @@ def test_what_the_engine_moves_is_put_where_it_stays_or_named(broken: Path, tmp_
         assert bool(settle(bodies_of(scene, shapes, store), scene.table).stable) != (scene_id in named)
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 @pytest.mark.usefixtures("local_ray")
 def test_ray_gives_the_same_bytes_as_this_process(broken: Path, corrected: Path, tmp_path: Path) -> None:

@@ -239,6 +239,7 @@ def test_another_configuration_is_refused(dataset: Path, edits: Path, edited: Pa
         edit(str(dataset), fewer, str(edited), SMALL, ALONE)
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 @pytest.mark.usefixtures("local_ray")
 def test_ray_gives_the_same_bytes_as_this_process(dataset: Path, edits: Path, edited: Path, tmp_path: Path) -> None:

@@ -191,6 +191,7 @@ def test_scenes_are_told_of_where_they_are(
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 def test_a_shard_over_which_workers_died_reaches_nothing_that_workers_share(
     settings: GenerateSettings, dataset: Path, tmp_path: Path, local_ray: None

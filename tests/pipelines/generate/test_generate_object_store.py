@@ -90,6 +90,7 @@ def assert_same(first: RunFolder, second: RunFolder) -> None:
         assert first.table(table).equals(second.table(table)), table
 
 
+@pytest.mark.slow
 def test_a_store_that_refuses_some_requests_gets_the_same_rows(
     dataset: Path, settings: GenerateSettings, local: RunFolder, store: tuple[Refusing, str]
 ) -> None:

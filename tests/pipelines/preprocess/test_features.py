@@ -103,6 +103,7 @@ def test_what_is_missing_is_made_again(tiny: Path, with_features: PreprocessSett
     assert content(out) == content(run)
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 @pytest.mark.usefixtures("local_ray")
 def test_ray_gives_the_same_bytes_as_this_process(tiny: Path, run: Path, weights: Path, tmp_path: Path) -> None:

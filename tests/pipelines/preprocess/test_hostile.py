@@ -70,6 +70,7 @@ def test_a_mesh_that_nobody_foresaw_is_one_asset_lost(tiny: Path, tmp_path: Path
     assert run.table("scenes").to_pylist()[0]["num_without_mesh"] >= 1
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 def test_items_that_end_or_hold_their_process_are_failures(bare: Path, tmp_path: Path) -> None:
     (tmp_path / "my_writer.py").write_text(WRITER, "utf-8")

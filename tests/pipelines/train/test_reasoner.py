@@ -428,14 +428,12 @@ def test_memory_is_shared_and_lora_trains_little(run: Path, out: Path, base: Pat
     assert again["activations"] < alone["activations"]
 
 
-def test_a_file_may_have_a_table_for_it(run: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["embedded", pytest.param("mesatask", marks=pytest.mark.slow)])
+def test_a_file_may_have_a_table_for_it(name: str, run: Path, tmp_path: Path) -> None:
     assert "train_reasoner" in SECTIONS
-    for name in ("embedded", "mesatask"):
-        workflow = ROOT / "workflows" / f"{name}.toml"
-        result = invoke(
-            "--data", run, "--out", tmp_path / "out", "--config", workflow, "--dry-run", "--set", "network.layers=1"
-        )
-        assert result.exit_code == 0, result.stderr
+    workflow = ROOT / "workflows" / f"{name}.toml"
+    result = invoke("--data", run, "--out", tmp_path / "out", "--config", workflow, "--dry-run", "--set", "network.layers=1")
+    assert result.exit_code == 0, result.stderr
 
 
 def test_the_tokenizer_of_another_training_may_be_taken(run: Path, out: Path, tmp_path: Path) -> None:

@@ -39,6 +39,7 @@ def test_card_shows_a_sheet_of_pictures_where_there_are_any(tmp_path: Path) -> N
     assert (tmp_path / "out/sheet.png").stat().st_size > 1000
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 def test_workers_make_the_same(tmp_path: Path) -> None:
     assert told(str(tmp_path / "one"), "--scenes", "2", *QUICK)[0] == 0

@@ -78,6 +78,7 @@ def test_hugging_face_datasets_open_the_tables(run: str, tmp_path: Path, monkeyp
     assert [scene_from_row(row) for row in names["rows"]] == SCENES
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 @pytest.mark.filterwarnings("ignore")
 def test_ray_data_opens_the_tables(run: str) -> None:
