@@ -51,7 +51,7 @@ def what_it_does(layout: Sequence[LayoutObject], reply: LayoutReply) -> tuple[se
 
 def verdict(example: TrainingExample, reply: LayoutReply | None) -> dict[str, bool]:
     """How an answer compares with the edit."""
-    layout = example.ask.layout
+    layout = example.question.layout
     gone, changed, new = what_it_does(layout, LayoutReply(example.objects, example.removed or ()))
     if reply is None:
         return {"answered": False, "right": False, "kept": True}
@@ -74,7 +74,7 @@ def main(
     examples = [edit_example_of(row) for row in rows]
     reasoner, _ = load_reasoner(EngineSettings(engine), ReasonerSettings())
     began = time.perf_counter()
-    proposals = reasoner.propose([e.ask for e in examples], range(len(examples)))
+    proposals = reasoner.propose([e.question for e in examples], range(len(examples)))
     seconds = time.perf_counter() - began
     of_kind: dict[str, list[dict[str, bool]]] = defaultdict(list)
     for row, example, proposal in zip(rows, examples, proposals, strict=True):

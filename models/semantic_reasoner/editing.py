@@ -1,8 +1,8 @@
-"""Edits of a layout: how one is asked for, and what a reply makes of the scene.
+"""Edits of a layout: the question that asks for an edit, and the scene after the reply.
 
-What a reply does not name keeps its pose to the last digit. What it names under the instance that it has keeps every number
-that the reply repeats, and its asset unless its words are others. What rests on a thing goes along with it, through stacks of
-any height; what rested on a thing that goes comes down to where that one stood.
+An object that the reply does not name keeps its pose exactly. An object that it names keeps every number that the reply
+repeats, and its asset unless the description changes. Objects move with their support, through stacks of any height. The
+objects on a removed object are lowered to the height of its underside.
 """
 
 import math
@@ -24,11 +24,11 @@ _ARTICLES = frozenset(("a", "an", "the", "some"))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EditPrompt:
-    """A scene as it is shown to a model that is to edit it.
+    """A scene in the form in which a model reads it to edit it.
 
     Attributes:
-        scene: The scene; supports of its objects where they are known.
-        layout: Its objects in the order of generation, in the words of a layout.
+        scene: The scene; its objects have their supports if these are known.
+        layout: Its objects as layout objects, in the order of generation.
         names: Instance -> its name in the layout.
     """
 
@@ -36,13 +36,13 @@ class EditPrompt:
     layout: tuple[LayoutObject, ...]
     names: Mapping[str, str]
 
-    def ask(self, instruction: str) -> ReasonerQuestion:
-        """What a model is asked."""
+    def question(self, instruction: str) -> ReasonerQuestion:
+        """Returns the question that asks for an edit."""
         return ReasonerQuestion(instruction, self.scene.table, "edit", self.layout)
 
 
 def edit_prompt_of(scene: Scene) -> EditPrompt:
-    """A scene to be edited.
+    """Returns the prompt of a scene.
 
     Raises:
         SceneError: Its supports form a cycle (``support_circle``).
@@ -54,16 +54,16 @@ def edit_prompt_of(scene: Scene) -> EditPrompt:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EditResult:
-    """What became of a scene.
+    """A scene after an edit.
 
     Attributes:
-        scene: The scene after the edit; objects that are new, or whose words or size are others, have no asset, or no scale,
-            yet.
-        added: Instances that are new.
+        scene: The scene after the edit. New objects and those with another description have no asset yet; those with another
+            size have no scale yet.
+        added: New instances.
         changed: Instances that the reply changes.
-        carried: Instances that moved with what carries them.
-        removed: Instances that are gone.
-        wanting: Instances that want an asset: new ones, and those whose words are others.
+        carried: Instances that moved with their support.
+        removed: Removed instances.
+        need_asset: Instances that need an asset: new ones, and those with another description.
     """
 
     scene: Scene
@@ -71,102 +71,102 @@ class EditResult:
     changed: tuple[str, ...] = ()
     carried: tuple[str, ...] = ()
     removed: tuple[str, ...] = ()
-    wanting: tuple[str, ...] = ()
+    need_asset: tuple[str, ...] = ()
 
     @property
     def untouched(self) -> frozenset[str]:
-        """Instances that are as they were."""
+        """Instances that the edit does not change."""
         return frozenset(o.instance for o in self.scene.objects) - {*self.added, *self.changed, *self.carried}
 
     @property
     def kind(self) -> str:
-        """``add``, ``remove``, ``replace``, ``move``, ``restyle``; ``none`` or ``mixed`` where it is not one of them."""
+        """``add``, ``remove``, ``replace``, ``move`` or ``restyle``; else ``none`` or ``mixed``."""
         if self.changed:
             if self.added or self.removed:
                 return "mixed"
-            return "restyle" if set(self.changed) & set(self.wanting) else "move"
+            return "restyle" if set(self.changed) & set(self.need_asset) else "move"
         return {(0, 0): "none", (1, 0): "add", (0, 1): "remove"}.get((bool(self.added), bool(self.removed)), "replace")
 
 
 def apply_edit(edited: EditPrompt | Scene, reply: LayoutReply) -> EditResult:
-    """Carries out a reply to an edit.
+    """Applies a reply to an edit.
 
     Args:
-        edited: The scene that it was asked about.
-        reply: The reply, in the names of the layout.
+        edited: The scene, or its prompt.
+        reply: The reply, with the names of the layout.
 
     Returns:
-        The scene as the reply wants it, neither checked for collisions nor corrected. A reply that changes nothing gives the
-        scene itself.
+        The scene after the edit, neither checked for collisions nor corrected; the scene itself if the reply changes nothing.
 
     Raises:
-        SceneError: The reply cannot be meant (``edit_refused``); the message says why, for a model or a person to act on.
+        SceneError: The names of the reply contradict each other or the layout (``edit_refused``). The message states why, for
+            a model or a person.
     """
-    shown = edit_prompt_of(edited) if isinstance(edited, Scene) else edited
-    return _Change(shown, reply).carried_out()
+    prompt = edit_prompt_of(edited) if isinstance(edited, Scene) else edited
+    return _EditApplication(prompt, reply).result()
 
 
-class _Change:
-    """A reply being carried out."""
+class _EditApplication:
+    """The application of one reply to one scene."""
 
-    def __init__(self, shown: EditPrompt, reply: LayoutReply) -> None:
-        refused = next(name_faults(reply.objects, reply.removed, shown.ask("")), None)
-        if refused is not None:
-            raise SceneError(refused.message, "edit_refused")
-        self.scene, self.reply = shown.scene, reply
-        self.instances = {name: instance for instance, name in shown.names.items()}
-        self.was = {o.instance: o for o in shown.layout}
+    def __init__(self, prompt: EditPrompt, reply: LayoutReply) -> None:
+        fault = next(name_faults(reply.objects, reply.removed, prompt.question("")), None)
+        if fault is not None:
+            raise SceneError(fault.message, "edit_refused")
+        self.scene, self.reply = prompt.scene, reply
+        self.instances = {name: instance for instance, name in prompt.names.items()}
+        self.layout = {o.instance: o for o in prompt.layout}
         self.removed = {self.instances[name] for name in reply.removed}
         self.listed = {self.instances[o.instance]: o for o in reply.objects if o.instance in self.instances}
         self.done: dict[str, SceneObject] = {}
 
-    def carried_out(self) -> EditResult:
-        for o in generation_order(self.scene.scene_id, self.scene.objects):  # carriers come first
+    def result(self) -> EditResult:
+        for o in generation_order(self.scene.scene_id, self.scene.objects):  # supports before the objects on them
             self.done[o.instance] = self._after(o)
-        kept = tuple(self.done[o.instance] for o in self.scene.objects if o.instance not in self.removed)
+        remaining = tuple(self.done[o.instance] for o in self.scene.objects if o.instance not in self.removed)
         new = self._new()
         before = {o.instance: o for o in self.scene.objects}
-        touched = {o.instance for o in kept if o is not before[o.instance]}
+        touched = {o.instance for o in remaining if o is not before[o.instance]}
         if not (touched or new or self.removed):
             return EditResult(self.scene)
-        changed = tuple(o.instance for o in kept if o.instance in touched and o.instance in self.listed)
-        reworded = {name for name in changed if self._is_reworded(self.listed[name])}
-        after = self._supported((*kept, *new), {*changed, *(o.instance for o in new)})
+        changed = tuple(o.instance for o in remaining if o.instance in touched and o.instance in self.listed)
+        after = self._with_supports((*remaining, *new), {*changed, *(o.instance for o in new)})
         return EditResult(
             replace(self.scene, objects=after, relations=self._relations(touched)),
             added=tuple(o.instance for o in new),
             changed=changed,
-            carried=tuple(o.instance for o in kept if o.instance in touched and o.instance not in self.listed),
+            carried=tuple(o.instance for o in remaining if o.instance in touched and o.instance not in self.listed),
             removed=tuple(o.instance for o in self.scene.objects if o.instance in self.removed),
-            wanting=(*(name for name in changed if name in reworded), *(o.instance for o in new)),
+            need_asset=(*(name for name in changed if self._is_reworded(self.listed[name])), *(o.instance for o in new)),
         )
 
     def _after(self, o: SceneObject) -> SceneObject:
-        """An object after the edit; the object itself where it is as it was."""
+        """An object after the edit; the object itself if it does not change."""
         if o.instance in self.listed:
             return self._changed(o, self.listed[o.instance])
         carrier = self.done.get(o.support or "")
         if carrier is None:
             return o
-        was = self.scene[carrier.instance]
-        along = o if carrier is was else self._along(o, was, carrier)
+        before = self.scene[carrier.instance]
+        moved = o if carrier is before else self._moved_with(o, before, carrier)
         if carrier.instance not in self.removed:
-            return along
-        x, y, _ = along.position
-        return along.moved((x, y, min(along.bottom, carrier.bottom) + o.size[2] / 2), along.yaw)
+            return moved
+        x, y, _ = moved.position  # the support is removed: down to its underside, never up
+        return moved.moved((x, y, min(moved.bottom, carrier.bottom) + o.size[2] / 2), moved.yaw)
 
     def _changed(self, o: SceneObject, wanted: LayoutObject) -> SceneObject:
-        """An object as the reply has it; numbers that the reply repeats stay as they are, the height of its underside likewise."""
-        shown = self.was[wanted.instance]
+        """An object with the reply's changes; numbers that the reply repeats, and the height of the underside, do not change."""
+        shown = self.layout[wanted.instance]
+        # The layout has rounded numbers: a number that the reply repeats stands for the exact one.
         position, size = (
-            _triple(old if said == was else said / 100 for old, was, said in zip(exact, before, after, strict=True))
+            _triple(old if new == rounded else new / 100 for old, rounded, new in zip(exact, before, after, strict=True))
             for exact, before, after in (
                 (o.position, shown.position_cm, wanted.position_cm),
                 (o.size, shown.size_cm, wanted.size_cm),
             )
         )
         if size[2] != o.size[2] and position[2] == o.position[2]:
-            position = (*position[:2], o.bottom + size[2] / 2)  # what is higher or lower stands where it stood
+            position = (*position[:2], o.bottom + size[2] / 2)  # another height does not lift or sink the underside
         yaw = o.yaw if wanted.z_rotation_deg == shown.z_rotation_deg else math.radians(wanted.z_rotation_deg)
         if self._is_reworded(wanted):
             return replace(o, position=position, yaw=yaw, size=size, description=wanted.description, asset_id=None, scale=None)
@@ -175,14 +175,15 @@ class _Change:
         return o if (position, yaw) == (o.position, o.yaw) else o.moved(position, yaw)
 
     def _is_reworded(self, wanted: LayoutObject) -> bool:
-        return _words(wanted.description) != _words(self.was[wanted.instance].description)
+        return _words(wanted.description) != _words(self.layout[wanted.instance].description)
 
-    def _along(self, o: SceneObject, was: SceneObject, now: SceneObject) -> SceneObject:
-        """What rests on a thing, where it is once that thing is elsewhere or another: over the same spot, as high in it or on it."""
+    def _moved_with(self, o: SceneObject, was: SceneObject, now: SceneObject) -> SceneObject:
+        """An object on or in a support that changes: over the same spot of it, at the same relative height in it or on it."""
         turn = now.yaw - was.yaw
         dx, dy = o.position[0] - was.position[0], o.position[1] - was.position[1]
         c, s = math.cos(turn), math.sin(turn)
         above = o.bottom - was.bottom
+        # On top of the support the distance from its top is unchanged; inside it the height is scaled.
         if above >= was.size[2] > 0:
             above += now.size[2] - was.size[2]
         elif above > 0:
@@ -192,7 +193,7 @@ class _Change:
         return o.moved((x, y, now.bottom + above + o.size[2] / 2), yaw)
 
     def _new(self) -> tuple[SceneObject, ...]:
-        """What the reply adds, under names in the form of the scene's."""
+        """The objects that the reply adds, under instance names in the form of the scene's."""
         found: list[SceneObject] = []
         for o in self.reply.objects:
             if o.instance not in self.instances:
@@ -200,23 +201,24 @@ class _Change:
                 found.append(replace(o.to_scene_object(), instance=_instance(o.category, here)))
         return tuple(found)
 
-    def _supported(self, objects: tuple[SceneObject, ...], elsewhere: set[str]) -> tuple[SceneObject, ...]:
-        """The objects with what carries them now, by their boxes where that may be another thing than before."""
+    def _with_supports(self, objects: tuple[SceneObject, ...], moved: set[str]) -> tuple[SceneObject, ...]:
+        """The objects with their supports, inferred from boxes for objects that moved or whose support is removed."""
         names = {o.instance for o in objects} | {TABLE}
-        same = {o.instance for o in objects if o.instance not in elsewhere and o.support in {*names, None}}
+        same = {o.instance for o in objects if o.instance not in moved and o.support in {*names, None}}
         contacts = {o.instance: (o.support,) for o in objects if o.instance in same and o.support is not None}
         carriers = supports(replace(self.scene, objects=objects, relations=()), contacts)
         return tuple(o if o.instance in same else replace(o, support=carriers[o.instance]) for o in objects)
 
     def _relations(self, touched: set[str]) -> tuple[Relation, ...]:
-        """The relations that are asked for, without those of things that the edit has to do with."""
+        """The requested relations of the scene, without those of objects that the edit moves, changes or removes."""
         gone = {*touched, *self.removed}
         return tuple(r for r in self.scene.relations if gone.isdisjoint((*r.subject.split(", "), r.target)))
 
 
 def _instance(category: str, objects: Sequence[SceneObject]) -> str:
-    """``<k>_<category>_<n>``, the next number of each that is free."""
+    """``<k>_<category>_<n>`` with the next free numbers."""
     names = [o.instance for o in objects]
+    # The largest leading number plus one: gaps of removed objects are not used again.
     first = 1 + max(
         (int(head) for head, _, _ in (name.partition("_") for name in names) if head.isdecimal()), default=len(names)
     )
@@ -226,7 +228,7 @@ def _instance(category: str, objects: Sequence[SceneObject]) -> str:
 
 
 def _words(description: str) -> tuple[str, ...]:
-    """The words of a description, articles left out."""
+    """The words of a description without articles, casefolded."""
     return tuple(word for word in re.findall(r"\w+", description.casefold()) if word not in _ARTICLES)
 
 

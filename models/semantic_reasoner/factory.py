@@ -1,4 +1,4 @@
-"""A reasoner from its settings: engine, checks, and what a closed vocabulary needs."""
+"""Makes a reasoner from its settings: the engine, the checks, and the grounding for a closed vocabulary."""
 
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -19,7 +19,7 @@ from stable_data.errors import ConfigError
 
 @dataclass(frozen=True, slots=True)
 class ReasonerSettings(Settings):
-    """How the reasoner asks."""
+    """Settings of the reasoner."""
 
     tries: PositiveCount = 4
     """How often a question is asked, at most, until its answer passes the checks."""
@@ -46,23 +46,20 @@ class ReasonerSettings(Settings):
     """File with the text of MesaTask's question, for the dialect ``mesatask``; empty takes a text of the same meaning."""
 
     def tries_with(self, engine: EngineSettings) -> tuple[int, int]:
-        """How often a question is asked, and how often that of the first stage."""
+        """How often a question is asked at most, and how often that of the first stage."""
         return self.tries, self.task_tries or self.tries * (4 if engine.kind == "embedded" else 1)
 
     def settled(self) -> "ReasonerSettings":
-        """The same for any working directory: its paths are absolute."""
+        """Returns the settings with absolute paths, so that they hold in any working directory."""
         return replace(self, statistics=_absolute(self.statistics), wording=_absolute(self.wording))
 
 
 def load_reasoner(
     engine: EngineSettings, settings: ReasonerSettings | None = None, loaded: Engine | None = None
 ) -> tuple[SemanticReasoner, CategoryStatistics | None]:
-    """A reasoner, and what it knows of categories.
+    """Returns a reasoner, and its statistics of categories if there are any.
 
-    Args:
-        engine: Who answers.
-        settings: How it is asked.
-        loaded: The engine where it is loaded already, such as in another process.
+    ``loaded`` is the engine if it is loaded already, such as in another process.
 
     Raises:
         ConfigError: The engine or the statistics cannot be loaded.
@@ -93,16 +90,12 @@ def _text(file: str) -> str:
 
 
 def proposal_config(engine: EngineSettings, settings: ReasonerSettings | None = None) -> dict[str, Any]:
-    """All that a reasoner's proposals depend on beside questions and seeds, as JSON takes it.
+    """Returns everything that proposals depend on except questions and seeds, as JSON values.
 
-    A job that is resumed compares it: rows of two reasoners are not to be mixed. Nothing is opened.
-
-    Args:
-        engine: Who answers.
-        settings: How it is asked.
+    A resumed job compares it, so that the rows of two reasoners do not mix. The engine is not loaded.
 
     Raises:
-        ConfigError: The engine or the statistics are not there.
+        ConfigError: The engine or the statistics are missing.
     """
     settings = settings or ReasonerSettings()
     tries, task_tries = settings.tries_with(engine)
@@ -114,7 +107,7 @@ def proposal_config(engine: EngineSettings, settings: ReasonerSettings | None = 
     }
     if settings.dialect != "stages":
         found |= {"dialect": settings.dialect, "wording": content_id(_text(settings.wording))}
-    if settings.statistics:  # those of the engine's own folder are a file of its model
+    if settings.statistics:  # else they are in the engine's own folder, whose files are hashed with the model
         statistics = _statistics(engine, settings)
         found["statistics"] = content_id(None if statistics is None else asdict(statistics))
     return found

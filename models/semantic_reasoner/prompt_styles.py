@@ -1,4 +1,4 @@
-"""How a model is spoken to: in our own words, stage by stage, or as MesaTask's released model was trained."""
+"""Styles of prompts: this project's own, stage by stage, or the one that MesaTask's released model was trained with."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -14,47 +14,49 @@ from stable_data.scene import TaskInfo
 
 
 class PromptStyle(Protocol):
-    """The words of questions and answers."""
+    """The form of questions and answers."""
 
-    def messages(self, ask: ReasonerQuestion, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
-        """The chat that asks, after answers that were refused and why."""
+    def messages(self, question: ReasonerQuestion, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
+        """Returns the chat that asks a question, with refused answers and the reason for each."""
         ...
 
-    def form(self, ask: ReasonerQuestion) -> ReplyGrammar:
-        """What the answer may look like."""
+    def form(self, question: ReasonerQuestion) -> ReplyGrammar:
+        """Returns the grammar of the answer."""
         ...
 
     def parse(self, text: str) -> LayoutReply:
-        """The answer's objects."""
+        """Returns the objects of an answer."""
         ...
 
 
 class StagedPromptStyle:
-    """Our own words; see :mod:`models.semantic_reasoner.text.prompt`.
+    """This project's own style; see :mod:`models.semantic_reasoner.text.prompt`.
 
     Args:
-        asks: What must be among the objects of an answer; None demands nothing.
+        asks: Returns the objects that an answer must contain; None requires nothing.
     """
 
     def __init__(self, asks: Callable[[ReasonerQuestion], tuple[ObjectRequirement, ...]] | None = None) -> None:
         self._asks = asks
 
-    def messages(self, ask: ReasonerQuestion, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
-        """The chat that asks for a stage, a whole layout or an edit."""
-        return messages(ask, refused)
+    def messages(self, question: ReasonerQuestion, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
+        """Returns the chat that asks for a stage, a whole layout or an edit."""
+        return messages(question, refused)
 
-    def form(self, ask: ReasonerQuestion) -> ReplyGrammar:
-        """Bound to the table, to what must be there and, in an edit, to the names that there are."""
-        names = tuple(o.instance for o in ask.layout) if ask.edits else ()
-        return ReplyGrammar.of_table(ask.table, edits=ask.edits, names=names, asks=self._asks(ask) if self._asks else ())
+    def form(self, question: ReasonerQuestion) -> ReplyGrammar:
+        """Returns a grammar bound to the table, to the required objects and, in an edit, to the names of the layout."""
+        names = tuple(o.instance for o in question.layout) if question.edits else ()
+        return ReplyGrammar.of_table(
+            question.table, edits=question.edits, names=names, asks=self._asks(question) if self._asks else ()
+        )
 
     def parse(self, text: str) -> LayoutReply:
-        """The objects of JSON."""
+        """Returns the objects of a JSON reply."""
         return parse_reply(text)
 
 
 _FINAL = "**Final Answer**"
-"""What stands before the layout in an answer of MesaTask's model."""
+"""The line before the layout in an answer of MesaTask's model."""
 
 _MESATASK = """Lay out a tabletop scene for the task below. Frame: the table's front left corner is the origin, x to the right, y to \
 the back, z up from the table top; lengths are centimetres, z_rotation degrees, 0 faces the observer. First reason in one paragraph \
@@ -69,30 +71,32 @@ Task information:"""
 
 
 class MesaTaskPromptStyle:
-    """One question, one answer with reasons, scene graph and layout, as MesaTask's released model writes it.
+    """The style of MesaTask's released model: one question, and one answer with reasons, scene graph and layout.
 
-    The model was trained on the project's own wording, which is not ours to ship: give it as ``wording``. Ours says the same.
+    The model was trained with MesaTask's own text, which may not be shipped here: give it as ``wording``. The default text has
+    the same meaning.
 
     Args:
-        wording: The text before the task information; ours by default.
+        wording: The text before the task information; empty uses the default text.
     """
 
     def __init__(self, wording: str = "") -> None:
         self._wording = wording or _MESATASK
 
-    def messages(self, ask: ReasonerQuestion, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
-        """The chat that asks for a whole layout.
+    def messages(self, question: ReasonerQuestion, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
+        """Returns the chat that asks for a whole layout.
 
         Raises:
-            SceneError: Something else is asked for (``stage_unknown``), or the instruction cannot be asked
+            SceneError: The question is not for a whole layout (``stage_unknown``), or the instruction is empty or too long
                 (``instruction_invalid``).
         """
-        if ask.wanted != "whole":
+        if question.wanted != "whole":
             raise SceneError(
-                f"{ask.wanted}: MesaTask's model knows whole layouts alone; ask for those (one shot)", "stage_unknown"
+                f"{question.wanted}: MesaTask's model answers with whole layouts only; ask for those (one shot)",
+                "stage_unknown",
             )
-        task = ask.details or TaskInfo("", check_instruction(ask.instruction))
-        document = write_task_info(TaskInfo(*_said(task)), ask.table)
+        task = question.details or TaskInfo("", check_instruction(question.instruction))
+        document = write_task_info(TaskInfo(*_prompt_fields(task)), question.table)
         text = f"{self._wording}\n{json.dumps(document, indent=2, ensure_ascii=False)}"
         chat = [{"role": "user", "content": text}]
         for answer, reason in refused:
@@ -102,15 +106,15 @@ class MesaTaskPromptStyle:
             ]
         return chat
 
-    def form(self, ask: ReasonerQuestion) -> ReplyGrammar:
-        """Free: reasons come before the JSON."""
-        return ReplyGrammar.of_table(ask.table, binds=False)
+    def form(self, question: ReasonerQuestion) -> ReplyGrammar:
+        """Returns a grammar that does not bind, since reasons precede the JSON."""
+        return ReplyGrammar.of_table(question.table, binds=False)
 
     def parse(self, text: str) -> LayoutReply:
-        """The objects of the layout that follows the reasons.
+        """Returns the objects of the layout after the reasons.
 
         Raises:
-            SceneError: There is no final answer (``reply_malformed``), or it is no layout.
+            SceneError: There is no final answer (``reply_malformed``), or it is not a layout.
         """
         _, found, layout = text.rpartition(_FINAL)
         if not found:
@@ -118,8 +122,8 @@ class MesaTaskPromptStyle:
         return parse_reply(layout.partition("<|im_end|>")[0])
 
 
-def _said(task: TaskInfo) -> tuple[str, str, tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
-    """What a model may be told of a task: not which instances it is about, nor what holds of them."""
+def _prompt_fields(task: TaskInfo) -> tuple[str, str, tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """The fields of a task that a prompt may contain: not its instances nor their relations, which are the answer."""
     lists = (tuple(map(sanitise_words, words)) for words in (task.goal, task.action_sequence, task.objects_cluster))
     return sanitise_words(task.environment), sanitise_words(task.task), *lists  # type: ignore[return-value]
 
@@ -127,15 +131,15 @@ def _said(task: TaskInfo) -> tuple[str, str, tuple[str, ...], tuple[str, ...], t
 def prompt_style_of(
     name: str, wording: str = "", asks: Callable[[ReasonerQuestion], tuple[ObjectRequirement, ...]] | None = None
 ) -> PromptStyle:
-    """A dialect by name.
+    """Returns a prompt style by name.
 
     Args:
         name: ``stages`` or ``mesatask``.
-        wording: Of MesaTask's question; empty takes ours.
-        asks: What must be among the objects of an answer; of ``stages`` alone.
+        wording: Text of MesaTask's question; empty uses the default text.
+        asks: Returns the objects that an answer must contain; used by ``stages`` only.
 
     Raises:
-        ConfigError: There is none of that name.
+        ConfigError: The name is unknown.
     """
     if name == "stages":
         return StagedPromptStyle(asks)

@@ -1,10 +1,10 @@
-"""The Semantic Reasoner: asks an engine, checks what comes back, asks again with the reason, and gives objects."""
+"""The Semantic Reasoner: asks an engine, checks its answers, and asks again after an answer with faults."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
-from models.semantic_reasoner.engines.incremental_batches import Conversation, run_conversation
+from models.semantic_reasoner.engines.incremental_batches import Conversation, collect_answers
 from models.semantic_reasoner.engines.protocol import Completion, Engine, Request, conversation
 from models.semantic_reasoner.language.word_grounding import WordGrounding
 from models.semantic_reasoner.prompt_styles import PromptStyle, StagedPromptStyle
@@ -17,24 +17,24 @@ from stable_data.random_seeds import named_seed
 from stable_data.scene import MAX_INSTRUCTION, Stage
 
 _LEFT_OUT = "left_out"
-_FEW = 1 / 8  # of a long list: it is not asked for again for their sake
+_SMALL_SHARE = 1 / 8  # of the objects of a reply: so few are removed without another try
 
 
 class FaultFinder(Protocol):
     """Finds faults in a reply to a question."""
 
-    def __call__(self, reply: LayoutReply, ask: ReasonerQuestion, /) -> Sequence[ReplyFault]:
-        """The faults; none where the reply may enter the scene."""
+    def __call__(self, reply: LayoutReply, question: ReasonerQuestion, /) -> Sequence[ReplyFault]:
+        """Returns the faults; none if the reply may enter the scene."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class RefusedReply:
-    """An answer that was not taken.
+    """An answer that was refused.
 
     Attributes:
-        answer: Its text.
-        faults: Why.
+        answer: The text of the answer.
+        faults: The reasons.
     """
 
     answer: str
@@ -42,30 +42,30 @@ class RefusedReply:
 
     @property
     def reason(self) -> str:
-        """Its faults in one line."""
+        """The faults in one line."""
         return "; ".join(f.message for f in self.faults)
 
     @property
     def is_hard(self) -> bool:
-        """Whether it must be kept out."""
+        """Whether one of the faults is hard."""
         return any(f.is_hard for f in self.faults)
 
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """What the reasoner proposes for a question.
+    """The objects that the reasoner proposes for a question.
 
     Attributes:
-        reply: The objects; None where no answer could be used.
-        faults: What is still wrong with them, softly.
-        refused: Answers that were not taken, in the order in which they came.
-        failure: Why there are none, one line; empty where there are.
+        reply: The objects; None if no answer could be used.
+        faults: The soft faults that remain in the reply.
+        refused: The refused answers, in the order of the tries.
+        failure: Why there is no reply, one line; empty if there is one.
         code: Short machine-readable reason of the failure.
-        notices: What was unknown in the question, and what it was read as.
-        tries: How often it was asked; 0 where the question itself could not be.
-        prompt_tokens: Read, over all tries.
-        reply_tokens: Written, over all tries.
-        cost: Of all tries, in the currency of the engine's prices.
+        notices: Unknown words of the question, and how each was interpreted.
+        tries: How often the engine was asked; 0 if the question is invalid.
+        prompt_tokens: Tokens read, over all tries.
+        reply_tokens: Tokens written, over all tries.
+        cost: Cost of all tries, in the currency of the engine's prices.
     """
 
     reply: LayoutReply | None
@@ -81,20 +81,23 @@ class Proposal:
 
     @property
     def objects(self) -> tuple[LayoutObject, ...]:
-        """New and changed objects; none where there is a failure."""
+        """New and changed objects; none after a failure."""
         return () if self.reply is None else self.reply.objects
 
 
 @dataclass(slots=True, eq=False)
-class _Asking:
-    """A question that has no answer yet."""
+class _PendingQuestion:
+    """A question without an accepted answer, with the answers that may be used if the tries run out.
 
-    ask: ReasonerQuestion
+    ``best`` has soft faults alone, ``reduced`` is without its faulty objects, and all faults of ``misplaced`` are relations.
+    """
+
+    question: ReasonerQuestion
     seed: int
     notices: tuple[Notice, ...] = ()
     refused: list[RefusedReply] = field(default_factory=list)
     best: tuple[LayoutReply, tuple[ReplyFault, ...]] | None = None
-    rest: tuple[LayoutReply, tuple[ReplyFault, ...]] | None = None
+    reduced: tuple[LayoutReply, tuple[ReplyFault, ...]] | None = None
     misplaced: list[tuple[LayoutReply, tuple[ReplyFault, ...]]] = field(default_factory=list)
     tries: int = 0
     prompt_tokens: int = 0
@@ -102,50 +105,50 @@ class _Asking:
     cost: float = 0.0
 
     def refuse(self, answer: str, faults: Sequence[ReplyFault], reply: LayoutReply | None = None) -> None:
-        """Keeps an answer that will not do, and the best of those that would at need."""
+        """Records a refused answer, and its reply if that may be used later."""
         refused = RefusedReply(answer, tuple(faults))
         self.refused.append(refused)
-        if reply is not None and not refused.is_hard and (self.best is None or _amiss(faults) < _amiss(self.best[1])):
+        if reply is not None and not refused.is_hard and (self.best is None or _rank(faults) < _rank(self.best[1])):
             self.best = reply, refused.faults
         if reply is not None and all(f.relation is not None for f in faults):
             self.misplaced.append((reply, refused.faults))
 
-    def may_use(self, reply: LayoutReply, faults: tuple[ReplyFault, ...]) -> None:
-        """Keeps what is left of a refused answer, if the least so far had to be left out of it."""
-        if self.rest is None or _left_out(faults) < _left_out(self.rest[1]):
-            self.rest = reply, faults
+    def offer_reduced(self, reply: LayoutReply, faults: tuple[ReplyFault, ...]) -> None:
+        """Stores a reply without its faulty objects if fewer were removed than from the stored one."""
+        if self.reduced is None or _num_left_out(faults) < _num_left_out(self.reduced[1]):
+            self.reduced = reply, faults
 
     def proposal(
         self, reply: LayoutReply | None = None, failure: str = "", code: str = "", faults: tuple[ReplyFault, ...] = ()
     ) -> Proposal:
-        """What comes of it."""
+        """Returns the proposal; without a reply and a failure, from the best answer that may be used."""
         if reply is None and not failure:
-            if (taken := self.best or self.rest) is not None:
-                reply, faults = taken
+            if (usable := self.best or self.reduced) is not None:
+                reply, faults = usable
             else:
-                last = self.refused[-1]
-                failure, code = (
-                    f"{len(self.refused)} answers could not be used, the last because {last.reason}",
-                    "reply_unusable",
-                )
-        told = (self.tries, self.prompt_tokens, self.reply_tokens, self.cost)
-        return Proposal(reply, faults, tuple(self.refused), failure, code, self.notices, *told)
+                reason = self.refused[-1].reason
+                failure = f"{len(self.refused)} answers could not be used, the last because {reason}"
+                code = "reply_unusable"
+        counts = (self.tries, self.prompt_tokens, self.reply_tokens, self.cost)
+        return Proposal(reply, faults, tuple(self.refused), failure, code, self.notices, *counts)
 
 
 class SemanticReasoner:
-    """Asks an engine for the objects of a stage, of a whole layout, or of an edit.
+    """Asks an engine for the objects of a stage, of a whole layout, or of an edit: SR in the paper.
+
+    After the last try the reasoner uses, in this order: an answer whose only faults are relations of the instruction, with
+    objects moved until the relations hold; the answer with the fewest soft faults; the answer from which the fewest objects
+    have to be removed to pass the checks. The proposal's faults name what was moved or removed. After the first stage, an
+    answer from which at most an eighth of the objects has to be removed is used without another try.
 
     Args:
-        engine: Answers.
-        check: Finds faults in a reply; None takes whatever can be read.
-        tries: How often a question is asked at most, or that and how often the first stage's is. Where no answer would do,
-            things that are not where the instruction says are put there in one that has no other fault; else the one is taken
-            of which the least has to be left out to pass the checks, if there is one. Its faults say what was moved or left
-            out. After the first stage an answer of which an eighth at most has to be left out is taken without that at once.
-        tells_reasons: Whether a refused answer and its reason are shown when it is asked again, as a large model can use; else
-            the same question is asked with other draws.
-        grounding: Puts an instruction into words that the engine knows; None for an engine that knows them all.
-        dialect: How it is spoken to; our own words by default.
+        engine: Completes the requests.
+        check: Finds faults in a reply; None accepts every reply that can be parsed.
+        tries: How often a question is asked at most; or a pair: this number, and the number for the first stage.
+        tells_reasons: Whether a retry shows the refused answers and the reasons, which large models can use; else a retry asks
+            the same question with another seed.
+        grounding: Replaces the words of an instruction by words that the engine knows; None if the engine knows all words.
+        dialect: The style of the prompts; by default this project's own.
     """
 
     def __init__(
@@ -164,57 +167,45 @@ class SemanticReasoner:
         self._tells_reasons = tells_reasons
         self._dialect = dialect or StagedPromptStyle()
 
-    def propose(self, asks: Sequence[ReasonerQuestion], seeds: Sequence[int]) -> list[Proposal]:
-        """A proposal for each question, in their order; what fails does not touch the others.
+    def propose(self, questions: Sequence[ReasonerQuestion], seeds: Sequence[int]) -> list[Proposal]:
+        """Returns a proposal for each question, in their order; a failure does not affect the other questions.
 
-        Args:
-            asks: The questions.
-            seeds: One each: with an engine that repeats itself, the same question and seed have the same proposal.
+        Each question has a seed: if the engine is reproducible, the same question and seed give the same proposal.
         """
-        done: dict[int, Proposal] = {}
-
-        def keep(found: list[tuple[int, Proposal]]) -> Sequence[tuple[ReasonerQuestion, int]]:
-            done.update(found)
-            return ()
-
-        run_conversation(self.converse(list(zip(asks, seeds, strict=True))), keep)
-        return [done[k] for k in range(len(asks))]
+        return collect_answers(self.converse(list(zip(questions, seeds, strict=True))))
 
     def converse(
         self, questions: Sequence[tuple[ReasonerQuestion, int]]
     ) -> Conversation[Proposal, tuple[ReasonerQuestion, int]]:
-        """Proposals, and the questions that come of them, such as for a scene's next stage.
+        """Yields proposals, and accepts the questions that follow from them, such as those of a scene's next stage.
 
-        Proposals are given when they are a third of what is open, or more: what comes of them is then worth a batch, and those
-        that are still being answered are enough to go on with.
-
-        Args:
-            questions: What is asked, each with its seed.
+        Proposals are collected until they are at least a third of the open questions. The questions that follow from them are
+        then numerous enough for a batch, and the engine is busy with the open ones meanwhile. Each question has a seed.
         """
-        askings: list[_Asking] = []
-        of_request: list[int] = []  # the question of each
+        pending: list[_PendingQuestion] = []
+        question_of_request: list[int] = []  # index in pending
         done: list[tuple[int, Proposal]] = []
-        talk: Conversation[Completion, Request] | None = None
+        exchange: Conversation[Completion, Request] | None = None
         num_open = 0
 
-        def ask(k: int) -> list[Request]:
-            """The request that is next for a question; none where there is an end to it."""
-            asking = askings[k]
-            if asking.tries == (self._task_tries if asking.ask.wanted is Stage.TASK else self._tries):
-                done.append((k, self._last_word(asking)))
+        def next_request(k: int) -> list[Request]:
+            """The next request for a question; none if the question is done."""
+            one = pending[k]
+            if one.tries == (self._task_tries if one.question.wanted is Stage.TASK else self._tries):
+                done.append((k, self._final_proposal(one)))
                 return []
             try:
-                request = self._request(asking, asking.tries)
+                request = self._request(one)
             except SceneError as error:
-                done.append((k, asking.proposal(failure=str(error), code=error.code)))
+                done.append((k, one.proposal(failure=str(error), code=error.code)))
                 return []
-            of_request.append(k)
+            question_of_request.append(k)
             return [request]
 
         def begin(more: Sequence[tuple[ReasonerQuestion, int]]) -> list[Request]:
-            first = len(askings)
-            askings.extend(self._asking(*question) for question in more)
-            return [request for k in range(first, len(askings)) for request in ask(k)]
+            first = len(pending)
+            pending.extend(self._pending(*question) for question in more)
+            return [request for k in range(first, len(pending)) for request in next_request(k)]
 
         requests = begin(questions)
         while True:
@@ -224,93 +215,95 @@ class SemanticReasoner:
             num_open += len(requests)
             if not num_open:
                 return
-            if talk is None:
-                talk = conversation(self.engine, requests)
-                completions = next(talk)
+            if exchange is None:
+                exchange = conversation(self.engine, requests)
+                completions = next(exchange)
             else:
-                completions = talk.send(requests)
+                completions = exchange.send(requests)
             requests = []
             num_open -= len(completions)
             for number, completion in completions:
-                k = of_request[number]
-                proposal = self._judge(askings[k], completion)
+                k = question_of_request[number]
+                proposal = self._judge(pending[k], completion)
                 if proposal is None:
-                    requests += ask(k)
+                    requests += next_request(k)
                 else:
                     done.append((k, proposal))
 
-    def _asking(self, ask: ReasonerQuestion, seed: int) -> _Asking:
+    def _pending(self, question: ReasonerQuestion, seed: int) -> _PendingQuestion:
         if self._grounding is None:
-            return _Asking(ask, seed)
-        grounded = self._grounding.ground(ask.instruction[: MAX_INSTRUCTION + 1])
-        table_type, notices = self._grounding.table_type(ask.table.table_type)
-        known = replace(ask, instruction=grounded.instruction, table=replace(ask.table, table_type=table_type))
-        return _Asking(known, seed, (*grounded.notices, *notices))
+            return _PendingQuestion(question, seed)
+        # Cut to bound the work; one character more than allowed, so that a longer instruction is still refused.
+        grounded = self._grounding.ground(question.instruction[: MAX_INSTRUCTION + 1])
+        table_type, notices = self._grounding.table_type(question.table.table_type)
+        known = replace(question, instruction=grounded.instruction, table=replace(question.table, table_type=table_type))
+        return _PendingQuestion(known, seed, (*grounded.notices, *notices))
 
-    def _request(self, asking: _Asking, attempt: int) -> Request:
-        ask = asking.ask
-        told = [(r.answer, r.reason) for r in asking.refused] if self._tells_reasons else []
-        chat = tuple(self._dialect.messages(ask, told))
-        return Request(chat, self._dialect.form(ask), named_seed(asking.seed, ask.wanted, attempt))
+    def _request(self, pending: _PendingQuestion) -> Request:
+        question = pending.question
+        refused = [(r.answer, r.reason) for r in pending.refused] if self._tells_reasons else []
+        chat = tuple(self._dialect.messages(question, refused))
+        return Request(chat, self._dialect.form(question), named_seed(pending.seed, question.wanted, pending.tries))
 
-    def _last_word(self, asking: _Asking) -> Proposal:
-        """What comes of a question that was asked as often as it may be."""
+    def _final_proposal(self, pending: _PendingQuestion) -> Proposal:
+        """The proposal for a question that has no try left."""
         if self._check is not None:
-            for reply, faults in sorted(asking.misplaced, key=lambda one: len(one[1])):
-                if (mended := repair_relations(reply, faults, asking.ask, self._check)) is not None:
-                    return asking.proposal(mended[0], faults=mended[1])
-        return asking.proposal()
+            for reply, faults in sorted(pending.misplaced, key=lambda one: len(one[1])):
+                if (repaired := repair_relations(reply, faults, pending.question, self._check)) is not None:
+                    return pending.proposal(repaired[0], faults=repaired[1])
+        return pending.proposal()
 
-    def _judge(self, asking: _Asking, completion: Completion) -> Proposal | None:
-        """What comes of an answer; None where it is to be asked again."""
-        asking.tries += 1
-        asking.prompt_tokens += completion.prompt_tokens
-        asking.reply_tokens += completion.reply_tokens
-        asking.cost += completion.cost
-        if completion.code.startswith("reply_"):  # there was an answer, if none to use
-            asking.refuse(completion.text, [ReplyFault(completion.code, completion.failure)])
+    def _judge(self, pending: _PendingQuestion, completion: Completion) -> Proposal | None:
+        """The proposal that an answer gives; None if the question has to be asked again."""
+        pending.tries += 1
+        pending.prompt_tokens += completion.prompt_tokens
+        pending.reply_tokens += completion.reply_tokens
+        pending.cost += completion.cost
+        if completion.code.startswith("reply_"):  # the engine answered, but the answer cannot be used
+            pending.refuse(completion.text, [ReplyFault(completion.code, completion.failure)])
             return None
         if completion.failure:
-            return asking.proposal(failure=completion.failure, code=completion.code)
+            return pending.proposal(failure=completion.failure, code=completion.code)
         try:
             reply = self._dialect.parse(completion.text)
         except SceneError as error:
-            asking.refuse(completion.text, [ReplyFault(error.code, str(error))])
+            pending.refuse(completion.text, [ReplyFault(error.code, str(error))])
             return None
-        if not asking.ask.edits:  # there a name says which object is meant
-            reply = replace(reply, objects=renumber_instances(reply.objects, (o.instance for o in asking.ask.layout)))
-        faults = self._check(reply, asking.ask) if self._check else ()
+        question = pending.question
+        if not question.edits:  # in an edit a name identifies an object of the layout
+            reply = replace(reply, objects=renumber_instances(reply.objects, (o.instance for o in question.layout)))
+        faults = self._check(reply, question) if self._check else ()
         if not faults:
-            return asking.proposal(reply)
-        asking.refuse(completion.text, faults, reply)
-        if self._check and not asking.ask.edits:
-            rest = _without_the_faulty(reply, faults, asking.ask, self._check)
-            if rest is not None:
-                asking.may_use(*rest)
-                if asking.ask.wanted is not Stage.TASK and _left_out(rest[1]) <= _FEW * len(reply.objects):
-                    return asking.proposal()
+            return pending.proposal(reply)
+        pending.refuse(completion.text, faults, reply)
+        if self._check and not question.edits:
+            reduced = _without_faulty_objects(reply, faults, question, self._check)
+            if reduced is not None:
+                pending.offer_reduced(*reduced)
+                if question.wanted is not Stage.TASK and _num_left_out(reduced[1]) <= _SMALL_SHARE * len(reply.objects):
+                    return pending.proposal()
         return None
 
 
-def _without_the_faulty(
-    reply: LayoutReply, faults: Sequence[ReplyFault], ask: ReasonerQuestion, check: FaultFinder
+def _without_faulty_objects(
+    reply: LayoutReply, faults: Sequence[ReplyFault], question: ReasonerQuestion, check: FaultFinder
 ) -> tuple[LayoutReply, tuple[ReplyFault, ...]] | None:
-    """What is left of a reply when the objects go that keep it out, and what then rests on nothing; None where that is no cure."""
-    left: list[ReplyFault] = []
+    """A reply without the objects that have hard faults, and without those that float then; None if that is not enough."""
+    left_out: list[ReplyFault] = []
     while hard := [f for f in faults if f.is_hard]:
         gone = {f.instance: f.message for f in hard}
         if not gone.keys() <= {o.instance for o in reply.objects}:
-            return None  # something is wrong with the whole
-        left += [ReplyFault(_LEFT_OUT, f"{name} is left out: {message}", is_hard=False) for name, message in gone.items()]
+            return None  # the fault is one of the whole reply
+        left_out += [ReplyFault(_LEFT_OUT, f"{name} is left out: {message}", is_hard=False) for name, message in gone.items()]
         reply = replace(reply, objects=tuple(o for o in reply.objects if o.instance not in gone))
-        faults = check(reply, ask)
-    return (reply, (*left, *faults)) if left else None
+        faults = check(reply, question)
+    return (reply, (*left_out, *faults)) if left_out else None
 
 
-def _left_out(faults: Sequence[ReplyFault]) -> int:
+def _num_left_out(faults: Sequence[ReplyFault]) -> int:
     return sum(f.code == _LEFT_OUT for f in faults)
 
 
-def _amiss(faults: Sequence[ReplyFault]) -> tuple[bool, int]:
-    """How much is wrong with a reply; an edit that does something, if oddly, is better than one that does nothing."""
+def _rank(faults: Sequence[ReplyFault]) -> tuple[bool, int]:
+    """How bad a reply is, less is better; an edit with many faults is better than one that changes nothing."""
     return any(f.code == "nothing_changed" for f in faults), len(faults)

@@ -1,6 +1,6 @@
-"""Whole layouts from the reasoner alone: O^t, then O^B, then O^b, each told of what stands there already; nothing is corrected.
+"""Whole layouts from the reasoner alone: O^t, then O^B, then O^b, each given the objects before it; nothing is corrected.
 
-This is what the corrector starts from, and what the reasoner is judged by.
+These layouts are the input of the corrector, and the reasoner is evaluated on them.
 """
 
 from collections.abc import Sequence
@@ -17,18 +17,18 @@ PROGRESSIVE: tuple[Wanted, ...] = tuple(Stage)
 """The paper's three stages."""
 
 ONE_SHOT: tuple[Wanted, ...] = ("whole",)
-"""The paper's ablation."""
+"""The paper's one-shot ablation."""
 
 
 @dataclass(frozen=True, slots=True)
 class LayoutTask:
-    """What is to be laid out.
+    """The input of a layout.
 
     Attributes:
-        scene_id: Names the layout.
-        instruction: What is to be done on the table.
-        table: The table.
-        details: The task info, where the rest of it is to be said too and the engine was trained on that.
+        scene_id: Name of the layout.
+        instruction: The task instruction I.
+        table: The tabletop T.
+        details: The task info, if the prompt holds all of it and the engine was trained on that.
     """
 
     scene_id: str
@@ -39,22 +39,22 @@ class LayoutTask:
 
 @dataclass(slots=True)
 class StagedLayout:
-    """A layout as far as it came.
+    """A layout with the stages that are generated so far.
 
     Attributes:
-        task: What was to be laid out.
-        objects: Its objects, staged, without assets, in the order in which they were proposed.
-        proposals: One a stage that was asked for; the last may be a failure, after which no stage is asked for.
+        task: The input.
+        objects: Its objects, staged, without assets, in the order of the proposals.
+        proposals: One for each stage that was asked for; the last may be a failure, after which no stage is asked for.
     """
 
     task: LayoutTask
     objects: tuple[SceneObject, ...] = ()
     proposals: list[tuple[Wanted, Proposal]] = field(default_factory=list)
-    _told: tuple[LayoutObject, ...] = ()
+    _layout: tuple[LayoutObject, ...] = ()
 
     @property
     def is_whole(self) -> bool:
-        """Whether every stage has an answer."""
+        """Whether no stage failed."""
         return bool(self.proposals) and self.proposals[-1][1].reply is not None
 
     @property
@@ -62,16 +62,16 @@ class StagedLayout:
         """The layout as a scene."""
         return Scene(self.task.scene_id, self.task.table, self.objects)
 
-    def ask(self, wanted: Wanted) -> ReasonerQuestion:
-        """The question for a stage."""
-        return ReasonerQuestion(self.task.instruction, self.task.table, wanted, self._told, self.task.details)
+    def question(self, wanted: Wanted) -> ReasonerQuestion:
+        """Returns the question for a stage."""
+        return ReasonerQuestion(self.task.instruction, self.task.table, wanted, self._layout, self.task.details)
 
-    def take(self, ask: ReasonerQuestion, proposal: Proposal, statistics: CategoryStatistics | None) -> None:
-        """Adds what a stage proposes."""
-        self.proposals.append((ask.wanted, proposal))
+    def add(self, question: ReasonerQuestion, proposal: Proposal, statistics: CategoryStatistics | None) -> None:
+        """Adds the proposal of a stage."""
+        self.proposals.append((question.wanted, proposal))
         if proposal.reply is not None:
-            self.objects += objects_of_reply(proposal.reply, ask, statistics)
-            self._told += proposal.reply.objects
+            self.objects += objects_of_reply(proposal.reply, question, statistics)
+            self._layout += proposal.reply.objects
 
 
 def staged_layouts(
@@ -81,29 +81,21 @@ def staged_layouts(
     stages: Sequence[Wanted] = PROGRESSIVE,
     statistics: CategoryStatistics | None = None,
 ) -> list[StagedLayout]:
-    """A layout for each task, in their order; all layouts' requests of a stage are one batch.
+    """Returns a layout for each task, in their order; the requests of one stage are one batch.
 
-    Args:
-        reasoner: Proposes.
-        tasks: What is to be laid out.
-        seeds: One each.
-        stages: What is asked for, in order.
-        statistics: What is known of categories, to read the instruction by; only a whole layout's stages ask for it.
+    Each task has a seed. Only :data:`ONE_SHOT` uses the statistics of categories, to interpret instructions.
     """
     layouts = [StagedLayout(task) for task in tasks]
     for wanted in stages:
         alive = [(layout, seed) for layout, seed in zip(layouts, seeds, strict=True) if not layout.proposals or layout.is_whole]
-        asks = [layout.ask(wanted) for layout, _ in alive]
-        for (layout, _), ask, proposal in zip(alive, asks, reasoner.propose(asks, [s for _, s in alive]), strict=True):
-            layout.take(ask, proposal, statistics)
+        questions = [layout.question(wanted) for layout, _ in alive]
+        proposals = reasoner.propose(questions, [seed for _, seed in alive])
+        for (layout, _), question, proposal in zip(alive, questions, proposals, strict=True):
+            layout.add(question, proposal, statistics)
     return layouts
 
 
 def task_of_scene(scene: Scene) -> LayoutTask:
-    """The task of a scene: its instruction and its table, and nothing else.
-
-    Args:
-        scene: With a task.
-    """
+    """Returns the instruction and the table of a scene that has a task."""
     assert scene.task is not None
     return LayoutTask(scene.scene_id, scene.task.task, scene.table)

@@ -68,7 +68,7 @@ class AssetFinder:
         Raises:
             SceneError: The library has no similar asset (``asset_unmatched``).
         """
-        scene, wanting = edited.scene, set(edited.wanting)
+        scene, wanting = edited.scene, set(edited.need_asset)
         resized = [o for o in scene.objects if o.instance in edited.changed and o.scale is None and o.asset_id is not None]
         if not (wanting or resized):
             return AssignedEdit(scene, frozenset(o.instance for o in scene.objects))

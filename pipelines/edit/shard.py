@@ -81,7 +81,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         waiting = [k for k, edit in enumerate(items) if edit.reply is None]
         proposals: dict[int, Proposal] = {}
         if waiting:
-            asks = [shown[k].ask(items[k].instruction) for k in waiting]
+            asks = [shown[k].question(items[k].instruction) for k in waiting]
             seeds = [seed_of(items[k], self.settings.seed) for k in waiting]
             proposals = dict(zip(waiting, self.opened().reasoner.propose(asks, seeds), strict=True))
             for k, proposal in proposals.items():

@@ -138,7 +138,7 @@ class ReasonerTrainingJob(TrainingJob):
             figures = self._validate(training, held_out)
             values = training.values()  # a collective operation of all processes
             if monitor.is_first:
-                model = TrainableNetwork(self.settings, tokenizer).with_values(values).to_keep(self.settings)
+                model = TrainableNetwork(self.settings, tokenizer).with_values(values).to_save(self.settings)
                 if watch.judge is not None:
                     figures |= watch.judge(model, tokenizer)
                 monitor.log(figures)

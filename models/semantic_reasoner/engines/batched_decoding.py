@@ -1,8 +1,7 @@
-"""Batched decoding with a key-value cache of slots: sequences of any length share a step, and finished ones make room for others.
+"""Batched decoding with a key-value cache of slots: sequences of different lengths share a step and leave it when finished.
 
-A plain cache is one tensor that all sequences grow together, so that a batch takes as long as its longest reply. Here each
-sequence has a slot and its own length, and slots in use are kept next to each other, so that a step reads views of the cache
-and copies nothing.
+In a plain cache all sequences of a batch grow together, so that a batch takes as long as its longest reply. Here each sequence
+has a slot and its own length. The used slots are contiguous, so that a step reads views of the cache and copies nothing.
 """
 
 import torch
@@ -13,23 +12,23 @@ from transformers.cache_utils import Cache, CacheLayerMixin
 from models.semantic_reasoner.engines.qwen3_step import Qwen3Step
 
 ATTENTION = "stable_data_slots"
-"""Name under which the attention below is registered with transformers."""
+"""Name of :func:`slot_attention` in transformers."""
 
-_GROWTH = 256  # the cache grows by so many tokens at a time
+_GROWTH = 256  # tokens by which the cache grows at a time
 
 
 def slot_attention(
     module: torch.nn.Module, query: Tensor, key: Tensor, value: Tensor, attention_mask: Tensor | None, **more: object
 ) -> tuple[Tensor, None]:
-    """Attention whose key and value heads are shared by several query heads without being repeated in memory.
+    """Computes attention with key and value heads that several query heads share, without a copy for each of them.
 
     Args:
-        module: The layer; unused but for its scaling.
+        module: The layer; unused.
         query: (B, H, Q, C).
         key: (B, K, T, C), K a divisor of H.
         value: (B, K, T, C).
-        attention_mask: What is added to the scores, (B, 1, 1, T); None: causal, Q = T.
-        more: What transformers passes on, ``scaling`` among it.
+        attention_mask: Added to the scores, (B, 1, 1, T); None: causal, Q = T.
+        more: Further arguments of transformers, with ``scaling``.
 
     Returns:
         (B, Q, H, C), and no weights.
@@ -58,14 +57,14 @@ class _SlotLayer(CacheLayerMixin):  # type: ignore[misc]
         self._cache = cache
 
     def lazy_initialization(self, key_states: Tensor, value_states: Tensor) -> None:
-        """Makes room for one token more than nothing."""
+        """Allocates the keys and values."""
         _, heads, _, width = key_states.shape
         shape = (self._cache.num_slots, heads, self._cache.capacity, width)
         self.keys, self.values = key_states.new_zeros(shape), value_states.new_zeros(shape)
         self.is_initialized = True
 
     def update(self, key_states: Tensor, value_states: Tensor, *args: object, **kwargs: object) -> tuple[Tensor, Tensor]:
-        """Writes what is new, and gives what the step looks at."""
+        """Writes new keys and values, and returns those that the step attends to."""
         if not self.is_initialized:
             self.lazy_initialization(key_states, value_states)
         assert self.keys is not None
@@ -77,32 +76,27 @@ class _SlotLayer(CacheLayerMixin):  # type: ignore[misc]
         if self._cache.positions is None:
             self.keys[first : first + count, :, :size] = key_states
             self.values[first : first + count, :, :size] = value_states
-            return key_states, value_states  # these slots have nothing older
-        rows = torch.arange(count, device=key_states.device)
+            return key_states, value_states  # new sequences have no older tokens
+        rows = torch.arange(count, device=key_states.device)  # one token for each sequence, at its own position
         self.keys[rows, :, self._cache.positions] = key_states[:, :, 0]
         self.values[rows, :, self._cache.positions] = value_states[:, :, 0]
         return self.keys[:count, :, : self._cache.width], self.values[:count, :, : self._cache.width]
 
     def get_mask_sizes(self, query_length: int) -> tuple[int, int]:
-        """Not asked for: masks are given."""
+        """Unused, since masks are given."""
         return self._cache.width, 0
 
     def get_seq_length(self) -> int:
-        """Not asked for: positions are given."""
+        """Unused, since positions are given."""
         return 0
 
     def get_max_length(self) -> int:
-        """No bound."""
+        """Returns -1: no bound."""
         return -1
 
 
 class SlotCache(Cache):  # type: ignore[misc]
-    """A key-value cache in which each sequence has a slot.
-
-    Args:
-        num_layers: Of the model.
-        num_slots: Sequences that it has room for.
-    """
+    """A key-value cache of ``num_layers`` layers in which each of at most ``num_slots`` sequences has a slot."""
 
     def __init__(self, num_layers: int, num_slots: int) -> None:
         self.num_slots, self.capacity = num_slots, _GROWTH
@@ -112,12 +106,12 @@ class SlotCache(Cache):  # type: ignore[misc]
         super().__init__(layers=list(self._slots))
 
     def reserve(self, width: int) -> None:
-        """Makes room for so many tokens of a sequence."""
+        """Grows the capacity to at least ``width`` tokens of a sequence."""
         if width > self.capacity:
             self.capacity = -(-width // _GROWTH) * _GROWTH
 
     def move(self, source: int, target: int, length: int) -> None:
-        """Copies what a slot holds into another."""
+        """Copies the first ``length`` tokens of a slot to another."""
         for layer in self._slots:
             if layer.keys is not None and layer.values is not None:
                 layer.keys[target, :, :length] = layer.keys[source, :, :length]
@@ -129,11 +123,11 @@ class Decoder:
 
     Args:
         model: A causal language model whose attention is :data:`ATTENTION`.
-        num_slots: Most sequences at a time.
+        num_slots: Largest number of sequences at a time.
         pad: Any token.
 
     Attributes:
-        lengths: Tokens of each sequence that the cache holds, in slot order.
+        lengths: Number of tokens of each sequence in the cache, in slot order.
     """
 
     def __init__(self, model: PreTrainedModel, num_slots: int, pad: int) -> None:
@@ -145,10 +139,7 @@ class Decoder:
 
     @torch.inference_mode()
     def admit(self, prompts: list[list[int]]) -> Tensor:
-        """Reads new sequences into the next free slots.
-
-        Args:
-            prompts: Their tokens.
+        """Reads the prompts of new sequences into the next free slots.
 
         Returns:
             Logits of the token after each prompt, (len(prompts), V).
@@ -165,13 +156,10 @@ class Decoder:
 
     @torch.inference_mode()
     def step(self, tokens: list[int]) -> Tensor:
-        """Adds one token to each sequence.
-
-        Args:
-            tokens: In slot order.
+        """Appends one token to each sequence, in slot order.
 
         Returns:
-            Logits of the token after it, (len(tokens), V).
+            Logits of the next tokens, (len(tokens), V).
         """
         cache, device = self._cache, self._model.device
         positions = torch.tensor(self.lengths, device=device)
@@ -179,6 +167,7 @@ class Decoder:
         cache.width = max(self.lengths)
         cache.reserve(cache.width)
         cache.first, cache.positions = 0, positions
+        # Sequences that are shorter than the longest one do not attend to the rest of their slots.
         hides = torch.arange(cache.width, device=device)[None] > positions[:, None]
         mask = torch.zeros(hides.shape, dtype=self._model.dtype, device=device).masked_fill_(hides, -torch.inf)[:, None, None]
         read = torch.tensor(tokens, device=device)
@@ -187,7 +176,7 @@ class Decoder:
         return self._logits(self._forward(read[:, None], positions[:, None], mask)[:, 0])
 
     def _forward(self, tokens: Tensor, positions: Tensor, mask: Tensor | None) -> Tensor:
-        # A mask by attention type is taken as it is; the decoder would else make one for a cache that grows.
+        # A mask by attention type is used unchanged; for any other the decoder makes a mask for a cache that grows.
         types = set(getattr(self._model.config.get_text_config(), "layer_types", None) or ["full_attention"])
         hidden: Tensor = self._model.model(
             input_ids=tokens,
@@ -203,15 +192,15 @@ class Decoder:
         return logits.float()
 
     def rewind(self, slot: int, length: int) -> None:
-        """Forgets what a sequence has beyond so many tokens."""
+        """Removes the tokens of a sequence after the first ``length``."""
         self.lengths[slot] = length
 
     @torch.inference_mode()
     def release(self, slot: int) -> int | None:
-        """Ends a sequence; the last one takes its slot.
+        """Ends a sequence and moves the last one to its slot, so that used slots stay contiguous.
 
         Returns:
-            The slot that the last one had, None where it was the last itself.
+            The former slot of the moved sequence; None if the ended one was the last.
         """
         last = len(self.lengths) - 1
         if slot != last:

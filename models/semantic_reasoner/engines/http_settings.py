@@ -1,4 +1,4 @@
-"""Settings of the ``openai`` engine; the engine itself is imported only where it is used, since the client takes long to load."""
+"""Settings of the ``openai`` engine, apart from the engine, since the ``openai`` client takes long to import."""
 
 import json
 import os
@@ -15,7 +15,7 @@ CONNECT_SECONDS = 10.0
 
 @dataclass(frozen=True, slots=True)
 class HttpSettings(Settings):
-    """An endpoint, and how long the engine waits for it."""
+    """Settings of an endpoint and of the waits for it."""
 
     base_url: str
     """URL that ``/chat/completions`` is appended to, such as ``https://api.openai.com/v1``; for Azure the resource, such as
@@ -60,19 +60,19 @@ class HttpSettings(Settings):
     """Seconds; for this long all requests fail at once after the endpoint was found to be down."""
 
     def check(self) -> None:
-        """Refuses an address, a model or fields that no request can be made of.
+        """Refuses an invalid address, model or field; see the base class.
 
         Raises:
-            ConfigError: One of them cannot work.
+            ConfigError: One of them is invalid (``config_invalid``).
         """
         if not self._is_url():
-            shown = self.base_url.rpartition("@")[2].partition("?")[0]  # what stands around it may be a password
+            shown = self.base_url.rpartition("@")[2].partition("?")[0]  # user and query may contain a password
             expected = (
                 "expected such as https://api.openai.com/v1, without user, query and fragment; key_variable names the key"
             )
             raise ConfigError(f"base_url is {shown!r}, {expected}", "config_invalid")
         if not self.model:
-            raise ConfigError("model is empty, expected the endpoint's name of one, such as gpt-4o", "config_invalid")
+            raise ConfigError("model is empty, expected the endpoint's name of a model, such as gpt-4o", "config_invalid")
         if self.azure_api_version and not self.key_variable:
             raise ConfigError("key_variable is empty, expected one for Azure, such as AZURE_OPENAI_API_KEY", "config_invalid")
         self.extra_fields()
@@ -88,10 +88,10 @@ class HttpSettings(Settings):
         return bool(is_host) and url.username is None and not url.query and not url.fragment
 
     def extra_fields(self) -> dict[str, Any]:
-        """The fields of ``extra``.
+        """Returns the fields of ``extra``.
 
         Raises:
-            ConfigError: It is no JSON object.
+            ConfigError: ``extra`` is not a JSON object.
         """
         try:
             fields = json.loads(self.extra) if self.extra else {}
@@ -102,10 +102,10 @@ class HttpSettings(Settings):
         return fields
 
     def read_key(self) -> str:
-        """The key, empty where none is sent; it is nowhere but in the environment.
+        """Returns the key, which only the environment holds; empty if none is sent.
 
         Raises:
-            ConfigError: The variable is not set, or its value cannot be sent.
+            ConfigError: The variable is not set, or its value cannot be sent (``key_missing``).
         """
         if not self.key_variable:
             return ""
@@ -113,5 +113,5 @@ class HttpSettings(Settings):
         if not key:
             raise ConfigError(f"{self.key_variable} is not set, expected the key of {self.base_url}; export it", "key_missing")
         if not key.isascii() or not key.isprintable() or " " in key:
-            raise ConfigError(f"{self.key_variable} is no key, expected printable ASCII without spaces", "key_missing")
+            raise ConfigError(f"{self.key_variable} is not a key, expected printable ASCII without spaces", "key_missing")
         return key

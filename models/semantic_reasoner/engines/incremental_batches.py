@@ -1,7 +1,7 @@
-"""Questions and answers where an answer may bring further questions: none waits for those that were asked with it.
+"""Conversations: questions and answers, where answers may lead to further questions that do not wait for the open ones.
 
-A conversation is a generator: it yields answers with the numbers of their questions, counted in the order in which they were asked, and
-is sent the questions that come of them. It ends when nothing is left to be answered.
+A conversation is a generator. It yields answers with the numbers of their questions, counted in the order in which these were
+asked, and is sent the questions that follow from them. It ends when no question is open.
 """
 
 from collections.abc import Callable, Generator, Sequence
@@ -15,11 +15,11 @@ Conversation: TypeAlias = Generator[list[tuple[int, A]], Sequence[Q], None]
 
 
 def batch_conversation(answer: Callable[[Sequence[Q]], Sequence[A]], questions: Sequence[Q]) -> Conversation[A, Q]:
-    """The conversation with somebody who answers whole batches: what comes of one batch is the next.
+    """Makes a conversation from a function that answers batches: the questions after one batch are the next batch.
 
     Args:
-        answer: One answer for each question, in their order.
-        questions: Those to begin with.
+        answer: Returns one answer for each question, in their order.
+        questions: The first batch.
     """
     first = 0
     while questions:
@@ -29,11 +29,11 @@ def batch_conversation(answer: Callable[[Sequence[Q]], Sequence[A]], questions: 
 
 
 def run_conversation(talk: Conversation[A, Q], answer: Callable[[list[tuple[int, A]]], Sequence[Q]]) -> None:
-    """Leads a conversation to its end.
+    """Runs a conversation to its end.
 
     Args:
-        talk: The conversation, not begun.
-        answer: What comes of answers: further questions.
+        talk: The conversation, not started.
+        answer: Returns the questions that follow from answers.
     """
     try:
         found = next(talk)
@@ -41,3 +41,15 @@ def run_conversation(talk: Conversation[A, Q], answer: Callable[[list[tuple[int,
             found = talk.send(answer(found))
     except StopIteration:
         return
+
+
+def collect_answers(talk: Conversation[A, Q]) -> list[A]:
+    """Runs a conversation without further questions, and returns the answers in the order of the questions."""
+    done: dict[int, A] = {}
+
+    def store(found: list[tuple[int, A]]) -> Sequence[Q]:
+        done.update(found)
+        return ()
+
+    run_conversation(talk, store)
+    return [done[k] for k in range(len(done))]

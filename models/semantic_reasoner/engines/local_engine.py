@@ -1,4 +1,4 @@
-"""Engines that run here: the embedded small Qwen3, or any causal language model in a Hugging Face folder, decoded under a grammar."""
+"""Engines in this process: the embedded small Qwen3, or any causal language model in a Hugging Face folder, with a grammar."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from torch import Tensor
 from transformers import AutoModelForCausalLM, AutoTokenizer, PreTrainedModel, PreTrainedTokenizerFast
 
 from models.semantic_reasoner.engines.batched_decoding import ATTENTION, Decoder
-from models.semantic_reasoner.engines.incremental_batches import Conversation, run_conversation
+from models.semantic_reasoner.engines.incremental_batches import Conversation, collect_answers
 from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling, is_too_long
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from models.semantic_reasoner.text.reply_json import parse_reply
@@ -23,12 +23,12 @@ from stable_data.errors import ConfigError
 
 _DEFAULT = Sampling()
 _CLOSING = "]}"
-"""What a reply ends with."""
+"""The end of a reply."""
 
 
 @dataclass(slots=True, eq=False)
 class _Sequence:
-    """A request that is being answered."""
+    """A request that is being decoded."""
 
     index: int
     prompt: list[int]
@@ -41,20 +41,20 @@ class _Sequence:
 class LocalEngine:
     """A language model in this process: batched, seeded, and bound to the form of the replies.
 
-    Sequences are decoded ``num_slots`` at a time, and a finished one makes room for the next. Each draws from its own stream,
-    named by its seed, so its reply does not depend on what it is decoded beside, but for the rounding of batched products.
+    Sequences are decoded ``num_slots`` at a time, and the next one takes the slot of a finished one. Each has its own random
+    stream from its seed, so its reply does not depend on the rest of the batch, except for the rounding of batched products.
 
-    Whether a list of objects ends is drawn at the model's own odds, whatever the temperature is: it decides once an object, so
-    a temperature under 1 and the cut at ``top_p`` make lists longer than the model has learned. A reply that would end without
-    what its form asks for goes on with that instead.
+    The end of a list of objects is drawn with the model's own probability at any temperature. The model decides it once an
+    object, so a temperature below 1 and the cut at ``top_p`` would give longer lists than those of its training. A reply that
+    would end without the objects that its form requires continues with one of them.
 
     Args:
         model: A causal language model.
         tokenizer: Its tokenizer, with a chat template.
-        name: Names the engine.
+        name: Name of the engine.
         sampling: How tokens are drawn.
-        num_slots: Most sequences at a time.
-        is_constrained: Whether replies are bound to their form; off, the model writes what it likes.
+        num_slots: Largest number of sequences at a time.
+        is_constrained: Whether replies are bound to their form.
     """
 
     repeats = True
@@ -83,17 +83,12 @@ class LocalEngine:
     def load(
         cls, folder: Path, name: str = "", sampling: Sampling = _DEFAULT, num_slots: int = 64, is_constrained: bool = True
     ) -> "LocalEngine":
-        """An engine from a Hugging Face folder.
+        """Loads an engine from a Hugging Face folder with config.json, weights in safetensors and a tokenizer.
 
-        Args:
-            folder: With config.json, weights in safetensors and a tokenizer.
-            name: Names the engine; by default its folder.
-            sampling: How tokens are drawn.
-            num_slots: Most sequences at a time.
-            is_constrained: Whether replies are bound to their form.
+        The name is by default that of the folder; see the class for the other arguments.
 
         Raises:
-            ConfigError: It is no folder of a causal language model, or its tokenizer has no chat template.
+            ConfigError: The folder has no causal language model, or its tokenizer has no chat template (``model_invalid``).
         """
         try:
             tokenizer = AutoTokenizer.from_pretrained(folder, local_files_only=True, trust_remote_code=False)
@@ -114,12 +109,12 @@ class LocalEngine:
             ) from error
         if not isinstance(tokenizer, PreTrainedTokenizerFast) or not tokenizer.chat_template:
             raise ConfigError(
-                f"{folder}: its tokenizer is slow or has no chat template, expected that of an instruction-tuned model",
+                f"{folder}: its tokenizer is not a fast one or has no chat template, expected that of an instruction-tuned model",
                 "model_invalid",
             )
-        model, told = loaded
-        # transformers draws what the file lacks at random, and says so in its log alone.
-        if lacking := sorted({*told["missing_keys"], *(str(k) for k in told["mismatched_keys"])}):
+        model, report = loaded
+        # transformers fills missing tensors with random values, and reports them in its log only.
+        if lacking := sorted({*report["missing_keys"], *(str(k) for k in report["mismatched_keys"])}):
             raise ConfigError(
                 f"{folder}: {lacking[0]} and {len(lacking) - 1} more tensors are missing or of another shape, expected the whole "
                 "model",
@@ -132,57 +127,51 @@ class LocalEngine:
         return cls(model, tokenizer, name or f"transformers:{folder.name}", sampling, num_slots, is_constrained)
 
     def complete(self, requests: Sequence[Request]) -> list[Completion]:
-        """One completion for each request, in their order."""
-        done: dict[int, Completion] = {}
-
-        def keep(found: list[tuple[int, Completion]]) -> Sequence[Request]:
-            done.update(found)
-            return ()
-
-        run_conversation(self.converse(requests), keep)
-        return [done[k] for k in range(len(requests))]
+        """Returns one completion for each request, in their order."""
+        return collect_answers(self.converse(requests))
 
     def converse(self, requests: Sequence[Request]) -> Conversation[Completion, Request]:
-        """Completions as they come; what comes of them takes their places, so that no batch ends with its slowest."""
-        asked = 0
+        """Yields completions when they are done; the requests that follow take their slots, so the batch stays full."""
+        num_requests = 0
         done: list[tuple[int, Completion]] = []
         waiting: list[_Sequence] = []
 
-        def take(more: Sequence[Request]) -> None:
-            nonlocal asked
-            for index, request in enumerate(more, asked):
-                sequence = self._begun(index, request)
+        def add(more: Sequence[Request]) -> None:
+            nonlocal num_requests
+            for index, request in enumerate(more, num_requests):
+                sequence = self._start(index, request)
                 if isinstance(sequence, Completion):
                     done.append((index, sequence))
                 else:
                     waiting.append(sequence)
-            asked += len(more)
-            waiting.sort(key=lambda s: len(s.prompt))  # like lengths are read together; ties keep the order
+            num_requests += len(more)
+            waiting.sort(key=lambda s: len(s.prompt))  # prompts of similar length need little padding; the sort is stable
 
-        take(requests)
+        add(requests)
         decoder = Decoder(self._model, min(self._num_slots, max(1, len(waiting))), self._tokenizer.pad_token_id or 0)
         active: list[_Sequence] = []
         logits = torch.zeros(0, self._vocabulary)
         while True:
             while done:
                 found, done = done, []
-                take((yield found))
+                add((yield found))
             if not (waiting or active):
                 return
+            # Prompts are read when an eighth of the slots is free: one at a time would cost a step for each.
             free = decoder.num_slots - len(active)
             if waiting and (not active or free >= max(1, decoder.num_slots // 8)):
                 admitted, waiting = waiting[:free], waiting[free:]
                 logits = torch.cat([logits, decoder.admit([s.prompt for s in admitted]).cpu()])
                 active += admitted
-            tokens = self._drawn(logits, active)
-            done = self._gone_on(tokens, active, decoder)
+            tokens = self._draw(logits, active)
+            done = self._append(tokens, active, decoder)
             logits = decoder.step(tokens).cpu() if active else logits[:0]
 
-    def _begun(self, index: int, request: Request) -> _Sequence | Completion:
+    def _start(self, index: int, request: Request) -> _Sequence | Completion:
         chat = chat_text(self._tokenizer, request.messages, thinks=not request.form.binds)
         prompt: list[int] = self._tokenizer(chat, add_special_tokens=False)["input_ids"]
         longest = self._model.config.get_text_config().max_position_embeddings
-        if len(prompt) + 16 > longest:
+        if len(prompt) + 16 > longest:  # fewer tokens hold no reply
             return is_too_long(len(prompt), longest)
         matcher = None
         if self._is_constrained and request.form.binds:
@@ -194,11 +183,11 @@ class LocalEngine:
     def _matcher(self, grammar: str) -> LLMatcher:
         return LLMatcher(self._guide, LLMatcher.grammar_from_lark(grammar))
 
-    def _gone_on(self, tokens: list[int], active: list[_Sequence], decoder: Decoder) -> list[tuple[int, Completion]]:
-        """Adds a token to each sequence, and gives what is complete with it; that leaves ``tokens`` and ``active``."""
+    def _append(self, tokens: list[int], active: list[_Sequence], decoder: Decoder) -> list[tuple[int, Completion]]:
+        """Appends a token to each sequence, and removes the completed ones from ``tokens`` and ``active``."""
         done = []
         longest = self._model.config.get_text_config().max_position_embeddings
-        for slot in reversed(range(len(active))):
+        for slot in reversed(range(len(active))):  # from the last, since a release moves the last sequence
             sequence, token = active[slot], tokens[slot]
             ended = token in self._end
             if not ended:
@@ -206,8 +195,9 @@ class LocalEngine:
                 if sequence.matcher is not None:
                     sequence.matcher.consume_token(token)
                     ended = sequence.matcher.is_stopped()
-            if ended and self._goes_on(sequence):
+            if ended and self._reopen(sequence):
                 ended = False
+                # The last remaining token is decoded again, for the logits after it.
                 so_far = sequence.prompt + sequence.reply
                 decoder.rewind(slot, len(so_far) - 1)
                 tokens[slot] = so_far[-1]
@@ -221,8 +211,8 @@ class LocalEngine:
                 tokens.pop()
         return done
 
-    def _goes_on(self, sequence: _Sequence) -> bool:
-        """Where a whole reply lacks what it must have, its end is taken back, and what is lacking has to come next."""
+    def _reopen(self, sequence: _Sequence) -> bool:
+        """Removes the end of a reply that lacks required objects, so that one of these follows; False if none is missing."""
         if sequence.matcher is None or not sequence.form.asks:
             return False
         whole = self._text(sequence.reply)
@@ -231,14 +221,15 @@ class LocalEngine:
             return False
         objects = whole.removesuffix(_CLOSING)
         count = len(parse_reply(whole).objects)
-        while len(kept := self._text(sequence.reply)) > len(objects):
+        # The last removed token may hold a part of an object, which the new grammar starts with.
+        while len(remaining := self._text(sequence.reply)) > len(objects):
             sequence.reply.pop()
-        start = objects[len(kept) :] + ("," if count else "")
+        start = objects[len(remaining) :] + ("," if count else "")
         sequence.matcher = self._matcher(sequence.form.grammar_after(start, lacking, sequence.form.at_most - count))
         return True
 
-    def _drawn(self, logits: Tensor, active: list[_Sequence]) -> list[int]:
-        """A token for each sequence."""
+    def _draw(self, logits: Tensor, active: list[_Sequence]) -> list[int]:
+        """Draws a token for each sequence."""
         matchers = [(s.matcher, row) for row, s in enumerate(active) if s.matcher is not None]
         if matchers:
             mask = llguidance.numpy.allocate_token_bitmask(len(active), self._vocabulary)
@@ -249,17 +240,18 @@ class LocalEngine:
         if sampling.temperature == 0:
             return logits.argmax(1).tolist()
         if matchers:
-            self._settle_ends(logits, active)
+            self._draw_ends(logits, active)
+        # Top k, then top p, in the order of transformers.
         best, tokens = torch.topk(logits, min(sampling.top_k or self._vocabulary, self._vocabulary))
         share = torch.softmax(best / sampling.temperature, 1)
         before = torch.cumsum(share, 1) - share
-        share = share * (before < sampling.top_p)  # the likeliest always stays
+        share = share * (before < sampling.top_p)  # the most probable token always remains
         draws = torch.tensor([s.draws.random() for s in active])[:, None]
         place = (torch.cumsum(share, 1) <= draws * share.sum(1, keepdim=True)).sum(1, keepdim=True)
         return tokens.gather(1, place.clamp_max(share.shape[1] - 1))[:, 0].tolist()
 
-    def _settle_ends(self, logits: Tensor, active: list[_Sequence]) -> None:
-        """Draws which of the lists that may end here do, and leaves the others, or the end, no chance."""
+    def _draw_ends(self, logits: Tensor, active: list[_Sequence]) -> None:
+        """Draws which of the lists that may end here do end, and masks the other tokens of these, or else the end."""
         for row in torch.isfinite(logits[:, self._closing]).any(1).nonzero()[:, 0].tolist():
             if active[row].matcher is None:
                 continue

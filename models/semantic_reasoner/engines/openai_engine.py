@@ -1,7 +1,7 @@
-"""The ``openai`` engine: asks any endpoint of OpenAI's chat completions through the ``openai`` client.
+"""The ``openai`` engine: sends requests to any endpoint of OpenAI's chat completions through the ``openai`` client.
 
-The client sends requests again, with waits that grow or that the endpoint asks for, and reads proxies from the environment.
-The engine refuses redirects, so that a request and its key go to no other host, and bounds how many requests are under way.
+The client retries requests, with growing waits or those that the endpoint requests, and reads proxies from the environment. The
+engine refuses redirects, so that a request and its key reach no other host, and limits the number of concurrent requests.
 """
 
 import asyncio
@@ -25,8 +25,8 @@ from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 
-DOUBTFUL = ("connection_failed", "endpoint_error", "endpoint_timeout", "request_refused")
-"""Codes of failures that either the endpoint or the request alone may cause."""
+AMBIGUOUS = ("connection_failed", "endpoint_error", "endpoint_timeout", "request_refused")
+"""Codes of failures that either the endpoint or a single request may cause."""
 
 _ADVICE = {
     "certificate_refused": "name the file of its authority in SSL_CERT_FILE, if that is trusted",
@@ -34,35 +34,34 @@ _ADVICE = {
     "endpoint_error": "look at the endpoint's log",
     "endpoint_timeout": "raise read_s or total_s, or lower concurrency",
     "key_refused": "check the key ({key_variable}) and what it may use",
-    "model_unknown": "check base_url, which mostly ends in /v1, and model",
-    "prompt_too_long": "shorten it, or take a model that reads more",
+    "model_unknown": "check base_url, which usually ends in /v1, and model",
+    "prompt_too_long": "shorten it, or use a model that reads more",
     "quota_spent": "add credit or use another key",
     "rate_limited": "lower concurrency, or raise tries",
-    "redirect_refused": "set base_url to where the endpoint really is, if that is trusted",
-    "request_refused": "a field that the endpoint does not take is left out by null in extra",
+    "redirect_refused": "set base_url to the endpoint's real address, if that is trusted",
+    "request_refused": "null in extra leaves out a field that the endpoint does not accept",
     "response_invalid": "is base_url that of an OpenAI-compatible endpoint?",
     "unexpected": "please report it",
 }
 """What to do, by code."""
 
 _STATUSES = {401: "key_refused", 403: "key_refused", 404: "model_unknown", 408: "endpoint_timeout", 409: "endpoint_error"}
-_SURROGATES = re.compile("[\ud800-\udfff]")
+_LONE_SURROGATE = re.compile("[\ud800-\udfff]")
 
 
 class OpenAIEngine:
-    """Asks an OpenAI-compatible endpoint.
+    """An engine for OpenAI-compatible endpoints.
 
-    A server error, silence, a broken connection or a refusal may be due to one request alone. A short question is then asked:
-    where that is not answered either, the endpoint is down, and requests fail with the same line for ``rest_s``.
+    A server error, a timeout, a broken connection or a refusal may be due to a single request. The engine then sends a short
+    question. If that fails too, the endpoint is down, and all requests fail with the same message for ``rest_s``.
 
     Args:
         settings: The endpoint.
-        sampling: How tokens are drawn; ``top_k`` is no field of the protocol, see ``extra`` in the settings.
+        sampling: How tokens are drawn; ``top_k`` is not a field of the protocol, see ``extra`` in the settings.
 
     Attributes:
-        name: ``openai:<model>``, and a hash of ``extra`` where there is one. It has no host, so that a cache serves another
-            host too.
-        repeats: False: endpoints take a seed as a hint.
+        name: ``openai:<model>``, and a hash of ``extra`` if it is set. It has no host, so that a cache holds for other hosts.
+        repeats: False: to endpoints a seed is a hint.
 
     Raises:
         ConfigError: The key is missing (``key_missing``), or the environment's proxies or certificates cannot be used
@@ -76,25 +75,25 @@ class OpenAIEngine:
         self.name = f"openai:{settings.model}" + (f"+{content_id(settings.extra_fields())[:8]}" if settings.extra else "")
         self._key = settings.read_key()
         self._client = _client(settings, self._key)
-        self._slots, self._probing = asyncio.Semaphore(settings.concurrency), asyncio.Lock()
-        self._probed_at, self._is_down = -math.inf, False
-        self._off, self._off_until = Completion(""), -math.inf
-        self._loop = asyncio.new_event_loop()  # on a thread of its own: the caller may run a loop itself
+        self._slots, self._probe_lock = asyncio.Semaphore(settings.concurrency), asyncio.Lock()
+        self._last_probe, self._is_down = -math.inf, False
+        self._off_completion, self._off_until = Completion(""), -math.inf
+        self._loop = asyncio.new_event_loop()  # on its own thread, since the caller may run a loop itself
         threading.Thread(target=_run, args=(self._loop,), name=self.name, daemon=True).start()
         weakref.finalize(self, _close, self._loop, self._client)
 
     def __reduce__(self) -> tuple[type["OpenAIEngine"], tuple[HttpSettings, Sampling]]:
-        return type(self), (self.settings, self.sampling)  # in another process the key comes from its own environment
+        return type(self), (self.settings, self.sampling)  # another process reads the key from its own environment
 
     def complete(self, requests: Sequence[Request]) -> list[Completion]:
-        """One completion for each request, in their order."""
+        """Returns one completion for each request, in their order."""
         found = dict(self.as_completed(requests))
         return [found[k] for k in range(len(requests))]
 
     def as_completed(self, requests: Sequence[Request]) -> Iterator[tuple[int, Completion]]:
-        """The completions as they come, each with the index of its request.
+        """Yields the completions when they arrive, each with the index of its request.
 
-        Where the iterator is left before its end, the other requests are cancelled.
+        If the iterator is closed before its end, the other requests are cancelled.
         """
         futures = {asyncio.run_coroutine_threadsafe(self._answer(r), self._loop): k for k, r in enumerate(requests)}
         try:
@@ -105,41 +104,43 @@ class OpenAIEngine:
                 future.cancel()
 
     async def _answer(self, request: Request) -> Completion:
-        """Never raises; learns from a failure whether the endpoint is down."""
+        """Never raises; checks after a failure whether the endpoint is down."""
         async with self._slots:
             if time.monotonic() < self._off_until:
-                return self._off
+                return self._off_completion
             try:
                 completion = await self._ask(request)
-                if completion.code in DOUBTFUL and await self._finds_it_down(request.form.binds):
+                if completion.code in AMBIGUOUS and await self._is_endpoint_down(request.form.binds):
                     failure = f"{completion.failure}; a short question was not answered either"
                     completion = replace(completion, failure=failure, code="endpoint_down")
-            except Exception as error:  # noqa: BLE001 - one request is lost, the others go on
+            except Exception as error:  # noqa: BLE001 - one request fails, the others continue
                 return self._failure("unexpected", f"unexpected {type(error).__name__}: {error}")
             if completion.code in OFF:
-                self._off = replace(completion, failure=f"{completion.failure}; not asked again for {self.settings.rest_s:g} s")
+                self._off_completion = replace(
+                    completion, failure=f"{completion.failure}; not asked again for {self.settings.rest_s:g} s"
+                )
                 self._off_until = time.monotonic() + self.settings.rest_s
             return completion
 
-    async def _finds_it_down(self, binds: bool) -> bool:
-        """Whether a short question is not answered; requests that have failed before the answer share it."""
+    async def _is_endpoint_down(self, binds: bool) -> bool:
+        """Whether a short question is not answered; requests that failed before its answer share the result."""
         failed_at = time.monotonic()
-        async with self._probing:
-            if self._probed_at < failed_at:
-                # A random number, so that no cache in front of the endpoint answers.
+        async with self._probe_lock:
+            if self._last_probe < failed_at:
+                # A random number, so that a cache in front of the endpoint cannot answer.
                 words = f"Leave the table empty. This is question {secrets.randbelow(10**9)}."
                 found = await self._ask(Request(({"role": "user", "content": words},), ReplyGrammar(100.0, 60.0, binds=binds)))
-                self._probed_at, self._is_down = time.monotonic(), found.code in (*OFF, *DOUBTFUL)
+                self._last_probe, self._is_down = time.monotonic(), found.code in (*OFF, *AMBIGUOUS)
             return self._is_down
 
     async def _ask(self, request: Request) -> Completion:
         s, messages = self.settings, list[Any](request.messages)
         fields = request_fields(request, self.sampling) | s.extra_fields()
-        kept = {key: value for key, value in fields.items() if value is not None}
+        sent_fields = {key: value for key, value in fields.items() if value is not None}
         try:
             async with asyncio.timeout(s.total_s):
                 create = self._client.chat.completions.with_raw_response.create
-                answer = (await create(model=s.model, messages=messages, extra_body=kept)).http_response
+                answer = (await create(model=s.model, messages=messages, extra_body=sent_fields)).http_response
         except TimeoutError:
             return self._failure("endpoint_timeout", f"no answer within {s.total_s:g} s")
         except openai.APIError as error:
@@ -147,7 +148,7 @@ class OpenAIEngine:
         try:
             found = completion_of(answer.json(), s.prompt_price, s.reply_price)
         except (ValueError, RecursionError) as error:
-            return self._failure("response_invalid", f"answer is no chat completion ({error})")
+            return self._failure("response_invalid", f"answer is not a chat completion ({error})")
         return replace(found, text=self._without_key(found.text), failure=self._without_key(found.failure))
 
     def _failure(self, code: str, what: str) -> Completion:
@@ -170,7 +171,7 @@ def _client(settings: HttpSettings, key: str) -> openai.AsyncOpenAI:
             return openai.AsyncAzureOpenAI(azure_endpoint=settings.base_url, api_version=version, api_key=key, **more)
         return openai.AsyncOpenAI(base_url=settings.base_url, api_key=key or "none", **more)
     except (ImportError, OSError, ValueError) as error:
-        message = f"no client for {settings.base_url} can be made ({first_line(str(error))})"
+        message = f"a client for {settings.base_url} cannot be made ({first_line(str(error))})"
         raise ConfigError(f"{message}; check the proxies and SSL_CERT_FILE of the environment", "config_invalid") from error
 
 
@@ -184,12 +185,12 @@ def _close(loop: asyncio.AbstractEventLoop, client: openai.AsyncOpenAI) -> None:
 
 
 def request_fields(request: Request, sampling: Sampling) -> dict[str, Any]:
-    """The fields of a request beside ``model`` and ``messages``."""
+    """Returns the fields of a request except ``model`` and ``messages``."""
     fields: dict[str, Any] = {
         "max_tokens": sampling.max_tokens,
         "temperature": sampling.temperature,
         "top_p": sampling.top_p,
-        "seed": request.seed % 2**63,
+        "seed": request.seed % 2**63,  # endpoints accept signed 64-bit integers
     }
     if request.form.binds:
         schema = {"name": "layout", "strict": True, "schema": request.form.schema()}
@@ -198,18 +199,18 @@ def request_fields(request: Request, sampling: Sampling) -> dict[str, Any]:
 
 
 def completion_of(answer: Any, prompt_price: float = 0.0, reply_price: float = 0.0) -> Completion:
-    """The completion of an answer with status 200.
+    """Reads the completion from an answer with status 200.
 
     Args:
-        answer: Its JSON.
-        prompt_price: Of a million tokens read.
-        reply_price: Of a million tokens written.
+        answer: The JSON of the answer.
+        prompt_price: Price of a million tokens read.
+        reply_price: Price of a million tokens written.
 
     Returns:
-        The completion; a reply that was cut, filtered, refused or is empty is a failure, and costs nevertheless.
+        The completion; a cut, filtered, refused or empty reply is a failure, with its cost.
 
     Raises:
-        ValueError: It is no chat completion.
+        ValueError: The answer is not a chat completion.
     """
     match answer:
         case {"choices": [{"message": {**message}, **choice}, *_]}:
@@ -218,13 +219,13 @@ def completion_of(answer: Any, prompt_price: float = 0.0, reply_price: float = 0
             raise ValueError("it has no choices[0].message")
     if not isinstance(content, str):
         raise ValueError(f"choices[0].message.content is {type(content).__name__}, expected text")
-    text = _SURROGATES.sub("\ufffd", content)  # half a pair cannot be written as UTF-8
+    text = _LONE_SURROGATE.sub("\ufffd", content)  # which UTF-8 cannot encode
     usage = answer.get("usage")
     counts = [usage.get(key) if isinstance(usage, dict) else None for key in ("prompt_tokens", "completion_tokens")]
     read, written = (c if type(c) is int and 0 <= c < 2**53 else 0 for c in counts)
     failure, code = "", ""
     if choice.get("finish_reason") == "length":
-        failure, code = "reply was cut at the longest allowed; raise max_tokens", "reply_cut"
+        failure, code = "reply was cut at max_tokens; raise it", "reply_cut"
     elif choice.get("finish_reason") == "content_filter":
         failure, code = "reply was held back by the endpoint's content filter; reword the instruction", "reply_filtered"
     elif refusal := message.get("refusal"):
@@ -236,7 +237,7 @@ def completion_of(answer: Any, prompt_price: float = 0.0, reply_price: float = 0
 
 
 def failure_reason(error: openai.APIError) -> tuple[str, str]:
-    """The code of a failure, and what happened."""
+    """Returns the code of a failure and its description."""
     if not isinstance(error, openai.APIStatusError):
         cause = f"{type(error.__cause__).__name__}: {error.__cause__}"
         if isinstance(error, openai.APITimeoutError):
@@ -245,9 +246,9 @@ def failure_reason(error: openai.APIError) -> tuple[str, str]:
     status = error.status_code
     if 300 <= status < 400:
         return "redirect_refused", f"redirects to {urlsplit(error.response.headers.get('location', '')).netloc or 'nowhere'}"
-    # Endpoints differ in how they nest what they say.
-    said = (isinstance(error.body, dict) and (error.body.get("message") or error.body.get("detail"))) or error.body
-    what = f"status {status} ({said or error.message})"
+    # Endpoints nest their messages differently.
+    detail = (isinstance(error.body, dict) and (error.body.get("message") or error.body.get("detail"))) or error.body
+    what = f"status {status} ({detail or error.message})"
     if status == 429:
         return "quota_spent" if "insufficient_quota" in (error.code, error.type) else "rate_limited", what
     if error.code == "context_length_exceeded":
@@ -256,5 +257,5 @@ def failure_reason(error: openai.APIError) -> tuple[str, str]:
 
 
 def first_line(words: str) -> str:
-    """Words from outside as one line of at most 300 characters."""
+    """Returns text from outside as one line of at most 300 characters."""
     return " ".join(words.split())[:300]

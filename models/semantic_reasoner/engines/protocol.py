@@ -1,8 +1,7 @@
-"""What every engine is: requests in, one completion each out, in their order.
+"""The protocol of engines: requests in, one completion each out, in their order.
 
-An engine never raises for one request: what could not be answered comes back as a completion with a failure, so that the
-others go on. It raises a ConfigError when it is made, where it cannot work at all (a folder that is no model, an extra that is
-missing).
+An engine never raises for a single request: an unanswered one gives a completion with a failure, and the others continue. The
+constructor raises a ConfigError if the engine cannot work at all (a folder without a model, a missing extra).
 """
 
 from collections.abc import Sequence
@@ -22,7 +21,7 @@ OFF = (
     "quota_spent",
     "redirect_refused",
 )
-"""Codes of failures that are the engine's and not the question's: no other question would be answered either."""
+"""Codes of failures of the engine itself: it would not answer another request either."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +43,12 @@ class Sampling(Settings):
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """One thing to be completed.
+    """A chat to complete.
 
     Attributes:
         messages: The chat, as :func:`models.semantic_reasoner.text.prompt.messages` makes it.
-        form: What replies may look like; engines that can, decode under it.
-        seed: Of its draws: the same request with the same seed has the same completion, where the engine can repeat itself.
+        form: The grammar of the reply; engines that can constrain decoding use it.
+        seed: Seed of the draws: with a reproducible engine the same request and seed give the same completion.
     """
 
     messages: tuple[Message, ...]
@@ -59,16 +58,16 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Completion:
-    """What came back for a request.
+    """The answer to a request.
 
     Attributes:
-        text: The reply; empty where there is a failure.
+        text: The reply; empty after a failure.
         prompt_tokens: Tokens read.
         reply_tokens: Tokens written.
-        failure: Why there is no reply, one line; empty where there is one.
-        code: Short machine-readable reason of the failure, such as ``endpoint_down``; empty where there is none.
-        is_cached: Whether it was replayed from a cache.
-        cost: What it cost, in the currency of the engine's prices; 0 where they are not known.
+        failure: Why there is no reply, one line; empty if there is one.
+        code: Short machine-readable reason of the failure, such as ``endpoint_down``; empty if there is none.
+        is_cached: Whether it was read from a cache.
+        cost: Cost in the currency of the engine's prices; 0 if these are unknown.
     """
 
     text: str
@@ -81,48 +80,38 @@ class Completion:
 
 
 def is_too_long(num_prompt: int, longest: int) -> Completion:
-    """What comes back for a question that the model cannot read.
-
-    Args:
-        num_prompt: Tokens of the question.
-        longest: Tokens that the model reads.
-    """
+    """Returns the completion of a request of ``num_prompt`` tokens for a model that reads ``longest``."""
     failure = f"the question has {num_prompt:,} tokens, the model reads {longest:,}; shorten it"
     return Completion("", num_prompt, failure=failure, code="prompt_too_long")
 
 
 class Engine(Protocol):
-    """Something that completes chats.
+    """A language model or a service that completes chats.
 
     Attributes:
-        name: Names the engine and its model, such as ``embedded`` or ``openai:gpt-4o``; part of cache keys and provenance.
-        repeats: Whether the same request and seed give the same text on one kind of machine.
+        name: Name of the engine and its model, such as ``embedded`` or ``openai:gpt-4o``; part of cache keys and provenance.
+        repeats: Whether the engine is reproducible: the same request and seed give the same text on one kind of machine.
     """
 
     name: str
     repeats: bool
 
     def complete(self, requests: Sequence[Request]) -> list[Completion]:
-        """One completion for each request, in their order."""
+        """Returns one completion for each request, in their order."""
         ...
 
 
 @runtime_checkable
 class ConversationEngine(Protocol):
-    """An engine that takes further requests while it completes others."""
+    """An engine that accepts further requests while it completes others."""
 
     def converse(self, requests: Sequence[Request]) -> Conversation[Completion, Request]:
-        """Completions as they come, and requests that come of them; in an order that depends on nothing but the requests."""
+        """Yields completions and is sent the requests that follow; the order depends on the requests alone."""
         ...
 
 
 def conversation(engine: Engine, requests: Sequence[Request]) -> Conversation[Completion, Request]:
-    """Requests, and those that come of their completions: as they come where the engine can, else batch by batch.
-
-    Args:
-        engine: Any engine.
-        requests: Those to begin with.
-    """
-    return (
-        engine.converse(requests) if isinstance(engine, ConversationEngine) else batch_conversation(engine.complete, requests)
-    )
+    """Starts a conversation with an engine; one that cannot accept further requests meanwhile answers batch by batch."""
+    if isinstance(engine, ConversationEngine):
+        return engine.converse(requests)
+    return batch_conversation(engine.complete, requests)

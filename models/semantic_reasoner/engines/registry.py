@@ -1,4 +1,4 @@
-"""Which engine answers: named in a word, made in one place."""
+"""Settings of an engine, and the function that makes the engine which they name."""
 
 import hashlib
 import json
@@ -13,7 +13,7 @@ from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 
 EMBEDDED = Path(__file__).resolve().parents[2] / "weights" / "semantic_reasoner"
-"""Our own small reasoner; models/weights/README.md says how it was made and what it does."""
+"""Folder of the embedded small reasoner; models/weights/README.md describes its training and its results."""
 
 KINDS = ("embedded", "transformers", "vllm", "openai", "scripted")
 """Kinds of engines."""
@@ -23,7 +23,7 @@ _MODEL_FILES = ("*.json", "*.safetensors", "*.jinja", "*.model")
 
 @dataclass(frozen=True, slots=True)
 class EngineSettings(Settings):
-    """An engine."""
+    """Settings of an engine."""
 
     engine: str = "embedded"
     """``embedded`` (the small model in models/weights), ``transformers:FOLDER`` (a Hugging Face folder), ``vllm:FOLDER``,
@@ -51,7 +51,7 @@ class EngineSettings(Settings):
     """The endpoint of the ``openai`` engine."""
 
     def check(self) -> None:
-        """Refuses what names no engine; see the base class."""
+        """Refuses an unknown engine; see the base class."""
         kind, _, what = self.engine.partition(":")
         if kind not in KINDS or bool(what) != (kind != "embedded"):
             raise ConfigError(
@@ -66,20 +66,20 @@ class EngineSettings(Settings):
 
     @property
     def reads_reasons(self) -> bool:
-        """Whether the engine can use the reason why an answer was refused: the embedded model has seen none."""
+        """Whether the engine can use the reasons of refusals; the embedded model was not trained on any."""
         return self.kind != "embedded"
 
     def settled(self) -> "EngineSettings":
-        """The same for any working directory: its paths are absolute."""
+        """Returns the settings with absolute paths, so that they hold in any working directory."""
         kind, _, what = self.engine.partition(":")
         engine = f"{kind}:{_absolute(what)}" if kind in ("transformers", "vllm", "scripted") else self.engine
         return replace(self, engine=engine, cache=_absolute(self.cache) if self.cache else "")
 
     def shaping(self) -> dict[str, Any]:
-        """All that replies depend on, the content of files included; what is asked of whom, and how patiently, is not.
+        """Returns everything that replies depend on, with hashes of files; the endpoint's address and limits are left out.
 
         Raises:
-            ConfigError: The engine is not there (``engine_missing``): no model in the folder, no script, no key.
+            ConfigError: The model or the script is missing (``engine_missing``), or the key is (``key_missing``).
         """
         kind, _, what = self.engine.partition(":")
         found: dict[str, Any] = {"engine": kind, "sampling": asdict(self.sampling)}
@@ -87,32 +87,32 @@ class EngineSettings(Settings):
             self.http.read_key()
             return found | {"model": what, "extra": self.http.extra_fields()}
         if kind == "scripted":
-            return found | {"model": _content(Path(what), "a script")}
+            return found | {"model": _file_hash(Path(what), "a script")}
         assert self.folder is not None
-        _content(self.folder / "config.json", "a Hugging Face folder")
+        _file_hash(self.folder / "config.json", "a Hugging Face folder")
         files = sorted(path for pattern in _MODEL_FILES for path in self.folder.glob(pattern))
-        found["model"] = content_id({path.name: _content(path, "a file of a model") for path in files})
+        found["model"] = content_id({path.name: _file_hash(path, "a file of a model") for path in files})
         return found | ({"vllm": _options(self.vllm)} if kind == "vllm" else {})
 
     @property
     def folder(self) -> Path | None:
-        """The model's folder, where it is one here."""
+        """The model's folder; None if the engine has no local model."""
         if self.kind == "embedded":
             return EMBEDDED
         return Path(self.engine.partition(":")[2]) if self.kind in ("transformers", "vllm") else None
 
 
-_MOST_TOKENS = 1280
-"""Of the embedded model's replies: the longest that it was trained on has 711, and what is much longer goes round in circles."""
+_EMBEDDED_MAX_TOKENS = 1280
+"""Limit of the embedded model's replies: the longest one of its training has 711 tokens, and much longer ones are loops."""
 
 
 def load_engine(settings: EngineSettings) -> Engine:
-    """The engine that the settings name.
+    """Loads the engine that the settings name.
 
     Raises:
-        ConfigError: It cannot be made: no such folder, an extra that is missing, a key that is not set.
+        ConfigError: It cannot be loaded: a missing folder, a missing extra, or a key that is not set.
     """
-    engine = _bare(settings)
+    engine = _uncached_engine(settings)
     if not settings.cache:
         return engine
     from models.semantic_reasoner.engines.response_cache import CachedEngine, ResponseCache
@@ -120,8 +120,8 @@ def load_engine(settings: EngineSettings) -> Engine:
     return CachedEngine(engine, ResponseCache(settings.cache), settings.sampling)
 
 
-def _bare(settings: EngineSettings) -> Engine:
-    # Imported where they are asked for: torch, transformers and vLLM take seconds to load.
+def _uncached_engine(settings: EngineSettings) -> Engine:
+    # Imported on use, since torch, transformers and vLLM take seconds to import.
     what = settings.engine.partition(":")[2]
     if settings.kind == "openai":
         from models.semantic_reasoner.engines.openai_engine import OpenAIEngine
@@ -138,10 +138,10 @@ def _bare(settings: EngineSettings) -> Engine:
     from models.semantic_reasoner.engines.local_engine import LocalEngine
 
     assert settings.folder is not None
-    name = "embedded" if settings.kind == "embedded" else ""
-    sampling = settings.sampling
+    name, sampling = "", settings.sampling
     if settings.kind == "embedded":
-        sampling = replace(sampling, max_tokens=min(sampling.max_tokens, _MOST_TOKENS))
+        name = "embedded"
+        sampling = replace(sampling, max_tokens=min(sampling.max_tokens, _EMBEDDED_MAX_TOKENS))
     return LocalEngine.load(settings.folder, name, sampling, settings.num_slots)
 
 
@@ -149,8 +149,8 @@ def _absolute(path: str) -> str:
     return str(Path(path).expanduser().resolve())
 
 
-def _content(path: Path, expected: str) -> str:
-    """Hash of a file."""
+def _file_hash(path: Path, expected: str) -> str:
+    """Hash of a file's content."""
     try:
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()[:16]

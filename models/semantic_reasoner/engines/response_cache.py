@@ -1,8 +1,8 @@
-"""Completions kept on disk, so that what an engine said once is what it says whenever it is asked the same again.
+"""A cache of completions on disk, so that the same request always has the same completion.
 
-A completion is a file of its own, named by what it answers: many processes on many machines that share a file system write at
-once without locks, a killed one leaves nothing but a file of no name that counts, and a broken file is one completion. Who
-comes first stays: all get what lies on disk.
+Each completion is a file, named by a hash of its request. Processes on several machines that share a file system write without
+locks; a killed process leaves only a temporary file, and a broken file loses one completion. The first writer of an entry wins:
+all others read its completion.
 """
 
 import hashlib
@@ -19,33 +19,33 @@ from models.semantic_reasoner.engines.protocol import Completion, Engine, Reques
 from stable_data.errors import Notice, cannot_write
 
 CACHE_VERSION = 1
-"""Raised whenever keys or entries change: older ones are then not found."""
+"""Raised whenever the format of keys or entries changes, so that older entries are not found."""
 
 _MAX_BYTES = 64 * 2**20  # of an entry
 
 
 @runtime_checkable
 class StreamingEngine(Protocol):
-    """An engine that tells of each completion as it comes, so that it can be kept before the others are done."""
+    """An engine that yields each completion when it arrives, so that it can be stored before the others are done."""
 
     def as_completed(self, requests: Sequence[Request]) -> Iterator[tuple[int, Completion]]:
-        """The completions as they come, each with the index of its request."""
+        """Yields the completions when they arrive, each with the index of its request."""
         ...
 
 
 class ResponseCache:
     """A folder of completions.
 
-    Entries outlive a killed process; a power cut may cost those of the last seconds. Failures are not kept.
+    Entries survive a killed process; a power cut may lose those of the last seconds. Failures are not stored.
 
     Args:
-        folder: Where they are; made if need be. File systems only, object stores are not.
+        folder: The folder, on a file system, not in an object store; created if it is missing.
 
     Attributes:
-        notices: Entries that were broken, and those that could not be written.
+        notices: Broken entries, and those that could not be written.
 
     Raises:
-        ConfigError: The folder cannot be made (``output_unwritable``).
+        ConfigError: The folder cannot be created (``output_unwritable``).
     """
 
     def __init__(self, folder: Path | str) -> None:
@@ -58,22 +58,16 @@ class ResponseCache:
 
     @staticmethod
     def key(engine: str, sampling: Sampling, request: Request) -> str:
-        """What a completion is found by: 64 hex digits.
-
-        Args:
-            engine: Its name.
-            sampling: How it draws.
-            request: What it is asked; messages, form and seed count.
-        """
+        """Returns the key of a completion: 64 hex digits, a hash of the engine's name, the sampling and the whole request."""
         parts = [CACHE_VERSION, engine, asdict(sampling), list(request.messages), asdict(request.form), request.seed]
         return hashlib.sha256(json.dumps(parts, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
     def path(self, key: str) -> Path:
-        """Where the entry of a key is, whether or not it is there."""
+        """Returns the path of the entry of a key, whether or not it exists."""
         return self.folder / key[:2] / f"{key}.json"
 
     def read(self, key: str) -> Completion | None:
-        """The completion of a key; None where there is none, or a broken one, which is noted."""
+        """Returns the completion of a key; None if there is none, or a broken one, which gives a notice."""
         try:
             return self._load(key)
         except FileNotFoundError:
@@ -85,83 +79,75 @@ class ResponseCache:
 
     def _load(self, key: str) -> Completion:
         with self.path(key).open("rb") as stream:
-            return _completion(json.loads(stream.read(_MAX_BYTES)), key)
+            return _completion(json.loads(stream.read(_MAX_BYTES)), key)  # a longer file is cut, and then not valid JSON
 
-    def keep(self, key: str, completion: Completion) -> Completion:
-        """Keeps a completion.
-
-        Args:
-            key: Its key.
-            completion: It; a failure is not kept.
+    def store(self, key: str, completion: Completion) -> Completion:
+        """Stores a completion unless it is a failure.
 
         Returns:
-            What is kept under the key from now on: the completion, or what another process kept before.
+            The stored completion of the key: this one, or that of another process that was earlier.
         """
         if completion.failure:
             return completion
         path = self.path(key)
-        aside = path.with_name(f".{key}.{uuid.uuid4().hex}")
+        temporary = path.with_name(f".{key}.{uuid.uuid4().hex}")
         try:
             path.parent.mkdir(exist_ok=True)
-            aside.write_bytes(_entry(key, completion))
+            temporary.write_bytes(_entry(key, completion))
             try:
-                return self._put(aside, path, key, completion)
+                return self._link_or_read(temporary, path, key, completion)
             finally:
-                aside.unlink(missing_ok=True)
+                temporary.unlink(missing_ok=True)
         except OSError as error:
             message = (
-                f"{path} cannot be written ({error.strerror or error}); the completion is used, and paid for again next time"
+                f"{path} cannot be written ({error.strerror or error}); the completion is used, but requested again next time"
             )
             self.notices.append(Notice(key, "reason", "cache_unwritable", message))
             return completion
 
-    def _put(self, aside: Path, path: Path, key: str, completion: Completion) -> Completion:
+    def _link_or_read(self, temporary: Path, path: Path, key: str, completion: Completion) -> Completion:
         try:
-            os.link(aside, path)  # whole or not at all, and never over what is there
-        except OSError:  # something is there, or the file system has no links
+            os.link(temporary, path)  # atomic, and never replaces an entry
+        except OSError:  # an entry exists, or the file system has no links
             with suppress(OSError, ValueError, RecursionError):
-                return replace(self._load(key), is_cached=False)  # this one was asked for nevertheless
-            aside.replace(path)
+                return replace(self._load(key), is_cached=False)  # since the engine was asked nevertheless
+            temporary.replace(path)
         return completion
 
 
 def _entry(key: str, c: Completion) -> bytes:
     fields = {"text": c.text, "prompt_tokens": c.prompt_tokens, "reply_tokens": c.reply_tokens, "cost": c.cost}
-    return json.dumps({"key": key, "sum": _sum(fields), **fields}).encode()
+    return json.dumps({"key": key, "sum": _checksum(fields), **fields}).encode()
 
 
-def _sum(fields: dict[str, Any]) -> str:
+def _checksum(fields: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
 
 
 def _completion(entry: Any, key: str) -> Completion:
-    """The completion of an entry.
-
-    Raises:
-        ValueError: It is not what was written.
-    """
+    """The completion of an entry; a ValueError if its content is not what was written."""
     if not isinstance(entry, dict) or entry.pop("key", None) != key:
         raise ValueError("not an entry of this key")
-    if entry.pop("sum", None) != _sum(entry):
+    if entry.pop("sum", None) != _checksum(entry):
         raise ValueError("its content was changed")
     return Completion(**entry, is_cached=True)
 
 
 class CachedEngine:
-    """An engine that is asked only what its cache does not know.
+    """An engine with a cache: only requests without an entry are sent to it.
 
-    Requests that are equal are asked once. Engines that tell of completions one by one have each kept as it comes, others have
-    them kept when all are done.
+    Equal requests are sent once. Completions of a :class:`StreamingEngine` are stored when each arrives, those of other engines
+    when all are done.
 
     Args:
         engine: Any engine.
-        cache: Where completions are kept.
-        sampling: How the engine draws, a part of the key.
+        cache: The cache.
+        sampling: How the engine draws tokens, a part of the key.
 
     Attributes:
-        name: The engine's.
-        repeats: True: what is kept is what is said.
-        notices: Those of the cache.
+        name: Name of the engine.
+        repeats: True: an entry always gives the same completion.
+        notices: Notices of the cache.
     """
 
     repeats = True
@@ -171,20 +157,20 @@ class CachedEngine:
         self.notices = cache.notices
 
     def complete(self, requests: Sequence[Request]) -> list[Completion]:
-        """One completion for each request, in their order.
+        """Returns one completion for each request, in their order.
 
-        A replayed one has the tokens and the cost of the first time, so that rows are the same; ``is_cached`` says that they
+        A cached one has the tokens and the cost of its first request, so that rows are equal; ``is_cached`` states that they
         were not spent again.
         """
         keys = [self.cache.key(self.name, self.sampling, request) for request in requests]
         found = {key: self.cache.read(key) for key in keys}
-        first: dict[str, int] = {}
+        first: dict[str, int] = {}  # key -> index of the first request with it that has no entry
         for k, key in enumerate(keys):
             if found[key] is None:
                 first.setdefault(key, k)
         for key, completion in self._ask(list(first), [requests[k] for k in first.values()]):
-            found[key] = self.cache.keep(key, completion)
-        return [_again(found[key]) if first.get(key, k) != k else _known(found[key]) for k, key in enumerate(keys)]
+            found[key] = self.cache.store(key, completion)
+        return [_as_duplicate(found[key]) if first.get(key, k) != k else _not_none(found[key]) for k, key in enumerate(keys)]
 
     def _ask(self, keys: list[str], requests: list[Request]) -> Iterator[tuple[str, Completion]]:
         if not requests:
@@ -196,14 +182,14 @@ class CachedEngine:
             yield from zip(keys, self.engine.complete(requests), strict=True)
 
 
-def _known(completion: Completion | None) -> Completion:
+def _not_none(completion: Completion | None) -> Completion:
     assert completion is not None
     return completion
 
 
-def _again(completion: Completion | None) -> Completion:
-    """Of a request that equals an earlier one of the same call: nothing was spent on it."""
-    known = _known(completion)
+def _as_duplicate(completion: Completion | None) -> Completion:
+    """The completion of a request that equals an earlier one of the same call: it had no cost."""
+    known = _not_none(completion)
     if known.failure:
         return replace(known, prompt_tokens=0, reply_tokens=0, cost=0.0)
     return replace(known, is_cached=True)

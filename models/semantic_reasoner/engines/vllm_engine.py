@@ -1,6 +1,7 @@
-"""vLLM in this process: the engine for large models on GPUs. An extra of its own, since vLLM pins what it stands on.
+"""vLLM in this process: the engine for large models on GPUs.
 
-It runs in an environment of its own (``pip install '.[vllm]'``), or as a server behind the ``openai`` engine.
+vLLM is a separate extra, since it pins its dependencies. Install it in a separate environment (``pip install '.[vllm]'``), or
+run it as a server behind the ``openai`` engine.
 """
 
 from collections.abc import Sequence
@@ -15,12 +16,12 @@ from stable_data.errors import ConfigError
 class VllmEngine:
     """A language model in vLLM: batched, and bound to the grammar of the replies by its llguidance backend.
 
-    The same request and seed give the same reply on the same batch only: wear a response cache to replay a run.
+    The same request and seed give the same reply in the same batch only: to reproduce a run, use a response cache.
 
     Args:
-        folder: A Hugging Face folder, or an id that vLLM knows.
+        folder: A Hugging Face folder, or a model id of vLLM.
         sampling: How tokens are drawn.
-        num_gpus: That share the model's weights.
+        num_gpus: Number of GPUs that share the model's weights.
         options: Further arguments of ``vllm.LLM``, such as ``max_model_len``.
 
     Raises:
@@ -35,8 +36,8 @@ class VllmEngine:
             from vllm.sampling_params import StructuredOutputsParams
         except ImportError as error:
             raise ConfigError(
-                f"the vllm engine needs vLLM, which is not installed here ({error}): pip install '.[vllm]' in an environment of its "
-                "own, or serve the model elsewhere and take the openai engine",
+                f"the vllm engine needs vLLM, which is not installed here ({error}): pip install '.[vllm]' in a separate "
+                "environment, or serve the model elsewhere and use the openai engine",
                 "extra_missing",
             ) from error
         self.name, self.sampling = f"vllm:{Path(folder).name}", sampling or Sampling()
@@ -46,7 +47,7 @@ class VllmEngine:
                 model=folder,
                 tensor_parallel_size=num_gpus,
                 structured_outputs_config={"backend": "guidance"},
-                enable_prefix_caching=True,  # the three stages of a scene begin alike
+                enable_prefix_caching=True,  # the prompts of a scene's three stages begin with the same text
                 **options,
             )
         except (OSError, ValueError, RuntimeError) as error:
@@ -54,20 +55,20 @@ class VllmEngine:
             raise ConfigError(f"vllm cannot load {folder} ({found}); is it a model's folder?", "model_invalid") from error
 
     def complete(self, requests: Sequence[Request]) -> list[Completion]:
-        """One completion for each request, in their order."""
+        """Returns one completion for each request, in their order."""
         if not requests:
             return []
         tokenizer, longest = self._model.get_tokenizer(), self._model.llm_engine.model_config.max_model_len
         texts = [chat_text(tokenizer, r.messages, thinks=not r.form.binds) for r in requests]
         prompts = [tokenizer(text, add_special_tokens=False)["input_ids"] for text in texts]
-        fits = [k for k, prompt in enumerate(prompts) if len(prompt) < longest]  # one that does not would end the whole batch
+        fits = [k for k, prompt in enumerate(prompts) if len(prompt) < longest]  # vLLM refuses the batch for one too long
         outputs = self._model.generate(
-            [{"prompt_token_ids": prompts[k]} for k in fits], [self._of(requests[k]) for k in fits], use_tqdm=False
+            [{"prompt_token_ids": prompts[k]} for k in fits], [self._parameters_of(requests[k]) for k in fits], use_tqdm=False
         )
         found = dict(zip(fits, map(_completion, outputs), strict=True))
         return [found.get(k) or is_too_long(len(prompt), longest) for k, prompt in enumerate(prompts)]
 
-    def _of(self, request: Request) -> Any:
+    def _parameters_of(self, request: Request) -> Any:
         s = self.sampling
         return self._parameters(
             temperature=s.temperature,

@@ -1,1 +1,1 @@
-"""Replies: their grammar, their checks, their way into a scene."""
+"""Replies: their grammar, their checks, their repair, and their conversion to scene objects."""

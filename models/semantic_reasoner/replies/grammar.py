@@ -1,13 +1,12 @@
-"""What a reply may look like, as a JSON Schema and as a grammar for constrained decoding.
+"""The form of replies, as a JSON Schema and as a grammar for constrained decoding.
 
-Both say the same but for the length of descriptions: the keys and their order, lengths with one decimal, no white space, and
-limits that follow from the table: a position is on it, nothing is larger than its diagonal or higher than :data:`HIGHEST_CM`.
-What needs geometry (overlaps, supports) is for the checks.
+Both state the same except for the length of descriptions: the keys and their order, lengths with one decimal, no white space,
+and limits from the table: positions are on it, and no object is larger than its diagonal or higher than :data:`HIGHEST_CM`.
+The checks judge what needs geometry (overlaps, supports).
 
-That a reply has what its instruction asks for, in any order and among other things, is no grammar of a size that could be
-used: it would have to tell every subset apart. An engine asks :meth:`ReplyGrammar.lacking` when a reply would end, and goes on
-    under
-:meth:`ReplyGrammar.grammar_after`, which has one of what is lacking come next.
+A grammar cannot require the objects of an instruction in any order among others: it would have a state for every subset, which
+is too large. An engine calls :meth:`ReplyGrammar.lacking` when a reply would end, and continues with
+:meth:`ReplyGrammar.grammar_after`, which requires one of the missing objects next.
 """
 
 import json
@@ -25,16 +24,16 @@ from stable_data.json_text import is_unicode
 from stable_data.scene import Tabletop
 
 HIGHEST_CM = 200.0
-"""No object reaches higher, centimetres."""
+"""The largest height of an object and of a position, centimetres."""
 
 MOST_OBJECTS = 60
-"""Most objects of one reply."""
+"""The largest number of objects in one reply."""
 
 MOST_NAMES = 1000
-"""Most instances that an edit may take away: with twice as many the grammar is beyond what llguidance follows."""
+"""The largest layout that can be edited, in instances; llguidance fails on a grammar with twice as many."""
 
 CATEGORY = re.compile("[a-z][a-z0-9_]*")
-"""What a category looks like in the name of an instance."""
+"""The pattern of a category in the name of an instance."""
 
 _LETTER = r'[^\s"\\<\x00-\x1f\x7f]'
 
@@ -46,12 +45,12 @@ class ReplyGrammar:
     Attributes:
         width_cm: Extent of the table along x, centimetres.
         depth_cm: Along y.
-        edits: Whether a reply may take objects away.
-        names: Instances of the layout, which an edit may change or take away; :data:`MOST_NAMES` at most, of any characters.
-        at_least: Fewest objects.
-        at_most: Most objects.
-        asks: What must be among the objects.
-        binds: Whether an answer is this JSON alone; else the model says what it likes around it, and thinks if it does.
+        edits: Whether a reply may remove objects.
+        names: Instances of the layout, which an edit may change or remove; :data:`MOST_NAMES` at most, of any characters.
+        at_least: Smallest number of objects.
+        at_most: Largest number of objects.
+        asks: The objects that the reply must contain.
+        binds: Whether an answer is this JSON alone; else any text may surround it, a chain of thought included.
     """
 
     width_cm: float
@@ -64,18 +63,18 @@ class ReplyGrammar:
     binds: bool = True
 
     def __post_init__(self) -> None:
-        """Refuses names that no grammar can hold."""
+        """Refuses names that a grammar cannot contain."""
         if len(self.names) > MOST_NAMES:
             raise SceneError(
                 f"layout to be edited has {len(self.names)} objects, expected at most {MOST_NAMES}; edit a part",
                 "too_many_names",
             )
         if not is_unicode(self.names):
-            raise SceneError("layout to be edited has a name that is no UTF-8; rename the object", "name_invalid")
+            raise SceneError("layout to be edited has a name that is not UTF-8; rename the object", "name_invalid")
 
     @classmethod
     def of_table(cls, table: Tabletop, **more: Any) -> "ReplyGrammar":
-        """The form of layouts on a table."""
+        """Returns the form of replies for a table."""
         width, depth = (round(100 * s, 1) for s in table.size_xy)
         return cls(width, depth, **more)
 
@@ -85,7 +84,7 @@ class ReplyGrammar:
         return math.ceil(10 * math.hypot(self.width_cm, self.depth_cm)) / 10
 
     def schema(self) -> dict[str, Any]:
-        """JSON Schema for endpoints, with only the keywords of OpenAI's strict mode: lengths of strings are none of them.
+        """Returns the JSON Schema for endpoints, with the keywords of OpenAI's strict mode only: no lengths of strings.
 
         Every key is required and no other is allowed.
         """
@@ -105,18 +104,15 @@ class ReplyGrammar:
         return _closed({**({"remove": removed} if self.edits and self.names else {}), "objects": objects})
 
     def grammar(self) -> str:
-        """Lark grammar as llguidance reads it: the text of :func:`models.semantic_reasoner.text.reply_json.render_objects`."""
+        """Returns the Lark grammar for llguidance of what :func:`models.semantic_reasoner.text.reply_json.render_objects` writes."""
         return _grammar(replace(self, asks=()))
 
     def lacking(self, text: str) -> tuple[str, ...] | None:
-        """What a whole reply still has to have.
-
-        Args:
-            text: A reply in this form.
+        """Finds the required objects that a complete reply lacks.
 
         Returns:
-            The categories of which one must come, any at all where there are none; None where nothing is lacking, or nothing
-            more may come.
+            The categories of which one must follow, empty if any category may; None if no object is missing, or no more objects
+            are allowed.
         """
         if not self.asks:
             return None
@@ -128,22 +124,28 @@ class ReplyGrammar:
         return named if unmet else None
 
     def grammar_after(self, start: str, categories: tuple[str, ...], at_most: int) -> str:
-        """Lark grammar of what follows where a reply must not end yet.
+        """Returns the Lark grammar of the continuation of a reply that lacks objects.
 
         Args:
-            start: What is to be written first.
-            categories: The next object is of one of these; of any where there are none.
-            at_most: Most objects that may come.
+            start: The text that comes first.
+            categories: The categories of the next object; empty allows any.
+            at_most: The largest number of further objects.
         """
-        return _grammar_after(replace(self, asks=(), at_most=at_most), start, categories)
+        more = f'("," entry){{0,{at_most - 1}}}' if at_most > 1 else ""
+        first, names = "entry", []
+        if categories:
+            # Without quotation marks, since the category is only a part of the JSON string.
+            one_of = "|".join(_literal(_json(category)[1:-1]) for category in categories)
+            first, names = "asked", [f"ASKED: ({one_of}) /_[0-9]{{1,2}}/", _entry("asked", "ASKED")]
+        return _with_entries(self, [f'start: {_literal(start)} {first} {more} "]}}"', *names])
 
 
 def _triple(bounds: Iterable[tuple[float, float]]) -> dict[str, Any]:
-    # One range for all three where an endpoint does not know prefixItems.
-    limits = list(bounds)
+    # One range for all three, since strict mode has no prefixItems.
+    lows, highs = zip(*bounds, strict=True)
     return {
         "type": "array",
-        "items": {"type": "number", "minimum": min(b[0] for b in limits), "maximum": max(b[1] for b in limits)},
+        "items": {"type": "number", "minimum": min(lows), "maximum": max(highs)},
         "minItems": 3,
         "maxItems": 3,
     }
@@ -166,22 +168,13 @@ def _grammar(form: ReplyGrammar) -> str:
     return _with_entries(form, [f'start: "{{" {removed}"\\"objects\\":[" {listed} "]}}"'])
 
 
-def _grammar_after(form: ReplyGrammar, start: str, categories: tuple[str, ...]) -> str:
-    more = f'("," entry){{0,{form.at_most - 1}}}' if form.at_most > 1 else ""
-    first, names = "entry", []
-    if categories:
-        one_of = "|".join(_literal(_json(category)[1:-1]) for category in categories)
-        first, names = "asked", [f"ASKED: ({one_of}) /_[0-9]{{1,2}}/", _entry("asked", "ASKED")]
-    return _with_entries(form, [f'start: {_literal(start)} {first} {more} "]}}"', *names])
-
-
 def _literal(text: str) -> str:
-    """A text as a string of the grammar, which has the escapes of JSON."""
+    """A text as a string of the grammar, whose escapes are those of JSON."""
     return json.dumps(text)
 
 
 def _json(text: str) -> str:
-    """A text as replies have it, see :func:`models.semantic_reasoner.text.reply_json.render_objects`."""
+    """A text as replies contain it, see :func:`models.semantic_reasoner.text.reply_json.render_objects`."""
     return json.dumps(text, ensure_ascii=False)
 
 
@@ -193,44 +186,43 @@ def _entry(rule: str, name: str) -> str:
 
 
 def _with_entries(form: ReplyGrammar, rules: list[str]) -> str:
-    longest, highest = _up_to(form.longest_cm, 1), _up_to(HIGHEST_CM, 1)
+    longest, highest = _number_pattern(form.longest_cm, 1), _number_pattern(HIGHEST_CM, 1)
     return "\n".join(
         [
-            # Else what must come next is spelt with the tokenizer's words for that much alone, and longer tokens are lost.
+            # Else llguidance tokenizes forced text by itself, and never uses tokens that reach beyond that text.
             '%llguidance {"no_forcing": true}',
             *rules,
             _entry("entry", "NAME"),
             r"NAME: /[a-z][a-z_]{0,40}_[0-9]{1,2}/",
-            # A bound on their length, as the schema has, would triple what the grammar costs; the longest reply bounds them
-            # too.
+            # Without a bound on the length, which would triple the cost of the grammar; max_tokens bounds it too.
             rf"WORDS: /{_LETTER}+( {_LETTER}+)*/",
             f"SIDE: /{longest}/",
             f"TALL: /{highest}/",
-            f"X: /{_up_to(form.width_cm)}/",
-            f"Y: /{_up_to(form.depth_cm)}/",
-            f"Z: /{_up_to(HIGHEST_CM)}/",
+            f"X: /{_number_pattern(form.width_cm)}/",
+            f"Y: /{_number_pattern(form.depth_cm)}/",
+            f"Z: /{_number_pattern(HIGHEST_CM)}/",
             r"ANGLE: /-?(1[0-7][0-9]|[1-9][0-9]|[1-9])|0|180/",
         ]
     )
 
 
-def _up_to(most: float, least_tenths: int = 0) -> str:
-    """A pattern for the numbers with one decimal from 0, or one tenth, up to ``most``, in their one spelling."""
-    whole, rest = divmod(math.floor(10 * most + 1e-6), 10)
+def _number_pattern(most: float, least_tenths: int = 0) -> str:
+    """A pattern for the numbers with one decimal from ``least_tenths`` (0 or 1) to ``most``, each with one spelling."""
+    whole, rest = divmod(math.floor(10 * most + 1e-6), 10)  # 1e-6 against rounding, as in 10 * 59.9
     first = least_tenths if whole == 0 else 0
     parts = [rf"{whole}\.[{first}-{rest}]"]
     if whole > 0:
         parts.append(rf"0\.[{least_tenths}-9]")
     if whole > 1:
-        parts.append(rf"({_whole_up_to(whole - 1)})\.[0-9]")
+        parts.append(rf"({_integer_pattern(whole - 1)})\.[0-9]")
     return "|".join(parts)
 
 
-def _whole_up_to(most: int) -> str:
+def _integer_pattern(most: int) -> str:
     """A pattern for the whole numbers from 1 to ``most``, without leading zeros."""
     digits = str(most)
     parts = ["[1-9]" + "[0-9]" * (size - 1) for size in range(1, len(digits))]
-    for place, digit in enumerate(digits):  # alike up to here, and smaller here
+    for place, digit in enumerate(digits):  # the same digits before this place, and a smaller one at it
         low, high = int(place == 0), int(digit) - 1
         if low <= high:
             parts.append(digits[:place] + f"[{low}-{high}]" + "[0-9]" * (len(digits) - place - 1))

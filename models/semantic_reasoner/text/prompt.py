@@ -1,8 +1,9 @@
-"""What the reasoner is asked, in words: one chat template for the three stages, the one-shot variant and edits.
+"""The prompts of the reasoner: one chat template for the three stages, the one-shot variant and edits.
 
-The frame and its units are the same for every request, then come the instruction, the table, the layout so far (as corrected)
-and which stage is wanted; the answer is JSON (:mod:`models.semantic_reasoner.text.reply_json`) without a chain of thought, as
-the paper's Sec. "Semantic Reasoner" has it. The fixed parts are constants, so that a tokenizer can make one token of each.
+The system message with the frame and its units is the same in every request. Then follow the instruction I, the table T, the
+layout so far (as corrected) and the wanted stage. The answer is JSON (:mod:`models.semantic_reasoner.text.reply_json`) without
+a chain of thought, as in the paper's Sec. "Semantic Reasoner". The fixed parts are constants, each of which a tokenizer can
+make one token.
 """
 
 from collections.abc import Sequence
@@ -14,16 +15,16 @@ from stable_data.errors import SceneError
 from stable_data.scene import MAX_INSTRUCTION, Stage, Tabletop, TaskInfo
 
 PROMPT_VERSION = 1
-"""Raised whenever a fixed part changes: models are trained on one version."""
+"""Raised whenever a fixed part changes, since models are trained on one version."""
 
 Message: TypeAlias = dict[str, str]
-"""``role`` and ``content``, as chat templates and endpoints take them."""
+"""``role`` and ``content``, as in chat templates and endpoints."""
 
 Wanted: TypeAlias = Stage | Literal["whole", "edit"]
 """A stage, the whole layout at once (the paper's one-shot ablation), or an edit."""
 
 ANY_TABLE = "table"
-"""The table type where none is to be said."""
+"""The table type of prompts that do not state one."""
 
 SYSTEM = """You lay out tabletop scenes for robots. Frame: centimetres, the origin is the table's near left corner, x to the right, \
 y away from the viewer, z up, the table top is z = 0. An object is {"instance":"mug_0","description":"a white mug with a blue rim",\
@@ -51,22 +52,22 @@ WANTED: dict[Wanted, str] = {
 """The last line of a request."""
 
 FIXED: tuple[str, ...] = (SYSTEM, INSTRUCTION, TABLE, BY, CM, ZONE, DETAILS, LAYOUT, *WANTED.values())
-"""Every fixed part, for tokenizers."""
+"""All fixed parts, for tokenizers."""
 
 RETRY = "That answer cannot be used: {reason}. Answer again, JSON alone."
-"""What is said when an answer was refused."""
+"""The user message after a refused answer."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReasonerQuestion:
-    """One thing to ask of the reasoner.
+    """A question to the reasoner.
 
     Attributes:
-        instruction: What is to be done on the table, or the edit.
-        table: The table.
-        wanted: What is asked for.
+        instruction: The task instruction I, or the edit.
+        table: The tabletop T.
+        wanted: A stage, the whole layout or an edit.
         layout: The layout so far.
-        details: The task info, where the rest of it is to be said too and the model was trained on that.
+        details: The task info, if the prompt holds all of it and the model was trained on that.
     """
 
     instruction: str
@@ -77,48 +78,42 @@ class ReasonerQuestion:
 
     @property
     def edits(self) -> bool:
-        """Is an edit asked for?"""
+        """Whether the question asks for an edit."""
         return self.wanted == "edit"
 
 
-def messages(ask: ReasonerQuestion, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
-    """The chat that asks for a stage.
-
-    Args:
-        ask: What is asked.
-        refused: Earlier answers to it and why each could not be used.
-
-    Returns:
-        A system and a user message, then each refused answer with its reason.
+def messages(question: ReasonerQuestion, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
+    """Returns the chat of a question: a system and a user message, then each refused answer with its reason.
 
     Raises:
         SceneError: The instruction is empty or too long (``instruction_invalid``).
     """
-    chat = [{"role": "system", "content": SYSTEM}, {"role": "user", "content": user_message(ask)}]
+    chat = [{"role": "system", "content": SYSTEM}, {"role": "user", "content": user_message(question)}]
     for answer, reason in refused:
         chat.append({"role": "assistant", "content": answer})
         chat.append({"role": "user", "content": RETRY.format(reason=sanitise_words(reason))})
     return chat
 
 
-def user_message(ask: ReasonerQuestion) -> str:
-    """The user's message."""
-    instruction = check_instruction(ask.instruction)
-    width, depth = (f"{100 * s:.{DECIMALS}f}" for s in ask.table.size_xy)
-    zone = ask.table.restricted_zone
-    parts = [INSTRUCTION, instruction, TABLE, sanitise_words(ask.table.table_type) or ANY_TABLE, ", ", width, BY, depth, CM]
+def user_message(question: ReasonerQuestion) -> str:
+    """Returns the user's message."""
+    instruction = check_instruction(question.instruction)
+    width, depth = (f"{100 * s:.{DECIMALS}f}" for s in question.table.size_xy)
+    zone = question.table.restricted_zone
+    table_type = sanitise_words(question.table.table_type) or ANY_TABLE
+    parts = [INSTRUCTION, instruction, TABLE, table_type, ", ", width, BY, depth, CM]
     if zone is not None:
         x_min, x_max, y_min, y_max = (f"{100 * v:.{DECIMALS}f}" for v in zone)
         parts += [ZONE, f"[{x_min},{x_max},{y_min},{y_max}]"]
-    if ask.details is not None and (details := sanitise_words(details_of(ask.details))):
+    if question.details is not None and (details := sanitise_words(details_of(question.details))):
         parts += [DETAILS, details]
-    if ask.layout:
-        parts += [LAYOUT, render_objects(ask.layout)]
-    return "".join([*parts, WANTED[ask.wanted]])
+    if question.layout:
+        parts += [LAYOUT, render_objects(question.layout)]
+    return "".join([*parts, WANTED[question.wanted]])
 
 
 def check_instruction(words: str) -> str:
-    """An instruction as it is said.
+    """Returns an instruction as the prompt contains it.
 
     Raises:
         SceneError: It is empty or too long (``instruction_invalid``).
@@ -135,12 +130,12 @@ def check_instruction(words: str) -> str:
 
 
 def assistant_message(objects: Sequence[LayoutObject], removed: Sequence[str] | None = None) -> str:
-    """The assistant's message that a model is trained on."""
+    """Returns the assistant's message on which a model is trained."""
     return render_objects(objects, removed)
 
 
 def details_of(task: TaskInfo) -> str:
-    """What a task info says beside the instruction, in one line."""
+    """Returns the fields of a task info except the instruction, in one line."""
     parts = (
         ("Environment", (task.environment,)),
         ("Goal", task.goal),

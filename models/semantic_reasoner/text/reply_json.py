@@ -1,8 +1,7 @@
 """Objects as a language model reads and writes them: JSON in centimetres and whole degrees.
 
-A reply is ``{"objects":[...]}``; an edit's reply names what goes first: ``{"remove":["mug_0"],"objects":[...]}``. Lengths have
-one decimal, angles none, so that text and :class:`LayoutObject` are inverses of each other: what was rendered parses to the
-same object, and what parsed renders to the same text.
+A reply is ``{"objects":[...]}``; that of an edit also lists the removed instances: ``{"remove":["mug_0"],"objects":[...]}``.
+Lengths have one decimal and angles none, so that rendering and parsing are inverses of each other.
 """
 
 import itertools
@@ -23,7 +22,7 @@ DECIMALS = 1
 """Decimals of a length in centimetres."""
 
 LONGEST_REPLY = 2**18
-"""Most bytes of a reply: a layout of 60 objects has about 20,000."""
+"""The largest reply, bytes; a layout of 60 objects has about 20,000."""
 
 _INSTANCE = re.compile(r"[^\W\d_]\w*?_[0-9]+")
 
@@ -34,10 +33,10 @@ class LayoutObject:
 
     Attributes:
         instance: ``<category>_<number>``, unique in its layout.
-        description: Words that an asset is retrieved by.
-        size_cm: Width, depth and height of its box before ``z_rotation``, tilt included, centimetres.
-        position_cm: Centre of that box, centimetres, world frame.
-        z_rotation_deg: Counter-clockwise seen from above, 0 faces the viewer, degrees in (-180, 180].
+        description: d_i, the words for which an asset is retrieved.
+        size_cm: s_i, width, depth and height of its box in the yaw frame, centimetres.
+        position_cm: p_i, centre of the box, centimetres, world frame.
+        z_rotation_deg: r_i, counter-clockwise seen from above, 0 faces the viewer, degrees in (-180, 180].
     """
 
     instance: str
@@ -48,11 +47,11 @@ class LayoutObject:
 
     @property
     def category(self) -> str:
-        """What its instance says that it is."""
+        """The category in the instance."""
         return self.instance.rpartition("_")[0]
 
     def to_scene_object(self, stage: Stage | None = None) -> SceneObject:
-        """The object in SI units, without an asset and without a support."""
+        """Returns the object in SI units, without an asset and without a support."""
         (w, d, h), (x, y, z) = self.size_cm, self.position_cm
         return SceneObject(
             self.instance,
@@ -66,14 +65,14 @@ class LayoutObject:
 
 
 def layout_objects(objects: Iterable[SceneObject], known: Mapping[str, str] | None = None) -> tuple[LayoutObject, ...]:
-    """Scene objects in the words of a layout, in their order.
+    """Converts scene objects to layout objects, in their order.
 
     Args:
-        objects: The objects; all of one layout, so that names stay unique.
-        known: Names that some instances have already; see :func:`layout_names`. By default all are named here.
+        objects: The objects; all of one layout, so that names are unique.
+        known: Names of the instances, see :func:`layout_names`; None names them here.
 
     Returns:
-        One layout object each. Boxes are rounded to a millimetre, and no thinner than one.
+        One layout object each. Boxes are rounded to a millimetre, and no side is shorter than that.
     """
     objects = tuple(objects)
     names = layout_names(objects) if known is None else known
@@ -81,8 +80,8 @@ def layout_objects(objects: Iterable[SceneObject], known: Mapping[str, str] | No
         LayoutObject(
             names[o.instance],
             sanitise_words(o.description) or sanitise_words(o.category.replace("_", " ")) or "object",
-            _in_cm(o.size, least=0.1),
-            _in_cm(o.position),
+            _to_cm(o.size, least=0.1),
+            _to_cm(o.position),
             _whole_degrees(o.yaw),
         )
         for o in objects
@@ -90,7 +89,7 @@ def layout_objects(objects: Iterable[SceneObject], known: Mapping[str, str] | No
 
 
 def layout_names(objects: Iterable[SceneObject]) -> dict[str, str]:
-    """``<category>_<number>`` for each instance, numbered from 0 in the given order."""
+    """Returns ``<category>_<number>`` for each instance, numbered from 0 in the given order."""
     count: Counter[str] = Counter()
     names = {}
     for o in objects:
@@ -101,27 +100,23 @@ def layout_names(objects: Iterable[SceneObject]) -> dict[str, str]:
 
 
 def renumber_instances(objects: Iterable[LayoutObject], taken: Iterable[str]) -> tuple[LayoutObject, ...]:
-    """Objects whose names are unique: one that is taken already gets the next number of its category that is free.
+    """Gives each object whose name is used already the next free number of its category.
 
-    Numbers say nothing but which is which, so a reply that counts wrongly loses nothing by it.
-
-    Args:
-        objects: The objects.
-        taken: Names that others have.
+    Numbers only distinguish objects, so a reply with wrong numbers can be used. ``taken`` are the names of other objects.
     """
     used = set(taken)
     named = []
-    untried: dict[str, Iterator[str]] = {}  # by category: numbers before these are taken
+    untried: dict[str, Iterator[str]] = {}  # by category; all names before these are used
     for o in objects:
         if o.instance in used:
-            numbers = untried.setdefault(o.category, _numbered(o.category))
-            o = replace(o, instance=next(name for name in numbers if name not in used))
+            names = untried.setdefault(o.category, _names_of(o.category))
+            o = replace(o, instance=next(name for name in names if name not in used))
         used.add(o.instance)
         named.append(o)
     return tuple(named)
 
 
-def _numbered(category: str) -> Iterator[str]:
+def _names_of(category: str) -> Iterator[str]:
     return (f"{category}_{n}" for n in itertools.count())
 
 
@@ -130,17 +125,19 @@ def _category_word(category: str) -> str:
     return word if word and not word[0].isdigit() else f"object_{word}".rstrip("_")
 
 
-def _in_cm(lengths: Vec3, least: float = -math.inf) -> Vec3:
+def _to_cm(lengths: Vec3, least: float = -math.inf) -> Vec3:
+    # + 0.0 turns -0.0 into 0.0, which is rendered differently; so in _vector.
     x, y, z = (max(least, round(100 * v, DECIMALS)) + 0.0 for v in lengths)
     return x, y, z
 
 
 def _whole_degrees(yaw: float) -> int:
+    """An angle in radians as whole degrees in (-180, 180]."""
     return -((180 - round(math.degrees(yaw))) % 360) + 180
 
 
 def sanitise_words(words: str) -> str:
-    """Words from outside as one line that no chat template can mistake for its own marks."""
+    """Returns words from outside as one line in which no chat template finds a special token."""
     return re.sub(r"<(?=[|/a-zA-Z])", "< ", " ".join(re.sub(r"[\x00-\x1f\x7f]", " ", words).split()))
 
 
@@ -148,12 +145,7 @@ def sanitise_words(words: str) -> str:
 
 
 def render_objects(objects: Iterable[LayoutObject], removed: Sequence[str] | None = None) -> str:
-    """The JSON text of a layout or a reply, without white space.
-
-    Args:
-        objects: The objects.
-        removed: Of an edit, the instances that go; None: no edit.
-    """
+    """Returns the JSON text of a layout or a reply, without white space; ``removed`` is None if it is not of an edit."""
     head = "" if removed is None else f'"remove":{_json(list(removed))},'
     return f'{{{head}"objects":[{",".join(_render(o) for o in objects)}]}}'
 
@@ -175,11 +167,11 @@ def _numbers(values: Vec3) -> str:
 
 @dataclass(frozen=True, slots=True)
 class LayoutReply:
-    """What a reply says.
+    """The content of a reply.
 
     Attributes:
-        objects: New objects, and those that are changed, in the order of the text.
-        removed: Instances that go; empty but for edits.
+        objects: New and changed objects, in the order of the text.
+        removed: Removed instances; empty except for edits.
     """
 
     objects: tuple[LayoutObject, ...]
@@ -187,21 +179,16 @@ class LayoutReply:
 
 
 def parse_reply(text: str) -> LayoutReply:
-    """The objects of a reply, which is in the form of ``schemas/layout_reply.schema.json``.
+    """Parses a reply in the form of ``schemas/layout_reply.schema.json``.
 
-    Code fences, white space and words before the first brace are passed over, since models without constrained decoding add
-    them; numbers may have any form that JSON allows and are rounded to the text's decimals.
-
-    Args:
-        text: A model's answer.
-
-    Returns:
-        Its objects.
+    Code fences, white space and words before the first brace are skipped, since models without constrained decoding add them.
+    Numbers may have any form of JSON and are rounded to the decimals of the text.
 
     Raises:
-        SceneError: It is too long (``reply_too_long``), no JSON (``reply_not_json``), or not in the form of a reply
+        SceneError: The reply is too long (``reply_too_long``), not JSON (``reply_not_json``), or not in the form of a reply
             (``reply_malformed``).
     """
+    # Lone surrogates are passed, so that their size is counted and not an encoding error.
     num_bytes = len(text.encode("utf-8", "surrogatepass"))
     if num_bytes > LONGEST_REPLY:
         raise SceneError(f"reply has {num_bytes} bytes, expected at most {LONGEST_REPLY}; ask again", "reply_too_long")
@@ -209,7 +196,7 @@ def parse_reply(text: str) -> LayoutReply:
     try:
         data = json_value(body)
     except ValueError as error:
-        raise SceneError(f"reply is no JSON ({error}): {_shown(text)}; ask again", "reply_not_json") from error
+        raise SceneError(f"reply is not JSON ({error}): {_shown(text)}; ask again", "reply_not_json") from error
     if not isinstance(data, dict) or not isinstance(data.get("objects"), list):
         raise SceneError(f'reply is {_shown(text)}, expected {{"objects":[...]}}', "reply_malformed")
     removed = data.get("remove", [])
@@ -227,7 +214,7 @@ def _parse(entry: Any, k: int) -> LayoutObject:
     instance, description = entry.get("instance"), entry.get("description")
     if not isinstance(instance, str) or not _INSTANCE.fullmatch(instance):
         raise SceneError(
-            f'reply: object {k} has "instance" {_shown(str(instance))}, expected such as "mug_0"', "reply_malformed"
+            f'reply: object {k} has "instance" {_shown(str(instance))}, expected a name such as "mug_0"', "reply_malformed"
         )
     if not isinstance(description, str) or not sanitise_words(description):
         raise SceneError(f'reply: {instance} has "description" {_shown(str(description))}, expected words', "reply_malformed")
@@ -249,6 +236,7 @@ def _vector(entry: Mapping[str, Any], key: str, instance: str) -> Vec3:
 
 
 def _is_number(value: Any) -> bool:
+    # JSON's true is an int in Python; the bound also refuses 1e999, which is read as infinity.
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LONGEST_CM
 
 

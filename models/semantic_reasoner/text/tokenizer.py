@@ -1,7 +1,7 @@
-"""A tokenizer made for layouts: the fixed words of the prompt, the scaffolding of its JSON and its numbers are tokens of their own.
+"""A tokenizer for layouts: the fixed parts of the prompt, the punctuation of its JSON and its numbers are single tokens.
 
-An object of six described words takes about 25 tokens, where a general tokenizer takes about 90. Words are byte-level BPE
-trained on the samples, so that any text can be read and written, if at more tokens.
+An object with a description of six words has about 25 tokens, with a general tokenizer about 90. Words are byte-level BPE
+trained on the samples, so that any text can be encoded, with more tokens.
 """
 
 import re
@@ -15,10 +15,10 @@ from models.semantic_reasoner.text.prompt import FIXED, Message
 PAD, SYSTEM, USER, ASSISTANT, END = "<|pad|>", "<|system|>", "<|user|>", "<|assistant|>", "<|end|>"
 _SPECIAL = (PAD, SYSTEM, USER, ASSISTANT, END)
 
-MOST_CM = 200
-"""Whole centimetres up to here are one token."""
+MAX_WHOLE_CM = 200
+"""Whole centimetres up to this number are one token."""
 
-_MOST_ALIKE = 24  # running numbers of a category that are one token
+_MAX_NUMBER = 24  # running numbers of a category below this one are one token
 
 CHAT_TEMPLATE = (
     "{% for m in messages %}{% if m.role == 'system' %}<|system|>{{ m.content }}"
@@ -30,7 +30,7 @@ CHAT_TEMPLATE = (
 
 
 def scaffolding() -> tuple[str, ...]:
-    """What a layout's JSON has between its words, each one token."""
+    """Returns the texts between the words of a layout's JSON, each of which is one token."""
     opening = '"objects":[{"instance":"'
     return (
         "{" + opening,
@@ -38,25 +38,25 @@ def scaffolding() -> tuple[str, ...]:
         '},{"instance":"',
         "}]}",
         '","size":[',
-        *(f'_{n}","description":"' for n in range(_MOST_ALIKE)),
+        *(f'_{n}","description":"' for n in range(_MAX_NUMBER)),
         *(f".{d}{after}" for d in range(10) for after in ("", ",", '],"position":[', '],"z_rotation":', "]")),
         '{"remove":[' + "]," + opening,
         '{"remove":["',
         '","',
         '"],' + opening,
         '"],"objects":[]}',
-        *(f"_{n}" for n in range(_MOST_ALIKE)),
-        *map(str, range(MOST_CM + 1)),
+        *(f"_{n}" for n in range(_MAX_NUMBER)),
+        *map(str, range(MAX_WHOLE_CM + 1)),
         *(f"-{n}" for n in range(1, 181)),
     )
 
 
 def train_tokenizer(texts: Iterable[str], vocab_size: int = 2048) -> PreTrainedTokenizerFast:
-    """A tokenizer for layouts.
+    """Trains a tokenizer for layouts.
 
     Args:
         texts: Questions and answers, as :mod:`models.semantic_reasoner.text.prompt` writes them.
-        vocab_size: Tokens for words; those of the scaffolding, the numbers and the prompt come beside them.
+        vocab_size: Tokens for words; those of the punctuation, the numbers and the prompt are added to them.
 
     Returns:
         The tokenizer, with its chat template.
@@ -77,7 +77,8 @@ def train_tokenizer(texts: Iterable[str], vocab_size: int = 2048) -> PreTrainedT
         show_progress=False,
     )
     fixed = (*FIXED, *scaffolding())
-    # The fixed parts are cut out first, so that no vocabulary is spent on them.
+    # The fixed parts are removed first, so that BPE spends no vocabulary on them. Longer ones come first in the pattern, since
+    # some contain others.
     cut = re.compile("|".join(map(re.escape, sorted(fixed, key=len, reverse=True))))
     tokenizer.train_from_iterator((words for text in texts for words in cut.split(text)), trainer)
     tokenizer.add_tokens([AddedToken(text, normalized=False) for text in fixed])
@@ -91,13 +92,13 @@ def train_tokenizer(texts: Iterable[str], vocab_size: int = 2048) -> PreTrainedT
 
 
 def chat_text(tokenizer: PreTrainedTokenizerBase, messages: Sequence[Message], thinks: bool = False) -> str:
-    """A chat up to the answer, as a model is trained on it and asked with it.
+    """Returns the text of a chat up to the answer, in training and at inference.
 
     Args:
         tokenizer: With a chat template.
         messages: The chat.
-        thinks: Whether a chain of thought may come before the answer.
+        thinks: Whether a chain of thought may precede the answer.
     """
-    # Qwen3's own template leaves room for a chain of thought unless it is told that there is none.
-    told = tokenizer.apply_chat_template(list(messages), add_generation_prompt=True, enable_thinking=thinks, tokenize=False)
-    return str(told)
+    # Qwen3's own template opens a chain of thought unless thinking is disabled.
+    text = tokenizer.apply_chat_template(list(messages), add_generation_prompt=True, enable_thinking=thinks, tokenize=False)
+    return str(text)

@@ -1,4 +1,4 @@
-"""The batches that a training takes of a token set."""
+"""The batches of a training."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,22 +11,22 @@ from models.semantic_reasoner.training.token_dataset import TokenDataset
 from stable_data.scene import IntArray
 
 Rows: TypeAlias = list[list[int]]
-"""Of a batch: which examples each of its rows has."""
+"""A batch: the indices of the examples in each of its rows."""
 
 IGNORED = -100
-"""Target of a place where no loss counts, as torch has it."""
+"""Target of tokens without a loss, torch's default ``ignore_index``."""
 
-_WINDOW = 64  # batches whose examples are sorted by length together
+_WINDOW = 64  # batches whose examples are sorted by length together: more give less padding, fewer more random batches
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TokenBatch:
-    """Rows of a batch.
+    """The arrays of a batch.
 
     Attributes:
         tokens: (B, T) int64, padded on the right.
-        position: Place of each token in its own example, (B, T) int64; it starts anew where a row has several examples.
-        target: The next token where the loss counts, :data:`IGNORED` elsewhere, (B, T) int64.
+        position: Position of each token in its example, (B, T) int64; it starts again with each example of a row.
+        target: The next token in replies, :data:`IGNORED` elsewhere, (B, T) int64.
     """
 
     tokens: IntArray
@@ -35,13 +35,7 @@ class TokenBatch:
 
 
 def batch_of(data: TokenDataset, rows: Sequence[Sequence[int]], pad: int) -> TokenBatch:
-    """The batch that some rows make.
-
-    Args:
-        data: The examples.
-        rows: Indices of the examples of each row.
-        pad: Token that fills rows up.
-    """
+    """Returns the batch of rows, which are indices of examples, padded with the token ``pad``."""
     length = data.length
     width = max(int(length[list(row)].sum()) for row in rows)
     tokens = np.full((len(rows), width), pad, np.int64)
@@ -54,19 +48,16 @@ def batch_of(data: TokenDataset, rows: Sequence[Sequence[int]], pad: int) -> Tok
             size = len(words)
             tokens[r, at : at + size] = words
             position[r, at : at + size] = np.arange(size)
-            target[r, at + prompt - 1 : at + size - 1] = words[prompt:]
+            target[r, at + prompt - 1 : at + size - 1] = words[prompt:]  # shifted by one: each token predicts the next
             at += size
-        position[r, at:] = np.arange(width - at)  # padding is an example of its own that nothing looks at
+        position[r, at:] = np.arange(width - at)  # padding counts as another example, to which no token attends
     return TokenBatch(tokens, position, target)
 
 
 def batches_of_pass(data: TokenDataset, settings: ReasonerTrainingSettings, number: int) -> list[Rows]:
-    """The batches of one pass: examples in any order, those of like length together so that little is padding.
+    """Returns the batches of one pass: in random order, with examples of similar length together to save padding.
 
-    Args:
-        data: The examples.
-        settings: Shares of the kinds, sizes of batches and rows, seed.
-        number: Of the pass; each draws anew.
+    The number of the pass is a part of the seed.
     """
     rng = np.random.default_rng([settings.seed, number])
     chosen = []
@@ -86,17 +77,17 @@ def batches_of_pass(data: TokenDataset, settings: ReasonerTrainingSettings, numb
 
 
 def batches_in_order(data: TokenDataset, members: IntArray, settings: ReasonerTrainingSettings) -> list[Rows]:
-    """Batches of some examples, shortest first, each in a row of its own: for evaluation."""
+    """Returns batches of some examples, shortest first, one example a row: for evaluation."""
     return _cut([[k] for k in members.tolist()], data.length, settings)
 
 
 def rows_of(lengths: IntArray, max_tokens: int, packs: bool) -> Rows:
-    """Which examples share a row.
+    """Assigns examples to rows.
 
     Args:
         lengths: Tokens of each example, (E,), none above ``max_tokens``.
-        max_tokens: Of a row.
-        packs: Whether rows have several examples, as many as go in (first fit, longest first); else each has a row to itself.
+        max_tokens: Largest number of tokens of a row.
+        packs: Whether rows have several examples (first fit decreasing); else one each.
 
     Returns:
         Indices of the examples of each row.
@@ -117,12 +108,13 @@ def rows_of(lengths: IntArray, max_tokens: int, packs: bool) -> Rows:
 
 
 def _cut(rows: Rows, length: IntArray, settings: ReasonerTrainingSettings) -> list[Rows]:
-    """Rows, shortest first, cut into batches of at most so many rows and tokens, padding included."""
+    """Cuts rows, shortest first, into batches within the bounds of rows and tokens, padding included."""
     widths = [int(length[row].sum()) for row in rows]
     most = settings.rows_per_batch or len(rows)
     batches: list[Rows] = []
     for k in np.argsort(widths, kind="stable").tolist():
         size = len(batches[-1]) if batches else 0
+        # Sorted by width, so the new row is the widest, and the batch is padded to it.
         if not size or size == most or widths[k] * (size + 1) > settings.tokens_per_batch:
             batches.append([])
         batches[-1].append(rows[k])
@@ -130,7 +122,7 @@ def _cut(rows: Rows, length: IntArray, settings: ReasonerTrainingSettings) -> li
 
 
 def padding_of(data: TokenDataset, batches: Sequence[Rows]) -> float:
-    """Share of the batches' places that are padding."""
+    """Returns the share of padding in the tokens of batches."""
     length = data.length
     places = tokens = 0
     for rows in batches:

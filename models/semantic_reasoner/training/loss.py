@@ -1,8 +1,8 @@
-"""The loss of the reasoner's training: the negative log-likelihood of the replies, nothing for the prompts.
+"""The loss of the reasoner's training: the negative log-likelihood of the replies; prompts have no loss.
 
-Over several processes the weights, their gradients and the optimizer's averages are sharded (FSDP). PyTorch's own
-``fully_shard`` does it: parameters keep their names and modules their classes, trained and frozen ones may lie side by side as
-under LoRA, and Ray Train has already started the processes, which is what accelerate would add.
+In several processes the weights, their gradients and the optimizer's averages are sharded (FSDP) by PyTorch's ``fully_shard``:
+names of parameters and classes of modules do not change, and trained and frozen parameters may be mixed, as with LoRA.
+accelerate would only start the processes in addition, which Ray Train does already.
 """
 
 from typing import Any
@@ -21,17 +21,17 @@ from models.semantic_reasoner.training.batch_sampler import IGNORED, TokenBatch
 from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
 from models.training.distributed import ProcessContext
 
-_HEAD_AT_ONCE = 1024  # tokens whose logits are there together where activations are not kept
+_HEAD_CHUNK = 1024  # tokens whose logits are in memory at a time if activations are recomputed
 
 
 class ReplyLoss(nn.Module):
-    """A network as it is trained.
+    """A network with its loss.
 
-    A module of its own, since sharded weights are gathered when a module is called.
+    The loss is a module, since FSDP gathers sharded weights when a module is called.
 
     Args:
         network: A causal language model with ``model`` (the decoder) and ``lm_head``.
-        settings: Precision, packing, and what is computed again.
+        settings: Precision, packing, compilation, and recomputation of activations.
 
     Attributes:
         network: The network.
@@ -46,28 +46,29 @@ class ReplyLoss(nn.Module):
         self._head_loss = _head_loss
         if settings.compiles:
             decoder: Any = network.model
-            decoder.compile(dynamic=True)  # batches are of ever new shapes
+            decoder.compile(dynamic=True)  # nearly every batch has a new shape
             self._head_loss = torch.compile(_head_loss, dynamic=True)
 
     def forward(self, tokens: Tensor, target: Tensor, position: Tensor | None = None) -> Tensor:
-        """Sum over the replies' tokens, nats.
+        """Returns the sum of the loss over the replies' tokens, nats.
 
         Args:
             tokens: (B, T) int64.
             target: (B, T) int64; see :class:`TokenBatch`.
-            position: (B, T) int64 where rows have several examples: transformers keeps those apart whose positions start anew.
-                None where they have one: nothing comes after what counts but padding, which a causal model does not see.
+            position: (B, T) int64 if rows have several examples: transformers separates examples where positions start again.
+                None if rows have one each: only padding follows it, which a causal model does not see.
         """
         is_low = self._settings.precision == "bfloat16"
-        # Each weight is multiplied with once: a cache of their bfloat16 copies would only hold memory.
+        # Each weight is used once a pass: a cache of bfloat16 copies would only take memory.
         with torch.autocast(tokens.device.type, torch.bfloat16, enabled=is_low, cache_enabled=False):
-            known: dict[str, Any] = {} if position is None else {"position_ids": position}
-            hidden = self.network.model(input_ids=tokens, use_cache=False, **known).last_hidden_state
+            more: dict[str, Any] = {} if position is None else {"position_ids": position}
+            hidden = self.network.model(input_ids=tokens, use_cache=False, **more).last_hidden_state
             counts = target != IGNORED
-            hidden, target = hidden[counts], target[counts]  # (R, C), (R,): the vocabulary is wide, and prompts are long
+            # (R, C), (R,): no logits for prompts, which are long, since the vocabulary is large.
+            hidden, target = hidden[counts], target[counts]
             if not self._settings.recomputes:
                 return self._head(hidden, target)
-            parts = zip(torch.split(hidden, _HEAD_AT_ONCE), torch.split(target, _HEAD_AT_ONCE), strict=True)
+            parts = zip(torch.split(hidden, _HEAD_CHUNK), torch.split(target, _HEAD_CHUNK), strict=True)
             losses = [checkpoint(self._head, h, t, use_reentrant=False) for h, t in parts]
         return torch.stack(losses).sum()
 
@@ -75,7 +76,7 @@ class ReplyLoss(nn.Module):
         return self._head_loss(self.network.lm_head, hidden, target)
 
     def of_batch(self, batch: TokenBatch, place: ProcessContext) -> Tensor:
-        """The same of a batch."""
+        """Returns the loss of a batch."""
         position = torch.from_numpy(batch.position).to(place.device) if self._settings.packs else None
         loss: Tensor = self(*(torch.from_numpy(v).to(place.device) for v in (batch.tokens, batch.target)), position)
         return loss
@@ -94,14 +95,14 @@ def _attention_in_float32(
     scaling: float | None = None,
     **_: Any,
 ) -> tuple[Tensor, None]:
-    """Attention as transformers calls it: PyTorch's kernel for CPUs is far slower in bfloat16 than in float32, most so backward."""
+    """Attention for transformers: PyTorch's CPU kernel is far slower in bfloat16 than in float32, mostly in the backward pass."""
     with torch.autocast("cpu", enabled=False):
         found = functional.scaled_dot_product_attention(
             query.float(),
             key.float(),
             value.float(),
             attn_mask=attention_mask,
-            is_causal=attention_mask is None and query.shape[2] > 1,  # a token that is generated sees all before it
+            is_causal=attention_mask is None and query.shape[2] > 1,  # a single generated token sees all earlier ones
             scale=scaling,
             enable_gqa=True,
         )
@@ -114,7 +115,7 @@ AttentionMaskInterface.register(_ON_CPU, sdpa_mask)
 
 
 def place_network(loss: ReplyLoss, place: ProcessContext) -> None:
-    """Moves a network to where it is trained, in float32: whole, or this process's shard of each layer."""
+    """Moves a network to the training device in float32: all of it, or this process's shard of each layer."""
     network: Any = loss.network
     if place.device.type == "cpu":
         network.set_attn_implementation(_ON_CPU)
@@ -126,18 +127,18 @@ def place_network(loss: ReplyLoss, place: ProcessContext) -> None:
     rest = [module for module in network.model.children() if module is not layers]
     for module in (*rest, network.lm_head):
         module.to(place.device, torch.float32)
-    for layer in layers:  # one after another, so that none but one is whole there
+    for layer in layers:  # one after another, so that only one whole layer is on the device
         fully_shard(layer.to(place.device, torch.float32), mesh=mesh)
     fully_shard(loss, mesh=mesh)
 
 
 def gather_tensor(value: Tensor) -> Tensor:
-    """A tensor whole, on every process."""
+    """Returns the whole tensor of a shard, on every process."""
     return value.full_tensor() if isinstance(value, DTensor) else value
 
 
 def shard_like(value: Tensor, like: Tensor) -> Tensor:
-    """A whole tensor, which every process has, as another one lies."""
+    """Returns a tensor that every process has whole, on the device and with the shards of another one."""
     if not isinstance(like, DTensor):
         return value.to(like.device)
     return distribute_tensor(value.to(like.device), like.device_mesh, like.placements, src_data_rank=None)

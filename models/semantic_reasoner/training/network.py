@@ -1,4 +1,4 @@
-"""The networks that are trained: the small Qwen3 of the embedded engine, or a base model, adapted or whole."""
+"""The networks that are trained: the small Qwen3 of the embedded engine, or a base model, whole or with LoRA."""
 
 import math
 import re
@@ -17,16 +17,9 @@ from models.semantic_reasoner.training.settings import LanguageModelSettings, Lo
 def new_network(
     settings: LanguageModelSettings, tokenizer: PreTrainedTokenizerBase, max_tokens: int, seed: int
 ) -> Qwen3ForCausalLM:
-    """A Qwen3 with weights drawn from a seed.
-
-    Args:
-        settings: Its shape.
-        tokenizer: Whose vocabulary it reads.
-        max_tokens: Longest sequence that it is made for.
-        seed: Of the weights.
-    """
+    """Makes a Qwen3 that reads ``max_tokens`` tokens of a tokenizer's vocabulary, with weights drawn from a seed."""
     config = Qwen3Config(
-        vocab_size=-(-len(tokenizer) // 64) * 64,  # a multiple of 64 is faster to multiply with
+        vocab_size=-(-len(tokenizer) // 64) * 64,  # matrix products are faster with a multiple of 64
         hidden_size=settings.hidden,
         num_hidden_layers=settings.layers,
         num_attention_heads=settings.heads,
@@ -44,25 +37,27 @@ def new_network(
         torch.manual_seed(seed)
         network = Qwen3ForCausalLM(config)
     width = 2 * (settings.hidden // 8)
-    _order_numbers(network.get_input_embeddings().weight[:, :width], tokenizer.get_vocab(), config.initializer_range)
-    _hand_numbers_on(network, width)
+    _initialise_number_embeddings(
+        network.get_input_embeddings().weight[:, :width], tokenizer.get_vocab(), config.initializer_range
+    )
+    _initialise_copy_heads(network, width)
     return network
 
 
 @torch.no_grad()
-def _order_numbers(embeddings: Tensor, vocabulary: Mapping[str, int], scale: float) -> None:
-    """Puts near numbers near each other, by waves of 3 to 1,200.
+def _initialise_number_embeddings(embeddings: Tensor, vocabulary: Mapping[str, int], scale: float) -> None:
+    """Gives tokens of close numbers close embeddings: sinusoids of wavelengths 3 to 1,200.
 
-    A layout is mostly numbers, and what stands in a bowl stands where the bowl stands, give or take. Drawn at random, that 45
-    is next to 46 would have to be learned for each of them.
+    A layout consists mostly of numbers, and an object in a bowl has about the position of the bowl. From random embeddings the
+    network would have to learn for each pair of numbers, such as 45 and 46, that they are close.
 
     Args:
-        embeddings: (V, 2 N), written to: the part of the width that says which number a token is.
-        vocabulary: Tokens.
-        scale: Of the other embeddings; these are larger, so that the first steps do not blur them.
+        embeddings: (V, 2 N), written to: the part of the width that encodes the number of a token.
+        vocabulary: Tokens with their indices.
+        scale: Standard deviation of the other embeddings; these are larger, so that the first steps do not destroy them.
     """
     if embeddings.is_meta:
-        return  # a network that is only counted
+        return  # a network without memory, whose parameters are only counted
     numbers = {int(word): index for word, index in vocabulary.items() if re.fullmatch(r"-?[0-9]{1,3}", word)}
     values = torch.tensor(sorted(numbers), dtype=torch.float32)
     waves = 2 * math.pi * values[:, None] / torch.logspace(math.log10(3), math.log10(1200), embeddings.shape[1] // 2)
@@ -71,16 +66,12 @@ def _order_numbers(embeddings: Tensor, vocabulary: Mapping[str, int], scale: flo
 
 
 @torch.no_grad()
-def _hand_numbers_on(network: Qwen3ForCausalLM, width: int) -> None:
-    """Lets the first query head of each pair of key and value hand on the number that it looks at, as that number.
+def _initialise_copy_heads(network: Qwen3ForCausalLM, width: int) -> None:
+    """Initialises the first query head of each key-value head to copy the number of the token that it attends to.
 
-    Copying takes two things, looking at the right token and saying what it says, and neither pays without the other: from
-    random weights alone, what stands in a bowl stood anywhere after thousands of steps. With the second given, the first is
-    learned in a few hundred.
-
-    Args:
-        network: Written to.
-        width: Of the part of an embedding that says which number it is.
+    To copy a number, a head has to attend to the right token and to output its number, and neither helps without the other:
+    from random weights, objects in a bowl still had random positions after thousands of steps. With the output initialised,
+    the attention is learned in a few hundred steps. ``width`` is that of the part of an embedding that encodes the number.
     """
     head = int(network.config.head_dim)
     heads_each = int(network.config.num_attention_heads) // int(network.config.num_key_value_heads)
@@ -96,33 +87,28 @@ def _hand_numbers_on(network: Qwen3ForCausalLM, width: int) -> None:
 
 
 class TrainableNetwork:
-    """A network and what of it is trained.
-
-    Args:
-        settings: Of the training.
-        tokenizer: Whose vocabulary a new network reads.
+    """The network of a training, with LoRA if the settings have a rank.
 
     Attributes:
-        network: The causal language model, on the CPU; under LoRA its linear layers have matrices beside them, and these alone
-            are trained.
+        network: The causal language model, on the CPU; with LoRA only the added low-rank matrices are trained.
 
     Raises:
-        ConfigError: ``base`` is no model that can be read.
+        ConfigError: ``base`` is not a readable model.
     """
 
     def __init__(self, settings: ReasonerTrainingSettings, tokenizer: PreTrainedTokenizerBase) -> None:
-        self._adapted: Any = None
+        self._adapter: Any = None
         if settings.base:
             self.network = read_model(Path(settings.base).expanduser(), settings.max_tokens)
         else:
             self.network = new_network(settings.network, tokenizer, settings.max_tokens, settings.seed)
         if settings.lora.rank:
-            self._adapted = _adapted(self.network.to(torch.float32), settings.lora, settings.seed)
-            self.network = self._adapted.get_base_model()
+            self._adapter = _with_lora(self.network.to(torch.float32), settings.lora, settings.seed)
+            self.network = self._adapter.get_base_model()
         self.network.train()
 
     def with_values(self, values: Mapping[str, Tensor]) -> "TrainableNetwork":
-        """The same with these values, by the names of :func:`trainable_parameters`, in float32."""
+        """Sets values by the names of :func:`trainable_parameters`, in float32, and returns the object itself."""
         self.network.to(torch.float32)
         parameters = trainable_parameters(self.network)
         with torch.no_grad():
@@ -130,22 +116,22 @@ class TrainableNetwork:
                 parameters[name].copy_(value)
         return self
 
-    def to_keep(self, settings: ReasonerTrainingSettings) -> Any:
-        """What is kept of it in the end: a model of transformers, or an adapter of peft. It cannot be trained on after that."""
+    def to_save(self, settings: ReasonerTrainingSettings) -> Any:
+        """Returns the model to save: one of transformers, or an adapter of peft. Do not train the network after that."""
         dtype = getattr(torch, settings.storage)
-        if self._adapted is None:
+        if self._adapter is None:
             return self.network.to(dtype).eval()
         if settings.lora.merges:
-            return self._adapted.merge_and_unload().to(dtype).eval()
-        return self._adapted.to(dtype).eval()
+            return self._adapter.merge_and_unload().to(dtype).eval()
+        return self._adapter.to(dtype).eval()
 
 
 def trainable_parameters(network: PreTrainedModel) -> dict[str, torch.nn.Parameter]:
-    """The parameters that are trained, by name; one that has two places has one name."""
+    """Returns the trained parameters by name; a shared parameter has one name."""
     return {name: p for name, p in network.named_parameters() if p.requires_grad}
 
 
-def _adapted(network: PreTrainedModel, settings: LoraSettings, seed: int) -> Any:
+def _with_lora(network: PreTrainedModel, settings: LoraSettings, seed: int) -> Any:
     from peft import LoraConfig, get_peft_model
 
     config = LoraConfig(r=settings.rank, lora_alpha=settings.alpha, target_modules="all-linear", task_type="CAUSAL_LM")

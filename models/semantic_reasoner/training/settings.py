@@ -1,4 +1,4 @@
-"""Settings of the reasoner's training, and the named ones."""
+"""Settings of the reasoner's training, and presets."""
 
 import math
 from dataclasses import asdict, dataclass, field, replace
@@ -85,7 +85,7 @@ class StageShares(Settings):
     """Share of the examples of edits."""
 
     def of_kinds(self) -> tuple[float, ...]:
-        """In the order of the prompt's kinds."""
+        """Returns the shares in the order of :data:`WANTED`."""
         return tuple(getattr(self, str(kind)) for kind in WANTED)
 
 
@@ -194,22 +194,18 @@ class ReasonerTrainingSettings(Settings):
             raise ConfigError("lora.rank is set but base is empty, expected the model that it adapts", "config_invalid")
 
     def resolved(self, num_batches: int) -> "ReasonerTrainingSettings":
-        """The same with ``steps`` set.
-
-        Args:
-            num_batches: Of a pass.
-        """
+        """Returns the settings with ``steps`` set, for a number of batches of a pass."""
         return replace(self, steps=self.steps or max(1, math.ceil(self.passes * num_batches / self.accumulate)))
 
     def learning_rate_at(self, step: int) -> float:
-        """The learning rate at a step of a run whose ``steps`` is set: it grows, stays, and falls to 0."""
+        """Returns the learning rate at a step, with ``steps`` set: it grows, is constant, and falls to 0."""
         grown = min(1.0, (step + 1) / self.warm_up) if self.warm_up else 1.0
         last = self.cool_down * self.steps
         left = min(1.0, (self.steps - step) / last) if last else 1.0
         return self.learning_rate * grown * left
 
     def flat(self) -> dict[str, Any]:
-        """Every setting by its dotted key."""
+        """Returns every setting by its dotted key."""
         return flatten_config(asdict(self))
 
 
@@ -219,10 +215,10 @@ EMBEDDED = ReasonerTrainingSettings(
     part_share=0.4,
     shares=StageShares(important=0.2, secondary=0.12, whole=0.1, edit=0.1),
 )
-"""The small model of the embedded engine: from scratch, with a tokenizer of its own, on one core of a CPU.
+"""The small model of the embedded engine: from scratch, with its own tokenizer, on one core of a CPU.
 
-The first stage decides what a scene is about and is the hardest to get right, so it is shown most. An edit is a long question
-and a short answer, 374 tokens and 28 on the embedded world, against 37 and 58 of a first stage, so few of them are shown."""
+The first stage decides the content of a scene and is the hardest, so it has the largest share. An edit has a long question and
+a short answer, 374 and 28 tokens in the embedded world, against 37 and 58 of a first stage, so its share is small."""
 
 PAPER = ReasonerTrainingSettings(
     learning_rate=1e-5,
@@ -241,17 +237,17 @@ PAPER = ReasonerTrainingSettings(
 )
 """The paper's Appendix "Training Details": full-parameter fine-tuning of Qwen3-8B, 1e-5, 5,000 tokens, micro-batches of 4, 1 epoch.
 
-It says neither on how many GPUs nor with which schedule: ``accumulate`` is 8 micro-batches a step, such as one on each of 8
-GPUs, and the rate is constant. Nothing is learned of edits. ``base`` is yours to name."""
+The paper states neither the number of GPUs nor the schedule: here ``accumulate`` is 8 micro-batches a step, such as one on each
+of 8 GPUs, and the rate is constant. There are no edits. Set ``base`` to the model's folder."""
 
 _PRESETS = {"embedded": EMBEDDED, "paper": PAPER}
 
 
 def training_preset(name: str) -> ReasonerTrainingSettings:
-    """Named settings.
+    """Returns a preset by name.
 
     Raises:
-        ConfigError: There are none of that name.
+        ConfigError: The name is unknown (``config_invalid``).
     """
     if name not in _PRESETS:
         raise ConfigError(f"reasoner preset {name!r} is not known, expected {' or '.join(_PRESETS)}", "config_invalid")

@@ -1,4 +1,4 @@
-"""A part of a table as a table of its own, so that a model that has seen large tables alone can lay out a small one."""
+"""Crops a table to a smaller one, so that a model trained on large tables can lay out a small one."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,20 +10,20 @@ from stable_data.scene import FloatArray, RelationKind, Stage
 from stable_data.scene_graph.support_tree import SupportTree
 from stable_data.storage.schemas import Row
 
-_LEAST = 0.35
-"""Sides of a part, metres; shorter only where the table is."""
+_MIN_SIDE = 0.35
+"""Shortest side of a crop, metres; shorter only if the table is."""
 
 
 def crop_table(row: Row, rng: np.random.Generator) -> Row | None:
-    """A row of ``samples`` seen through a window: what stands in it whole stays, its task objects among it.
+    """Crops the table of a row of ``samples`` to a random window that contains all task objects.
 
     Args:
         row: The row.
-        rng: Where the window is; the same draws give the same window to all stages of a scene.
+        rng: Draws the window; the same state gives the same window to all stages of a scene.
 
     Returns:
-        A row whose table is the window, small ones as likely as large ones; None where the instruction speaks of a part of the
-        whole table, or nothing of the stage would be left.
+        A row with the window as its table, of uniform size, and the objects that are entirely inside; None if the instruction
+        mentions a part of the whole table, or no object of the stage would remain.
     """
     task: Mapping[str, Any] = row["task"] or {}
     if "corner" in task.get("task", "") or any(r["kind"] == RelationKind.IS_AT for r in task.get("relations") or ()):
@@ -35,25 +35,25 @@ def crop_table(row: Row, rng: np.random.Generator) -> Row | None:
     if not needed:
         return None
     low, high = np.min([low for low, _ in needed], 0), np.max([high for _, high in needed], 0)
-    low, high = np.clip(low, 0, table), np.clip(high, 0, table)  # what leans over the edge does so afterwards
-    size = rng.uniform(np.minimum(np.maximum(high - low, _LEAST), table), table)
+    low, high = np.clip(low, 0, table), np.clip(high, 0, table)  # objects beyond the edge stay beyond it
+    size = rng.uniform(np.minimum(np.maximum(high - low, _MIN_SIDE), table), table)
     start = rng.uniform(np.maximum(0, high - size), np.minimum(low, table - size) + 1e-9)
     inside = {
         name
         for name, (a, b) in outline.items()
         if np.all(np.maximum(a, 0) >= start) and np.all(np.minimum(b, table) <= start + size)
     }
-    kept = {
+    cropped = {
         key: [_moved(o, start) for o in row[key] if o["instance"] in inside or o["stage"] == Stage.TASK]
         for key in ("objects_in", "objects_out")
     }
-    if not kept["objects_out"] and row["stage"] != Stage.IMPORTANT:
+    if not cropped["objects_out"] and row["stage"] != Stage.IMPORTANT:
         return None
-    return {**row, **kept, "table_size": tuple(size.tolist()), "restricted_zone": _zone(row["restricted_zone"], start, size)}
+    return {**row, **cropped, "table_size": tuple(size.tolist()), "restricted_zone": _zone(row["restricted_zone"], start, size)}
 
 
 def _outlines(objects: Sequence[Mapping[str, Any]]) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Least and greatest x and y of each object with all that stands on the table with it: what carries it and what that carries."""
+    """Bounds (least xy, greatest xy) of each object's stack: of all objects with the same lowest support."""
     tree = SupportTree({o["instance"]: o["support"] for o in objects})
     groups: dict[str, list[Mapping[str, Any]]] = {}
     for o in objects:

@@ -1,5 +1,6 @@
-"""Examples as tokens: made once, kept in files and mapped into memory."""
+"""Examples as tokens, written to files once and mapped into memory."""
 
+import itertools
 import os
 import shutil
 from collections.abc import Iterable, Iterator
@@ -20,25 +21,24 @@ from stable_data.scene import IntArray
 Tokens: TypeAlias = npt.NDArray[np.int32]
 
 KINDS = tuple(WANTED)
-"""What can be asked for, in the order of :attr:`TokenDataset.kind`."""
+"""Kinds of questions, in the order of :attr:`TokenDataset.kind`."""
 
 _TOKENS, _INDEX = "tokens.bin", "index.npz"
-_KEPT = ("start", "reply", "kind", "too_long", "unasked")
-_AT_ONCE = 512
+_INDEX_ARRAYS = ("start", "reply", "kind", "too_long", "unasked")
+_CHUNK = 512
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TokenDataset:
-    """Examples as tokens, one after another.
+    """Concatenated examples as tokens.
 
     Attributes:
-        tokens: Of all examples, (T,) int32.
-        start: Where each example begins, and T at the end, (E + 1,) int64.
-        reply: Where each example's reply begins, (E,) int64: the loss is on what comes from there.
-        kind: Index in :data:`KINDS` of what each asks for, (E,) int64.
-        too_long: Of each kind, the examples that were left out, being longer than allowed, (K,) int64.
-        unasked: Of each kind, those that were left out because their question cannot be asked (no instruction, or a novel),
-            (K,) int64.
+        tokens: Tokens of all examples, (T,) int32.
+        start: Index of each example's first token, and T at the end, (E + 1,) int64.
+        reply: Index of the first token of each example's reply, (E,) int64: from there on the loss counts.
+        kind: Index of each example's kind in :data:`KINDS`, (E,) int64.
+        too_long: Number of examples of each kind that were left out as too long, (K,) int64.
+        unasked: Number of examples of each kind that were left out for their instruction, empty or too long, (K,) int64.
     """
 
     tokens: Tokens
@@ -62,7 +62,7 @@ class TokenDataset:
         return self.start[1:] - self.reply
 
     def of(self, example: int) -> tuple[Tokens, int]:
-        """An example's tokens and how many of them are the prompt's."""
+        """Returns an example's tokens and the number of its prompt's tokens."""
         begin, end = self.start[example], self.start[example + 1]
         return self.tokens[begin:end], int(self.reply[example] - begin)
 
@@ -70,15 +70,17 @@ class TokenDataset:
 def _encoded(
     examples: Iterable[TrainingExample], tokenizer: PreTrainedTokenizerBase, index: "_Index", max_tokens: int
 ) -> Iterator[Tokens]:
-    """The tokens of the examples that can be used; the index is told of all."""
-    for part in _batched(examples, _AT_ONCE):
-        # As text first: rendering and encoding many at once is several times faster than one chat at a time.
+    """The tokens of the examples that can be used; the index counts all examples."""
+    remaining = iter(examples)
+    while part := list(itertools.islice(remaining, _CHUNK)):
+        # Encoding many texts at once is several times faster than one chat at a time.
         asked = [(example, text) for example in part if (text := _prompt(example, tokenizer, index)) is not None]
         answers = [example.answer + str(tokenizer.eos_token) for example, _ in asked]
         texts = ([text for _, text in asked], answers)
+        # Tokenizers refuse an empty list.
         encoded = [tokenizer(of, add_special_tokens=False)["input_ids"] if of else [] for of in texts]
         for (example, _), prompt, reply in zip(asked, *encoded, strict=True):
-            if index.takes(KINDS.index(example.ask.wanted), len(prompt), len(reply), max_tokens):
+            if index.add(KINDS.index(example.question.wanted), len(prompt), len(reply), max_tokens):
                 yield np.array([*prompt, *reply], "<i4")
 
 
@@ -86,68 +88,52 @@ def _prompt(example: TrainingExample, tokenizer: PreTrainedTokenizerBase, index:
     try:
         chat = example.prompt
     except SceneError:
-        index.unasked[KINDS.index(example.ask.wanted)] += 1
+        index.unasked[KINDS.index(example.question.wanted)] += 1
         return None
     return chat_text(tokenizer, chat)
 
 
 def tokenize_examples(examples: Iterable[TrainingExample], tokenizer: PreTrainedTokenizerBase, max_tokens: int) -> TokenDataset:
-    """Examples as tokens.
-
-    Args:
-        examples: The examples.
-        tokenizer: With a chat template.
-        max_tokens: Longer examples are left out and counted.
-
-    Returns:
-        The set.
-    """
+    """Tokenizes examples in memory; see :func:`write_tokens`."""
     index = _Index()
     parts = list(_encoded(examples, tokenizer, index, max_tokens))
-    return index.of_tokens(np.concatenate(parts) if parts else np.zeros(0, np.int32))
+    return index.dataset(np.concatenate(parts) if parts else np.zeros(0, np.int32))
 
 
 def write_tokens(
     folder: Path, examples: Iterable[TrainingExample], tokenizer: PreTrainedTokenizerBase, max_tokens: int
 ) -> TokenDataset:
-    """The same as :func:`tokenize_examples`, kept in a folder and mapped from it: it never is in memory whole.
+    """Tokenizes examples into a folder, which is written atomically, and maps it, so that they are never all in memory.
 
-    Args:
-        folder: Where; put in place in one step, so it is whole where it is.
-        examples: The examples.
-        tokenizer: With a chat template.
-        max_tokens: Longer examples are left out and counted.
-
-    Returns:
-        The set.
+    The tokenizer has a chat template. Examples of more than ``max_tokens`` tokens are left out and counted.
     """
-    aside = folder.with_name(f".{folder.name}.{os.getpid()}")
-    shutil.rmtree(aside, ignore_errors=True)
-    aside.mkdir(parents=True)
+    temporary = folder.with_name(f".{folder.name}.{os.getpid()}")
+    shutil.rmtree(temporary, ignore_errors=True)
+    temporary.mkdir(parents=True)
     try:
         index = _Index()
-        with (aside / _TOKENS).open("wb") as file:
+        with (temporary / _TOKENS).open("wb") as file:
             for tokens in _encoded(examples, tokenizer, index, max_tokens):
                 tokens.tofile(file)
-            _sync(file)
-        found = index.of_tokens(np.zeros(0, np.int32))
-        with (aside / _INDEX).open("wb") as file:
-            np.savez(file, **{name: getattr(found, name) for name in _KEPT})
-            _sync(file)
-        shutil.rmtree(folder, ignore_errors=True)  # a part of one, from which :func:`read_tokens` read nothing
-        aside.replace(folder)
+            _flush_to_disk(file)
+        found = index.dataset(np.zeros(0, np.int32))
+        with (temporary / _INDEX).open("wb") as file:
+            np.savez(file, **{name: getattr(found, name) for name in _INDEX_ARRAYS})
+            _flush_to_disk(file)
+        shutil.rmtree(folder, ignore_errors=True)  # an incomplete one, from which :func:`read_tokens` returned None
+        temporary.replace(folder)
     finally:
-        shutil.rmtree(aside, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
     made = read_tokens(folder)
     assert made is not None
     return made
 
 
 def read_tokens(folder: Path) -> TokenDataset | None:
-    """The set that :func:`write_tokens` kept, its tokens mapped; None where none was that can be read."""
+    """Returns the dataset that :func:`write_tokens` wrote, with mapped tokens; None if there is no complete one."""
     try:
         with np.load(folder / _INDEX, allow_pickle=False) as index:
-            arrays = {name: index[name] for name in _KEPT}
+            arrays = {name: index[name] for name in _INDEX_ARRAYS}
         total = int(arrays["start"][-1])
         is_whole = (folder / _TOKENS).stat().st_size == 4 * total
         tokens = np.memmap(folder / _TOKENS, "<i4", "r") if total else np.zeros(0, np.int32)
@@ -157,7 +143,7 @@ def read_tokens(folder: Path) -> TokenDataset | None:
 
 
 class _Index:
-    """Where each example's tokens are, as they come."""
+    """Sizes and kinds of the examples so far."""
 
     def __init__(self) -> None:
         self._sizes: list[int] = []
@@ -165,7 +151,8 @@ class _Index:
         self._kinds: list[int] = []
         self.too_long, self.unasked = np.zeros((2, len(KINDS)), np.int64)
 
-    def takes(self, kind: int, num_prompt: int, num_reply: int, max_tokens: int) -> bool:
+    def add(self, kind: int, num_prompt: int, num_reply: int, max_tokens: int) -> bool:
+        """Adds an example; False if it is too long."""
         if num_prompt + num_reply > max_tokens:
             self.too_long[kind] += 1
             return False
@@ -174,23 +161,12 @@ class _Index:
         self._kinds.append(kind)
         return True
 
-    def of_tokens(self, tokens: Tokens) -> TokenDataset:
+    def dataset(self, tokens: Tokens) -> TokenDataset:
         start = np.concatenate([[0], np.cumsum(self._sizes, dtype=np.int64)]).astype(np.int64)
         reply = start[:-1] + np.array(self._prompts, np.int64)
         return TokenDataset(tokens, start, reply, np.array(self._kinds, np.int64), self.too_long, self.unasked)
 
 
-def _batched(examples: Iterable[TrainingExample], size: int) -> Iterator[list[TrainingExample]]:
-    part: list[TrainingExample] = []
-    for example in examples:
-        part.append(example)
-        if len(part) == size:
-            yield part
-            part = []
-    if part:
-        yield part
-
-
-def _sync(file: BinaryIO) -> None:
+def _flush_to_disk(file: BinaryIO) -> None:
     file.flush()
-    os.fsync(file.fileno())  # a rename must not outlive its content
+    os.fsync(file.fileno())  # else a power cut may keep the rename and lose the content

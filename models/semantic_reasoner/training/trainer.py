@@ -1,8 +1,8 @@
-"""The training of the reasoner, step by step: cross-entropy on the replies alone (the paper's supervised fine-tuning).
+"""The training loop of the reasoner: cross-entropy on the replies alone (the paper's supervised fine-tuning).
 
-A step is a function of the weights and of its number: which examples it takes comes from streams named by (seed, pass), so a
-run that was stopped and resumed is the run that was not. Processes share a step by its batches, and every one of them knows all
-batches, so that their number changes what each does and not what is learned.
+A step depends on the weights and its number only: random streams of (seed, pass) draw its examples, so that a resumed run equals
+an uninterrupted one. Each process computes the same list of batches and takes its share of those of a step, so that the result
+does not depend on the number of processes.
 """
 
 import ctypes
@@ -34,12 +34,12 @@ from stable_data.errors import ConfigError
 
 @dataclass(frozen=True, slots=True)
 class CheckpointIdentity:
-    """What a checkpoint goes with, beside the settings.
+    """The inputs of a training that a checkpoint belongs to, besides the settings.
 
     Attributes:
         data: Fingerprint of the examples.
-        tokenizer: Of the tokenizer.
-        base: Of the model that is fine-tuned; empty where none is.
+        tokenizer: Fingerprint of the tokenizer.
+        base: Fingerprint of the model that is fine-tuned; empty if there is none.
     """
 
     data: str = ""
@@ -49,13 +49,13 @@ class CheckpointIdentity:
 
 @dataclass(frozen=True, slots=True)
 class StepMetrics:
-    """What a step says, of all processes.
+    """Metrics of a step, over all processes.
 
     Attributes:
         loss: Nats a token, before the step.
-        norm: Of the gradient, before it was clipped.
-        stops: Whether a process wants to stop.
-        saves: Whether a process wants to keep a checkpoint.
+        norm: Norm of the gradient, before it is clipped.
+        stops: Whether a process requests a stop.
+        saves: Whether a process requests a checkpoint.
     """
 
     loss: float
@@ -64,33 +64,34 @@ class StepMetrics:
     saves: bool
 
 
-_TRIM_EVERY = 32  # steps
+_TRIM_STEPS = 32  # between two calls of _trim_heap
 
 
-def _give_back() -> None:
-    """Gives what is free back to the system: batches of ever new shapes leave holes that glibc keeps, 6 GB in twenty minutes."""
+def _trim_heap() -> None:
+    """Returns free memory to the system: batches of many shapes fragment the heap of glibc, 6 GB in twenty minutes."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
     if trim is not None:
         trim(0)
 
 
 class ReasonerTrainer:
-    """A reasoner being trained.
+    """The state of a training.
 
     Args:
-        data: What it learns from.
-        settings: What shapes the weights, ``steps`` set.
-        tokenizer: What made the tokens.
-        place: Where it is trained.
-        identity: What a checkpoint must go with.
+        data: The examples.
+        settings: The settings, with ``steps`` set.
+        tokenizer: The tokenizer of the examples.
+        place: The device, and this process among all.
+        identity: The inputs that a checkpoint must belong to.
 
     Attributes:
-        step: Steps done.
-        tokens: Tokens of replies learned from.
+        step: Number of steps done.
+        tokens: Number of reply tokens trained on.
         loss: The network with its loss.
 
     Raises:
-        ConfigError: ``base`` cannot be used, or the batches of a step cannot be shared by so many processes.
+        ConfigError: ``base`` cannot be used, the processes cannot share the batches of a step, or the network cannot be
+            compiled here.
     """
 
     def __init__(
@@ -107,11 +108,11 @@ class ReasonerTrainer:
                 "config_invalid",
             )
         if settings.compiles and place.world_size > 1:
-            raise ConfigError(f"compiles is set, and {place.world_size} processes share a step, expected one", "config_invalid")
+            raise ConfigError(f"compiles is set, but {place.world_size} processes share a step, expected one", "config_invalid")
         compilers = [os.environ.get("CXX", ""), "g++", "clang++"]
         if settings.compiles and place.device.type == "cpu" and not any(map(shutil.which, filter(None, compilers))):
             raise ConfigError(
-                "compiles is set, and there is no C++ compiler, expected g++ or clang++; install one, or leave compiles out",
+                "compiles is set, but there is no C++ compiler, expected g++ or clang++; install one, or unset compiles",
                 "config_invalid",
             )
         self.data, self.settings, self.place, self.tokenizer = data, settings, place, tokenizer
@@ -121,35 +122,31 @@ class ReasonerTrainer:
         self._parameters = trainable_parameters(self.loss.network)
         self._optimizers = OptimizerSet(self._parameters, settings)
         self.step = self.tokens = 0
-        self._batches = self._from(0)
+        self._batches = self._batches_from(0)
 
-    def _from(self, step: int) -> Iterator[Rows]:
-        """Batches of all passes, one after another, from a step on."""
+    def _batches_from(self, step: int) -> Iterator[Rows]:
+        """The batches of all passes in order, from a step on."""
         passes = (batches_of_pass(self.data, self.settings, number) for number in itertools.count())
         return itertools.islice(itertools.chain.from_iterable(passes), step * self.settings.accumulate, None)
 
     def advance(self, wants_stop: bool = False, wants_save: bool = False) -> StepMetrics:
-        """One step.
-
-        Args:
-            wants_stop: Whether this process wants to stop after it.
-            wants_save: Whether it wants to keep a checkpoint after it.
-        """
+        """Does one step; this process may request a stop or a checkpoint after it."""
         batches = list(itertools.islice(self._batches, self.settings.accumulate))
-        count = sum(self._replies(rows) for rows in batches)
+        count = sum(self._num_reply_tokens(rows) for rows in batches)
+        # The loss and the two requests are summed over the processes in one call.
         figures = torch.tensor([0.0, wants_stop, wants_save], dtype=torch.float64, device=self.place.device)
-        world = self.place.world_size
-        for rows in batches[self.place.rank :: world]:
+        world_size = self.place.world_size
+        for rows in batches[self.place.rank :: world_size]:
             loss = self.loss.of_batch(batch_of(self.data, rows, self._pad), self.place) / count
-            (loss * world).backward()  # type: ignore[no-untyped-call]  # sharded gradients come as means over the processes
+            (loss * world_size).backward()  # type: ignore[no-untyped-call]  # FSDP averages gradients over the processes
             figures[0] += loss.detach()
         norm = gather_tensor(torch.nn.utils.clip_grad_norm_(self._parameters.values(), self.settings.clip))
         self._optimizers.step(self.settings.learning_rate_at(self.step))
-        self._add_up(figures)
+        self._sum_over_processes(figures)
         self.step += 1
         self.tokens += count
-        if self.step % _TRIM_EVERY == 0:
-            _give_back()
+        if self.step % _TRIM_STEPS == 0:
+            _trim_heap()
         total, stops, saves = figures.tolist()
         return StepMetrics(total, float(norm), stops > 0, saves > 0)
 
@@ -157,38 +154,33 @@ class ReasonerTrainer:
     def _pad(self) -> int:
         return int(self.tokenizer.pad_token_id)
 
-    def _replies(self, rows: Rows) -> int:
+    def _num_reply_tokens(self, rows: Rows) -> int:
         examples = list(itertools.chain.from_iterable(rows))
         return int((self.data.start[1:][examples] - self.data.reply[examples]).sum())
 
-    def _add_up(self, figures: Tensor) -> None:
+    def _sum_over_processes(self, figures: Tensor) -> None:
         if self.place.world_size > 1:
             torch.distributed.all_reduce(figures)
 
     @torch.no_grad()
     def validate(self, data: TokenDataset, most: int) -> dict[str, float]:
-        """Nats a token of held-out replies, by kind.
-
-        Args:
-            data: The examples.
-            most: How many of each kind, the first ones.
-        """
+        """Computes the loss of held-out replies, nats a token, by kind, of the first ``most`` examples of each kind."""
         found: dict[str, float] = {}
         for kind in np.unique(data.kind).tolist():
             members = np.flatnonzero(data.kind == kind)[:most]
             batches = batches_in_order(data, members, self.settings)
             total = torch.zeros(1, dtype=torch.float64, device=self.place.device)
-            # Sharded weights are gathered by all processes together: where one has no batch left, it does the last once more.
+            # All processes gather sharded weights together: a process without a batch left computes the last one again.
             for turn in range(math.ceil(len(batches) / self.place.world_size)):
                 own = turn * self.place.world_size + self.place.rank
                 loss = self.loss.of_batch(batch_of(data, batches[min(own, len(batches) - 1)], self._pad), self.place)
                 total += loss if own < len(batches) else 0.0
-            self._add_up(total)
+            self._sum_over_processes(total)
             found[str(KINDS[kind])] = float(total) / int(data.reply_length[members].sum())
         return found
 
     def values(self) -> dict[str, Tensor]:
-        """What is trained, by name, whole and on the CPU; empty on all processes but the first, which all have to ask."""
+        """Returns the trained parameters by name, whole and on the CPU; all processes call it, and only the first gets them."""
         return dict(self._on_first(self._parameters.items()))
 
     def _on_first(self, items: Any) -> Iterator[tuple[str, Tensor]]:
@@ -198,48 +190,49 @@ class ReasonerTrainer:
                 yield name, whole.cpu()
 
     def save(self, path: Path) -> None:
-        """Keeps the training where another process can go on with it, in one step; all processes call it."""
+        """Writes a checkpoint atomically; all processes call it."""
         values = self.values()
         averages: dict[str, dict[str, Tensor]] = {}
         for key, name, value in self._optimizers.state():
             averages.setdefault(key, {}).update(self._on_first([(name, value)]))
         if self.place.rank == 0:
             state = {"step": self.step, "tokens": self.tokens, "values": values, "averages": averages}
-            save_checkpoint(path, state | {"learning_rates": self._rates(self.step)}, self._about())
+            save_checkpoint(path, state | {"learning_rates": self._rates(self.step)}, self._expected_identity())
 
     def resume(self, path: Path) -> bool:
-        """Goes on where :meth:`save` was called, with any number of processes; False where nothing was kept.
+        """Continues from a checkpoint of :meth:`save`, with any number of processes; returns False if there is none.
 
-        The run may be longer or shorter than it was to be, as long as the steps that are done would have been the same.
+        ``steps`` and ``cool_down`` may differ from those of the checkpoint if the finished steps have the same learning rates.
 
         Raises:
-            ConfigError: What is there cannot be read, or is of other settings, data or models.
+            ConfigError: The checkpoint cannot be read, or has other settings, data or models.
         """
-        state = load_checkpoint(path, self._about(), "step", "tokens", "values", "averages", "learning_rates")
+        state = load_checkpoint(path, self._expected_identity(), "step", "tokens", "values", "averages", "learning_rates")
         if state is None:
             return False
+        # The settings steps and cool_down are not compared, so that a run may be extended before its cool-down.
         if not torch.equal(state["learning_rates"], self._rates(state["step"])):
             raise ConfigError(
-                f"{path}: with steps {self.settings.steps} and cool_down {self.settings.cool_down:g} the {state['step']} steps that "
-                "are done would have had other learning rates; take what the run began with, or change it before its cool-down",
+                f"{path}: with steps {self.settings.steps} and cool_down {self.settings.cool_down:g} the {state['step']} finished "
+                "steps would have had other learning rates; set both as at the start, or change them before the cool-down",
                 "config_changed",
             )
-        self._take(state)
+        self._restore(state)
         return True
 
     def _rates(self, step: int) -> Tensor:
-        """Learning rates of the steps before one."""
+        """The learning rates of the steps before ``step``."""
         return torch.tensor([self.settings.learning_rate_at(k) for k in range(step)], dtype=torch.float64)
 
     @torch.no_grad()
-    def _take(self, state: dict[str, Any]) -> None:
+    def _restore(self, state: dict[str, Any]) -> None:
         for name, parameter in self._parameters.items():
             parameter.copy_(shard_like(state["values"][name], parameter))
-        self._optimizers.take(state["averages"])
+        self._optimizers.restore(state["averages"])
         self.step, self.tokens = state["step"], state["tokens"]
-        self._batches = self._from(self.step)
+        self._batches = self._batches_from(self.step)
 
-    def _about(self) -> dict[str, Any]:
+    def _expected_identity(self) -> dict[str, Any]:
         settings = {key: value for key, value in asdict(self.settings).items() if key not in ("steps", "cool_down")}
         return {"settings": settings, "identity": asdict(self._identity)}
 
@@ -251,19 +244,19 @@ def train(
     wants_save: Callable[[], bool],
     after: Callable[[ReasonerTrainer, StepMetrics], None],
 ) -> bool:
-    """Steps until the run is as long as its settings say, or a process wants to stop.
+    """Trains for the steps of the settings, or until a process requests a stop.
 
     Args:
-        training: What is trained.
-        wants_stop: Asked before each step.
-        wants_save: Likewise, whether a checkpoint is to be kept after it.
+        training: The training.
+        wants_stop: Called before each step; True requests a stop after it.
+        wants_save: Called before each step; True requests a checkpoint after it.
         after: Called after each step.
 
     Returns:
-        Whether it is done.
+        Whether all steps are done.
 
     Raises:
-        ConfigError: The loss is not finite.
+        ConfigError: The loss or its gradient is not finite (``training_diverged``).
     """
     stops = False
     while not stops and training.step < training.settings.steps:

@@ -111,7 +111,7 @@ def test_what_is_asked_of_things_that_change_is_asked_no_more() -> None:
 
 def test_other_words_want_another_asset_and_other_articles_do_not() -> None:
     done = edit(replace(shown("mug_1"), description="The mug"), replace(shown("mug_0"), description="a blue mug"))
-    assert done.wanting == ("1_mug_0",)
+    assert done.need_asset == ("1_mug_0",)
     assert (done.scene["1_mug_0"].asset_id, done.scene["1_mug_0"].scale, done.kind) == (None, None, "restyle")
     assert done.scene["1_mug_0"].position == SCENE["1_mug_0"].position
     assert done.scene["4_mug_1"] == SCENE["4_mug_1"]
@@ -120,7 +120,7 @@ def test_other_words_want_another_asset_and_other_articles_do_not() -> None:
 def test_another_size_keeps_the_asset() -> None:
     done = edit(replace(shown("tray_0"), size_cm=(30.0, 20.0, 4.0), position_cm=(30.0, 31.0, 2.0)))
     tray = done.scene["2_tray_0"]
-    assert (tray.asset_id, tray.scale, tray.size, done.wanting) == ("mesh_of_2_tray_0", None, (0.3, 0.2, 0.04), ())
+    assert (tray.asset_id, tray.scale, tray.size, done.need_asset) == ("mesh_of_2_tray_0", None, (0.3, 0.2, 0.04), ())
     mug = done.scene["1_mug_0"]  # stood 0.1 mm above the top, and still does
     assert mug.position[2] - mug.size[2] / 2 == pytest.approx(0.0401, abs=1e-12)
 
@@ -134,7 +134,7 @@ def test_new_things_get_names_of_their_own_and_what_carries_them() -> None:
     new = LayoutObject("mug_7", "a red mug", (8.0, 8.0, 9.0), (50.0, 10.0, 4.5), 90)
     on_top = LayoutObject("coin_0", "a coin", (2.0, 2.0, 0.2), (25.0, 35.0, 2.1), 0)
     done = edit(new, on_top)
-    assert (done.added, done.wanting, done.kind) == (("5_mug_2", "6_coin_0"),) * 2 + ("add",)
+    assert (done.added, done.need_asset, done.kind) == (("5_mug_2", "6_coin_0"),) * 2 + ("add",)
     assert (done.scene["5_mug_2"].support, done.scene["6_coin_0"].support) == (TABLE, "2_tray_0")
     assert done.scene.objects[: len(SCENE.objects)] == SCENE.objects
     assert done.scene["5_mug_2"].yaw == pytest.approx(math.pi / 2)
@@ -146,7 +146,7 @@ def test_new_things_get_names_of_their_own_and_what_carries_them() -> None:
         (LayoutReply((), ("mug_7",)), "mug_7 is to be removed, but is not in the layout, which has mug_0, mug_1"),
         (LayoutReply((), ("lamp_0",)), "which has tray_0, mug_0, spoon_0, mug_1"),
         (LayoutReply((), ("mug_0", "mug_0")), "mug_0 is removed 2 times"),
-        (LayoutReply((shown("mug_0"), shown("mug_0"))), "mug_0 is there 2 times"),
+        (LayoutReply((shown("mug_0"), shown("mug_0"))), "mug_0 appears 2 times"),
         (LayoutReply((shown("mug_0"),), ("mug_0",)), "mug_0 is removed and given anew"),
     ],
 )
@@ -156,7 +156,7 @@ def test_a_reply_that_cannot_be_meant_is_refused_with_a_reason(reply: LayoutRepl
     assert caught.value.code == "edit_refused"
     assert reason in str(caught.value)
     assert "\n" not in str(caught.value)
-    chat = messages(edit_prompt_of(SCENE).ask("Take the mug away."), [("{}", str(caught.value))])
+    chat = messages(edit_prompt_of(SCENE).question("Take the mug away."), [("{}", str(caught.value))])
     assert reason in chat[-1]["content"]
 
 
@@ -173,7 +173,7 @@ def test_the_answer_of_an_example_makes_the_scene_that_it_was_made_of() -> None:
         scene = scene_from_row(row)
         for told in edit_rows(row, 10):
             example, shown_to = edit_example_of(told), edit_prompt_of(scene)
-            assert shown_to.ask(told["instruction"]) == example.ask
+            assert shown_to.question(told["instruction"]) == example.question
             done = apply_edit(shown_to, parse_reply(example.answer))
             new = {o["instance"]: object_from_row(o) for o in told["objects_out"]}
             kinds.add(done.kind)

@@ -79,7 +79,7 @@ def test_the_reasoner_is_asked_again_until_its_reply_can_be_used(
     }
     assert [len(request.messages) for request in engine.asked] == ([2] * 4 + [4] * 4) * 2 + [2, 4, 6]
     assert all(request.form.edits for request in engine.asked)
-    assert "reply is no JSON" in engine.asked[4].messages[-1]["content"]
+    assert "reply is not JSON" in engine.asked[4].messages[-1]["content"]
     assert "nothing is changed" in engine.asked[-1].messages[-1]["content"]
     assert [w["code"] for w in RunFolder(str(out)).table("warnings").to_pylist() if w["id"] == "same"] == ["nothing_changed"]
 

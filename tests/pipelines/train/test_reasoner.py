@@ -256,10 +256,10 @@ def test_only_the_splits_that_may_be_seen_are_read(run: Path, tmp_path: Path) ->
 
 def test_the_kind_of_table_is_left_out_in_training_alone(run: Path, tmp_path: Path) -> None:
     source = ExampleSource(str(run), tmp_path, replace(SETTINGS, any_table_share=1.0))
-    assert {e.ask.table.table_type for e in source.examples("train")} == {"table"}
-    assert "table" not in {e.ask.table.table_type for e in source.examples("validation")}
+    assert {e.question.table.table_type for e in source.examples("train")} == {"table"}
+    assert "table" not in {e.question.table.table_type for e in source.examples("validation")}
     none = replace(source, settings=replace(SETTINGS, any_table_share=0.0))
-    assert "table" not in {e.ask.table.table_type for e in none.examples("train")}
+    assert "table" not in {e.question.table.table_type for e in none.examples("train")}
 
 
 def test_tokens_are_kept_by_all_that_shapes_them(run: Path, tmp_path: Path) -> None:
@@ -304,12 +304,12 @@ def test_edits_are_learned_from_where_they_are(run: Path, drafted: Path, tmp_pat
             found = list(way.examples(split))
             assert way.num_examples(split) == plain.num_examples(split) + Counter(edit=len(told))
             assert way.num_examples(split).total() == len(found)
-            assert [e.ask.instruction for e in found if e.ask.edits] == [row["instruction"] for row in told]
-            assert [list(e.removed or ()) != [] for e in found if e.ask.edits] == [row["removed"] != [] for row in told]
+            assert [e.question.instruction for e in found if e.question.edits] == [row["instruction"] for row in told]
+            assert [list(e.removed or ()) != [] for e in found if e.question.edits] == [row["removed"] != [] for row in told]
     assert len({way.fingerprint() for way in ways}) == 1 != len({plain.fingerprint(), ways[0].fingerprint()})
     unread = replace(ways[0], settings=replace(SETTINGS, shares=replace(SETTINGS.shares, edit=0.0)))
     assert unread.fingerprint() == plain.fingerprint()
-    assert not [e for e in unread.examples("train") if e.ask.edits]
+    assert not [e for e in unread.examples("train") if e.question.edits]
 
 
 def test_edits_have_a_share_of_their_own_and_are_watched(run: Path, drafted: Path, tmp_path: Path) -> None:
@@ -356,9 +356,9 @@ def test_what_cannot_start_is_one_line_and_status_2(run: Path, out: Path, base: 
     (tmp_path / "empty").mkdir()
     for more, said in (
         (["--preset", "paper"], "name its folder with --set base=DIR"),
-        (["--preset", "paper", "--set", f"base={tmp_path / 'empty'}"], "empty: holds no model that can be read"),
-        (["--preset", "paper", "--set", f"base={base}"], "is made for 2000 tokens, expected max_tokens 5000"),
-        (["--set", f"tokenizer={tmp_path / 'empty'}"], "empty: holds no tokenizer that can be read"),
+        (["--preset", "paper", "--set", f"base={tmp_path / 'empty'}"], "empty: has no readable model"),
+        (["--preset", "paper", "--set", f"base={base}"], "reads 2000 tokens, expected max_tokens 5000"),
+        (["--set", f"tokenizer={tmp_path / 'empty'}"], "empty: has no readable tokenizer"),
         (["--set", "shares.task=2.0"], "expected at most 1"),
         (["--set", "packing=true"], "setting train_reasoner.packing is not known; did you mean packs?"),
         (["--set", "precision=float16"], "expected bfloat16 or float32"),

@@ -207,7 +207,7 @@ def test_vllm_says_what_it_needs(tiny: Path) -> None:
     try:
         import vllm  # noqa: F401
     except ImportError:
-        with pytest.raises(ConfigError, match="environment of its own") as caught:
+        with pytest.raises(ConfigError, match="separate environment") as caught:
             load_engine(EngineSettings(f"vllm:{tiny}"))
         assert caught.value.code == "extra_missing"
     else:

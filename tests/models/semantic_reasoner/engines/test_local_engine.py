@@ -138,10 +138,10 @@ def test_a_reply_does_not_end_without_what_its_form_asks_for(
     class Brief(LocalEngine):
         """A model that knows nothing, but that descriptions are short."""
 
-        def _drawn(self, logits: torch.Tensor, active: list[_Sequence]) -> list[int]:
+        def _draw(self, logits: torch.Tensor, active: list[_Sequence]) -> list[int]:
             logits = logits.clone()
             logits[:, tokenizer.convert_tokens_to_ids('","size":[')] += 9
-            return super()._drawn(logits, active)
+            return super()._draw(logits, active)
 
     form = ReplyGrammar.of_table(TABLE, at_most=5, asks=ASKS)
     engine = Brief(network, tokenizer, "tiny", replace(SHORT, max_tokens=900), num_slots=4)
@@ -169,7 +169,7 @@ def test_an_end_is_taken_back_by_whole_tokens(
     sequence = _Sequence(
         0, [1], ReplyGrammar.of_table(TABLE, asks=ASKS), engine._matcher(FORM.grammar()), default_rng(0), [*reply]
     )
-    assert engine._goes_on(sequence)
+    assert engine._reopen(sequence)
     kept = engine._text(sequence.reply)
     assert whole.removesuffix("]}").startswith(kept)
     assert len(sequence.reply) == len(reply) - (2 if is_general else 1)
@@ -201,11 +201,11 @@ def test_lists_end_at_the_model_s_own_odds(network: Qwen3ForCausalLM, tokenizer:
     matcher = engine._matcher(form.grammar())
     assert matcher.consume_tokens(tokens)
     sequence = _Sequence(0, [1], form, matcher, default_rng(0), tokens)
-    drawn = [engine._drawn(logits, [sequence])[0] for _ in range(3000)]
+    drawn = [engine._draw(logits, [sequence])[0] for _ in range(3000)]
     assert set(drawn) == {end, more}
     assert drawn.count(end) / len(drawn) == pytest.approx(0.06, abs=0.015)
     sure = LocalEngine(network, tokenizer, "tiny", Sampling(temperature=0))
-    assert sure._drawn(logits, [sequence]) == [more]
+    assert sure._draw(logits, [sequence]) == [more]
 
 
 def test_the_likeliest_reply_is_that_of_generate(network: Qwen3ForCausalLM, tokenizer: PreTrainedTokenizerFast) -> None:
@@ -284,7 +284,7 @@ def test_vllm_says_what_it_needs() -> None:
     try:
         import vllm  # noqa: F401
     except ImportError:
-        with pytest.raises(ConfigError, match="environment of its own") as caught:
+        with pytest.raises(ConfigError, match="separate environment") as caught:
             VllmEngine("/nowhere")
         assert caught.value.code == "extra_missing"
     else:

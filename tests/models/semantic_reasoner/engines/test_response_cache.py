@@ -131,8 +131,8 @@ def test_a_file_system_without_links_will_do(tmp_path: Path, monkeypatch: pytest
 
     monkeypatch.setattr("os.link", no_links)
     cache, key = ResponseCache(tmp_path), "ab" * 32
-    assert cache.keep(key, Completion("first")) == Completion("first")
-    assert cache.keep(key, Completion("second")) == Completion("first")
+    assert cache.store(key, Completion("first")) == Completion("first")
+    assert cache.store(key, Completion("second")) == Completion("first")
     assert cache.read(key) == Completion("first", is_cached=True)
     assert not cache.notices
 
@@ -146,8 +146,8 @@ from models.semantic_reasoner.engines.response_cache import CachedEngine, Respon
 from tests.models.semantic_reasoner.engines.endpoint import ask
 
 class Loud(ResponseCache):
-    def keep(self, key, completion):
-        kept = super().keep(key, completion)
+    def store(self, key, completion):
+        kept = super().store(key, completion)
         print(key, kept.text, flush=True)
         return kept
 

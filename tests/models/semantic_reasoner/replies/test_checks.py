@@ -228,7 +228,7 @@ def test_a_contradiction_names_what_is_not_met() -> None:
 
 def test_what_is_missing_is_said_with_what_would_do() -> None:
     (found,) = faults(thing("apple_0", 30, 30), thing("cup_0", 60, 30), of=ask("Put both cups away."))
-    assert found == ReplyFault("required_missing", 'the instruction speaks of "cups": give 2 (cup or mug or teacup), 1 found')
+    assert found == ReplyFault("required_missing", 'the instruction mentions "cups": give 2 (cup or mug or teacup), 1 found')
 
 
 @pytest.mark.parametrize("instruction", ["", "mug " * 10_000, "把杯子放在盘子上", "Lege die Tasse auf den Teller."])

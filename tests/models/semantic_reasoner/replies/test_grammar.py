@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from llguidance import LLMatcher, LLTokenizer
 
 from models.semantic_reasoner.language.required_objects import ObjectRequirement
-from models.semantic_reasoner.replies.grammar import MOST_NAMES, MOST_OBJECTS, ReplyGrammar, _up_to
+from models.semantic_reasoner.replies.grammar import MOST_NAMES, MOST_OBJECTS, ReplyGrammar, _number_pattern
 from models.semantic_reasoner.text.reply_json import LayoutObject, render_objects
 from models.semantic_reasoner.text.tokenizer import train_tokenizer
 from stable_data.errors import SceneError
@@ -38,7 +38,7 @@ def accepts(guide: LLTokenizer, form: ReplyGrammar | str, text: str) -> bool:
 @pytest.mark.parametrize("least", [0, 1])
 @pytest.mark.parametrize("most", [0.1, 0.5, 1.0, 9.9, 10.0, 59.3, 99.9, 100.0, 112.0, 126.8, 199.9, 200.0, 250.4, 999.9])
 def test_patterns_of_numbers_are_exact(most: float, least: int) -> None:
-    pattern = re.compile(_up_to(most, least))
+    pattern = re.compile(_number_pattern(most, least))
     found = [n for n in range(12_000) if pattern.fullmatch(f"{n / 10:.1f}")]
     assert found == list(range(least, round(10 * most) + 1))
     assert not any(pattern.fullmatch(text) for text in ("", "1", "01.0", "1.", ".5", "1.00", "-1.0", "1e1"))
@@ -115,7 +115,7 @@ def test_names_are_limited_in_number(guide: LLTokenizer) -> None:
     names = tuple(f"thing_{number}" for number in range(MOST_NAMES))
     assert accepts(guide, ReplyGrammar(112.0, 59.3, edits=True, names=names), render_objects([], [names[0], names[-1]]))
     for too_many in ((*names, "mug_0"), ("\ud800",)):
-        with pytest.raises(SceneError, match=r"expected at most 1000|no UTF-8"):
+        with pytest.raises(SceneError, match=r"expected at most 1000|not UTF-8"):
             ReplyGrammar(112.0, 59.3, edits=True, names=too_many)
 
 

@@ -162,5 +162,5 @@ def test_a_malformed_object_is_named(key: str, value: object) -> None:
 
 
 def test_numbers_that_are_none_are_refused() -> None:
-    with pytest.raises(SceneError, match="no JSON"):
+    with pytest.raises(SceneError, match="not JSON"):
         parse_reply('{"objects":[{"size":[NaN,1,1]}]}')

@@ -45,23 +45,23 @@ def test_names_are_unique_over_a_scene_and_the_same_in_question_and_answer(real:
     for example in real:
         scenes.setdefault(example.scene_id, []).append(example)
     for of_scene in scenes.values():
-        last = next(e for e in of_scene if e.ask.wanted is Stage.SECONDARY)
-        names = [o.instance for o in (*last.ask.layout, *last.objects)]
+        last = next(e for e in of_scene if e.question.wanted is Stage.SECONDARY)
+        names = [o.instance for o in (*last.question.layout, *last.objects)]
         assert len(set(names)) == len(names)
-        earlier = [o for e in of_scene if e.ask.wanted is not Stage.SECONDARY for o in e.objects]
-        assert {o.description for o in earlier} == {o.description for o in last.ask.layout}
+        earlier = [o for e in of_scene if e.question.wanted is not Stage.SECONDARY for o in e.objects]
+        assert {o.description for o in earlier} == {o.description for o in last.question.layout}
 
 
 def test_the_one_shot_answer_is_the_last_stage_with_all_before_it(real: list[TrainingExample]) -> None:
     both = list(add_whole_layouts(real))
-    whole = [e for e in both if e.ask.wanted == "whole"]
-    assert [e for e in both if e.ask.wanted != "whole"] == real
-    lasts = [e for e in real if e.ask.wanted is Stage.SECONDARY]
+    whole = [e for e in both if e.question.wanted == "whole"]
+    assert [e for e in both if e.question.wanted != "whole"] == real
+    lasts = [e for e in real if e.question.wanted is Stage.SECONDARY]
     assert len(whole) == len(lasts) > 0
     for one, last in zip(whole, lasts, strict=True):
-        assert one.ask.wanted == "whole"
-        assert one.ask.layout == ()
-        assert one.objects == last.ask.layout + last.objects
+        assert one.question.wanted == "whole"
+        assert one.question.layout == ()
+        assert one.objects == last.question.layout + last.objects
         assert "Layout so far" not in one.prompt[-1]["content"]
 
 
@@ -82,10 +82,10 @@ def test_a_row_without_a_task_cannot_be_asked(rows: list[Row]) -> None:
 
 def test_the_kind_of_table_may_be_left_out(real: list[TrainingExample]) -> None:
     known, unknown = real[0], real[0].on_any_table()
-    assert known.ask.table.table_type in known.prompt[-1]["content"]
+    assert known.question.table.table_type in known.prompt[-1]["content"]
     assert f"Table: {ANY_TABLE}, " in unknown.prompt[-1]["content"]
     assert unknown.answer == known.answer
-    assert unknown.ask.table.size_xy == known.ask.table.size_xy
+    assert unknown.question.table.size_xy == known.question.table.size_xy
 
 
 def test_an_edit_says_what_goes_first() -> None:

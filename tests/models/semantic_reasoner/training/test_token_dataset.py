@@ -38,12 +38,12 @@ def test_the_tokens_are_the_chat_and_the_reply_that_ends_it() -> None:
         assert words.tolist() == whole
         assert words[:num_prompt].tolist() == asked
         assert tokenizer().decode(words[num_prompt:]) == example.answer + str(tokenizer().eos_token)
-        assert KINDS[DATA.kind[k]] is example.ask.wanted
+        assert KINDS[DATA.kind[k]] is example.question.wanted
 
 
 def test_what_is_too_long_or_cannot_be_asked_is_left_out_and_counted() -> None:
     longest = int(DATA.length.max())
-    asked = [replace(e, ask=replace(e.ask, instruction="")) if n == 0 else e for n, e in enumerate(examples(24))]
+    asked = [replace(e, question=replace(e.question, instruction="")) if n == 0 else e for n, e in enumerate(examples(24))]
     found = tokenize_examples(asked, tokenizer(), longest - 1)
     assert int(found.too_long.sum()) == int((DATA.length == longest).sum()) > 0
     assert found.unasked.tolist() == [1, 0, 0, 0, 0]
@@ -139,5 +139,5 @@ def test_padding_is_counted() -> None:
 
 
 def test_an_ask_that_is_a_novel_is_not_asked() -> None:
-    example = replace(examples(1)[0], ask=ReasonerQuestion("word " * 1000, TABLE, Stage.TASK))
+    example = replace(examples(1)[0], question=ReasonerQuestion("word " * 1000, TABLE, Stage.TASK))
     assert tokenize_examples([example], tokenizer(), TINY.max_tokens).unasked.sum() == 1

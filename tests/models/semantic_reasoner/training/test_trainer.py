@@ -298,7 +298,7 @@ def test_what_is_kept_loads_without_our_code(tmp_path: Path) -> None:
     made = advanced(TINY, 3)
     for storage in ("float32", "bfloat16"):
         settings = replace(TINY, storage=storage)
-        model = TrainableNetwork(settings, tokenizer()).with_values(made.values()).to_keep(settings)
+        model = TrainableNetwork(settings, tokenizer()).with_values(made.values()).to_save(settings)
         write_model(tmp_path / storage, model, tokenizer(), {"steps": 3})
     tokens = torch.from_numpy(batch_of(DATA, [[4]], 0).tokens)
     here: Any = made.loss.network
@@ -339,7 +339,7 @@ def test_lora_trains_its_matrices_alone(base: Path, tmp_path: Path, merges: bool
     assert changed == set(trainable_parameters(made.loss.network))
     assert all("lora_" in name for name in changed)
     assert losses[-1] < losses[0]
-    model = TrainableNetwork(settings, tokenizer()).with_values(made.values()).to_keep(settings)
+    model = TrainableNetwork(settings, tokenizer()).with_values(made.values()).to_save(settings)
     write_model(tmp_path / "weights", model, tokenizer(), {})
     assert (tmp_path / "weights" / "adapter_config.json").is_file() is not merges
     loaded: Any = AutoModelForCausalLM.from_pretrained(tmp_path / "weights", dtype=torch.float32)
@@ -354,13 +354,13 @@ def test_lora_trains_its_matrices_alone(base: Path, tmp_path: Path, merges: bool
 
 def test_a_base_that_is_no_model_is_one_clear_line(base: Path, tmp_path: Path) -> None:
     for make in (lambda: read_model(tmp_path / "nowhere", 512), lambda: read_tokenizer(tmp_path / "nowhere")):
-        with pytest.raises(ConfigError, match=r"nowhere: holds no (model|tokenizer) that can be read") as caught:
+        with pytest.raises(ConfigError, match=r"nowhere: has no readable (model|tokenizer)") as caught:
             make()  # type: ignore[no-untyped-call]
         assert "\n" not in str(caught.value)
     (tmp_path / "config.json").write_text("{}", "utf-8")
-    with pytest.raises(ConfigError, match="holds no model that can be read"):
+    with pytest.raises(ConfigError, match="has no readable model"):
         read_model(tmp_path, 512)
-    with pytest.raises(ConfigError, match="is made for 512 tokens, expected max_tokens 9999 or more"):
+    with pytest.raises(ConfigError, match="reads 512 tokens, expected max_tokens 9999 or more"):
         read_model(base, 9999)
 
 
