@@ -1,10 +1,10 @@
-"""What it gains that the two systems take turns: the same tasks by Algorithm 1, corrected once at the end, never, and asked for at once.
+"""The gain of the alternation of reasoner and corrector: the same tasks by Algorithm 1, corrected once at the end, never, or in one reply.
 
 ``python -m benchmarks.alternation RUN [--where "split == 'test'"] [--scenes 200] [--workers 2] [--weights auto] [--json
-FILE]``: RUN is a run with tasks. Every scene that was made counts, whether it would be accepted or not.
+FILE]``: RUN is a run with tasks. Every generated scene counts, accepted or not.
 
-- OC, float, out: of the finished scenes, exact. AwT, AwS: things and relations that the instruction asks for.
-- rest: share of scenes that MuJoCo leaves where they are. moved: by the corrections, mean of a scene's objects.
+- OC, float, out: exact figures of the finished scenes. AwT, AwS: objects and relations that the instruction requires.
+- rest: share of scenes that stay at rest in MuJoCo. moved: movement by the corrections, mean over the objects of a scene.
 """
 
 import argparse
@@ -31,7 +31,7 @@ _COUNTS = frozenset({"num_objects", "num_stacked", "num_contained", "move_mean_m
 
 
 def variants(weights: str) -> dict[str, GenerateSettings]:
-    """Settings of each way."""
+    """Returns the settings of each variant."""
     turns = GenerateSettings(weights=weights, accept="", num_pictures=0)
     return {
         "in turns": turns,
@@ -43,7 +43,7 @@ def variants(weights: str) -> dict[str, GenerateSettings]:
 
 
 def figures_of(folder: RunFolder, num_tasks: int, measures: Sequence[str] = _MEASURES) -> dict[str, Any]:
-    """Means of a run's scenes, None where nothing is known; a scene of which a verdict is unknown does not pass it."""
+    """Returns means over a run's scenes, None if nothing is known. A scene with an unknown verdict counts as not passed."""
     frame = pl.from_arrow(folder.table("scenes", measures))
     assert isinstance(frame, pl.DataFrame)
     warnings = Counter(folder.table("warnings", ["code"])["code"].to_pylist())
@@ -59,7 +59,7 @@ def figures_of(folder: RunFolder, num_tasks: int, measures: Sequence[str] = _MEA
 
 
 def measure(tasks: TaskSource, workers: WorkerPool, weights: str) -> dict[str, Any]:
-    """The figures of every way."""
+    """Measures the figures of every variant."""
     found = {}
     for name, settings in variants(weights).items():
         with tempfile.TemporaryDirectory(prefix="stable-data-") as out:
@@ -69,23 +69,23 @@ def measure(tasks: TaskSource, workers: WorkerPool, weights: str) -> dict[str, A
 
 
 def show(found: dict[str, Any]) -> Iterable[str]:
-    """The figures as a table."""
+    """Yields the lines of a table of the figures."""
     yield f"{'':26}{'made':>10}" + "".join(f"{head:>10}" for head in _HEAD) + f"{'left out':>10}"
     for name, one in found.items():
         values = ("unknown" if one[key] is None else f"{one[key]:.1f}" for key in _MEASURES)
         yield f"{name:26}{one['made']:>5}/{one['tasks']:<4}" + "".join(f"{v:>10}" for v in values) + f"{one['dropped']:>10}"
     counts = ", ".join(str(one["with_relations"]) for one in found.values())
-    yield f"AwS of the scenes whose instructions say where things are: {counts}"
+    yield f"scenes whose instructions give relations, for AwS: {counts}"
 
 
 def main() -> None:
     """Prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", help="a run with scenes that have tasks")
-    parser.add_argument("--where", default="split == 'test'", help="which of them")
+    parser.add_argument("--where", default="split == 'test'", help="filter of the scenes")
     parser.add_argument("--scenes", type=int, default=200)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--weights", default="auto", help="the corrector's")
+    parser.add_argument("--weights", default="auto", help="weights of the corrector")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     tasks = tasks_of_scenes(arguments.run, arguments.where)

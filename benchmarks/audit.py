@@ -1,12 +1,12 @@
-"""How fast the audit is beside the usual collision check, and whether both see the same crossings.
+"""The speed of the audit against the usual collision check, and whether both find the same crossing pairs.
 
-``python -m benchmarks.audit DATASET [--scenes N] [--json FILE]``. Over scenes of 14 to 16 objects, each as written and with its
-objects shifted by 2 cm and turned by 0.1 rad (standard deviations):
+``python -m benchmarks.audit DATASET [--scenes N] [--json FILE]``. The scenes have 14 to 16 objects. Each is measured as written
+and with its objects shifted by 2 cm and turned by 0.1 rad (standard deviations):
 
-- trimesh: ``CollisionManager`` filled with the posed meshes, then ``in_collision_internal(return_names=True)``: which pairs
-cross;
-- ours: ``audit_scene`` on loaded meshes with nothing cached: which pairs cross, and how deep, what floats, what is out of
-bounds.
+- trimesh: ``CollisionManager`` filled with the posed meshes, then ``in_collision_internal(return_names=True)``: the crossing
+  pairs;
+- ours: ``audit_scene`` on loaded meshes with empty caches: the crossing pairs and their depths, floating objects, objects out of
+  bounds.
 
 Run with ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``.
 """
@@ -15,7 +15,7 @@ import json
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 from typing import Annotated
@@ -43,11 +43,11 @@ class AuditTiming:
     Attributes:
         scene_id: The scene.
         is_shifted: Whether noise was added to its poses.
-        num_objects: Objects.
-        num_faces: Triangles of all of them.
+        num_objects: Number of objects.
+        num_faces: Triangles of all objects.
         num_crossing: Pairs whose meshes cross.
-        trimesh_seconds: Which pairs cross, by trimesh.
-        ours_seconds: The whole audit.
+        trimesh_seconds: Time of trimesh for the crossing pairs.
+        ours_seconds: Time of the whole audit.
         is_same: Whether both found the same crossing pairs.
     """
 
@@ -63,23 +63,23 @@ class AuditTiming:
 
 @dataclass(frozen=True, slots=True)
 class AuditBenchmark:
-    """What :func:`run` measured.
+    """The measurements of :func:`run`.
 
     Attributes:
         timings: Scene by scene.
-        lint_scenes_per_second: Of the whole folder, reading and repairing its meshes included.
+        lint_scenes_per_second: Speed of the lint of the whole folder, with the reading and repair of its meshes.
     """
 
     timings: tuple[AuditTiming, ...]
     lint_scenes_per_second: float
 
     def ratio(self, is_shifted: bool | None = None) -> float:
-        """Median time of trimesh over median time of the audit."""
+        """Returns the median time of trimesh divided by the median time of the audit."""
         chosen = [t for t in self.timings if is_shifted in (None, t.is_shifted)]
         return median(t.trimesh_seconds for t in chosen) / median(t.ours_seconds for t in chosen)
 
     def __str__(self) -> str:
-        """The figures as a table."""
+        """Returns a table of the figures."""
         lines = [f"{'poses':<12}{'scenes':>8}{'faces':>10}{'trimesh ms':>12}{'audit ms':>10}{'ratio':>8}{'same verdicts':>15}"]
         for name, is_shifted in (("as written", False), ("shifted", True), ("all", None)):
             chosen = [t for t in self.timings if is_shifted in (None, t.is_shifted)]
@@ -95,14 +95,14 @@ def run(root: Path, num_scenes: int | None = None, repeats: int = 3) -> AuditBen
 
     Args:
         root: A folder in the MesaTask-10K format.
-        num_scenes: At most so many scenes; all of 14 to 16 objects where None, or the dozen fullest.
-        repeats: Each time is the best of so many.
+        num_scenes: Largest number of scenes; None: all with 14 to 16 objects, or, without such scenes, the 12 fullest ones.
+        repeats: Each time is the best of this number.
     """
     dataset = MesaTaskDataset(root)
     store = AssetStore(dataset, max_bytes=2**31)
     read = list(readable_scenes(dataset))
     scenes = [scene for scene in read if len(scene.objects) in _NUM_OBJECTS]
-    if not scenes:  # a set of smaller scenes: its fullest ones
+    if not scenes:  # a dataset of smaller or larger scenes
         scenes = sorted(read, key=lambda scene: -len(scene.objects))[:12]
     timings = []
     for scene in scenes[:num_scenes]:
@@ -114,7 +114,7 @@ def run(root: Path, num_scenes: int | None = None, repeats: int = 3) -> AuditBen
 
 
 def readable_scenes(dataset: MesaTaskDataset) -> Iterator[Scene]:
-    """The scenes that can be used."""
+    """Yields the scenes that can be used."""
     for scene_id in dataset.scene_ids:
         with suppress(SceneError):
             yield dataset.read(scene_id)[0]
@@ -123,10 +123,7 @@ def readable_scenes(dataset: MesaTaskDataset) -> Iterator[Scene]:
 def _shifted(scene: Scene) -> Scene:
     rng = np.random.default_rng(len(scene.objects))
     noise = rng.normal(0.0, (_SHIFT, _SHIFT, _SHIFT, _TURN), (len(scene.objects), 4))
-    x, y, z, yaw = (scene.poses() + noise).T.tolist()
-    return replace(
-        scene, objects=tuple(o.moved(p, a) for o, p, a in zip(scene.objects, zip(x, y, z, strict=True), yaw, strict=True))
-    )
+    return scene.with_poses(scene.poses() + noise)
 
 
 def _time(scene: Scene, shapes: Sequence[Shape], is_shifted: bool, repeats: int) -> AuditTiming:
@@ -144,10 +141,10 @@ Timed = tuple[float, frozenset[tuple[str, str]]]
 
 
 def _alternately(scene: Scene, shapes: Sequence[Shape], repeats: int) -> Iterator[tuple[Timed, Timed]]:
-    """Seconds and crossing pairs by trimesh, and by the audit."""
+    """Yields seconds and crossing pairs by trimesh, and by the audit."""
     meshes = [trimesh.Trimesh(s.vertices, s.faces, process=False) for s in shapes]
     for _ in range(repeats):
-        fresh = [Shape(s.vertices, s.faces, s.is_exact) for s in shapes]  # nothing cached on them
+        fresh = [Shape(s.vertices, s.faces, s.is_exact) for s in shapes]  # with empty caches
         start = time.process_time()
         manager = trimesh.collision.CollisionManager()
         for o, mesh, pose in zip(scene.objects, meshes, scene.poses(), strict=True):
@@ -167,10 +164,10 @@ def _alternately(scene: Scene, shapes: Sequence[Shape], repeats: int) -> Iterato
 
 def main(
     dataset: Annotated[Path, typer.Argument(help="Folder in the MesaTask-10K format.")],
-    scenes: Annotated[int | None, typer.Option(help="At most so many scenes.")] = None,
-    file: Annotated[Path | None, typer.Option("--json", help="Where the figures are written.")] = None,
+    scenes: Annotated[int | None, typer.Option(help="Largest number of scenes.")] = None,
+    file: Annotated[Path | None, typer.Option("--json", help="File for the figures.")] = None,
 ) -> None:
-    """Times the audit beside trimesh."""
+    """Compares the speed of the audit with trimesh."""
     result = run(dataset, scenes)
     print(result)
     if file is not None:

@@ -1,12 +1,12 @@
-"""Whether a run loses anything while its driver, its workers and whole nodes are killed at random.
+"""Whether a run loses rows while its driver, its workers and whole nodes are killed at random.
 
 ``python -m benchmarks.chaos [--scenes 64] [--kills 6] [--seed 0] [--engine embedded] [--per-shard 8] [--json FILE]``: the
-generate job on a Ray cluster of a head and three nodes of one core each, all on this machine, first left alone, then
-disturbed. Compared are the two runs' tables, row for row. A long run is ``--scenes 1000 --kills 20 --per-shard 16``.
+generate job on a Ray cluster of a head and three nodes of one core each, all on this machine, first undisturbed, then with
+kills. The tables of the two runs are compared row by row. A long run is ``--scenes 1000 --kills 20 --per-shard 16``.
 
-- A killed driver is started again at once with the same command, as a batch system does with a job that is requeued.
+- A killed driver is started again at once with the same command, as a batch system does with a requeued job.
 - A killed worker is one that is busy with a shard.
-- A killed node loses all its processes at one moment; another node comes up to 20 s later.
+- A killed node loses all its processes at the same moment; another node starts up to 20 s later.
 """
 
 import argparse
@@ -37,13 +37,13 @@ from stable_data.storage.schemas import SCHEMAS
 
 ROOT = Path(__file__).resolve().parents[1]
 
-_LAST = 0.9  # share of the shards in place after which nothing is planned any more: the run could end before
-_ABSENT_SECONDS = 20.0  # at most, until another node takes the place of a killed one
+_LAST = 0.9  # share of written shards after which no kill is planned: the run could end before it
+_ABSENT_SECONDS = 20.0  # longest time until another node replaces a killed one
 _LOOK_SECONDS = 0.2
 
 
 class Victim(StrEnum):
-    """What is killed."""
+    """The kinds of victims."""
 
     DRIVER = "driver"
     WORKER = "worker"
@@ -55,8 +55,8 @@ class Kill:
     """One kill.
 
     Attributes:
-        at: Share of the shards that is in place before.
-        victim: Of what kind.
+        at: Share of shards written before it.
+        victim: The kind of the victim.
     """
 
     at: float
@@ -65,13 +65,13 @@ class Kill:
 
 @dataclass(slots=True)
 class ChaosRun:
-    """How a run went.
+    """The course of a run.
 
     Attributes:
-        seconds: From its first start to its end.
-        kills: By kind.
-        stops: How often the job ended by itself with an error and was started again; none is expected.
-        last_words: What it said last of the errors, for a person.
+        seconds: Wall time from its first start to its end.
+        kills: Number of kills of each kind.
+        stops: Number of times that the job ended by itself with an error and was started again; 0 is expected.
+        last_words: The last error line of each stop.
     """
 
     seconds: float = 0.0
@@ -81,7 +81,7 @@ class ChaosRun:
 
 
 def planned(count: int, rng: np.random.Generator) -> list[Kill]:
-    """Kills spread over a run at random, of each kind as many as of the others, or one more."""
+    """Plans kills at random moments of a run; the numbers of the kinds differ by at most one."""
     victims = list(Victim)
     moments = sorted(rng.uniform(0, _LAST, count))
     return [Kill(float(at), victims[k % len(victims)]) for at, k in zip(moments, rng.permutation(count), strict=True)]
@@ -91,7 +91,7 @@ class Nodes:
     """A Ray cluster on this machine: a head that runs no shard, and nodes of one core each.
 
     Args:
-        count: Of the nodes beside the head.
+        count: Number of nodes besides the head.
     """
 
     def __init__(self, count: int = 3) -> None:
@@ -103,15 +103,15 @@ class Nodes:
 
     @property
     def address(self) -> str:
-        """Where a driver finds the cluster."""
+        """The address of the cluster for a driver."""
         return str(self._cluster.address)
 
     def busy(self) -> list[int]:
-        """Processes that do a shard at the moment."""
+        """Returns the processes that work on a shard."""
         return busy_workers(_raylet(node) for node in self._cluster.worker_nodes)
 
     def lose(self, rng: np.random.Generator) -> bool:
-        """Kills all processes of a node at once; gives whether there was one."""
+        """Kills all processes of a node at once; returns whether there was a node."""
         nodes = sorted(self._cluster.worker_nodes, key=_raylet)
         if not nodes:
             return False
@@ -123,7 +123,7 @@ class Nodes:
         return True
 
     def restore(self) -> None:
-        """Adds the nodes whose time has come."""
+        """Adds the nodes that are due to replace killed ones."""
         due = [moment for moment in self._absent if moment <= time.monotonic()]
         self._absent = [moment for moment in self._absent if moment not in due]
         for _ in due:
@@ -131,16 +131,18 @@ class Nodes:
 
     def _add(self) -> None:
         self._added += 1
-        own = f"resources_of_node_{self._added}"  # as on a machine of its own: a node tidies up what it has unpacked
+        own = (
+            f"resources_of_node_{self._added}"  # a node deletes what it has unpacked, so nodes on one machine must not share it
+        )
         self._cluster.add_node(num_cpus=1, runtime_env_dir_name=own)
 
     def close(self) -> None:
-        """Ends the cluster."""
+        """Shuts the cluster down."""
         self._cluster.shutdown()
 
 
 def below(roots: Iterable[int]) -> dict[int, str]:
-    """Processes and all that they have started, with their command lines."""
+    """Returns processes and all that they have started, with their command lines."""
     listing = subprocess.run(["ps", "-eo", "pid,ppid,args"], capture_output=True, text=True, check=True).stdout
     processes = [(int(pid), int(ppid), args) for pid, ppid, args in (x.split(maxsplit=2) for x in listing.splitlines()[1:])]
     found, size = set(roots), 0
@@ -151,7 +153,7 @@ def below(roots: Iterable[int]) -> dict[int, str]:
 
 
 def busy_workers(roots: Iterable[int]) -> list[int]:
-    """Ray's workers below some processes that do a shard at the moment."""
+    """Returns Ray's workers below some processes that work on a shard."""
     return sorted(pid for pid, args in below(roots).items() if args.startswith("ray::_call"))
 
 
@@ -163,7 +165,7 @@ def _kill(process: int) -> None:
     try:
         os.kill(process, signal.SIGKILL)
     except ProcessLookupError:
-        return  # it has ended by itself
+        return  # it had ended already
 
 
 @dataclass(slots=True)
@@ -171,13 +173,13 @@ class DisturbedCommand:
     """A command that runs on a cluster, and is disturbed while it runs.
 
     Attributes:
-        command: Ends with DONE or SOME_FAILED, and goes on where it was killed.
+        command: The command; it ends with DONE or SOME_FAILED, and resumes after a kill.
         out: The run folder that it writes.
-        table: The table whose shards are in place last.
-        num_shards: How many it has in the end.
+        table: The table whose shards are written last.
+        num_shards: Number of shards at the end.
         nodes: The cluster.
         rng: Chooses moments and victims.
-        delay_seconds: At most, between the shard that a kill waits for and the kill.
+        delay_seconds: Longest time between the shard that a kill waits for and the kill.
     """
 
     command: Sequence[str]
@@ -189,10 +191,10 @@ class DisturbedCommand:
     delay_seconds: float = 3.0
 
     def run(self, kills: Sequence[Kill]) -> ChaosRun:
-        """Runs it to its end.
+        """Runs the command to its end.
 
         Raises:
-            RuntimeError: It ends with an error again and again.
+            RuntimeError: It ended with an error more than three times.
         """
         course, waiting, began = ChaosRun(), deque(kills), time.monotonic()
         with tempfile.TemporaryFile("w+") as log:
@@ -202,9 +204,9 @@ class DisturbedCommand:
                 if status is not None:
                     self._note(course, log)
                     driver = self._start(log)
-                elif waiting and self._share() >= waiting[0].at:
+                elif waiting and self._share_done() >= waiting[0].at:
                     time.sleep(float(self.rng.uniform(0, self.delay_seconds)))
-                    if self._killed(waiting[0].victim, driver):
+                    if self._kill_victim(waiting[0].victim, driver):
                         course.kills[waiting.popleft().victim] += 1
                         driver = driver if driver.poll() is None else self._start(log)
                 else:
@@ -215,23 +217,23 @@ class DisturbedCommand:
     def _start(self, log: Any) -> subprocess.Popen[str]:
         return subprocess.Popen(self.command, cwd=ROOT, stdout=log, stderr=log, start_new_session=True, text=True)
 
-    def _share(self) -> float:
+    def _share_done(self) -> float:
         return len(RunFolder(self.out).shard_ids(self.table)) / self.num_shards
 
-    def _killed(self, victim: Victim, driver: subprocess.Popen[str]) -> bool:
-        """Kills a victim of a kind where there is one; gives whether there was."""
+    def _kill_victim(self, victim: Victim, driver: subprocess.Popen[str]) -> bool:
+        """Kills a victim of a kind; returns whether there was one."""
         if driver.poll() is not None:
             return False
         if victim is Victim.NODE:
             return self.nodes.lose(self.rng)
         if victim is Victim.WORKER:
-            return self._worker_killed(driver)
+            return self._kill_busy_worker(driver)
         os.killpg(driver.pid, signal.SIGKILL)
         driver.wait()
         return True
 
-    def _worker_killed(self, driver: subprocess.Popen[str]) -> bool:
-        """Kills a worker as soon as one is busy: a short shard would be missed by looking now and then."""
+    def _kill_busy_worker(self, driver: subprocess.Popen[str]) -> bool:
+        """Kills a worker as soon as one is busy; returns False if the driver ends first."""
         while driver.poll() is None:
             self.nodes.restore()
             if busy := self.nodes.busy():
@@ -241,39 +243,37 @@ class DisturbedCommand:
         return False
 
     def _note(self, course: ChaosRun, log: Any) -> None:
-        """Keeps what the job said when it ended by itself.
-
-        Raises:
-            RuntimeError: Once too often.
-        """
+        """Notes the error with which the job ended; raises RuntimeError after too many."""
         log.seek(0)
-        lines = [line for line in log.read().splitlines() if line.startswith("error: ")] or ["no error was said"]
+        lines = [line for line in log.read().splitlines() if line.startswith("error: ")] or ["no error line"]
         course.stops += 1
         course.last_words.append(lines[-1])
         if course.stops > 3:
-            raise RuntimeError(f"{' '.join(self.command)}: ended {course.stops} times by itself: {lines[-1]}")
+            raise RuntimeError(
+                f"{' '.join(self.command)}: ended {course.stops} times with an error, expected none: {lines[-1]}"
+            )
 
 
 def compared(clean: RunFolder, other: RunFolder) -> dict[str, Any]:
-    """What of a run is not as in one that was left alone, in all tables of that one.
+    """Compares all tables of a disturbed run with those of an undisturbed one.
 
     Returns:
-        ``rows`` of the clean run; ``lost``, those of them that the other lacks; ``added``, those that it alone has;
-        ``duplicates``, scenes that are more than one row of its scenes and failures; ``columns_that_differ``, in any value or
-        in their order, as ``table.column``.
+        ``rows``: rows of the undisturbed run; ``lost``: those missing in the other run; ``added``: rows of the other run alone;
+        ``duplicates``: additional rows of the same scene in its scenes and failures; ``columns_that_differ``, in a value or in
+        the order of values, as ``table.column``.
     """
     figures, differ = Counter(rows=0, lost=0, added=0), []
     for table in (table for table in SCHEMAS if clean.files(table)):
         first, second = clean.table(table), other.table(table)
-        was, now = (Counter(map(repr, x.to_pylist())) for x in (first, second))
-        figures.update(rows=was.total(), lost=(was - now).total(), added=(now - was).total())
+        expected, found = (Counter(map(repr, x.to_pylist())) for x in (first, second))
+        figures.update(rows=expected.total(), lost=(expected - found).total(), added=(found - expected).total())
         differ += [f"{table}.{name}" for name in first.column_names if first[name] != second[name]]
     ends = [*other.table("scenes", ["scene_id"])["scene_id"].to_pylist(), *other.table("failures", ["id"])["id"].to_pylist()]
     return dict(figures) | {"duplicates": len(ends) - len(set(ends)), "columns_that_differ": differ}
 
 
 def tasks_of_world(path: Path, count: int) -> None:
-    """Writes a file of tasks: those of some embedded scenes, again and again under new names, each with a seed of its own."""
+    """Writes a file of tasks: those of some embedded scenes, repeated under new names and so with new seeds."""
     root = path.parent / "world"
     write_world(root, min(count, 24), EmbeddedWorld(pictures=False))
     dataset = MesaTaskDataset(root)
@@ -291,7 +291,7 @@ def tasks_of_world(path: Path, count: int) -> None:
 
 
 def measure(num_scenes: int, kills: int, seed: int, engine: str, per_shard: int) -> dict[str, Any]:
-    """All figures."""
+    """Measures all figures."""
     courses: dict[str, ChaosRun] = {}
     with tempfile.TemporaryDirectory() as folder:
         tasks_of_world(Path(folder) / "tasks.jsonl", num_scenes)
@@ -339,13 +339,13 @@ def show(figures: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    """Prints the figures; the status is 1 where something was lost."""
+    """Prints the figures; the status is 1 if the runs differ."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", type=int, default=64)
     parser.add_argument("--kills", type=int, default=6)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--engine", default="embedded", help="as of the generate job")
-    parser.add_argument("--per-shard", type=int, default=8, help="scenes of a shard: what a killed worker loses at most")
+    parser.add_argument("--engine", default="embedded", help="engine of the generate job")
+    parser.add_argument("--per-shard", type=int, default=8, help="scenes of a shard: the most that a killed worker loses")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     os.environ |= {"OMP_NUM_THREADS": "1", "IGL_NUM_THREADS": "1"}  # the nodes' workers have one core each

@@ -1,26 +1,24 @@
-"""The paper's Table 2 and its rearrangement table: the corrector beside post-hoc optimisers, on start layouts.
+"""The paper's Table 2 and its rearrangement table: the corrector and post-hoc optimisers on start layouts.
 
 ``python -m benchmarks.correction DATASET [--layouts FILE] [--start POSES] [--per-bucket N] [--every N] [--method NAME ...]
-[--settle] [--json FILE]``. Without a file of layouts, scenes of the dataset are shaken until their collisions fill the buckets.
-Every verdict is the exact audit's, at 0.5 mm, of what a method gives back; a method's own opinion is the column ``done``.
+[--settle] [--json FILE]``. Without a file of layouts, scenes of the dataset are perturbed until their collisions fill the
+buckets. Every verdict is the exact audit's, at 0.5 mm, on the result of a method; a method's own verdict is the column ``done``.
 ``start`` is the layout itself, ``flow`` the raw result of the learned flow, ``certify`` certification without it, ``corrector``
-the two together as the toolkit uses them; ``given`` means that they are told the layout's own scene graph and restore what of
-it is broken, ``settled`` that MuJoCo is asked what stays. Where Drake is installed, Steerable's projection runs in it too.
+both together as the toolkit uses them. ``given``: with the layout's own scene graph, whose broken relations are restored.
+``settled``: with MuJoCo's verdict on stability. If Drake is installed, Steerable's projection runs in it too.
 
-- clean: scenes without collision, floating, sinking or out of bounds; drop: objects left out;
-- free: scenes without collision; pairs: colliding pairs left, median; oc: their share; unknown counts as colliding;
-- float, out: objects that float, that are out of bounds or in the table, of all;
-- move: mean distance by which objects were moved, millimetres, identical ones matched; farthest: the largest, unmatched;
-- emd: earth mover's distance to where everything belongs, millimetres, where that is known;
-- on/in, dir: relations to other objects that held at the start and still hold, of those that held; back: on and in relations
-that
-  the layout means and the noise broke, of which hold now;
-- rest: objects that MuJoCo leaves where they are, of all; lie: the same of whole layouts (``--settle``), once more without
-those that
-  hold an obliquely tilted object shifted out of its carrier, which no yaw can right;
+- clean: scenes without collision, floating, sinking or out of bounds; drop: dropped objects;
+- free: scenes without collision; pairs: remaining colliding pairs, median; oc: their share; unknown counts as colliding;
+- float, out: share of objects that float; that are out of bounds or in the table;
+- move: mean movement of objects, millimetres, with identical objects matched; farthest: the largest one, unmatched;
+- emd: earth mover's distance to the target layout, millimetres, if it is known;
+- on/in, dir: relations to other objects that still hold, of those that held at the start; back: ``on`` and ``in`` relations of
+  the layout's scene graph that hold again, of those that the noise broke;
+- rest: objects that stay at rest in MuJoCo, of all; lie: the same of whole layouts (``--settle``), and again without layouts in
+  which an obliquely tilted object is shifted out of its carrier, which no yaw can repair;
 - done: scenes that the method itself counts as solved; s: seconds a scene, median, without the preparation of assets.
 
-Below it: how often the median seconds of ``certify`` and of ``corrector`` go into those of each baseline, by bucket.
+Below: the median seconds of each baseline, divided by those of ``certify`` and ``corrector``, by bucket.
 """
 
 import json
@@ -42,6 +40,7 @@ from benchmarks.baselines.methods import METHODS
 from benchmarks.baselines.outcome import Baseline, BaselineResult
 from benchmarks.layouts import StartLayout, read_layouts, shaken_layouts
 from benchmarks.steerable_drake import in_drake
+from benchmarks.text_table import align_columns
 from models.physics_corrector.certify import CorrectionStatus
 from models.physics_corrector.certify.correction import CorrectionOptions
 from models.physics_corrector.corrector import Flow, PhysicsCorrector
@@ -66,22 +65,22 @@ _OBLIQUE = math.radians(5)  # a tilt that is this far from every right angle
 
 
 class IdentityBaseline:
-    """The baseline that leaves everything where it is."""
+    """A baseline that changes nothing."""
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
-        """Nothing."""
+        """Returns the scene itself."""
         return BaselineResult(scene, True, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class CorrectorBaseline:
-    """The corrector, whole or in parts, behind the baselines' interface.
+    """The corrector, whole or in parts, with the interface of the baselines.
 
     Attributes:
-        weights: Of the flow; ``none`` certifies alone.
+        weights: Weights of the flow; ``none``: certification alone.
         certifies: Whether the flow's result is certified.
-        is_told: Whether it knows the scene graph that the layout means; else what the layout itself shows.
-        settles: Whether the physics engine is asked what stays.
+        is_told: Whether it knows the scene graph of the layout; else it infers the relations from the poses.
+        settles: Whether MuJoCo tests what stays at rest.
     """
 
     weights: str = AUTO
@@ -90,17 +89,17 @@ class CorrectorBaseline:
     settles: bool = False
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
-        """Corrects; where nothing is feasible, the layout comes back as it is."""
+        """Corrects the layout; returns it unchanged if it is infeasible."""
         corrector = PhysicsCorrector(_flow(self.weights), judges_raw=False)
         options = CorrectionOptions(asks_engine=self.settles)
-        corrector.move([scene], store, options)  # encodes the shapes: preparation of assets, as are convex parts
+        corrector.move([scene], store, options)  # encodes the shapes: preparation of assets, like convex parts
         if self.settles:
             bodies_of(scene, shapes, store)
-        audit = audit_scene(scene, shapes)  # which a correction needs for its figures alone
+        audit = audit_scene(scene, shapes)  # a correction needs it only for its figures
         told = scene if self.is_told else replace(scene, relations=())
         begin = time.process_time()
         known = scene
-        if corrector.flow is not None and not self.is_told:  # it is shown what carries what as it is
+        if corrector.flow is not None and not self.is_told:  # the flow gets the supports of the layout as it is
             posed = PosedScene(scene, shapes)
             known = relate_scene(posed, audit_posed_scene(posed), {}).scene
         (request,) = corrector.move([replace(known, relations=told.relations)], store, options, [audit])
@@ -118,7 +117,7 @@ def _flow(weights: str) -> Flow | None:
 
 
 def ours() -> dict[str, Baseline]:
-    """The corrector and its parts, by name; those of the flow where its weights are there."""
+    """Returns the corrector and its parts, by name; those with the flow only if its weights exist."""
     alone: dict[str, Baseline] = {
         "certify": CorrectorBaseline("none"),
         "certify, given": CorrectorBaseline("none", is_told=True),
@@ -136,27 +135,27 @@ def ours() -> dict[str, Baseline]:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """One layout as one method left it.
+    """The result of one method on one layout.
 
     Attributes:
-        method: The method's name.
-        layout: The layout's.
+        method: Name of the method.
+        layout: Name of the layout.
         bucket: Its bucket.
-        num_objects: Objects.
-        clean: By the exact audit; None where that is unknown.
-        num_dropped: Objects that were left out.
-        num_collisions: Pairs that collide or may.
-        num_floating: Objects that float or may.
+        num_objects: Number of objects.
+        clean: Verdict of the exact audit; None if unknown.
+        num_dropped: Dropped objects.
+        num_collisions: Colliding pairs; unknown counts as colliding.
+        num_floating: Floating objects; unknown counts as floating.
         num_outside: Objects that are out of bounds or in the table.
-        oc: Those pairs as a share of all.
-        move_mean_mm: How far objects were moved, identical ones matched.
-        move_max_mm: The farthest, unmatched.
-        emd_mm: Earth mover's distance to the target; None where there is none, or objects are left out.
-        kept: Relations that held at the start, and that still hold.
-        num_resting: Objects that the engine leaves where they are; None where it was not asked or could not be.
-        can_rest: Whether yaw and shift could make everything lie: no oblique thing is out of its carrier.
-        converged: By the method's own account.
-        seconds: Of the method, without the preparation of assets.
+        oc: Colliding pairs as a share of all.
+        move_mean_mm: Mean movement, with identical objects matched.
+        move_max_mm: Largest movement, unmatched.
+        emd_mm: Earth mover's distance to the target; None without a target, or if objects were dropped.
+        kept: Relations that held at the start, and those that still hold.
+        num_resting: Objects that stay at rest in MuJoCo; None if there was no simulation.
+        can_rest: Whether yaw and shift could bring all objects to rest: no oblique object is out of its carrier.
+        converged: Verdict of the method itself.
+        seconds: Time of the method, without the preparation of assets.
         reason: Why it did not converge.
     """
 
@@ -182,7 +181,7 @@ class Result:
 
 
 def judged(name: str, method: Baseline, layout: StartLayout, store: AssetStore, *, settles: bool = False) -> Result:
-    """Lets a method correct a layout, and judges what it gives back."""
+    """Corrects a layout with a method, and judges the result."""
     scene, shapes, _ = store.resolved(layout.start)
     outcome = method.correct(scene, shapes, store)
     left, left_shapes, _ = store.resolved(outcome.scene)
@@ -209,7 +208,7 @@ def judged(name: str, method: Baseline, layout: StartLayout, store: AssetStore, 
         emd_mm=None if layout.target is None or not is_whole else 1e3 * emd_to_truth(left, layout.target).cost,
         kept=kept,
         num_resting=_num_resting(left, left_shapes, store) if settles else None,
-        can_rest=kept.asked_broken == 0 or not _has_stray(scene),
+        can_rest=kept.asked_broken == 0 or not _has_displaced_oblique(scene),
         converged=outcome.converged,
         seconds=outcome.seconds,
         reason=outcome.reason,
@@ -217,7 +216,7 @@ def judged(name: str, method: Baseline, layout: StartLayout, store: AssetStore, 
 
 
 def _num_resting(scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> int | None:
-    """Objects that MuJoCo moves less than 10 mm and turns less than 5 degrees in its 4 seconds; None where it cannot be asked."""
+    """Counts objects that MuJoCo moves at most 10 mm and turns at most 5 degrees in 4 seconds; None if it cannot simulate them."""
     try:
         result = settle(bodies_of(scene, shapes, store), scene.table)
     except MeshError:
@@ -227,8 +226,8 @@ def _num_resting(scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> in
     return int(((result.moves <= MOVE_LIMIT) & (result.turns <= TURN_LIMIT)).sum())
 
 
-def _has_stray(scene: Scene) -> bool:
-    """Is an obliquely tilted object, which lay against a carrier that the layout means, away from that carrier's middle?"""
+def _has_displaced_oblique(scene: Scene) -> bool:
+    """Whether an obliquely tilted object, which leaned on its carrier in the scene graph, is far from that carrier's middle."""
     for relation in scene.relations:
         o, names = scene[relation.subject], {other.instance for other in scene.objects}
         if relation.target not in names or not _is_oblique(o):
@@ -251,14 +250,14 @@ def run(
     *,
     settles: bool = False,
 ) -> list[Result]:
-    """Every method on every layout.
+    """Runs every method on every layout.
 
     Args:
         layouts: The layouts.
         store: Meshes of the assets.
-        methods: By name; the layouts themselves are judged besides, as ``start``.
-        limit: Seconds after which no further layout is begun; what was begun is finished.
-        settles: Whether the engine is asked what stays.
+        methods: Name -> method; the layouts themselves are judged as well, as ``start``.
+        limit: Seconds after which no further layout is started; a started one is finished.
+        settles: Whether MuJoCo tests what stays at rest.
     """
     end, results, everyone = time.monotonic() + limit, list[Result](), {_START: IdentityBaseline(), **methods}
     with tqdm(total=len(layouts) * len(everyone), desc="correction", unit="scene") as bar:
@@ -274,7 +273,7 @@ def run(
 
 
 def table(results: Sequence[Result]) -> str:
-    """The figures, by method and bucket."""
+    """Returns a table of the figures, by method and bucket."""
     columns = (
         "method", "bucket", "scenes", "clean", "drop", "free", "pairs", "oc %", "float", "out", "move", "farthest", "emd", "on/in", "dir",
         "back", "rest", "lie", "done", "s",
@@ -286,11 +285,11 @@ def table(results: Sequence[Result]) -> str:
             chosen = [r for r in results if r.method == name and bucket in ("", r.bucket)]
             if chosen:
                 rows.append(_row(name, bucket or "all", chosen))
-    return _aligned(rows)
+    return align_columns(rows, 2)
 
 
 def ratios(results: Sequence[Result]) -> str:
-    """How many times longer each baseline takes than ours, by bucket; empty where one of the two was not run."""
+    """Returns a table of the time ratios of baselines to our methods, by bucket; empty if one of the two was not run."""
     buckets = [*dict.fromkeys(r.bucket for r in results), ""]
     names = dict.fromkeys(r.method for r in results)
 
@@ -303,15 +302,7 @@ def ratios(results: Sequence[Result]) -> str:
         for own in names
         if baseline in (*METHODS, *in_drake()) and own in _TIMED
     ]
-    return _aligned([("seconds of", "over", *(bucket or "all" for bucket in buckets)), *rows]) if rows else ""
-
-
-def _aligned(rows: Sequence[tuple[str, ...]]) -> str:
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(cell.rjust(w) if k > 1 else cell.ljust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True)))
-        for row in rows
-    )
+    return align_columns([("seconds of", "over", *(bucket or "all" for bucket in buckets)), *rows], 2) if rows else ""
 
 
 def _row(name: str, bucket: str, results: Sequence[Result]) -> tuple[str, ...]:
@@ -352,7 +343,7 @@ def _row(name: str, bucket: str, results: Sequence[Result]) -> tuple[str, ...]:
 def chosen_layouts(
     dataset: MesaTaskDataset, store: AssetStore, file: Path | None, per_bucket: int, start: str = "start", every: int = 1
 ) -> list[StartLayout]:
-    """The first layouts of each bucket of every n-th line of a file, or as many made of the dataset's own scenes."""
+    """Returns the first layouts of each bucket from every n-th line of a file, or as many made from the dataset's scenes."""
     if file is None:
         scenes = sorted(readable_scenes(dataset), key=lambda scene: -len(scene.objects))
         return list(shaken_layouts(scenes, store, per_bucket))
@@ -363,14 +354,16 @@ def chosen_layouts(
 
 def main(
     data: Annotated[Path, typer.Argument(help="Folder in the MesaTask-10K format: the layouts' meshes.")],
-    layouts: Annotated[Path | None, typer.Option(help="File of start layouts; else scenes of the dataset are shaken.")] = None,
+    layouts: Annotated[
+        Path | None, typer.Option(help="File of start layouts; without it, scenes of the dataset are perturbed.")
+    ] = None,
     per_bucket: Annotated[int, typer.Option(help="Layouts of each bucket.")] = 4,
     every: Annotated[int, typer.Option(min=1, help="Only every n-th layout of the file.")] = 1,
     method: Annotated[list[str] | None, typer.Option(help="A baseline, or certify, flow, corrector; all by default.")] = None,
     start: Annotated[str, typer.Option(help="Poses of the file to start from, such as start_xyz.")] = "start",
-    settles: Annotated[bool, typer.Option("--settle", help="Ask MuJoCo what stays where it is.")] = False,
-    limit: Annotated[float, typer.Option(help="Seconds after which no further layout is begun.")] = np.inf,
-    file: Annotated[Path | None, typer.Option("--json", help="Where the figures are written.")] = None,
+    settles: Annotated[bool, typer.Option("--settle", help="Test in MuJoCo what stays at rest.")] = False,
+    limit: Annotated[float, typer.Option(help="Seconds after which no further layout is started.")] = np.inf,
+    file: Annotated[Path | None, typer.Option("--json", help="File for the figures.")] = None,
 ) -> None:
     """Runs the corrector and the baselines on start layouts."""
     known = {**METHODS, **in_drake(), **ours()}

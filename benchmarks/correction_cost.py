@@ -1,17 +1,17 @@
-"""What a correction costs: scenes a second on all cores, and seconds against the number of objects.
+"""The cost of a correction: scenes a second on all cores, and seconds against the number of objects.
 
 ``python -m benchmarks.correction_cost DATASET [--scenes N] [--rounds N] [--workers N] [--json FILE]``:
 
-- throughput: the scenes of the dataset that are nearest to 15 objects, made coarse by the kind ``jitter`` of the corrector's
-  training, several times over; one process a core, which corrects its share scene after scene. Scenes that came out clean, by
-  the clock on the wall of all processes together, and by processor time as if no one else used the cores;
-- growth: layouts of 5 to 60 objects, three of each number: things of those scenes with all that they carry, on a square table
-of
-  which their footprints take 30 %, shaken by 4 cm and 0.2 rad (standard deviations). Processor seconds of one core, and the
-  exponent of seconds against objects, by least squares of the logarithms over all layouts.
+- throughput: the scenes of the dataset that are nearest to 15 objects, made coarse several times by the kind ``jitter`` of the
+  corrector's training; one process a core, which corrects its share scene after scene. Counted are clean scenes, by the wall
+  time of all processes together, and by processor time as if the cores had no other work;
+- growth: layouts of 5 to 60 objects, three of each number: objects of those scenes with all that they carry, on a square table
+  of which their footprints cover 30 %, perturbed by 4 cm and 0.2 rad (standard deviations). Measured are processor seconds of
+  one core, and the exponent of seconds against objects, by least squares of the logarithms over all layouts.
 
-``certify`` is certification alone, ``corrector`` after the learned flow, both with the scene's own audit and relations; what is
-made once an asset, such as its point features, is made before. Run with ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``.
+``certify`` is certification alone, ``corrector`` certification after the learned flow, both with the scene's own audit and
+relations. Data that is computed once an asset, such as point features, is computed before. Run with
+``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``.
 """
 
 import json
@@ -49,21 +49,21 @@ SIZES = (5, 8, 12, 18, 27, 40, 60)
 """Numbers of objects."""
 
 _METHODS = ("certify", "corrector", "corrector, given")
-_TYPICAL = 15  # objects
-_OCCUPANCY = 0.3  # footprints of what stands on the table over its area
+_TYPICAL = 15  # number of objects
+_OCCUPANCY = 0.3  # total footprint of the objects on the table over its area
 _SHAKE = 0.04  # standard deviation of x and y, metres
-_LAYOUTS = 3  # of each number of objects
+_LAYOUTS = 3  # layouts of each number of objects
 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """One layout, corrected.
+    """The correction of one layout.
 
     Attributes:
-        method: Who corrected it.
-        layout: The layout.
-        num_objects: Objects.
-        is_clean: Whether it came out clean, be it with objects left out.
+        method: Name of the method.
+        layout: Name of the layout.
+        num_objects: Number of objects.
+        is_clean: Whether the result is clean, possibly with dropped objects.
         seconds: Processor time.
     """
 
@@ -80,7 +80,7 @@ class Throughput:
 
     Attributes:
         workers: Processes.
-        wall_seconds: From the first scene's start to the last one's end.
+        wall_seconds: Wall time from the first scene's start to the last one's end.
         costs: The scenes.
     """
 
@@ -89,7 +89,7 @@ class Throughput:
     costs: tuple[Cost, ...]
 
     def __str__(self) -> str:
-        """Rates of clean scenes."""
+        """Returns the rates of clean scenes."""
         clean, sizes = sum(c.is_clean for c in self.costs), [c.num_objects for c in self.costs]
         rates = clean / self.wall_seconds, self.workers * clean / sum(c.seconds for c in self.costs)
         return (
@@ -99,11 +99,11 @@ class Throughput:
 
 
 class Bench:
-    """Scenes of a dataset with all that is made once an asset.
+    """Scenes of a dataset, with the data that is computed once an asset.
 
     Args:
         root: A folder in the MesaTask-10K format.
-        count: How many scenes: those nearest to 15 objects.
+        count: Number of scenes: those nearest to 15 objects.
     """
 
     def __init__(self, root: Path, count: int) -> None:
@@ -118,15 +118,15 @@ class Bench:
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """``certify``, and ``corrector`` where its weights are there."""
+        """``certify``, and ``corrector`` if its weights exist."""
         return tuple(self._methods)
 
     def costs(self, name: str, scenes: Iterable[Scene]) -> list[Cost]:
-        """What a method needs for scenes."""
+        """Measures a method on scenes."""
         return [self._cost(name, scene) for scene in scenes]
 
     def jittered(self, seed: int) -> list[Scene]:
-        """The scenes, made coarse by the kind ``jitter``."""
+        """Returns the scenes, made coarse by the kind ``jitter``."""
         shapes = [self._store.resolved(scene)[1] for scene in self.scenes]
         arrays = {k: torch.from_numpy(v) for k, v in pad_scenes(self.scenes, shapes, [frozenset()] * len(shapes)).items()}
         batch = LayoutBatch(shape_index=torch.zeros_like(arrays["parent"]), **arrays)
@@ -135,7 +135,7 @@ class Bench:
         return [scene.with_poses(own[: len(scene.objects)]) for scene, own in zip(self.scenes, poses, strict=True)]
 
     def crowds(self) -> list[Scene]:
-        """Layouts of every number of objects."""
+        """Returns layouts of every number of objects."""
         rng = np.random.default_rng(0)
         return [shaken(crowd(self.scenes, n, rng), _SHAKE, rng) for n in SIZES for _ in range(_LAYOUTS)]
 
@@ -151,15 +151,15 @@ class Bench:
 
 
 def crowd(scenes: Sequence[Scene], count: int, rng: np.random.Generator) -> Scene:
-    """A layout of so many objects at a fixed occupancy: things of scenes, with all that they carry, in the cells of a grid.
+    """Builds a layout of ``count`` objects at a fixed occupancy: objects of scenes, with all that they carry, in a grid.
 
     Args:
         scenes: The scenes, with supports.
-        count: Objects.
-        rng: Draws.
+        count: Number of objects.
+        rng: Source of randomness.
 
     Raises:
-        SceneError: Everything in the scenes carries something, so that the number cannot be met.
+        SceneError: Every object on a table carries too many others to reach the number (``scenes_unsuited``).
     """
     groups = [group for scene in scenes for group in _groups(scene)]
     chosen = list[list[SceneObject]]()
@@ -167,7 +167,8 @@ def crowd(scenes: Sequence[Scene], count: int, rng: np.random.Generator) -> Scen
         fitting = [group for group in groups if len(group) <= rest]
         if not fitting:
             raise SceneError(
-                f"no thing of {len(scenes)} scenes carries less than {rest}, expected one alone", "scenes_unsuited"
+                f"every object on the tables of {len(scenes)} scenes carries at least {rest} others, expected one that carries none",
+                "scenes_unsuited",
             )
         chosen.append(fitting[rng.integers(len(fitting))])
     footprint = sum(first.size[0] * first.size[1] for first, *_ in chosen)
@@ -183,7 +184,7 @@ def crowd(scenes: Sequence[Scene], count: int, rng: np.random.Generator) -> Scen
 
 
 def _groups(scene: Scene) -> list[list[SceneObject]]:
-    """What stands on the table, each with all that it carries behind it."""
+    """Returns the objects on the table, each followed by all that it carries."""
     tree = SupportTree.of(scene.objects)
     groups = {name: [scene[name]] for name in tree.children(None)}
     for o in scene.objects:
@@ -198,18 +199,18 @@ def _bench(root: Path, count: int) -> Bench:
 
 
 def _share(root: Path, count: int, name: str, seeds: Sequence[int], part: slice) -> list[Cost]:
-    """A process's share of the scenes of all rounds."""
+    """Corrects a process's share of the scenes of all rounds."""
     bench = _bench(root, count)
     return bench.costs(name, [scene for seed in seeds for scene in bench.jittered(seed)][part])
 
 
 def throughput(root: Path, count: int, rounds: int, workers: int) -> list[Throughput]:
-    """How many scenes a second become clean, by method.
+    """Measures how many scenes a second become clean, by method.
 
     Args:
         root: A folder in the MesaTask-10K format.
-        count: How many of its scenes.
-        rounds: How often each is made coarse.
+        count: Number of its scenes.
+        rounds: Number of coarse layouts of each scene.
         workers: Processes, each of one thread.
     """
     pools = [ProcessPoolExecutor(1, mp_context=get_context("spawn")) for _ in range(workers)]
@@ -231,12 +232,12 @@ def throughput(root: Path, count: int, rounds: int, workers: int) -> list[Throug
 
 
 def exponent(costs: Sequence[Cost]) -> float:
-    """The p of seconds ~ objects ** p: the slope of least squares of the logarithms."""
+    """Fits p of seconds ~ objects ** p: the slope by least squares of the logarithms."""
     return float(np.polyfit(np.log([c.num_objects for c in costs]), np.log([c.seconds for c in costs]), 1)[0])
 
 
 def growth_table(costs: Sequence[Cost]) -> str:
-    """Median seconds by number of objects and method, and the exponents."""
+    """Returns a table of median seconds by number of objects and method, and the exponents."""
     names = list(dict.fromkeys(c.method for c in costs))
     lines = ["objects" + "".join(f"{name:>18} s{'clean':>8}" for name in names)]
     for n in sorted({c.num_objects for c in costs}):
@@ -248,12 +249,12 @@ def growth_table(costs: Sequence[Cost]) -> str:
 
 def main(
     dataset: Annotated[Path, typer.Argument(help="Folder in the MesaTask-10K format.")],
-    scenes: Annotated[int, typer.Option(help="How many of its scenes, those nearest to 15 objects.")] = 12,
-    rounds: Annotated[int, typer.Option(help="How often each is made coarse.")] = 4,
+    scenes: Annotated[int, typer.Option(help="Number of its scenes, those nearest to 15 objects.")] = 12,
+    rounds: Annotated[int, typer.Option(help="Number of coarse layouts of each scene.")] = 4,
     workers: Annotated[int, typer.Option(help="Processes.")] = 2,
-    file: Annotated[Path | None, typer.Option("--json", help="Where the figures are written.")] = None,
+    file: Annotated[Path | None, typer.Option("--json", help="File for the figures.")] = None,
 ) -> None:
-    """Measures what a correction costs."""
+    """Measures the cost of corrections."""
     try:
         rates = throughput(dataset, scenes, rounds, workers)
         print(*rates, sep="\n")

@@ -1,18 +1,18 @@
-"""What each part of the corrector's training is worth: short equal trainings that leave one out, judged by raw samples.
+"""The gain of each part of the corrector's training: short equal trainings that leave one part out, judged by raw samples.
 
 ``python -m benchmarks.corrector_ablation RUN --out OUT [--arm NAME ...] [--steps N] [--json FILE]``, where RUN is the folder
 of a preprocess run. Every arm trains on the same scenes with the same seed for the same number of steps, and differs from
-``full`` in one thing:
+``full`` in one point:
 
 - ``full``: the preset ``embedded_set`` with point features;
 - ``no support``, ``no table``, ``no objects``: without L_sup, L_obj-table, L_obj-obj, as in the paper's ablation;
-- ``no physics``: without all three, L_flow alone;
-- ``box features``: no point features; what is left of a shape are the extents of its box, which every network reads;
+- ``no physics``: without all three, only L_flow;
+- ``box features``: without point features; a shape is then known only by the extents of its box, which every network reads;
 - ``unet``: the paper's U-Net over the objects (preset ``embedded``) instead of the set transformer.
 
-Judged are raw samples of the flow on held-out scenes, nothing certified, by the training's own validation card
-(docs/training_the_corrector.md): mean over the scenes of all its rows. An arm that is done is not trained again and one that was stopped
-goes on; OUT holds them. Trainings this short say which way a part pulls, not where a long one ends. Run with
+Judged are raw samples of the flow on held-out scenes, without certification, by the training's own validation card
+(docs/training_the_corrector.md): the mean over all its rows. A finished arm is not trained again, and an interrupted one resumes;
+OUT stores them. Trainings this short show the direction of an effect, not the result of a long training. Run with
 ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``.
 """
 
@@ -27,6 +27,7 @@ from typing import Annotated, Any, TypeAlias
 import torch
 import typer
 
+from benchmarks.text_table import align_columns
 from models.physics_corrector.training.settings import CorrectorTrainingSettings, training_preset
 from models.physics_corrector.training.validation import Card
 from pipelines.train.corrector import CorrectorMonitoring, CorrectorTrainingJob
@@ -60,7 +61,7 @@ ARMS: Mapping[str, Change] = {
     "box features": lambda settings: replace(settings, features="box"),
     "unet": _with_unet,
 }
-"""What each arm changes of the full training."""
+"""Arm -> its change of the full training."""
 
 FIGURES = (
     "grid_oc",
@@ -73,18 +74,18 @@ FIGURES = (
     "move_mean_mm",
     "target_distance_mm",
 )
-"""Figures of the validation card that are shown."""
+"""The figures of the validation card in the table."""
 
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """One training and how it came out.
+    """One training with its result.
 
     Attributes:
         name: Its name.
-        steps: How long it was trained.
+        steps: Number of training steps.
         batch_size: Scenes of a step.
-        num_parameters: Of its network.
+        num_parameters: Number of parameters of its network.
         card: Its validation card.
     """
 
@@ -95,21 +96,21 @@ class Arm:
     card: Card
 
     def figure(self, name: str, side: str = "raw") -> float | None:
-        """Mean of a figure over the rows of the card; None where one is unknown."""
+        """Returns the mean of a figure over the rows of the card; None if one is unknown."""
         values = [row[side].get(name) for row in self.card.values()]
         known = [value for value in values if value is not None]
         return mean(known) if known and len(known) == len(values) else None
 
 
 def arm(run: str, out: Path, name: str, full: CorrectorTrainingSettings, watch: CorrectorMonitoring) -> Arm:
-    """Trains an arm, or what is missing of it.
+    """Trains an arm, or the missing steps of it.
 
     Args:
         run: Folder of the preprocess run.
-        out: Folder of all arms; what is computed of the run is kept there once.
+        out: Folder of all arms, with one cache of the data computed from the run.
         name: One of ``ARMS``.
-        full: Settings of the whole training, with its length.
-        watch: How it is judged.
+        full: Settings of the full training, with its length.
+        watch: Settings of the validation.
     """
     folder = out / name.replace(" ", "_")
     folder.mkdir(parents=True, exist_ok=True)
@@ -122,23 +123,19 @@ def arm(run: str, out: Path, name: str, full: CorrectorTrainingSettings, watch: 
     if not card.is_file() or json.loads(card.read_text("utf-8"))["steps"] != full.steps:
         print(job.run())
     if not card.is_file():
-        raise SystemExit(f"{folder}: stopped before it was done; run again to continue")
+        raise SystemExit(f"{folder}: the training stopped before its end; run the command again to resume it")
     found: dict[str, Any] = json.loads(card.read_text("utf-8"))
     network, _ = settings.resolved(1).corrector.build()
     return Arm(name, found["steps"], settings.batch_size, sum(p.numel() for p in network.parameters()), found["rows"])
 
 
 def table(arms: Sequence[Arm]) -> str:
-    """The figures of all arms, the coarse layouts first."""
+    """Returns a table of the figures of all arms, after those of the coarse layouts."""
     rows: list[tuple[str, ...]] = [("arm", "parameters", *FIGURES)]
     if arms:
         rows.append(("coarse layout", "", *(_written(arms[0].figure(name, "coarse"), name) for name in FIGURES)))
     rows += [(a.name, f"{a.num_parameters:,}", *(_written(a.figure(name), name) for name in FIGURES)) for a in arms]
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(cell.rjust(w) if k else cell.ljust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True)))
-        for row in rows
-    )
+    return align_columns(rows, 1)
 
 
 def _written(value: float | None, name: str) -> str:
@@ -149,15 +146,15 @@ def _written(value: float | None, name: str) -> str:
 
 def main(
     run: Annotated[str, typer.Argument(help="Folder of a preprocess run.")],
-    out: Annotated[Path | None, typer.Option(help="Folder of the trainings; without it they are not kept.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of the trainings; without it they are deleted.")] = None,
     name: Annotated[list[str] | None, typer.Option("--arm", help=f"Of {', '.join(ARMS)}; all by default.")] = None,
     steps: Annotated[int, typer.Option(help="Length of each training.")] = 1500,
     scenes: Annotated[int, typer.Option(help="Held-out scenes of the card.")] = 96,
-    exact: Annotated[int, typer.Option(help="How many of them the exact audit judges.")] = 24,
-    seed: Annotated[int, typer.Option(help="Of the trainings.")] = 0,
-    file: Annotated[Path | None, typer.Option("--json", help="Where the figures are written.")] = None,
+    exact: Annotated[int, typer.Option(help="Number of these that the exact audit judges.")] = 24,
+    seed: Annotated[int, typer.Option(help="Seed of the trainings.")] = 0,
+    file: Annotated[Path | None, typer.Option("--json", help="File for the figures.")] = None,
 ) -> None:
-    """Trains the arms that are missing and shows all that were asked for."""
+    """Trains the missing arms and prints the figures of all chosen ones."""
     chosen = list(dict.fromkeys(name or ARMS))
     if unknown := [wrong for wrong in chosen if wrong not in ARMS]:
         raise typer.BadParameter(f"{', '.join(unknown)}, expected of {', '.join(ARMS)}")

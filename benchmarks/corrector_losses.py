@@ -1,12 +1,12 @@
 """The corrector's loss step, against ``grid_sample`` with one grid a pair.
 
 ``python -m benchmarks.corrector_losses RUN DATASET [--batch N] [--device cuda] [--json FILE]``, where RUN was preprocessed from
-DATASET. The scenes are shaken until objects collide and float. One step is L_obj-obj and L_sup of a batch with their gradients.
-Both sides read the same grids, brought to 32 nodes an axis, because ``grid_sample`` wants them alike:
+DATASET. The scenes are perturbed until objects collide and float. One step is L_obj-obj and L_sup of a batch with their
+gradients. Both sides read the same grids, resampled to 32 nodes an axis, because ``grid_sample`` needs grids of one shape:
 
-- one grid a pair: for every ordered pair of a scene its grid is copied, all samples are read with gradients, and minima taken;
-- the same for the pairs that the broad phase leaves;
-- ours on these grids, and on the grids as they are, finer.
+- one grid a pair: for every ordered pair of a scene the grid is copied, all samples are read with gradients, and minima taken;
+- the same for the pairs of the broad phase;
+- ours on these grids, and on the original, finer grids.
 """
 
 import argparse
@@ -43,17 +43,17 @@ _SHAKEN = (0.02, 0.02, 0.005, 0.3)  # standard deviations of x, y, z in metres a
 
 @dataclass(frozen=True, slots=True)
 class LossFigure:
-    """One way of taking a step.
+    """The figures of one way of computing a step.
 
     Attributes:
-        name: How.
+        name: The way.
         num_scenes: Scenes in the batch.
-        num_objects: Objects in them.
-        num_pairs: Unordered pairs whose grids are asked for collision.
-        seconds: Of a step, median.
-        mebibytes: What it takes at most, besides what was there before.
-        speedup: Over one grid a pair.
-        memory_ratio: Of one grid a pair to this.
+        num_objects: Objects in the batch.
+        num_pairs: Unordered pairs whose grids are read for collision.
+        seconds: Time of a step, median.
+        mebibytes: Peak memory of a step, without the memory used before.
+        speedup: Speed relative to one grid a pair.
+        memory_ratio: Memory of one grid a pair, divided by this.
     """
 
     name: str
@@ -69,37 +69,37 @@ class LossFigure:
 def copied_distance(
     poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, queries: ClosestPointQueries, samples: Tensor
 ) -> Tensor:
-    """D_host at all samples of the guests by ``grid_sample``, a copy of its grid for every query, (E, P), metres.
+    """Computes D_host at all samples of the guests by ``grid_sample``, with a copy of the grid for every query, (E, P), metres.
 
     Args:
         poses: (B, N, 4), metres and radians.
         batch: The scenes.
-        geometry: Their shapes, all grids with as many nodes along each axis.
-        queries: Which objects, E of them.
-        samples: Of every shape, (K, P, 3), metres, yaw frame.
+        geometry: Their shapes, all grids with the same number of nodes along each axis.
+        queries: E pairs of host and guest.
+        samples: Samples of every shape, (K, P, 3), metres, yaw frame.
     """
     guest, host = poses[queries.scene, queries.guest], poses[queries.scene, queries.host]
     shape = batch.shape_index[queries.scene, queries.host]
     points = samples[batch.shape_index[queries.scene, queries.guest]].to(poses.dtype)
-    world = torch.einsum("eij,epj->epi", _turned(guest[:, 3]), points) + guest[:, None, :3]
-    local = torch.einsum("eij,epj->epi", _turned(-host[:, 3]), world - host[:, None, :3])
+    world = torch.einsum("eij,epj->epi", _rotation_about_z(guest[:, 3]), points) + guest[:, None, :3]
+    local = torch.einsum("eij,epj->epi", _rotation_about_z(-host[:, 3]), world - host[:, None, :3])
     affine = geometry.unit_from_yaw[shape].to(poses.dtype)
     places = torch.einsum("eij,epj->epi", affine[..., :3], local) + affine[:, None, :, 3]
     grid_index = geometry.grid_index[shape]
     low, high = (corner[:, None].to(poses.dtype) for corner in geometry.atlas.box(grid_index))
-    held = places.clamp(low, high)
+    inside = places.clamp(low, high)
     cubes = geometry.atlas.values.view(len(geometry.atlas), *geometry.atlas.shape[0].tolist())
     copies = cubes[grid_index, None].to(poses.dtype)
-    where = (2 * (held - low) / (high - low) - 1).flip(-1)[:, :, None, None]  # it counts z, y, x
+    where = (2 * (inside - low) / (high - low) - 1).flip(-1)[:, :, None, None]  # grid_sample expects z, y, x
     read = torch.nn.functional.grid_sample(copies, where, align_corners=True)[:, 0, :, 0, 0]
-    distance: Tensor = geometry.metres_per_unit[shape, None] * (read + torch.linalg.vector_norm(places - held, dim=-1))
+    distance: Tensor = geometry.metres_per_unit[shape, None] * (read + torch.linalg.vector_norm(places - inside, dim=-1))
     return distance
 
 
 def copied_losses(
     poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, pairs: ObjectPairs, settings: LossSettings
 ) -> Tensor:
-    """L_obj-obj and L_sup with their weights, (B,), square metres, from :func:`copied_distance`."""
+    """Computes the weighted sum of L_obj-obj and L_sup, (B,), square metres, from :func:`copied_distance`."""
     ways = pairs.both_ways()
     queries = ClosestPointQueries(ways.scene, ways.first, ways.second)
     deepest = copied_distance(poses, batch, geometry, queries, geometry.surface).amin(dim=1).view(2, -1).amin(dim=0)
@@ -114,18 +114,18 @@ def copied_losses(
 
 
 def our_losses(poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, settings: LossSettings) -> Tensor:
-    """The same as the library computes it."""
+    """Computes the same sum by the library."""
     collision = object_object_loss(poses, batch, geometry, colliding_pairs(poses, batch, geometry))
     return settings.sdf_weight * collision + settings.support_weight * support_loss(poses, batch, geometry, settings)
 
 
 def all_pairs(poses: Tensor, batch: LayoutBatch) -> ObjectPairs:
-    """Every pair of every scene."""
+    """Returns every pair of every scene."""
     return near_pairs(poses, torch.full_like(batch.sizes, 1e3), batch.mask)
 
 
 def with_cubes(geometry: ShapeTensors, num_nodes: int = NUM_NODES) -> ShapeTensors:
-    """The same shapes on grids of one number of nodes along each axis."""
+    """Returns the same shapes on grids of the same number of nodes along each axis."""
     atlas = geometry.atlas
     low, high = atlas.box(torch.arange(len(atlas)))
     spacing = (high - low).amax(dim=1) / (num_nodes - 1)
@@ -140,7 +140,7 @@ def with_cubes(geometry: ShapeTensors, num_nodes: int = NUM_NODES) -> ShapeTenso
 
 
 def read_batch(run: str, dataset: MesaTaskDataset, num_scenes: int) -> tuple[LayoutBatch, ShapeTensors]:
-    """Scenes of a run, spread evenly over it and shaken, repeated until there are so many."""
+    """Returns scenes of a run, spread evenly over it and perturbed; repeated if the run has fewer."""
     scenes = TableDataset(run)
     chosen = [scenes[k * len(scenes) // num_scenes] for k in range(num_scenes)]
     used = {o.asset_id for scene in chosen for o in scene.objects}
@@ -153,7 +153,7 @@ def read_batch(run: str, dataset: MesaTaskDataset, num_scenes: int) -> tuple[Lay
 
 
 def measure(step: Callable[[Tensor], Tensor], poses: Tensor, repeats: int) -> tuple[float, float]:
-    """Seconds of a step with its gradients, the median, and the mebibytes that it takes at most."""
+    """Measures the median seconds of a step with its gradients, and its peak memory in mebibytes."""
     seconds = []
     is_cuda = poses.is_cuda
     before = _reset_peak(is_cuda)
@@ -168,7 +168,7 @@ def measure(step: Callable[[Tensor], Tensor], poses: Tensor, repeats: int) -> tu
 
 
 def run(batch: LayoutBatch, geometry: ShapeTensors, repeats: int) -> list[LossFigure]:
-    """Every way of taking a step, the one to beat first."""
+    """Measures every way of computing a step, the reference first."""
     settings, cubes = LossSettings(), with_cubes(geometry).to(batch.mask.device)
     geometry = geometry.to(batch.mask.device)
     every, near = all_pairs(batch.poses, batch), colliding_pairs(batch.poses, batch, geometry)
@@ -201,24 +201,24 @@ def run(batch: LayoutBatch, geometry: ShapeTensors, repeats: int) -> list[LossFi
     return figures
 
 
-def _turned(yaw: Tensor) -> Tensor:
-    """Rotations about z, (E, 3, 3)."""
+def _rotation_about_z(yaw: Tensor) -> Tensor:
+    """Returns rotations about z, (E, 3, 3)."""
     c, s, zero, one = yaw.cos(), yaw.sin(), torch.zeros_like(yaw), torch.ones_like(yaw)
     return torch.stack([c, -s, zero, s, c, zero, zero, zero, one], dim=-1).view(-1, 3, 3)
 
 
 def _reset_peak(is_cuda: bool) -> int:
-    """Forgets the peak of memory so far, and says how many bytes are taken now."""
+    """Resets the peak of memory, and returns the number of bytes in use."""
     if is_cuda:
         torch.cuda.reset_peak_memory_stats()
         return torch.cuda.memory_allocated()
-    ctypes.CDLL(None).malloc_trim(0)  # what was freed before would else be taken again unseen
+    ctypes.CDLL(None).malloc_trim(0)  # else a step could use memory that was freed before, and the peak would not show it
     Path("/proc/self/clear_refs").write_text("5")
     return _peak(is_cuda)
 
 
 def _peak(is_cuda: bool) -> int:
-    """The largest number of bytes taken since the peak was reset."""
+    """Returns the largest number of bytes in use since the peak was reset."""
     if is_cuda:
         return torch.cuda.max_memory_allocated()
     lines = Path("/proc/self/status").read_text("utf-8").splitlines()
@@ -226,12 +226,12 @@ def _peak(is_cuda: bool) -> int:
 
 
 def main() -> None:
-    """The command."""
+    """Prints the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", help="a run folder")
-    parser.add_argument("dataset", type=Path, help="the folder that it was preprocessed from")
-    parser.add_argument("--json", type=Path, help="where to keep the figures")
-    parser.add_argument("--batch", type=int, default=16, help="scenes in a step")
+    parser.add_argument("dataset", type=Path, help="the folder from which it was preprocessed")
+    parser.add_argument("--json", type=Path, help="file for the figures")
+    parser.add_argument("--batch", type=int, default=16, help="scenes of a step")
     parser.add_argument("--repeats", type=int, default=5, help="steps that are timed")
     parser.add_argument("--device", default="cpu")
     arguments = parser.parse_args()

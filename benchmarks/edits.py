@@ -1,12 +1,12 @@
-"""How well the reasoner does edits: ``python -m benchmarks.edits RUN [--engine embedded] [--split test] [--edits N] [--json FILE]``.
+"""The quality of the reasoner's edits: ``python -m benchmarks.edits RUN [--engine embedded] [--split test] [--edits N] [--json FILE]``.
 
-RUN is a preprocess run; where it has no table ``edits``, edits are drafted as ``stable-data draft-edits`` does, which it can
-for scenes of the embedded world alone. Each edit's instruction and layout are asked for; what
-comes back is held against the edit as it was drafted:
+RUN is a preprocess run. If it has no table ``edits``, edits are drafted as by ``stable-data draft-edits``, which is possible only
+for scenes of the embedded world. The reasoner gets each edit's instruction and layout; its answer is compared with the drafted
+edit:
 
 - answered: an answer passed the checks;
-- right: the same instances go, the same ones change, and what is new is of the same categories;
-- kept: nothing goes or changes that the drafted edit leaves alone.
+- right: the same instances are removed, the same ones change, and new objects have the same categories;
+- kept: no object is removed or changed that the drafted edit leaves unchanged.
 """
 
 import json
@@ -30,7 +30,7 @@ from stable_data.storage.schemas import Row
 
 
 def held_out_edits(run: str, split: str, most: int) -> list[Row]:
-    """Edits of a split, the first ones by name; the same ones each time."""
+    """Returns the first edits of a split by name, the same ones each time."""
     if not RunFolder(run).files("edits"):
         with TemporaryDirectory() as folder:
             drafted = RunFolder(folder)
@@ -43,14 +43,14 @@ def held_out_edits(run: str, split: str, most: int) -> list[Row]:
 
 
 def what_it_does(layout: Sequence[LayoutObject], reply: LayoutReply) -> tuple[set[str], set[str], Counter[str]]:
-    """Instances that go, instances that change, and the categories of what is new; what is repeated as it is does not change."""
+    """Returns the removed instances, the changed instances, and the categories of new objects with their counts."""
     there = {o.instance: o for o in layout}
     changed = {o.instance for o in reply.objects if o.instance in there and o != there[o.instance]}
     return set(reply.removed), changed, Counter(o.category for o in reply.objects if o.instance not in there)
 
 
 def verdict(example: TrainingExample, reply: LayoutReply | None) -> dict[str, bool]:
-    """How an answer compares with the edit."""
+    """Compares an answer with the edit."""
     layout = example.question.layout
     gone, changed, new = what_it_does(layout, LayoutReply(example.objects, example.removed or ()))
     if reply is None:
@@ -63,13 +63,13 @@ def main(
     run: Annotated[str, typer.Argument(help="Folder of a preprocess run.")],
     engine: Annotated[str, typer.Option(help="Which engine; see models/semantic_reasoner/engines/registry.py.")] = "embedded",
     split: Annotated[str, typer.Option(help="Which split.")] = "test",
-    edits: Annotated[int, typer.Option(help="How many at most.")] = 500,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Where the figures go.")] = None,
+    edits: Annotated[int, typer.Option(help="Largest number of edits.")] = 500,
+    json_file: Annotated[Path | None, typer.Option("--json", help="File for the figures.")] = None,
 ) -> None:
-    """Prints a line a kind of edit."""
+    """Prints a line for each kind of edit."""
     rows = held_out_edits(run, split, edits)
     if not rows:
-        print(f"{run}: nothing to measure, no edit of the split {split} is there or can be drafted")
+        print(f"{run}: no edits of the split {split}, expected some; only scenes of the embedded world can be drafted")
         return
     examples = [edit_example_of(row) for row in rows]
     reasoner, _ = load_reasoner(EngineSettings(engine), ReasonerSettings())

@@ -1,7 +1,7 @@
-"""How fast the environment is: ``python -m benchmarks.env RUN [--scenes 12] [--steps 100] [--json FILE]``.
+"""The speed of the environment: ``python -m benchmarks.env RUN [--scenes 12] [--steps 100] [--json FILE]``.
 
-The hand makes the same random steps in each of the first scenes: with poses alone, and with two pictures of 128 x 128. Beside
-it MuJoCo alone makes as many steps of the same scene at rest. Run with ``OMP_NUM_THREADS=1``.
+The hand makes the same random steps in each of the first scenes: with poses alone, and with two pictures of 128 x 128. For
+comparison MuJoCo alone makes as many steps of the same scene at rest. Run with ``OMP_NUM_THREADS=1``.
 """
 
 import argparse
@@ -26,12 +26,12 @@ _SIZE = (128, 128)
 
 @dataclass(frozen=True, slots=True)
 class EnvFigure:
-    """One way to step.
+    """The speed of one way to step.
 
     Attributes:
-        way: Which.
-        steps_per_second: Of ``STEP_SECONDS`` each, over all scenes.
-        of_mujoco: The same as a share of what MuJoCo alone makes.
+        way: Name of the way.
+        steps_per_second: Steps of ``STEP_SECONDS`` each, over all scenes.
+        of_mujoco: The same as a share of the steps of MuJoCo alone.
     """
 
     way: str
@@ -40,7 +40,7 @@ class EnvFigure:
 
 
 def measure(run: str, num_scenes: int, num_steps: int) -> tuple[list[EnvFigure], float, float]:
-    """The figures, the mean number of objects, and the seconds that making one environment takes."""
+    """Measures the figures, the mean number of objects, and the seconds for the construction of one environment."""
     scenes = RunScenes(RunFolder(run), SceneSelection(limit=num_scenes))
     solids = [scenes.solid(scene) for scene in scenes]
     actions = np.random.default_rng(0).uniform(-1, 1, (num_steps, 3)).astype(np.float32)
@@ -58,7 +58,7 @@ def measure(run: str, num_scenes: int, num_steps: int) -> tuple[list[EnvFigure],
 
 
 def _seconds(env: TabletopEnv, actions: npt.NDArray[np.float32]) -> float:
-    """For an episode, after its reset."""
+    """Measures the seconds of an episode, after its reset."""
     env.reset(seed=0)
     start = time.perf_counter()
     for action in actions:
@@ -69,7 +69,7 @@ def _seconds(env: TabletopEnv, actions: npt.NDArray[np.float32]) -> float:
 
 
 def _mujoco_seconds(solid: SceneGeometry, num_steps: int) -> float:
-    """For as many steps of the same scene, which no hand disturbs."""
+    """Measures the seconds of MuJoCo alone for as many steps of the same scene, without the hand."""
     model = compile_spec(engine_spec(solid, _SIZE))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key(HOME).id)
@@ -79,18 +79,18 @@ def _mujoco_seconds(solid: SceneGeometry, num_steps: int) -> float:
 
 
 def main() -> None:
-    """The command."""
+    """Prints the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", help="a run folder")
-    parser.add_argument("--scenes", type=int, default=12, help="how many")
-    parser.add_argument("--steps", type=int, default=100, help="of each")
-    parser.add_argument("--json", type=Path, help="where to keep the figures")
+    parser.add_argument("--scenes", type=int, default=12, help="number of scenes")
+    parser.add_argument("--steps", type=int, default=100, help="steps of each")
+    parser.add_argument("--json", type=Path, help="file for the figures")
     arguments = parser.parse_args()
     figures, num_objects, making = measure(arguments.run, arguments.scenes, arguments.steps)
     print(f"{'way':22} {'steps/s':>8} {'of MuJoCo':>10}")
     for f in figures:
         print(f"{f.way:22} {f.steps_per_second:8.1f} {f.of_mujoco:10.2f}")
-    print(f"{num_objects:.1f} objects a scene; {making:.2f} s to make an environment")
+    print(f"{num_objects:.1f} objects a scene; {making:.2f} s to construct an environment")
     if arguments.json:
         content = {"ways": [asdict(f) for f in figures], "num_objects": num_objects, "making_seconds": making}
         arguments.json.write_text(json.dumps(content, indent=1) + "\n", "utf-8")

@@ -1,8 +1,8 @@
-"""Exports of a run: how fast each format is written, and whether MuJoCo alone leaves the scenes where they are.
+"""Exports of a run: the speed of each format, and whether the scenes stay at rest in MuJoCo alone.
 
 ``python -m benchmarks.export RUN [--scenes N] [--json FILE]``. The MJCF files are opened in a process that imports mujoco and
-numpy and nothing of ours. A scene is at rest by DESIGN section 7: in 4 s nothing moved more than 10 mm or turned more than 5
-degrees. Run with ``OMP_NUM_THREADS=1``.
+numpy and nothing of stable-data. A scene is at rest if in 4 s no object moves more than 10 mm or turns more than 5 degrees
+(DESIGN section 7). Run with ``OMP_NUM_THREADS=1``.
 """
 
 import argparse
@@ -47,20 +47,20 @@ for path in map(str.strip, sys.stdin):
         print(json.dumps([False, None, None]), flush=True)
 assert not any(name.startswith("stable_data") for name in sys.modules)
 """
-"""Reads paths of MJCF files, and says of each: it loads, the farthest move in millimetres, the largest turn in degrees."""
+"""A program that reads paths of MJCF files and prints for each: whether it loads, the largest move, mm, and turn, degrees."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExportFigure:
-    """One format.
+    """The figures of one format.
 
     Attributes:
         format: Its name.
         num_scenes: Scenes that were written.
-        num_failed: Scenes that could not be.
-        seconds: For them, all their meshes included.
-        scenes_per_second: Of those written.
-        megabytes: Of the folder.
+        num_failed: Scenes that could not be written.
+        seconds: Time for all scenes with their meshes.
+        scenes_per_second: Written scenes a second.
+        megabytes: Size of the folder.
     """
 
     format: str
@@ -83,7 +83,7 @@ def written(run: RunFolder, out: Path, name: str, choice: SceneSelection) -> Exp
 
 
 def at_rest(run: RunFolder, out: Path, choice: SceneSelection) -> dict[str, Any]:
-    """What MuJoCo alone makes of the MJCF files, beside the verdict of this library on the same scenes."""
+    """Compares the verdicts of MuJoCo alone on the MJCF files with those of this library on the same scenes."""
     scenes = RunScenes(run, choice)
     known = [(FORMATS["mjcf"].scene_path(scene, out), scene) for scene in scenes]
     known = [(path, scene) for path, scene in known if path.exists()]
@@ -107,11 +107,11 @@ def at_rest(run: RunFolder, out: Path, choice: SceneSelection) -> dict[str, Any]
 
 
 def main() -> None:
-    """The command."""
+    """Prints the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", help="a run folder")
-    parser.add_argument("--scenes", type=int, default=100, help="how many")
-    parser.add_argument("--json", type=Path, help="where to keep the figures")
+    parser.add_argument("--scenes", type=int, default=100, help="number of scenes")
+    parser.add_argument("--json", type=Path, help="file for the figures")
     arguments = parser.parse_args()
     run, choice = RunFolder(arguments.run), SceneSelection(limit=arguments.scenes)
     with tempfile.TemporaryDirectory() as folder:

@@ -1,17 +1,16 @@
-"""What the learned flow adds to `certify`: both against `certify` alone, on the same layouts.
+"""The gain of the learned flow before `certify`: both against `certify` alone, on the same layouts.
 
 ``python -m benchmarks.flow_gain RUN [DATASET] [--layouts FILE] [--weights FILE ...] [--scenes N] [--json FILE]``. RUN is the
-folder of a preprocess run: clean scenes of its split ``validation`` (where they are too few, of others than ``train``) are made
-coarse in every way that training knows. DATASET is a folder in the MesaTask-10K format, whose meshes a file of start layouts
-names; without a file its own scenes are shaken. Every method sees the scene graph that the layout itself shows.
+folder of a preprocess run: clean scenes of its split ``validation`` (if too few, then also of other splits except ``train``) are
+made coarse by every perturbation of the training. DATASET is a folder in the MesaTask-10K format with the meshes of a file of
+start layouts; without a file its own scenes are perturbed. Every method gets the scene graph that is inferred from the layout.
 
-- clean: layouts made exactly clean, of all; drop: objects left out to get there;
-- move, turn: how far objects were moved from the layout and turned, mean over objects, then over layouts, millimetres and
-degrees;
+- clean: layouts that become exactly clean, of all; drop: dropped objects;
+- move, turn: movement and rotation of objects from the layout, mean over objects, then over layouts, millimetres and degrees;
 - farthest: the largest move of a layout, mean over layouts;
-- on/in, dir: relations to other objects that held before and still hold, of those that held, over all layouts;
-- flow, certify: milliseconds a layout of one core, mean. The flow takes them together, as the pipeline does; the features of
-  shapes, which are computed once each, are left out.
+- on/in, dir: relations to other objects that still hold, of those that held before, over all layouts;
+- flow, certify: milliseconds a layout on one core, mean. The flow processes all layouts together, as the pipeline does; the
+  features of shapes, which are computed once each, are not counted.
 
 Run with ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``.
 """
@@ -31,6 +30,7 @@ import typer
 from tqdm import tqdm
 
 from benchmarks.correction import chosen_layouts
+from benchmarks.text_table import align_columns
 from models.physics_corrector.certify import CorrectionStatus
 from models.physics_corrector.certify.flow_start import certify_moved
 from models.physics_corrector.corrector import Flow
@@ -58,7 +58,7 @@ class CoarseLayout:
 
     Attributes:
         group: Its kind of perturbation, or its bucket.
-        scene: The layout, with the supports that it shows.
+        scene: The layout, with inferred supports.
         shapes: The geometry of its objects.
     """
 
@@ -69,19 +69,19 @@ class CoarseLayout:
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """One layout as one method left it.
+    """The result of one method on one layout.
 
     Attributes:
-        method: The method.
+        method: Name of the method.
         group: The layout's group.
         layout: Its name.
-        num_objects: Objects.
-        status: How it came out.
-        num_dropped: Objects that were left out.
-        move_mean_mm: How far objects were moved; None where infeasible.
-        move_max_mm: The farthest, likewise.
-        turn_mean_deg: How far they were turned, likewise.
-        kept: Relations before and after, likewise.
+        num_objects: Number of objects.
+        status: The outcome.
+        num_dropped: Dropped objects.
+        move_mean_mm: Mean movement of objects; None if infeasible.
+        move_max_mm: Largest movement; None if infeasible.
+        turn_mean_deg: Mean rotation of objects; None if infeasible.
+        kept: Relations before and after; None if infeasible.
         flow_seconds: Processor time of the flow, its share of a batch.
         certify_seconds: Processor time of `certify`.
     """
@@ -101,14 +101,14 @@ class Gain:
 
 
 def shown(group: str, scene: Scene, shapes: Sequence[Shape]) -> CoarseLayout:
-    """A layout that knows of its scene graph what it shows, and nothing of what was meant."""
+    """Returns a layout with supports inferred from its poses, and without the relations of its source."""
     posed = PosedScene(replace(scene, relations=()), shapes)
     seen = relate_scene(posed, audit_posed_scene(posed), {}).scene
     return CoarseLayout(group, replace(seen, relations=()), shapes)
 
 
 def held_out(source: TrainingScenes, num_scenes: int) -> list[Scene]:
-    """Clean scenes of a run that were not trained on, those of ``validation`` first."""
+    """Returns clean scenes of a run that are not in the training split, those of ``validation`` first."""
     scenes, splits, _ = clean_targets(source.uri)
     chosen = [scene for split in (1, 2) for scene, own in zip(scenes, splits, strict=True) if own == split]
     return chosen[:num_scenes]
@@ -117,13 +117,13 @@ def held_out(source: TrainingScenes, num_scenes: int) -> list[Scene]:
 def perturbed(
     scenes: Sequence[Scene], store: AssetStore, settings: PerturbationSettings, seed: int = 0
 ) -> Iterator[CoarseLayout]:
-    """Every scene made coarse in every way.
+    """Makes every scene coarse by every kind of perturbation.
 
     Args:
         scenes: Clean scenes.
         store: Their meshes.
-        settings: How large the errors are.
-        seed: Of the errors; the kinds have streams of their own.
+        settings: Sizes of the errors.
+        seed: Seed of the errors; each kind has its own random stream.
 
     Yields:
         The layouts, kind by kind.
@@ -139,20 +139,20 @@ def perturbed(
 
 
 def compared(layouts: Sequence[CoarseLayout], flows: Mapping[str, Flow]) -> list[Gain]:
-    """`certify` alone, and after each flow.
+    """Runs `certify` alone, and after each flow.
 
     Args:
         layouts: The layouts.
-        flows: By the name of the method.
+        flows: Name of the method -> flow.
 
     Returns:
-        Figures of every layout and method. Who comes first changes from layout to layout: the first one fills caches.
+        Figures of every layout and method. The order of methods changes from layout to layout, because the first one fills caches.
     """
     raws: dict[str, Sequence[Scene | None]] = {ALONE: [None] * len(layouts)}
     seconds = {ALONE: 0.0}
     for name, flow in flows.items():
         asked = [c.scene for c in layouts], [c.shapes for c in layouts], [frozenset[str]()] * len(layouts)
-        flow(*asked)  # computes the features of shapes, which are kept
+        flow(*asked)  # computes the features of shapes, which are cached
         begin = time.process_time()
         raws[name] = flow(*asked)
         seconds[name] = (time.process_time() - begin) / len(layouts)
@@ -192,7 +192,7 @@ def _gain(method: str, coarse: CoarseLayout, raw: Scene | None, flow_seconds: fl
 
 
 def table(gains: Sequence[Gain]) -> str:
-    """The figures by group and method."""
+    """Returns a table of the figures by group and method."""
     rows: list[Sequence[str]] = [
         ("group", "method", "clean", "drop", "move mm", "farthest", "turn deg", "on/in", "dir", "flow ms", "certify ms")
     ]
@@ -202,11 +202,7 @@ def table(gains: Sequence[Gain]) -> str:
             _row(group, method, [g for g in gains if g.method == method and group in (g.group, "all")])
             for method in sorted(methods, key=lambda name: name != ALONE)
         ]
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(cell.rjust(w) if k > 1 else cell.ljust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True)))
-        for row in rows
-    )
+    return align_columns(rows, 2)
 
 
 def _row(group: str, method: str, gains: Sequence[Gain]) -> Sequence[str]:
@@ -235,14 +231,16 @@ def _row(group: str, method: str, gains: Sequence[Gain]) -> Sequence[str]:
 def main(
     run: Annotated[Path, typer.Argument(help="Folder of a preprocess run.")],
     dataset: Annotated[Path | None, typer.Argument(help="Folder in the MesaTask-10K format: meshes of start layouts.")] = None,
-    layouts: Annotated[Path | None, typer.Option(help="File of start layouts over them; else its scenes are shaken.")] = None,
-    weights: Annotated[list[str] | None, typer.Option(help="Of flows; by default those of the repository.")] = None,
+    layouts: Annotated[
+        Path | None, typer.Option(help="File of start layouts with them; without it, its scenes are perturbed.")
+    ] = None,
+    weights: Annotated[list[str] | None, typer.Option(help="Weights of flows; by default those of the repository.")] = None,
     scenes: Annotated[int, typer.Option(help="Held-out scenes of the run.")] = 40,
     per_bucket: Annotated[int, typer.Option(help="Start layouts of each bucket.")] = 6,
-    seed: Annotated[int, typer.Option(help="Of the errors.")] = 0,
-    file: Annotated[Path | None, typer.Option("--json", help="Where the figures are written.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the errors.")] = 0,
+    file: Annotated[Path | None, typer.Option("--json", help="File for the figures.")] = None,
 ) -> None:
-    """Compares `certify` alone with the flow before it."""
+    """Compares `certify` alone with `certify` after the flow."""
     torch.set_num_threads(1)
     try:
         flows = {f"flow {name} + certify": flow for name in weights or [AUTO] if (flow := load_flow(name)) is not None}

@@ -1,14 +1,13 @@
-"""How mass generation does on what it was not made for: other tables, other assets, instructions that contradict themselves.
+"""Mass generation outside its usual domain: other tables, other assets, instructions that contradict themselves.
 
 ``python -m benchmarks.generalisation DATA [--scenes 100] [--workers 2] [--json FILE]``: DATA is a dataset in the MesaTask-10K
-format, best of real meshes. Nothing is left out of the figures because it was not accepted.
+format, preferably of real meshes. The figures include scenes that would not be accepted.
 
-- usual tables: drawn tasks of the embedded world's kinds of table, which the networks were trained on, beside
-- unseen tables: of kinds that no training has met, and
-- other assets: of the usual kinds, furnished from DATA's library first, from the embedded one where it has nothing that fits;
-- contradictory: the instructions of contradictory.jsonl, of which physics lets 8 of 20 be as they say. A claim is followed
-where the
-  finished scene holds it; where it does not, a warning or a failure has to say so, else it is silent.
+- usual tables: sampled tasks on the embedded world's kinds of table, on which the networks were trained;
+- unseen tables: tasks on kinds of table that no training has seen;
+- other assets: tasks on the usual kinds, with assets from DATA's library first, then from the embedded one;
+- contradictory: the instructions of contradictory.jsonl, of which 8 of 20 are physically possible. A claim is followed if the
+  finished scene holds it; otherwise a warning or a failure must report it, or the scene counts as silent.
 """
 
 import argparse
@@ -34,10 +33,10 @@ from stable_data.storage.schemas import scene_from_row
 CASES = Path(__file__).with_name("contradictory.jsonl")
 
 OF_CLAIMS, OF_THINGS = frozenset({"relation_not_held", "not_as_said"}), frozenset({"asset_unmatched", "required_missing"})
-"""Codes of notices that say of claims and of things that they are not as they were asked for."""
+"""Codes of notices which report that a claim, or an object, is not as requested."""
 
 UNUSABLE = "reply_unusable"
-"""Code of the failure that nothing proposed is as it was asked for."""
+"""Code of the failure that no proposal could be used."""
 
 _MEASURES = ("clean", "stable", "awt", "aws", "num_objects", "num_stacked", "num_contained")
 _HEAD = ("clean %", "rest %", "AwT %", "AwS %", "objects", "on others", "in others")
@@ -45,20 +44,20 @@ _HEAD = ("clean %", "rest %", "AwT %", "AwS %", "objects", "on others", "in othe
 
 @contextmanager
 def made(tasks: TaskSource, assets: Sequence[str], workers: WorkerPool) -> Iterator[RunFolder]:
-    """A run that keeps whatever was made, gone afterwards."""
+    """Generates a temporary run that accepts every scene."""
     with tempfile.TemporaryDirectory(prefix="stable-data-") as out:
         generate(tasks, out, GenerateSettings(accept="", num_pictures=0), workers, assets, report=False)
         yield RunFolder(out)
 
 
 def figures(tasks: TaskSource, assets: Sequence[str], workers: WorkerPool, own: frozenset[str] = frozenset()) -> dict[str, Any]:
-    """Means of what is made of tasks.
+    """Generates scenes for tasks, and returns the means of their figures.
 
     Args:
         tasks: The tasks.
-        assets: Where assets are taken from.
-        workers: Who does the work.
-        own: Assets of which the share among the objects is told.
+        assets: The asset libraries to search, in order.
+        workers: The workers.
+        own: Assets whose share among the objects is measured.
     """
     with made(tasks, assets, workers) as run:
         used = [o["asset_id"] for row in run.table("scenes", ["objects"]).to_pylist() for o in row["objects"]]
@@ -68,17 +67,16 @@ def figures(tasks: TaskSource, assets: Sequence[str], workers: WorkerPool, own: 
 
 
 def outcome(case: Mapping[str, Any], scene: Scene | None, notices: Sequence[tuple[str, str]]) -> dict[str, Any]:
-    """What became of an instruction that contradicts itself.
+    """Compares the result of a contradictory instruction with its claims.
 
     Args:
         case: A line of contradictory.jsonl.
-        scene: The finished scene with its relations; None where there is none.
-        notices: Codes and messages of the warnings and failures about it; they count where they name what is not as it was
-            asked for.
+        scene: The finished scene with its relations; None without one.
+        notices: Codes and messages of its warnings and failures; one counts if it names what is not as requested.
     """
     category = {} if scene is None else {o.instance: o.category for o in scene.objects}
     relations = frozenset[Relation]() if scene is None else frozenset(scene.relations)
-    held = [_is_so(relations, category, *claim) for claim in case["claims"]]
+    held = [_relation_holds(relations, category, *claim) for claim in case["claims"]]
     broken = [claim for claim, is_held in zip(case["claims"], held, strict=True) if not is_held]
     missing = [name for name in case["objects"] if name not in category.values()]
 
@@ -99,14 +97,14 @@ def outcome(case: Mapping[str, Any], scene: Scene | None, notices: Sequence[tupl
     }
 
 
-def _is_so(relations: Set[Relation], category: Mapping[str, str], one: str, kind: str, other: str) -> bool:
-    """Is any thing of one category so to any of another? What is in a thing is on it too."""
+def _relation_holds(relations: Set[Relation], category: Mapping[str, str], one: str, kind: str, other: str) -> bool:
+    """Whether a relation holds between any objects of two categories; ``in`` also counts as ``on``."""
     kinds = {kind, "in"} if kind == "on" else {kind}
     return any(str(r.kind) in kinds and category.get(r.subject) == one and category.get(r.target) == other for r in relations)
 
 
 def contradictory(num_cases: int, workers: WorkerPool) -> list[dict[str, Any]]:
-    """What becomes of each instruction that contradicts itself."""
+    """Generates scenes for the contradictory instructions, and compares each with its claims."""
     cases = [json.loads(line) for line in CASES.read_text("utf-8").splitlines()][:num_cases]
     with tempfile.TemporaryDirectory(prefix="stable-data-") as folder:
         file = Path(folder) / "tasks.jsonl"
@@ -123,7 +121,7 @@ def contradictory(num_cases: int, workers: WorkerPool) -> list[dict[str, Any]]:
 
 
 def measure(data: str, num_scenes: int, num_cases: int, workers: WorkerPool) -> dict[str, Any]:
-    """All figures."""
+    """Measures all figures."""
     usual, unseen = (sample_tasks(num_scenes, 1, list(kinds)) for kinds in (TABLES, UNSEEN_TABLES))
     own = frozenset(asset.asset_id for asset in library_of_folder(Path(data), "own").assets)
     return {
@@ -135,7 +133,7 @@ def measure(data: str, num_scenes: int, num_cases: int, workers: WorkerPool) -> 
 
 
 def show(found: dict[str, Any]) -> Iterable[str]:
-    """The figures as tables."""
+    """Yields the lines of tables of the figures."""
     yield f"{'':16}{'made':>10}" + "".join(f"{head:>11}" for head in _HEAD) + f"{'own assets %':>14}"
     for name, one in found.items():
         if name != "contradictory":
@@ -143,25 +141,25 @@ def show(found: dict[str, Any]) -> Iterable[str]:
             shown = "".join(f"{v:>11}" for v in values)
             yield f"{name:16}{one['made']:>5}/{one['tasks']:<4}{shown}"
     yield ""
-    yield f"{'made':6}{'things':>8}{'claims':>8}  {'':12}instruction; what was said"
+    yield f"{'made':6}{'objects':>8}{'claims':>8}  {'':12}instruction; reported codes"
     for one in found["contradictory"]:
-        things, claims = (f"{one[a]}/{one[b]}" for a, b in (("objects_there", "objects_named"), ("claims_held", "claims")))
+        objects, claims = (f"{one[a]}/{one[b]}" for a, b in (("objects_there", "objects_named"), ("claims_held", "claims")))
         can = "possible" if one["possible"] else "impossible"
         said = f"; {', '.join(one['said'])}" if one["said"] else ""
-        yield f"{'yes' if one['made'] else 'no':6}{things:>8}{claims:>8}  {can:12}{one['instruction']}{said}"
+        yield f"{'yes' if one['made'] else 'no':6}{objects:>8}{claims:>8}  {can:12}{one['instruction']}{said}"
     possible = [one for one in found["contradictory"] if one["possible"]]
     followed = sum(one["claims_held"] == one["claims"] for one in possible)
-    yield f"followed where physics lets: {followed} of {len(possible)}"
+    yield f"followed, of the physically possible: {followed} of {len(possible)}"
     broken = [one for one in found["contradictory"] if one["claims_held"] < one["claims"]]
-    yield f"not followed: {len(broken)}, of these said: {sum(bool(one['said']) for one in broken)}"
+    yield f"not followed: {len(broken)}, of these reported: {sum(bool(one['said']) for one in broken)}"
 
 
 def main() -> None:
     """Prints the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("data", help="a dataset in the MesaTask-10K format, whose library serves first")
-    parser.add_argument("--scenes", type=int, default=100, help="of each kind")
-    parser.add_argument("--cases", type=int, default=20, help="contradictory instructions")
+    parser.add_argument("data", help="a dataset in the MesaTask-10K format, whose library is searched first")
+    parser.add_argument("--scenes", type=int, default=100, help="scenes of each kind")
+    parser.add_argument("--cases", type=int, default=20, help="number of contradictory instructions")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()

@@ -1,27 +1,23 @@
-"""What a generated scene takes: end to end, by step, against serial alternation, and what the driver of a cluster has to do.
+"""The cost of a generated scene: end to end, by step, against serial alternation, and on the driver of a cluster.
 
 ``python -m benchmarks.generation [--scenes 128] [--serial-scenes 24] [--scripted 100 1000] [--weights auto] [--json FILE]``
 
-Every run is the command ``python -m pipelines generate`` in processes of its own, on tasks that were drawn before. Its time is
-that of its shards, with the start of Ray and of its workers, which opens models and libraries; assets are cut up and words
-encoded once a process, so more scenes are faster.
+Every run is the command ``python -m pipelines generate`` in its own processes, on tasks that were sampled before. Its time is
+that of its shards, with the start of Ray and of its workers, which load models and libraries. Assets are decomposed and words
+encoded once a process, so a run with more scenes is faster a scene.
 
-- pipelined: two workers, a quarter of the scenes (up to 128) side by side in each, those that are corrected while others are
-  proposed.
+- pipelined: two workers, each with a quarter of the scenes (up to 128) in parallel: some are corrected while others are proposed.
 - serial: Algorithm 1 with M = 1, one scene after the other in one process, with as many threads as the machine has cores and
-with
-  one; the faster of both is compared with.
-- in process, and on Ray with one worker: the same shards on one core; what Ray costs.
-- two plain processes: half of the same tasks each, without Ray; what two workers lose.
-- scripted: a reasoner that answers at once, tables of three things: what memory grows with, and what the driver and Ray's
-object store
-  spend.
-- elsewhere: the same reasoner behind an endpoint, one batch of up to 64 at a time and some seconds each, as a GPU that the
-workers
-  share would take; asked by the worker itself, which waits, and by an engine beside it, so that it corrects another shard
-  meanwhile.
+  with one; the comparison uses the faster of both.
+- in process, and on Ray with one worker: the same shards on one core: the overhead of Ray.
+- two plain processes: half of the same tasks each, without Ray: the loss of two workers.
+- scripted: a reasoner that answers at once, tables of three objects: the growth of memory, and the cost of the driver and of
+  Ray's object store.
+- elsewhere: the same reasoner behind an endpoint that answers one batch of up to 64 at a time, some seconds each, like a GPU
+  shared by the workers; called by the worker itself, which waits, and by an engine beside it, so that the worker corrects
+  another shard meanwhile.
 
-Each figure is printed, and written, when it is there.
+Each figure is printed and written as soon as it is measured.
 """
 
 import argparse
@@ -64,13 +60,13 @@ _SHARDS_OF_A_MILLION = 7_813
 
 @dataclass(frozen=True, slots=True)
 class GenerationRun:
-    """How a run went.
+    """The figures of a run.
 
     Attributes:
-        scenes: How many were asked for.
-        accepted: How many of them are accepted.
+        scenes: Number of requested scenes.
+        accepted: Number of accepted scenes.
         seconds: Wall time of all shards.
-        steps: Seconds of single processes by what they were spent on, all scenes.
+        steps: Step -> seconds of single processes, over all scenes.
     """
 
     scenes: int
@@ -85,15 +81,13 @@ class GenerationRun:
 
 
 def command(out: Path, *words: str) -> list[str]:
-    """The job's command line."""
+    """Returns the command line of the job."""
     return [sys.executable, "-m", "pipelines", "generate", "--out", str(out), *words, "--set", "num_pictures=0"]
 
 
 def run(out: Path, *words: str, threads: bool = False, cores: Set[int] | None = None) -> GenerationRun:
-    """One run of the job, on some cores or on all; its status has to be 0 or 1."""
-    environment = os.environ | ({} if threads else _ONE_CORE)
-    if threads:
-        environment = {key: value for key, value in environment.items() if key not in _ONE_CORE}
+    """Runs the job once, on some cores or on all; its status must be 0 or 1."""
+    environment = {key: value for key, value in os.environ.items() if key not in _ONE_CORE} | ({} if threads else _ONE_CORE)
     keep = None if cores is None else partial(os.sched_setaffinity, 0, cores)
     done = subprocess.run(command(out, *words), env=environment, capture_output=True, text=True, check=False, preexec_fn=keep)
     if done.returncode not in (DONE, SOME_FAILED):
@@ -102,14 +96,14 @@ def run(out: Path, *words: str, threads: bool = False, cores: Set[int] | None = 
 
 
 def checked(course: GenerationRun) -> GenerationRun:
-    """A run in which all came to something; one in which nothing does is fast."""
+    """Returns a run with at least 90 % accepted scenes; a run in which scenes fail is fast and would not be comparable."""
     if course.accepted < 0.9 * course.scenes:
-        raise SystemExit(f"{course.accepted} of {course.scenes} scenes are accepted, expected nine in ten at least")
+        raise SystemExit(f"{course.accepted} of {course.scenes} scenes are accepted, expected at least 90 %")
     return course
 
 
 def course_of(out: Path) -> GenerationRun:
-    """How a run went, by its files."""
+    """Reads the figures of a run from its files."""
     folder = RunFolder(str(out))
     manifest = json.loads((out / "manifest.json").read_text("utf-8"))
     steps: Counter[str] = Counter()
@@ -136,14 +130,14 @@ def tasks_file(path: Path, tasks: Sequence[LayoutTask]) -> Path:
 
 
 def side_by_side(place: Path, parts: Sequence[Sequence[str]]) -> float:
-    """Seconds that the slower of plain processes takes, each with its part."""
+    """Runs parts in plain processes at the same time, and returns the seconds of the slowest."""
     with ThreadPoolExecutor(len(parts)) as pool:
         done = pool.map(lambda k: run(place / f"part{k}", *parts[k]), range(len(parts)))
         return max(course.seconds for course in done)
 
 
 def scripted(folder: Path) -> Path:
-    """A script for a reasoner that puts the library's first things on every table."""
+    """Writes a script for a reasoner that puts the library's first assets on every table."""
     script = {}
     for stage, asset in zip(Stage, AssetLibraries().libraries[0].assets[1:4], strict=True):
         size = [round(12 * side / max(asset.tilts[0].extents), 1) + 0.1 for side in asset.tilts[0].extents]
@@ -155,20 +149,22 @@ def scripted(folder: Path) -> Path:
 
 
 def memory_of(place: Path, script: Path, count: int) -> dict[str, float]:
-    """Largest resident memory of a run's process, megabytes, with a reasoner that answers at once; and its seconds."""
+    """Measures the largest resident memory of a run's process, megabytes, with a reasoner that answers at once, and its seconds."""
     words = ["--count", str(count), "--workers", "0", "--engine", f"scripted:{script}", "--set", "weights=none"]
     words += ["--set", "settle=false", "--set", "accept=clean"]
     began = time.perf_counter()
     child = subprocess.Popen(command(place / f"scripted{count}", *words), env=os.environ | _ONE_CORE, stderr=subprocess.DEVNULL)
     _, status, used = os.wait4(child.pid, 0)
     if os.waitstatus_to_exitcode(status) not in (DONE, SOME_FAILED):
-        raise SystemExit(f"the scripted run of {count} ended with {os.waitstatus_to_exitcode(status)}")
+        raise SystemExit(
+            f"the scripted run of {count} ended with status {os.waitstatus_to_exitcode(status)}, expected {DONE} or {SOME_FAILED}"
+        )
     checked(course_of(place / f"scripted{count}"))
     return {"scenes": count, "megabytes": used.ru_maxrss / 1024, "seconds": time.perf_counter() - began}
 
 
 def driver_of(place: Path, script: Path, count: int) -> dict[str, float]:
-    """What a run's driver spends, with a reasoner that answers at once: :func:`driven` in a process of its own."""
+    """Measures the cost of a run's driver with a reasoner that answers at once: :func:`driven` in its own process."""
     words = ["--count", str(count), "--engine", f"scripted:{script}", "--set", "weights=none", "--set", "settle=false"]
     words += ["--set", "accept=clean", "--workers", "2"]
     done = subprocess.run(
@@ -186,17 +182,17 @@ def driver_of(place: Path, script: Path, count: int) -> dict[str, float]:
 
 
 def driven() -> None:
-    """Runs the command line that it reads, and prints what this process and Ray's object store have spent on it.
+    """Runs the command line from standard input, and prints the cost for this process and for Ray's object store.
 
-    Seconds of the processor, megabytes of largest resident memory, and megabytes that Ray reckons its objects to take, looked
-    at twice a second; those of its workers are not among them.
+    The figures: processor seconds, megabytes of the largest resident memory, and megabytes of Ray's objects by its own account,
+    read twice a second. The cost of the workers is not included.
     """
     words, end = json.loads(sys.stdin.read()), threading.Event()
     stored: list[float] = []
 
     def look() -> None:
         while not end.wait(0.5):
-            with suppress(ray.exceptions.RaySystemError, KeyError):  # Ray is not there yet, or no more
+            with suppress(ray.exceptions.RaySystemError, KeyError):  # Ray has not started yet, or has ended
                 stored.append(ray.cluster_resources()["object_store_memory"] - ray.available_resources()["object_store_memory"])
 
     threading.Thread(target=look, daemon=True).start()
@@ -208,20 +204,17 @@ def driven() -> None:
             raise
     end.set()
     if len(stored) < 2:
-        raise SystemExit("nothing is known of Ray's object store: it could hardly be looked at")
+        raise SystemExit("Ray's object store was read less than twice, expected a longer run")
     megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(
-        json.dumps(
-            {"seconds": time.process_time(), "megabytes": megabytes, "objects_mb": max(stored) / 1e6, "looks": len(stored)}
-        )
-    )
+    found = {"seconds": time.process_time(), "megabytes": megabytes, "objects_mb": max(stored) / 1e6, "looks": len(stored)}
+    print(json.dumps(found))
 
 
 class Batches:
-    """Replies of an engine in batches, each of which takes some seconds and begins when the one before has ended.
+    """Replies of an engine in batches that take some seconds each, one after the other.
 
     Attributes:
-        count: Batches so far.
+        count: Number of batches so far.
     """
 
     def __init__(self, engine: ScriptedEngine, batch_seconds: float, most: int = 64) -> None:
@@ -229,11 +222,11 @@ class Batches:
         self._lock, self._begins, self._ends, self._size, self.count = threading.Lock(), 0.0, 0.0, 0, 0
 
     def __call__(self, words: str, number: int, body: dict[str, Any]) -> Act:
-        """The reply to a request, at the end of the first batch that has a place for it."""
+        """Returns the reply to a request, at the end of the first batch that has room for it."""
         now = time.monotonic()
         with self._lock:
             if now >= self._begins or self._size == self._most:
-                self._begins = max(now + 0.25, self._ends)  # it waits a moment for others
+                self._begins = max(now + 0.25, self._ends)  # a batch waits briefly for more requests
                 self._ends, self._size, self.count = self._begins + self._batch_seconds, 0, self.count + 1
             self._size += 1
             (found,) = self._engine.complete([Request(tuple(body["messages"]), FORM, body["seed"])])
@@ -241,9 +234,9 @@ class Batches:
 
 
 def elsewhere(place: Path, script: Path, scenes: int, batch_seconds: float) -> dict[str, float]:
-    """How busy an endpoint and one core are: with the core waiting for it, and with an engine that waits in its place.
+    """Measures how busy an endpoint and one core are: if the worker waits for the endpoint, and if an engine waits instead.
 
-    The run has one core of this machine, whatever Ray reckons with.
+    The run has one core of this machine; Ray does not know this limit.
     """
     cores = {min(os.sched_getaffinity(0))}
     found: dict[str, float] = {"scenes": scenes, "seconds_a_batch": batch_seconds}
@@ -262,7 +255,7 @@ def elsewhere(place: Path, script: Path, scenes: int, batch_seconds: float) -> d
 
 
 def listing(place: Path) -> dict[str, float]:
-    """Seconds to list the shards of a million scenes."""
+    """Measures the seconds to list the shards of a million scenes."""
     folder = place / "million" / "scenes"
     folder.mkdir(parents=True)
     for number in range(_SHARDS_OF_A_MILLION):
@@ -274,12 +267,11 @@ def listing(place: Path) -> dict[str, float]:
 
 
 def figures(scenes: int, serial: int, counts: Sequence[int], weights: str) -> Iterator[tuple[str, Any]]:
-    """All figures with their names, each when it is there."""
+    """Yields all figures with their names, each as soon as it is measured."""
     with tempfile.TemporaryDirectory(prefix="stable-data-") as name:
         place, script = Path(name), scripted(Path(name))
         tasks = [task if isinstance(task, LayoutTask) else task.sample() for task in sample_tasks(scenes).tasks]
         half = -(-scenes // 2)
-
         size = min(half, GenerateSettings().of_tasks(scenes).scenes_per_shard)
 
         def words(label: str, some: Sequence[LayoutTask], workers: int, per_shard: int = size) -> list[str]:
@@ -306,7 +298,7 @@ def figures(scenes: int, serial: int, counts: Sequence[int], weights: str) -> It
 
 
 def shown(name: str, found: Any) -> str:
-    """A figure as a line."""
+    """Returns a figure as a line."""
     if isinstance(found, GenerationRun):
         steps = ", ".join(f"{step} {seconds / found.scenes:.2f}" for step, seconds in found.steps.items())
         return f"{name}: {found.accepted} of {found.scenes} accepted, {found.a_minute:.1f} a minute; seconds a scene: {steps}"
@@ -323,15 +315,15 @@ def main() -> None:
     parser.add_argument(
         "--scripted", type=int, nargs="+", default=[100, 1000], help="scenes of the runs whose memory is measured"
     )
-    parser.add_argument("--weights", default="auto", help="the corrector's")
+    parser.add_argument("--weights", default="auto", help="weights of the corrector")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    all_of_them: dict[str, Any] = {}
+    document: dict[str, Any] = {}
     for name, found in figures(arguments.scenes, arguments.serial_scenes, arguments.scripted, arguments.weights):
         print(shown(name, found), flush=True)
-        all_of_them[name] = asdict(found) | {"a_minute": found.a_minute} if isinstance(found, GenerationRun) else found
+        document[name] = asdict(found) | {"a_minute": found.a_minute} if isinstance(found, GenerationRun) else found
         if arguments.json:
-            arguments.json.write_text(json.dumps(all_of_them, indent=2) + "\n", "utf-8")
+            arguments.json.write_text(json.dumps(document, indent=2) + "\n", "utf-8")
 
 
 if __name__ == "__main__":

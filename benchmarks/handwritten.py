@@ -1,14 +1,14 @@
-"""What the Semantic Reasoner makes of instructions as people would say them: forty, written by hand.
+"""The Semantic Reasoner on instructions as people write them: forty, written by hand.
 
-``python -m benchmarks.handwritten [--engine embedded] [--cases N] [--one-shot] [--json FILE]``. The instructions and what they
-ask for are those of tests/models/semantic_reasoner/handwritten.jsonl; nothing is corrected, and objects are judged by their
-boxes.
+``python -m benchmarks.handwritten [--engine embedded] [--cases N] [--one-shot] [--json FILE]``. The instructions and their
+requirements are those of tests/models/semantic_reasoner/handwritten.jsonl. No layout is corrected, and objects are judged by
+their boxes.
 
-- right: every object that the instruction names is there, and all that it says of the start holds;
-- failed: no answer could be used, which is said;
-- fall back: a word was unknown and was read as another, which is said;
-- unknown things reported: of those that the embedded world has nothing like;
-- nonsense: a layout was accepted although an object is missing, or an unknown thing was asked for, and nothing was said of it.
+- right: every object of the instruction is present, and all its relations hold;
+- failed: no answer could be used, and this was reported;
+- fall back: an unknown word was read as another one, and this was reported;
+- unknown things reported: of the objects to which no asset of the embedded world is similar;
+- nonsense: a layout was accepted although an object is missing, or an unknown object was requested, without a report.
 
 Run with ``OMP_NUM_THREADS=1``.
 """
@@ -30,18 +30,18 @@ from stable_data.metrics.alignment import Alignment, align
 from tests.models.semantic_reasoner.handwritten import Handwritten, read_handwritten
 
 FALL_BACK, UNKNOWN = "word_read_as", ("word_unknown", "word_read_as", "language_unknown")
-MISSING = (*UNKNOWN, "required_missing")  # what is said of an object that is not there
+MISSING = (*UNKNOWN, "required_missing")  # codes that report a missing object
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What became of an instruction.
+    """The result of one instruction.
 
     Attributes:
         case: The instruction.
-        alignment: What of it is there.
-        said: Codes and messages of what the reasoner said about it.
-        failure: Why there is no layout; empty where there is one.
+        alignment: The alignment of the layout with it.
+        said: Codes and messages of the reasoner's notices.
+        failure: Why there is no layout; empty if there is one.
     """
 
     case: Handwritten
@@ -51,30 +51,30 @@ class Verdict:
 
     @property
     def is_right(self) -> bool:
-        """Is everything there as it was said?"""
+        """Whether all objects are present and all relations hold."""
         return not self.failure and not self.alignment.missing and self.alignment.broken == ()
 
     @property
     def falls_back(self) -> bool:
-        """Was a word read as another?"""
+        """Whether an unknown word was read as another one."""
         return any(code == FALL_BACK for code, _ in self.said)
 
     @property
     def reported(self) -> tuple[str, ...]:
-        """The unknown things that the reasoner said were unknown."""
-        told = " ".join(message.lower() for code, message in self.said if code in UNKNOWN)
-        return tuple(thing for thing in self.case.unknown if thing.lower() in told)
+        """The unknown objects that the reasoner reported as unknown."""
+        messages = " ".join(message.lower() for code, message in self.said if code in UNKNOWN)
+        return tuple(thing for thing in self.case.unknown if thing.lower() in messages)
 
     @property
     def is_nonsense(self) -> bool:
-        """Was a layout taken although something is missing, and nothing said?"""
+        """Whether a layout was accepted although an object is missing, without a report."""
         if self.failure:
             return False
         is_silent = not any(code in MISSING for code, _ in self.said)
         return bool(self.alignment.missing and is_silent) or len(self.reported) < len(self.case.unknown)
 
     def __str__(self) -> str:
-        """One line: what is amiss."""
+        """Returns one line with the defects."""
         status = "right" if self.is_right else "failed" if self.failure else "wrong"
         _, _, found = str(self.alignment).partition(": ")
         parts = [f"{status:6} {self.case.reference.scene_id}: {self.case.instruction}"]
@@ -85,7 +85,7 @@ class Verdict:
 
 
 def verdict_of(case: Handwritten, layout: StagedLayout) -> Verdict:
-    """How a layout does what an instruction asks for."""
+    """Compares a layout with its instruction."""
     proposals = [proposal for _, proposal in layout.proposals]
     notices = [(n.code, n.message.removeprefix(f"{n.item_id}: ")) for p in proposals for n in p.notices]
     faults = [(f.code, f.message) for p in proposals for f in p.faults]
@@ -95,7 +95,7 @@ def verdict_of(case: Handwritten, layout: StagedLayout) -> Verdict:
 
 
 def summary_of(verdicts: Sequence[Verdict]) -> dict[str, Any]:
-    """The figures."""
+    """Sums up the figures."""
     required = sum(len(v.case.reference.required) for v in verdicts)
     entailed = sum(len(v.case.reference.entailed) for v in verdicts)
     return {
@@ -118,16 +118,16 @@ def summary_of(verdicts: Sequence[Verdict]) -> dict[str, Any]:
 
 def main(
     engine: Annotated[str, typer.Option(help="Which engine; see models/semantic_reasoner/engines/registry.py.")] = "embedded",
-    base_url: Annotated[str, typer.Option(help="Of the endpoint of openai:MODEL.")] = "",
+    base_url: Annotated[str, typer.Option(help="URL of the endpoint of openai:MODEL.")] = "",
     key_variable: Annotated[str, typer.Option(help="Environment variable with its key.")] = "",
-    statistics: Annotated[str, typer.Option(help="What is known of categories, for engines without their own.")] = "",
-    one_shot: Annotated[bool, typer.Option("--one-shot", help="Ask for whole layouts at once.")] = False,
-    tries: Annotated[int, typer.Option(help="How often a question is asked at most.")] = 4,
-    seed: Annotated[int, typer.Option(help="Of the draws.")] = 0,
-    cases: Annotated[int, typer.Option(help="How many of the instructions, the first ones.")] = 40,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Where the figures go.")] = None,
+    statistics: Annotated[str, typer.Option(help="Category statistics, for engines without their own.")] = "",
+    one_shot: Annotated[bool, typer.Option("--one-shot", help="Request whole layouts at once.")] = False,
+    tries: Annotated[int, typer.Option(help="Largest number of tries of a question.")] = 4,
+    seed: Annotated[int, typer.Option(help="Seed of the sampling.")] = 0,
+    cases: Annotated[int, typer.Option(help="Number of instructions, the first ones.")] = 40,
+    json_file: Annotated[Path | None, typer.Option("--json", help="File for the figures.")] = None,
 ) -> None:
-    """Prints one line a case and a summary."""
+    """Prints one line for each case, and a summary."""
     chosen = EngineSettings(engine)
     if base_url:
         chosen = replace(chosen, http=HttpSettings(base_url, "default", key_variable))

@@ -1,10 +1,9 @@
-"""The openai engine against a server that takes its time: ``python -m benchmarks.http_engine [--requests N] [--json FILE]``.
+"""The openai engine against a slow server: ``python -m benchmarks.http_engine [--requests N] [--json FILE]``.
 
-Answers of 50 ms show what the engine itself can do, those of 500 ms what is left of a server that is as fast as a language
-model.
+Answers of 50 ms show the limit of the engine itself, answers of 500 ms its behaviour with a server as fast as a language model.
 
-The server is a process of its own on this machine; it knows of every request how often it came and was answered. Its own limit
-is what a client reaches that does nothing but write the same bytes to as many sockets and read what comes, in the same run.
+The server is a separate process on this machine; it counts how often each request arrives and is answered. Its own limit is
+measured in the same run, by a client that only writes the same bytes to as many sockets and reads the answers.
 """
 
 import argparse
@@ -28,10 +27,10 @@ from models.semantic_reasoner.text.prompt import ReasonerQuestion, messages
 from stable_data.scene import Stage, Tabletop, TaskInfo
 
 ANSWERS_S = (0.05, 0.5)
-"""What an answer takes, seconds."""
+"""Durations of an answer, seconds."""
 
 FAULTS = (b"too many", b"error", b"dropped", b"cut")
-"""What the first tries of a tenth of the requests get, each as often as the others."""
+"""The faults of the first tries of a tenth of the requests, each equally often."""
 
 _NUMBER = re.compile(rb"request (\d+) ")
 _TABLE = Tabletop("desk", (1.2, 0.6))
@@ -39,21 +38,21 @@ _TABLE = Tabletop("desk", (1.2, 0.6))
 
 @dataclass(frozen=True, slots=True)
 class EndpointFigure:
-    """One load.
+    """The figures of one load.
 
     Attributes:
-        answer_s: What an answer takes, seconds.
-        concurrency: Requests under way at once.
+        answer_s: Duration of an answer, seconds.
+        concurrency: Concurrent requests.
         faults: Share of the requests whose first try fails.
-        requests: Asked.
-        seconds: Until the last completion.
-        requests_per_second: Their quotient.
-        tries_per_second: Faults and second tries counted, too.
-        limit_per_second: The server's own limit, faults left out.
-        share: Tries a second over that limit.
-        lost: Requests without the reply that is theirs, of all rounds.
-        doubled: Requests that were answered more than once, of all rounds.
-        milliseconds_of_processor: Of the client, for a request.
+        requests: Number of requests.
+        seconds: Time until the last completion.
+        requests_per_second: Requests divided by seconds.
+        tries_per_second: The same with faults and second tries.
+        limit_per_second: The server's own limit, without faults.
+        share: Tries a second divided by that limit.
+        lost: Requests without their own reply, over all rounds.
+        doubled: Requests that were answered more than once, over all rounds.
+        milliseconds_of_processor: Processor time of the client for a request.
     """
 
     answer_s: float
@@ -74,7 +73,7 @@ class EndpointFigure:
 
 
 class Server:
-    """Answers chat completions after a while; faults come by the number of the request."""
+    """Answers chat completions after a delay; the number of a request decides whether its first try fails."""
 
     def __init__(self, faults: float, answer_s: float) -> None:
         self.answer_s = answer_s
@@ -83,11 +82,11 @@ class Server:
         self.answered: Counter[bytes] = Counter()
 
     async def talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """One connection."""
+        """Serves one connection."""
         try:
             while True:
                 head = await reader.readuntil(b"\r\n\r\n")
-                if head.startswith(b"GET"):  # how often what came; the next load begins at 0
+                if head.startswith(b"GET"):  # the counts; the next load starts at 0
                     doubled = sum(n > 1 for n in self.answered.values())
                     writer.write(_http(200, json.dumps([self.tries.total(), len(self.answered), doubled]).encode()))
                     self.tries.clear()
@@ -104,7 +103,7 @@ class Server:
         writer.close()
 
     def _answer(self, writer: asyncio.StreamWriter, number: bytes) -> bool:
-        """Writes an answer or a fault; whether the connection goes on."""
+        """Writes an answer or a fault; returns whether the connection stays open."""
         self.tries[number] += 1
         kind = int(number) % self.every if self.every and self.tries[number] == 1 else len(FAULTS)
         fault = FAULTS[kind] if kind < len(FAULTS) else b""
@@ -133,7 +132,7 @@ def _http(status: int, body: bytes) -> bytes:
 
 
 async def run_server(faults: float, answer_s: float) -> None:
-    """Serves until it is killed; says its port first."""
+    """Prints its port, then serves until it is killed."""
     server = await asyncio.start_server(Server(faults, answer_s).talk, "127.0.0.1", 0, backlog=2048)
     print(server.sockets[0].getsockname()[1], flush=True)
     await server.serve_forever()
@@ -141,7 +140,7 @@ async def run_server(faults: float, answer_s: float) -> None:
 
 @contextmanager
 def served(faults: float, answer_s: float) -> Iterator[int]:
-    """The port of a server in a process of its own."""
+    """Runs a server in its own process, and gives its port."""
     command = [sys.executable, "-m", "benchmarks.http_engine", "--serve", str(faults), str(answer_s)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -155,25 +154,15 @@ def served(faults: float, answer_s: float) -> Iterator[int]:
 
 
 def requests_to_send(number: int) -> list[Request]:
-    """Prompts as long as those of the second stage's, mostly."""
+    """Returns requests about as long as those of the second stage."""
     form = ReplyGrammar.of_table(_TABLE)
-    return [
-        Request(
-            tuple(
-                messages(
-                    ReasonerQuestion(
-                        f"request {k} is to make tea for three", _TABLE, Stage.TASK, details=TaskInfo("y" * 800, "")
-                    )
-                )
-            ),
-            form,
-        )
-        for k in range(number)
-    ]
+    details = TaskInfo("y" * 800, "")
+    texts = [f"request {k} is to make tea for three" for k in range(number)]
+    return [Request(tuple(messages(ReasonerQuestion(text, _TABLE, Stage.TASK, details=details))), form) for text in texts]
 
 
 async def bare(port: int, contents: list[bytes], concurrency: int) -> float:
-    """Requests a second of a client that does nothing but write and read."""
+    """Measures the requests a second of a client that only writes and reads."""
     waiting = iter(contents)
 
     async def work() -> None:
@@ -190,7 +179,7 @@ async def bare(port: int, contents: list[bytes], concurrency: int) -> float:
 
 
 async def counts(port: int) -> tuple[int, int, int]:
-    """Of the server since it was last asked: tries, requests that were answered, and those that were so more than once."""
+    """Reads the server's counts since the last call: tries, answered requests, and requests answered more than once."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     writer.write(b"GET /counts HTTP/1.1\r\n\r\n")
     tries, answered, doubled = json.loads(await reader.readexactly(int(_length(await reader.readuntil(b"\r\n\r\n")))))
@@ -199,10 +188,10 @@ async def counts(port: int) -> tuple[int, int, int]:
 
 
 def ask(port: int, requests: list[Request], concurrency: int) -> tuple[float, float, int, int, int]:
-    """Asks for all of them once.
+    """Sends all requests once.
 
     Returns:
-        Seconds, seconds of this process's processor, tries, and how many requests were lost and doubled.
+        Seconds, processor seconds of this process, tries, and the numbers of lost and doubled requests.
     """
     engine = OpenAIEngine(HttpSettings(f"http://127.0.0.1:{port}/v1", "m", concurrency=concurrency))
     engine.complete(requests[:1])
@@ -217,7 +206,7 @@ def ask(port: int, requests: list[Request], concurrency: int) -> tuple[float, fl
 
 
 def measure(answer_s: float, concurrency: int, faults: float, requests: list[Request], rounds: int) -> EndpointFigure:
-    """One load; the bare client's and the engine's best rounds, taken in turns."""
+    """Measures one load: the best rounds of the bare client and of the engine, in turns."""
     bodies = [json.dumps({"messages": r.messages, "model": "m", **request_fields(r, Sampling())}).encode() for r in requests]
     contents = [b"POST /v1 HTTP/1.1\r\nContent-Length: %d\r\n\r\n%s" % (len(b), b) for b in bodies]
     limit, asked = 0.0, []
@@ -243,24 +232,27 @@ def measure(answer_s: float, concurrency: int, faults: float, requests: list[Req
 
 
 def main() -> None:
-    """The command."""
+    """Prints the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--requests", type=int, default=2000)
-    parser.add_argument("--rounds", type=int, default=3, help="of which the best is shown; lost and doubled are of all")
-    parser.add_argument("--concurrency", type=int, nargs="+", default=[32, 200])
-    parser.add_argument("--json", type=Path, help="where to keep the figures")
     parser.add_argument(
-        "--serve", type=float, nargs=2, help="be the server, with faults of this share and answers of so many seconds"
+        "--rounds", type=int, default=3, help="rounds of each load; the best is shown, lost and doubled are summed"
+    )
+    parser.add_argument("--concurrency", type=int, nargs="+", default=[32, 200])
+    parser.add_argument("--json", type=Path, help="file for the figures")
+    parser.add_argument(
+        "--serve",
+        type=float,
+        nargs=2,
+        help="run as the server, with this share of faults and this duration of answers, seconds",
     )
     arguments = parser.parse_args()
     if arguments.serve is not None:
         asyncio.run(run_server(*arguments.serve))
     requests = requests_to_send(arguments.requests)
     short, long = ANSWERS_S
-    widths = [
-        *((short, c) for c in arguments.concurrency),
-        (long, max(arguments.concurrency)),
-    ]  # few at once would take minutes
+    # Long answers with low concurrency would take minutes.
+    widths = [*((short, c) for c in arguments.concurrency), (long, max(arguments.concurrency))]
     loads = [(answer_s, at_once, faults) for answer_s, at_once in widths for faults in (0.0, 0.1)]
     figures = [measure(*load, requests, arguments.rounds) for load in loads]
     heads = ("answer s", "at once", "faults", "requests/s", "tries/s", "limit/s", "share", "lost", "doubled", "ms")

@@ -1,7 +1,8 @@
-"""Start layouts: reads files of them, one JSON object a line, and makes some of a dataset's own scenes.
+"""Start layouts: reads files of them, one JSON object a line, and makes some from a dataset's own scenes.
 
 A line holds ``id``, ``bucket``, ``n_collisions``, ``table.size_xy_m`` and ``objects``: instance, uid, scale_factor (centimetres
-a mesh unit), base_quat_xyzw (the tilt), poses by name ({position_m, yaw}), and the relation and parent that the layout means.
+a mesh unit), base_quat_xyzw (the tilt), poses by name ({position_m, yaw}), and the relation and parent of the layout's scene
+graph.
 """
 
 import json
@@ -19,10 +20,10 @@ from stable_data.metrics.audit import audit_scene
 from stable_data.scene import FloatArray, QuatXyzw, Relation, RelationKind, Scene, SceneObject, Tabletop, Vec3
 
 BUCKETS = ("0-10", "10-20", "20-30", "30-40")
-"""By colliding pairs: from the first number (at least one) to below the second."""
+"""Buckets by the number of colliding pairs: from the first number (at least 1) to below the second."""
 
 _NOISE = (0.02, 0.04, 0.08, 0.16)  # standard deviations of x and y, metres
-_TURN = 5.0  # radians a metre of them
+_TURN = 5.0  # standard deviation of yaw, radians a metre of the above
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,10 +31,10 @@ class StartLayout:
     """A layout to be corrected.
 
     Attributes:
-        start: Where everything starts; its relations are those that the layout means.
-        target: Where everything belongs, or None where nobody knows.
+        start: The scene to correct, with the relations of the layout's scene graph.
+        target: The correct scene; None if it is not known.
         bucket: Its bucket, or empty.
-        num_collisions: Pairs that collide at the start, as its maker counted.
+        num_collisions: Pairs that collide at the start, as counted by its maker.
     """
 
     start: Scene
@@ -47,14 +48,14 @@ def read_layouts(path: Path, store: AssetStore, start: str = "start") -> Iterato
 
     Args:
         path: The file.
-        store: Meshes of its assets; an object's size is its mesh's.
-        start: Name of the poses to start from.
+        store: Meshes of its assets; they define the sizes of objects.
+        start: Name of the start poses.
 
     Yields:
         One layout a line.
 
     Raises:
-        SceneError: A line is no layout (code ``layout_invalid``).
+        SceneError: A line is not a layout (code ``layout_invalid``).
         MeshError: An asset is missing or broken.
     """
     for number, line in enumerate(path.read_text("utf-8").splitlines(), 1):
@@ -99,15 +100,15 @@ def _vec3(values: Iterable[float]) -> Vec3:
 
 
 def shaken_layouts(scenes: Iterable[Scene], store: AssetStore, per_bucket: int) -> Iterator[StartLayout]:
-    """Layouts made by shaking scenes, harder and harder, until their collisions fill the buckets.
+    """Makes layouts by perturbing scenes with growing noise, until their collisions fill the buckets.
 
     Args:
-        scenes: Scenes with relations where they are known.
+        scenes: Scenes, with their relations if known.
         store: Meshes of their assets.
-        per_bucket: Layouts of each bucket; fewer where the scenes are not full enough for it.
+        per_bucket: Layouts of each bucket; fewer if the scenes have too few objects.
 
     Yields:
-        The layouts, as they are found. The scene itself is the target.
+        The layouts, in the order of the scenes. The scene itself is the target.
     """
     wanted = dict.fromkeys(BUCKETS, per_bucket)
     for scene in scenes:
@@ -125,12 +126,12 @@ def shaken_layouts(scenes: Iterable[Scene], store: AssetStore, per_bucket: int) 
 
 
 def shaken(scene: Scene, noise: float, rng: np.random.Generator) -> Scene:
-    """A scene whose objects are shifted along the table and turned at random, their centres kept on it.
+    """Shifts the objects of a scene along the table and turns them at random; their centres stay on the table.
 
     Args:
         scene: The scene.
-        noise: Standard deviation of x and y, metres; the yaw's is five radians a metre of it.
-        rng: Draws.
+        noise: Standard deviation of x and y, metres; that of yaw is 5 radians a metre of it.
+        rng: Source of randomness.
     """
     deviation = (noise, noise, 0.0, _TURN * noise)
     poses: FloatArray = scene.poses() + rng.normal(0.0, deviation, (len(scene.objects), 4))
@@ -139,5 +140,5 @@ def shaken(scene: Scene, noise: float, rng: np.random.Generator) -> Scene:
 
 
 def bucket_of(count: int) -> str:
-    """The bucket of so many colliding pairs; empty for none, or for more than the last one holds."""
+    """Returns the bucket of a number of colliding pairs; empty for 0, or for more than in the last bucket."""
     return BUCKETS[count // 10] if 0 < count < 10 * len(BUCKETS) else ""

@@ -1,12 +1,12 @@
 """Loading for training: scenes of the tables, against layout.json with its GLB files.
 
 ``python -m benchmarks.loader RUN DATASET [--json FILE]``, where RUN was preprocessed from DATASET. Every way of loading is
-measured in the same run on the same scenes, and compared by its ratio to the first: what a job without the tables does for
-every scene, parse its layout and load the meshes that it names. A training loop takes padded tensors and makes a step of a
-small network with every batch.
+measured in the same run on the same scenes, and compared by its ratio to the first one: a job without the tables, which parses
+the layout of every scene and loads its meshes. A training loop takes padded tensors and makes a step of a small network with
+every batch.
 
-Warm: what is read was read before, and the start of workers is not timed. Cold: the system has forgotten the files (as far as
-``posix_fadvise`` is obeyed), and all is timed from opening the folder to the end of the first epoch, workers included.
+Warm: the files were read before, and the start of workers is not timed. Cold: the system was asked to drop the files from its
+cache (``posix_fadvise``), and the time is from opening the folder to the end of the first epoch, workers included.
 """
 
 import argparse
@@ -30,27 +30,27 @@ from stable_data.scene import Scene
 from stable_data.storage.torch_dataset import SceneBatch, TableDataset, TableStream, collate_scenes
 
 BATCH_SIZE = 64
-_PARSED_AT_ONCE = 8  # parsing is slow: a figure of a few seconds must hold several batches
+_PARSED_AT_ONCE = 8  # parsing is slow, and a few seconds must contain several batches
 
 Epoch: TypeAlias = Callable[[int], Iterator[int]]
-"""Number of an epoch -> its batches, each as its number of scenes."""
+"""Number of an epoch -> the sizes of its batches."""
 
 Way: TypeAlias = Callable[[int], Epoch]
-"""Number of workers -> what opens the folder and gives its epochs."""
+"""Number of workers -> the epochs; the call opens the folder."""
 
 
 @dataclass(frozen=True, slots=True)
 class LoaderFigure:
-    """One way of loading.
+    """The figures of one way of loading.
 
     Attributes:
-        name: What is loaded, into what.
-        num_workers: Processes of the DataLoader; 0: this one.
-        is_cold: Whether the files were forgotten, and opening and starting count.
-        num_scenes: Scenes that were loaded.
-        seconds: For them.
-        scenes_per_second: Their quotient.
-        ratio: Over layout.json and GLB files in one process, warm.
+        name: The source and the target.
+        num_workers: Processes of the DataLoader; 0: this process.
+        is_cold: Whether the files were dropped from the cache, and opening and starting are timed.
+        num_scenes: Number of loaded scenes.
+        seconds: Their time.
+        scenes_per_second: Scenes divided by seconds.
+        ratio: Speed relative to layout.json and GLB files in one process, warm.
     """
 
     name: str
@@ -63,7 +63,7 @@ class LoaderFigure:
 
 
 class LayoutFiles(Dataset[Scene]):
-    """Scenes as a job without tables reads them: the layout and, unless it does without, every mesh that it names."""
+    """Scenes as a job without tables reads them: the layout and, by default, every mesh that it names."""
 
     def __init__(self, root: Path, scene_ids: list[str], *, meshes: bool = True) -> None:
         self._dataset, self._scene_ids, self._meshes = MesaTaskDataset(root), scene_ids, meshes
@@ -77,7 +77,7 @@ class LayoutFiles(Dataset[Scene]):
             paths = {o.asset_id: self._dataset.asset_path(o.asset_id) for o in scene.objects if o.asset_id is not None}
             for asset_id, path in paths.items():
                 if path is not None:
-                    with suppress(MeshError):  # the job does without it, too
+                    with suppress(MeshError):  # the job also continues without it
                         load_glb(path, asset_id)
         return scene
 
@@ -90,7 +90,7 @@ class TrainingStep:
         self._optimizer = torch.optim.Adam(self._network.parameters())
 
     def __call__(self, batch: SceneBatch) -> int:
-        """Takes a batch and gives how many scenes it holds."""
+        """Trains on a batch, and returns its number of scenes."""
         poses = batch["poses"][batch["mask"]]
         self._optimizer.zero_grad()
         (self._network(poses) - poses).square().mean().backward()
@@ -99,7 +99,7 @@ class TrainingStep:
 
 
 def of_files(root: Path, scene_ids: list[str], *, meshes: bool, train: bool) -> Way:
-    """Layouts, with or without their meshes, as scenes or into a training loop."""
+    """Returns a way to load layouts, with or without meshes, as scenes or into a training loop."""
 
     def open_with(workers: int) -> Epoch:
         files = LayoutFiles(root, scene_ids, meshes=meshes)
@@ -114,7 +114,7 @@ def of_files(root: Path, scene_ids: list[str], *, meshes: bool, train: bool) -> 
 
 
 def of_tables(run: str, *, tensors: bool, train: bool = False) -> Way:
-    """Tables, as scenes or padded tensors or into a training loop."""
+    """Returns a way to load tables, as scenes, as padded tensors or into a training loop."""
 
     def open_with(workers: int) -> Epoch:
         stream = TableStream(run, batch_size=BATCH_SIZE, shuffle_seed=0, collate=collate_scenes if tensors else None)
@@ -131,10 +131,10 @@ def of_tables(run: str, *, tensors: bool, train: bool = False) -> Way:
 
 
 def warm(way: Way, workers: int, seconds: float) -> tuple[int, float]:
-    """Epoch after epoch for about some seconds; the first batch is not timed.
+    """Loads epoch after epoch for about ``seconds``; the first batch is not timed.
 
     Returns:
-        Scenes, and the seconds that they took.
+        Number of scenes, and their seconds.
     """
     batches = (size for epochs in [way(workers)] for epoch in count() for size in epochs(epoch))
     next(batches)
@@ -147,10 +147,10 @@ def warm(way: Way, workers: int, seconds: float) -> tuple[int, float]:
 
 
 def cold(way: Way, workers: int, seconds: float, folders: list[Path]) -> tuple[int, float]:
-    """The first epoch, or about some seconds of it, from opening the folder on.
+    """Loads the first epoch, or about ``seconds`` of it; the time starts before the folder is opened.
 
     Returns:
-        Scenes, and the seconds that they took.
+        Number of scenes, and their seconds.
     """
     for folder in folders:
         forget(folder)
@@ -163,7 +163,7 @@ def cold(way: Way, workers: int, seconds: float, folders: list[Path]) -> tuple[i
 
 
 def forget(folder: Path) -> None:
-    """Asks the system to forget the content of every file of a folder."""
+    """Asks the system to drop all files of a folder from its cache."""
     for path in folder.rglob("*"):
         if path.is_file():
             handle = os.open(path, os.O_RDONLY)
@@ -175,11 +175,11 @@ def forget(folder: Path) -> None:
 
 
 def measure(run: str, root: Path, seconds: float, num_workers: tuple[int, ...], rounds: int) -> list[LoaderFigure]:
-    """Every way of loading, the one without tables first; of all rounds each one's best, for the machine may be at other work."""
+    """Measures every way of loading, the one without tables first; the best of all rounds, because the machine may be busy."""
     table = TableDataset(run, columns=["scene_id"])
     scene_ids = [table[row]["scene_id"] for row in range(len(table))]
     unknown = sorted(set(scene_ids) - set(MesaTaskDataset(root).scene_ids))
-    assert not unknown, f"{run} was made from another dataset: {unknown[:3]}"
+    assert not unknown, f"{run} was made from another dataset: {unknown[:3]} are not in {root}"
     files = "layout.json and GLB files"
     ways: list[tuple[str, Way, tuple[int, ...], bool]] = [
         (f"{files} to scenes and meshes", of_files(root, scene_ids, meshes=True, train=False), (0,), False),
@@ -204,13 +204,13 @@ def measure(run: str, root: Path, seconds: float, num_workers: tuple[int, ...], 
 
 
 def main() -> None:
-    """The command."""
+    """Prints the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", help="a run folder")
-    parser.add_argument("dataset", type=Path, help="the folder that it was preprocessed from")
-    parser.add_argument("--json", type=Path, help="where to keep the figures")
-    parser.add_argument("--seconds", type=float, default=5.0, help="for each way of loading")
-    parser.add_argument("--rounds", type=int, default=2, help="of which each way's best counts")
+    parser.add_argument("dataset", type=Path, help="the folder from which it was preprocessed")
+    parser.add_argument("--json", type=Path, help="file for the figures")
+    parser.add_argument("--seconds", type=float, default=5.0, help="time for each way of loading")
+    parser.add_argument("--rounds", type=int, default=2, help="rounds, of which the best counts for each way")
     parser.add_argument("--workers", type=int, nargs="+", default=[0, 1, 2])
     arguments = parser.parse_args()
     figures = measure(arguments.run, arguments.dataset, arguments.seconds, tuple(arguments.workers), arguments.rounds)

@@ -1,4 +1,4 @@
-"""The meshes that benchmarks measure on."""
+"""The meshes of the benchmarks."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,11 +13,11 @@ from stable_data.geometry.mesh_repair import MeshReport, repair_mesh
 
 
 def repaired_meshes(folder: Path, limit: int) -> Iterator[tuple[str, Mesh, MeshReport]]:
-    """Asset ids, repaired meshes and their reports; a file that cannot be used is left out, as the job leaves it out.
+    """Yields asset ids, repaired meshes and their reports; leaves out files that cannot be used, like the preprocess job.
 
     Args:
-        folder: GLB files.
-        limit: At most so many of them, spread evenly over the folder; 0 for all.
+        folder: Folder of GLB files.
+        limit: Largest number of files, spread evenly over the folder; 0 for all.
     """
     paths = sorted(folder.glob("*.glb"))
     if limit:

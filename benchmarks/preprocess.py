@@ -1,4 +1,4 @@
-"""How well the job uses its workers, and whether its memory stays flat.
+"""The efficiency of the preprocess job's workers, and the growth of their memory.
 
 ``python -m benchmarks.preprocess DATASET [--scenes 1000] [--json FILE]``: the dataset's scenes are repeated under new names
 until there are enough. Compared are two plain processes that share the scene shards, and a local Ray with two workers.
@@ -27,7 +27,7 @@ SETTINGS = PreprocessSettings(num_pictures=0, all_assets=False, position_convent
 
 
 def repeated(dataset: Path, root: Path, count: int) -> Path:
-    """A dataset of ``count`` scenes that repeats those of another one; meshes are shared."""
+    """Makes a dataset of ``count`` scenes that repeats those of another one; meshes are shared."""
     root.mkdir(parents=True)
     for name in ("Assets_library", "Asset_annotation.json"):
         (root / name).symlink_to((dataset / name).resolve())
@@ -41,13 +41,13 @@ def repeated(dataset: Path, root: Path, count: int) -> Path:
 
 
 class TimedWork:
-    """The work of a shard, with the seconds that it took and the memory of the process that did it."""
+    """The work of a shard, with its seconds and the memory of its process."""
 
     def __init__(self, work: ShardWriter) -> None:
         self.work = work
 
     def __call__(self, shard: Shard[str], *, isolated: bool = False) -> dict[str, float]:
-        """Does the shard."""
+        """Processes the shard."""
         began = time.perf_counter()
         self.work(ShardTask(0, shard), isolated=isolated)
         busy = time.perf_counter() - began
@@ -59,14 +59,14 @@ class TimedWork:
 
 
 def _plain(work: TimedWork, shards: Sequence[Shard[str]], barrier: Any) -> None:
-    work(shards[0])  # imports and caches, as a warm worker has them
+    work(shards[0])  # imports and fills caches, so that the process is as warm as a worker
     barrier.wait()
     for shard in shards[1:]:
         work(shard)
 
 
 def two_plain_processes(work: TimedWork, shards: Sequence[Shard[str]]) -> float:
-    """Seconds in which two processes that share the shards evenly, without Ray, do all but the first of each."""
+    """Measures the seconds of two processes that share the shards evenly, without Ray and without the first shard of each."""
     context = multiprocessing.get_context("spawn")
     barrier = context.Barrier(3)
     processes = [context.Process(target=_plain, args=(work, shards[k::2], barrier)) for k in range(2)]
@@ -81,7 +81,7 @@ def two_plain_processes(work: TimedWork, shards: Sequence[Shard[str]]) -> float:
 
 
 def two_workers(work: TimedWork, shards: Sequence[Shard[str]]) -> dict[str, float]:
-    """A local Ray with two workers on the same shards; the clock starts when each has done one."""
+    """Measures a local Ray with two workers on the same shards; the time starts when two shards are done."""
     results, stamps = [], []
     for result in WorkerPool(2).run(work, shards):
         results.append(result)
@@ -99,7 +99,7 @@ def two_workers(work: TimedWork, shards: Sequence[Shard[str]]) -> dict[str, floa
 
 
 def measure(dataset: Path, num_scenes: int) -> dict[str, Any]:
-    """All figures."""
+    """Measures all figures."""
     with tempfile.TemporaryDirectory() as folder:
         root = repeated(dataset, Path(folder) / "data", num_scenes)
         shards = plan_run(MesaTaskDataset(root), SETTINGS).scenes

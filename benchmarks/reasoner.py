@@ -1,19 +1,17 @@
-"""What the Semantic Reasoner lays out, before any correction, beside the data itself.
+"""The layouts of the Semantic Reasoner before any correction, compared with the data itself.
 
 ``python -m benchmarks.reasoner RUN [--engine embedded] [--split test,unseen] [--scenes N] [--one-shot] [--json FILE]``. RUN is
-the folder of a preprocess run with scenes of splits that training never saw; the reasoner is told their instructions and
-tables alone.
+the folder of a preprocess run with scenes of splits that training never saw; the reasoner gets only their instructions and
+tables.
 
-- answered: layouts all of whose stages have an answer without a hard fault, of all; at once: of the questions, those whose
-first
-  answer had no fault at all. An answer that cannot be read or used counts as none; ``left`` counts the soft faults that stayed.
-- parsed, valid: of all answers, those that were asked for again included: they are layouts in form; they pass the checks as
-well;
-- AwT, AwS: required objects present, and entailed relations that hold, by boxes; a layout without an answer has none of its
-own;
-- distractors: objects that are no task objects; objects: number of them, on and in: carried by another. Each beside the data's;
-- OC, floats, off table: of raw layouts after each stage, by their meshes: what the corrector has to do;
-- unmatched: objects for which retrieval found no asset; they are left out of OC, with what rests on them.
+- answered: share of layouts in which all stages have an answer without a hard fault; at once: share of questions whose first
+  answer had no fault at all. An answer that cannot be read or used counts as none; ``left`` counts the remaining soft faults.
+- parsed, valid: share of all answers, including refused ones, that have the form of a layout; that also pass the checks;
+- AwT, AwS: required objects present, and entailed relations that hold, by boxes; without an answer there are none;
+- distractors: objects that are not task objects; objects: their number; on and in: carried by another object. Each is shown
+  beside the figure of the data;
+- OC, floats, off table: of raw layouts after each stage, by their meshes: the work of the corrector;
+- unmatched: objects for which retrieval found no asset; they are left out of OC, with all that they carry.
 
 Run with ``OMP_NUM_THREADS=1``.
 """
@@ -53,7 +51,7 @@ ORDER = {stage: n for n, stage in enumerate(Stage)}
 
 
 def held_out(run: str, split: str, most: int) -> list[Scene]:
-    """Scenes of a split, spread over its kinds of table; the same ones each time."""
+    """Returns scenes of a split, spread over its kinds of table, the same ones each time."""
     rows = pl.scan_parquet(f"{run}/scenes/*.parquet").filter(pl.col("split") == split).collect()
     if rows.is_empty():
         raise typer.BadParameter(f"{run}: no scenes of the split {split!r}, expected some; is it a preprocess run?")
@@ -61,41 +59,41 @@ def held_out(run: str, split: str, most: int) -> list[Scene]:
     return [scene_from_row(row) for row in rows.iter_rows(named=True)]
 
 
-class Furnisher:
-    """Gives the objects of raw layouts their assets, and judges them by their meshes.
+class AssetAssigner:
+    """Assigns assets to the objects of raw layouts, and judges the layouts by their meshes.
 
     Args:
-        run: A preprocess run, whose assets are retrieved from.
-        folder: For what is unpacked of it.
+        run: A preprocess run with the assets.
+        folder: Folder for its unpacked meshes.
     """
 
     def __init__(self, run: str, folder: Path) -> None:
         self._retriever = AssetLibraries([run]).retriever()
         self._store = AssetStore(RunAssets(RunFolder(run), folder))
 
-    def furnished(self, scenes: Sequence[Scene]) -> list[tuple[Scene, int]]:
-        """The scenes with assets, and for how many objects there is none: they are left out, with what rests on them."""
+    def assign(self, scenes: Sequence[Scene]) -> list[tuple[Scene, int]]:
+        """Returns the scenes with assets, and the number of objects without one; these are left out, with all that they carry."""
         return [(f.scene, len(f.unmatched)) for f in assign_assets(scenes, self._retriever)]
 
     def card(self, scene: Scene) -> MetricCard:
-        """The exact verdicts."""
+        """Computes the exact verdicts."""
         _, shapes, _ = self._store.resolved(scene)
         return audit_posed_scene(PosedScene(scene, shapes)).card(0, 0)
 
 
 def up_to(objects: Sequence[SceneObject], stage: Stage) -> tuple[SceneObject, ...]:
-    """Objects of a stage and of those before it."""
+    """Returns the objects of a stage and of the stages before it."""
     return tuple(o for o in objects if o.stage is not None and ORDER[o.stage] <= ORDER[stage])
 
 
-def raw_figures(layouts: Sequence[StagedLayout], furnisher: Furnisher) -> dict[str, Any]:
-    """Verdicts of raw layouts after each stage, means over layouts with two objects or more, percent."""
-    furnished = furnisher.furnished([layout.scene for layout in layouts])
-    found: dict[str, Any] = {"unmatched": sum(n for _, n in furnished)}
+def raw_figures(layouts: Sequence[StagedLayout], assigner: AssetAssigner) -> dict[str, Any]:
+    """Computes verdicts of raw layouts after each stage, means over layouts with two or more objects, percent."""
+    assigned = assigner.assign([layout.scene for layout in layouts])
+    found: dict[str, Any] = {"unmatched": sum(n for _, n in assigned)}
     for stage in Stage:
         cards = [
-            furnisher.card(replace(scene, objects=objects))
-            for scene, _ in tqdm(furnished, desc=f"audit {stage}", leave=False)
+            assigner.card(replace(scene, objects=objects))
+            for scene, _ in tqdm(assigned, desc=f"audit {stage}", leave=False)
             if len(objects := up_to(scene.objects, stage)) > 1
         ]
         for key in ("oc", "float_rate", "out_of_bounds_rate"):
@@ -106,7 +104,7 @@ def raw_figures(layouts: Sequence[StagedLayout], furnisher: Furnisher) -> dict[s
 
 
 def figures(layouts: Sequence[StagedLayout], truth: Sequence[Scene], seconds: float) -> dict[str, Any]:
-    """What is said of the layouts without meshes."""
+    """Computes the figures that need no meshes."""
     proposals = [p for layout in layouts for _, p in layout.proposals]
     summary = summarise_alignment([align(x.scene, reference_of(s)) for x, s in zip(layouts, truth, strict=True)])
     itself = summarise_alignment([align(s, reference_of(s)) for s in truth])
@@ -127,7 +125,7 @@ def figures(layouts: Sequence[StagedLayout], truth: Sequence[Scene], seconds: fl
 
 
 def _validity(proposals: Sequence[Proposal]) -> dict[str, Any]:
-    """Of all answers, those that were refused included: the share that parses, and that passes the checks."""
+    """Computes the shares of all answers, including refused ones, that parse and that pass the checks."""
     tally = ReplyTally()
     for p in proposals:
         for refused in p.refused:
@@ -168,22 +166,22 @@ def main(
     engine: Annotated[str, typer.Option(help="Which engine; see models/semantic_reasoner/engines/registry.py.")] = "embedded",
     split: Annotated[str, typer.Option(help="Splits, joined by commas.")] = "test,unseen",
     scenes: Annotated[int, typer.Option(help="Scenes of each split.")] = 200,
-    one_shot: Annotated[bool, typer.Option("--one-shot", help="Ask for the whole layout at once.")] = False,
-    temperature: Annotated[float, typer.Option(help="Of the draws.")] = 0.7,
-    tries: Annotated[int, typer.Option(help="How often a question is asked at most.")] = 4,
-    seed: Annotated[int, typer.Option(help="Of the draws.")] = 0,
+    one_shot: Annotated[bool, typer.Option("--one-shot", help="Request the whole layout at once.")] = False,
+    temperature: Annotated[float, typer.Option(help="Temperature of the sampling.")] = 0.7,
+    tries: Annotated[int, typer.Option(help="Largest number of tries of a question.")] = 4,
+    seed: Annotated[int, typer.Option(help="Seed of the sampling.")] = 0,
     meshes: Annotated[bool, typer.Option(help="Retrieve assets and judge raw layouts by their meshes.")] = True,
-    show: Annotated[int, typer.Option(help="How many layouts with something amiss are described.")] = 0,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Where the figures go.")] = None,
+    show: Annotated[int, typer.Option(help="Number of layouts with defects to describe.")] = 0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="File for the figures.")] = None,
 ) -> None:
-    """Prints a table, one column a split."""
+    """Prints a table with one column for each split."""
     chosen = EngineSettings(engine)
     reasoner, statistics = load_reasoner(
         replace(chosen, sampling=replace(chosen.sampling, temperature=temperature)), ReasonerSettings(tries=tries)
     )
     found: dict[str, dict[str, Any]] = {}
     with tempfile.TemporaryDirectory() as folder:
-        furnisher = Furnisher(run, Path(folder)) if meshes else None
+        assigner = AssetAssigner(run, Path(folder)) if meshes else None
         for name in split.split(","):
             truth = held_out(run, name, scenes)
             began = time.perf_counter()
@@ -192,8 +190,8 @@ def main(
                 reasoner, [task_of_scene(s) for s in truth], seeds, ONE_SHOT if one_shot else PROGRESSIVE, statistics
             )
             found[name] = figures(layouts, truth, time.perf_counter() - began)
-            if furnisher is not None:
-                found[name] |= raw_figures(layouts, furnisher)
+            if assigner is not None:
+                found[name] |= raw_figures(layouts, assigner)
             for layout, scene in zip(layouts, truth, strict=True):
                 aligned = align(layout.scene, reference_of(scene))
                 if show > 0 and (aligned.missing or aligned.broken or not layout.is_whole):

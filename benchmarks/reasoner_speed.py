@@ -1,15 +1,14 @@
-"""How fast the reasoner's local engine answers: batched against one at a time, bound to a grammar against unbound.
+"""The speed of the reasoner's local engine: batched against one request at a time, with a grammar against without.
 
-``python -m benchmarks.reasoner_speed RUN [--model DIR] [--scenes N] [--json FILE]``. RUN is the folder of a preprocess run: its
-test scenes' instructions and tables are laid out in three stages. The model's folder is the embedded one by default.
+``python -m benchmarks.reasoner_speed RUN [--model DIR] [--scenes N] [--json FILE]``. RUN is the folder of a preprocess run: the
+instructions and tables of its test scenes are laid out in three stages. The model's folder is the embedded one by default.
 
-- scenes: staged layouts a minute with so many at a time, checks and retries left out;
-- generate: the same questions to the same model by the library's own ``generate``, one after the other, unbound, against the
-engine
-  with all of them at once; requests a second, and tokens a second, since replies differ in length;
-- grammar: seconds a token bound to the form of the replies, over those unbound, reading the questions left out.
+- scenes: staged layouts a minute at several batch sizes, without checks and retries;
+- generate: the same questions to the same model by the transformers function ``generate``, one after the other, without a
+  grammar, against the engine with all of them at once; requests a second, and tokens a second, since replies differ in length;
+- grammar: seconds a token with the grammar of replies, divided by those without, reading of the questions excluded.
 
-Run with ``OMP_NUM_THREADS`` as many as there are cores.
+Run with ``OMP_NUM_THREADS`` equal to the number of cores.
 """
 
 import json
@@ -41,7 +40,7 @@ SAMPLING = Sampling(max_tokens=1024)
 
 
 def scenes_a_minute(engine: LocalEngine, scenes: Sequence[Scene], at_once: int) -> float:
-    """Staged layouts a minute."""
+    """Measures staged layouts a minute."""
     reasoner = SemanticReasoner(engine, tries=1)
     began = time.perf_counter()
     for first in range(0, len(scenes), at_once):
@@ -51,7 +50,7 @@ def scenes_a_minute(engine: LocalEngine, scenes: Sequence[Scene], at_once: int) 
 
 
 def questions(scenes: Sequence[Scene]) -> list[Request]:
-    """For each scene the question of its last stage, told the data's own earlier stages: the longest that are asked."""
+    """Returns for each scene the question of its last stage, with the data's own earlier stages: the longest questions."""
     found = []
     for seed, scene in enumerate(scenes):
         known = layout_objects([o for o in scene.objects if o.stage is not Stage.SECONDARY])
@@ -61,14 +60,14 @@ def questions(scenes: Sequence[Scene]) -> list[Request]:
 
 
 def by_generate(folder: Path, asked: Sequence[Request]) -> tuple[float, int]:
-    """Seconds and tokens of the library's own loop, one request after the other."""
+    """Measures seconds and tokens of transformers' ``generate``, one request after the other."""
     tokenizer = AutoTokenizer.from_pretrained(folder)
     model = AutoModelForCausalLM.from_pretrained(folder, dtype=torch.float32).eval()
     began, tokens = time.perf_counter(), 0
     for request in asked:
         torch.manual_seed(request.seed)
         ids = tokenizer(chat_text(tokenizer, request.messages), return_tensors="pt", add_special_tokens=False)
-        told = model.generate(
+        completions = model.generate(
             **ids,
             do_sample=True,
             temperature=SAMPLING.temperature,
@@ -76,15 +75,15 @@ def by_generate(folder: Path, asked: Sequence[Request]) -> tuple[float, int]:
             top_k=SAMPLING.top_k,
             max_new_tokens=SAMPLING.max_tokens,
         )
-        tokens += told.shape[1] - ids["input_ids"].shape[1]
+        tokens += completions.shape[1] - ids["input_ids"].shape[1]
     return time.perf_counter() - began, tokens
 
 
 def grammar_share(engine: LocalEngine, free: LocalEngine, asked: Sequence[Request], rounds: int) -> float:
-    """What a token costs under the grammar, over what it costs without, less 1; reading the questions left out.
+    """Measures the additional cost of a token with the grammar, as a share of its cost without; without reading the questions.
 
-    Replies differ, so both are asked as much as keeps every slot busy, and the time of one token after each question is taken
-    off.
+    Replies differ in length, so both engines get enough requests to keep every slot busy. The time for one token after each
+    question is subtracted.
     """
     many = [replace(r, seed=1000 * k + r.seed) for k in range(4) for r in asked]
 
@@ -94,8 +93,8 @@ def grammar_share(engine: LocalEngine, free: LocalEngine, asked: Sequence[Reques
         short.complete(many)
         read = time.perf_counter() - began
         began = time.perf_counter()
-        told = of.complete(many)
-        return (time.perf_counter() - began - read) / sum(c.reply_tokens for c in told)
+        completions = of.complete(many)
+        return (time.perf_counter() - began - read) / sum(c.reply_tokens for c in completions)
 
     pairs = [(seconds_a_token(engine), seconds_a_token(free)) for _ in range(rounds)]
     return median(bound / loose for bound, loose in pairs) - 1
@@ -104,25 +103,25 @@ def grammar_share(engine: LocalEngine, free: LocalEngine, asked: Sequence[Reques
 def main(
     run: Annotated[str, typer.Argument(help="Folder of a preprocess run.")],
     model: Annotated[Path, typer.Option(help="A model's folder.")] = EMBEDDED,
-    scenes: Annotated[int, typer.Option(help="How many scenes.")] = 64,
-    rounds: Annotated[int, typer.Option(help="Of the comparison with and without a grammar; the median counts.")] = 3,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Where the figures go.")] = None,
+    scenes: Annotated[int, typer.Option(help="Number of scenes.")] = 64,
+    rounds: Annotated[int, typer.Option(help="Rounds of the comparison with and without a grammar; the median counts.")] = 3,
+    json_file: Annotated[Path | None, typer.Option("--json", help="File for the figures.")] = None,
 ) -> None:
-    """Prints a line a figure."""
+    """Prints a line for each figure."""
     engine = LocalEngine.load(model, sampling=SAMPLING)
     free = LocalEngine.load(model, sampling=SAMPLING, is_constrained=False)
     truth = held_out(run, "test", scenes)
     asked = questions(truth)
-    engine.complete(asked[:2])  # what is made once is not counted
+    engine.complete(asked[:2])  # data that is computed once is not timed
     figures: dict[str, Any] = {"cores": len(os.sched_getaffinity(0)), "threads": torch.get_num_threads(), "scenes": len(truth)}
     for at_once in (1, 8, 64):
         part = truth[: max(1, min(len(truth), 4 * at_once))]
         figures[f"scenes_a_minute_{at_once}"] = round(scenes_a_minute(engine, part, at_once), 1)
     began = time.perf_counter()
-    told = engine.complete(asked)
+    completions = engine.complete(asked)
     seconds = time.perf_counter() - began
     their_seconds, their_tokens = by_generate(model, asked)
-    figures["tokens_a_second"] = round(sum(c.reply_tokens for c in told) / seconds)
+    figures["tokens_a_second"] = round(sum(c.reply_tokens for c in completions) / seconds)
     figures["generate_tokens_a_second"] = round(their_tokens / their_seconds)
     figures["requests_ratio"] = round(their_seconds / seconds, 2)
     figures["tokens_ratio"] = round(figures["tokens_a_second"] / max(1, figures["generate_tokens_a_second"]), 2)

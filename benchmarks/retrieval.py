@@ -1,13 +1,13 @@
-"""Retrieval: a batch of queries at once, against one query after the other as MesaTask does it.
+"""Retrieval: a batch of queries at once, against one query after the other as in MesaTask.
 
 ``python -m benchmarks.retrieval DATASET [--assets 12000] [--queries 1000] [--json FILE]``. The library is the dataset's own,
-repeated with a little noise on features and boxes until it is as large as MesaTask-10K's. The queries are the words of assets
-drawn from it, with noise of the same kind and boxes up to a fifth off. Both sides get the same encoded queries; what the
-encoding takes is measured apart. Run with ``OMP_NUM_THREADS=1``.
+repeated with a little noise on features and boxes until it is as large as that of MesaTask-10K. The queries are the words of
+assets drawn from it, with noise of the same kind and boxes up to 20 % off. Both sides get the same encoded queries; the encoding
+is timed separately. Run with ``OMP_NUM_THREADS=1``.
 
-Then objects of the dataset's scenes are looked for in its library by their words and boxes, by other words where the
-annotations have some (``captions``), and things that stand on no table: how often the same is found, and what the floor keeps
-out.
+Then objects of the dataset's scenes are searched in its library by their words and boxes, by other words if the annotations have
+some (``captions``), and objects that are on no table. The figures: how often the same asset is found, and how often the floor
+of the score rejects all assets.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from stable_data.mesatask import MesaTaskDataset
 from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.scene import Scene, SceneObject, Vec3
 
-_NOISE = 0.005  # of each feature's components, before it is of unit length again: copies agree by 0.99
+_NOISE = 0.005  # standard deviation of a feature's components before it is normalised: copies have a cosine of 0.99
 _ROUNDS = 5
 
 _ABSENT = """
@@ -40,19 +40,19 @@ guitar, lawn mower, printer, vacuum cleaner, syringe, backpack, pizza, hamburger
 gas mask, teddy bear, brass bell, yoga mat, toy drum, ladder, tent
 """
 ABSENT = tuple(kind.strip() for kind in _ABSENT.split(","))
-"""What no table of the embedded world has, nor one of the development sets."""
+"""Kinds of objects that are on no table of the embedded world or of the development sets."""
 
 
 @dataclass(frozen=True, slots=True)
 class RetrievalFigure:
-    """One way of retrieving.
+    """The figures of one way of retrieval.
 
     Attributes:
-        name: Which.
+        name: The way.
         num_assets: Size of the library.
         num_queries: Size of the batch.
-        seconds: Of processor time for the batch, encoding left out; the best of some rounds.
-        ratio: How many times as fast as one query after the other.
+        seconds: Processor time of the batch without encoding; the best of some rounds.
+        ratio: Speed relative to one query after the other.
         found: Share of queries that get an asset of their own category.
     """
 
@@ -66,15 +66,15 @@ class RetrievalFigure:
 
 @dataclass(frozen=True, slots=True)
 class Recall:
-    """What is found for some queries.
+    """The assets found for some queries.
 
     Attributes:
-        name: What is asked.
-        num_queries: How many.
-        matched: Share that gets an asset at all.
-        same_asset: Share that gets the asset that was meant.
-        same_words: Share that gets one of the same description.
-        same_category: Share that gets one of the same category.
+        name: The kind of queries.
+        num_queries: Number of queries.
+        matched: Share that gets any asset.
+        same_asset: Share that gets the original asset.
+        same_words: Share that gets an asset of the same description.
+        same_category: Share that gets an asset of the same category.
     """
 
     name: str
@@ -86,7 +86,7 @@ class Recall:
 
 
 class KnownRows:
-    """A text encoder that looks its rows up, so that encoding takes no time."""
+    """A text encoder that looks up its rows, so that encoding takes no time."""
 
     fingerprint = "known"
 
@@ -94,12 +94,12 @@ class KnownRows:
         self._place, self._rows = {text: k for k, text in enumerate(texts)}, rows
 
     def __call__(self, texts: Sequence[str], /) -> Rows:
-        """The rows of texts that are known."""
+        """Returns the rows of known texts."""
         return self._rows[[self._place[text] for text in texts]]
 
 
 def enlarged(library: AssetLibrary, num: int, rng: np.random.Generator) -> AssetLibrary:
-    """A library of so many assets: those of another, again and again, a little different each time."""
+    """Returns a library of ``num`` assets: those of another one, repeated with small differences."""
     assert library.features is not None
     chosen = np.arange(num) % len(library)
     assets = [
@@ -126,7 +126,7 @@ def _noisy(rows: Rows, rng: np.random.Generator) -> Rows:
 
 
 def one_by_one(library: AssetLibrary, rows: Rows, queries: Sequence[AssetQuery]) -> list[str | None]:
-    """The published way: twenty by text, of them five by text and size, of them the first that may be used."""
+    """Retrieves as published: the best 20 by text, of these the best 5 by text and size, of these the first that is offered."""
     assert library.features is not None
     found: list[str | None] = []
     for row, query in zip(rows, queries, strict=True):
@@ -143,7 +143,7 @@ def one_by_one(library: AssetLibrary, rows: Rows, queries: Sequence[AssetQuery])
 
 
 def measure(data: Path, num_assets: int, num_queries: int) -> tuple[list[RetrievalFigure], float]:
-    """All ways on the same library and queries, the published one first; and the seconds that encoding the queries takes."""
+    """Measures all ways on the same library and queries, the published one first, and the seconds of encoding the queries."""
     rng = np.random.default_rng(0)
     encoder = load_default()
     library = enlarged(library_of_folder(data).embedded(encoder), num_assets, rng)
@@ -181,7 +181,7 @@ def measure(data: Path, num_assets: int, num_queries: int) -> tuple[list[Retriev
 
 
 def recall(data: Path, num_objects: int) -> list[Recall]:
-    """What is found of the objects of scenes, drawn evenly from the dataset, and of things that it does not have."""
+    """Searches objects of scenes, drawn evenly from the dataset, and objects that the dataset does not have."""
     dataset, encoder = MesaTaskDataset(data), load_default()
     scenes, objects = list[Scene](), list[SceneObject]()
     offered = {a.asset_id: a for a in library_of_folder(data).assets if a.is_offered}
@@ -227,7 +227,7 @@ def recall(data: Path, num_objects: int) -> list[Recall]:
 
 
 def _best_of(way: Callable[[], list[str | None]], rounds: int) -> tuple[list[str | None], float]:
-    """What it finds, and the seconds of its fastest round."""
+    """Returns the result, and the seconds of the fastest round."""
     found: list[str | None] = []
     seconds = []
     for _ in range(rounds):
@@ -238,12 +238,12 @@ def _best_of(way: Callable[[], list[str | None]], rounds: int) -> tuple[list[str
 
 
 def main() -> None:
-    """The command."""
+    """Prints the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path, help="a dataset in the MesaTask-10K format")
     parser.add_argument("--assets", type=int, default=12_000)
     parser.add_argument("--queries", type=int, default=1_000)
-    parser.add_argument("--json", type=Path, help="where to keep the figures")
+    parser.add_argument("--json", type=Path, help="file for the figures")
     arguments = parser.parse_args()
     figures, encoding = measure(arguments.data, arguments.assets, arguments.queries)
     print(f"{arguments.queries} queries, {arguments.assets} assets; encoding the queries takes {encoding:.2f} s")

@@ -1,13 +1,13 @@
-"""Which library measures signed distance: how right, how robust, how fast, on real meshes.
+"""Comparison of libraries for signed distance on real meshes: accuracy, robustness, speed.
 
-``python -m benchmarks.sdf_candidates DIR [--limit N] [--json FILE]``, DIR a folder of GLBs; meshes that are closed after repair
-count. Points lie half in the box, half within 2 % of the largest extent of the surface.
+``python -m benchmarks.sdf_candidates DIR [--limit N] [--json FILE]``, DIR a folder of GLBs; only meshes that are watertight
+after repair count. Half of the points are in the box, half within 2 % of the largest extent from the surface.
 
-- distance: against every triangle of the mesh, in numpy, with no library;
-- sign: against the exact winding number of the closed mesh, asked of the mesh as it is, with a tenth of its faces turned round,
-  with those faces mended by ``repair`` as every mesh of the toolkit is, and with a patch of 2 % of its faces cut out.
+- distance: compared with the distance to every triangle of the mesh, in numpy, without a library;
+- sign: compared with the exact winding number of the closed mesh, for the mesh itself, with a tenth of its faces flipped, with
+  those faces repaired by ``repair`` like every mesh of the toolkit, and with a patch of 2 % of its faces removed.
 
-Times are processor seconds of this process, the building of trees included. Run with ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``.
+Times are processor seconds of this process, with the construction of trees. Run with ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``.
 """
 
 import json
@@ -43,7 +43,7 @@ _SLOW = ("trimesh",)
 
 
 def _pysdf(is_robust: bool) -> Candidate:
-    """pysdf, whose sign is turned: it is positive inside."""
+    """Returns a candidate that inverts the sign of pysdf, which is positive inside."""
 
     def signed(mesh: Mesh, points: FloatArray) -> FloatArray:
         tree = pysdf.SDF(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32), robust=is_robust)
@@ -53,7 +53,7 @@ def _pysdf(is_robust: bool) -> Candidate:
 
 
 def _pseudonormal(mesh: Mesh, points: FloatArray) -> FloatArray:
-    """As libigl signs by the normal at the nearest point."""
+    """Returns libigl's distance with the sign of the normal at the nearest point."""
     kind = igl.SignedDistanceType.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
     found: FloatArray = igl.signed_distance(points, mesh.vertices, mesh.faces, sign_type=kind)[0]
     return found
@@ -66,7 +66,7 @@ def _parity(mesh: Mesh, points: FloatArray) -> FloatArray:
 
 
 def _trimesh(mesh: Mesh, points: FloatArray) -> FloatArray:
-    """trimesh, turned: it is positive inside."""
+    """Returns trimesh's distance with its sign inverted: it is positive inside."""
     given = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     return -np.asarray(trimesh.proximity.signed_distance(given, points), np.float64)
 
@@ -78,12 +78,12 @@ CANDIDATES: dict[str, Candidate] = {
     "pysdf": _pysdf(False),
     "embree parity": _parity,
 }
-if find_spec("rtree"):  # which trimesh needs for this and does not bring
+if find_spec("rtree"):  # trimesh needs it for this and does not install it
     CANDIDATES["trimesh"] = _trimesh
 
 
 def _points(mesh: Mesh, num: int, rng: np.random.Generator) -> FloatArray:
-    """Half in the box and a little around it, half beside the surface."""
+    """Returns points, half in the box and a little around it, half near the surface."""
     surface, normals = probe_points(mesh, num // 2)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     beside = surface + rng.uniform(-_NEAR, _NEAR, (len(surface), 1)) * normals
@@ -91,7 +91,7 @@ def _points(mesh: Mesh, num: int, rng: np.random.Generator) -> FloatArray:
 
 
 def _turned(mesh: Mesh, rng: np.random.Generator) -> Mesh:
-    """A tenth of the faces turned round."""
+    """Flips a tenth of the faces."""
     faces = mesh.faces.copy()
     chosen = rng.choice(len(faces), max(1, int(_TURNED * len(faces))), replace=False)
     faces[chosen] = faces[chosen, ::-1]
@@ -99,26 +99,26 @@ def _turned(mesh: Mesh, rng: np.random.Generator) -> Mesh:
 
 
 def _cut(mesh: Mesh, rng: np.random.Generator) -> Mesh:
-    """The faces around a place of the surface taken out."""
+    """Removes the faces around a point of the surface."""
     centre = mesh.triangles.mean(axis=1)
     gap = np.linalg.norm(centre - centre[rng.integers(len(centre))], axis=1)
     return Mesh(mesh.vertices, mesh.faces[np.argsort(gap)[max(1, int(_PATCH * len(gap))) :]])
 
 
 def _mended(mesh: Mesh) -> Mesh:
-    """A mesh repaired, where it was: repair centres it."""
+    """Repairs a mesh, and moves it back to its place: repair centres it."""
     repaired = repair_mesh(mesh, "turned")[0]
     return Mesh(repaired.vertices + (mesh.vertices.min(axis=0) - repaired.vertices.min(axis=0)), repaired.faces)
 
 
 def _truth(mesh: Mesh, points: FloatArray) -> FloatArray:
-    """Distance without sign by trying every triangle, (P,)."""
+    """Computes the unsigned distance by testing every triangle, (P,)."""
     triangles = mesh.triangles
     return np.array([distance_to_faces(np.tile(p, (len(triangles), 1)), triangles).min() for p in points])
 
 
 def measure(mesh: Mesh, rng: np.random.Generator, rows: dict[str, Row]) -> None:
-    """Adds one mesh to the figures of every candidate."""
+    """Adds the figures of one mesh to every candidate."""
     many = _points(mesh, _NUM_SPEED, rng)
     asked = many[:_NUM_SIGN]
     inside = igl.winding_number(mesh.vertices, mesh.faces, asked) > 0.5
@@ -142,9 +142,9 @@ def measure(mesh: Mesh, rng: np.random.Generator, rows: dict[str, Row]) -> None:
 def main(
     folder: Annotated[Path, typer.Argument(help="GLB files")],
     limit: Annotated[int, typer.Option(help="assets, spread evenly over the folder; 0 for all")] = 0,
-    json_file: Annotated[Path | None, typer.Option("--json", help="leave the figures there")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="file for the figures")] = None,
 ) -> None:
-    """Prints a line a candidate, and keeps the figures as JSON."""
+    """Prints a line for each candidate, and writes the figures as JSON."""
     rng = np.random.default_rng(0)
     rows: dict[str, Row] = {name: {} for name in CANDIDATES}
     for _, mesh, report in repaired_meshes(folder, limit):

@@ -1,11 +1,11 @@
-"""How fast a signed-distance grid is built beside asking every node, and whether it is as good.
+"""The construction of signed-distance grids, against exact queries at every node: speed and accuracy.
 
-``python -m benchmarks.sdf_grid DIR [--limit N] [--json FILE]``, DIR a folder of GLBs. Over each mesh, repaired:
+``python -m benchmarks.sdf_grid DIR [--limit N] [--json FILE]``, DIR a folder of GLBs. For each mesh, repaired:
 
-- dense: the exact signed distance at every node of the same grid, by the same library (libigl), trees built once;
-- ours: ``build_grid`` whole, the choice of the spacing and the measurement of its errors included.
+- dense: the exact signed distance at every node of the same grid, by the same library (libigl), with trees built once;
+- ours: all of ``build_grid``, with the choice of the spacing and the measurement of its errors.
 
-Times are processor seconds of this process, so that they do not depend on what else runs; all threads count.
+Times are processor seconds of this process over all threads, so they do not depend on other work of the machine.
 """
 
 import json
@@ -34,21 +34,21 @@ _NUM_NEAR, _NUM_FAR = 4096, 2048
 
 @dataclass(frozen=True, slots=True)
 class GridTiming:
-    """One asset, both ways. Errors are in spacings, at held-out points within one spacing of the surface unless named otherwise.
+    """The figures of one asset. Errors are in spacings, at held-out points within one spacing of the surface if not stated otherwise.
 
     Attributes:
         asset_id: The asset.
-        num_faces: Triangles.
+        num_faces: Number of triangles.
         num_nodes: Nodes of the grid.
-        nodes_per_wall: Spacings in the thickness of its wall, 0 for a sheet.
-        dense_seconds: Every node asked.
-        ours_seconds: ``build_grid``.
+        nodes_per_wall: Thickness of its wall in spacings, 0 for a sheet.
+        dense_seconds: Time of the queries at every node.
+        ours_seconds: Time of ``build_grid``.
         dense_error: Mean error of the dense grid.
         ours_error: Mean error of ours.
         dense_max_error: Largest error of the dense grid.
         ours_max_error: Largest error of ours.
-        node_error: Largest difference between the two at a node, anywhere.
-        sign_error: Share of nodes on whose side the two differ.
+        node_error: Largest difference between the two at any node.
+        sign_error: Share of nodes at which the two differ in sign.
     """
 
     asset_id: str
@@ -67,12 +67,12 @@ class GridTiming:
 
 @dataclass(frozen=True, slots=True)
 class GridBenchmark:
-    """What :func:`run` measured.
+    """The measurements of :func:`run`.
 
     Attributes:
         timings: Asset by asset.
-        peak_mebibytes: Largest resident memory of the process until the last grid of ours was built.
-        num_threads: Processor seconds over wall seconds of the dense evaluation.
+        peak_mebibytes: Largest resident memory of the process until our last grid was built.
+        num_threads: Processor seconds divided by wall seconds of the dense evaluation.
     """
 
     timings: tuple[GridTiming, ...]
@@ -80,11 +80,11 @@ class GridBenchmark:
     num_threads: float
 
     def column(self, name: str) -> FloatArray:
-        """One attribute of every timing, (assets,)."""
+        """Returns one attribute of every timing, (assets,)."""
         return np.array([getattr(t, name) for t in self.timings], np.float64)
 
     def summary(self) -> dict[str, float]:
-        """The figures that count; ratios are dense over ours for time, ours over dense for errors."""
+        """Returns the main figures; ratios are dense over ours for time, ours over dense for errors."""
         dense, ours = self.column("dense_seconds"), self.column("ours_seconds")
         return {
             "assets": len(self.timings),
@@ -107,12 +107,12 @@ class GridBenchmark:
         }
 
     def __str__(self) -> str:
-        """The figures, one a line."""
+        """Returns the figures, one on each line."""
         return "\n".join(f"{name:<28}{value:>14.4f}" for name, value in self.summary().items())
 
 
 def run(meshes: Iterable[tuple[str, Mesh, MeshReport]]) -> GridBenchmark:
-    """Builds every grid our way, then densely.
+    """Builds every grid by ``build_grid``, then densely.
 
     Args:
         meshes: Asset ids, repaired meshes and their reports.
@@ -145,7 +145,7 @@ def _compare(asset_id: str, mesh: Mesh, is_sheet: bool, ours: SdfGrid, ours_seco
     dense = replace(ours, values=values.astype(np.float16))
     ours, dense = (measure_grid_errors(g, exact, num_near=_NUM_NEAR, num_far=_NUM_FAR) for g in (ours, dense))
     h = ours.spacing
-    # A node that lies on the surface has no side.
+    # A node on the surface has no sign.
     wrong = ((ours.values < 0) != (values < 0)) & (np.abs(values) > 1e-3 * h)
     return GridTiming(
         asset_id=asset_id,
@@ -166,9 +166,9 @@ def _compare(asset_id: str, mesh: Mesh, is_sheet: bool, ours: SdfGrid, ours_seco
 def main(
     folder: Annotated[Path, typer.Argument(help="GLB files")],
     limit: Annotated[int, typer.Option(help="assets, spread evenly over the folder; 0 for all")] = 0,
-    json_file: Annotated[Path | None, typer.Option("--json", help="leave the figures there")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="file for the figures")] = None,
 ) -> None:
-    """Prints the figures, and keeps them as JSON."""
+    """Prints the figures, and writes them as JSON."""
     found = run(repaired_meshes(folder, limit))
     print(found)
     if json_file:

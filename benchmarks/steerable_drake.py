@@ -1,11 +1,11 @@
-"""Steerable's projection in Drake itself, beside the re-implementation: methods of ``benchmarks.correction`` where Drake is there.
+"""Steerable's projection in Drake itself, beside the re-implementation: methods of ``benchmarks.correction`` if Drake is installed.
 
-Needs Drake: ``pip install -c constraints.txt -e '.[drake]'`` (its wheel brings the solver SNOPT, and MOSEK, which asks for a
-licence of its own where it is used; it is not used here).
+Needs Drake: ``pip install -c constraints.txt -e '.[drake]'`` (its wheel contains the solver SNOPT, and MOSEK, which needs its own
+licence; MOSEK is not used here).
 
-The programme as released: an inverse-kinematics problem over free bodies, quaternions held, the sum of squared changes of the
+The programme as released: an inverse-kinematics problem over free bodies, fixed quaternions, the sum of squared changes of the
 positions, ``AddMinimumDistanceLowerBoundConstraint(0, 0.03)``, SNOPT with a feasibility tolerance of 1e-3, at most 5000 major
-iterations and 60 s. One convex hull a mesh, as Drake takes a mesh in distance queries; the table is a fixed box.
+iterations and 60 s. One convex hull a mesh, as Drake uses a mesh in distance queries; the table is a fixed box.
 """
 
 import time
@@ -30,10 +30,10 @@ class SteerableInDrake:
     """The projection as released, in Drake.
 
     Attributes:
-        with_parts: Take convex parts instead of one hull a mesh.
+        with_parts: Use convex parts instead of one hull a mesh.
         influence: Pairs farther apart than this do not count, metres.
         tolerance: SNOPT's major feasibility tolerance.
-        max_iterations: SNOPT's major iterations.
+        max_iterations: SNOPT's limit of major iterations.
         max_seconds: SNOPT's time limit.
     """
 
@@ -44,7 +44,7 @@ class SteerableInDrake:
     max_seconds: float = 60.0
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
-        """Moves objects apart; see :class:`~benchmarks.baselines.outcome.Baseline`. Not converged: Steerable throws the scene away."""
+        """Moves objects apart; see :class:`~benchmarks.baselines.outcome.Baseline`. Not converged: Steerable discards the scene."""
         try:
             bodies = [
                 [solid_hull(points) for points in parts]
@@ -71,7 +71,7 @@ class SteerableInDrake:
         builder = DiagramBuilder()
         plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
         friction, nowhere = CoulombFriction(1.0, 1.0), RigidTransform()
-        inertia = SpatialInertia(1.0, np.zeros(3), UnitInertia(0.01, 0.01, 0.01))  # of no matter: nothing moves by forces
+        inertia = SpatialInertia(1.0, np.zeros(3), UnitInertia(0.01, 0.01, 0.01))  # any value will do: there are no forces
         corners, middle = table_box(scene.table)
         plant.RegisterCollisionGeometry(
             plant.world_body(), RigidTransform(middle), Box(*np.ptp(corners, axis=0)), "table", friction
@@ -113,14 +113,14 @@ class SteerableInDrake:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Problem:
-    """Drake's objects, kept alive together.
+    """Drake's objects, stored together because the problem refers to the others without owning them.
 
     Attributes:
         programme: The inverse-kinematics problem.
-        diagram: What it refers to.
-        context: Likewise.
+        diagram: The diagram to which it refers.
+        context: The context to which it refers.
         start: q⁰.
-        firsts: Where each body's quaternion starts in q; its position follows.
+        firsts: Index in q at which each body's quaternion starts; its position follows.
     """
 
     programme: Any
@@ -131,7 +131,7 @@ class _Problem:
 
 
 def in_drake() -> dict[str, SteerableInDrake]:
-    """Steerable in Drake, by name, with hulls and with convex parts; empty where Drake is not installed."""
+    """Returns Steerable in Drake, by name, with hulls and with convex parts; empty if Drake is not installed."""
     if find_spec("pydrake") is None:
         return {}
     return {"steerable_drake": SteerableInDrake(), "steerable_drake_parts": SteerableInDrake(True)}

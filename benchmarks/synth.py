@@ -1,10 +1,10 @@
-"""How fast the embedded world is made, and whether its scenes stay where they are.
+"""The speed of making the embedded world, and the stability of its scenes.
 
 ``python -m benchmarks.synth [--scenes 100] [--json FILE]`` times composing, settling and checking on one core.
 
-``python -m benchmarks.synth --check FOLDER [--scenes N] [--workers 2]`` settles scenes of a written set again, each with a
-chance of its own: friction up to 20 % higher or lower, every object nudged by up to 0.05 mm and 0.02 degrees, and says how many
-are stable by DESIGN section 7 (1 s to settle, 3 s watched).
+``python -m benchmarks.synth --check FOLDER [--scenes N] [--workers 2]`` settles scenes of a written set again with random
+changes: friction up to 20 % higher or lower, every object displaced by up to 0.05 mm and 0.02 degrees. It counts how many are
+stable by DESIGN section 7 (1 s to settle, 3 s watched).
 
 Run with ``OMP_NUM_THREADS=1``.
 """
@@ -33,21 +33,22 @@ from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import Scene
 from stable_data.simulation.settling import PhysicsOptions, RigidBody, settle
 
+# Names in stable_data.embedded_world.scenes, which are replaced by timed versions.
 _STEPS = {
     "composing": "compose",
-    "settling": "settled_objects",
+    "settling": "settle_objects",
     "audit": "audit",
-    "rest check": "restless",
+    "rest check": "unsteady_objects",
     "task": "_finished",
 }
-_WARM_UP = 100  # scenes after which a process knows most assets
+_WARM_UP = 100  # scenes after which a process has cached most assets
 _NUDGE, _NUDGE_DEGREES, _FRICTION = 5e-5, 0.02, 0.2
 
 
 @contextmanager
 def _timed(seconds: dict[str, float]) -> Iterator[None]:
-    """Adds up the seconds of every step of making a scene."""
-    kept = {name: getattr(making, name) for name in _STEPS.values()}
+    """Sums the seconds of every step while scenes are made."""
+    original = {name: getattr(making, name) for name in _STEPS.values()}
 
     def stopwatch(step: str, function: Callable[..., Any]) -> Callable[..., Any]:
         def run(*arguments: Any) -> Any:
@@ -60,16 +61,16 @@ def _timed(seconds: dict[str, float]) -> Iterator[None]:
         return run
 
     for step, name in _STEPS.items():
-        setattr(making, name, stopwatch(step, kept[name]))
+        setattr(making, name, stopwatch(step, original[name]))
     try:
         yield
     finally:
-        for name, function in kept.items():
+        for name, function in original.items():
             setattr(making, name, function)
 
 
 def speed(num_scenes: int) -> dict[str, Any]:
-    """Seconds a scene on one core, in all and by step."""
+    """Measures the seconds a scene on one core, in total and by step."""
     for number in range(_WARM_UP):
         make_scene(number, seed=1)
     seconds = dict.fromkeys(_STEPS, 0.0)
@@ -93,7 +94,7 @@ def speed(num_scenes: int) -> dict[str, Any]:
 
 
 def nudged(scene: Scene, rng: np.random.Generator) -> tuple[list[RigidBody], PhysicsOptions]:
-    """The engine's view of a scene of the embedded world, a little off."""
+    """Returns the bodies of a scene of the embedded world with small random displacements, and options with another friction."""
     bodies = []
     for o, key in zip(scene.objects, (scene.source or {})[RECORD]["keys"], strict=True):
         source, scale = asset(key), np.asarray(o.scale) / asset(key).unit
@@ -122,7 +123,7 @@ def _verdicts(folder: str, scene_ids: Sequence[str], seed: int) -> list[tuple[st
 
 
 def check(folder: Path, num_scenes: int | None, workers: int, seed: int = 7) -> dict[str, Any]:
-    """How many scenes of a set are stable under small changes."""
+    """Measures how many scenes of a set are stable under small changes."""
     ids = MesaTaskDataset(folder).scene_ids
     step = 1 if num_scenes is None else max(1, len(ids) // num_scenes)
     chosen = ids[::step]
@@ -137,12 +138,14 @@ def check(folder: Path, num_scenes: int | None, workers: int, seed: int = 7) -> 
 
 
 def main(
-    scenes: Annotated[int | None, typer.Option(help="How many; 100 for the speed, all for the check.")] = None,
+    scenes: Annotated[
+        int | None, typer.Option(help="Number of scenes; by default 100 for the speed, all for the check.")
+    ] = None,
     check_: Annotated[Path | None, typer.Option("--check", help="A written set whose scenes are settled again.")] = None,
     workers: Annotated[int, typer.Option(help="Processes of the check.")] = 2,
-    file: Annotated[Path | None, typer.Option("--json", help="Where the figures are written.")] = None,
+    file: Annotated[Path | None, typer.Option("--json", help="File for the figures.")] = None,
 ) -> None:
-    """Times the making of scenes, or checks that those of a set stay where they are."""
+    """Times the making of scenes, or tests the stability of those of a set."""
     figures = speed(scenes or 100) if check_ is None else check(check_, scenes, workers)
     print(json.dumps(figures, indent=2))
     if file is not None:

@@ -10,7 +10,7 @@ Dimension letters used in shapes: S scenes, N objects, P points, V vertices, F f
 """
 
 import math
-from collections.abc import Mapping, Set
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, TypeAlias
@@ -244,14 +244,3 @@ class Scene:
         return replace(
             self, objects=tuple(o.moved((x, y, z), yaw) for o, (x, y, z, yaw) in zip(self.objects, rows, strict=True))
         )
-
-    def resting_on(self, carriers: Set[str]) -> set[str]:
-        """Some things and all that rests on them, directly and through others, as ``support`` says.
-
-        Args:
-            carriers: Instances.
-        """
-        members = set(carriers)
-        while more := {o.instance for o in self.objects if o.support in members} - members:
-            members |= more
-        return members

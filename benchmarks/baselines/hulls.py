@@ -1,7 +1,7 @@
 """Signed distances between convex bodies that are shifted and never turned, by MuJoCo's narrow phase (GJK and EPA).
 
-The signed distance of two convex bodies is a convex function of their relative shift: it is the distance of a point to the
-convex set that their Minkowski difference is. ``projection`` rests on that.
+The signed distance of two convex bodies is a convex function of their relative shift: it is the distance of a point to their
+convex Minkowski difference. ``projection`` relies on this.
 """
 
 from collections.abc import Sequence
@@ -15,22 +15,22 @@ from stable_data.errors import MeshError
 from stable_data.scene import FloatArray, IntArray, Tabletop
 from stable_data.simulation.mujoco_import import mujoco
 
-_HALF_SHEET = 2.5e-4  # half the thickness that a flat body is given, metres
-_FLATTEST = 1e-6  # bodies thinner than this are flat, metres
+_HALF_SHEET = 2.5e-4  # half the thickness given to a flat body, metres
+_FLATTEST = 1e-6  # a body thinner than this counts as flat, metres
 _TABLE_THICKNESS = 0.1  # metres
 _MANY_ITERATIONS = 200
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Distances:
-    """Pairs of convex parts that are near each other, E of them, by body.
+    """E pairs of convex parts that are near each other.
 
     Attributes:
-        first: Body of the one part, (E,) int64.
-        second: Body of the other, (E,) int64.
-        distance: Signed distance, (E,) float64, metres, negative where they overlap.
-        normal: Derivative of the distance with respect to the first body's position, (E, 3) float64, unit; with respect to the
-            second's it is the negative. NaN where the parts touch and witness points do not tell.
+        first: Body of the first part, (E,) int64.
+        second: Body of the second part, (E,) int64.
+        distance: Signed distance, (E,) float64, metres, negative if they overlap.
+        normal: Derivative of the distance with respect to the first body's position, (E, 3) float64, unit; for the second body it
+            is the negative. NaN if the parts touch, so that the witness points do not define it.
     """
 
     first: IntArray
@@ -39,11 +39,11 @@ class Distances:
     normal: FloatArray
 
     def take(self, rows: npt.NDArray[np.integer] | npt.NDArray[np.bool_]) -> "Distances":
-        """Some of the pairs, by index or mask."""
+        """Returns some of the pairs, by index or mask."""
         return Distances(self.first[rows], self.second[rows], self.distance[rows], self.normal[rows])
 
     def deepest(self, per_pair: int) -> "Distances":
-        """At most so many of each pair of bodies, the deepest first."""
+        """Returns at most ``per_pair`` pairs of parts of each pair of bodies, the deepest ones."""
         order = np.lexsort((self.distance, self.second, self.first))
         first, second = self.first[order], self.second[order]
         starts = np.flatnonzero(np.r_[True, (np.diff(first) != 0) | (np.diff(second) != 0)]) if len(order) else order
@@ -55,11 +55,11 @@ class ConvexBodies:
     """Bodies of one or more convex parts each.
 
     Args:
-        bodies: Of each body its parts, each the points (V, 3) whose hull it is, metres, turned as in the world, around the
-            body's position.
+        bodies: The parts of each body. A part is given by points (V, 3) of which it is the hull, metres, relative to the body's
+            position, with the rotation of the world frame.
 
     Raises:
-        MeshError: A body has no part, or the engine refuses one (code ``no_hull``).
+        MeshError: A body has no part, or MuJoCo refuses one (code ``no_hull``).
     """
 
     def __init__(self, bodies: Sequence[Sequence[FloatArray]]) -> None:
@@ -83,12 +83,12 @@ class ConvexBodies:
         return int(self._model.nmocap)
 
     def distances(self, positions: FloatArray, reach: float, among: IntArray | None = None) -> Distances:
-        """All pairs of parts whose boxes are not farther apart than a reach, and that are not themselves.
+        """Computes the distances of all pairs of parts that are not farther apart than a reach.
 
         Args:
-            positions: Of the bodies, (N, 3) float64, metres.
-            reach: Metres, positive.
-            among: Bodies to look at, (K,) int64; all where None.
+            positions: Positions of the bodies, (N, 3) float64, metres.
+            reach: Largest distance, metres, positive.
+            among: Bodies to consider, (K,) int64; None: all.
 
         Returns:
             The pairs, in the order of the parts.
@@ -99,8 +99,8 @@ class ConvexBodies:
         one, other = self._one, self._other
         is_near = (np.maximum(low[one] - high[other], low[other] - high[one]) <= reach).all(axis=1)
         if among is not None:
-            looked_at = np.isin(self.body_of, among)
-            is_near &= looked_at[one] & looked_at[other]
+            is_considered = np.isin(self.body_of, among)
+            is_near &= is_considered[one] & is_considered[other]
         one, other = one[is_near], other[is_near]
         distance, witness = np.empty(len(one)), np.empty((len(one), 6))
         for k, (i, j) in enumerate(zip(one.tolist(), other.tolist(), strict=True)):
@@ -108,15 +108,15 @@ class ConvexBodies:
         is_near = distance <= reach
         apart = witness[:, :3] - witness[:, 3:]
         length = np.linalg.norm(apart, axis=1)
-        is_told = (length > 0) & (np.abs(length - np.abs(distance)) <= 1e-3 * length)  # else the bodies touch, or nearly so
+        is_defined = (length > 0) & (np.abs(length - np.abs(distance)) <= 1e-3 * length)  # else the bodies touch, or nearly so
         normal = np.full((len(one), 3), np.nan)
-        normal[is_told] = (np.sign(distance) / np.maximum(length, 1e-300))[is_told, None] * apart[is_told]
+        normal[is_defined] = (np.sign(distance) / np.maximum(length, 1e-300))[is_defined, None] * apart[is_defined]
         found = Distances(self.body_of[one], self.body_of[other], distance, normal)
         return found.take(is_near)
 
 
 def solid_hull(points: FloatArray) -> FloatArray:
-    """Corners (K, 3) of the convex hull of points (V, 3), metres; what is flat is made half a millimetre thick.
+    """Computes the corners (K, 3) of the convex hull of points (V, 3), metres; a flat hull is made 0.5 mm thick.
 
     Raises:
         MeshError: The points are a line, a point, or not finite (code ``no_hull``).
@@ -133,7 +133,7 @@ def solid_hull(points: FloatArray) -> FloatArray:
 
 
 def table_box(table: Tabletop) -> tuple[FloatArray, FloatArray]:
-    """A box below the table top, as the corners (8, 3) of a part around its middle, and the middle (3,), metres."""
+    """Returns a box below the table top: its corners (8, 3) relative to its centre, and the centre (3,), metres."""
     half = np.array([*table.size_xy, _TABLE_THICKNESS]) / 2
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     return signs * half, half * (1, 1, -1)
@@ -151,4 +151,4 @@ def _compiled(hulls: Sequence[Sequence[FloatArray]]) -> mujoco.MjModel:
     try:
         return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
-        raise MeshError(f"the engine refuses a hull: {' '.join(str(error).split())}; repair its mesh", "no_hull") from error
+        raise MeshError(f"MuJoCo refuses a hull: {' '.join(str(error).split())}; repair its mesh", "no_hull") from error

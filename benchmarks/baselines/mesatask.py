@@ -1,14 +1,14 @@
 """MesaTask's layout optimiser, re-implemented from its description: not their code, and not their solver.
 
-Hao et al., "MesaTask", 2025, tools/layoutopt: Steerable's programme over windows of six neighbours, in Drake with IPOPT. Same
-programme and settings here: positions alone, at least 1 cm between any two convex hulls, no table, heights fixed unless the
-scene graph says otherwise, windows along x that wrap round, three rounds, a window kept only where it was solved.
+Hao et al., "MesaTask", 2025, tools/layoutopt: Steerable's programme over windows of six neighbours, in Drake with IPOPT. The
+programme and settings are the same here: only positions change, at least 1 cm between any two convex hulls, no table, fixed
+heights unless the scene graph says otherwise, windows along x that wrap round, three rounds, a window used only if it was solved.
 
-Two forms. *Fixed*, the default, sees the objects as they stand and gives back what the optimiser made. *Released* has what the
-released program has: every object at identity rotation, as its file's y-up mesh stretched to its box and centred on the mean of
-its corners; x and y within 0 to 1 m whatever the table; a window of six that repeats an object in smaller scenes and so has no
-solution; and a result that is taken only where fewer pairs than before are nearer than 5 cm, although 1 cm is what is asked
-for.
+There are two forms. *Fixed*, the default, uses the objects at their poses and returns the optimiser's result. *Released* has the
+properties of the released program: every object at identity rotation, as its file's y-up mesh stretched to its box and centred on
+the mean of its corners; x and y within 0 to 1 m for every table; a window of six that repeats an object in smaller scenes and so
+has no solution; and a result that is used only if it has fewer pairs nearer than 5 cm than before, although the required gap is
+1 cm.
 """
 
 import time
@@ -26,7 +26,7 @@ from stable_data.errors import MeshError
 from stable_data.geometry.shape import Shape
 from stable_data.scene import TABLE, FloatArray, IntArray, RelationKind, Scene, SceneObject
 
-_RELEASED_LIMIT = 1.0  # metres, of x and y
+_RELEASED_LIMIT = 1.0  # upper bound of x and y, metres
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,12 +37,12 @@ class MesaTask:
         is_released: The released form, else the fixed one (see the module).
         gap: Least distance of two objects, metres.
         influence: Pairs farther apart than this do not count, metres.
-        tolerance: Of the solver: by how much the gap may be missed, metres.
-        max_iterations: Of the solver, in a window.
+        tolerance: Tolerance of the solver: by how much the gap may be violated, metres.
+        max_iterations: Largest number of iterations of the solver in a window.
         window: Objects in a window.
-        num_rounds: Times that the windows pass over the scene.
-        near: Pairs nearer than this are what it calls colliding, metres.
-        lift: How far an object that may go up may do so, metres.
+        num_rounds: Passes of the windows over the scene.
+        near: Pairs nearer than this count as colliding, metres.
+        lift: How far an object may go up, if it may at all, metres.
     """
 
     is_released: bool = False
@@ -58,13 +58,13 @@ class MesaTask:
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
         """Moves objects apart; see :class:`~benchmarks.baselines.outcome.Baseline`.
 
-        Converged: all pairs are as far apart as they shall be, and in the released form also that the result was taken.
+        Converged: all pairs have the required distance and, in the released form, the result was used.
         """
         if self.is_released and len(scene.objects) < self.window:
             reason = f"{len(scene.objects)} objects, and a window of {self.window} repeats one: no window can be solved"
             return BaselineResult(scene, False, 0.0, reason)
         try:
-            hulls = [[_lying(o, shape, store)] for o, shape in zip(scene.objects, shapes, strict=True)]
+            hulls = [[_released_points(o, shape, store)] for o, shape in zip(scene.objects, shapes, strict=True)]
             bodies = ConvexBodies(hulls if self.is_released else turned_parts(scene, shapes, store))
         except MeshError as error:
             return BaselineResult(scene, False, 0.0, str(error))
@@ -76,7 +76,7 @@ class MesaTask:
         after = self._count(bodies, positions, self.near)
         if self.is_released and not (after < before or after == 0):
             return BaselineResult(
-                scene, False, seconds, f"not taken: {after} pairs nearer than {100 * self.near:g} cm, {before} before"
+                scene, False, seconds, f"result not used: {after} pairs nearer than {100 * self.near:g} cm, {before} before"
             )
         poses[:, :3] = positions
         left = self._count(bodies, positions, self.gap - self.tolerance)
@@ -87,7 +87,7 @@ class MesaTask:
         settings = ProjectionSettings(self.gap, self.influence, self.tolerance, self.max_iterations)
         for _ in range(self.num_rounds):
             for members in self._windows(positions):
-                # Each window has the limits of where its objects stand now, as the windows before have left them.
+                # The limits of each window depend on the positions after the windows before it.
                 found = project(bodies, positions, self._freedom(scene, positions), settings, among=members)
                 if found.converged:
                     positions = found.positions
@@ -96,15 +96,15 @@ class MesaTask:
         return positions
 
     def _windows(self, positions: FloatArray) -> Iterator[IntArray]:
-        """Neighbours along x, starting at every object and at the first few again."""
+        """Yields windows of neighbours along x, one from every object and again from the first few."""
         order, count = np.argsort(positions[:, 0], kind="stable"), len(positions)
         for first in range(count + self.window - 1):
             yield order[np.arange(first, first + min(self.window, count)) % count]
 
     def _freedom(self, scene: Scene, positions: FloatArray) -> Freedom:
-        """What the scene graph lets move: x and y by default; what is named above or below only up; what is in another also up.
+        """Returns what may move: by default x and y; objects of ``above`` and ``below`` only up; objects in others also up.
 
-        ``on`` another object counts as ``above`` it: their graphs know no other word for it.
+        ``on`` counts as ``above``: MesaTask's graphs have no other word for it.
         """
         place = {o.instance: n for n, o in enumerate(scene.objects)}
         is_free = np.tile([True, True, False], (len(place), 1))
@@ -124,15 +124,15 @@ class MesaTask:
         return Freedom(is_free, low, high)
 
     def _count(self, bodies: ConvexBodies, positions: FloatArray, distance: float) -> int:
-        """Pairs nearer than a distance."""
+        """Counts pairs nearer than a distance."""
         return int((bodies.distances(positions, distance).distance < distance).sum())
 
 
-def _lying(o: SceneObject, shape: Shape, store: AssetStore) -> FloatArray:
-    """What the released form takes an object for, (V, 3) float64, metres, around its position."""
+def _released_points(o: SceneObject, shape: Shape, store: AssetStore) -> FloatArray:
+    """Returns the points of an object in the released form, (V, 3) float64, metres, relative to its position."""
     mesh = store.mesh_of(o) if shape.is_exact else None
     x, y, z = (shape.vertices if mesh is None else mesh.vertices).T
-    file = np.stack([x, z, -y], axis=1)  # as the file has it, y up, and nothing turns it
+    file = np.stack([x, z, -y], axis=1)  # y up, as in the file, and not rotated
     extents = np.ptp(file, axis=0)
     stretched = file * np.divide(o.size, extents, out=np.ones(3), where=extents > 0)
     points: FloatArray = stretched - stretched.mean(axis=0)

@@ -19,4 +19,4 @@ METHODS: Mapping[str, Baseline] = MappingProxyType(
         "settle": Settle(),
     }
 )
-"""The paper's post-hoc optimisers, as re-implemented here, and two plain ones."""
+"""Re-implementations of the paper's post-hoc optimisers, and two plain methods."""

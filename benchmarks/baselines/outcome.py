@@ -1,4 +1,4 @@
-"""What every baseline takes and gives."""
+"""The interface of the baselines and their result."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,13 +11,13 @@ from stable_data.scene import Scene
 
 @dataclass(frozen=True, slots=True)
 class BaselineResult:
-    """A scene as a baseline leaves it. Whether it is clean is for the exact audit to say, never for the baseline.
+    """The result of a baseline. The exact audit decides whether it is clean, never the baseline.
 
     Attributes:
-        scene: The same instances, in order, where the baseline put them.
-        converged: Whether the baseline counts itself done, by its own geometry and tolerance.
-        seconds: Processor time of the optimisation alone: hulls, convex parts and grids of the assets are made before.
-        reason: Why it did not converge; empty where it did.
+        scene: The same instances, in order, with the poses of the baseline.
+        converged: Whether the baseline succeeded by its own geometry and tolerance.
+        seconds: Processor time of the optimisation, without the preparation of hulls, convex parts and grids of assets.
+        reason: Why it did not converge; empty if it did.
     """
 
     scene: Scene
@@ -27,18 +27,17 @@ class BaselineResult:
 
 
 class Baseline(Protocol):
-    """A baseline with its settings."""
+    """A correction method with its settings."""
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
         """Corrects one scene.
 
         Args:
-            scene: The layout to start from.
-            shapes: Geometry of its objects, in its order (``AssetStore.resolved``).
+            scene: The start layout.
+            shapes: Geometry of its objects, in order (``AssetStore.resolved``).
             store: Meshes of its assets.
 
         Returns:
-            What became of it. The scene that comes back may hold other tilts than the one given where the baseline lets
-            things tip over: ask the store for its shapes again.
+            The result. Its scene may have other tilts than ``scene``, if objects can tip over: resolve its shapes again.
         """
         ...

@@ -1,9 +1,9 @@
-"""Plain penalty descent: Adam on the poses, against sampled signed distances of the meshes, with a weak pull to the start.
+"""Plain penalty descent: Adam on the poses, with sampled signed distances of the meshes and a weak pull to the start.
 
-    Σ_{i≠j} Σ_q∈Q_i max(0, −D_j(q))² + anchor · |p − p⁰|² + what reaches over the table's edge
+    Σ_{i≠j} Σ_q∈Q_i max(0, −D_j(q))² + anchor · |p − p⁰|² + excess over the table edge
 
-No learning and no search: what gradients do by themselves. Every sample counts, not the deepest alone as in the corrector's
-losses: the deepest one of a flat thing points up, where nothing may go. Heights stay.
+Without learning and search: the result of gradients alone. Every sample counts, not only the deepest one as in the corrector's
+losses: the gradient at the deepest sample of a flat object points up, and heights are fixed here.
 """
 
 import time
@@ -29,10 +29,10 @@ class PenaltyDescent:
     """Adam on x, y and yaw.
 
     Attributes:
-        num_steps: Steps; the rate falls to 0 over them along a cosine.
-        learning_rate: Metres and radians: about how far the first step goes.
-        anchor_weight: Of the squared distance to the start, beside squared depths.
-        bounds_weight: Of what reaches over the table's edge or into the restricted zone, beside squared depths.
+        num_steps: Number of steps; the learning rate falls to 0 along a cosine.
+        learning_rate: About the length of the first step, metres and radians.
+        anchor_weight: Weight of the squared distance to the start; squared depths have weight 1.
+        bounds_weight: Weight of the excess over the table edge or into the restricted zone.
         num_samples: Surface samples of a shape.
         tolerance: Deepest sampled overlap that counts as none, metres.
     """
@@ -45,19 +45,19 @@ class PenaltyDescent:
     tolerance: float = 5e-4
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
-        """Descends; see :class:`~benchmarks.baselines.outcome.Baseline`. Converged: no sample is deeper than the tolerance."""
+        """Optimises the poses; see :class:`~benchmarks.baselines.outcome.Baseline`. Converged: no sample is deeper than the tolerance."""
         table = ShapeCollector(store, num_surface=self.num_samples)
         batch = LayoutBatch.from_scenes([scene], table)
         geometry = table.geometry()
         begin = time.process_time()
-        end = self._descended(torch.from_numpy(scene.poses())[None], batch, geometry)
+        end = self._optimise(torch.from_numpy(scene.poses())[None], batch, geometry)
         depth = float(depths(end, batch, geometry).amax())
         seconds = time.process_time() - begin
         reason = "" if depth <= self.tolerance else f"a sample remains {1e3 * depth:.2f} mm deep"
         return BaselineResult(scene.with_poses(end[0].numpy()), not reason, seconds, reason)
 
-    def _descended(self, start: Tensor, batch: LayoutBatch, geometry: ShapeTensors) -> Tensor:
-        """Poses (1, N, 4) after all steps."""
+    def _optimise(self, start: Tensor, batch: LayoutBatch, geometry: ShapeTensors) -> Tensor:
+        """Returns the poses (1, N, 4) after all steps."""
         origin, height = start[..., [0, 1, 3]], start[..., 2:3]
         moving = origin.clone().requires_grad_()
         adam = torch.optim.Adam([moving], lr=self.learning_rate)
@@ -77,7 +77,7 @@ class PenaltyDescent:
 
 
 def depths(poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors) -> Tensor:
-    """How deep every sample of every near object is in every other, (1 + M,), metres, 0 outside; the first is a 0.
+    """Computes the depth of samples of near objects in each other, (1 + M,), metres, 0 outside; the first entry is 0.
 
     Args:
         poses: (B, N, 4), metres and radians.

@@ -1,13 +1,13 @@
-"""The nearest places at which convex bodies keep a gap: the non-linear programme of Steerable and MesaTask, by our own solver.
+"""Nearest positions of convex bodies with a gap: the non-linear programme of Steerable and MesaTask, by our own solver.
 
     min Σ_i |p_i − p_i⁰|²   such that   φ_ij(p_i − p_j) ≥ gap for all pairs,   low ≤ p ≤ high
 
-Rotations are fixed, so φ_ij, the signed distance of two convex bodies, is a convex function of p_i − p_j, and its tangent is
-nowhere above it. Whatever satisfies the tangents at one iterate therefore satisfies the constraints themselves: every iterate
-is the exact solution of a quadratic programme and no step length has to be sought (the convex-concave procedure). The
-programme is still not a convex one: which side of each other two bodies end on is decided by where they start.
+Rotations are fixed, so φ_ij, the signed distance of two convex bodies, is a convex function of p_i − p_j, and is nowhere below
+its tangent. Positions that satisfy the tangents at one iterate therefore satisfy the constraints themselves: every iterate is the
+exact solution of a quadratic programme, without a search for a step length (the convex-concave procedure). The programme is still
+not convex: the start decides on which side of each other two bodies end.
 
-Constraints may be missed at a price, which is so high that they are missed only where not all of them can be met.
+A constraint may be violated at a price. The price is so high that this happens only if not all constraints can be met.
 """
 
 import time
@@ -20,11 +20,11 @@ from scipy.optimize import nnls
 from benchmarks.baselines.hulls import ConvexBodies, Distances
 from stable_data.scene import FloatArray, IntArray
 
-_MARGIN = 1e-5  # on top of the gap, metres: bodies that just touch have no normal
-_SOFTNESS = 1e-6  # inverse price of missing a constraint
+_MARGIN = 1e-5  # added to the gap, metres: bodies that just touch have no normal
+_SOFTNESS = 1e-6  # inverse price of violating a constraint
 _SMALL_STEP = 1e-5  # metres
-_PATIENCE = 30  # iterations without progress; where directions conflict the iterates may go round in a circle
-_PROGRESS = 0.99  # what is left of the worst miss, or of the objective, where one iteration was progress
+_PATIENCE = 30  # iterations without progress before the end: with conflicting directions the iterates may cycle
+_PROGRESS = 0.99  # an iteration is progress if the worst violation, or the objective, falls below this share
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,11 +33,11 @@ class ProjectionSettings:
 
     Attributes:
         gap: Least distance of any two bodies, metres.
-        influence: Pairs farther apart than this are left out until they come closer, metres.
-        tolerance: By how much a constraint may be missed in the end, metres.
-        max_iterations: Quadratic programmes at most.
-        max_seconds: Processor time.
-        rows_per_pair: Constraints of two bodies at a time where they have several parts: the deepest.
+        influence: Pairs farther apart than this are left out, metres.
+        tolerance: Allowed violation of a constraint at the end, metres.
+        max_iterations: Largest number of quadratic programmes.
+        max_seconds: Limit of processor time.
+        rows_per_pair: Largest number of constraints of two bodies of several parts: the deepest ones.
     """
 
     gap: float
@@ -50,12 +50,12 @@ class ProjectionSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Freedom:
-    """Where bodies may go.
+    """Bounds of the positions of bodies.
 
     Attributes:
         is_free: Coordinates that may change, (N, 3) bool.
-        low: Least values of them, (N, 3) float64, metres, −inf for none.
-        high: Greatest values, (N, 3) float64, metres, inf for none.
+        low: Least values, (N, 3) float64, metres, −inf for no bound.
+        high: Greatest values, (N, 3) float64, metres, inf for no bound.
     """
 
     is_free: npt.NDArray[np.bool_]
@@ -65,12 +65,12 @@ class Freedom:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProjectionResult:
-    """What :func:`project` found.
+    """The result of :func:`project`.
 
     Attributes:
         positions: (N, 3) float64, metres.
-        converged: All constraints are met and nothing moves any more.
-        missed: By how much the worst constraint is missed, metres.
+        converged: Whether all constraints are met and no body moves any more.
+        missed: The worst violation of a constraint, metres.
         num_iterations: Quadratic programmes solved.
         reason: Why it did not converge.
     """
@@ -84,12 +84,12 @@ class ProjectionResult:
 
 @dataclass(slots=True)
 class _Normals:
-    """The last known normal of each pair, for the moment at which two bodies touch."""
+    """The last known normal of each pair, for use while two bodies touch."""
 
     known: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
 
-    def completed(self, near: Distances, positions: FloatArray) -> FloatArray:
-        """The normals (E, 3), none missing."""
+    def fill_missing(self, near: Distances, positions: FloatArray) -> FloatArray:
+        """Returns the normals (E, 3), with missing ones filled in."""
         normal = near.normal.copy()
         for k, pair in enumerate(zip(near.first.tolist(), near.second.tolist(), strict=True)):
             if np.isnan(normal[k, 0]):
@@ -102,24 +102,19 @@ class _Normals:
 
 
 def project(
-    bodies: ConvexBodies,
-    start: FloatArray,
-    freedom: Freedom,
-    settings: ProjectionSettings,
-    *,
-    among: IntArray | None = None,
+    bodies: ConvexBodies, start: FloatArray, freedom: Freedom, settings: ProjectionSettings, *, among: IntArray | None = None
 ) -> ProjectionResult:
     """Solves the programme.
 
     Args:
         bodies: The bodies.
         start: p⁰, (N, 3) float64, metres.
-        freedom: Where they may go.
+        freedom: Bounds of the positions.
         settings: The programme.
-        among: Bodies that are in it, (K,) int64; the others are not there. All where None.
+        among: Bodies of the programme, (K,) int64; the others are ignored. None: all.
 
     Returns:
-        The nearest places found. Where it did not converge they are the last iterate.
+        The positions found; the last iterate if it did not converge.
     """
     end = time.process_time() + settings.max_seconds
     is_free = freedom.is_free
@@ -135,8 +130,8 @@ def project(
             return ProjectionResult(positions, False, missed, iteration, f"out of time after {settings.max_seconds:g} s")
         near = near.deepest(settings.rows_per_pair)
         try:
-            solved = _nearest(near, normals.completed(near, positions), positions, start, is_free, freedom, settings.gap)
-        except RuntimeError:  # the solver's own bound on its iterations
+            solved = _nearest(near, normals.fill_missing(near, positions), positions, start, is_free, freedom, settings.gap)
+        except RuntimeError:  # the solver reached its own limit of iterations
             return ProjectionResult(positions, False, missed, iteration, "a quadratic programme was not solved")
         step = float(np.abs(solved - positions).max(initial=0.0))
         is_met = missed <= settings.tolerance
@@ -144,7 +139,7 @@ def project(
         is_progress = now[0] < _PROGRESS * best[0] or (now[0] == best[0] and now[1] < _PROGRESS * best[1])
         best, num_idle = (now, 0) if is_progress else (best, num_idle + 1)
         if step < _SMALL_STEP or num_idle > _PATIENCE:
-            reason = "" if is_met else f"bodies remain {1e3 * missed:.2f} mm nearer than they may be"
+            reason = "" if is_met else f"bodies remain {1e3 * missed:.2f} mm nearer than allowed"
             return ProjectionResult(positions, is_met, missed, iteration, reason)
         positions, reach = solved, max(settings.influence, settings.gap + 2 * _MARGIN, 2 * step)
     return ProjectionResult(
@@ -161,7 +156,7 @@ def _nearest(
     freedom: Freedom,
     gap: float,
 ) -> FloatArray:
-    """The nearest places to the start that satisfy the tangents at the present positions, (N, 3)."""
+    """Returns the positions nearest to the start that satisfy the tangents at the present positions, (N, 3)."""
     num_rows, place = len(near.first), np.arange(start.size).reshape(start.shape)
     rows = np.zeros((num_rows, start.size))
     index = np.arange(num_rows)[:, None]
@@ -170,7 +165,7 @@ def _nearest(
     wanted = gap + _MARGIN - near.distance + rows @ (positions - start).ravel()
     free = place[is_free]
     rows = rows[:, free]
-    # What is fixed stays where it starts, so no row asks it for anything.
+    # Fixed coordinates keep their start value, so their columns are left out.
     identity = np.eye(len(free))
     above, below = (freedom.low - start)[is_free], (start - freedom.high)[is_free]
     is_low, is_high = np.isfinite(above), np.isfinite(below)
@@ -182,7 +177,7 @@ def _nearest(
 
 
 def least_shift(rows: FloatArray, wanted: FloatArray) -> FloatArray:
-    """The shortest y with rows · y ≥ wanted, or nearly so.
+    """Computes the shortest y with rows · y ≥ wanted, or nearly so.
 
     Args:
         rows: A, (M, D) float64.

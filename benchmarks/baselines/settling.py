@@ -1,4 +1,4 @@
-"""Settle only: let the engine push a layout apart, from where it is, and take what comes to rest."""
+"""Settling only: MuJoCo pushes the objects of a layout apart, and the poses at rest are the result."""
 
 import time
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from stable_data.simulation.collision_bodies import DENSITY, bodies_of
 from stable_data.simulation.scene_geometry import object_at_rest
 from stable_data.simulation.settling import PhysicsOptions, settle
 
-_AT_REST = 1e-3  # metres, while watched
+_AT_REST = 1e-3  # largest move during the watched time, metres
 _OPTIONS = PhysicsOptions(settle_seconds=2.5, watch_seconds=0.1)
 
 
@@ -22,17 +22,17 @@ class Settle:
     """MuJoCo on convex parts.
 
     Attributes:
-        options: How the engine is set; by default 2.5 s, and a tenth of a second to see whether it rests.
-        density: Of every object, kg/m³: a layout does not say what things weigh.
+        options: Settings of the simulation; by default 2.5 s, and 0.1 s to test whether the objects rest.
+        density: Density of every object, kg/m³: a layout gives no masses.
     """
 
     options: PhysicsOptions = _OPTIONS
     density: float = DENSITY
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
-        """Lets go; see :class:`~benchmarks.baselines.outcome.Baseline`. Things may tip over, or fall off the table.
+        """Simulates; see :class:`~benchmarks.baselines.outcome.Baseline`. Objects may tip over, or fall off the table.
 
-        Converged: the engine did not blow up and everything rests.
+        Converged: the simulation did not diverge, and all objects rest.
         """
         resolved = store.resolved(scene)[0]
         try:
@@ -46,5 +46,5 @@ class Settle:
             return BaselineResult(scene, False, seconds, result.reason)
         objects = tuple(object_at_rest(o, store.mesh_of(o), result.pose(k)) for k, o in enumerate(resolved.objects))
         is_at_rest = result.drift_mm <= 1e3 * _AT_REST
-        reason = "" if is_at_rest else f"something still moves: {result.drift_mm:.1f} mm in {self.options.watch_seconds:g} s"
+        reason = "" if is_at_rest else f"an object still moves: {result.drift_mm:.1f} mm in {self.options.watch_seconds:g} s"
         return BaselineResult(replace(scene, objects=objects), is_at_rest, seconds, reason)

@@ -1,10 +1,10 @@
 """Steerable Scene Generation's projection, re-implemented from its description: not their code, and not their solver.
 
 Pfaff et al., "Steerable Scene Generation with Post Training and Inference-Time Search", 2025. Theirs is an inverse-kinematics
-programme in Drake, solved by SNOPT; ``benchmarks/steerable_drake.py`` runs that. Here is the same programme with the released
-settings, solved as ``projection`` does, which does not fail where SNOPT does: take its figures for what the formulation can do
-at best. Theirs: positions alone, the sum of their squared changes, every pair of bodies not nearer than 0, one convex hull a
-mesh (which is what Drake makes of a mesh), the table as a fixed box, and a scene that the solver does not solve is thrown away.
+programme in Drake, solved by SNOPT; ``benchmarks/steerable_drake.py`` runs that. Here the same programme with the released
+settings is solved by ``projection``, which does not fail where SNOPT does: the figures are an upper bound for the formulation.
+The programme: only positions change, with the sum of their squared changes as the objective; no pair of bodies nearer than 0; one
+convex hull a mesh (as Drake makes of a mesh); the table as a fixed box; a scene that the solver does not solve is discarded.
 """
 
 import time
@@ -28,11 +28,11 @@ class Steerable:
     """The projection with its released settings.
 
     Attributes:
-        with_parts: Take the convex parts of the meshes instead of one hull each: hollows stay hollow.
+        with_parts: Use the convex parts of the meshes instead of one hull each, so that hollows stay hollow.
         influence: Pairs farther apart than this do not count, metres.
-        tolerance: Of the solver, as a share of the influence distance, which its constraint is scaled by.
-        max_iterations: Of the solver.
-        max_seconds: Of the solver.
+        tolerance: Tolerance of the solver, a share of the influence distance, by which its constraint is scaled.
+        max_iterations: Largest number of iterations of the solver.
+        max_seconds: Time limit of the solver.
     """
 
     with_parts: bool = False
@@ -42,9 +42,9 @@ class Steerable:
     max_seconds: float = 60.0
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
-        """Moves objects apart, up and down too; see :class:`~benchmarks.baselines.outcome.Baseline`.
+        """Moves objects apart, also vertically; see :class:`~benchmarks.baselines.outcome.Baseline`.
 
-        A scene that did not converge is one that Steerable would throw away; it comes back as far as it got.
+        Steerable would discard a scene that did not converge; here its last iterate is returned.
         """
         poses = scene.poses()
         box, middle = table_box(scene.table)
@@ -69,7 +69,7 @@ class Steerable:
 def turned_parts(
     scene: Scene, shapes: Sequence[Shape], store: AssetStore, *, with_parts: bool = False
 ) -> list[list[FloatArray]]:
-    """Points of the convex parts of every object, turned by its yaw, around its position; its whole shape where not ``with_parts``.
+    """Returns the points of the convex parts of every object, turned by its yaw; one whole shape if not ``with_parts``.
 
     Raises:
         MeshError: A mesh has no convex parts.

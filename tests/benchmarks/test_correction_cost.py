@@ -67,7 +67,7 @@ def test_a_number_that_cannot_be_met_is_refused(bench: Bench, rng: np.random.Gen
         scene, objects=(replace(first, support=TABLE), replace(second, support=first.instance)), relations=(), task=None
     )
     assert len(crowd([pair], 4, rng).objects) == 4
-    with pytest.raises(SceneError, match="carries less than 1"):
+    with pytest.raises(SceneError, match="carries at least 1"):
         crowd([pair], 3, rng)
 
 

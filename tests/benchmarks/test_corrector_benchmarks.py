@@ -127,7 +127,7 @@ def test_an_arm_is_trained_once(clean_run: Path, tmp_path: Path, capsys: pytest.
 def test_an_arm_that_was_stopped_says_so(clean_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(CorrectorTrainingJob, "run", lambda _: "stopped")
-        with pytest.raises(SystemExit, match="run again to continue"):
+        with pytest.raises(SystemExit, match="run the command again to resume it"):
             trained(clean_run, tmp_path)
     assert trained(clean_run, tmp_path).steps == 2
 

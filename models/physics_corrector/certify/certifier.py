@@ -1,4 +1,4 @@
-"""Certification: a scene is made exactly clean, with little movement and its relations kept."""
+"""Certification: makes a scene clean by the exact audit, with little movement and its relations preserved."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -25,19 +25,20 @@ _DEFAULT = CertifyOptions()
 def certify(
     scene: Scene, shapes: Sequence[Shape], options: CertifyOptions = _DEFAULT, *, original: Scene | None = None
 ) -> CertificationResult:
-    """Makes a scene exactly clean, with little movement and its relations kept.
+    """Makes a scene clean by the exact audit, with little movement and its relations preserved.
 
     Args:
         scene: The layout; positions are box centres (``AssetStore.resolved``).
         shapes: The geometry of each object, in the scene's order.
         options: Settings.
-        original: The layout whose relations are kept and from which movement is measured; None: ``scene`` itself.
+        original: The layout whose relations are preserved and from which movement is measured; None: ``scene``.
 
     Returns:
-        The corrected scene with its audit, or why there is none. Its audit names every collision that is left.
+        The corrected scene with its audit, or the reason why none was found. The audit names every remaining collision.
 
     Raises:
-        SceneError: Shapes, ``original`` or ``options.fixed`` do not belong to the scene.
+        SceneError: Shapes (``shapes_differ``), ``original`` (``original_differs``) or ``options.fixed`` (``fixed_unknown``) do
+            not belong to the scene.
     """
     return Certifier(scene, shapes, options, original).certify()
 
@@ -49,7 +50,7 @@ def _thread_pools() -> ThreadpoolController:
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Limits linear algebra to one thread: many small matrices gain nothing from more, and lose time where threads wait."""
+    """Limits linear algebra to one thread: with many small matrices, more threads only wait for each other."""
     with _thread_pools().limit(limits=1, user_api="blas"):
         yield
 
@@ -58,12 +59,12 @@ class Certifier:
     """Certifies one scene; arguments and errors as for :func:`certify`.
 
     Attributes:
-        scene: The layout to begin at.
+        scene: The start layout.
         options: Settings.
-        original: The layout whose relations are kept.
+        original: The layout whose relations are preserved.
         shapes: The geometry of the objects; a box that replaces a missing mesh is checked like a mesh.
-        meshes: The same, for exact queries.
-        search: The search for a clean layout; None before it, and where the scene was clean already.
+        meshes: The same geometry, for exact queries.
+        search: The search for a clean layout; None before the search, and if the scene was clean already.
     """
 
     def __init__(
@@ -89,7 +90,7 @@ class Certifier:
         """Certifies the scene."""
         with one_blas_thread():
             wanted = expected_carriers(self.scene) if self.options.restore else {}
-            if not wanted and (audit := self._clean_as_it_is()) is not None:
+            if not wanted and (audit := self._audit_if_clean()) is not None:
                 return self.conclude(self.scene, audit)
             self.search = LayoutSearch(self.scene, self.original, self.shapes, self.meshes, self.options, wanted)
             found = self.search.find()
@@ -99,14 +100,14 @@ class Certifier:
             return replace(self.conclude(build_scene(self.search.layout), found), num_broken=self.search.num_broken)
 
     def layout(self) -> LayoutState:
-        """The certified layout: as the search left it, else as the scene shows it."""
+        """Returns the certified layout: from the search, or from the scene if no search was needed."""
         if self.search is not None:
             return self.search.layout
         carried = [choice[0] for choice in infer_carriers(self.meshes, self.scene.poses(), {})]
         return LayoutState(self.scene, self.shapes, carried, self.options.fixed)
 
     def conclude(self, scene: Scene, audit: Audit) -> CertificationResult:
-        """The result for a clean scene: certified, unless objects were dropped or meshes are missing.
+        """Returns the result for a clean scene: certified, unless objects were dropped or meshes are missing.
 
         Args:
             scene: The clean scene.
@@ -114,22 +115,23 @@ class Certifier:
         """
         dropped: tuple[DroppedObject, ...] = () if self.search is None else tuple(self.search.dropped)
         if dropped and not scene.objects:
-            reason = f"of all that is there {dropped[0].reason}"
+            reason = f"every object was dropped: {dropped[0].reason}"
             return CertificationResult(None, CorrectionStatus.INFEASIBLE, reason, dropped)
         there = {o.instance for o in scene.objects}
         missing = [o.instance for o, s in zip(self.scene.objects, self._given, strict=True) if not s.is_exact]
-        if kept := [name for name in missing if name in there]:
+        if boxed := [name for name in missing if name in there]:
             shapes = [s for o, s in zip(self.scene.objects, self._given, strict=True) if o.instance in there]
-            reason = f"boxes stand in for the meshes of {kept}: clean by boxes, which proves nothing"
+            reason = f"the meshes of {boxed} are missing: clean with boxes in their place, which proves nothing"
             return CertificationResult(scene, CorrectionStatus.UNKNOWN, reason, dropped, audit_scene(scene, shapes))
         reason = "; ".join(f"{d.instance} dropped: {d.reason}" for d in dropped)
         status = CorrectionStatus.DROPPED if dropped else CorrectionStatus.CERTIFIED
         return CertificationResult(scene, status, reason, dropped, audit)
 
-    def _clean_as_it_is(self) -> Audit | None:
-        """The audit of the layout where it is clean already. The cheap checks come first."""
+    def _audit_if_clean(self) -> Audit | None:
+        """Returns the audit of a layout that is clean already, else None."""
         poses, size = self.scene.poses(), np.array(self.scene.table.size_xy)
         boxes = [self.meshes.box(k, pose) for k, pose in enumerate(poses)]
+        # The cheap checks first: most layouts fail one of them, and the audit takes longest.
         for low, high in boxes:
             if low[2] < -TOLERANCE or (low[:2] < -BOUNDS_SLACK).any() or (high[:2] > size + BOUNDS_SLACK).any():
                 return None

@@ -1,4 +1,4 @@
-"""What a correction is asked for, and its result."""
+"""Requests and results of corrections."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,23 +14,23 @@ from stable_data.metrics.movement import add_movement
 from stable_data.metrics.relations_kept import RelationsKept, relations_kept
 from stable_data.scene import Scene
 
-if TYPE_CHECKING:  # the engine takes long to import
+if TYPE_CHECKING:  # MuJoCo takes long to import
     from stable_data.simulation.settling import SettleResult
 
 Fixed: TypeAlias = frozenset[str]
-"""Instances of a scene that must stay where they are."""
+"""Instances of a scene that must not move."""
 
 
 @dataclass(frozen=True, slots=True)
 class CorrectionOptions:
-    """What the correction of one scene may change, and what it proves.
+    """The permitted changes and the checks of the correction of one scene.
 
     Attributes:
-        fixed: Instances that must stay where they are, besides those that the corrector's own options fix.
-        new: Instances that no correction has placed yet. Where tilts may change, those that the scene's relations put on or in
-            something are dropped there in a simulation first.
-        may_tilt: Whether tilts may change: for scenes that are generated. Otherwise only positions and yaws change.
-        asks_engine: Whether MuJoCo decides which objects stay at rest, and those that do not are repaired.
+        fixed: Instances that must not move, in addition to those that the options of the corrector fix.
+        new: Instances that no correction has placed yet. If tilts may change, those that a relation of the scene puts on or in
+            another object are first dropped there in a simulation.
+        may_tilt: Whether tilts may change, as in generated scenes. Otherwise only positions and yaws change.
+        asks_engine: Whether MuJoCo decides which objects stay at rest, and the others are repaired.
     """
 
     fixed: Fixed = frozenset()
@@ -41,13 +41,13 @@ class CorrectionOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CertificationRequest:
-    """One scene after the flow, to be certified: in this process or in another.
+    """A scene after the flow, to be certified in this process or in another one.
 
     Attributes:
         scene: The scene, resolved (``AssetStore.resolved``).
         raw: The scene after the flow; None without a flow.
-        options: What may be changed.
-        audit: The exact audit of ``scene``; None where it is not known.
+        options: The permitted changes.
+        audit: The exact audit of ``scene``; None if it is not known.
     """
 
     scene: Scene
@@ -58,21 +58,21 @@ class CertificationRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownShapes:
-    """Geometry that the caller has already, without assets: it is enough where MuJoCo is not asked and tilts do not change.
+    """Geometry that the caller has already, without assets: sufficient without MuJoCo and without changes of tilt.
 
     Attributes:
-        shapes: By instance, the same in all scenes.
+        shapes: Instance -> shape, the same in all scenes.
     """
 
     shapes: Mapping[str, Shape]
 
     def resolved(self, scene: Scene) -> tuple[Scene, list[Shape], tuple[Notice, ...]]:
-        """As ``AssetStore.resolved``: the scene as it is, and the geometry of its objects in order."""
+        """Returns the unchanged scene and the geometry of its objects in order, like ``AssetStore.resolved``."""
         return scene, [self.shapes[o.instance] for o in scene.objects], ()
 
 
 Assets: TypeAlias = AssetStore | KnownShapes
-"""Gives the geometry of the objects of scenes."""
+"""A source of the geometry of objects."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,19 +80,19 @@ class Correction:
     """The result for one scene.
 
     Attributes:
-        status: Whether it is clean, and at what price.
-        reason: Why nothing better was possible; empty where certified.
+        status: The outcome.
+        reason: Why the scene is not certified; empty if it is.
         start: The scene before the correction.
-        raw: After the flow, before certification; None without a flow.
-        certified: The clean scene; None where infeasible.
+        raw: The scene after the flow, before certification; None without a flow.
+        certified: The clean scene; None if infeasible.
         dropped: Objects for which no place was found.
-        card_before: Figures of the start; None where it could not be judged at all.
-        card_raw: Figures of the raw scene; None without a flow, or where they were not asked for.
-        card_after: Figures of the clean scene, with its movement and the relations that it kept; None where infeasible.
-        audit: The exact audit of the clean scene; None where infeasible.
-        kept: Relations of the start that still hold, counted; None where infeasible.
-        rest: MuJoCo's verdict on ``certified``; None where it was not asked or could not be.
-        engine_fault: Why MuJoCo could not be asked; empty where it was asked or nobody wanted it.
+        card_before: Metric card of the start; None if it could not be judged.
+        card_raw: Metric card of the raw scene; None without a flow, or if it was not requested.
+        card_after: Metric card of the clean scene, with its movement and its preserved relations; None if infeasible.
+        audit: The exact audit of the clean scene; None if infeasible.
+        kept: Counts of the relations of the start that still hold; None if infeasible.
+        rest: MuJoCo's verdict on ``certified``; None if there was no simulation.
+        engine_fault: Why the simulation failed; empty if it did not, or was not requested.
     """
 
     status: CorrectionStatus
@@ -112,12 +112,12 @@ class Correction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InputScene:
-    """A scene before its correction: the reference of movement and relations.
+    """A scene before its correction: the reference for movement and relations.
 
     Attributes:
         scene: The scene, resolved.
         shapes: The geometry of its objects, in order.
-        audit: The exact audit of it.
+        audit: Its exact audit.
     """
 
     scene: Scene
@@ -126,19 +126,19 @@ class InputScene:
 
     @classmethod
     def of(cls, scene: Scene, assets: Assets, audit: Audit | None = None) -> "InputScene":
-        """Resolves a scene, and audits it where that is not done already.
+        """Resolves a scene, and audits it if no audit is given.
 
         Args:
             scene: The scene.
             assets: Geometry of its objects.
-            audit: Its exact audit, where it is known.
+            audit: Its exact audit, if known.
         """
         scene, shapes, _ = assets.resolved(scene)
         return cls(scene, shapes, audit_scene(scene, shapes) if audit is None else audit)
 
 
 def shapes_by_instance(scene: Scene, shapes: Sequence[Shape]) -> dict[str, Shape]:
-    """The geometry of a scene's objects by instance."""
+    """Returns instance -> geometry for the objects of a scene."""
     return {o.instance: shape for o, shape in zip(scene.objects, shapes, strict=True)}
 
 
@@ -150,14 +150,14 @@ def build_correction(
     raw: Scene | None = None,
     card_raw: MetricCard | None = None,
 ) -> Correction:
-    """A certification as a correction, with the figures of movement and of the relations that were kept.
+    """Builds a correction from a certification; computes the figures of movement and of preserved relations.
 
     Args:
         start: The scene before the correction.
         result: Its certification.
-        shapes: The geometry that was certified, by instance; its tilts may differ from those of ``start``.
+        shapes: Instance -> certified geometry; its tilts may differ from those of ``start``.
         raw: The scene after the flow.
-        card_raw: Figures of ``raw``.
+        card_raw: Metric card of ``raw``.
     """
     card_after, kept = None, None
     if result.scene is not None and result.audit is not None:
@@ -181,7 +181,7 @@ def build_correction(
 
 
 def replace_result(correction: Correction, again: Correction) -> Correction:
-    """A correction whose certified scene, and all figures of it, are those of another one of the same start."""
+    """Returns a correction with the certified scene, and all figures of it, of another correction of the same start."""
     return replace(
         correction, certified=again.certified, card_after=again.card_after, audit=again.audit, kept=again.kept, rest=again.rest
     )

@@ -1,4 +1,4 @@
-"""Certification of a scene after the flow: where to begin, and which of two results is better."""
+"""Certification of a scene after the flow: choice of the start layout and of the better result."""
 
 from collections.abc import Sequence
 
@@ -11,9 +11,10 @@ from stable_data.metrics.movement import movement
 from stable_data.metrics.relations_kept import DIRECTIONAL
 from stable_data.scene import FloatArray, IntArray, Scene
 from stable_data.scene_graph.relations import scene_graph
+from stable_data.scene_graph.support_tree import SupportTree
 
-# A flow that moves nothing farther than this (metres along the table, radians about z) is ignored: it is about the error of the
-# flow itself. Tuned on: not recorded.
+# A flow that moves no object farther than this (metres along the table, radians about z) is ignored: it is about the error of
+# the flow itself. Tuned on: not recorded.
 _FLOW_ERROR, _FLOW_TURN_ERROR = 5e-3, float(np.radians(5))
 _DEFAULT = CertifyOptions()
 
@@ -21,19 +22,18 @@ _DEFAULT = CertifyOptions()
 def certify_moved(
     scene: Scene, raw: Scene | None, shapes: Sequence[Shape], options: CertifyOptions = _DEFAULT
 ) -> tuple[CertificationResult, Certifier]:
-    """Certifies a scene from its poses after the flow; where the result is poor, also from the scene itself.
+    """Certifies a scene from its poses after the flow; if the result is poor, also from the scene itself.
 
-    A result is poor where it is infeasible or drops objects, and, with ``options.twice``, where it breaks relations.
+    A result is poor if it is infeasible or drops objects or, with ``options.twice``, if it breaks relations.
 
     Args:
-        scene: The scene before the flow, with the supports of its objects where they are known.
-        raw: The scene after the flow; None without one.
+        scene: The scene before the flow, with the known supports of its objects.
+        raw: The scene after the flow; None without a flow.
         shapes: The geometry of its objects, in order.
         options: Settings.
 
     Returns:
-        The better result with its certifier: the one that drops fewer objects, then the one that breaks fewer relations, then
-        the one that moves less.
+        The better result with its certifier: with fewer dropped objects, then fewer broken relations, then less movement.
     """
     start = choose_start(scene, raw)
     certifier = Certifier(start, shapes, options, scene)
@@ -41,26 +41,26 @@ def certify_moved(
     if start is scene or not (result.scene is None or result.dropped or (options.twice and result.num_broken)):
         return result, certifier
 
-    def badness(each: tuple[CertificationResult, Certifier]) -> tuple[bool, int, int, float]:
+    def cost(each: tuple[CertificationResult, Certifier]) -> tuple[bool, int, int, float]:
         result = each[0]
         move = np.inf if result.scene is None else movement(scene, result.scene)[0]
         return result.scene is None, len(result.dropped), result.num_broken, move
 
     other = Certifier(scene, shapes, options)
-    return min(((result, certifier), (other.certify(), other)), key=badness)
+    return min(((result, certifier), (other.certify(), other)), key=cost)
 
 
 def choose_start(scene: Scene, raw: Scene | None) -> Scene:
-    """The scene at which `certify` begins: the scene after the flow, without harmful moves.
+    """Returns the start layout of `certify`: the scene after the flow, without harmful moves.
 
-    The flow decides in which directions objects part; the exact part finds millimetres and heights. If the flow moves nothing
-    farther along the table than its own error, it can only add that error, and the scene itself is used. An object whose move
-    breaks a directional relation returns to its pose with all that it carries, the farthest first: `certify` could hardly
-    restore the relation, because the objects between the two keep them apart.
+    The flow decides in which directions objects separate; the exact search finds millimetres and heights. If the flow moves no
+    object farther than its own error, it can only add that error, and the scene itself is used. An object whose move breaks a
+    directional relation returns to its pose with all that it carries, the farthest first: `certify` could hardly restore the
+    relation, because of the objects between the two.
 
     Args:
-        scene: The scene before the flow, with the supports of its objects where they are known.
-        raw: The scene after the flow; None without one.
+        scene: The scene before the flow, with the known supports of its objects.
+        raw: The scene after the flow; None without a flow.
     """
     if raw is None:
         return scene
@@ -69,8 +69,9 @@ def choose_start(scene: Scene, raw: Scene | None) -> Scene:
     turns = np.arctan2(np.sin(steps[:, 3]), np.cos(steps[:, 3]))
     if ((np.linalg.norm(steps[:, :2], axis=1) < _FLOW_ERROR) & (np.abs(turns) < _FLOW_TURN_ERROR)).all():
         return scene
-    one, other, axis = _side_by_side(scene, start)
+    one, other, axis = _directional_pairs(scene, start)
     sign = np.sign(start[one, axis] - start[other, axis])
+    supports = SupportTree.of(scene.objects)
     for _ in scene.objects:
         apart = poses[one, :2] - poses[other, :2]
         each = np.arange(len(one))
@@ -79,14 +80,14 @@ def choose_start(scene: Scene, raw: Scene | None) -> Scene:
         lengths = np.linalg.norm(poses[ends, :2] - start[ends, :2], axis=1)
         if not lengths.any():
             break
-        returned = scene.resting_on({scene.objects[int(ends[lengths.argmax()])].instance})
+        returned = supports.with_descendants({scene.objects[int(ends[lengths.argmax()])].instance})
         back = [k for k, o in enumerate(scene.objects) if o.instance in returned]
         poses[back] = start[back]
     return scene.with_poses(poses)
 
 
-def _side_by_side(scene: Scene, poses: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Pairs (E,) that directional relations link, each once, and the axis along which they are apart, 0 or 1."""
+def _directional_pairs(scene: Scene, poses: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Returns pairs (E,) of objects with a directional relation, each once, and the axis of their larger distance, 0 or 1."""
     number = {o.instance: k for k, o in enumerate(scene.objects)}
     edges = scene_graph(scene, {}).edges(keys=True)
     pairs = {tuple(sorted((number[s], number[t]))) for s, t, kind in edges if kind in DIRECTIONAL}

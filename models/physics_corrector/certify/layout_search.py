@@ -1,4 +1,4 @@
-"""The search for a clean layout: objects are rested on their carriers, parted on the table, and audited exactly."""
+"""The search for a clean layout: rests objects on their carriers, separates them on the table, and audits them exactly."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -8,7 +8,7 @@ import numpy as np
 from models.physics_corrector.certify.layout_state import LayoutState
 from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.options import CertifyOptions, DroppedObject
-from models.physics_corrector.certify.packing_bodies import PackingBodies, directional_bodies
+from models.physics_corrector.certify.packing_bodies import PackingBodies, directional_relations
 from models.physics_corrector.certify.resting_pose import RestingPose, resting_pose
 from models.physics_corrector.certify.support_inference import TABLE_TOP, SupportEdge, infer_carriers
 from models.physics_corrector.packing.packing_problem import AXES, PackingProblem, holds_relation
@@ -18,11 +18,11 @@ from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.metrics.collision import TOLERANCE
 from stable_data.scene import FloatArray, Scene
 
-# Objects are dropped before a search where the total footprint is over _OVERFULL of the table area, until it is under _PACKED
+# If the total footprint is over _OVERFULL of the table area, objects are dropped before the search until it is under _PACKED
 # (shares of the area). Tuned on: not recorded.
 _OVERFULL, _PACKED = 1.2, 0.8
-# An object whose underside is this near to the table top (metres) keeps its height. Less than the audit's tolerance, so that
-# the audit accepts what is kept.
+# An object whose underside is this near to the table top (metres) keeps its height. Less than the tolerance, so that the audit
+# accepts that height.
 _LEVEL = 0.9 * TOLERANCE
 # A group that moves less than this along both axes (metres) keeps its pose bit by bit.
 _UNMOVED = 1e-7
@@ -32,17 +32,17 @@ class LayoutSearch:
     """The search for a clean layout of one scene.
 
     Args:
-        scene: The layout to begin at.
-        original: The layout whose relations are kept and from which movement is measured.
+        scene: The start layout.
+        original: The layout whose relations are preserved and from which movement is measured.
         shapes: The geometry of the objects, in order.
-        meshes: The same, for exact queries.
+        meshes: The same geometry, for exact queries.
         options: Settings.
-        wanted: The carriers that relations ask for, by the object's index.
+        wanted: Index of an object -> the carrier that a relation requires.
 
     Attributes:
-        layout: Poses and carriers as they are now.
-        dropped: Objects that were dropped.
-        reason: Why there is no clean layout; empty where there is one.
+        layout: The present poses and carriers.
+        dropped: The dropped objects.
+        reason: Why there is no clean layout; empty if there is one.
         num_broken: Relations of the original that the clean layout breaks; see
             :attr:`~models.physics_corrector.certify.options.CertificationResult.num_broken`.
     """
@@ -61,7 +61,7 @@ class LayoutSearch:
         self.reason = ""
         self.num_broken = 0
         self._outline_pairs: set[frozenset[int]] = set()  # pairs of roots whose outlines must be apart
-        self._rested_anew: set[int] = set()
+        self._rested_again: set[int] = set()
         self._floating: set[int] = set()
         self._unsteady: list[int] = []  # objects without a steady place on their carrier
         original_poses = original.poses()
@@ -72,20 +72,20 @@ class LayoutSearch:
             known = {k: c for k, c in enumerate(carried) if c.parent != TABLE_TOP or self._stood_on_table(k)}
             carried = [choice[0] for choice in infer_carriers(meshes, scene.poses(), known)]
         self.layout = LayoutState(scene, shapes, carried, options.fixed)
-        self._orders = directional_bodies(self.layout, original_poses)
+        self._orders = directional_relations(self.layout, original_poses)
         self._packing = PackingBodies(self.layout, meshes, original_poses, self._orders, options.clearance)
         self._first_carriers = list(carried)
 
     def find(self) -> Audit | None:
-        """Finds a clean layout.
+        """Searches for a clean layout.
 
         Returns:
-            The exact audit of ``layout``; None where there is no clean one, with ``reason`` set.
+            The exact audit of ``layout``; None if no clean layout was found, with ``reason`` set.
         """
         self._rest_all()
         audit = None
         for _ in range(self._options.rounds):
-            if not self._part_trees():
+            if not self._separate_trees():
                 return None
             audit = audit_scene(build_scene(self.layout), [self._shapes[k] for k in self.layout.present()])
             if audit.card().clean or not self._change_refused(audit):
@@ -99,11 +99,11 @@ class LayoutSearch:
         return audit
 
     def _count_broken(self) -> int:
-        """How many objects have lost their first carrier, plus how many directional relations no longer hold."""
-        layout, meant = self.layout, self._first_carriers
+        """Returns the number of objects without their first carrier, plus the number of broken directional relations."""
+        layout, first = self.layout, self._first_carriers
         number = {o.instance: k for k, o in enumerate(self._scene.objects)}
-        there = [k for k in layout.present() if meant[k].parent != TABLE_TOP and layout.is_there[meant[k].parent]]
-        broken = sum(meant[k].parent not in layout.carriers(k) for k in there)
+        there = [k for k in layout.present() if first[k].parent != TABLE_TOP and layout.is_there[first[k].parent]]
+        broken = sum(first[k].parent not in layout.carriers(k) for k in there)
         for relation in self._orders:
             i, j = number[relation.subject], number[relation.target]
             apart = layout.poses[i, :2] - layout.poses[j, :2]
@@ -127,11 +127,12 @@ class LayoutSearch:
             self._rest_on_other_carrier(k)
 
     def _rest_tree(self, root: int) -> None:
-        """Rests all that a root carries, from below; an object with no place there stands on the table itself."""
+        """Rests all objects of a tree, carriers first; an object without a place on its carrier is put on the table."""
         layout = self.layout
-        done, queue, was = [root], [root], layout.poses.copy()
+        done, queue, before = [root], [root], layout.poses.copy()
         while queue:
             carrier = queue.pop(0)
+            # Fixed objects first, because the others must find room beside them; then from below.
             for c in sorted(layout.children(carrier), key=lambda c: (not layout.is_fixed[c], layout.low(c), c)):
                 own = set(layout.tree(c))
                 waiting = [m for m in layout.tree(root) if m not in own and m not in done]
@@ -147,8 +148,8 @@ class LayoutSearch:
                     layout.carry(c, rest.pose)
                     done.append(c)
                     queue.append(c)
-        stayed = [m for m in done[1:] if np.array_equal(layout.poses[m], was[m])]
-        for c in stayed if len(stayed) < len(done) - 1 else ():  # it may have leaned on an object that has moved
+        stayed = [m for m in done[1:] if np.array_equal(layout.poses[m], before[m])]
+        for c in stayed if len(stayed) < len(done) - 1 else ():  # an object that stayed may have leaned on one that moved
             own = set(layout.tree(c))
             others = [m for m in done if m not in own]
             rest = None if layout.is_fixed[c] else resting_pose(self._meshes, layout.poses, c, layout.carried[c], others)
@@ -156,9 +157,9 @@ class LayoutSearch:
                 layout.carry(c, rest.pose)
 
     def _rest_on_other_carrier(self, k: int) -> None:
-        """Rests an object on another possible carrier, where it found no steady place on its own."""
-        layout, own, was = self.layout, set(self.layout.tree(k)), self.layout.poses[k].copy()
-        if layout.carried[k].is_in:  # it stays in it, though not exactly there
+        """Rests an object without a steady place on its own carrier on another possible carrier."""
+        layout, own, before = self.layout, set(self.layout.tree(k)), self.layout.poses[k].copy()
+        if layout.carried[k].is_in:  # a content stays in its container, even where it is not steady
             return
         stands, root = layout.carried[k].parent == TABLE_TOP, layout.root_of(k)
         stays_within = any(layout.carried[m].is_in for m in layout.carriers(k))
@@ -174,15 +175,15 @@ class LayoutSearch:
                 layout.carried[k] = carried
                 layout.carry(k, rest.pose)
                 return
-            layout.carry(k, was)
+            layout.carry(k, before)
 
     # --- the table
 
-    def _part_trees(self) -> bool:
-        """Parts all trees on the table; drops those without a place. False where that is not allowed, with ``reason`` set."""
+    def _separate_trees(self) -> bool:
+        """Separates all trees on the table; drops those without a place. False, with ``reason`` set, if that is not allowed."""
         while True:
-            crowd, roots = self._packing.crowd(self._outline_pairs)
-            unplaceable = [b for b in range(len(roots)) if crowd.is_free[b] and (crowd.low[b] > crowd.high[b]).any()]
+            problem, roots = self._packing.problem(self._outline_pairs)
+            unplaceable = [b for b in range(len(roots)) if problem.is_free[b] and (problem.low[b] > problem.high[b]).any()]
             if unplaceable:
                 least = min(unplaceable, key=lambda b: self._rank(roots[b]))
                 if not self._may_drop(roots[least]):
@@ -190,23 +191,24 @@ class LayoutSearch:
                     return False
                 self._drop(roots[least])
                 continue
+            # The order in which bodies may be dropped, for all steps below.
             spare = sorted((b for b in range(len(roots)) if self._may_drop(roots[b])), key=lambda b: self._rank(roots[b]))
             if to_drop := self._to_drop(roots, spare):
                 for b in to_drop:
                     self._drop(roots[b])
                 continue
-            parted = separate_bodies(crowd, crowd.aims, spare, self._options.tries)
-            if parted is None:
-                self._set_full_reason(roots[b] for b in range(len(roots)) if crowd.is_free[b])
+            separated = separate_bodies(problem, problem.aims, spare, self._options.tries)
+            if separated is None:
+                self._set_full_reason(roots[b] for b in range(len(roots)) if problem.is_free[b])
                 return False
-            shifts, out = parted
-            self._apply_shifts(crowd, roots, shifts)
+            shifts, out = separated
+            self._apply_shifts(problem, roots, shifts)
             for b in out:
                 self._drop(roots[b])
             return True
 
     def _to_drop(self, groups: Sequence[Sequence[int]], spare: Sequence[int]) -> list[int]:
-        """Groups to drop before a search, because all together cover more than the table."""
+        """Returns the groups to drop before the search, because all together cover more than the table."""
         area = float(np.prod(self._scene.table.size_xy))
         covered = [self._packing.covered(roots) for roots in groups]
         left, to_drop = sum(covered), list[int]()
@@ -221,14 +223,14 @@ class LayoutSearch:
         return self._options.when_full == "drop" and all(self.layout.may_drop(r) for r in roots)
 
     def _rank(self, roots: Sequence[int]) -> tuple[float, float, str]:
-        """The order of dropping: the least important first, of those the largest, so that few are dropped."""
+        """Returns the key of the order of dropping: the least important first, of these the largest, so that few are dropped."""
         ranks = [self.layout.rank(r) for r in roots]
         return max(rank[0] for rank in ranks), -sum(rank[1] for rank in ranks), ranks[0][2]
 
     def _set_full_reason(self, groups: Iterable[Sequence[int]]) -> None:
         width, depth = self._scene.table.size_xy
         names = [self._scene.objects[r].instance for roots in groups for r in roots]
-        why = "dropping is not allowed" if self._options.when_full == "infeasible" else "too little of it may be dropped"
+        why = "dropping is not allowed" if self._options.when_full == "infeasible" else "too few of them may be dropped"
         self.reason = f"no place on the table of {width:.2f} x {depth:.2f} m for all of {names}, and {why}"
 
     def _drop(self, roots: Sequence[int]) -> None:
@@ -238,16 +240,16 @@ class LayoutSearch:
                 reason = f"no free place was found on the table of {width:.2f} x {depth:.2f} m"
                 self.dropped.append(DroppedObject(self._scene.objects[k].instance, reason))
 
-    def _apply_shifts(self, crowd: PackingProblem, groups: Sequence[Sequence[int]], shifts: FloatArray) -> None:
+    def _apply_shifts(self, problem: PackingProblem, groups: Sequence[Sequence[int]], shifts: FloatArray) -> None:
         for b, roots in enumerate(groups):
-            if crowd.is_free[b] and np.abs(shifts[b]).max() > _UNMOVED:
+            if problem.is_free[b] and np.abs(shifts[b]).max() > _UNMOVED:
                 for r in roots:
                     self.layout.poses[self.layout.tree(r), :2] += shifts[b]
 
     # --- the exact check
 
     def _change_refused(self, audit: Audit) -> bool:
-        """Changes what the exact audit refuses. False where nothing can be changed, with ``reason`` set."""
+        """Changes what the exact audit refuses. False, with ``reason`` set, if nothing can be changed."""
         layout = self.layout
         number = {o.instance: k for k, o in enumerate(self._scene.objects)}
         changed = False
@@ -259,22 +261,22 @@ class LayoutSearch:
                     self._outline_pairs.add(frozenset((one, other)))
                     changed = True
                 elif one == other:
-                    changed |= self._rest_anew(i if layout.carried[j].parent == TABLE_TOP or j in layout.tree(i) else j)
+                    changed |= self._rest_again(i if layout.carried[j].parent == TABLE_TOP or j in layout.tree(i) else j)
         self._floating = {number[o.instance] for o in audit.objects if o.floats}
         for o in audit.objects:
             if o.floats or o.table_penetration > TOLERANCE:
-                changed |= self._rest_anew(number[o.instance])
+                changed |= self._rest_again(number[o.instance])
         if not changed:
-            self.reason = f"the exact check refuses what cannot be moved: {_remaining_faults(audit)}"
+            self.reason = f"the exact audit refuses objects that cannot be moved: {_remaining_faults(audit)}"
         return changed
 
-    def _rest_anew(self, k: int) -> bool:
-        """Rests an object anew on its carrier, or, at the second time, on the table itself."""
+    def _rest_again(self, k: int) -> bool:
+        """Rests an object on its carrier again; the second time, puts it on the table."""
         layout = self.layout
         if layout.stiffness(layout.root_of(k)) == float("inf") and layout.is_fixed[k]:
             return False
-        if layout.carried[k].parent != TABLE_TOP and k not in self._rested_anew:
-            self._rested_anew.add(k)
+        if layout.carried[k].parent != TABLE_TOP and k not in self._rested_again:
+            self._rested_again.add(k)
             own = set(layout.tree(k))
             others = [m for m in layout.tree(layout.root_of(k)) if m not in own and m not in self._floating]
             rest = resting_pose(self._meshes, layout.poses, k, layout.carried[k], others)
@@ -289,12 +291,12 @@ class LayoutSearch:
 
 
 def build_scene(layout: LayoutState) -> Scene:
-    """A layout as a scene; what has not moved is the very object that was given."""
-    given = layout.scene.poses()
+    """Returns a layout as a scene; an object that has not moved is the input object itself."""
+    before = layout.scene.poses()
     objects = []
     for k in layout.present():
         o, pose = layout.scene.objects[k], layout.poses[k]
-        if not np.array_equal(pose, given[k]):
+        if not np.array_equal(pose, before[k]):
             x, y, z, yaw = pose.tolist()
             o = o.moved((x, y, z), yaw)
         objects.append(o)

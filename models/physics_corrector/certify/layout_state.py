@@ -1,4 +1,4 @@
-"""A layout while it is corrected: poses, what carries what, what is still there."""
+"""The state of a layout during a correction: poses, carriers, and which objects are still in it."""
 
 from collections.abc import Sequence
 
@@ -8,21 +8,22 @@ from models.physics_corrector.certify.support_inference import TABLE_TOP, Suppor
 from stable_data.geometry.shape import Shape
 from stable_data.scene import FloatArray, Scene, Stage
 
+# A task object moves least; a background object that is far from it moves first, and is dropped first.
 _STIFFNESS = {Stage.TASK: 10.0, Stage.IMPORTANT: 3.0, Stage.SECONDARY: 1.0, None: 1.0}
 
 
 class LayoutState:
-    """Where objects are and what carries them.
+    """The poses of objects and their carriers.
 
     Args:
         scene: The scene.
         shapes: The geometry of its objects.
-        carried: What carries each of them.
+        carried: The support of each object.
         fixed: Instances that must not move.
 
     Attributes:
-        poses: (N, 4) float64, metres and radians, changed as the correction goes on.
-        carried: What carries each object.
+        poses: (N, 4) float64, metres and radians; changes during the correction.
+        carried: The support of each object; changes likewise.
         is_there: Whether each object has not been dropped.
     """
 
@@ -34,26 +35,26 @@ class LayoutState:
         self.is_fixed = [o.instance in fixed for o in scene.objects]
 
     def present(self) -> list[int]:
-        """Objects that have not been dropped."""
+        """Returns the objects that have not been dropped."""
         return [k for k, there in enumerate(self.is_there) if there]
 
     def roots(self) -> list[int]:
-        """Objects that stand on the table."""
+        """Returns the objects that stand on the table."""
         return [k for k in self.present() if self.carried[k].parent == TABLE_TOP]
 
     def children(self, k: int) -> list[int]:
-        """Objects that an object carries directly."""
+        """Returns the objects that an object carries directly."""
         return [c for c in self.present() if self.carried[c].parent == k]
 
     def tree(self, k: int) -> list[int]:
-        """An object and all that it carries, carriers first."""
+        """Returns an object and all that it carries, directly and through others, carriers first."""
         members = [k]
         for m in members:
             members += self.children(m)
         return members
 
     def carriers(self, k: int) -> list[int]:
-        """An object, what carries it, what carries that, and so on down to what stands on the table."""
+        """Returns an object and its carriers, direct and indirect, down to the one on the table."""
         chain = [k]
         while self.carried[k].parent != TABLE_TOP:
             k = self.carried[k].parent
@@ -61,15 +62,15 @@ class LayoutState:
         return chain
 
     def root_of(self, k: int) -> int:
-        """What stands on the table below an object, or the object itself."""
+        """Returns the lowest carrier of an object, or the object itself if it stands on the table."""
         return self.carriers(k)[-1]
 
     def low(self, k: int) -> float:
-        """Height of an object's bottom over the table, metres."""
+        """Returns the height of an object's bottom over the table, metres."""
         return float(self.poses[k, 2] - self.shapes[k].size[2] / 2)
 
     def stand(self, k: int) -> None:
-        """Puts an object on the table itself, with all that it carries."""
+        """Puts an object on the table, with all that it carries."""
         self.carried[k] = SupportEdge()
         self.poses[self.tree(k), 2] -= self.low(k)
 
@@ -84,25 +85,25 @@ class LayoutState:
             self.poses[m, 3] += turn
 
     def drop(self, k: int) -> list[int]:
-        """Takes an object away with all that it carries, and says which those are."""
+        """Drops an object with all that it carries, and returns these."""
         members = self.tree(k)
         for m in members:
             self.is_there[m] = False
         return members
 
     def stiffness(self, k: int) -> float:
-        """How much the movement of an object with all that it carries counts; infinite where part of it is fixed."""
+        """Returns the weight of the movement of an object with all that it carries; infinite if one of these is fixed."""
         members = self.tree(k)
         if any(self.is_fixed[m] for m in members):
             return float("inf")
         return sum(_STIFFNESS[self.scene.objects[m].stage] for m in members)
 
     def rank(self, k: int) -> tuple[float, float, str]:
-        """What is dropped first comes first: by stage, then by footprint."""
+        """Returns the importance by stage, the footprint in square metres, and the instance, by which objects to drop are chosen."""
         importance = max(_STIFFNESS[self.scene.objects[m].stage] for m in self.tree(k))
         x, y = self.shapes[k].size[:2]
         return importance, float(x * y), self.scene.objects[k].instance
 
     def may_drop(self, k: int) -> bool:
-        """Is an object, with all that it carries, neither fixed nor part of the task?"""
+        """Whether neither an object nor anything that it carries is fixed or a task object."""
         return not any(self.is_fixed[m] or self.scene.objects[m].stage is Stage.TASK for m in self.tree(k))

@@ -1,4 +1,4 @@
-"""Exact questions about meshes at poses: do two meet, does one rest on others, how low does one come?"""
+"""Exact queries on posed meshes: whether two cross, which ones support one, how low one can be placed."""
 
 from collections.abc import Sequence
 from weakref import WeakKeyDictionary
@@ -13,10 +13,11 @@ from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles
 from stable_data.scene import FloatArray, IntArray
 
 _ANY = fcl.CollisionRequest()
-_STEP = 5e-3  # how far a thing is lowered before the next look, metres
-_FINE = 2e-5  # to which a resting height is found, metres
-_REACH, _MOST_CONTACTS = 4e-4, 200  # how far what rests is lowered to see what carries it, metres, and in so many points
-_AIR = 4e-5  # left below what rests, metres
+_STEP = 5e-3  # coarse step of a search for contact, metres
+_FINE = 2e-5  # accuracy of the bisection after it, metres
+_REACH = 4e-4  # how far an object at rest is lowered to touch its carriers, metres
+_MOST_CONTACTS = 200  # contacts of two meshes at most
+_AIR = 4e-5  # gap below an object at rest, metres: at zero distance the exact test is sensitive to rounding
 _AROUND_AND_DOWN = np.array([*(d for d in DIRECTIONS if d[2] == 0), (0.0, 0.0, -1.0)])
 
 _trees: "WeakKeyDictionary[Shape, fcl.BVHModel]" = WeakKeyDictionary()
@@ -33,7 +34,7 @@ def _tree(shape: Shape) -> fcl.BVHModel:
 
 
 def _crossings(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Ends of the segments along which triangles cross, pair by pair, (P, 3, 3) each: (C, 3). The engine's own points are rough."""
+    """Returns the ends (C, 3) of the segments in which pairs of triangles, (P, 3, 3) each, cross; fcl's own points are inaccurate."""
     normals = [np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]) for t in (first, second)]
     along = np.cross(normals[0], normals[1])
     ends = []
@@ -59,18 +60,18 @@ def _crossings(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 class _WholePair:
-    """Two whole meshes that may be asked whether they cross when the first is moved a little."""
+    """Two whole meshes, of which the first is moved by small vectors to test whether they still cross."""
 
     def __init__(self, moving: fcl.CollisionObject, standing: fcl.CollisionObject, position: FloatArray) -> None:
         self._moving, self._standing, self._position = moving, standing, position
 
     def cross(self, way: FloatArray, number: int) -> bool:
-        """Do they touch when the first is moved by a vector (3,), metres?"""
+        """Whether they touch when the first is moved by a vector (3,), metres; ``number`` is for the interface of `MeshPair`."""
         self._moving.setTranslation(self._position + way)
         return bool(fcl.collide(self._moving, self._standing, _ANY, fcl.CollisionResult()) > 0)
 
     def normals(self) -> FloatArray | None:
-        """Normals of their contacts, (C, 3), or None where they do not touch."""
+        """Returns the normals of their contacts, (C, 3), or None if they do not touch."""
         request, result = fcl.CollisionRequest(num_max_contacts=_MOST_CONTACTS, enable_contact=True), fcl.CollisionResult()
         if not fcl.collide(self._moving, self._standing, request, result):
             return None
@@ -79,20 +80,20 @@ class _WholePair:
 
 
 class _ThinnedPair(MeshPair):
-    """The same of what is left of two meshes near each other."""
+    """The same interface for the parts of two meshes that are near each other."""
 
     def normals(self) -> FloatArray | None:
-        """Normals of their contacts, (C, 3), or None where they do not touch."""
+        """Returns the normals of their contacts, (C, 3), or None if they do not touch."""
         contact = self.contact()
         return None if contact is None else contact.normals
 
 
 class MeshQueries:
-    """The meshes of a scene's objects, to be asked at any poses.
+    """Queries on the meshes of a scene's objects, at any poses.
 
     Args:
         shapes: The geometry of each object.
-        depth: What is deeper in another thing penetrates it, metres; no more than the audit's tolerance.
+        depth: Allowed penetration, metres; at most the audit's tolerance.
     """
 
     def __init__(self, shapes: Sequence[Shape], depth: float = TOLERANCE) -> None:
@@ -100,11 +101,12 @@ class MeshQueries:
         self._extents: dict[tuple[int, float], tuple[FloatArray, FloatArray]] = {}
         self._penetrates: dict[tuple[int, int, bytes], bool] = {}
         self._surfaces: dict[tuple[int, bytes], PosedTriangles] = {}
-        self._whole: set[int] = set()  # those of which a tree was wanted
+        self._whole: set[int] = set()  # objects whose bounding-volume tree was used
 
     def box(self, k: int, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest corner of an object at a pose (4,), two (3,) metres."""
+        """Returns the lowest and the highest corner of an object at a pose (4,), two (3,) metres."""
         yaw = float(pose[3])
+        # The extent depends on the yaw alone, and most queries of an object differ only in its position.
         if (k, yaw) not in self._extents:
             posed = self.shapes[k].posed((0.0, 0.0, 0.0, yaw)).T
             self._extents[k, yaw] = posed.min(axis=1), posed.max(axis=1)
@@ -114,18 +116,18 @@ class MeshQueries:
     def near(
         self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray, gap: float = 0.0, aside: float = 0.0
     ) -> list[int]:
-        """Those of other objects whose boxes an object's box meets when it is lowered or shifted aside by up to so much, metres."""
+        """Returns the other objects whose boxes meet an object's box, enlarged by ``gap`` downwards and ``aside`` sideways, metres."""
         low, high = self.box(k, pose)
         low, high = low - np.array([aside, aside, gap]), high + np.array([aside, aside, 0.0])
         boxes = [self.box(j, poses[j]) for j in others]
         return [j for j, (a, b) in zip(others, boxes, strict=True) if (low <= b).all() and (high >= a).all()]
 
     def cross(self, i: int, pose: FloatArray, j: int, other: FloatArray) -> bool:
-        """Do two meshes touch?"""
+        """Whether two meshes touch."""
         return self._bodies_cross(self._body(i, pose), self._body(j, other))
 
     def penetrates(self, i: int, pose: FloatArray, j: int, other: FloatArray) -> bool:
-        """Are two meshes deeper in each other than they may be, as the audit judges it?"""
+        """Whether two meshes penetrate each other deeper than allowed, by the rule of the audit."""
         key = (i, j, np.concatenate([pose, other]).tobytes())
         if key not in self._penetrates:
             self._penetrates[key] = self._are_deep(i, pose, j, other)
@@ -142,6 +144,7 @@ class MeshQueries:
         pair = self._pair(i, pose, j, other)
         normals = pair.normals()
         if normals is not None:
+            # Deep if no translation by the allowed depth, in any direction, separates the two.
             for number, way in enumerate(self._depth * np.concatenate([DIRECTIONS, normals, -normals])):
                 if not pair.cross(way, number):
                     break
@@ -153,16 +156,17 @@ class MeshQueries:
         return is_nested(moved, still) or is_nested(still, moved)
 
     def _pair(self, i: int, pose: FloatArray, j: int, other: FloatArray) -> "_WholePair | _ThinnedPair":
-        """Two meshes to be asked whether they cross: where no tree of one was wanted yet it is not worth the building.
+        """Returns two meshes for crossing tests: whole if both have been used whole in this scene, else thinned.
 
-        What other scenes have built does not count: near the tolerance the two ways differ, and so would what a process makes.
+        A tree that was built for another scene does not count: near the tolerance the two ways differ, and the result would depend
+        on the scenes that a process had before.
         """
         if {i, j} <= self._whole:
             return _WholePair(self._body(i, pose), self._body(j, other), pose[:3])
         return _ThinnedPair(self.surface(i, pose), self.surface(j, other), NEAR)
 
-    def rests(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> list[int]:
-        """Which of other objects carry an object at a pose, as the audit judges it."""
+    def carriers_of(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> list[int]:
+        """Returns the other objects that carry an object at a pose, by the rule of the audit."""
         lowered = pose - (0.0, 0.0, NEAR, 0.0)
         near = [j for j in self.near(k, pose, others, poses, NEAR) if self._may_carry(k, pose, lowered, j, poses[j])]
         surface = self.surface(k, pose) if near else None
@@ -171,8 +175,8 @@ class MeshQueries:
     def _may_carry(self, k: int, pose: FloatArray, lowered: FloatArray, j: int, other: FloatArray) -> bool:
         return self.cross(k, lowered, j, other) or self.cross(k, pose, j, other)
 
-    def touching(self, k: int, pose: FloatArray, j: int, other: FloatArray, reach: float) -> tuple[IntArray, IntArray]:
-        """Triangles with which an object meets another one when it is lowered or shifted aside by so much, metres: of each, sorted."""
+    def contact_triangles(self, k: int, pose: FloatArray, j: int, other: FloatArray, reach: float) -> tuple[IntArray, IntArray]:
+        """Returns the triangles of both objects that meet when the first is moved down or aside by ``reach``, metres; sorted."""
         moving, standing = self._body(k, pose), self._body(j, other)
         request, pairs = fcl.CollisionRequest(num_max_contacts=_MOST_CONTACTS, enable_contact=True), []
         for way in reach * _AROUND_AND_DOWN:
@@ -183,8 +187,8 @@ class MeshQueries:
         found = np.array(pairs, np.int64).reshape(-1, 2)
         return np.unique(found[:, 0]), np.unique(found[:, 1])
 
-    def bearing(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> FloatArray:
-        """Points that carry an object, (C, 3) metres: where it touches others a little lowered, and its lowest vertices on the table."""
+    def support_points(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> FloatArray:
+        """Returns the points that carry an object, (C, 3) metres: contacts with others when slightly lowered, and vertices on the table."""
         posed = self.shapes[k].posed(pose)
         points = [posed[posed[:, 2] <= _REACH]]
         moving = self._body(k, pose - (0.0, 0.0, _REACH, 0.0)) if others else None
@@ -199,15 +203,15 @@ class MeshQueries:
         return np.concatenate(points)
 
     def is_free(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> bool:
-        """Does an object at a pose (4,) touch none of others?"""
+        """Whether an object at a pose (4,) touches none of the other objects."""
         near = self.near(k, pose, others, poses)
         moving = self._body(k, pose) if near else None
         return not any(self._bodies_cross(moving, self._body(j, poses[j])) for j in near)
 
-    def slid(
+    def slide(
         self, k: int, pose: FloatArray, way: FloatArray, others: Sequence[int], poses: FloatArray, at_most: float
     ) -> FloatArray:
-        """The pose at which an object that is slid a way (2,) along the table meets something, or has gone so far, metres."""
+        """Returns the pose at which an object that slides in a direction (2,) meets another one, after at most ``at_most`` metres."""
         near = [self._body(j, poses[j]) for j in others]
         moving, there = self._body(k, pose), np.array(pose[:3])
 
@@ -227,14 +231,14 @@ class MeshQueries:
         slid[:2] += max(0.0, gone - _AIR) * way
         return slid
 
-    def lowered(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> float:
-        """Height of an object's centre when it comes down from above until it is just clear of what is below, metres.
+    def resting_height(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> float:
+        """Returns the height of an object's centre just above the first contact, when it is lowered from above, metres.
 
         Args:
             k: The object.
-            pose: x and y from which it comes, and its yaw, (4,).
-            others: What it may come down on; besides there is the table.
-            poses: Where they are, (N, 4).
+            pose: Its x, y and yaw, (4,); z is not used.
+            others: Objects that may stop it, besides the table.
+            poses: Poses of all objects, (N, 4).
         """
         floor = float(self.shapes[k].size[2]) / 2
         low, high = self.box(k, pose)
@@ -253,7 +257,7 @@ class MeshQueries:
             return any(z <= top and self._bodies_cross(moving, other) for top, other in below)
 
         z = highest
-        while touches(z):  # it started inside something: from farther up
+        while touches(z):  # the start is inside another object: higher
             z += _STEP
         while z > floor and not touches(max(floor, z - _STEP)):
             z = max(floor, z - _STEP)
@@ -276,9 +280,10 @@ class MeshQueries:
         return bool(fcl.collide(one, other, _ANY, fcl.CollisionResult()) > 0)
 
     def surface(self, k: int, pose: FloatArray) -> PosedTriangles:
-        """Triangles of an object at a pose."""
+        """Returns the triangles of an object at a pose."""
         key = (k, pose.tobytes())
         if key not in self._surfaces:
+            # A bound of the memory: most poses are asked for only once.
             if len(self._surfaces) > 4 * len(self.shapes):
                 self._surfaces.clear()
             self._surfaces[key] = PosedTriangles(self.shapes[k].posed(pose)[self.shapes[k].faces])

@@ -10,7 +10,7 @@ from stable_data.metrics.collision import TOLERANCE
 from stable_data.scene import Scene
 
 if TYPE_CHECKING:
-    from stable_data.simulation.settling import SettleResult  # the engine takes long to import
+    from stable_data.simulation.settling import SettleResult  # MuJoCo takes long to import
 
 
 class CorrectionStatus(StrEnum):
@@ -23,10 +23,10 @@ class CorrectionStatus(StrEnum):
     """Clean by the exact audit after background objects were dropped."""
 
     INFEASIBLE = "infeasible"
-    """No clean layout was found that keeps what must be kept."""
+    """No clean layout was found without a change that is not allowed."""
 
     UNKNOWN = "unknown"
-    """A mesh is missing: clean with boxes in its place, which proves nothing."""
+    """A mesh is missing: clean with a box in its place, which proves nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +34,8 @@ class DroppedObject:
     """A background object that was dropped.
 
     Attributes:
-        instance: Its name.
-        reason: Why.
+        instance: Its instance.
+        reason: Why it was dropped.
     """
 
     instance: str
@@ -47,18 +47,18 @@ class CertifyOptions:
     """Settings of `certify`.
 
     Attributes:
-        when_full: What to do where not everything finds a place: drop background objects, or report the scene infeasible.
+        when_full: What to do if there is not a place for every object: drop background objects, or report the scene infeasible.
         fixed: Instances that must not move; they are obstacles.
-        restore: Put objects back into or onto the carriers that the scene's relations name, where the layout has lost that.
+        restore: Whether objects return onto or into the carriers that the scene's relations name.
         clearance: Distance between objects that stand side by side, metres.
         tries: How many times a body may be relocated to restore a directional relation.
         rounds: How many times the exact audit may refuse the layout before it is infeasible.
-        depth: Allowed penetration of objects, metres: the audit's tolerance, or less, so that the layout is clean for judges
-            that search fewer directions, too.
-        places: At how many places an object that moves in MuJoCo, where that is asked, is tried at most; 0: at none, and the
-            simulation ends with the first motion.
-        twice: Whether a scene that loses relations after the flow is certified without the flow too, and the better result
-            used; a scene that loses objects always is.
+        depth: Allowed penetration of objects, metres: the audit's tolerance, or less, so that the layout is also clean for
+            checks that search fewer directions.
+        places: Largest number of places at which an object that moves in MuJoCo is tried; 0: none, and the simulation ends
+            with the first motion.
+        twice: Whether a scene that loses relations after the flow is also certified without the flow, and the better result
+            used. A scene that loses objects always is.
     """
 
     when_full: Literal["drop", "infeasible"] = "drop"
@@ -89,14 +89,14 @@ class CertificationResult:
     """A corrected scene with its audit.
 
     Attributes:
-        scene: The scene; None where it is infeasible.
+        scene: The scene; None if infeasible.
         status: The outcome.
-        reason: Why it is not certified, or why MuJoCo could not be asked; otherwise empty.
-        dropped: Objects that were dropped.
-        audit: The exact audit of ``scene``; None where there is none.
-        rest: MuJoCo's verdict on ``scene``; None where it was not asked or could not be.
-        num_broken: Relations of the original layout that no longer hold, as `certify` reads them: left of, right of, in front
-            of, behind, and carriers. It serves to choose between results; the figures of the report are `relations_kept`.
+        reason: Why it is not certified, or why the simulation failed; otherwise empty.
+        dropped: The dropped objects.
+        audit: The exact audit of ``scene``; None without a scene.
+        rest: MuJoCo's verdict on ``scene``; None if there was no simulation.
+        num_broken: Broken relations of the original layout, by the rules of `certify`: left of, right of, in front of, behind,
+            and carriers. It serves to choose between results; the figures of the report are from `relations_kept`.
     """
 
     scene: Scene | None
@@ -109,5 +109,5 @@ class CertificationResult:
 
     @property
     def unsteady(self) -> tuple[str, ...] | None:
-        """Objects that do not stay in MuJoCo at any place that was tried; None where that is not known."""
+        """The objects that do not stay in MuJoCo at any place that was tried; None if not known."""
         return None if self.rest is None else self.rest.unsteady

@@ -1,4 +1,4 @@
-"""The trees of a layout as bodies on the table."""
+"""The support trees of a layout as bodies of a packing problem."""
 
 import itertools
 from collections.abc import Sequence, Set
@@ -15,19 +15,19 @@ from stable_data.metrics.audit import BOUNDS_SLACK
 from stable_data.scene import TABLE, FloatArray, Relation, RelationKind
 from stable_data.scene_graph.relations import scene_graph
 
-_OVERHANG = 0.9 * BOUNDS_SLACK  # how far an outline may reach over the edge, metres
-_DEEP = 3e-3  # outlines deeper in each other than this, whose meshes are apart, keep their places to each other, metres
+_OVERHANG = 0.9 * BOUNDS_SLACK  # how far an outline may reach over the edge, metres: less than the audit allows
+_DEEP = 3e-3  # trees whose outlines overlap deeper than this, but whose meshes are apart, move as one, metres
 
 
 class PackingBodies:
-    """What stands on the table of a layout, ready to be parted.
+    """The trees on the table of a layout, as bodies to separate.
 
     Args:
         layout: The layout.
         meshes: Its objects.
-        original: Poses that movement is measured from, (N, 4).
-        orders: Directional relations to keep.
-        clearance: Air between things that stand side by side, metres.
+        original: Poses from which movement is measured, (N, 4).
+        orders: Directional relations to preserve.
+        clearance: Distance between objects that stand side by side, metres.
     """
 
     def __init__(
@@ -37,14 +37,14 @@ class PackingBodies:
         self._orders, self._clearance = orders, clearance
         self._stacks: dict[tuple[int, ...], tuple[FloatArray, SlabOutline]] = {}
 
-    def crowd(self, strict: Set[frozenset[int]]) -> tuple[PackingProblem, list[list[int]]]:
-        """The trees as bodies.
+    def problem(self, strict: Set[frozenset[int]]) -> tuple[PackingProblem, list[list[int]]]:
+        """Builds the packing problem.
 
         Args:
-            strict: Pairs of roots whose outlines have to be apart, though their meshes are.
+            strict: Pairs of roots whose outlines must be apart, even if their meshes are.
 
         Returns:
-            The crowd, and the roots of each of its bodies.
+            The problem, and the roots of each body.
         """
         layout, size = self._layout, np.array(self._layout.scene.table.size_xy)
         roots = layout.roots()
@@ -72,7 +72,7 @@ class PackingBodies:
         return PackingProblem(pairs, body, bodies, self._orders_between(number), self._clearance, relaxed), groups
 
     def covered(self, roots: Sequence[int]) -> float:
-        """Area of the table top that trees cover, square metres."""
+        """Returns the area of the table top that trees cover, square metres."""
         areas = []
         for r in roots:
             x, y = self._slabs(r).corners[0].T
@@ -80,7 +80,7 @@ class PackingBodies:
         return sum(areas)
 
     def _slabs(self, root: int) -> SlabOutline:
-        """Slabs of a tree around its root's anchor; those of a tree that has not changed but for its place are kept."""
+        """Returns the slabs of a tree around its root's anchor; computed again only if the poses within the tree change."""
         layout = self._layout
         tree = tuple(layout.tree(root))
         anchor = np.append(layout.poses[root, :2], 0.0)
@@ -90,7 +90,7 @@ class PackingBodies:
             stacks = []
             for m, offset in zip(tree, offsets, strict=True):
                 at = np.append(offset[:2], layout.low(m))
-                stacks.append(slabs_of(layout.shapes[m]).placed(layout.poses[m, 3], at))
+                stacks.append(slabs_of(layout.shapes[m]).transformed(layout.poses[m, 3], at))
             self._stacks[tree] = inner, join_outlines(stacks)
         return self._stacks[tree][1]
 
@@ -110,19 +110,19 @@ class PackingBodies:
     def _groups(
         self, roots: Sequence[int], pairs: NoFitPolygons, strict: Set[frozenset[int]]
     ) -> tuple[list[list[int]], dict[tuple[int, int], float]]:
-        """Trees that keep their places to each other, because their meshes are apart though their outlines are not.
+        """Groups trees that must move as one, because their meshes are apart but their outlines overlap.
 
         Returns:
-            The roots of each group; and, for pairs of parts that are only just so near, the clearance that their outlines have.
+            The roots of each group, and the clearance of the outlines for pairs of parts that overlap only a little.
         """
         free: dict[tuple[int, int], float] = {}
-        enemies: set[frozenset[int]] = set()
+        colliding: set[frozenset[int]] = set()
         for (i, j), clear in pairs.clearances().items():
             if clear >= self._clearance or j >= len(roots):
                 continue
             both = frozenset((roots[i], roots[j]))
             if both in strict or self._collide(roots[i], roots[j]):
-                enemies.add(both)
+                colliding.add(both)
             else:
                 free[i, j] = clear
         group = {r: [r] for r in roots}
@@ -130,7 +130,7 @@ class PackingBodies:
             one, other = group[roots[i]], group[roots[j]]
             if clear > -_DEEP or one is other:
                 continue
-            if any(frozenset(pair) in enemies for pair in itertools.product(one, other)):
+            if any(frozenset(pair) in colliding for pair in itertools.product(one, other)):
                 continue
             both_groups = one + other
             for r in both_groups:
@@ -148,8 +148,8 @@ class PackingBodies:
         )
 
 
-def directional_bodies(layout: LayoutState, original: FloatArray) -> list[Relation]:
-    """The directional relations that a scene graph finds where objects are at poses (N, 4)."""
+def directional_relations(layout: LayoutState, original: FloatArray) -> list[Relation]:
+    """Returns the directional relations of the scene graph with the objects at poses (N, 4)."""
     objects = [o.moved((p[0], p[1], p[2]), p[3]) for o, p in zip(layout.scene.objects, original.tolist(), strict=True)]
     names = [o.instance for o in objects]
     above = {n: (TABLE if c.parent == TABLE_TOP else names[c.parent],) for n, c in zip(names, layout.carried, strict=True)}

@@ -1,1 +1,1 @@
-"""Packing in the plane: bodies that only shift are parted on a table, with the least movement and their order kept."""
+"""Packing in the plane: separates bodies that only shift on a table, with little movement and their order preserved."""

@@ -1,4 +1,4 @@
-"""Parts bodies while they are small, and again as they grow: they push each other on rather than through each other."""
+"""Separates bodies at a small size and again as they grow, so that they push each other aside and do not pass through."""
 
 import numpy as np
 
@@ -7,34 +7,34 @@ from models.physics_corrector.packing.projection import HARD, ConstraintForces, 
 from stable_data.scene import FloatArray
 
 RELEASED = 0.1
-"""Price of a metre by which a directional relation is broken that has been given up."""
+"""Price of a metre by which a released directional relation is broken."""
 
-_SHARES = np.append(np.arange(0.5, 1.0, 0.05), 1.0)  # of its size that a body grows through
-_SOFTER = (1.0, 0.3, 0.1)  # what relations cost while those that have to give way are looked for
+_SHARES = np.append(np.arange(0.5, 1.0, 0.05), 1.0)  # sizes of a growing body, shares of its full size
+_SOFTER = (1.0, 0.3, 0.1)  # prices of relations in the search for those to release
 _STEPS = 16
 
 
-def inflate_bodies(crowd: PackingProblem, shifts: FloatArray, aims: FloatArray, steps: int) -> tuple[FloatArray, bool]:
-    """Parts a crowd. Directional relations that are in the way of that are given up one by one, the others stay dear.
+def inflate_bodies(problem: PackingProblem, shifts: FloatArray, aims: FloatArray, steps: int) -> tuple[FloatArray, bool]:
+    """Separates bodies by growth. Relations that prevent this are released one by one; the others keep their price.
 
     Args:
-        crowd: The bodies.
-        shifts: Where they are, (B, 2), metres.
-        aims: Where they want to be, (B, 2).
+        problem: The bodies.
+        shifts: Their shifts, (B, 2), metres.
+        aims: Their wanted shifts, (B, 2).
         steps: Steps at each size.
 
     Returns:
-        The shifts, and whether the crowd is parted.
+        The shifts, and whether the bodies are separated.
     """
-    prices, is_parted, forces = np.full(len(crowd.orders), HARD), False, ConstraintForces.none(crowd)
+    prices, is_separated, forces = np.full(len(problem.orders), HARD), False, ConstraintForces.none(problem)
     for share in _SHARES:
-        smaller = crowd.shrunk(share)
-        shifts, is_parted = project(smaller, shifts, aims, steps, prices, forces)
+        smaller = problem.shrunk(share)
+        shifts, is_separated = project(smaller, shifts, aims, steps, prices, forces)
         for price in _SOFTER:
-            if is_parted:
+            if is_separated:
                 break
-            shifts, is_parted = project(smaller, shifts, aims, steps, np.minimum(prices, price), forces)
-            prices[crowd.broken(shifts)] = RELEASED
-    if not is_parted:
-        shifts, is_parted = project(crowd, shifts, shifts, _STEPS, prices)
-    return shifts, is_parted
+            shifts, is_separated = project(smaller, shifts, aims, steps, np.minimum(prices, price), forces)
+            prices[problem.broken(shifts)] = RELEASED
+    if not is_separated:  # a last attempt without the pull to the aims
+        shifts, is_separated = project(problem, shifts, shifts, _STEPS, prices)
+    return shifts, is_separated

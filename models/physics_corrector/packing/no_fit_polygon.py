@@ -8,16 +8,16 @@ import numpy as np
 from models.physics_corrector.packing.slab_outline import NUM_SIDES, SlabOutline
 from stable_data.scene import FloatArray, IntArray
 
-_CHUNK = 512  # pairs of slabs whose polygons are made at a time
+_CHUNK = 512  # pairs of slabs that are computed at a time: bounds the memory
 
 
 @dataclass(frozen=True, eq=False)
 class RigidGroup:
-    """What moves as one: a thing that stands on the table with all that it carries, or a region that is kept free.
+    """A part that moves as one: an object on the table with all that it carries, or the restricted zone.
 
     Attributes:
-        slabs: Around its anchor, heights from the table.
-        anchor: Where it is, (2,), metres.
+        slabs: Its slabs around the anchor, heights above the table.
+        anchor: Its position, (2,), metres.
     """
 
     slabs: SlabOutline
@@ -26,14 +26,14 @@ class RigidGroup:
 
 @dataclass(frozen=True, eq=False)
 class NoFitPolygons:
-    """The polygons: the first part of each pair is clear of the second where it is beyond one of their half-planes.
+    """No-fit polygons of pairs of slabs: the first slab is clear of the second if it is beyond one of the half-planes.
 
     Attributes:
-        first: Part, (E,).
-        second: Part, (E,); a pair of parts has one row for each pair of slabs that decides.
-        normals: Of the half-planes, (E, 2M, 2), unit.
-        offsets: Their distances, (E, 2M), metres.
-        apart: First anchor minus second, (E, 2), metres.
+        first: Index of the first part, (E,).
+        second: Index of the second part, (E,); a pair of parts has one row for each deciding pair of slabs.
+        normals: Normals of the half-planes, (E, 2M, 2), unit.
+        offsets: Their distances from the origin, (E, 2M), metres.
+        apart: First anchor minus second anchor, (E, 2), metres.
     """
 
     first: IntArray
@@ -43,7 +43,7 @@ class NoFitPolygons:
     apart: FloatArray
 
     def clearances(self) -> dict[tuple[int, int], float]:
-        """How far the slabs of each pair of parts are apart, metres; negative where they meet. Pairs that never meet are missing."""
+        """Returns the distance of each pair of parts, metres, negative if they overlap; without pairs that can never meet."""
         beyond = (np.einsum("emd,ed->em", self.normals, self.apart) - self.offsets).max(axis=1)
         found: dict[tuple[int, int], float] = {}
         for i, j, clear in zip(self.first.tolist(), self.second.tolist(), beyond.tolist(), strict=True):
@@ -52,7 +52,7 @@ class NoFitPolygons:
 
 
 def no_fit(parts: Sequence[RigidGroup]) -> NoFitPolygons:
-    """The polygons of all pairs of parts, the part with the lower number first."""
+    """Computes the polygons of all pairs of parts, the part with the lower index first."""
     stacks = [p.slabs for p in parts]
     owner = np.repeat(np.arange(len(parts)), [len(s.tops) for s in stacks])
     normals = np.concatenate([np.zeros((0, NUM_SIDES, 2)), *(s.normals for s in stacks)])
@@ -64,14 +64,15 @@ def no_fit(parts: Sequence[RigidGroup]) -> NoFitPolygons:
     for k, stack in enumerate(stacks):
         mine = np.flatnonzero(owner == k)
         within[np.ix_(mine, mine)] = stack.is_within
-    # Two slabs cannot meet before two others of the same parts do that they are within: those decide.
+    # If two slabs are within two others of the same parts, these meet first and decide. Each pair of slabs covers itself, so a
+    # count of 1 means that no other pair does.
     covering = within @ meets.astype(np.float32) @ within.T
     one, other = np.nonzero(meets & (covering < 1.5))
     found_normals, found_offsets = np.empty((len(one), 2 * NUM_SIDES, 2)), np.empty((len(one), 2 * NUM_SIDES))
     for start in range(0, len(one), _CHUNK):
         rows = slice(start, start + _CHUNK)
         a, b = one[rows], other[rows]
-        # The first is clear where it is beyond a half-plane of the other, or the other beyond one of its own.
+        # The first slab is clear if it is beyond a half-plane of the second, or the second beyond one of the first.
         found_normals[rows, :NUM_SIDES], found_normals[rows, NUM_SIDES:] = -normals[a], normals[b]
         found_offsets[rows, :NUM_SIDES] = offsets[a] - (normals[a] @ corners[b].transpose(0, 2, 1)).min(axis=2)
         found_offsets[rows, NUM_SIDES:] = offsets[b] - (normals[b] @ corners[a].transpose(0, 2, 1)).min(axis=2)

@@ -1,8 +1,8 @@
-"""Regularised projection: the least movement that parts a crowd, where each pair goes apart across one line.
+"""Regularised projection: separates bodies with the least movement, each pair across one line.
 
-Each step fixes, for every pair of slabs that is near, the half-plane of its no-fit polygon that it is beyond or nearest to, and
-solves the convex problem that remains: weighted squared distance from the aims, every broken half-plane and every directional
-relation at a price per metre. A half-plane is part of the free region, so what a step finds free stays free in the next.
+Each step fixes, for every near pair of slabs, the half-plane of its no-fit polygon that it is beyond or nearest to. It then
+solves the remaining convex problem: weighted squared distance from the aims, with a price per metre for every broken half-plane
+and every broken directional relation. A half-plane is part of the free region, so a pair that is free stays free in the next step.
 """
 
 from dataclasses import dataclass
@@ -14,28 +14,28 @@ from models.physics_corrector.packing.packing_problem import PackingProblem
 from stable_data.scene import FloatArray, IntArray
 
 HARD = 3.0
-"""Price of a constraint that is to hold, in metres of stiff movement."""
+"""Price of a constraint that should hold, in metres of stiff movement."""
 
 FREE = 1e-4
-"""A crowd is parted where no overlap with the clearance added is more than this, metres."""
+"""Bodies are separated if no overlap, with the clearance added, is more than this, metres."""
 
 _NEAR = 0.08  # pairs farther apart than this are left out of a step, metres
-_MARGIN = 2e-4  # by which a directional relation is kept, metres
+_MARGIN = 2e-4  # margin of a directional relation, metres
 _EASE = 2e-4  # keeps the dual strictly concave: metres of violation per unit of price
 _GRADIENT_STEPS, _NEWTON_STEPS, _HALVINGS = 60, 25, 20
-_EXACT = 1e-5
-_DEAR = 1.0  # relations that cost more decide which way bodies part
-_ALONG = 0.35  # cosine between a way out and a directional relation that it serves
+_EXACT = 1e-5  # a gradient or a change below this ends the iterations
+_DEAR = 1.0  # a relation of a higher price decides the direction in which its bodies separate
+_ALONG = 0.35  # least cosine between that direction and the relation
 
 
 @dataclass(slots=True)
 class ConstraintForces:
-    """What the constraints push with, kept from one step to the next as a start: most of them change little.
+    """Forces of the constraints. They change little from step to step, so each step starts from those of the last.
 
     Attributes:
-        pairs: Of each pair of slabs, (E,).
-        orders: Of both half-planes of each directional relation, (2K,).
-        edges: Of the edges of the table on each body, (4B,).
+        pairs: Force of each pair of slabs, (E,).
+        orders: Forces of both half-planes of each directional relation, (2K,).
+        edges: Forces of the table edges on each body, (4B,).
     """
 
     pairs: FloatArray
@@ -43,58 +43,59 @@ class ConstraintForces:
     edges: FloatArray
 
     @classmethod
-    def none(cls, crowd: PackingProblem) -> "ConstraintForces":
-        """None on any body of a crowd."""
-        return cls(np.zeros(len(crowd.first)), np.zeros(2 * len(crowd.orders)), np.zeros(4 * len(crowd.stiffness)))
+    def none(cls, problem: PackingProblem) -> "ConstraintForces":
+        """Returns zero forces."""
+        return cls(np.zeros(len(problem.first)), np.zeros(2 * len(problem.orders)), np.zeros(4 * len(problem.stiffness)))
 
 
 def project(
-    crowd: PackingProblem,
+    problem: PackingProblem,
     shifts: FloatArray,
     aims: FloatArray,
     steps: int,
     order_price: float | FloatArray = HARD,
     forces: ConstraintForces | None = None,
 ) -> tuple[FloatArray, bool]:
-    """Moves bodies apart.
+    """Separates bodies.
 
     Args:
-        crowd: The bodies.
-        shifts: Where they are, (B, 2), metres.
-        aims: Where they want to be, (B, 2).
-        steps: Steps at most.
-        order_price: Price of a metre by which a directional relation is broken, of all or of each, (K,).
-        forces: A start, changed to where it ends.
+        problem: The bodies.
+        shifts: Their shifts, (B, 2), metres.
+        aims: Their wanted shifts, (B, 2).
+        steps: Largest number of steps.
+        order_price: Price of a metre by which a directional relation is broken, one for all or (K,).
+        forces: Forces to start from; changed to the final ones.
 
     Returns:
-        The shifts, (B, 2), and whether the crowd is parted.
+        The shifts, (B, 2), and whether the bodies are separated.
     """
-    best, is_parted = shifts, False
-    forces = forces or ConstraintForces.none(crowd)
-    prices = np.broadcast_to(np.asarray(order_price, float), len(crowd.orders))
-    near, beyond = crowd.near(shifts, _NEAR)
+    best, is_separated = shifts, False
+    forces = forces or ConstraintForces.none(problem)
+    prices = np.broadcast_to(np.asarray(order_price, float), len(problem.orders))
+    near, beyond = problem.near(shifts, _NEAR)
     for _ in range(steps):
-        moved = _step(crowd, shifts, near, beyond, aims, prices, forces)
+        moved = _step(problem, shifts, near, beyond, aims, prices, forces)
         change = float(np.abs(moved - shifts).max(initial=0.0))
         shifts = moved
-        near, beyond = crowd.near(shifts, _NEAR)
+        near, beyond = problem.near(shifts, _NEAR)
         overlap = -float(beyond.max(axis=1, initial=-np.inf).min(initial=0.0))
-        is_free = overlap <= FREE and float(crowd.outside(shifts).max(initial=0.0)) <= FREE
-        if is_free or not is_parted:
+        is_free = overlap <= FREE and float(problem.outside(shifts).max(initial=0.0)) <= FREE
+        # Later steps move nearer to the aims and may overlap again: the last layout without overlap is the result.
+        if is_free or not is_separated:
             best = shifts
-        is_parted = is_parted or is_free
+        is_separated = is_separated or is_free
         if change < 2e-4:
             break
-    return best, is_parted
+    return best, is_separated
 
 
-def is_free_of_overlap(crowd: PackingProblem, shifts: FloatArray) -> bool:
-    """Does nothing of a crowd meet, and is all of it where it is allowed?"""
-    return bool(crowd.overlap(shifts).max(initial=0.0) <= FREE and crowd.outside(shifts).max(initial=0.0) <= FREE)
+def is_free_of_overlap(problem: PackingProblem, shifts: FloatArray) -> bool:
+    """Whether no bodies overlap and all are within their bounds."""
+    return bool(problem.overlap(shifts).max(initial=0.0) <= FREE and problem.outside(shifts).max(initial=0.0) <= FREE)
 
 
 def _step(
-    crowd: PackingProblem,
+    problem: PackingProblem,
     shifts: FloatArray,
     near: IntArray,
     beyond: FloatArray,
@@ -102,64 +103,62 @@ def _step(
     order_prices: FloatArray,
     forces: ConstraintForces,
 ) -> FloatArray:
-    rows, bounds = _planes(crowd, near, beyond, order_prices)
-    sides, edge_rows, edge_bounds = _edges(crowd, shifts)
-    kept = np.flatnonzero(np.tile(order_prices > 0, 2))
-    order_rows, order_bounds = crowd.order_planes()
-    of, to = (np.tile(x, 2)[kept] for x in (crowd.subjects, crowd.targets))
-    first = np.concatenate([crowd.first_body[near], of, sides % len(crowd.stiffness)])
-    second = np.concatenate([crowd.second_body[near], to, np.full(len(sides), -1)])
-    rows = np.concatenate([rows, order_rows[kept], edge_rows])
-    bounds = np.concatenate([bounds, order_bounds[kept] + _MARGIN, edge_bounds])
-    prices = np.concatenate([np.full(len(near), HARD), np.tile(order_prices, 2)[kept], np.full(len(sides), 4 * HARD)])
-    start = np.concatenate([forces.pairs[near], forces.orders[kept], forces.edges[sides]])
-    moved, force = _solved(crowd, first, second, rows, bounds, prices, aims, start)
-    pushes = np.split(force, [len(near), len(near) + len(kept)])
-    for all_of_a_kind, where, push in zip(
-        (forces.pairs, forces.orders, forces.edges), (near, kept, sides), pushes, strict=True
-    ):
-        all_of_a_kind[:] = 0.0
-        all_of_a_kind[where] = push
+    rows, bounds = _planes(problem, near, beyond, order_prices)
+    sides, edge_rows, edge_bounds = _edges(problem, shifts)
+    priced = np.flatnonzero(np.tile(order_prices > 0, 2))
+    order_rows, order_bounds = problem.order_planes()
+    of, to = (np.tile(x, 2)[priced] for x in (problem.subjects, problem.targets))
+    first = np.concatenate([problem.first_body[near], of, sides % len(problem.stiffness)])
+    second = np.concatenate([problem.second_body[near], to, np.full(len(sides), -1)])
+    rows = np.concatenate([rows, order_rows[priced], edge_rows])
+    bounds = np.concatenate([bounds, order_bounds[priced] + _MARGIN, edge_bounds])
+    prices = np.concatenate([np.full(len(near), HARD), np.tile(order_prices, 2)[priced], np.full(len(sides), 4 * HARD)])
+    start = np.concatenate([forces.pairs[near], forces.orders[priced], forces.edges[sides]])
+    moved, force = _solve_step(problem, first, second, rows, bounds, prices, aims, start)
+    pushes = np.split(force, [len(near), len(near) + len(priced)])
+    for kind, where, push in zip((forces.pairs, forces.orders, forces.edges), (near, priced, sides), pushes, strict=True):
+        kind[:] = 0.0
+        kind[where] = push
     return moved
 
 
 def _planes(
-    crowd: PackingProblem, near: IntArray, beyond: FloatArray, order_prices: FloatArray
+    problem: PackingProblem, near: IntArray, beyond: FloatArray, order_prices: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """One half-plane for each near pair of slabs: normals (N, 2), bounds (N,)."""
+    """Chooses one half-plane for each near pair of slabs: normals (N, 2), bounds (N,)."""
     chosen = beyond.argmax(axis=1)
     overlapping = np.flatnonzero(np.take_along_axis(beyond, chosen[:, None], axis=1)[:, 0] < 0)
-    wanted = _wanted_axes(crowd, order_prices)
+    wanted = _wanted_axes(problem, order_prices)
     groups: dict[tuple[int, int], list[int]] = {}
     for n, i, j in zip(
-        overlapping.tolist(), crowd.first[near[overlapping]].tolist(), crowd.second[near[overlapping]].tolist(), strict=True
+        overlapping.tolist(), problem.first[near[overlapping]].tolist(), problem.second[near[overlapping]].tolist(), strict=True
     ):
         groups.setdefault((i, j), []).append(n)
     for entries in groups.values():
         e = near[entries[0]]
-        axis = wanted.get((int(crowd.first_body[e]), int(crowd.second_body[e])))
+        axis = wanted.get((int(problem.first_body[e]), int(problem.second_body[e])))
         if len(entries) > 1 or axis is not None:
-            chosen[entries] = _way_out(crowd.normals[near[entries]], -beyond[entries], axis)
-    normals = crowd.normals[near, chosen]
-    return normals, crowd.offsets[near, chosen] - (normals * crowd.apart[near]).sum(axis=1)
+            chosen[entries] = _common_direction(problem.normals[near[entries]], -beyond[entries], axis)
+    normals = problem.normals[near, chosen]
+    return normals, problem.offsets[near, chosen] - (normals * problem.apart[near]).sum(axis=1)
 
 
-def _way_out(normals: FloatArray, cost: FloatArray, axis: FloatArray | None) -> IntArray:
-    """One direction for all slabs of two parts that overlap, along their directional relation where they have one.
+def _common_direction(normals: FloatArray, cost: FloatArray, axis: FloatArray | None) -> IntArray:
+    """Chooses one direction for all pairs of slabs of two overlapping parts, along their directional relation if there is one.
 
     Args:
-        normals: Of the half-planes of each pair of slabs, (S, 2M, 2).
-        cost: How deep each is in them, (S, 2M), metres.
+        normals: Normals of the half-planes of each pair of slabs, (S, 2M, 2).
+        cost: Depth of each pair in its half-planes, (S, 2M), metres.
         axis: The direction, (2,).
 
     Returns:
-        The half-plane by which each leaves, (S,).
+        The chosen half-plane of each pair, (S,).
     """
     if len(normals) > 1:
-        # Along each of the normals: how far the slab that is deepest along it has to go.
+        # The cost of each direction is the depth of the slab that is deepest along it.
         flat = normals.reshape(-1, 2)
         share = (flat @ flat.T).reshape(len(flat), len(normals), -1)
-        pick = share.argmax(axis=2)  # each slab leaves by its own half-plane that is nearest in direction
+        pick = share.argmax(axis=2)  # for each slab its own half-plane nearest to that direction
         deep = cost[np.arange(len(normals)), pick]
         total = deep.max(axis=1) + 0.02 * (1 - share.max(axis=2).min(axis=1))
     else:
@@ -169,34 +168,34 @@ def _way_out(normals: FloatArray, cost: FloatArray, axis: FloatArray | None) -> 
     return np.asarray(pick[int(total.argmin())])
 
 
-def _wanted_axes(crowd: PackingProblem, order_prices: FloatArray) -> dict[tuple[int, int], FloatArray]:
-    """For pairs of bodies with a directional relation that is dear: where the first is, seen from the second."""
+def _wanted_axes(problem: PackingProblem, order_prices: FloatArray) -> dict[tuple[int, int], FloatArray]:
+    """Returns pair of bodies -> direction from the second to the first, for directional relations of a high price."""
     axes: dict[tuple[int, int], FloatArray] = {}
     for k in np.flatnonzero(order_prices > _DEAR).tolist():
-        o = crowd.orders[k]
+        o = problem.orders[k]
         axes[o.first, o.second] = o.axis
         axes[o.second, o.first] = -o.axis
     return axes
 
 
-def _edges(crowd: PackingProblem, shifts: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The edges of the table that bodies are near: numbers of side and body, half-planes, bounds."""
-    num = len(crowd.stiffness)
+def _edges(problem: PackingProblem, shifts: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Returns the table edges near bodies: indices of side and body, half-planes, bounds."""
+    num = len(problem.stiffness)
     sides: list[IntArray] = []
     rows, bounds = [], []
     for axis in (0, 1):
         unit = np.zeros(2)
         unit[axis] = 1.0
-        for sign, bound in ((1.0, crowd.low[:, axis]), (-1.0, -crowd.high[:, axis])):
-            near = np.nonzero(crowd.is_free & (sign * shifts[:, axis] - bound < _NEAR))[0]
+        for sign, bound in ((1.0, problem.low[:, axis]), (-1.0, -problem.high[:, axis])):
+            near = np.nonzero(problem.is_free & (sign * shifts[:, axis] - bound < _NEAR))[0]
             sides.append(near + num * len(sides))
             rows.append(np.repeat(sign * unit[None], len(near), axis=0))
             bounds.append(bound[near])
     return np.concatenate(sides), np.concatenate(rows), np.concatenate(bounds)
 
 
-def _solved(
-    crowd: PackingProblem,
+def _solve_step(
+    problem: PackingProblem,
     first: IntArray,
     second: IntArray,
     rows: FloatArray,
@@ -205,13 +204,13 @@ def _solved(
     aims: FloatArray,
     start: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Least weighted squared distance from the aims with ``row · (first − second) >= bound`` at a price, and the forces."""
-    num, index = len(crowd.stiffness), np.arange(len(rows))
-    inverse = np.where(crowd.is_free, 1 / np.sqrt(crowd.stiffness), 0.0)  # what cannot move is where it is
-    matrix = np.zeros((len(rows), num + 1, 2))  # the last column takes what has no second body
+    """Minimises the weighted squared distance from the aims with ``row · (first − second) >= bound`` at a price; returns the forces too."""
+    num, index = len(problem.stiffness), np.arange(len(rows))
+    inverse = np.where(problem.is_free, 1 / np.sqrt(problem.stiffness), 0.0)  # zero for fixed bodies
+    matrix = np.zeros((len(rows), num + 1, 2))  # the last column is for rows without a second body
     matrix[index, first] = rows * inverse[first, None]
     matrix[index, second] -= rows * np.append(inverse, 0.0)[second, None]
-    free = np.flatnonzero(crowd.is_free)
+    free = np.flatnonzero(problem.is_free)
     flat = matrix[:, free].reshape(len(rows), 2 * len(free))
     wanted = np.append(aims, np.zeros((1, 2)), axis=0)
     needed = bounds - ((wanted[first] - wanted[second]) * rows).sum(axis=1)
@@ -227,13 +226,13 @@ def box_dual(matrix: FloatArray, linear: FloatArray, upper: FloatArray, start: F
     Args:
         matrix: A, (M, N).
         linear: b, (M,).
-        upper: (M,).
-        start: Where to begin, (M,).
+        upper: Upper bound of x, (M,).
+        start: Start values, (M,).
 
     Returns:
         x, (M,).
     """
-    x = _descended(matrix, linear, upper, start)
+    x = _gradient_start(matrix, linear, upper, start)
     push = x @ matrix
     gradient = matrix @ push + _EASE * x - linear
     value = 0.5 * float(push @ push + _EASE * (x @ x)) - float(linear @ x)
@@ -267,10 +266,10 @@ def _newton_step(matrix: FloatArray, residual: FloatArray) -> FloatArray:
     return np.asarray((residual - matrix @ dposv(square, residual @ matrix)[1]) / _EASE)
 
 
-def _descended(matrix: FloatArray, linear: FloatArray, upper: FloatArray, start: FloatArray) -> FloatArray:
-    """A start for the Newton steps, by accelerated projected gradients (Beck and Teboulle 2009), restarted where they overshoot."""
+def _gradient_start(matrix: FloatArray, linear: FloatArray, upper: FloatArray, start: FloatArray) -> FloatArray:
+    """Computes a start for the Newton steps by accelerated projected gradients (Beck and Teboulle 2009), restarted on overshoot."""
     size = np.abs(matrix)
-    rate = 1 / (size @ size.sum(axis=0) + _EASE)  # the rows' sums bound the quadratic form from above
+    rate = 1 / (size @ size.sum(axis=0) + _EASE)  # row sums bound the quadratic form from above, so no step overshoots
     x = ahead = np.minimum(start, upper)
     momentum = 1.0
     for _ in range(_GRADIENT_STEPS):

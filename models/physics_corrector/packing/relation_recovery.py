@@ -1,4 +1,4 @@
-"""From a layout at which nothing meets to a better one: nearer to where things were, with relations won back that were given up."""
+"""Improves a layout without overlap: bodies move nearer to their aims, and released relations are restored."""
 
 import numpy as np
 
@@ -8,76 +8,69 @@ from models.physics_corrector.packing.packing_problem import PackingProblem
 from models.physics_corrector.packing.projection import HARD, is_free_of_overlap, project
 from stable_data.scene import FloatArray
 
-_STEPS, _FEW_STEPS = 16, 4
-_PLACES = 2  # that are tried for a body
+_STEPS, _FEW_STEPS = 16, 4  # of a projection
+_PLACES = 2  # places that are tried for a body
 
 
-def polish_layout(crowd: PackingProblem, shifts: FloatArray, aims: FloatArray) -> FloatArray:
-    """Back to relations that were given up, then nearer to the aims, without passing one body by another.
+def polish_layout(problem: PackingProblem, shifts: FloatArray, aims: FloatArray) -> FloatArray:
+    """Restores released relations, then moves bodies nearer to their aims, without moving one past another.
 
     Args:
-        crowd: The bodies.
-        shifts: Where they are, nothing meets, (B, 2), metres.
-        aims: Where they want to be, (B, 2).
+        problem: The bodies.
+        shifts: Their shifts, without overlap, (B, 2), metres.
+        aims: Their wanted shifts, (B, 2).
 
     Returns:
-        Shifts at which nothing meets.
+        Shifts without overlap.
     """
-    if crowd.broken(shifts).any():
+    if problem.broken(shifts).any():
         for price in (HARD, 0.3):
-            shifts = _better(crowd, shifts, project(crowd, shifts, shifts, _FEW_STEPS, price))
-    return _nearer(crowd, shifts, aims, _STEPS)
+            shifts = _better(problem, shifts, project(problem, shifts, shifts, _FEW_STEPS, price))
+    return _nearer(problem, shifts, aims, _STEPS)
 
 
-def recover_relations(crowd: PackingProblem, shifts: FloatArray, aims: FloatArray, tries: int) -> FloatArray:
-    """Puts bodies of broken directional relations where those hold, and lets others make room.
+def recover_relations(problem: PackingProblem, shifts: FloatArray, aims: FloatArray, tries: int) -> FloatArray:
+    """Moves bodies of broken directional relations to places where these hold, and the others out of their way.
 
     Args:
-        crowd: The bodies.
-        shifts: Where they are, nothing meets, (B, 2), metres.
-        aims: Where they want to be, (B, 2).
-        tries: How many times a body may be put elsewhere.
+        problem: The bodies.
+        shifts: Their shifts, without overlap, (B, 2), metres.
+        aims: Their wanted shifts, (B, 2).
+        tries: How many times a body may be relocated.
 
     Returns:
-        Shifts at which nothing meets, no more relations are broken.
+        Shifts without overlap, with at most as many broken relations as before.
     """
     tried: set[tuple[int, int]] = set()
     for _ in range(tries):
-        broken = crowd.broken(shifts)
-        ends = ((int(n), int(k)) for n in np.flatnonzero(broken) for k in (crowd.subjects[n], crowd.targets[n]))
-        n, k = next(((n, k) for n, k in ends if crowd.is_free[k] and (n, k) not in tried), (-1, -1))
+        broken = problem.broken(shifts)
+        ends = ((int(n), int(k)) for n in np.flatnonzero(broken) for k in (problem.subjects[n], problem.targets[n]))
+        n, k = next(((n, k) for n, k in ends if problem.is_free[k] and (n, k) not in tried), (-1, -1))
         if k < 0:
             break
         tried.add((n, k))
         prices = np.where(broken, RELEASED, HARD)
         prices[n] = HARD
-        for there in _elsewhere(crowd, shifts, aims, k, n):
-            moved, is_parted = project(crowd, there, there, _FEW_STEPS, prices)
-            if is_parted and crowd.broken(moved).sum() < broken.sum():
-                shifts = _nearer(crowd, moved, aims, _FEW_STEPS)
+        for place in least_blocked_place(problem, shifts, aims, k, _PLACES, n):
+            there = shifts.copy()
+            there[k] = place
+            moved, is_separated = project(problem, there, there, _FEW_STEPS, prices)
+            if is_separated and problem.broken(moved).sum() < broken.sum():
+                shifts = _nearer(problem, moved, aims, _FEW_STEPS)
                 tried.clear()
                 break
-    return _nearer(crowd, shifts, aims, _STEPS)
+    return _nearer(problem, shifts, aims, _STEPS)
 
 
-def _elsewhere(crowd: PackingProblem, shifts: FloatArray, aims: FloatArray, k: int, order: int) -> list[FloatArray]:
-    """Shifts of all where one body is where a directional relation holds, and may be in others."""
-    even = np.ones((len(shifts), len(shifts)))
-    found = []
-    for place in least_blocked_place(crowd, shifts, aims, k, even, _PLACES, order):
-        there = shifts.copy()
-        there[k] = place
-        found.append(there)
-    return found
+def _nearer(problem: PackingProblem, shifts: FloatArray, aims: FloatArray, steps: int) -> FloatArray:
+    prices = np.where(problem.broken(shifts), RELEASED, HARD)
+    return _better(problem, shifts, project(problem, shifts, aims, steps, prices))
 
 
-def _nearer(crowd: PackingProblem, shifts: FloatArray, aims: FloatArray, steps: int) -> FloatArray:
-    prices = np.where(crowd.broken(shifts), RELEASED, HARD)
-    return _better(crowd, shifts, project(crowd, shifts, aims, steps, prices))
-
-
-def _better(crowd: PackingProblem, shifts: FloatArray, other: tuple[FloatArray, bool]) -> FloatArray:
-    """Other shifts where they part the crowd and break no more relations, else these."""
-    moved, is_parted = other
-    good = is_parted and is_free_of_overlap(crowd, moved) and crowd.broken(moved).sum() <= crowd.broken(shifts).sum()
-    return moved if good else shifts
+def _better(problem: PackingProblem, shifts: FloatArray, other: tuple[FloatArray, bool]) -> FloatArray:
+    """Returns the other shifts if they are without overlap and break no more relations, else the first ones."""
+    moved, is_separated = other
+    is_better = (
+        is_separated and is_free_of_overlap(problem, moved) and problem.broken(moved).sum() <= problem.broken(shifts).sum()
+    )
+    return moved if is_better else shifts

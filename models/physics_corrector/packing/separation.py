@@ -1,4 +1,4 @@
-"""Parts a crowd: projection first, then growth, then by leaving bodies out and putting them back; at last what was lost is repaired."""
+"""Separates bodies: by projection, else by growth, else without some bodies; then restores broken relations."""
 
 from collections.abc import Sequence
 
@@ -12,40 +12,40 @@ from models.physics_corrector.packing.subset_packing import pack_subset
 from stable_data.scene import FloatArray
 
 _STEPS = 16
-_GROWTH_STEPS = (3, 6)  # at each size, until it parts
+_GROWTH_STEPS = (3, 6)  # steps at each size; the second number if the first does not separate the bodies
 
 
 def separate_bodies(
-    crowd: PackingProblem, aims: FloatArray, spare: Sequence[int], tries: int
+    problem: PackingProblem, aims: FloatArray, spare: Sequence[int], tries: int
 ) -> tuple[FloatArray, list[int]] | None:
-    """Finds shifts at which nothing meets, near the aims and true to the directional relations as far as that goes.
+    """Finds shifts without overlap, near the aims, with as many directional relations preserved as possible.
 
     Args:
-        crowd: The bodies.
-        aims: Where they want to be, (B, 2), metres.
-        spare: Bodies that may be left out where not all find a place, those that should go first, first.
-        tries: How many times a body may be put elsewhere to mend what parting has lost.
+        problem: The bodies.
+        aims: Their wanted shifts, (B, 2), metres.
+        spare: Bodies that may be left out if there is not a place for all, the least important first.
+        tries: How many times a body may be relocated to restore a directional relation.
 
     Returns:
-        The shifts, (B, 2), and the bodies that have to be left out; None where not even that does.
+        The shifts, (B, 2), and the bodies that are left out; None if no such shifts were found.
     """
     here, out = np.zeros_like(aims), list[int]()
-    parted = []
-    found, is_parted = project(crowd, here, aims, _STEPS)
-    if is_parted:
-        parted.append(polish_layout(crowd, found, aims))
-    if not parted or crowd.broken(parted[0]).sum() > crowd.broken(here).sum():
+    separated = []
+    found, is_separated = project(problem, here, aims, _STEPS)
+    if is_separated:
+        separated.append(polish_layout(problem, found, aims))
+    if not separated or problem.broken(separated[0]).sum() > problem.broken(here).sum():
         for steps in _GROWTH_STEPS:
-            found, is_parted = inflate_bodies(crowd, here, aims, steps)
-            if is_parted:
-                parted.append(polish_layout(crowd, found, aims))
+            found, is_separated = inflate_bodies(problem, here, aims, steps)
+            if is_separated:
+                separated.append(polish_layout(problem, found, aims))
                 break
-    if not parted:
-        fit = pack_subset(crowd, aims, spare)
+    if not separated:
+        fit = pack_subset(problem, aims, spare)
         if fit is None:
             return None
         found, out = fit
-        crowd = crowd.without(out)
-        parted.append(polish_layout(crowd, found, aims))
-    best = min(parted, key=lambda shifts: int(crowd.broken(shifts).sum()))
-    return recover_relations(crowd, best, aims, tries), out
+        problem = problem.without(out)
+        separated.append(polish_layout(problem, found, aims))
+    best = min(separated, key=lambda shifts: int(problem.broken(shifts).sum()))
+    return recover_relations(problem, best, aims, tries), out

@@ -1,8 +1,8 @@
-"""Shapes as stacks of convex slabs: what two bodies that only shift on the table may meet with.
+"""Shapes as stacks of convex slabs, for bodies that only shift on the table.
 
-A slab is a range of heights and a convex outline that holds all of the mesh between them, kept as supporting half-planes.
-Slabs whose outlines are apart prove meshes apart, and for two convex outlines the shifts at which they meet form one convex
-polygon (the no-fit polygon: the Minkowski sum of one and the mirrored other), bounded by the half-planes of both.
+A slab is a range of heights with a convex outline that contains the mesh in this range, stored as supporting half-planes. If the
+outlines of two bodies are apart, so are their meshes. The shifts at which two convex outlines meet form one convex polygon (the
+no-fit polygon: the Minkowski sum of one and the mirrored other), bounded by the half-planes of both.
 """
 
 import itertools
@@ -23,15 +23,16 @@ from stable_data.scene import FloatArray
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
 
 NUM_SIDES = 28
-"""Half-planes of an outline."""
+"""Number of half-planes of an outline."""
 
 NUM_AROUND = 16
-"""Those of them that look evenly around."""
+"""Number of these with evenly spaced normals."""
 
 _LEVELS = np.array([0.0, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.4, np.inf])  # heights at which shapes are cut, metres
-_LONG = 0.03  # edges longer than this share of the circumference have a half-plane of their own
-_ALIKE = 1e-3  # outlines of neighbouring slabs that differ by less are one, metres
-_EVENLY = 2 * np.pi * np.arange(NUM_AROUND) / NUM_AROUND
+_LONG = 0.03  # an edge longer than this share of the circumference has its own half-plane
+_ALIKE = 1e-3  # neighbouring slabs whose outlines differ by less are merged, metres
+_EVENLY = 2 * np.pi * np.arange(NUM_AROUND) / NUM_AROUND  # angles of the evenly spaced normals
+_DIRECTIONS = np.stack([np.cos(_EVENLY), np.sin(_EVENLY)])  # the same as unit vectors, (2, NUM_AROUND)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +42,9 @@ class SlabOutline:
     Attributes:
         normals: Outward normals of the half-planes, (S, M, 2), unit, sorted counter-clockwise.
         offsets: Their distances from the origin, (S, M), metres.
-        bottoms: Where each slab begins, (S,), metres.
-        tops: Where it ends, (S,).
-        is_within: Whether the outline of each is within that of each other, (S, S); of two that are alike the first is in the
+        bottoms: Lower bound of each slab, (S,), metres.
+        tops: Upper bound of each slab, (S,), metres.
+        is_within: Whether the outline of each slab is within that of each other, (S, S); of two equal ones the first is in the
             second.
     """
 
@@ -55,7 +56,7 @@ class SlabOutline:
 
     @cached_property
     def corners(self) -> FloatArray:
-        """Where neighbouring half-planes meet, (S, M, 2), metres."""
+        """The intersections of neighbouring half-planes, (S, M, 2), metres."""
         following, next_offsets = np.roll(self.normals, -1, axis=1), np.roll(self.offsets, -1, axis=1)
         cross = self.normals[..., 0] * following[..., 1] - self.normals[..., 1] * following[..., 0]
         cross = np.where(np.abs(cross) < 1e-6, np.inf, cross)
@@ -63,7 +64,7 @@ class SlabOutline:
         y = (next_offsets * self.normals[..., 0] - self.offsets * following[..., 0]) / cross
         corners = np.stack([x, y], axis=-1)
         repeated = np.isinf(cross)
-        if repeated.any():  # two of the same normal: the corner before stands for both
+        if repeated.any():  # two neighbours with the same normal have no intersection: repeat the corner before
             for s, m in np.argwhere(repeated):
                 back = next(b for b in range(1, NUM_SIDES) if not repeated[s, m - b])
                 corners[s, m] = corners[s, m - back]
@@ -71,11 +72,11 @@ class SlabOutline:
 
     @cached_property
     def box(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest corner seen from above, two (2,), metres."""
+        """The lowest and the highest corner seen from above, two (2,), metres."""
         return self.corners.min(axis=(0, 1)), self.corners.max(axis=(0, 1))
 
-    def placed(self, yaw: float, offset: FloatArray) -> "SlabOutline":
-        """The slabs turned by an angle and moved by a vector (3,), metres."""
+    def transformed(self, yaw: float, offset: FloatArray) -> "SlabOutline":
+        """Returns the slabs, turned by a yaw and moved by a vector (3,), metres."""
         normals = rotate_xy(self.normals, yaw)
         return SlabOutline(
             normals, self.offsets + normals @ offset[:2], self.bottoms + offset[2], self.tops + offset[2], self.is_within
@@ -86,14 +87,14 @@ _slabs: "WeakKeyDictionary[Shape, SlabOutline]" = WeakKeyDictionary()
 
 
 def slabs_of(shape: Shape) -> SlabOutline:
-    """The slabs of a shape in its yaw frame, its bottom at height 0; computed once."""
+    """Returns the slabs of a shape in its yaw frame, its bottom at height 0; computed once for a shape."""
     if shape not in _slabs:
-        _slabs[shape] = _cut(shape)
+        _slabs[shape] = _cut_slabs(shape)
     return _slabs[shape]
 
 
 def join_outlines(stacks: Sequence[SlabOutline]) -> SlabOutline:
-    """The slabs of several things that move as one."""
+    """Returns the slabs of several shapes that move as one."""
     if len(stacks) == 1:
         return stacks[0]
     outlines: list[FloatArray] = []
@@ -104,16 +105,16 @@ def join_outlines(stacks: Sequence[SlabOutline]) -> SlabOutline:
         if points:
             outlines.append(np.concatenate(points))
             ranges.append((low, high))
-    return _stacked(outlines, ranges)
+    return _merge_slabs(outlines, ranges)
 
 
 def rectangle(low: FloatArray, high: FloatArray) -> SlabOutline:
-    """A prism over an upright rectangle given by two corners (2,), from the table up without end."""
+    """Returns a prism of infinite height over a rectangle with the corners ``low`` and ``high``, (2,) metres."""
     corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
-    return _stacked([corners], [(-np.inf, np.inf)])
+    return _merge_slabs([corners], [(-np.inf, np.inf)])
 
 
-def _cut(shape: Shape) -> SlabOutline:
+def _cut_slabs(shape: Shape) -> SlabOutline:
     bottom = -float(shape.size[2]) / 2
     vertices, height = shape.vertices, float(shape.size[2])
     levels = np.append(_LEVELS[height - 1e-6 > _LEVELS], height) if height > 1e-6 else np.array([0.0, 1e-6])
@@ -124,16 +125,16 @@ def _cut(shape: Shape) -> SlabOutline:
     outlines, ranges = [], []
     for n, (low, high) in enumerate(itertools.pairwise(levels)):
         points = [flat[used & (z >= low - 1e-9) & (z <= high + 1e-9)]]
-        points += rings[max(0, n - 1) : n + 1]
+        points += rings[max(0, n - 1) : n + 1]  # the sections at the lower and at the upper bound of the slab
         cloud = np.concatenate(points)
         if len(cloud):
-            outlines.append(_extreme(cloud))
+            outlines.append(_hull_candidates(cloud))
             ranges.append((float(low), float(high)))
-    return _stacked(outlines, ranges)
+    return _merge_slabs(outlines, ranges)
 
 
 def _crossings(shape: Shape, z: FloatArray, level: float) -> FloatArray:
-    """Where the edges of a mesh pass a height, (K, 2), metres."""
+    """Returns the points at which the edges of a mesh cross a height, (K, 2), metres."""
     above = z > level
     i, j, k = (above[column] for column in shape.faces.T)
     mixed = shape.faces[(i != j) | (j != k)]
@@ -144,12 +145,11 @@ def _crossings(shape: Shape, z: FloatArray, level: float) -> FloatArray:
     return np.asarray(shape.vertices[first, :2] * (1 - share) + shape.vertices[second, :2] * share)
 
 
-def _extreme(points: FloatArray) -> FloatArray:
-    """Points of a cloud (K, 2) that may lie on its hull: those outside a polygon of extreme ones."""
+def _hull_candidates(points: FloatArray) -> FloatArray:
+    """Returns the points of a cloud (K, 2) that may lie on its hull: those outside a polygon of extreme points."""
     if len(points) < 64:
         return points
-    directions = np.stack([np.cos(_EVENLY), np.sin(_EVENLY)])
-    along = points @ directions
+    along = points @ _DIRECTIONS
     picked = points[along.argmax(axis=0)]
     edges = np.roll(picked, -1, axis=0) - picked
     normals = np.stack([edges[:, 1], -edges[:, 0]])
@@ -157,8 +157,8 @@ def _extreme(points: FloatArray) -> FloatArray:
     return np.concatenate([picked, points[beyond.any(axis=1)]])
 
 
-def _stacked(outlines: Sequence[FloatArray], ranges: Sequence[tuple[float, float]]) -> SlabOutline:
-    """Slabs around clouds of points (K, 2); neighbours that are alike become one."""
+def _merge_slabs(outlines: Sequence[FloatArray], ranges: Sequence[tuple[float, float]]) -> SlabOutline:
+    """Returns slabs around clouds of points (K, 2); neighbours with like outlines are merged."""
     hulls = [_hull(points) for points in outlines]
     merged: list[tuple[FloatArray, float, float]] = []
     for hull, (low, high) in zip(hulls, ranges, strict=True):
@@ -177,7 +177,7 @@ def _stacked(outlines: Sequence[FloatArray], ranges: Sequence[tuple[float, float
 
 
 def _hull(points: FloatArray) -> FloatArray:
-    """Convex hull of points (K, 2), counter-clockwise, (H, 2); of a line or a point a hair's breadth around it."""
+    """Returns the convex hull of points (K, 2), counter-clockwise, (H, 2); a line or a point is first widened by 0.01 mm."""
     hull = shapely.convex_hull(shapely.linestrings(points if len(points) > 1 else np.repeat(points, 2, axis=0)))
     if hull.geom_type != "Polygon":
         hull = hull.buffer(1e-5, quad_segs=2)
@@ -188,12 +188,11 @@ def _hull(points: FloatArray) -> FloatArray:
 
 
 def _are_alike(one: FloatArray, other: FloatArray) -> bool:
-    directions = np.stack([np.cos(_EVENLY), np.sin(_EVENLY)])
-    return bool(np.abs((one @ directions).max(axis=0) - (other @ directions).max(axis=0)).max() <= _ALIKE)
+    return bool(np.abs((one @ _DIRECTIONS).max(axis=0) - (other @ _DIRECTIONS).max(axis=0)).max() <= _ALIKE)
 
 
 def _sides(hull: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Supporting half-planes of a convex polygon: of its long edges, and evenly around. Normals (M, 2), offsets (M,)."""
+    """Returns half-planes of a convex polygon, of its long edges and evenly around it: normals (M, 2), offsets (M,)."""
     edges = np.roll(hull, -1, axis=0) - hull
     length = np.linalg.norm(edges, axis=1)
     order = np.argsort(-length, kind="stable")[: NUM_SIDES - NUM_AROUND]

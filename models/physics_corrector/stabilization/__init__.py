@@ -1,1 +1,1 @@
-"""Corrections that MuJoCo proves stable."""
+"""Corrections whose stability is tested in MuJoCo."""

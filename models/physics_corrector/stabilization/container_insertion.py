@@ -1,4 +1,4 @@
-"""Containers and the long objects that lean in them: the free space of a container, and poses of pencils in it."""
+"""Insertion into containers: the free space of a container, and poses of long objects that lean in it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,9 +25,9 @@ from stable_data.scene import FloatArray, SceneObject
 from stable_data.scene_graph.relations import INSIDE_FLOOR, INSIDE_SLACK
 
 # How the free space of a container is found. Tuned on: not recorded.
-_SECTION_LEVELS = (0.98, 0.9, 0.75, 0.6, 0.45, 0.3, 0.15)  # heights of the sections, shares of the container's, from above
-_SAME_CAVITY = 0.5  # a lower section belongs to the same cavity while it has at least this share of its area
-_UPSIDE_DOWN = 0.3  # sine of the slope of its axis from which on a tilted object is meant to stand on its other end
+_SECTION_LEVELS = (0.98, 0.9, 0.75, 0.6, 0.45, 0.3, 0.15)  # heights of the sections from above, shares of the height
+_SAME_CAVITY = 0.5  # a lower section is of the same cavity if it has at least this share of the area of the one above
+_UPSIDE_DOWN = 0.3  # an object whose axis points down more steeply than this (sine of the slope) stands on its other end
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,10 +36,10 @@ class ContainerInterior:
 
     Attributes:
         middle: Centre of its cross-section, (2,) metres, world frame.
-        radius: Of the largest circle in it at the floor, metres.
+        radius: Radius of the largest circle in the cross-section at the floor, metres.
         mouth: The same at the rim, metres.
-        reach: Largest distance along the table between ``middle`` and the centre of an object in the container, metres: long
-            objects lean out over the rim.
+        reach: Largest distance along the table between ``middle`` and the centre of an object in the container, metres. It may
+            be larger than the radius, because long objects lean out over the rim.
         floor: Height of its floor, or a little above, metres.
         rim: Height of its rim, metres.
         below: Height of the container's underside, metres.
@@ -55,7 +55,7 @@ class ContainerInterior:
 
 
 def interior_of(o: SceneObject, shape: Shape) -> ContainerInterior | None:
-    """The free space of an object; None where it has no walls all around.
+    """Computes the free space of an object; None if it has no walls all around.
 
     Args:
         o: The object, resolved.
@@ -66,6 +66,7 @@ def interior_of(o: SceneObject, shape: Shape) -> ContainerInterior | None:
     for level in _SECTION_LEVELS:
         section = mesh.section((0.0, 0.0, 1.0), (0.0, 0.0, (level - 0.5) * height))
         rings = [] if section is None else [ring for ring in section.to_2D(np.eye(4))[0].polygons_closed if ring is not None]
+        # Nested rings bound solid and free space in turns.
         solid = reduce(shapely.symmetric_difference, rings, shapely.Polygon())
         holes = [
             shapely.Polygon(ring)
@@ -96,10 +97,10 @@ def interior_of(o: SceneObject, shape: Shape) -> ContainerInterior | None:
 def is_inside(o: SceneObject, interior: ContainerInterior, store: AssetStore) -> bool:
     """Whether an object is in a container.
 
-    Its centre is over the container, as the scene graph asks, and its underside between the rim and the underside of the
-    container. Where it leans out, its foot is in the free space: what leans on the rim from outside is not in the container.
+    Its centre must be over the container, as in the scene graph, and its underside between the rim and the underside of the
+    container. If it leans out, its foot must be in the free space: an object that leans on the rim from outside is not inside.
     """
-    bottom = o.position[2] - o.size[2] / 2
+    bottom = o.bottom
     aside = float(np.linalg.norm(interior.middle - o.position[:2]))
     if aside >= interior.reach or not interior.below + INSIDE_FLOOR < bottom < interior.rim:
         return False
@@ -114,13 +115,13 @@ def is_inside(o: SceneObject, interior: ContainerInterior, store: AssetStore) ->
 
 
 def _foot(shape: Shape) -> FloatArray:
-    """Centre of the lower end of an object, (2,) metres, its yaw frame."""
+    """Returns the centre of the lower end of an object, (2,) metres, yaw frame."""
     low = shape.vertices[shape.vertices[:, 2] < (FOOT_SHARE_CORRECTED - 0.5) * shape.size[2]]
     return np.asarray((low.min(axis=0) + low.max(axis=0))[:2] / 2)
 
 
 def is_long(o: SceneObject, interior: ContainerInterior, store: AssetStore) -> bool:
-    """Whether an object is slender, and longer than a free space is wide and deep, so that it leans there."""
+    """Whether an object leans in a container: it is slender, and longer than the free space is wide and deep."""
     mesh = store.mesh_of(o)
     if mesh is None or o.scale is None:
         return False
@@ -130,17 +131,21 @@ def is_long(o: SceneObject, interior: ContainerInterior, store: AssetStore) -> b
 
 
 def place_leaning(sticks: Sequence[SceneObject], interior: ContainerInterior, store: AssetStore) -> list[SceneObject]:
-    """Puts long objects into a container, as many as have room.
+    """Places long objects in a container, as many as have room.
 
-    A single one leans across, from the foot of one side to the rim of the other: in a wide bowl it would otherwise tip over the
-    rim. Several would be in each other's way so; each leans to its own side, their feet side by side.
+    A single object leans across, from the foot of one side to the rim of the other: in a wide bowl it would otherwise tip over
+    the rim. Several objects would cross; each leans to its own side, with the feet side by side.
 
     Args:
-        sticks: The objects, of which :func:`is_long` holds, the more important first.
+        sticks: Objects for which :func:`is_long` holds, the more important first.
         interior: The free space of the container.
         store: Geometry of the assets.
+
+    Returns:
+        The placed objects; those without room are missing.
     """
     ends = [end for end in ((o, *_on_end(o, store)) for o in sticks) if end[2] + LEAST_ROOM < interior.radius]
+    # The least important object is left out until the others have room to lean.
     while ends:
         half = max(half for *_, half in ends)
         alone = half + FOOT_CLEARANCE - interior.radius
@@ -172,7 +177,7 @@ def place_leaning(sticks: Sequence[SceneObject], interior: ContainerInterior, st
 
 
 def _on_end(o: SceneObject, store: AssetStore) -> tuple[Rotation, float]:
-    """The rotation that stands a long object on the end that is lower now, and the radius of its foot then, metres."""
+    """Returns the rotation that stands a long object on its lower end, and the radius of its foot in that pose, metres."""
     mesh = store.mesh_of(o)
     assert mesh is not None
     assert o.scale is not None

@@ -1,8 +1,8 @@
-"""Objects that are to be on or in another one are placed there and dropped in MuJoCo, before a scene is certified.
+"""Placement of supported objects by a drop simulation in MuJoCo, before a scene is certified.
 
-The corrector itself changes positions and yaws only. A towel on a folded towel lies a little askew, and a pencil leans in its
-cup at an angle that nobody knows before: at the tilt at which they were proposed there may be no place where they stay. This
-is for scenes that are generated: their tilts need not be kept.
+The corrector itself changes positions and yaws only. A towel on a folded towel lies a little askew, and the angle at which a
+pencil leans in its cup is not known in advance: at the proposed tilt there may be no place where they stay. The simulation is for
+generated scenes, whose tilts may change.
 """
 
 from collections.abc import Mapping, Sequence, Set
@@ -27,33 +27,36 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError
 from stable_data.geometry.shape import Shape
 from stable_data.scene import RelationKind, Scene, SceneObject
+from stable_data.scene_graph.support_tree import SupportTree, ancestors
 from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.scene_geometry import RestPose, object_at_rest
 from stable_data.simulation.settling import PhysicsOptions, settle
 
 # Tuned on: not recorded.
-_SIMULATION = PhysicsOptions(settle_seconds=1.5, watch_seconds=0.02, rest_speed=2e-3)  # the drop: seconds, metres a second
+_SIMULATION = PhysicsOptions(
+    settle_seconds=1.5, watch_seconds=0.02, rest_speed=2e-3
+)  # times in seconds, speed in metres a second
 _INSET = 0.01  # the centre of a dropped object starts at least this far inside its carrier's outline, metres
-_SAME_TILT = 1.5e-4  # a turn that moves no corner farther than this leaves the tilt unchanged, metres
+_SAME_TILT = 1.5e-4  # a turn that moves no corner of the box farther than this counts as no change of tilt, metres
 
 
 @dataclass(frozen=True, slots=True)
 class DropResult:
-    """A scene after objects were dropped.
+    """A scene after a drop simulation.
 
     Attributes:
-        scene: The scene, the dropped objects where they settled.
-        carriers: For each dropped object the instance at the bottom of its stack: the two move together.
+        scene: The scene with the dropped objects at their settled poses.
+        carriers: Dropped object -> the instance at the bottom of its stack; the two move together.
     """
 
     scene: Scene
     carriers: Mapping[str, str]
 
     def with_motion_of(self, moved: Scene) -> Scene:
-        """The scene with every object where another scene has it, and the dropped ones as they lie on their carriers.
+        """Returns the scene with the poses of another scene; dropped objects move with their carriers.
 
         Args:
-            moved: The scene before the drop, its objects moved.
+            moved: The scene before the drop, with other poses.
         """
         before = {o.instance: o for o in self.scene.objects}
         after = {o.instance: o for o in moved.objects}
@@ -71,16 +74,16 @@ class DropResult:
 
 
 def drop_new_objects(scene: Scene, new: Set[str], fixed: Set[str], store: AssetStore) -> DropResult:
-    """Drops the new objects that are to be on or in something, the lowest first.
+    """Drops the new objects that a relation puts on or in another object, the lowest first.
 
     Args:
-        scene: The scene, resolved; its relations say what is to be where.
-        new: Instances that are dropped. Long objects that lean in the same container already are dropped again.
-        fixed: Instances that must stay.
+        scene: The scene, resolved, with its relations.
+        new: Instances to drop. Long objects that already lean in the same container are dropped again.
+        fixed: Instances that must not move.
         store: Geometry of the assets.
 
     Returns:
-        The scene; what fell, toppled or could not be simulated is where it was.
+        The scene; an object that fell, toppled or could not be simulated keeps its pose.
     """
     there = {o.instance for o in scene.objects}
     carrying = (RelationKind.ON, RelationKind.IN)
@@ -89,10 +92,10 @@ def drop_new_objects(scene: Scene, new: Set[str], fixed: Set[str], store: AssetS
         for r in scene.relations
         if r.kind in carrying and r.subject in new - fixed and r.target in there - {r.subject}
     }
-    chains = {name: _carrier_chain(name, wanted) for name in wanted}
     layers: dict[tuple[int, str], set[str]] = {}
-    for name, chain in chains.items():
-        if chain[-1] not in wanted:  # otherwise the relations form a cycle
+    for name in wanted:
+        chain = [name, *ancestors(wanted, name)]
+        if wanted[chain[-1]] not in wanted:  # otherwise the relations form a cycle
             layers.setdefault((len(chain), wanted[name]), set()).add(name)
     carriers: dict[str, str] = {}
     waiting = set(wanted)
@@ -106,57 +109,44 @@ def drop_new_objects(scene: Scene, new: Set[str], fixed: Set[str], store: AssetS
 
 
 def drop_into_container(scene: Scene, container: str, names: Set[str], fixed: Set[str], store: AssetStore) -> Scene | None:
-    """Puts objects into a container once more, with the long ones that lean there already.
+    """Drops objects into a container again, together with the long objects that already lean in it.
 
     Args:
         scene: The scene.
         container: Instance of the container.
-        names: What is to be in it.
-        fixed: Instances that must stay.
+        names: Instances to drop.
+        fixed: Instances that must not move.
         store: Geometry of the assets.
 
     Returns:
-        The scene with them where they settled; None where none did well.
+        The scene with the settled poses; None if no object settled in the container.
     """
     settled = _drop(scene, container, names, names, fixed, names, store)
     return replace(scene, objects=tuple(settled.get(o.instance, o) for o in scene.objects)) if settled else None
 
 
-def _carrier_chain(name: str, wanted: Mapping[str, str]) -> list[str]:
-    """An object, what it is to be on or in, and so on, to the first that is to be on nothing or was met before."""
-    chain = [name]
-    while (below := wanted.get(chain[-1])) is not None and below not in chain:
-        chain.append(below)
-    return chain
-
-
 def _drop(
     scene: Scene, carrier: str, names: Set[str], contents: Set[str], fixed: Set[str], waiting: Set[str], store: AssetStore
 ) -> dict[str, SceneObject]:
-    """Drops objects on or into one that is held; gives those that settled well, by instance.
+    """Drops objects on or into a held carrier; returns instance -> object for those that settled there.
 
-    Args:
-        scene: The scene.
-        carrier: What is held.
-        names: What is dropped.
-        contents: Those of them that are to be in it.
-        fixed: Instances that must stay.
-        waiting: Instances that are not placed yet, and so carry nothing.
-        store: Geometry of the assets.
+    ``contents`` are those of ``names`` that belong into the carrier. Objects in ``waiting`` have no place yet and carry nothing.
     """
     scene, shapes, _ = store.resolved(scene)
     shape_of = shapes_by_instance(scene, shapes)
     interior = interior_of(scene[carrier], shape_of[carrier]) if contents else None
-    leaning = [] if interior is None else _leaning(scene, carrier, contents, fixed, interior, store)
+    leaning = [] if interior is None else _lean_in_container(scene, carrier, contents, fixed, interior, store)
     upright = {o.instance for o in leaning}
     loose = [o for o in scene.objects if o.instance in names - upright]
-    there = scene.resting_on({carrier}) | {
+    supports = SupportTree.of(scene.objects)
+    there = supports.with_descendants({carrier}) | {
         o.instance for o in scene.objects if interior is not None and is_inside(o, interior, store)
     }
-    there -= scene.resting_on(waiting | names | upright) | {carrier}
+    # What waits for its own drop, or is dropped now, is not an obstacle, nor is anything on it.
+    there -= supports.with_descendants(waiting | names | upright) | {carrier}
     held = [scene[carrier], *(o for o in scene.objects if o.instance in there)]
     part, own, _ = store.resolved(replace(scene, objects=(*held, *leaning, *loose)))
-    part = _lowered(part, own, len(part.objects) - len(loose))
+    part = _lower_onto_first(part, own, len(part.objects) - len(loose))
     try:
         bodies = bodies_of(part, own, store)
     except MeshError:
@@ -172,20 +162,20 @@ def _drop(
         end = _settled_object(o, ((x, y, z), (a, b, c, d)), store)
         if interior is not None and is_inside(end, interior, store):
             limits = DROPPED_IN_CONTAINER
-            is_well = o.instance in upright or bool(ended.moves[k] < limits.move and ended.turns[k] < limits.turn)
+            is_settled = o.instance in upright or bool(ended.moves[k] < limits.move and ended.turns[k] < limits.turn)
         else:
             limits = DROPPED_ON_OBJECT
             is_near = bool(ended.moves[k] < limits.move and ended.turns[k] < limits.turn)
-            is_well = is_near and outline.covers(shapely.Point(x, y)) and o.instance not in upright
-        if is_well:
+            is_settled = is_near and outline.covers(shapely.Point(x, y)) and o.instance not in upright
+        if is_settled:
             settled[o.instance] = end
     return settled
 
 
-def _leaning(
+def _lean_in_container(
     scene: Scene, container: str, names: Set[str], fixed: Set[str], interior: ContainerInterior, store: AssetStore
 ) -> list[SceneObject]:
-    """The long ones of some objects and of a container's contents, leaning in it; those that are there already come first."""
+    """Returns the long objects of ``names`` and of a container's contents, leaning in it; its contents have priority."""
     inside = [
         o
         for o in scene.objects
@@ -196,8 +186,8 @@ def _leaning(
     return found if names & {o.instance for o in found} else []
 
 
-def _lowered(scene: Scene, shapes: Sequence[Shape], first: int) -> Scene:
-    """A scene whose objects from a number on are moved over its first one, and lowered onto it and onto each other."""
+def _lower_onto_first(scene: Scene, shapes: Sequence[Shape], first: int) -> Scene:
+    """Moves the objects from index ``first`` on over the first object, and lowers them onto it and onto each other."""
     meshes = MeshQueries([s if s.is_exact else Shape(s.vertices, s.faces) for s in shapes])
     poses = scene.poses()
     outline = _outline(scene.objects[0], shapes[0])
@@ -205,17 +195,17 @@ def _lowered(scene: Scene, shapes: Sequence[Shape], first: int) -> Scene:
     for k in range(first, len(poses)):
         area = outline if inner.is_empty else inner
         poses[k, :2] = shapely.get_coordinates(nearest_points(area, shapely.Point(poses[k, :2]))[0])[0]
-        poses[k, 2] = meshes.lowered(k, poses[k], range(k), poses)
+        poses[k, 2] = meshes.resting_height(k, poses[k], range(k), poses)
     return scene.with_poses(poses)
 
 
 def _outline(o: SceneObject, shape: Shape) -> shapely.Geometry:
-    """Convex outline of an object seen from above, world frame, metres."""
+    """Returns the convex outline of an object seen from above, world frame, metres."""
     return shapely.convex_hull(shapely.multipoints(shape.posed_footprint(np.array([*o.position, o.yaw]))))
 
 
 def _settled_object(o: SceneObject, rest: RestPose, store: AssetStore) -> SceneObject:
-    """An object where it settled; a tilt that has hardly changed stays the same."""
+    """Returns an object at its settled pose; a tilt that has hardly changed stays the same."""
     there = object_at_rest(o, store.mesh_of(o), rest)
     turn = Rotation.from_quat(there.tilt_quat_xyzw) * Rotation.from_quat(o.tilt_quat_xyzw).inv()
     if turn.magnitude() * float(np.linalg.norm(o.size)) / 2 < _SAME_TILT:

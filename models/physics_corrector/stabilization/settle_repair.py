@@ -1,9 +1,9 @@
-"""Repair of a clean layout that does not stay at rest in MuJoCo: objects move to places where they stay, tilts unchanged.
+"""Repair of a clean layout that does not stay at rest in MuJoCo: objects move to places where they stay, with the same tilts.
 
-MuJoCo collides convex parts, which fill cavities and round edges of the meshes, and round objects roll. The repair goes from
-the table upwards: an object that moves while all others are held is a cause, and is tried at other places and yaws. Each
-candidate has to be clean by the meshes first, and then to stay in MuJoCo. An object on a carrier is tried on it, where MuJoCo
-moves it first; an object that rolls or tips over on the table is leaned against a neighbour.
+MuJoCo collides convex parts, which fill cavities and round off edges of the meshes, and round objects roll. The repair goes from
+the table upwards: an object that moves while all others are held is a cause, and is tried at other places and yaws. A candidate
+must first be clean by the meshes, and then stay in MuJoCo. For an object on a carrier, the pose to which MuJoCo moves it is a
+candidate too; an object that rolls or tips over on the table is leaned against a neighbour.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,7 +17,7 @@ from models.physics_corrector.certify.layout_search import build_scene
 from models.physics_corrector.certify.layout_state import LayoutState
 from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.options import CertificationResult
-from models.physics_corrector.certify.packing_bodies import directional_bodies
+from models.physics_corrector.certify.packing_bodies import directional_relations
 from models.physics_corrector.certify.resting_pose import is_at_rest
 from models.physics_corrector.certify.support_inference import TABLE_TOP, SupportEdge, distance_outside, expected_carriers
 from models.physics_corrector.packing.packing_problem import AXES, holds_relation
@@ -34,8 +34,8 @@ from stable_data.simulation.settling import PhysicsOptions, RigidBody, SettleRes
 # Tuned on: not recorded, for all values below.
 # --- attempts
 _ROUNDS = 4  # simulations of the whole scene
-_MOVES_PER_OBJECT = 3  # how often one object is put elsewhere
-_OUTCOMES_FOLLOWED = 2  # how often the place where a trial ends is the next candidate
+_MOVES_PER_OBJECT = 3  # relocations of one object
+_OUTCOMES_FOLLOWED = 2  # times that the final pose of a trial is the next candidate
 # --- which objects take part in a trial
 _HELD_GAP = 0.01  # objects this near to a free one are held beside it, metres
 _FREE_GAP = 2e-3  # objects this near to one at its new place are free with it, metres
@@ -45,7 +45,7 @@ _RINGS = (0.003, 0.007, 0.012, 0.018, 0.026, 0.036, 0.05, 0.07, 0.1)  # distance
 _DIRECTIONS, _YAWS = 8, 12  # directions on a ring; yaws at each place
 _YAW_COST = 0.008  # cost of turning, metres a radian
 _RISE_COST = 2.0  # cost of rising, metres a metre
-_BATCH, _BATCHES = 16, 20  # places that are lowered together and then sorted; number of batches
+_BATCH, _BATCHES = 16, 20  # candidates that are lowered together and then sorted; number of batches
 _POSE_SCALE = np.array([1e3, 1e3, 1e3, 20.0])  # two poses are equal below 1 in all: 1 mm and 3 degrees (0.05 rad)
 # --- candidates on the table
 _FAR_RINGS = (0.15, 0.2)  # distances besides _RINGS, metres
@@ -56,18 +56,18 @@ _RELATION_COST = 0.15  # cost of a broken directional relation, metres
 
 
 def repair_settling(certifier: Certifier, done: CertificationResult, bodies: Sequence[RigidBody]) -> CertificationResult:
-    """Asks MuJoCo what of a certified scene stays at rest; what does not is moved to where it does, if that is found.
+    """Simulates a certified scene in MuJoCo, and moves objects that do not stay at rest to places where they do.
 
     Args:
-        certifier: What certified the scene; its ``options.places`` says at how many places an object is tried, 0 at none.
-        done: Its result; a verdict that is in it is not asked for again.
-        bodies: The objects as MuJoCo sees them (``stable_data.simulation.collision_bodies.bodies_of``), in the scene's order.
+        certifier: The certifier of the scene; its ``options.places`` is the number of places for each object, 0 for none.
+        done: Its result; a verdict in it is used instead of a first simulation.
+        bodies: The objects for MuJoCo (``stable_data.simulation.collision_bodies.bodies_of``), in the scene's order.
 
     Returns:
-        The result with MuJoCo's verdict; where it cannot be asked, ``reason`` says why.
+        The result with MuJoCo's verdict; if the simulation fails, ``reason`` gives the cause.
 
     Raises:
-        SceneError: The bodies do not belong to the scene.
+        SceneError: The bodies do not belong to the scene (``bodies_differ``).
     """
     scene, places = done.scene, certifier.options.places
     if [body.name for body in bodies] != [o.instance for o in certifier.scene.objects]:
@@ -85,14 +85,14 @@ def repair_settling(certifier: Certifier, done: CertificationResult, bodies: Seq
     with one_blas_thread():
         rest = done.rest or verdict(scene)
         if rest.stable is None:
-            reason = "; ".join(filter(None, (done.reason, f"the engine cannot be asked: {rest.reason}")))
+            reason = "; ".join(filter(None, (done.reason, f"MuJoCo cannot simulate it: {rest.reason}")))
             return replace(done, reason=reason)
         if rest.stable or not places:
             return replace(done, rest=rest)
         layout = certifier.layout()
         before, unsteady = layout.poses.copy(), set(rest.unsteady)
         moved = [k for k in layout.present() if layout.scene.objects[k].instance in unsteady]
-        orders = directional_bodies(layout, certifier.original.poses())
+        orders = directional_relations(layout, certifier.original.poses())
         SettleRepair(layout, certifier.meshes, bodies, orders, places).settle(moved)
         if np.array_equal(layout.poses, before):
             return replace(done, rest=rest)
@@ -108,11 +108,11 @@ class SettleRepair:
     """The repair of one clean layout.
 
     Args:
-        layout: The layout, clean by the exact audit; changed.
+        layout: The layout, clean by the exact audit; changed in place.
         meshes: Its objects.
-        bodies: The same as MuJoCo sees them.
-        orders: Directional relations to keep.
-        places: At how many places an object is tried in MuJoCo at most.
+        bodies: The same objects for MuJoCo.
+        orders: Directional relations to preserve.
+        places: Largest number of places at which an object is tried in MuJoCo.
     """
 
     def __init__(
@@ -128,38 +128,38 @@ class SettleRepair:
         self._orders = [(number[r.subject], number[r.target], np.array(AXES[r.kind])) for r in orders]
 
     def settle(self, moved: Sequence[int]) -> None:
-        """Relocates the objects that move, as far as that helps.
+        """Relocates objects that move, as long as fewer objects move after it.
 
         Args:
-            moved: Their indices.
+            moved: Indices of the objects that move.
         """
         layout = self._layout
         best = moved, layout.poses.copy(), list(layout.carried)
         for _ in range(_ROUNDS):
-            self._moved = self._moving_by_tree()
-            while self._moved and self._improved():
-                self._moved = self._moving_by_tree()
-            moved = self._moving(self._trial(layout.present(), []))
+            self._moved = self._find_moving_by_tree()
+            while self._moved and self._relocate_moving():
+                self._moved = self._find_moving_by_tree()
+            moved = self._find_moving(self._trial(layout.present(), []))
             if len(moved) < len(best[0]):
                 best = moved, layout.poses.copy(), list(layout.carried)
             self._moved = moved
-            if not moved or not self._improved():
+            if not moved or not self._relocate_moving():
                 break
         layout.poses[:], layout.carried[:] = best[1], best[2]
 
-    def _moving_by_tree(self) -> list[int]:
-        """The objects that move while only their own tree is free: faster than the whole scene, and nearly as accurate."""
+    def _find_moving_by_tree(self) -> list[int]:
+        """Returns the objects that move while only their own tree is free: faster than the whole scene, nearly as accurate."""
         layout, moved = self._layout, []
         for root in layout.roots():
             tree = layout.tree(root)
             around = self._around(*self._box(tree), _HELD_GAP)
             key = (*tree, TABLE_TOP, *around), layout.poses[[*tree, *around]].tobytes()
             if key not in self._seen:
-                self._seen[key] = self._moving(self._trial(tree, around))
+                self._seen[key] = self._find_moving(self._trial(tree, around))
             moved += self._seen[key]
         return moved
 
-    def _moving(self, trial: SettleTrial) -> list[int]:
+    def _find_moving(self, trial: SettleTrial) -> list[int]:
         stays = trial.stays(self._layout.poses, VERDICT_SECONDS, STAYS.move, STAYS.turn)
         moved = [k for k, stay in zip(trial.free, stays.tolist(), strict=True) if not stay]
         for k in moved:
@@ -167,12 +167,12 @@ class SettleRepair:
         return moved
 
     def _box(self, members: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        """The box around objects, two (3,) metres."""
+        """Returns the box around objects, two (3,) metres."""
         boxes = [self._meshes.box(m, self._layout.poses[m]) for m in members]
         return np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)
 
-    def _improved(self) -> bool:
-        """Relocates what moves by itself, or, where nothing does, what others move. False where no object was relocated."""
+    def _relocate_moving(self) -> bool:
+        """Relocates objects that move by themselves, else those that others move. False if no object was relocated."""
         layout = self._layout
         free = [k for k in self._moved if self._moves_left[k] and np.isfinite(layout.stiffness(k))]
         free.sort(key=lambda k: (layout.low(k), k))
@@ -190,7 +190,7 @@ class SettleRepair:
     # --- one object
 
     def _stays(self, k: int) -> bool:
-        """Whether an object stays where it is while all others are held."""
+        """Whether an object stays at its pose while all others are held."""
         trial = self._trial([k], self._around(*self._box([k]), _HELD_GAP))
         return trial.all_stay(self._layout.poses, VERDICT_SECONDS, STAYS.move, STAYS.turn)
 
@@ -199,36 +199,37 @@ class SettleRepair:
         return SettleTrial(self._bodies, self._layout.poses, free, held, self._layout.scene.table)
 
     def _around(self, low: FloatArray, high: FloatArray, gap: float) -> list[int]:
-        """The objects whose boxes are within a gap of a box, two (3,) metres."""
+        """Returns the objects whose boxes are within a gap of a box, two (3,) metres."""
         boxes = [(j, *self._meshes.box(j, self._layout.poses[j])) for j in self._layout.present()]
         return [j for j, least, most in boxes if (least <= high + gap).all() and (most >= low - gap).all()]
 
     def _relocate(self, k: int) -> bool:
-        """Moves an object to a place where it stays: on its carrier, else, if it may leave that, on the table."""
+        """Moves an object to a place where it stays: on its carrier, else on the table if it may leave its carrier."""
         layout, was = self._layout, self._layout.carried[k]
         if was.parent != TABLE_TOP:
             low, high = self._meshes.box(was.parent, layout.poses[was.parent])
             reach = float(np.linalg.norm(layout.shapes[k].size))
-            if self._take_first(k, self._carrier_candidates(k), low - reach, high + reach):
+            if self._move_to_first(k, self._carrier_candidates(k), low - reach, high + reach):
                 return True
             if not self._may_leave(k):
                 return False
             layout.carried[k] = SupportEdge()
         reach = _NEIGHBOUR_RANGE + float(np.linalg.norm(layout.shapes[k].size))
-        if self._take_first(k, self._table_candidates(k), layout.poses[k, :3] - reach, layout.poses[k, :3] + reach):
+        if self._move_to_first(k, self._table_candidates(k), layout.poses[k, :3] - reach, layout.poses[k, :3] + reach):
             return True
         layout.carried[k] = was
         return False
 
     def _may_leave(self, k: int) -> bool:
-        """Whether an object may leave its carrier for the table: no relation wants it there, and it is not deep in it."""
+        """Whether an object may leave its carrier for the table: no relation puts it there, and it is not deep in a container."""
         layout, p = self._layout, self._layout.carried[k].parent
         is_deep = self._meshes.box(p, layout.poses[p])[1][2] - layout.low(k) > _DEEP * layout.shapes[k].size[2]
         return k not in self._wanted and not (layout.carried[k].is_in and is_deep)
 
-    def _take_first(self, k: int, candidates: Iterator[FloatArray], low: FloatArray, high: FloatArray) -> bool:
-        """Takes the first candidate pose at which an object, with all that it carries, is clean and stays."""
+    def _move_to_first(self, k: int, candidates: Iterator[FloatArray], low: FloatArray, high: FloatArray) -> bool:
+        """Moves an object, with all that it carries, to the first candidate pose at which they are clean and stay."""
         layout, tree = self._layout, self._layout.tree(k)
+        # One model for all candidates: a trial starts anywhere within the box, and compiling takes longest.
         trial = self._trial(tree, self._around(low, high, 0.0))
         was, refused = layout.poses.copy(), list(self._refused[k])
         for candidate in candidates:
@@ -245,11 +246,11 @@ class SettleRepair:
                 refused.append(pose)
                 if len(refused) >= self._places:
                     return False
-                pose = self._down(k, ended)
+                pose = self._lower(k, ended)
         return False
 
     def _stays_among_others(self, tree: Sequence[int]) -> bool:
-        """Whether an object stays, with all that it carries and all that is near, when these are free to move."""
+        """Whether an object, all that it carries and all objects near it stay while they are free to move."""
         layout = self._layout
         touching = {j for m in tree for j in self._around(*self._box([m]), _FREE_GAP)}
         free = sorted({m for j in {*touching, *tree} for m in layout.tree(layout.root_of(j))})
@@ -257,16 +258,16 @@ class SettleRepair:
         stays = trial.stays(layout.poses, VERDICT_SECONDS, STAYS.move, STAYS.turn)
         return all(stay or (m in self._moved and m not in tree) for m, stay in zip(free, stays.tolist(), strict=True))
 
-    def _down(self, k: int, pose: FloatArray) -> FloatArray:
+    def _lower(self, k: int, pose: FloatArray) -> FloatArray:
         layout = self._layout
         own = set(layout.tree(k))
         others = [j for j in layout.present() if j not in own]
-        return np.array([pose[0], pose[1], self._meshes.lowered(k, pose, others, layout.poses), pose[3]])
+        return np.array([pose[0], pose[1], self._meshes.resting_height(k, pose, others, layout.poses), pose[3]])
 
-    # --- what the meshes say
+    # --- exact checks
 
     def _is_clean(self, tree: Sequence[int], was: FloatArray) -> bool:
-        """Is an object with all that it carries where the exact audit allows it, and what leant on it still at rest?"""
+        """Whether the exact audit allows an object and all that it carries, and objects that leaned on these are still carried."""
         layout, meshes = self._layout, self._meshes
         k, size = tree[0], np.array(layout.scene.table.size_xy)
         parent, others = layout.carried[k].parent, [j for j in layout.present() if j not in tree]
@@ -292,27 +293,27 @@ class SettleRepair:
         return all(self._still_rests(j, tree, others, was) for j in others if layout.low(j) > TOLERANCE)
 
     def _still_rests(self, j: int, tree: Sequence[int], others: Sequence[int], was: FloatArray) -> bool:
-        """Does something still carry an object, where part of a tree that is moved may have carried it?"""
+        """Whether an object that the moved tree may have carried is still carried."""
         layout, meshes = self._layout, self._meshes
         if not meshes.near(j, layout.poses[j], tree, was, 2 * TOLERANCE):
             return True
         near = meshes.near(j, layout.poses[j], [*others, *tree], layout.poses, 2 * TOLERANCE)
-        return bool(meshes.rests(j, layout.poses[j], [m for m in near if m != j], layout.poses))
+        return bool(meshes.carriers_of(j, layout.poses[j], [m for m in near if m != j], layout.poses))
 
     def _is_carried(self, k: int, was: float) -> bool:
-        """Is an object, whose bottom was at a height, in its container as deep as to count, or on its carrier?"""
+        """Whether an object is on its carrier, or deep enough in its container if its bottom was at a height ``was``."""
         layout, carried = self._layout, self._layout.carried[k]
         p = carried.parent
         outside = distance_outside(layout.poses[k, :2], layout.shapes[p].posed_footprint(layout.poses[p]))
         low, high = self._meshes.box(p, layout.poses[p])
         if carried.is_in and was < high[2] - RIM_MARGIN:
             return outside <= INSIDE_SLACK and low[2] - TOLERANCE <= layout.low(k) < high[2] - RIM_MARGIN
-        return outside <= 0 and bool(self._meshes.rests(k, layout.poses[k], [p], layout.poses))
+        return outside <= 0 and bool(self._meshes.carriers_of(k, layout.poses[k], [p], layout.poses))
 
     # --- candidates
 
     def _carrier_candidates(self, k: int) -> Iterator[FloatArray]:
-        """Poses on or in its carrier onto which an object is lowered, in order of cost."""
+        """Yields lowered poses of an object on or in its carrier, in order of cost."""
         layout = self._layout
         p, pose = layout.carried[k].parent, layout.poses[k].copy()
         region = shapely.Polygon(layout.shapes[p].posed_footprint(layout.poses[p]))
@@ -334,12 +335,12 @@ class SettleRepair:
             lowered = []
             for m in batch.tolist():
                 place, turn = places[m // len(turns)], turns[m % len(turns)]
-                there = self._down(k, np.array([*place, pose[2], pose[3] + turn]))
+                there = self._lower(k, np.array([*place, pose[2], pose[3] + turn]))
                 lowered.append((float(cost.ravel()[m]) + _RISE_COST * max(0.0, float(there[2] - pose[2])), there))
             yield from (there for _, there in sorted(lowered, key=lambda item: item[0]))
 
     def _table_candidates(self, k: int) -> Iterator[FloatArray]:
-        """Poses on the table: free ones for what stands alone, and those at which it leans on a neighbour as it falls."""
+        """Yields poses on the table: free ones if the object stands alone, and poses at which it leans on a neighbour as it falls."""
         layout, meshes = self._layout, self._meshes
         pose, own = layout.poses[k].copy(), set(layout.tree(k))
         pose[2] = layout.shapes[k].size[2] / 2
@@ -369,11 +370,11 @@ class SettleRepair:
                 out = np.array([np.cos(side), np.sin(side)])
                 for turn in _YAW_OFFSETS:
                     there = np.array([*(middle + distance * out), pose[2], pose[3] + side + np.pi - falls + turn])
-                    candidates.append(meshes.slid(k, there, -out, [j], layout.poses, distance))
+                    candidates.append(meshes.slide(k, there, -out, [j], layout.poses, distance))
         yield from sorted(candidates, key=lambda there: self._cost(k, there))
 
     def _cost(self, k: int, pose: FloatArray) -> float:
-        """The cost of a pose, metres: the distance moved, and the relations that the move breaks, of all that is carried."""
+        """Returns the cost of a pose, metres: the distance moved, plus the relations that the move breaks."""
         layout = self._layout
         tree, broken = set(layout.tree(k)), 0
         shift = pose[:2] - layout.poses[k, :2]

@@ -1,4 +1,4 @@
-"""Trials in MuJoCo: some objects of a layout are free, the others are held; which of the free ones stay?"""
+"""Trials in MuJoCo: some objects of a layout are free, others are held; tests which of the free ones stay."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,24 +10,22 @@ from stable_data.scene import FloatArray, Tabletop
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.settling import PhysicsOptions, RigidBody, compile_bodies, enable_sleeping, without_log_file
 
-_OPTIONS = PhysicsOptions()  # as for the verdict of stability
+_OPTIONS = PhysicsOptions()  # as for the verdict on stability
 # Tuned on: not recorded.
 _SAMPLE = 0.02  # simulated time between two samples of the poses, seconds
-_REST_SPEED, _REST_SAMPLES = (
-    2e-4,
-    15,
-)  # slower than this, metres a second, in so many samples: everything is at rest, and it ends
+# A trial ends early after this many samples in which every object is slower than this, metres a second.
+_REST_SPEED, _REST_SAMPLES = 2e-4, 15
 _ARM = 0.05  # distance from the centre at which an angular velocity counts as a speed, metres
 
 
 class SettleTrial:
-    """Some objects of a layout in MuJoCo.
+    """Simulates some objects of a layout in MuJoCo.
 
     Args:
-        bodies: Every object of the layout; their own poses are ignored.
-        poses: Where they are, (N, 4), metres and radians.
-        free: Those that can move.
-        held: Those that cannot move.
+        bodies: All objects of the layout; their own poses are not used.
+        poses: Poses of all objects, (N, 4), metres and radians.
+        free: Indices of objects that can move.
+        held: Indices of objects that cannot move.
         table: The table.
 
     Raises:
@@ -35,12 +33,7 @@ class SettleTrial:
     """
 
     def __init__(
-        self,
-        bodies: Sequence[RigidBody],
-        poses: FloatArray,
-        free: Sequence[int],
-        held: Sequence[int],
-        table: Tabletop,
+        self, bodies: Sequence[RigidBody], poses: FloatArray, free: Sequence[int], held: Sequence[int], table: Tabletop
     ) -> None:
         self.free = list(free)
         self._stride = max(1, round(_SAMPLE / _OPTIONS.timestep))
@@ -54,11 +47,11 @@ class SettleTrial:
         self._data = mujoco.MjData(self._model)
 
     def stays(self, poses: FloatArray, seconds: float, move: float, turn: float) -> BoolArray:
-        """Which of the free objects never move farther or turn more than a limit, (F,).
+        """Returns which free objects never move farther or turn more than the limits, (F,).
 
         Args:
-            poses: Where all objects of the layout start, (N, 4); those that are held are where they were first said to be.
-            seconds: Simulated time; less where everything has come to rest or nothing has stayed.
+            poses: Start poses of all objects, (N, 4); those of held objects are not used.
+            seconds: Simulated time; shorter if all objects are at rest or none has stayed.
             move: The limit, metres.
             turn: The limit, degrees.
         """
@@ -66,15 +59,15 @@ class SettleTrial:
         return np.asarray((moves <= move) & (turns <= turn))
 
     def all_stay(self, poses: FloatArray, seconds: float, move: float, turn: float) -> bool:
-        """Whether all free objects stay: as :meth:`stays`, but the trial ends with the first that does not."""
+        """Whether all free objects stay; like :meth:`stays`, but the trial ends with the first that does not."""
         _, moves, turns = self._run(poses, seconds, move, turn, ends_at_first=True)
         return bool((moves <= move).all() and (turns <= turn).all())
 
     def outcome(self, poses: FloatArray, seconds: float) -> FloatArray:
-        """Where the free objects end, poses (F, 4); the yaw is their turn about the vertical.
+        """Returns the final poses of the free objects, (F, 4); the yaw is their rotation about the vertical.
 
         Args:
-            poses: Where all objects of the layout start, (N, 4).
+            poses: Start poses of all objects, (N, 4).
             seconds: Simulated time.
         """
         state = self._run(poses, seconds, np.inf, np.inf)[0]
@@ -84,9 +77,10 @@ class SettleTrial:
     def _run(
         self, poses: FloatArray, seconds: float, move: float, turn: float, *, ends_at_first: bool = False
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Last poses (F, 7) with quaternions wxyz, farthest moves (F,) in metres and turns (F,) in degrees."""
+        """Returns the last poses (F, 7) with quaternions wxyz, the largest moves (F,) in metres and turns (F,) in degrees."""
         model, data = self._model, self._data
         mujoco.mj_resetData(model, data)
+        # Sleep is enabled only after the settling time, as for the verdict on stability; a run before this one enabled it.
         model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
         settling = round(_OPTIONS.settle_seconds / _SAMPLE)
         start = np.zeros((len(self.free), 7))
@@ -101,7 +95,7 @@ class SettleTrial:
                     enable_sleeping(model, _OPTIONS)
                 mujoco.mj_step(model, data, nstep=self._stride)
                 now = np.array(data.qpos).reshape(-1, 7)
-                if not np.isfinite(now).all():
+                if not np.isfinite(now).all():  # the simulation diverged: every object counts as moved
                     return start, np.full(len(start), np.inf), np.full(len(start), np.inf)
                 moves = np.maximum(moves, np.linalg.norm(now[:, :3] - start[:, :3], axis=1))
                 cosine = np.abs((now[:, 3:] * start[:, 3:]).sum(axis=1))

@@ -1,8 +1,8 @@
-"""Stabilising a certified scene in MuJoCo where tilts may change: objects lean as they settled, move elsewhere, or are dropped.
+"""Stabilises a certified scene in MuJoCo if tilts may change: unstable objects take their settled tilt, move, or are dropped.
 
-Without changes of tilt only :mod:`~models.physics_corrector.stabilization.settle_repair` applies. A pencil in a cup has no
-place that suits the tilt at which it was proposed; at the tilt at which it settles it is at rest. This is for scenes that are
-generated: their tilts need not be kept, nor background objects that nothing holds.
+Without changes of tilt only :mod:`~models.physics_corrector.stabilization.settle_repair` applies. A pencil in a cup may have no
+place that suits its proposed tilt; at the tilt at which it settles it is at rest. This is for generated scenes: their tilts may
+change, and unstable background objects may be dropped.
 """
 
 from dataclasses import dataclass, replace
@@ -25,27 +25,28 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError
 from stable_data.metrics.audit import audit_scene
 from stable_data.scene import RelationKind, Scene, Stage
+from stable_data.scene_graph.support_tree import SupportTree
 from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.scene_geometry import object_at_rest
 from stable_data.simulation.settling import PhysicsOptions, SettleResult, settle
 
 # Numbers of attempts. Tuned on: not recorded.
-_TILT_ROUNDS = 2  # how often unstable objects may take the tilt at which they settled
-_DROP_ROUNDS = 3  # how often objects are dropped, where others move without them
-_TASK_PLACES_FACTOR = 4  # at how many times as many places a task object is tried, because it cannot be dropped
+_TILT_ROUNDS = 2  # times that unstable objects may take their settled tilt
+_DROP_ROUNDS = 3  # times that objects are dropped, because others may move without them
+_TASK_PLACES_FACTOR = 4  # factor of the number of places for a task object, because it cannot be dropped
 
 
 def stabilize(done: Correction, start: InputScene, options: CertifyOptions, store: AssetStore) -> Correction:
-    """Asks MuJoCo about a correction; unstable objects take another tilt or place, or are dropped at last.
+    """Simulates a correction in MuJoCo; unstable objects get another tilt or place, or are finally dropped.
 
     Args:
         done: The correction, without a verdict of MuJoCo.
         start: The scene before the correction.
-        options: What `certify` may do in it.
+        options: Settings of `certify`.
         store: Geometry of the assets.
 
     Returns:
-        The correction, with MuJoCo's verdict where it could be asked; its figures of movement and relations are from the start.
+        The correction, with MuJoCo's verdict if the simulation is possible; movement and relations are measured from ``start``.
         Task objects are not dropped: a scene in which they do not stay is unstable.
     """
     if done.certified is None or done.status is CorrectionStatus.UNKNOWN:
@@ -77,12 +78,12 @@ def stabilize(done: Correction, start: InputScene, options: CertifyOptions, stor
 
 
 def relocate_unstable(done: Correction, start: InputScene, options: CertifyOptions, store: AssetStore) -> Correction:
-    """Moves what does not stay in MuJoCo to places where it does, as far as such places are found.
+    """Moves objects that do not stay in MuJoCo to places where they do, if such places are found.
 
     Args:
         done: The correction, with MuJoCo's verdict.
         start: The scene before the correction.
-        options: They say at how many places objects are tried.
+        options: Settings of `certify`; ``places`` is the number of places for each object.
         store: Geometry of the assets.
     """
     assert done.certified is not None
@@ -95,25 +96,19 @@ def relocate_unstable(done: Correction, start: InputScene, options: CertifyOptio
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stabilization:
-    """What all attempts on one scene share.
-
-    Attributes:
-        start: The scene before the correction.
-        options: What `certify` may do in it.
-        store: Geometry of the assets.
-    """
+    """The attempts to stabilise one scene."""
 
     start: InputScene
     options: CertifyOptions
     store: AssetStore
 
     def with_settled_tilts(self, done: Correction) -> Scene | None:
-        """The certified scene, its unstable objects as they settled; None where all stay, or the unstable ones have fallen."""
+        """Returns the certified scene with unstable objects at their settled tilts; None if all stay, or all unstable ones fell."""
         rest, scene, fixed = done.rest, done.certified, self.options.fixed
         if rest is None or scene is None or not rest.unsteady:
             return None
         number = {name: k for k, name in enumerate(rest.names)}
-        moved = (scene.resting_on(set(rest.unsteady)) | set(rest.unsteady)) - fixed
+        moved = SupportTree.of(scene.objects).with_descendants(set(rest.unsteady)) - fixed
         near = {n for n in moved if rest.moves[number[n]] < LEANS.move and rest.turns[number[n]] < LEANS.turn}
         if not near or not np.isfinite(rest.positions).all():
             return None
@@ -124,14 +119,10 @@ class _Stabilization:
         return replace(scene, objects=tuple(objects))
 
     def recertified_if_steadier(self, done: Correction, scene: Scene) -> Correction | None:
-        """Certifies a scene that was made of a result, and asks MuJoCo about it.
-
-        Args:
-            done: The correction so far.
-            scene: What was made of its result; tilts may differ.
+        """Certifies and simulates a changed version of a certified scene; tilts may differ.
 
         Returns:
-            The same correction with the new result; None where that drops objects or no more of it stays.
+            The correction with the new result; None if that drops objects or has as many unstable ones.
         """
         scene, shapes, _ = self.store.resolved(scene)
         try:
@@ -147,22 +138,22 @@ class _Stabilization:
         return replace_result(done, build_correction(self.start, result, shapes_by_instance(scene, shapes)))
 
     def without_unstable(self, done: Correction) -> Correction | None:
-        """The correction without its unstable objects; None where others do not stay either, or one is of the task or fixed."""
+        """Returns the correction without its unstable objects; None if others do not stay either, or one is a task object or fixed."""
         assert done.certified is not None
         assert done.rest is not None
         scene, rest, dropped = done.certified, done.rest, list(done.dropped)
         for _ in range(_DROP_ROUNDS):
-            names = set(rest.unsteady) | scene.resting_on(set(rest.unsteady))
+            names = SupportTree.of(scene.objects).with_descendants(set(rest.unsteady))
             gone = [o for o in scene.objects if o.instance in names]
             if any(o.stage is Stage.TASK or o.instance in self.options.fixed for o in gone):
                 return None
-            dropped += [DroppedObject(o.instance, f"it, or what carries it, would not stay: {rest.reason}") for o in gone]
-            kept = tuple(o for o in scene.objects if o not in gone)
-            scene, shapes, _ = self.store.resolved(replace(scene, objects=kept))
+            dropped += [DroppedObject(o.instance, f"it or its carrier would not stay at rest: {rest.reason}") for o in gone]
+            left = tuple(o for o in scene.objects if o not in gone)
+            scene, shapes, _ = self.store.resolved(replace(scene, objects=left))
             if not scene.objects:
                 return None
             audit, rest = audit_scene(scene, shapes), settle(bodies_of(scene, shapes, self.store), scene.table)
-            if rest.stable and audit.card().clean:  # nothing else moved: what was clean is clean without them
+            if rest.stable and audit.card().clean:  # no other pose changed
                 reason = "; ".join(f"{d.instance} dropped: {d.reason}" for d in dropped)
                 result = CertificationResult(scene, CorrectionStatus.DROPPED, reason, tuple(dropped), audit, rest)
                 shape_of = shapes_by_instance(scene, shapes)
@@ -173,7 +164,7 @@ class _Stabilization:
 
 
 def _unstable_contents(done: Correction, fixed: Fixed) -> list[tuple[str, set[str]]]:
-    """Containers with those of their contents, by the scene's relations, that do not stay there."""
+    """Returns containers with their unstable contents, by the scene's relations."""
     if done.certified is None or done.rest is None:
         return []
     there, unsteady = {o.instance for o in done.certified.objects}, set(done.rest.unsteady) - fixed
@@ -182,7 +173,7 @@ def _unstable_contents(done: Correction, fixed: Fixed) -> list[tuple[str, set[st
 
 
 def _with_full_verdict(done: Correction, store: AssetStore) -> Correction:
-    """The correction with MuJoCo's whole verdict: a scene in which something moves may not have been simulated to the end."""
+    """Returns the correction with MuJoCo's full verdict; a simulation in which an object moves may have ended early."""
     if done.certified is None or done.rest is None or done.rest.drift_mm is not None:
         return done
     scene, shapes, _ = store.resolved(done.certified)

@@ -169,7 +169,7 @@ def test_mesatask_as_released() -> None:
     taken = corrected(MesaTask(is_released=True), six)
     assert not taken.converged
     assert taken.scene == six
-    assert "not taken" in taken.reason
+    assert "not used" in taken.reason
     # A plate on its edge is taken to lie as its file has it: what collides is not what it sees.
     assert card(taken.scene).num_collisions == 1
 

@@ -87,7 +87,7 @@ def test_without_room_it_says_so() -> None:
     found = project(bodies, start, tight, SETTINGS)
     assert not found.converged
     assert found.missed == pytest.approx(0.0125, abs=1e-4)  # 5 cm too little, shared by two gaps and two limits
-    assert "nearer than they may be" in found.reason
+    assert "nearer than allowed" in found.reason
 
 
 def test_it_stops_in_time() -> None:

@@ -115,7 +115,10 @@ def test_what_cannot_be_reckoned_with_stays_and_harms_no_other(weights: Path) ->
     assert stayed == lost
     assert moved.poses() == pytest.approx(flow(scenes[1:], shapes[1:], [FREE])[0].poses(), abs=1e-5)
     (done,) = PhysicsCorrector(flow).correct([lost], known([lost], shapes))
-    assert (done.status, done.reason) == ("infeasible", "the exact check refuses what cannot be moved: a is off its area")
+    assert (done.status, done.reason) == (
+        "infeasible",
+        "the exact audit refuses objects that cannot be moved: a is off its area",
+    )
 
 
 def test_more_objects_than_a_network_was_trained_on(weights: Path) -> None:

@@ -91,7 +91,7 @@ def test_without_meshes_boxes_are_moved_and_it_is_said(run: RunFolder) -> None:
     assert rows_of(run, "scenes")["meshless"]["clean"] is None
     assert rows_of(run, "corrections")["meshless"]["status"] == "unknown"
     warnings = [row for row in run.table("warnings").to_pylist() if row["id"].endswith("meshless")]
-    assert "boxes stand in for the meshes" in next(row["message"] for row in warnings if row["code"] == "unknown")
+    assert "the meshes of" in next(row["message"] for row in warnings if row["code"] == "unknown")
 
 
 def test_what_is_fixed_is_not_dropped_either(run: RunFolder) -> None:

@@ -7,8 +7,9 @@ import pytest
 import trimesh
 
 from models.physics_corrector.certify import certify
+from models.physics_corrector.certify.constants import FALLS, STEADY
 from models.physics_corrector.certify.mesh_queries import MeshQueries
-from models.physics_corrector.certify.static_stability import FALLS, STEADY, centre_of_mass, stands_alone, steadiness
+from models.physics_corrector.certify.static_stability import centre_of_mass, stands_alone, steadiness
 from models.physics_corrector.certify.support_inference import is_hollow
 from stable_data.geometry.convex_decomposition import convex_parts
 from stable_data.geometry.mesh import Mesh

@@ -147,7 +147,7 @@ def test_an_engine_that_cannot_be_asked_says_nothing() -> None:
     result = settled(scene, shapes, [RigidBody("a", (flat,), 1.0, scene["a"].position)])
     assert result.scene is scene
     assert result.unsteady is None
-    assert "the engine cannot be asked" in result.reason
+    assert "MuJoCo cannot simulate it" in result.reason
 
 
 def test_bodies_of_other_objects_are_refused() -> None:
