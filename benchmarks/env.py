@@ -42,7 +42,7 @@ class EnvFigure:
 def measure(run: str, num_scenes: int, num_steps: int) -> tuple[list[EnvFigure], float, float]:
     """Measures the figures, the mean number of objects, and the seconds for the construction of one environment."""
     scenes = RunScenes(RunFolder(run), SceneSelection(limit=num_scenes))
-    solids = [scenes.solid(scene) for scene in scenes]
+    solids = [scenes.geometry(scene) for scene in scenes]
     actions = np.random.default_rng(0).uniform(-1, 1, (num_steps, 3)).astype(np.float32)
     start = time.perf_counter()
     plain = [TabletopEnv(solid) for solid in solids]

@@ -78,7 +78,12 @@ def written(run: RunFolder, out: Path, name: str, choice: SceneSelection) -> Exp
     seconds = time.perf_counter() - start
     size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
     return ExportFigure(
-        name, result.made, len(result.failures), round(seconds, 2), round(result.made / seconds, 1), round(size / 1e6, 1)
+        name,
+        result.num_written,
+        len(result.failures),
+        round(seconds, 2),
+        round(result.num_written / seconds, 1),
+        round(size / 1e6, 1),
     )
 
 
@@ -91,7 +96,7 @@ def at_rest(run: RunFolder, out: Path, choice: SceneSelection) -> dict[str, Any]
     done = subprocess.run([sys.executable, "-I", "-c", ALONE], input=paths, capture_output=True, text=True, check=True)
     found = [json.loads(line) for line in done.stdout.splitlines()]
     rests = [loads and moved <= 10 and turned <= 5 for loads, moved, turned in found]
-    verdicts = [settle(scenes.solid(scene).bodies, scene.table) for _, scene in known]
+    verdicts = [settle(scenes.geometry(scene).bodies, scene.table) for _, scene in known]
     moves = [
         abs(moved - verdict.settle_move_max_mm)
         for (_, moved, _), verdict in zip(found, verdicts, strict=True)

@@ -42,7 +42,7 @@ from stable_data.metrics.alignment import align, reference_of
 from stable_data.metrics.alignment_summary import AlignmentSummary, summarise_alignment
 from stable_data.metrics.audit import PosedScene, audit_posed_scene
 from stable_data.metrics.card import MetricCard
-from stable_data.metrics.reply_validity import ReplyTally
+from stable_data.metrics.reply_validity import reply_validity
 from stable_data.scene import Scene, SceneObject, Stage
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import scene_from_row
@@ -78,7 +78,7 @@ class AssetAssigner:
     def card(self, scene: Scene) -> MetricCard:
         """Computes the exact verdicts."""
         _, shapes, _ = self._store.resolved(scene)
-        return audit_posed_scene(PosedScene(scene, shapes)).card(0, 0)
+        return audit_posed_scene(PosedScene(scene, shapes)).card()
 
 
 def up_to(objects: Sequence[SceneObject], stage: Stage) -> tuple[SceneObject, ...]:
@@ -126,15 +126,11 @@ def figures(layouts: Sequence[StagedLayout], truth: Sequence[Scene], seconds: fl
 
 def _validity(proposals: Sequence[Proposal]) -> dict[str, Any]:
     """Computes the shares of all answers, including refused ones, that parse and that pass the checks."""
-    tally = ReplyTally()
-    for p in proposals:
-        for refused in p.refused:
-            tally.invalid(refused.faults[0].code)
-        if p.reply is not None and p.tries > len(p.refused):
-            tally.valid()
-        elif p.reply is None and not p.refused:
-            tally.unknown()
-    found = tally.figures()
+    found = reply_validity(
+        num_valid=sum(p.reply is not None and p.tries > len(p.refused) for p in proposals),
+        invalid=(refused.faults[0].code for p in proposals for refused in p.refused),
+        num_unknown=sum(p.reply is None and not p.refused for p in proposals),
+    )
     malformed = sum(count for code, count in found.invalid if code.startswith("reply_"))
     parsed = found.num_replies - found.num_unknown - malformed
     return {"parsed": _percent(parsed, found.num_replies), "valid": _percent(found.num_valid, found.num_replies)}

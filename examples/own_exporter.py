@@ -21,13 +21,13 @@ class PoseTable:
         """The file of a scene."""
         return out / f"{safe_file_name(scene.scene_id)}.csv"
 
-    def export_scene(self, solid: SceneGeometry, out: Path) -> None:
+    def export_scene(self, geometry: SceneGeometry, out: Path) -> None:
         """Writes the file of a scene in one step."""
-        rows = [f'"{o.instance}",{",".join(map(str, (*o.position, o.yaw)))}' for o in solid.scene.objects]
-        write_file_atomically(self.scene_path(solid.scene, out), "\n".join(["instance,x,y,z,yaw", *rows, ""]).encode())
+        rows = [f'"{o.instance}",{",".join(map(str, (*o.position, o.yaw)))}' for o in geometry.scene.objects]
+        write_file_atomically(self.scene_path(geometry.scene, out), "\n".join(["instance,x,y,z,yaw", *rows, ""]).encode())
 
 
 if __name__ == "__main__":
     FORMATS["poses"] = PoseTable()
     result = sd.export_run(sd.RunFolder(sys.argv[1]), Path(sys.argv[2]), "poses", sd.SceneSelection(where="clean"))
-    print(f"{result.made} scenes written, {len(result.failures)} failed")
+    print(f"{result.num_written} scenes written, {len(result.failures)} failed")

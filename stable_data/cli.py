@@ -295,8 +295,10 @@ def export(
     for line in result.failures:
         typer.echo(f"not exported: {line}", err=True)
     typer.echo(
-        f"{out}: {result.made + result.there} of {result.total} scenes as {format_name}, {result.there} of them existed already; "
-        "README.md explains how to open them" + (f"; {result.boxes} objects have no mesh and are boxes" if result.boxes else "")
+        f"{out}: {result.num_written + result.num_existing} of {result.total} scenes as {format_name}, "
+        f"{result.num_existing} of them existed already; "
+        "README.md explains how to open them"
+        + (f"; {result.num_boxes} objects have no mesh and are boxes" if result.num_boxes else "")
     )
     if result.failures:
         raise typer.Exit(SOME_FAILED)

@@ -70,8 +70,8 @@ def _audit(scenes: pl.DataFrame) -> Iterable[str]:
     yield bars("Table type", scenes["table_type"])
     yield bars("Split", scenes["split"])
     yield "</div>"
-    if summary.offenders:
-        yield "<h2>Worst scenes</h2>" + table(("scene", "problem"), [(o.scene_id, o.what) for o in summary.offenders])
+    if summary.worst:
+        yield "<h2>Worst scenes</h2>" + table(("scene", "problem"), summary.worst)
 
 
 def _staging(folder: RunFolder, scenes: pl.DataFrame) -> Iterable[str]:

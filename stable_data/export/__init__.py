@@ -1,1 +1,1 @@
-"""Foreign formats: one module each, one ``write`` each; :mod:`stable_data.export.formats` lists them."""
+"""Export formats, one module each; :mod:`stable_data.export.formats` lists them."""

@@ -1,4 +1,4 @@
-"""The scenes of a run in another format, in a folder of their own that can be stopped and gone on with."""
+"""Exports scenes of a run to another format, into a folder of their own; an interrupted export continues when it is run again."""
 
 import json
 from collections import Counter
@@ -22,50 +22,47 @@ from stable_data.storage.run_folder import RunFolder
 
 MANIFEST_FILE = "export.json"
 Progress: TypeAlias = Callable[[int, int, int], None]
-"""Told after every scene how many are done, of how many, and how many of them could not be exported."""
+"""Called after every scene with the numbers of finished scenes, of all scenes, and of scenes that could not be exported."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExportResult:
-    """What became of an export.
+    """The result of an export.
 
     Attributes:
-        made: Scenes that were written.
-        there: Scenes that were there already.
-        boxes: Objects of the written scenes for which a box stands in.
+        num_written: Scenes that were written.
+        num_existing: Scenes that existed already.
+        num_boxes: Objects of the written scenes without a mesh, exported as boxes.
         failures: A line for each scene that could not be exported.
     """
 
-    made: int
-    there: int
-    boxes: int
+    num_written: int
+    num_existing: int
+    num_boxes: int
     failures: tuple[str, ...]
 
     @property
     def total(self) -> int:
-        """All scenes that were asked for."""
-        return self.made + self.there + len(self.failures)
+        """All selected scenes."""
+        return self.num_written + self.num_existing + len(self.failures)
 
 
 def export_run(run: RunFolder, out: Path, name: str, choice: SceneSelection, progress: Progress | None = None) -> ExportResult:
-    """Writes scenes of a run in another format; run again, it writes what is missing.
+    """Writes scenes of a run in another format; run again, it writes the missing scenes.
 
-    Beside the scenes stand README.md, Asset_annotation.json with category, licence and source of every asset that they use, and
-    export.json, what they were made from.
+    The folder also gets README.md, Asset_annotation.json with category, licence and source of every asset in use, and
+    export.json with the run and the settings of the export.
 
     Args:
         run: The run.
         out: Local folder.
-        name: Of the format, see :data:`stable_data.export.formats.FORMATS`.
-        choice: Which scenes.
-        progress: Is told of every scene.
-
-    Returns:
-        How many were written, were there and failed.
+        name: Name of the format, see :data:`stable_data.export.formats.FORMATS`.
+        choice: Selection of the scenes.
+        progress: Called after every scene.
 
     Raises:
-        ConfigError: It cannot start: the format, a table or a scene is not known, no scene is chosen, or the folder holds
-            something else.
+        ConfigError: The export cannot start: the format, a table or a scene is not known, no scene is selected, or the folder
+            contains other files.
     """
     chosen = format_named(name)
     target = RunFolder(str(out))
@@ -84,43 +81,39 @@ def export_run(run: RunFolder, out: Path, name: str, choice: SceneSelection, pro
 
 
 def _export(
-    scenes: RunScenes,
-    annotations: Mapping[str, AssetAnnotation],
-    out: Path,
-    chosen: ExportFormat,
-    progress: Progress | None,
+    scenes: RunScenes, annotations: Mapping[str, AssetAnnotation], out: Path, chosen: ExportFormat, progress: Progress | None
 ) -> ExportResult:
-    made, there, boxes, failures, used = 0, 0, 0, list[str](), set[str]()
+    written, existing, boxes, failures, used = 0, 0, 0, list[str](), set[str]()
     for scene in scenes:
         try:
-            place = chosen.scene_path(scene, out)
-            if place.exists():
-                there += 1
+            if chosen.scene_path(scene, out).exists():
+                existing += 1
             else:
-                solid = scenes.solid(scene)
-                chosen.export_scene(solid, out)
-                made += 1
-                boxes += solid.meshes.count(None)
+                geometry = scenes.geometry(scene)
+                chosen.export_scene(geometry, out)
+                written += 1
+                boxes += geometry.meshes.count(None)
+            # Assets of existing scenes too: the list of licences covers the whole folder.
             used |= {o.asset_id or "" for o in scene.objects} & annotations.keys()
         except OSError:
-            raise
+            raise  # a full or lost disk ends the export
         except StableDataError as error:
             if isinstance(error, ConfigError) and error.code != "uid_path_traversal":
-                raise  # the run or the folder cannot be used any more
+                raise  # the run or the folder is unusable
             failures.append(_line(scene.scene_id, str(error)))
-        except Exception as error:  # noqa: BLE001 - what nobody foresaw is one scene lost
+        except Exception as error:  # noqa: BLE001 - an unexpected error loses one scene only
             failures.append(_line(scene.scene_id, f"unexpected {type(error).__name__}: {error}; please report it"))
         if progress is not None:
-            progress(made + there + len(failures), len(scenes), len(failures))
+            progress(written + existing + len(failures), len(scenes), len(failures))
     write_annotations(out, {asset_id: annotations[asset_id] for asset_id in used})
     write_file_atomically(
-        out / "README.md", _readme(chosen, made + there, [annotations[asset_id] for asset_id in used]).encode()
+        out / "README.md", _readme(chosen, written + existing, [annotations[asset_id] for asset_id in used]).encode()
     )
-    return ExportResult(made, there, boxes, tuple(failures))
+    return ExportResult(written, existing, boxes, tuple(failures))
 
 
 def _line(scene_id: str, message: str) -> str:
-    """What is said of a scene that could not be exported, on one line."""
+    """The reason why a scene could not be exported, on one line."""
     message = " ".join(message.split())
     return message if message.startswith(scene_id) else f"{scene_id}: {message}"
 
@@ -137,8 +130,8 @@ def _readme(chosen: ExportFormat, num_scenes: int, assets: Sequence[AssetAnnotat
             "Frame: the table top is z = 0 with its near-left corner at the origin, +x right, +y away from the viewer, z up; metres, "
             "kilograms, radians. An object's position is the centre of its box. An object without a mesh is a box.",
             "",
-            f"{MANIFEST_FILE} says what was exported from which run. The assets, each with category, source and licence in "
-            f"{ANNOTATION_FILE}:",
+            f"{MANIFEST_FILE} names the run and the settings of the export. {ANNOTATION_FILE} gives category, source and licence of "
+            "each asset. Assets by licence and source:",
             "",
             "| licence | source | assets |",
             "|---|---|---|",
@@ -149,7 +142,7 @@ def _readme(chosen: ExportFormat, num_scenes: int, assets: Sequence[AssetAnnotat
 
 
 def _check_same(target: RunFolder, run: RunFolder, name: str, choice: SceneSelection) -> None:
-    """Writes the manifest, or refuses a folder that holds another export."""
+    """Writes the manifest, or refuses a folder that contains another export."""
     settings: dict[str, Any] = {
         "format": name,
         "run": run.root if run.is_local else run.uri,
@@ -170,7 +163,7 @@ def _check_same(target: RunFolder, run: RunFolder, name: str, choice: SceneSelec
         target.write_bytes(MANIFEST_FILE, (text + "\n").encode())
         return
     try:
-        was = dict(json.loads(content))
+        previous = dict(json.loads(content))
     except (ValueError, TypeError):
-        was = {}
-    refuse_changed(target.uri, {key: was.get(key) for key in settings}, settings)
+        previous = {}  # a damaged manifest matches no settings
+    refuse_changed(target.uri, {key: previous.get(key) for key in settings}, settings)

@@ -1,4 +1,4 @@
-"""The formats that scenes are exported to: a new one is a module or an object with these names, and an entry of FORMATS."""
+"""The export formats. A new format is a module or an object with the members of ExportFormat, and an entry of FORMATS."""
 
 from pathlib import Path
 from typing import Protocol
@@ -10,32 +10,36 @@ from stable_data.simulation.scene_geometry import SceneGeometry
 
 
 class ExportFormat(Protocol):
-    """What the module of a format has.
-
-    Attributes:
-        ABOUT: What an export is and how it is opened, for its README.
-    """
+    """The members of a format's module: a constant and two functions."""
 
     @property
     def ABOUT(self) -> str:  # noqa: N802 - a constant of a module
-        """What an export is and how it is opened."""
+        """Description of an export and how to open it."""
         ...
 
     def scene_path(self, scene: Scene, out: Path) -> Path:
-        """The file of a scene that is put in place last: where it is, the scene is exported."""
+        """The file of a scene that is written last: if it exists, the scene is exported."""
         ...
 
-    def export_scene(self, solid: SceneGeometry, out: Path) -> None:
-        """Writes a scene, each file in one step."""
+    def export_scene(self, geometry: SceneGeometry, out: Path) -> None:
+        """Writes a scene; each file is written atomically.
+
+        Args:
+            geometry: The scene with its geometry.
+            out: The folder of the export.
+
+        Raises:
+            OSError: The folder cannot be written.
+        """
         ...
 
 
 FORMATS: dict[str, ExportFormat] = {"glb": glb, "mesatask": mesatask, "mjcf": mjcf}
-"""Name -> format. A program adds a format of its own here before it calls ``export_run``: ``examples/own_exporter.py``."""
+"""Name -> format. A program adds its own format here before it calls ``export_run``, see ``examples/own_exporter.py``."""
 
 
 def format_named(name: str) -> ExportFormat:
-    """The format of a name.
+    """Returns the format of a name.
 
     Raises:
         ConfigError: There is none (``format_unknown``).

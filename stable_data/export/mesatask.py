@@ -1,4 +1,4 @@
-"""The MesaTask-10K format: layouts, task infos, and the meshes that they use, as :mod:`stable_data.mesatask` reads them."""
+"""Exports to the MesaTask-10K format: layouts, task infos and the meshes in use, as :mod:`stable_data.mesatask` reads them."""
 
 from pathlib import Path
 
@@ -11,11 +11,11 @@ from stable_data.simulation.scene_geometry import SceneGeometry
 
 ABOUT = """A dataset in the MesaTask-10K format: `Layout_info/<table type>/<scene>/layout.json` with its `task_info.json`, centimetres,
 quaternions xyzw; `Assets_library/<uid>.glb`, y up, with the convex parts as a second mesh that no node shows. `stable-data lint`
-and `python -m pipelines preprocess` take it. Meshes are the repaired ones of the run, in up to eight colours each."""
+and `python -m pipelines preprocess` read it. Meshes are the repaired ones of the run, in up to eight colours each."""
 
 
 def scene_path(scene: Scene, out: Path) -> Path:
-    """Where a scene's layout is: once it is there, the scene is exported.
+    """Returns the layout file of a scene: if it exists, the scene is exported.
 
     Raises:
         SceneError: Its id or its table type cannot be the name of a folder.
@@ -23,25 +23,20 @@ def scene_path(scene: Scene, out: Path) -> Path:
     return scene_folder(out, scene) / LAYOUT_FILE
 
 
-def export_scene(solid: SceneGeometry, out: Path) -> None:
-    """Writes a scene, and the meshes that are not there yet.
-
-    Args:
-        solid: The scene with its geometry.
-        out: The folder of the export.
+def export_scene(geometry: SceneGeometry, out: Path) -> None:
+    """Writes a scene, and those of its meshes that do not exist yet, see :class:`~stable_data.export.formats.ExportFormat`.
 
     Raises:
-        SceneError: Its id or its table type cannot be the name of a folder.
+        SceneError: The scene's id or its table type cannot be the name of a folder.
         ConfigError: The id of an asset cannot be the name of a file.
-        MeshError: Nothing that has a volume could be made of a mesh.
-        OSError: The folder cannot be written.
+        MeshError: No part with a volume could be made of a mesh.
     """
     extents = {}
-    for k, (o, mesh) in enumerate(zip(solid.scene.objects, solid.meshes, strict=True)):
+    for k, (o, mesh) in enumerate(zip(geometry.scene.objects, geometry.meshes, strict=True)):
         if o.asset_id is None or mesh is None:
             continue
         x, y, z = mesh.extents.tolist()
         extents[o.asset_id] = (x, y, z)
         if not (out / LIBRARY_FOLDER / f"{o.asset_id}.glb").exists():
-            write_asset(out, o.asset_id, write_glb(mesh, paint=solid.paint(k), parts=solid.parts(k)))
-    write_scene(out, solid.scene, extents=extents)
+            write_asset(out, o.asset_id, write_glb(mesh, paint=geometry.paint(k), parts=geometry.parts(k)))
+    write_scene(out, geometry.scene, extents=extents)

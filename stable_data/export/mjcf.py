@@ -1,12 +1,12 @@
-"""MJCF, the format of MuJoCo: a folder a scene, and the meshes of all scenes beside them.
+"""Exports to MJCF, the format of MuJoCo: a folder for each scene, and the meshes of all scenes beside them.
 
 An export::
 
-    assets/<2 digits>/<content>.obj    a convex part, metres; or what an asset looks like, mesh units
+    assets/<2 digits>/<content>.obj    a convex part, metres; or the visible mesh of an asset, mesh units
     <scene>/scene.xml
 
-The file says what the stability verdict was given (:mod:`stable_data.simulation.mujoco_model`): MuJoCo reads the same model
-from it, number for number. Its own writer is not used, for it rounds to six digits.
+The model is that of the stability verdict (:mod:`stable_data.simulation.mujoco_model`): MuJoCo reads exactly the same numbers
+from the file. MuJoCo's own writer is not used, because it rounds to six digits.
 """
 
 import hashlib
@@ -24,13 +24,13 @@ from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import COLLIDER
 
 ABOUT = """MuJoCo models (MJCF): `<scene>/scene.xml`, which `mujoco.MjModel.from_xml_path` and `python -m mujoco.viewer --mjcf=` open.
-Bodies have the names of the instances; the keyframe `home` holds the poses. Geoms of group 3 collide and are the convex parts of
-the objects, geoms of group 2 are seen. Masses, inertias, friction and contact settings are those that the stability verdict was
-given. Scenes share the folder `assets`: copy it with them, or export a scene alone with `--scene`."""
+Bodies have the names of the instances; the keyframe `home` contains the poses. Geoms of group 3 collide and are the convex parts
+of the objects; geoms of group 2 are visible. Masses, inertias, friction and contact settings are those of the stability verdict.
+Scenes share the folder `assets`: copy it with them, or export a single scene with `--scene`."""
 
 MESH_FOLDER = "assets"
 
-_RESERVED = frozenset({MESH_FOLDER, "README.md", "export.json", "Asset_annotation.json"})  # what else lies beside the scenes
+_RESERVED = frozenset({MESH_FOLDER, "README.md", "export.json", "Asset_annotation.json"})  # other names in the folder
 
 _GEOM_TYPES = {int(mujoco.mjtGeom.mjGEOM_BOX): "box", int(mujoco.mjtGeom.mjGEOM_MESH): "mesh"}
 _INERTIAS = {
@@ -40,24 +40,19 @@ _INERTIAS = {
 
 
 def scene_path(scene: Scene, out: Path) -> Path:
-    """Where a scene's file is: once it is there, the scene is exported."""
+    """Returns the file of a scene: if it exists, the scene is exported."""
     return out / safe_file_name(scene.scene_id, _RESERVED) / "scene.xml"
 
 
-def export_scene(solid: SceneGeometry, out: Path) -> None:
-    """Writes a scene, and the meshes that are not there yet.
-
-    Args:
-        solid: The scene with its geometry.
-        out: The folder of the export.
+def export_scene(geometry: SceneGeometry, out: Path) -> None:
+    """Writes a scene, and those of its meshes that do not exist yet, see :class:`~stable_data.export.formats.ExportFormat`.
 
     Raises:
-        MeshError: An object has no solid part, or the engine refuses it.
-        OSError: The folder cannot be written.
+        MeshError: An object has no solid part, or MuJoCo refuses it.
     """
-    spec = engine_spec(solid)
+    spec = engine_spec(geometry)
     files = {mesh.name: _put_mesh(mesh, out / MESH_FOLDER) for mesh in spec.meshes}
-    path = scene_path(solid.scene, out)
+    path = scene_path(geometry.scene, out)
     path.parent.mkdir(parents=True, exist_ok=True)
     tree = _model(spec, files)
     ET.indent(tree)
@@ -65,7 +60,7 @@ def export_scene(solid: SceneGeometry, out: Path) -> None:
 
 
 def _put_mesh(mesh: mujoco.MjsMesh, folder: Path) -> str:
-    """Writes a mesh and gives its name in the folder."""
+    """Writes a mesh under a hash of its content and returns its name in the folder."""
     vertices = np.fromiter(mesh.uservert, np.float32, len(mesh.uservert)).reshape(-1, 3)
     faces = np.fromiter(mesh.userface, np.int64, len(mesh.userface)).reshape(-1, 3)
     content = _obj(vertices, faces)
@@ -78,7 +73,7 @@ def _put_mesh(mesh: mujoco.MjsMesh, folder: Path) -> str:
 
 
 def _obj(vertices: Any, faces: Any) -> bytes:
-    """A mesh in the format of Wavefront; the engine keeps single precision, which nine digits hold exactly."""
+    """A mesh as Wavefront OBJ; MuJoCo stores single precision, which nine digits represent exactly."""
     lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices.tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
     return ("\n".join(lines) + "\n").encode()
@@ -88,7 +83,7 @@ def _model(spec: mujoco.MjSpec, files: dict[str, str]) -> ET.Element:
     root = ET.Element("mujoco", model=spec.modelname)
     _add(root, "compiler", angle="radian", meshdir=f"../{MESH_FOLDER}")
     option = _add(root, "option", timestep=spec.option.timestep, cone="elliptic", impratio=spec.option.impratio)
-    # By default versions before 4 give two meshes one contact point, on which things creep.
+    # By default versions before 4 give two meshes a single contact point, on which objects creep.
     _add(option, "flag", autoreset="disable", multiccd="enable")
     _add(root, "statistic", center=spec.stat.center, extent=spec.stat.extent)
     _add_visual(root, spec.visual)
@@ -148,7 +143,7 @@ def _add_geom(parent: ET.Element, geom: mujoco.MjsGeom) -> None:
     element = _add(parent, "geom", name=geom.name, type=kind)
     element.set("class", geom.classname.name)
     for key, value in {"pos": geom.pos, "quat": geom.quat, "rgba": geom.rgba, "group": geom.group}.items():
-        if not np.array_equal(value, getattr(geom.classname.geom, key)):
+        if not np.array_equal(value, getattr(geom.classname.geom, key)):  # values of the class are not repeated
             element.set(key, _text(value))
     if kind == "mesh":
         element.set("mesh", geom.meshname)
@@ -163,7 +158,7 @@ def _add(parent: ET.Element, tag: str, **attributes: Any) -> ET.Element:
 
 
 def _text(value: Any) -> str:
-    """Numbers so that they read back as they are; single precision by as many digits as it has."""
+    """Numbers as text that reads back to the same number; single precision with as many digits as it has."""
     if isinstance(value, str):
         return value
     if hasattr(value, "__len__"):

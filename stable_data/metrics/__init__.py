@@ -1,1 +1,1 @@
-"""Verdicts on scenes: collision, support, bounds."""
+"""Metrics of scenes: collision, support, bounds, alignment, movement."""

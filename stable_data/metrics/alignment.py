@@ -1,30 +1,31 @@
-"""How well a generated scene does what was asked: AwT, AwS and the share of distractors (the paper's appendix, Metrics).
+"""Alignment of a generated scene with its instruction: AwT, AwS and the share of distractors (the paper's appendix, Metrics).
 
-What was asked is a :class:`AlignmentReference`: the required objects, and the relations that the instruction entails of the
-scene it starts from. Where a reference scene exists, the full scene graph between its task objects (the paper's S_gt) is a
-second figure beside the entailed relations: an instruction rarely asks for all of it.
+An :class:`AlignmentReference` states what is required: the required objects, and the relations that the instruction entails for
+its start scene. If there is a reference scene, the full scene graph between its task objects (the paper's S_gt) gives a second
+figure, because an instruction rarely asks for the whole graph.
 
-* ``AwT = |O*_pred ∩ O*_gt| / |O*_gt|``: required objects that are matched, by the rule of :mod:`stable_data.metrics.matching`.
-* ``AwS = |S_pred ∩ S_gt| / |S_gt|``: relations that hold between the matched objects. A relation of an object that is missing
-  does not hold. Of matchings with the most objects the one is taken under which the most entailed relations hold, then the most
-  of the full graph.
+* ``AwT = |O*_pred ∩ O*_gt| / |O*_gt|``: the required objects that are matched, by the rule of
+  :mod:`stable_data.metrics.matching`.
+* ``AwS = |S_pred ∩ S_gt| / |S_gt|``: the relations that hold between the matched objects. A relation of a missing object does
+  not hold. Of the matchings with the most objects, the one with the most entailed relations is used; ties are decided by the
+  full graph.
 
-When a relation holds:
+A relation holds under these conditions:
 
-* ``in`` and ``on``: in the scene graph's own sense, directly or through what lies in between; what shall be on a thing may be
-  in it, not the other way round. The same rule judges what a correction keeps.
+* ``in`` and ``on``: as in the scene graph, directly or through the objects between. ``on`` also holds if the object is in the
+  target; ``in`` does not hold if it is only on it. :mod:`stable_data.metrics.relations_kept` uses the same rule.
 * ``left of``, ``right of``, ``in front of``, ``behind``: geometrically, within 45 degrees of that direction seen from the
-  target, however far and whatever else is near; ``above`` and ``below`` by heights and outlines. An edge of the scene graph is
-  not asked for: it links nearest neighbours alone, so that one more distractor would break it.
-* ``is at``: the ninth of the table that the centre is in. ``face to``: to 45 degrees. ``are equally spaced along``: one of the
-  scene graph's rows along that axis has all of them.
+  target, at any distance and with any other objects near. ``above`` and ``below``: by heights and outlines. An edge of the
+  scene graph is not required: edges link only nearest neighbours, so one more distractor would break the relation.
+* ``is at``: the centre is in that ninth of the table. ``face to``: the facing, rounded to 45 degrees, is that direction.
+  ``are equally spaced along``: one row of the scene graph along that axis contains all of the objects.
 
-Unknown is never a pass: without relations AwS is None, not 1, and likewise where the search for the best matching was given up.
+Unknown is never a pass: without relations AwS is None, not 1. It is also None if the search for the best matching was stopped.
 
-What an instruction speaks of by its place alone (``take everything out of the tray``) may be anything there, and one will do:
-the instruction says neither what nor how many.
+An instruction can name objects by their place alone (``take everything out of the tray``). Any object may then be matched, and
+one is enough: the instruction states neither the categories nor the number.
 
-A request that gave no scene is aligned as one without objects: its AwT is 0.
+A request without a scene is aligned as a scene without objects: its AwT is 0.
 """
 
 from collections.abc import Iterator, Mapping
@@ -47,20 +48,19 @@ from stable_data.scene_graph.relations import (
 )
 
 _ON_IN = frozenset({RelationKind.ON, RelationKind.IN})
-_VERTICAL = frozenset({RelationKind.ABOVE, RelationKind.BELOW})
-_OF_ONE = frozenset({RelationKind.IS_AT, RelationKind.FACE_TO})
+_UNARY = frozenset({RelationKind.IS_AT, RelationKind.FACE_TO})
 
 
 @dataclass(frozen=True, slots=True)
 class AlignmentReference:
-    """What a generated scene is held against.
+    """The requirements that a generated scene is compared with.
 
     Attributes:
-        scene_id: Of the reference, or the request's.
+        scene_id: The id of the reference scene, or of the request.
         required: The task objects, O*_gt; at least one.
-        entailed: Relations between them that the instruction entails of the scene it starts from, possibly none.
-        graph: The full scene graph between them, S_gt; None where there is no reference scene or it has no scene graph.
-        num_objects: Objects of the reference scene; None where there is none.
+        entailed: Relations between them that the instruction entails for its start scene, possibly none.
+        graph: The full scene graph between them, S_gt; None without a reference scene or without its scene graph.
+        num_objects: Number of objects of the reference scene; None without one.
     """
 
     scene_id: str
@@ -70,7 +70,7 @@ class AlignmentReference:
     num_objects: int | None = None
 
     def __post_init__(self) -> None:
-        """Refuses a task without objects, an object asked for twice, and a relation of what is not required."""
+        """Refuses a task without objects, a repeated object, and a relation of an object that is not required."""
         names = [r.instance for r in self.required]
         if not names or len(set(names)) < len(names):
             raise SceneError(
@@ -88,7 +88,7 @@ class AlignmentReference:
 
 def members(relation: Relation) -> tuple[str, ...]:
     """The instances, or ``table``, that a relation is about."""
-    if relation.kind in _OF_ONE:
+    if relation.kind in _UNARY:
         return (relation.subject,)
     if relation.kind is RelationKind.EQUALLY_SPACED:
         return tuple(relation.subject.split(", "))
@@ -96,42 +96,40 @@ def members(relation: Relation) -> tuple[str, ...]:
 
 
 def reference_of(scene: Scene) -> AlignmentReference:
-    """What a scene with a task asks of a scene that is generated from its instruction.
+    """Returns the requirements of a scene's task, for scenes that are generated from its instruction.
 
     Args:
-        scene: With a task whose objects are known; with its scene graph, if the full graph shall be judged too.
-
-    Returns:
-        The reference.
+        scene: A scene with a task whose objects are known; with its scene graph if the full graph is judged too.
 
     Raises:
-        SceneError: There is no task, its objects are unknown, or one of them is not in the scene (``task_objects_unknown``);
-            it entails a relation of another object (``task_relation_unknown``).
+        SceneError: There is no task, its objects are unknown, or one of them is not in the scene (``task_objects_unknown``); or
+            the task entails a relation of another object (``task_relation_unknown``).
     """
-    wanted = scene.task.task_objects if scene.task is not None else ()
+    task_objects = scene.task.task_objects if scene.task is not None else ()
     category = {o.instance: o.category for o in scene.objects}
-    if scene.task is None or not wanted or not set(wanted) <= set(category):
+    if scene.task is None or not task_objects or not set(task_objects) <= set(category):
         raise SceneError(
-            f"{scene.scene_id}: the task objects are {list(wanted)}, expected objects of the scene; resolve the task again",
+            f"{scene.scene_id}: the task objects are {list(task_objects)}, expected objects of the scene; resolve the task again",
             "task_objects_unknown",
         )
-    unsaid, spare = _unsaid(scene.task, category)
-    wanted = tuple(name for name in wanted if name not in spare)
-    entailed = tuple(r for r in scene.task.relations if not spare & set(members(r)))
-    between = [r for r in scene.relations if r.kind not in _OF_ONE and r.kind is not RelationKind.EQUALLY_SPACED]
+    unnamed, extra = _unnamed_objects(scene.task, category)
+    wanted = tuple(name for name in task_objects if name not in extra)
+    entailed = tuple(r for r in scene.task.relations if not extra & set(members(r)))
+    # A scene without relations has no scene graph yet: its figure is unknown, not 0.
+    between = [r for r in scene.relations if r.kind not in _UNARY and r.kind is not RelationKind.EQUALLY_SPACED]
     graph = tuple(r for r in between if {r.subject, r.target} <= set(wanted)) if scene.relations else None
-    required = tuple(RequiredObject(name, () if name in unsaid else (category[name],)) for name in wanted)
+    required = tuple(RequiredObject(name, () if name in unnamed else (category[name],)) for name in wanted)
     return AlignmentReference(scene.scene_id, required, entailed, graph, len(scene.objects))
 
 
-def _unsaid(task: TaskInfo, category: Mapping[str, str]) -> tuple[frozenset[str], frozenset[str]]:
-    """Task objects that an instruction speaks of by their place alone: one for each place, and the others."""
-    if not mentions_all(task.task):
+def _unnamed_objects(task: TaskInfo, category: Mapping[str, str]) -> tuple[frozenset[str], frozenset[str]]:
+    """Task objects that an instruction names by their place alone: the first of each place, and the others."""
+    if not mentions_all(task.task):  # only words such as "everything" name objects by their place
         return frozenset(), frozenset()
-    said = {name for name in task.task_objects if is_named(category[name], task.task)}
+    named = {name for name in task.task_objects if is_named(category[name], task.task)}
     places: dict[str, list[str]] = {}
     for r in task.relations:
-        if r.kind in _ON_IN and r.subject not in said and r.target in said:
+        if r.kind in _ON_IN and r.subject not in named and r.target in named:
             places.setdefault(r.target, []).append(r.subject)
     first = frozenset(names[0] for names in places.values())
     return first, frozenset(name for names in places.values() for name in names) - first
@@ -139,17 +137,17 @@ def _unsaid(task: TaskInfo, category: Mapping[str, str]) -> tuple[frozenset[str]
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """How one generated scene compares with what was asked.
+    """The comparison of one generated scene with its reference.
 
     Attributes:
-        reference: What was asked.
-        matches: Required instance and the generated instance that it was matched to, in the order of ``required``.
-        missing: Required objects that nothing was matched to.
-        broken: Entailed relations that do not hold, in the reference's names; None where the search was given up.
-        graph_broken: Those of the full graph; None where the search was given up or there is no graph.
-        num_objects: Objects of the generated scene.
-        num_stacked: Those that stand on another object.
-        num_contained: Those that are in another object.
+        reference: The requirements.
+        matches: Pairs of a required instance and the matched generated instance, in the order of ``required``.
+        missing: Required objects without a match.
+        broken: Entailed relations that do not hold, in the reference's names; None if the search was stopped.
+        graph_broken: Relations of the full graph that do not hold; None if the search was stopped or there is no graph.
+        num_objects: Number of objects of the generated scene.
+        num_stacked: Number of objects that stand on another object.
+        num_contained: Number of objects that are in another object.
     """
 
     reference: AlignmentReference
@@ -163,17 +161,17 @@ class Alignment:
 
     @property
     def awt(self) -> float:
-        """Share of the required objects that are there."""
+        """Share of the required objects that are matched."""
         return len(self.matches) / len(self.reference.required)
 
     @property
     def aws(self) -> float | None:
-        """Share of the entailed relations that hold; None where nothing is entailed, or it is unknown."""
+        """Share of the entailed relations that hold; None if none is entailed, or if it is unknown."""
         return _share_held(self.broken, self.reference.entailed)
 
     @property
     def aws_graph(self) -> float | None:
-        """Share of the full graph between the task objects that holds; None where it is empty or unknown."""
+        """Share of the full graph between the task objects that holds; None if the graph is empty or the share is unknown."""
         return _share_held(self.graph_broken, self.reference.graph)
 
     @property
@@ -182,17 +180,17 @@ class Alignment:
         return 1 - len(self.matches) / self.num_objects if self.num_objects else None
 
     def __str__(self) -> str:
-        """One line that says what is there and what is not."""
-        said = [f"{len(self.matches)} of {len(self.reference.required)} task objects"]
-        said += [f"missing: {', '.join(map(str, self.missing))}"] if self.missing else []
+        """One line of counts, with the missing objects and the broken relations."""
+        parts = [f"{len(self.matches)} of {len(self.reference.required)} task objects"]
+        parts += [f"missing: {', '.join(map(str, self.missing))}"] if self.missing else []
         if self.broken is None:
-            said.append("relations unknown: too many similar objects to compare")
+            parts.append("relations unknown: too many similar objects to compare")
         elif self.reference.entailed:
             held = len(self.reference.entailed) - len(self.broken)
-            said.append(f"{held} of {len(self.reference.entailed)} entailed relations")
-            said += [f"broken: {', '.join(map(str, self.broken))}"] if self.broken else []
-        said.append(f"{self.num_objects - len(self.matches)} distractors of {self.num_objects} objects")
-        return f"{self.reference.scene_id}: {'; '.join(said)}"
+            parts.append(f"{held} of {len(self.reference.entailed)} entailed relations")
+            parts += [f"broken: {', '.join(map(str, self.broken))}"] if self.broken else []
+        parts.append(f"{self.num_objects - len(self.matches)} distractors of {self.num_objects} objects")
+        return f"{self.reference.scene_id}: {'; '.join(parts)}"
 
 
 def align(
@@ -203,25 +201,23 @@ def align(
     footprints: Mapping[str, FloatArray] | None = None,
     containers: Mapping[str, bool | None] | None = None,
 ) -> Alignment:
-    """Compares a generated scene with what was asked.
+    """Compares a generated scene with its reference.
 
     Args:
-        scene: The generated scene; its own task and relations are not looked at, so a raw layout will do.
-        reference: What was asked.
-        contacts: What each object rests on; None: not known, judged by boxes as
+        scene: The generated scene. Its own task and relations are not read, so a raw layout is accepted.
+        reference: The requirements.
+        contacts: The supports of each object; None if they are not known: supports are then derived from boxes, as
             :func:`~stable_data.scene_graph.relations.scene_graph` does.
         footprints: As for ``scene_graph``.
         containers: As for ``scene_graph``.
-
-    Returns:
-        The comparison.
     """
-    there = _Layout(scene, contacts or {}, footprints, containers)
-    may_be = candidates(reference.required, scene.objects)
+    layout = _Layout(scene, contacts or {}, footprints, containers)
+    allowed = candidates(reference.required, scene.objects)
     graph = reference.graph or ()
-    entailed = [DesiredRelation(len(graph) + 1, tuple(there.options(r, may_be))) for r in reference.entailed]
-    full = [DesiredRelation(1, tuple(there.options(r, may_be))) for r in graph]
-    found = match(may_be, [*entailed, *full])
+    # One entailed relation outweighs the whole full graph, which only decides ties.
+    entailed = [DesiredRelation(len(graph) + 1, tuple(layout.options(r, allowed))) for r in reference.entailed]
+    full = [DesiredRelation(1, tuple(layout.options(r, allowed))) for r in graph]
+    found = match(allowed, [*entailed, *full])
     return Alignment(
         reference,
         matches=tuple((r.instance, found.matches[r.instance]) for r in reference.required if r.instance in found.matches),
@@ -229,16 +225,17 @@ def align(
         broken=_broken(found, reference.entailed, entailed),
         graph_broken=None if reference.graph is None else _broken(found, reference.graph, full),
         num_objects=len(scene.objects),
-        num_stacked=sum(r.kind is RelationKind.ON and r.target != TABLE for r in there.on_in),
-        num_contained=sum(r.kind is RelationKind.IN for r in there.on_in),
+        num_stacked=sum(r.kind is RelationKind.ON and r.target != TABLE for r in layout.on_in),
+        num_contained=sum(r.kind is RelationKind.IN for r in layout.on_in),
     )
 
 
 def _broken(
-    found: ObjectMatching, relations: tuple[Relation, ...], wishes: list[DesiredRelation]
+    found: ObjectMatching, relations: tuple[Relation, ...], desired: list[DesiredRelation]
 ) -> tuple[Relation, ...] | None:
-    pairs = zip(relations, wishes, strict=True)
-    return tuple(r for r, wish in pairs if not wish.holds(found.matches)) if found.is_best or not relations else None
+    if not found.is_best and relations:
+        return None
+    return tuple(r for r, wanted in zip(relations, desired, strict=True) if not wanted.holds(found.matches))
 
 
 def _share_held(broken: tuple[Relation, ...] | None, relations: tuple[Relation, ...] | None) -> float | None:
@@ -246,7 +243,7 @@ def _share_held(broken: tuple[Relation, ...] | None, relations: tuple[Relation, 
 
 
 class _Layout:
-    """A generated scene, ready to be asked between which of its objects a relation holds."""
+    """Finds the objects of a generated scene between which a relation holds."""
 
     def __init__(
         self,
@@ -261,38 +258,39 @@ class _Layout:
         self.on_in = frozenset(r for r in relations_of(graph) if r.kind in _ON_IN)
         self.rows: tuple[tuple[tuple[str, ...], str], ...] = graph.graph["rows"]
 
-    def options(self, relation: Relation, may_be: Mapping[str, Mapping[str, int]]) -> Iterator[Option]:
-        """The ways in which a relation can hold between objects that its instances may be matched to."""
+    def options(self, relation: Relation, allowed: Mapping[str, Mapping[str, int]]) -> Iterator[Option]:
+        """The ways in which a relation can hold between the objects that its instances may be matched to."""
         if relation.kind is RelationKind.EQUALLY_SPACED:
             for row, axis in self.rows:
                 if axis == relation.target:
                     yield dict.fromkeys(members(relation), frozenset(row))
-        elif relation.kind in _OF_ONE or relation.target == TABLE:
-            yield {relation.subject: {name for name in may_be[relation.subject] if self._is_so(name, relation)}}
+        elif relation.kind in _UNARY or relation.target == TABLE:
+            yield {relation.subject: {name for name in allowed[relation.subject] if self._holds_for_one(name, relation)}}
         else:
             held = [
                 (one, other)
-                for one, other in product(may_be[relation.subject], may_be[relation.target])
-                if one != other and self._is_held(one, relation.kind, other)
+                for one, other in product(allowed[relation.subject], allowed[relation.target])
+                if one != other and self._holds_between(one, relation.kind, other)
             ]
+            # One option for each subject with all of its targets: far fewer variables than one for each pair.
             for one in dict.fromkeys(pair[0] for pair in held):
                 yield {relation.subject: {one}, relation.target: {pair[1] for pair in held if pair[0] == one}}
 
-    def _is_so(self, name: str, relation: Relation) -> bool:
-        """Does a relation of one object, or to the table, hold of an object?"""
+    def _holds_for_one(self, name: str, relation: Relation) -> bool:
+        """Whether a relation of one object, or of an object to the table, holds."""
         if relation.kind is RelationKind.IS_AT:
             return cell_of(self.objects[name].position, self.scene.table.size_xy) == relation.target
         if relation.kind is RelationKind.FACE_TO:
             return facing_of(self.objects[name].yaw) == relation.target
-        return self._is_held(name, relation.kind, TABLE)
+        return self._holds_between(name, relation.kind, TABLE)
 
-    def _is_held(self, one: str, kind: RelationKind, other: str) -> bool:
-        """Does a relation hold between two objects?"""
+    def _holds_between(self, one: str, kind: RelationKind, other: str) -> bool:
+        """Whether a relation between two objects holds."""
         if kind in _ON_IN:
             return is_held(self.on_in, Relation(one, kind, other))
         if other == TABLE:
-            return False  # nothing else is said of the table
-        if kind in _VERTICAL:
+            return False  # no other kind relates an object to the table
+        if kind in (RelationKind.ABOVE, RelationKind.BELOW):
             return vertical_relation(self.scene, one, other, self.footprints) is kind
         a, b = self.objects[one].position, self.objects[other].position
         return direction_of(a[0] - b[0], a[1] - b[1]) is kind

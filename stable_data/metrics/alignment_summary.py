@@ -1,4 +1,4 @@
-"""Alignment of a set of generated scenes, pooled."""
+"""Alignment of a set of generated scenes: means and pooled shares."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -10,14 +10,14 @@ from stable_data.scene import Relation
 
 @dataclass(frozen=True, slots=True)
 class RelationFigures:
-    """How many relations hold, over scenes.
+    """Numbers of relations that hold, over scenes.
 
     Attributes:
-        num_scenes: Scenes that have any relation and could be judged.
-        num_unknown: Scenes that have any and could not.
+        num_scenes: Scenes that have relations and could be judged.
+        num_unknown: Scenes that have relations and could not be judged.
         num_relations: Relations of the scenes that could be judged.
-        num_held: Those that hold.
-        macro: Mean over those scenes of the share that holds; None without such scenes.
+        num_held: Those relations that hold.
+        macro: Mean over the judged scenes of the share that holds; None without such scenes.
     """
 
     num_scenes: int
@@ -37,7 +37,7 @@ class AlignmentSummary:
     """The figures of a set of scenes. A mean over no scene is None.
 
     Attributes:
-        num_scenes: Scenes.
+        num_scenes: Number of scenes.
         awt: Mean AwT over the scenes.
         num_complete: Scenes with every required object.
         aws: The entailed relations.
@@ -45,9 +45,9 @@ class AlignmentSummary:
         distractor_rate: Mean over the scenes that have objects.
         num_empty: Scenes without objects.
         num_objects: Mean number of objects.
-        num_objects_reference: The same of the references that are scenes.
-        num_stacked: Mean number of objects that stand on another one.
-        num_contained: Mean number of objects that are in another one.
+        num_objects_reference: Mean number of objects of the reference scenes.
+        num_stacked: Mean number of objects that stand on another object.
+        num_contained: Mean number of objects that are in another object.
     """
 
     num_scenes: int
@@ -63,7 +63,6 @@ class AlignmentSummary:
     num_contained: float | None
 
     def __str__(self) -> str:
-        """The figures as text, one a line."""
         empty = f", {self.num_empty} of {self.num_scenes} scenes without objects" if self.num_empty else ""
         lines = (
             (
@@ -73,35 +72,34 @@ class AlignmentSummary:
             ("entailed relations that hold (AwS)", _relations(self.aws)),
             ("full graph between task objects", _relations(self.aws_graph)),
             ("objects that are not task objects", _percent(self.distractor_rate) + empty),
-            ("objects per scene, in the reference", f"{_mean(self.num_objects)}, {_mean(self.num_objects_reference)}"),
-            ("on another object, in another object", f"{_mean(self.num_stacked)}, {_mean(self.num_contained)} a scene"),
+            (
+                "objects per scene, in the reference",
+                f"{_two_digits(self.num_objects)}, {_two_digits(self.num_objects_reference)}",
+            ),
+            (
+                "on another object, in another object",
+                f"{_two_digits(self.num_stacked)}, {_two_digits(self.num_contained)} a scene",
+            ),
         )
         return "\n".join(f"{label:<44} {figures}" for label, figures in lines)
 
 
 def summarise_alignment(alignments: Iterable[Alignment]) -> AlignmentSummary:
-    """Sums up alignments.
-
-    Args:
-        alignments: One a scene. A request that gave no scene belongs here too, aligned as a scene without objects.
-
-    Returns:
-        The summary.
-    """
+    """Summarises alignments, one for each scene. A request without a scene is included, aligned as a scene without objects."""
     found = list(alignments)
     counts = (a.reference.num_objects for a in found)
     return AlignmentSummary(
         num_scenes=len(found),
-        awt=_over(a.awt for a in found),
+        awt=_mean_of(a.awt for a in found),
         num_complete=sum(not a.missing for a in found),
         aws=_figures(found, lambda a: (a.broken, a.reference.entailed)),
         aws_graph=_figures(found, lambda a: (a.graph_broken, a.reference.graph or ())),
-        distractor_rate=_over(a.distractor_rate for a in found),
+        distractor_rate=_mean_of(a.distractor_rate for a in found),
         num_empty=sum(not a.num_objects for a in found),
-        num_objects=_over(a.num_objects for a in found),
-        num_objects_reference=_over(counts),
-        num_stacked=_over(a.num_stacked for a in found),
-        num_contained=_over(a.num_contained for a in found),
+        num_objects=_mean_of(a.num_objects for a in found),
+        num_objects_reference=_mean_of(counts),
+        num_stacked=_mean_of(a.num_stacked for a in found),
+        num_contained=_mean_of(a.num_contained for a in found),
     )
 
 
@@ -115,11 +113,11 @@ def _figures(
         num_unknown=len(asked) - len(known),
         num_relations=sum(total for _, total in known),
         num_held=sum(held for held, _ in known),
-        macro=_over(held / total for held, total in known),
+        macro=_mean_of(held / total for held, total in known),
     )
 
 
-def _over(values: Iterable[float | None]) -> float | None:
+def _mean_of(values: Iterable[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return fmean(known) if known else None
 
@@ -136,5 +134,5 @@ def _percent(value: float | None) -> str:
     return "unknown" if value is None else f"{100 * value:.1f} %"
 
 
-def _mean(value: float | None) -> str:
+def _two_digits(value: float | None) -> str:
     return "unknown" if value is None else f"{value:.2f}"

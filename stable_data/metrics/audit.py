@@ -1,8 +1,8 @@
-"""The audit of a scene: every verdict on collision, support and bounds, pair by pair and object by object.
+"""The audit of a scene: exact verdicts on collision, support and bounds, for each pair of objects and each object.
 
-Definitions are those of docs/audit.md, against the scaled, tilted triangle meshes. An object whose mesh is missing is a
-box: what its box rules out is known (boxes that do not meet do not collide), the rest is unknown and never a pass. So is what
-is left when a scene's budget of work is used up. Objects of the same triangles in the same place are judged once.
+The definitions are in docs/audit.md; they use the scaled and tilted triangle meshes. An object whose mesh is missing is a box.
+What this box excludes is known (boxes that do not meet do not collide); the rest is unknown and never a pass. Verdicts beyond
+the work limit of a scene are unknown too. Objects with the same triangles in the same place are judged once.
 """
 
 import hashlib
@@ -27,24 +27,24 @@ from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles, 
 from stable_data.scene import TABLE, FloatArray, Scene
 
 BOUNDS_SLACK = 1e-3
-"""How far a footprint may reach over an edge, metres: the format's own rounding."""
+"""How far a footprint may reach over an edge, metres: the rounding of the format."""
 
 MAX_WORK = 300_000_000
-"""What a scene's exact tests may cost, in triangles that they look at: some 25 s; the fullest tables take 40 million."""
+"""Work limit of a scene's exact tests, in triangles that they examine: about 25 s. The fullest tables need 40 million."""
 
-_GAP_WORK = 4  # triangles that are tested in the time of one whose distance is asked
-_MAX_KEPT = 2_000_000  # triangles of pairs that are kept for the next question
-_GAP_RANGE = 0.1  # supports farther than this are not looked for by the paper's gap, metres
+_GAP_WORK = 4  # work of one distance to a triangle, in triangles tested for a crossing
+_MAX_CACHED = 2_000_000  # triangles of the cached pairs
+_GAP_RANGE = 0.1  # the paper's gap is searched up to this distance, metres
 
 
 @dataclass(frozen=True, slots=True)
 class PairVerdict:
-    """How deep two objects are in each other.
+    """The penetration of two objects.
 
     Attributes:
         first: Instance.
         second: Instance.
-        penetration: Metres; None where the boxes meet and a mesh is missing or the audit was cut short.
+        penetration: Metres; None if the boxes meet and a mesh is missing or the audit was cut short.
     """
 
     first: str
@@ -54,18 +54,18 @@ class PairVerdict:
 
 @dataclass(frozen=True, slots=True)
 class ObjectVerdict:
-    """How one object stands.
+    """The verdict on one object.
 
     Attributes:
         instance: Its name.
-        floats: Lowered by the tolerance it meets nothing that carries, or only what it carries itself; None where a missing
-            mesh, or an audit that was cut short, leaves it open.
-        supports: What it meets then: instances, or ``table``.
-        gap: The paper's smallest distance of the bottom region to a support, metres; None where unknown.
+        floats: Lowered by the tolerance, it meets no support, or only objects that it supports itself. None if a missing mesh,
+            or an audit that was cut short, leaves this open.
+        supports: The supports that it meets when lowered: instances, or ``table``.
+        gap: The paper's smallest distance of the bottom region to a support, metres; None if unknown.
         table_penetration: How far it reaches below the table top, metres.
-        leaves_table: Its footprint reaches over the edge; None where only the box of a missing mesh does.
-        enters_restricted_zone: Its footprint reaches into the restricted zone; None likewise.
-        has_mesh: Whether its mesh was there.
+        leaves_table: Its footprint reaches over the edge; None if only the box of a missing mesh does.
+        enters_restricted_zone: Its footprint reaches into the restricted zone; None as for ``leaves_table``.
+        has_mesh: Whether its mesh is available.
     """
 
     instance: str
@@ -92,10 +92,10 @@ class Audit:
     Attributes:
         scene_id: The scene.
         pairs: Pairs that touch or are unknown; every other pair is apart.
-        objects: One verdict an object, in the scene's order.
+        objects: One verdict for each object, in the scene's order.
         num_tilted: Objects tilted by more than 5 degrees.
-        tolerance: What floating and the card's headline were judged at, metres.
-        is_cut_short: Whether the scene's budget of work was used up, so that verdicts are unknown.
+        tolerance: The tolerance of floating and of the card's headline figures, metres.
+        is_cut_short: Whether the work limit was reached, so that verdicts are unknown.
     """
 
     scene_id: str
@@ -107,7 +107,7 @@ class Audit:
 
     @property
     def notices(self) -> tuple[Notice, ...]:
-        """What about the audit itself deserves a look."""
+        """The warning that the audit was cut short, if it was."""
         if not self.is_cut_short:
             return ()
         unknown = sum(p.penetration is None for p in self.pairs)
@@ -118,19 +118,14 @@ class Audit:
         return (Notice(self.scene_id, "audit", "audit_cut_short", message),)
 
     def share_deeper(self, depth: float) -> float | None:
-        """Pairs that collide deeper than a depth in metres, as a share of all; None where a pair is unknown."""
+        """The share of all pairs that collide deeper than a depth in metres; None if a pair is unknown."""
         if any(p.penetration is None for p in self.pairs):
             return None
         count = len(self.objects)
         return sum(p.penetration is not None and p.penetration > depth for p in self.pairs) / max(1, count * (count - 1) // 2)
 
-    def card(self, num_stacked: int | None = None, num_contained: int | None = None) -> MetricCard:
-        """The figures of the scene.
-
-        Args:
-            num_stacked: Objects on another one, where the scene graph is known.
-            num_contained: Objects in another one, likewise.
-        """
+    def card(self) -> MetricCard:
+        """The metric card of the scene. Counts that need the scene graph are None, see :func:`stable_data.metrics.card.add_counts`."""
         depths = [p.penetration for p in self.pairs if p.penetration is not None]
         unknown = len(self.pairs) - len(depths)
         collisions = sum(d > self.tolerance for d in depths)
@@ -141,12 +136,12 @@ class Audit:
         num_without_mesh = sum(not o.has_mesh for o in self.objects)
         count = max(1, len(self.objects))
         fails = collisions > 0 or any(floats) or sunk > self.tolerance + ROUNDING or any(outside)
-        # Without an exact mesh nothing is clean: that is what the verdicts are against.
-        is_open = num_without_mesh > 0 or unknown > 0 or None in floats
+        # Only an exact mesh can be found clean.
+        is_uncertain = num_without_mesh > 0 or unknown > 0 or None in floats
         return MetricCard(
             num_objects=len(self.objects),
-            num_stacked=num_stacked,
-            num_contained=num_contained,
+            num_stacked=None,
+            num_contained=None,
             num_tilted=self.num_tilted,
             num_without_mesh=num_without_mesh,
             num_unknown_pairs=unknown,
@@ -160,11 +155,11 @@ class Audit:
             float_rate=None if None in floats else sum(map(bool, floats)) / count,
             max_gap_mm=None if None in gaps else 1e3 * max((g for g in gaps if g is not None), default=0.0),
             out_of_bounds_rate=None if None in outside else sum(map(bool, outside)) / count,
-            clean=False if fails else None if is_open else True,
+            clean=False if fails else None if is_uncertain else True,
         )
 
     def rows(self) -> dict[str, list[dict[str, Any]]]:
-        """Columns ``pairs`` and ``verdicts`` of the table ``scenes``."""
+        """The columns ``pairs`` and ``verdicts`` of the table ``scenes``."""
         pairs = [(p.first, p.second, None if p.penetration is None else 1e3 * p.penetration) for p in self.pairs]
         return {
             "pairs": [dict(zip(("first", "second", "penetration_mm"), pair, strict=True)) for pair in pairs],
@@ -185,7 +180,7 @@ class Audit:
 
 
 class PosedScene:
-    """A scene's meshes where they stand, with their boxes.
+    """The meshes of a scene at their poses, with their boxes. Answers of the exact tests are cached.
 
     Args:
         scene: The scene.
@@ -202,55 +197,52 @@ class PosedScene:
         self.budget = WorkBudget(MAX_WORK)
         self._surfaces: dict[int, PosedTriangles] = {}
         self._pairs: dict[tuple[int, int], MeshPair] = {}
-        self._num_kept = 0
+        self._num_cached = 0
         self._depths: dict[tuple[int, int], float | None] = {}
         self._carries: dict[tuple[int, int, float], bool] = {}
         self._gaps: dict[int, float | None] = {}
         self._bottoms: dict[int, FloatArray] = {}
 
     @cached_property
-    def first_alike(self) -> list[int]:
-        """For each object the first one of the same triangles in the same place: itself, unless objects coincide."""
+    def first_equal(self) -> list[int]:
+        """For each object, the first object with the same triangles in the same place: itself, unless objects coincide."""
         boxes = [low.tobytes() + high.tobytes() for low, high in zip(self.low, self.high, strict=True)]
         count, first = Counter(boxes), dict[bytes, int]()
-        return [k if count[box] == 1 else first.setdefault(self._content(k), k) for k, box in enumerate(boxes)]
+        # Only objects with equal boxes can coincide, so that the vertices of the others are not hashed.
+        return [k if count[box] == 1 else first.setdefault(self._digest(k), k) for k, box in enumerate(boxes)]
 
-    def _content(self, index: int) -> bytes:
+    def _digest(self, index: int) -> bytes:
         return hashlib.sha256(self.vertices[index].tobytes() + self.shapes[index].faces.tobytes()).digest()
 
     def surface(self, index: int) -> PosedTriangles:
         """Triangles of one object with their boxes, metres, world frame."""
-        index = self.first_alike[index]
+        index = self.first_equal[index]
         if index not in self._surfaces:
             self._surfaces[index] = PosedTriangles(self.vertices[index][self.shapes[index].faces])
         return self._surfaces[index]
 
-    def triangles(self, index: int) -> FloatArray:
-        """Triangles of one object, (F, 3, 3) float64, metres, world frame."""
-        return self.surface(index).triangles
-
     def pair(self, first: int, second: int, margin: float) -> MeshPair:
-        """Two objects of the scene, first <= second, that may be moved by a margin; kept for a while where that is NEAR.
+        """Two objects of the scene, first <= second, that may be moved by a margin. Recent pairs with the margin NEAR are cached.
 
         Raises:
-            WorkLimitError: The scene's budget is used up.
+            WorkLimitError: The work limit of the scene is reached.
         """
         one, other = self.surface(first), self.surface(second)
         if margin > NEAR:
             return MeshPair(one, other, margin, self.budget)
         if (first, second) not in self._pairs:
             self._pairs[first, second] = pair = MeshPair(one, other, NEAR, self.budget)
-            self._num_kept += pair.num_triangles
-            while self._num_kept > _MAX_KEPT and len(self._pairs) > 1:
-                self._num_kept -= self._pairs.pop(next(iter(self._pairs))).num_triangles
+            self._num_cached += pair.num_triangles
+            while self._num_cached > _MAX_CACHED and len(self._pairs) > 1:  # dicts are ordered: the oldest pair goes first
+                self._num_cached -= self._pairs.pop(next(iter(self._pairs))).num_triangles
         return self._pairs[first, second]
 
     def penetration(self, first: int, second: int) -> float | None:
-        """How deep two objects are in each other, metres; None where that is unknown."""
+        """The penetration of two objects, metres; None if it is unknown."""
         if not (self.shapes[first].is_exact and self.shapes[second].is_exact):
             return None
-        one, other = self.first_alike[first], self.first_alike[second]
-        i, j = min(one, other), max(one, other)
+        one, other = self.first_equal[first], self.first_equal[second]
+        i, j = min(one, other), max(one, other)  # pairs of coinciding objects share one answer
         if (i, j) not in self._depths:
             try:
                 self._depths[i, j] = penetration(self.surface(i), self.surface(j), self.pair(i, j, NEAR))
@@ -262,23 +254,24 @@ class PosedScene:
     def meeting_boxes(self) -> list[tuple[int, int]]:
         """Pairs of objects whose axis-aligned boxes meet."""
         apart = (self.low[:, None] > self.high[None]).any(axis=2)
-        apart |= apart.T
+        apart |= apart.T  # an entry compares its pair in one order only
         first, second = np.nonzero(np.triu(~apart, 1))
         return list(zip(first.tolist(), second.tolist(), strict=True))
 
     def below(self, index: int, gap: float) -> Iterator[int]:
-        """Objects whose boxes the object's box meets when lowered by up to a gap, metres."""
+        """Objects whose boxes the object's box meets when it is lowered by up to a gap, metres."""
         lowered = self.low[index] - (0, 0, gap)
         meets = (lowered <= self.high).all(axis=1) & (self.high[index] >= self.low).all(axis=1)
         return (int(j) for j in np.nonzero(meets)[0] if j != index)
 
     def stands_on_table(self, index: int, gap: float) -> bool:
-        """Does the object reach the table top when lowered by a gap, metres?"""
+        """Whether the object reaches the table top when it is lowered by a gap, metres."""
+        # A box that only touches the edge from outside is not over the table.
         over = (self.low[index, :2] < self.scene.table.size_xy).all() and (self.high[index, :2] > 0).all()
         return bool(over and self.low[index, 2] <= gap + ROUNDING)
 
     def nears_zone(self, index: int) -> bool:
-        """Does the object's axis-aligned box meet the restricted zone?"""
+        """Whether the object's axis-aligned box meets the restricted zone."""
         zone = self.scene.table.restricted_zone
         if zone is None:
             return False
@@ -286,32 +279,32 @@ class PosedScene:
         return bool(low[0] < zone[1] and high[0] > zone[0] and low[1] < zone[3] and high[1] > zone[2])
 
     def supports(self, index: int, gap: float) -> tuple[str, ...] | None:
-        """What carries an object when it is lowered by a gap.
+        """Returns the supports that an object meets when it is lowered by a gap.
 
         Args:
             index: The object.
             gap: Metres.
 
         Returns:
-            Instances and ``table``; None where nothing known carries it and something unknown might.
+            Instances and ``table``; None if no known support is found and an unknown one is possible.
         """
-        found, is_open = self._supports(index, gap)
-        return None if is_open and not found else found
+        found, is_uncertain = self._supports(index, gap)
+        return None if is_uncertain and not found else found
 
     def _supports(self, index: int, gap: float) -> tuple[tuple[str, ...], bool]:
-        """What is known to carry an object, and whether what is unknown might besides."""
-        found, is_open = [TABLE] if self.stands_on_table(index, gap) else [], False
+        """The known supports of an object, and whether unknown ones are possible."""
+        found, is_uncertain = [TABLE] if self.stands_on_table(index, gap) else [], False
         reach = gap + ROUNDING
         for other in self.below(index, reach):
             if not (self.shapes[index].is_exact and self.shapes[other].is_exact):
-                is_open = True
+                is_uncertain = True
                 continue
             try:
-                if self._is_carried(self.first_alike[index], self.first_alike[other], reach):
+                if self._is_carried(self.first_equal[index], self.first_equal[other], reach):
                     found.append(self.instances[other])
             except WorkLimitError:
-                is_open = True
-        return tuple(found), is_open
+                is_uncertain = True
+        return tuple(found), is_uncertain
 
     def _is_carried(self, upper: int, lower: int, reach: float) -> bool:
         key = upper, lower, reach
@@ -321,8 +314,8 @@ class PosedScene:
         return self._carries[key]
 
     def gap(self, index: int) -> float | None:
-        """The paper's distance of the bottom region to the nearest support (L_sup, delta), metres; None where unknown."""
-        same = self.first_alike[index]  # it has the same neighbours, but for the name
+        """The paper's distance of the bottom region to the nearest support (L_sup, delta), metres; None if unknown."""
+        same = self.first_equal[index]  # its neighbours are the same, except for the names
         if same not in self._gaps:
             try:
                 self._gaps[same] = self._gap(index)
@@ -334,12 +327,12 @@ class PosedScene:
         best, lowest = _GAP_RANGE, float(self.low[index, 2])
         if self.stands_on_table(index, _GAP_RANGE):
             if abs(lowest) <= TOLERANCE + ROUNDING:
-                return max(0.0, lowest)  # the region is higher than that, so it meets the table top where it reaches below
+                return max(0.0, lowest)  # the region is higher than the tolerance: it crosses the table top if lowest < 0
             best = min(best, lowest) if lowest > 0 else float(min(best, np.abs(self._bottom(index)[:, 2]).min()))
-        others = list(self.below(index, best))
+        others = list(self.below(index, best))  # a support found so far bounds the search
         if others and not all(self.shapes[k].is_exact for k in (index, *others)):
             return None
-        for other in dict.fromkeys(self.first_alike[k] for k in others):
+        for other in dict.fromkeys(self.first_equal[k] for k in others):
             bottom, surface = self._bottom(index), self.surface(other)
             self.budget.spend(_GAP_WORK * (len(bottom) + len(surface.triangles)))
             best = distance_to_surface(bottom, surface, best)
@@ -358,10 +351,7 @@ def audit_scene(scene: Scene, shapes: Sequence[Shape], tolerance: float = TOLERA
     Args:
         scene: The scene.
         shapes: The geometry of each object, in the scene's order (``AssetStore.shapes``).
-        tolerance: Depth, gap and sinking that are let pass, metres.
-
-    Returns:
-        Every verdict.
+        tolerance: Accepted penetration, gap and depth in the table, metres.
     """
     return audit_posed_scene(PosedScene(scene, shapes), tolerance)
 
@@ -374,42 +364,43 @@ def audit_posed_scene(posed: PosedScene, tolerance: float = TOLERANCE) -> Audit:
         if depth != 0.0:
             pairs.append(PairVerdict(posed.instances[i], posed.instances[j], depth))
     judged = [_judge_object(posed, index, tolerance) for index in range(len(posed.instances))]
-    objects = _without_circles(tuple(o for o, _ in judged), {o.instance for o, is_open in judged if is_open})
+    objects = _mark_support_cycles(tuple(o for o, _ in judged), {o.instance for o, is_uncertain in judged if is_uncertain})
     num_tilted = sum(o.tilt_angle > math.radians(5) for o in posed.scene.objects)
     return Audit(posed.scene.scene_id, tuple(pairs), objects, num_tilted, tolerance, posed.budget.is_spent)
 
 
 def _judge_object(posed: PosedScene, index: int, tolerance: float) -> tuple[ObjectVerdict, bool]:
-    """The verdict on an object, and whether something unknown might carry it besides what does."""
-    supports, is_open = posed._supports(index, tolerance)
+    """The verdict on an object, and whether it may have unknown supports besides."""
+    supports, is_uncertain = posed._supports(index, tolerance)
     table, slack, is_exact = posed.scene.table, BOUNDS_SLACK + ROUNDING, posed.shapes[index].is_exact
     leaves = leaves_table(posed.low[index], posed.high[index], table, slack)
-    enters = posed.nears_zone(index) and enters_zone(posed.triangles(index), table.restricted_zone, slack)
+    # Most objects are far from the zone; their boxes show it without a look at the triangles.
+    enters = posed.nears_zone(index) and enters_zone(posed.surface(index).triangles, table.restricted_zone, slack)
     verdict = ObjectVerdict(
         instance=posed.instances[index],
-        floats=None if is_open and not supports else not supports,
+        floats=None if is_uncertain and not supports else not supports,
         supports=supports,
         gap=posed.gap(index),
         table_penetration=max(0.0, -float(posed.low[index, 2])),
-        leaves_table=leaves and (is_exact or None),
+        leaves_table=leaves and (is_exact or None),  # a box over the edge proves nothing about the missing mesh
         enters_restricted_zone=enters and (is_exact or None),
         has_mesh=is_exact,
     )
-    return verdict, is_open
+    return verdict, is_uncertain
 
 
-def _without_circles(objects: tuple[ObjectVerdict, ...], is_open: Set[str] = frozenset()) -> tuple[ObjectVerdict, ...]:
-    """Lets objects float that only carry each other: as one body, lowered, they meet nothing.
+def _mark_support_cycles(objects: tuple[ObjectVerdict, ...], is_uncertain: Set[str] = frozenset()) -> tuple[ObjectVerdict, ...]:
+    """Marks objects as floating that support only each other: lowered together, they meet nothing.
 
     Args:
-        objects: The verdicts on them alone.
-        is_open: Instances that something unknown might carry besides: whether a circle with one of them floats is unknown.
+        objects: The verdicts on single objects.
+        is_uncertain: Instances with possible unknown supports: whether a cycle with one of them floats is unknown.
     """
     carriers: nx.DiGraph[str] = nx.DiGraph((o.instance, below) for o in objects for below in o.supports)
-    hovering = {
-        name: None if circle & is_open else True
-        for circle in nx.strongly_connected_components(carriers)
-        if len(circle) > 1 and all(below in circle for one in circle for below in carriers.successors(one))
-        for name in circle
+    floating = {
+        name: None if cycle & is_uncertain else True
+        for cycle in nx.strongly_connected_components(carriers)
+        if len(cycle) > 1 and all(below in cycle for one in cycle for below in carriers.successors(one))
+        for name in cycle
     }
-    return tuple(replace(o, floats=hovering.get(o.instance, o.floats)) for o in objects)
+    return tuple(replace(o, floats=floating.get(o.instance, o.floats)) for o in objects)

@@ -1,4 +1,4 @@
-"""Does an object stay on its table and out of the restricted zone?"""
+"""Tests whether an object stays on its table and out of the restricted zone."""
 
 import numpy as np
 import shapely
@@ -8,7 +8,7 @@ from stable_data.scene import FloatArray, Rectangle, Tabletop
 
 
 def leaves_table(low: FloatArray, high: FloatArray, table: Tabletop, slack: float) -> bool:
-    """Does the footprint reach over the edge by more than a slack?
+    """Returns whether the footprint reaches over the edge by more than a slack.
 
     Args:
         low: Lowest corner of the mesh's box, (3,) float64, metres, world frame.
@@ -20,7 +20,7 @@ def leaves_table(low: FloatArray, high: FloatArray, table: Tabletop, slack: floa
 
 
 def enters_zone(triangles: FloatArray, zone: Rectangle | None, slack: float) -> bool:
-    """Does the mesh, seen from above, reach into a rectangle by more than a slack?
+    """Returns whether the mesh, seen from above, reaches into a rectangle by more than a slack.
 
     Args:
         triangles: (F, 3, 3) float64, metres, world frame.
@@ -29,6 +29,7 @@ def enters_zone(triangles: FloatArray, zone: Rectangle | None, slack: float) -> 
     """
     if zone is None or zone[0] + 2 * slack >= zone[1] or zone[2] + 2 * slack >= zone[3]:
         return False
+    # Below, the zone is smaller by the slack on every side.
     low, high = np.array([zone[0], zone[2]]) + slack, np.array([zone[1], zone[3]]) - slack
     flat = triangles[:, :, :2]
     lowest, highest = boxes(flat)
@@ -37,6 +38,7 @@ def enters_zone(triangles: FloatArray, zone: Rectangle | None, slack: float) -> 
         return False
     if ((near > low) & (near < high)).all(axis=2).any():
         return True
+    # No corner is inside: an edge crosses the rectangle, or a triangle covers all of it.
     return bool(shapely.intersects(shapely.box(*low, *high), shapely.linearrings(near)).any()) or bool(
         shapely.contains_xy(shapely.polygons(near), *((low + high) / 2)).any()
     )

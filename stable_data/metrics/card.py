@@ -1,4 +1,4 @@
-"""The metric card: the metrics of one scene, columns of the ``scenes`` table."""
+"""The metric card: the metrics of one scene, columns of the table ``scenes``."""
 
 from dataclasses import dataclass, field, replace
 
@@ -6,7 +6,7 @@ from stable_data.scene import RelationKind, Scene, Stage
 
 
 def _about(meaning: str, unit: str = "") -> dict[str, str]:
-    """Metadata of a field: they become those of its column (``stable_data.storage.schemas``)."""
+    """Metadata of a field, which become the metadata of its column (``stable_data.storage.schemas``)."""
     return {"meaning": meaning, "unit": unit}
 
 
@@ -59,16 +59,13 @@ class MetricCard:
         ),
     )
     move_mean_mm: float | None = field(
-        default=None,
-        metadata=_about("mean displacement of the objects by the correction; null where not corrected", "mm"),
+        default=None, metadata=_about("mean displacement of the objects by the correction; null where not corrected", "mm")
     )
     move_max_mm: float | None = field(
-        default=None,
-        metadata=_about("largest displacement of an object by the correction; null where not corrected", "mm"),
+        default=None, metadata=_about("largest displacement of an object by the correction; null where not corrected", "mm")
     )
     turn_max_deg: float | None = field(
-        default=None,
-        metadata=_about("largest change of yaw of an object by the correction; null where not corrected", "deg"),
+        default=None, metadata=_about("largest change of yaw of an object by the correction; null where not corrected", "deg")
     )
     awt: float | None = field(
         default=None,
@@ -84,21 +81,18 @@ class MetricCard:
         default=None, metadata=_about("share of objects that are not task objects; null without a task")
     )
     engine_penetration_mm: float | None = field(
-        default=None,
-        metadata=_about("deepest contact at the start of the physics simulation; null where not simulated", "mm"),
+        default=None, metadata=_about("deepest contact at the start of the physics simulation; null where not simulated", "mm")
     )
     settle_move_max_mm: float | None = field(
         default=None,
         metadata=_about(
-            "largest distance of an object from its start position during the simulation; null where not simulated",
-            "mm",
+            "largest distance of an object from its start position during the simulation; null where not simulated", "mm"
         ),
     )
     settle_turn_max_deg: float | None = field(
         default=None,
         metadata=_about(
-            "largest rotation of an object from its start orientation during the simulation; null where not simulated",
-            "deg",
+            "largest rotation of an object from its start orientation during the simulation; null where not simulated", "deg"
         ),
     )
     drift_mm: float | None = field(
@@ -121,16 +115,14 @@ class MetricCard:
 
 
 def add_counts(card: MetricCard, scene: Scene) -> MetricCard:
-    """The card with the counts that need relations and stages: stacked and contained objects, and the share of distractors.
+    """Adds the figures that need relations and stages: stacked and contained objects, and the share of distractors.
 
-    Args:
-        card: The card of the scene.
-        scene: The scene with its ``on`` and ``in`` relations and its stages.
+    The scene needs its ``on`` and ``in`` relations and its stages.
     """
     names, stages = {o.instance for o in scene.objects}, [o.stage for o in scene.objects]
     contained, stacked = (
         {r.subject for r in scene.relations if r.kind is kind and r.target in names}
         for kind in (RelationKind.IN, RelationKind.ON)
     )
-    away = None if not stages or None in stages else sum(stage is not Stage.TASK for stage in stages) / len(stages)
-    return replace(card, num_stacked=len(stacked - contained), num_contained=len(contained), distractor_rate=away)
+    rate = None if not stages or None in stages else sum(stage is not Stage.TASK for stage in stages) / len(stages)
+    return replace(card, num_stacked=len(stacked - contained), num_contained=len(contained), distractor_rate=rate)

@@ -1,18 +1,19 @@
-"""Which objects of a generated scene are the ones that a task requires.
+"""Matches the objects that a task requires to the objects of a generated scene.
 
 The rule, in order:
 
-1. A required object and a generated one may be matched when their categories say the same: the same words, one and many being
-   alike (``NestingCup``, ``nesting_cups``), or one is a name of the other. A generated ``wine_glass`` is a ``glass``, and a
-   generated ``cup`` will do for a ``mug``, which is also called one; a ``notebook`` is no ``book``, since only whole words
-   count, and a ``toothbrush_cup`` is no ``cup``, since the vocabulary knows both and finds nothing in common.
-   What is asked for as no kind of thing (``everything in the tray``) may be anything.
-2. Each is matched at most once, and as many as possible are matched.
-3. Of the matchings with the most objects those with the most equal categories are taken: a mug before a cup, if a mug is asked.
-4. Of these, one under which the most relations hold. Six identical blocks are thus given the roles that suit them best.
+1. A required and a generated object may be matched if their categories agree: they have the same words, with singular and
+   plural being equal (``NestingCup``, ``nesting_cups``), or one is a name of the other. A generated ``wine_glass`` is a
+   ``glass``. A generated ``cup`` matches a required ``mug``, which is also called a cup. A ``notebook`` is no ``book``, since
+   only whole words count. A ``toothbrush_cup`` is no ``cup``, since the vocabulary knows both and finds no common class. A
+   required object without categories (``everything in the tray``) may be matched to any object.
+2. Each object is matched at most once, and as many as possible are matched.
+3. Of the matchings with the most objects, those with the most equal categories are taken: a mug before a cup, if a mug is
+   required.
+4. Of these, one with the most relations that hold is taken. Six identical blocks thus get the roles that suit them best.
 
-Steps 2 and 3 are an assignment problem, step 4 is a small integer programme; both are solved exactly. A search that would
-need more than ``MAX_NODES`` branchings is given up and says so: its relations are unknown, its matches are still the most.
+Steps 2 and 3 are an assignment problem, step 4 is a small integer program; both are solved exactly. A search that needs more
+than ``MAX_NODES`` nodes is stopped: its relations are unknown, but its matching still has the most objects.
 """
 
 from collections.abc import Mapping, Sequence, Set
@@ -30,11 +31,11 @@ from stable_data.instructions.wording.words import singular, type_words
 from stable_data.scene import FloatArray, SceneObject
 
 MAX_NODES = 1000
-"""Branchings after which the search for the most relations is given up: some seconds. Twelve identical objects strewn at random,
-asked for another random layout's directions, need some hundreds; twenty may need more."""
+"""Branch-and-bound nodes after which the search for the most relations is stopped: some seconds. Twelve identical objects at
+random places, with the directions of another random layout required, need some hundreds; twenty may need more."""
 
 Option: TypeAlias = Mapping[str, Set[str]]
-"""One way for a relation to hold: required instance -> the generated ones that it may be matched to for that."""
+"""One way for a relation to hold: required instance -> the generated instances that it may be matched to for this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,15 +43,15 @@ class RequiredObject:
     """An object that a scene must have.
 
     Attributes:
-        instance: What it is called where it is asked for.
-        categories: Any of these will do, equally well; none: anything will.
+        instance: Its name in the requirements.
+        categories: Accepted categories, all equally good; none: any category is accepted.
     """
 
     instance: str
     categories: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        """Refuses an object of kinds without words, which nothing could be matched to."""
+        """Refuses categories without words, because no object could be matched to them."""
         if self.categories and not any(type_words(category) for category in self.categories):
             raise SceneError(
                 f"required object {self.instance} has categories {self.categories}, expected categories with words",
@@ -58,7 +59,6 @@ class RequiredObject:
             )
 
     def __str__(self) -> str:
-        """The categories as words."""
         return " or ".join(" ".join(type_words(category)) for category in self.categories) or "anything"
 
 
@@ -67,15 +67,15 @@ class DesiredRelation:
     """A relation that should hold.
 
     Attributes:
-        weight: How much it counts, a whole number.
-        options: The ways for it to hold; empty where no matching can do that.
+        weight: Its weight in the sum to maximise, a whole number.
+        options: The ways for it to hold; empty if no matching makes it hold.
     """
 
     weight: int
     options: tuple[Option, ...]
 
     def holds(self, matches: Mapping[str, str]) -> bool:
-        """Does it hold under a matching, required instance -> generated instance?"""
+        """Whether it holds under a matching, required instance -> generated instance."""
         return any(all(matches.get(name) in allowed for name, allowed in option.items()) for option in self.options)
 
 
@@ -85,27 +85,25 @@ class ObjectMatching:
 
     Attributes:
         matches: Required instance -> generated instance.
-        is_best: No other such matching lets more relations hold. False where the search was given up.
+        is_best: No other such matching makes more relations hold. False if the search was stopped.
     """
 
     matches: Mapping[str, str]
     is_best: bool
 
 
-def closeness(found: str, wanted: str) -> int:
-    """How well a generated category answers to a required one: 2 the same words, 1 one is a name of the other, 0 not at all."""
-    return _closeness(singular(type_words(found)), singular(type_words(wanted)), found, wanted)
-
-
 @lru_cache(maxsize=65536)
-def _closeness(found: tuple[str, ...], wanted: tuple[str, ...], found_name: str, wanted_name: str) -> int:
-    if not found or not wanted:
+def closeness(found: str, wanted: str) -> int:
+    """How well a generated category fits a required one: 2 the same words, 1 one is a name of the other, 0 not at all."""
+    found_words, wanted_words = singular(type_words(found)), singular(type_words(wanted))
+    if not found_words or not wanted_words:
         return 0
-    if found == wanted:
+    if found_words == wanted_words:
         return 2
-    answers = any(noun[-len(wanted) :] == wanted for noun in _names_of(found_name)) or found in _names_of(wanted_name)
-    one, other = classes_of(found_name), classes_of(wanted_name)
-    return int(answers and (bool(one & other) or not (one and other)))
+    is_name = any(noun[-len(wanted_words) :] == wanted_words for noun in _names_of(found)) or found_words in _names_of(wanted)
+    found_classes, wanted_classes = classes_of(found), classes_of(wanted)
+    # A category that the vocabulary does not know has no classes, which must not exclude it.
+    return int(is_name and (bool(found_classes & wanted_classes) or not (found_classes and wanted_classes)))
 
 
 def _names_of(category: str) -> list[tuple[str, ...]]:
@@ -113,11 +111,7 @@ def _names_of(category: str) -> list[tuple[str, ...]]:
 
 
 def candidates(required: Sequence[RequiredObject], objects: Sequence[SceneObject]) -> dict[str, dict[str, int]]:
-    """The generated objects that each required one may be matched to.
-
-    Args:
-        required: What is asked for.
-        objects: What is there.
+    """Returns the generated objects that each required object may be matched to.
 
     Returns:
         Required instance -> generated instance -> closeness, 1 or 2.
@@ -129,62 +123,60 @@ def candidates(required: Sequence[RequiredObject], objects: Sequence[SceneObject
     return found
 
 
-def match(may_be: Mapping[str, Mapping[str, int]], wishes: Sequence[DesiredRelation] = ()) -> ObjectMatching:
-    """The best matching by the module's rule.
+def match(allowed: Mapping[str, Mapping[str, int]], desired: Sequence[DesiredRelation] = ()) -> ObjectMatching:
+    """Finds the best matching by the module's rule.
 
     Args:
-        may_be: From :func:`candidates`.
-        wishes: Relations that should hold; the greatest sum of weights is sought.
-
-    Returns:
-        The matching.
+        allowed: From :func:`candidates`.
+        desired: Relations that should hold; the sum of their weights is maximised.
     """
-    pairs = [(r, o) for r, row in may_be.items() for o in row]
-    worth = np.array([len(may_be) + 1 + (may_be[r][o] == 2) for r, o in pairs], np.float64)
-    matches, most = _most(pairs, worth)
-    open_wishes = [wish for wish in wishes if wish.options]
-    if not open_wishes or sum(wish.weight for wish in open_wishes if wish.holds(matches)) == sum(w.weight for w in open_wishes):
+    pairs = [(r, o) for r, row in allowed.items() for o in row]
+    # One more matched object outweighs every bonus of 1 for an equal category.
+    values = np.array([len(allowed) + 1 + (allowed[r][o] == 2) for r, o in pairs], np.float64)
+    matches, most = _largest_matching(pairs, values)
+    possible = [relation for relation in desired if relation.options]
+    if all(relation.holds(matches) for relation in possible):
         return ObjectMatching(matches, is_best=True)
-    best = _most_wishes(pairs, worth, most, open_wishes)
+    best = _best_matching(pairs, values, most, possible)
     return ObjectMatching(matches if best is None else best, is_best=best is not None)
 
 
-def _most(pairs: Sequence[tuple[str, str]], worth: FloatArray) -> tuple[dict[str, str], float]:
-    """The matching of the greatest worth, and that worth."""
+def _largest_matching(pairs: Sequence[tuple[str, str]], values: FloatArray) -> tuple[dict[str, str], float]:
+    """The matching of the greatest value, and that value."""
     rows, columns = ({name: k for k, name in enumerate(dict.fromkeys(pair[side] for pair in pairs))} for side in (0, 1))
-    table = np.zeros((len(rows), len(columns)))
-    for (r, o), value in zip(pairs, worth, strict=True):
+    table = np.zeros((len(rows), len(columns)))  # 0: the two objects may not be matched
+    for (r, o), value in zip(pairs, values, strict=True):
         table[rows[r], columns[o]] = value
     required, objects = list(rows), list(columns)
     chosen = [(i, k) for i, k in zip(*linear_sum_assignment(table, maximize=True), strict=True) if table[i, k] > 0]
     return {required[i]: objects[k] for i, k in chosen}, float(sum(table[i, k] for i, k in chosen))
 
 
-def _most_wishes(
-    pairs: Sequence[tuple[str, str]], worth: FloatArray, most: float, wishes: Sequence[DesiredRelation]
+def _best_matching(
+    pairs: Sequence[tuple[str, str]], values: FloatArray, most: float, desired: Sequence[DesiredRelation]
 ) -> dict[str, str] | None:
-    """The matching of greatest worth that fulfils the most wishes; None where the search was given up.
+    """The matching of the greatest value that fulfils the most relations; None if the search was stopped.
 
-    A variable of 0 or 1 stands for each pair, and one for each option of each wish. An option is chosen only where every
-    instance that it speaks of is matched to an object that it allows.
+    There is one variable, 0 or 1, for each pair, and one for each option of each relation. An option can be chosen only if
+    every instance that it mentions is matched to an object that it allows.
     """
     number = {pair: k for k, pair in enumerate(pairs)}
-    programme = _Programme([0.0] * len(pairs))
-    for side in (0, 1):
+    program = _IntegerProgram([0.0] * len(pairs))
+    for side in (0, 1):  # each required and each generated object is in at most one pair
         for name in dict.fromkeys(pair[side] for pair in pairs):
-            programme.limit([k for pair, k in number.items() if pair[side] == name], [], 1.0)
-    for wish in wishes:
-        chosen = [programme.variable(float(wish.weight)) for _ in wish.options]
-        programme.limit(chosen, [], 1.0)
-        for variable, option in zip(chosen, wish.options, strict=True):
+            program.limit([k for pair, k in number.items() if pair[side] == name], [], 1.0)
+    for relation in desired:
+        chosen = [program.variable(float(relation.weight)) for _ in relation.options]
+        program.limit(chosen, [], 1.0)  # a relation counts once, however many of its options hold
+        for variable, option in zip(chosen, relation.options, strict=True):
             for name, allowed in option.items():
-                programme.limit([variable], [number[name, o] for o in sorted(allowed) if (name, o) in number], 0.0)
-    values = programme.solve(worth, most)
-    return None if values is None else {r: o for (r, o), value in zip(pairs, values, strict=False) if value > 0.5}
+                program.limit([variable], [number[name, o] for o in sorted(allowed) if (name, o) in number], 0.0)
+    solution = program.solve(values, most)
+    return None if solution is None else {r: o for (r, o), value in zip(pairs, solution, strict=False) if value > 0.5}
 
 
-class _Programme:
-    """An integer programme in the making: maximise gains under limits on sums."""
+class _IntegerProgram:
+    """An integer program: maximise the sum of gains under limits on sums of variables."""
 
     def __init__(self, gains: list[float]) -> None:
         self.gains = gains
@@ -197,20 +189,21 @@ class _Programme:
         return len(self.gains) - 1
 
     def limit(self, plus: Sequence[int], minus: Sequence[int], upper: float) -> None:
-        """The sum of ``plus`` exceeds that of ``minus`` by at most ``upper``."""
+        """Requires that the sum of ``plus`` exceeds the sum of ``minus`` by at most ``upper``."""
         row = len(self._upper)
         self._entries += [(row, k, 1.0) for k in plus] + [(row, k, -1.0) for k in minus]
         self._upper.append(upper)
 
-    def solve(self, worth: FloatArray, most: float) -> FloatArray | None:
-        """The pairs of the best solution whose worth is the most; None where it was not found within MAX_NODES."""
+    def solve(self, values: FloatArray, most: float) -> FloatArray | None:
+        """The pairs of the best solution whose value is ``most``; None if it was not found within MAX_NODES."""
         row, column, value = zip(*self._entries, strict=True)
         limits = coo_array((value, (row, column)), shape=(len(self._upper), len(self.gains))).tocsr()
-        total = np.concatenate([worth, np.zeros(len(self.gains) - self._num_pairs)])
+        total = np.concatenate([values, np.zeros(len(self.gains) - self._num_pairs)])
         found = milp(
             -np.array(self.gains),
             integrality=(np.arange(len(self.gains)) < self._num_pairs).astype(np.int64),  # options follow from the pairs
             bounds=Bounds(0, 1),
+            # Values are whole numbers, so half of one below the most admits no smaller matching.
             constraints=[LinearConstraint(limits, ub=self._upper), LinearConstraint(total[None], lb=most - 0.5)],
             options={"node_limit": MAX_NODES, "mip_rel_gap": 0.0},
         )

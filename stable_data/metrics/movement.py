@@ -1,4 +1,4 @@
-"""How far the objects of a scene moved between two of its states."""
+"""Movement of the objects of a scene between two of its states."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from stable_data.scene import Scene
 
 
 def movement(before: Scene, after: Scene) -> tuple[float, float, float]:
-    """How far objects moved.
+    """Computes how far objects moved.
 
     Args:
         before: A scene.
@@ -24,19 +24,12 @@ def movement(before: Scene, after: Scene) -> tuple[float, float, float]:
     if not len(steps):
         return 0.0, 0.0, 0.0
     lengths = 1e3 * np.linalg.norm(steps[:, :3], axis=1)
-    turns = np.degrees(np.abs(np.arctan2(np.sin(steps[:, 3]), np.cos(steps[:, 3]))))
+    turns = np.degrees(np.abs(np.arctan2(np.sin(steps[:, 3]), np.cos(steps[:, 3]))))  # wrapped to 180 degrees
     return float(lengths.mean()), float(lengths.max()), float(turns.max())
 
 
 def add_movement(card: MetricCard, before: Scene, after: Scene, kept: RelationsKept) -> MetricCard:
-    """A card with how far objects moved, millimetres and degrees, and what of their relations was kept.
-
-    Args:
-        card: Figures of ``after``.
-        before: A scene.
-        after: The same later.
-        kept: Their relations, compared.
-    """
+    """Adds the movement of the objects from ``before`` to ``after``, and the shares of kept relations, to the card of ``after``."""
     mean, farthest, turn = movement(before, after)
     return replace(
         card,

@@ -1,8 +1,8 @@
-"""How far a rearrangement is from where things belong: distance moved, and the earth mover's distance to the ground truth.
+"""Distances of a rearrangement: the distance moved, and the earth mover's distance to the ground truth.
 
-After the paper's appendix, "Details of Rearrangement". Both match objects first: which of two identical cups stands where is no
-matter. Identical are objects of the same asset at the same scale and tilt; the paper says of the same category, which would let
-a mug stand for a tall glass.
+After the paper's appendix, "Details of Rearrangement". Both match identical objects first, because it does not matter which of
+two identical cups is at which place. Identical objects have the same asset at the same scale and tilt. The paper matches
+objects of the same category instead, which would let a mug replace a tall glass.
 """
 
 from collections.abc import Callable
@@ -16,19 +16,19 @@ from stable_data.rotations import YAW_ARM
 from stable_data.scene import FloatArray, Scene, SceneObject
 
 _SAME_SIZE = 1e-3  # metres
-_SAME_TILT = np.cos(np.radians(1.0) / 2)  # of the quaternions' product
-_FORBIDDEN = 1e9  # metres
+_SAME_TILT = np.cos(np.radians(1.0) / 2)  # dot product of two quaternions that are 1 degree apart
+_FORBIDDEN = 1e9  # cost of a pair that may not be matched, metres
 
 
 @dataclass(frozen=True, slots=True)
 class TransportCost:
-    """What it costs to carry the objects of one scene to their places in another: means over the objects.
+    """The cost to move the objects of one scene to their places in another: means over the objects.
 
     Attributes:
         cost: Earth mover's distance: sqrt(|Δt|² + (0.1 m/rad · Δr)²), metres.
         distance: |Δt| of the same matching, metres.
         turn: |Δr| of the same matching, radians, at most π.
-        matches: Instance to the instance whose place it takes.
+        matches: Instance -> the instance whose place it takes.
     """
 
     cost: float
@@ -38,24 +38,24 @@ class TransportCost:
 
 
 def emd_to_truth(scene: Scene, truth: Scene) -> TransportCost:
-    """Earth mover's distance of a scene to its ground truth, identical objects matched at the least total cost.
+    """Computes the earth mover's distance of a scene to its ground truth; identical objects are matched at the least total cost.
 
     Args:
         scene: The rearranged scene.
-        truth: The ground truth, with the same objects in whichever order.
+        truth: The ground truth, with the same objects in any order.
 
     Raises:
-        SceneError: Objects are missing, too many, or others (code ``objects_differ``), or there are none (``empty_scene``).
+        SceneError: Objects are missing, additional or different (code ``objects_differ``), or there are none (``empty_scene``).
     """
     return _transport(scene, truth, lambda shift, turn: np.hypot(shift, YAW_ARM * turn))
 
 
 def distance_moved(start: Scene, result: Scene) -> float:
-    """Mean distance by which a method moved the objects, identical ones matched at the least total distance, metres.
+    """Computes the mean distance that a method moved the objects, metres; identical ones are matched at the least total distance.
 
     Args:
-        start: The scene that it was given.
-        result: The scene that it made of it.
+        start: The input scene.
+        result: The scene after the method.
 
     Raises:
         SceneError: As for :func:`emd_to_truth`.
@@ -65,7 +65,7 @@ def distance_moved(start: Scene, result: Scene) -> float:
 
 def _transport(scene: Scene, other: Scene, cost_of: Callable[[FloatArray, FloatArray], FloatArray]) -> TransportCost:
     names = [o.instance for o in scene.objects]
-    _refuse_others(scene, other)
+    _check_same_objects(scene, other)
     targets = [other[name] for name in names]
     poses, places = scene.poses(), np.array([(*o.position, o.yaw) for o in targets])
     shift = np.linalg.norm(poses[:, None, :3] - places[None, :, :3], axis=2)
@@ -73,12 +73,12 @@ def _transport(scene: Scene, other: Scene, cost_of: Callable[[FloatArray, FloatA
     turn = np.abs(np.arctan2(np.sin(angle), np.cos(angle)))
     may_match = np.array([[_is_identical(o, target) for target in targets] for o in scene.objects])
     cost = cost_of(shift, turn)
-    chosen = linear_sum_assignment(np.where(may_match, cost, _FORBIDDEN))  # each may take its own place, so one exists
+    chosen = linear_sum_assignment(np.where(may_match, cost, _FORBIDDEN))  # feasible: each object may take its own place
     matches = {names[i]: names[j] for i, j in zip(*(index.tolist() for index in chosen), strict=True)}
     return TransportCost(float(cost[chosen].mean()), float(shift[chosen].mean()), float(turn[chosen].mean()), matches)
 
 
-def _refuse_others(scene: Scene, other: Scene) -> None:
+def _check_same_objects(scene: Scene, other: Scene) -> None:
     names, wanted = ({o.instance for o in s.objects} for s in (scene, other))
     if names != wanted:
         found = f"lacks {sorted(wanted - names)}, with the additional objects {sorted(names - wanted)}"

@@ -1,4 +1,4 @@
-"""Relates the objects of a scene: its supports and its scene graph, from the contacts of its meshes."""
+"""Derives the supports and the scene graph of a scene from the contacts of its meshes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -7,17 +7,17 @@ from stable_data.metrics.audit import Audit, PosedScene
 from stable_data.scene import TABLE, FloatArray, Scene
 from stable_data.scene_graph.relations import SceneGraph, relations_of, scene_graph, supports
 
-_CONTACT_GAP = 3e-3  # layouts are written to 1 mm, so what carries an object may be a little below it, metres
+_CONTACT_GAP = 3e-3  # metres; layouts are written to 1 mm, so a support may be a little below its object
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelatedScene:
-    """A scene with supports and relations that come from its meshes.
+    """A scene with supports and relations derived from its meshes.
 
     Attributes:
-        scene: With supports and relations.
+        scene: The scene with supports and relations.
         graph: Its scene graph.
-        contacts: What each object rests on.
+        contacts: The supports that each object touches.
         footprints: Convex outline of each object, (K, 2) float64, metres, world frame.
     """
 
@@ -28,12 +28,9 @@ class RelatedScene:
 
 
 def relate_scene(posed: PosedScene, audit: Audit, containers: Mapping[str, bool | None]) -> RelatedScene:
-    """Finds the supports and relations of a scene.
+    """Derives the supports and relations of a scene from its posed meshes and its audit.
 
-    Args:
-        posed: The meshes of the scene at their poses.
-        audit: Its audit.
-        containers: Whether things can be put into an object; None or missing where it is not known.
+    ``containers`` gives whether objects can be put into an object; None or missing if it is not known.
     """
     scene = posed.scene
     contacts = _support_contacts(posed, audit)
@@ -45,13 +42,14 @@ def relate_scene(posed: PosedScene, audit: Audit, containers: Mapping[str, bool 
 
 
 def _support_contacts(posed: PosedScene, audit: Audit) -> Mapping[str, tuple[str, ...]]:
-    """What each object rests on: what the audit finds, and what lies within a larger gap below the object.
+    """The supports of each object: those of the audit, and those within a larger gap below the object.
 
     Only the audit decides on the table, because the larger gap reaches through a placemat.
     """
     found = {}
     for index, verdict in enumerate(audit.objects):
         near = verdict.supports if verdict.supports == (TABLE,) else posed.supports(index, _CONTACT_GAP) or ()
+        # An object that is on others by the audit is not on the table, even if the larger gap reaches it.
         if verdict.supports and TABLE not in verdict.supports:
             near = tuple(name for name in near if name != TABLE)
         found[verdict.instance] = near

@@ -1,6 +1,7 @@
-"""How many of a reasoner's replies can be used: they parse and pass the checks."""
+"""Validity of a reasoner's replies: the share that parses and passes the checks."""
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 
@@ -10,7 +11,7 @@ class ReplyValidity:
 
     Attributes:
         num_valid: Replies that parse and pass the checks.
-        invalid: Code of a failure and how many replies have it first, most frequent first.
+        invalid: Code of a failure and the number of replies whose first failure it is, most frequent first.
         num_unknown: Requests whose reply could not be judged, such as those that no engine answered.
     """
 
@@ -25,47 +26,22 @@ class ReplyValidity:
 
     @property
     def num_replies(self) -> int:
-        """All of them, unknown ones included."""
+        """All replies, with the unknown ones."""
         return self.num_valid + self.num_invalid + self.num_unknown
 
     @property
     def share(self) -> float | None:
-        """Valid ones over all; what is unknown is not valid. None where there were none."""
+        """Valid replies over all; an unknown reply is not valid. None without replies."""
         return self.num_valid / self.num_replies if self.num_replies else None
 
     def __str__(self) -> str:
-        """The figures as text."""
         share = f" ({100 * self.share:.1f} %)" if self.share is not None else ""
         unknown = f", {self.num_unknown} unknown" if self.num_unknown else ""
         line = f"{'replies valid':<44} {self.num_valid} of {self.num_replies}{share}{unknown}"
         return "\n".join([line, *(f"  {code:<42} {count}" for code, count in self.invalid)])
 
 
-class ReplyTally:
-    """Counts outcomes as they come."""
-
-    def __init__(self) -> None:
-        self._valid = 0
-        self._unknown = 0
-        self._invalid = Counter[str]()
-
-    def valid(self) -> None:
-        """A reply that parses and passes the checks."""
-        self._valid += 1
-
-    def invalid(self, code: str) -> None:
-        """A reply that does not.
-
-        Args:
-            code: The ``code`` of the error that it was refused with.
-        """
-        self._invalid[code] += 1
-
-    def unknown(self) -> None:
-        """A request whose reply could not be judged."""
-        self._unknown += 1
-
-    def figures(self) -> ReplyValidity:
-        """The counts so far."""
-        invalid = sorted(self._invalid.items(), key=lambda item: (-item[1], item[0]))
-        return ReplyValidity(self._valid, tuple(invalid), self._unknown)
+def reply_validity(num_valid: int, invalid: Iterable[str], num_unknown: int) -> ReplyValidity:
+    """Summarises replies; ``invalid`` are the codes of the errors that refused the invalid ones."""
+    counts = sorted(Counter(invalid).items(), key=lambda item: (-item[1], item[0]))
+    return ReplyValidity(num_valid, tuple(counts), num_unknown)

@@ -1,4 +1,4 @@
-"""One page on the state of a set of scenes, from their metric cards and verdicts."""
+"""A one-page summary of a set of scenes, from their metric cards and verdicts."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -7,22 +7,9 @@ import polars as pl
 
 from stable_data.metrics.collision import DEEPEST, ROUNDING, TOLERANCE
 
-_WORST = 5
-_BOUND = 1e3 * (TOLERANCE + ROUNDING)  # millimetres: what the verdicts let pass
-_DEEP = 1e3 * (1e-2 + ROUNDING)
-
-
-@dataclass(frozen=True, slots=True)
-class WorstScene:
-    """A scene that is worst in something.
-
-    Attributes:
-        scene_id: The scene.
-        what: In what, with the figure.
-    """
-
-    scene_id: str
-    what: str
+_NUM_WORST = 5  # scenes listed for each kind of defect
+_BOUND = 1e3 * (TOLERANCE + ROUNDING)  # millimetres: the limit of the verdicts
+_DEEP = 1e3 * (1e-2 + ROUNDING)  # millimetres
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,9 +17,9 @@ class SummaryLine:
     """One line of the summary.
 
     Attributes:
-        label: What is counted.
-        count: How many.
-        total: Out of how many.
+        label: The meaning of the count.
+        count: The count.
+        total: The number that it is a part of.
         unknown: How many could not be judged.
     """
 
@@ -43,11 +30,10 @@ class SummaryLine:
 
     @property
     def share(self) -> float:
-        """Count over total; 0 for none."""
+        """Count over total; 0 if the total is 0."""
         return self.count / self.total if self.total else 0.0
 
     def __str__(self) -> str:
-        """The line as text."""
         unknown = f", {self.unknown} unknown" if self.unknown else ""
         return f"{self.label:<44} {self.count:>6} of {self.total:<6} {100 * self.share:5.1f} %{unknown}"
 
@@ -57,31 +43,28 @@ class AuditSummary:
     """The page.
 
     Attributes:
-        lines: Scene and object counts.
-        figures: Name and value of the deepest, the largest and so on.
-        offenders: Worst scenes.
+        lines: Counts of scenes and objects.
+        figures: Name and value of each figure, such as the deepest penetration.
+        worst: Id of each worst scene and its figure, as text.
     """
 
     lines: tuple[SummaryLine, ...]
     figures: tuple[tuple[str, str], ...]
-    offenders: tuple[WorstScene, ...]
+    worst: tuple[tuple[str, str], ...]
 
     def __str__(self) -> str:
-        """The page as text."""
         figures = [f"{name:<44} {value}" for name, value in self.figures]
-        worst = [f"  {o.scene_id:<28} {o.what}" for o in self.offenders]
+        worst = [f"  {scene_id:<28} {figure}" for scene_id, figure in self.worst]
         return "\n".join([*map(str, self.lines), *figures, *(["worst:", *worst] if worst else [])])
 
 
 def summarise(scenes: pl.DataFrame) -> AuditSummary:
-    """Sums up scenes.
+    """Summarises scenes.
 
     Args:
-        scenes: Rows with the columns of the metric card, ``pairs`` and ``verdicts``, as in the table ``scenes``. A figure that
-            is null for a whole scene is taken from them: one object without a mesh hides nothing that is known.
-
-    Returns:
-        The summary.
+        scenes: Rows with the columns of the metric card, ``pairs`` and ``verdicts``, as in the table ``scenes``. Figures that
+            are null for a whole scene are computed from its pairs and verdicts, so that one object without a mesh hides no
+            known verdict.
     """
     scenes = scenes.with_columns(
         deepest=_each("pairs", pl.element().struct.field("penetration_mm")).list.max().fill_null(0.0),
@@ -93,6 +76,7 @@ def summarise(scenes: pl.DataFrame) -> AuditSummary:
         outside=_each("verdicts", _OUTSIDE).list.sum() / pl.col("num_objects"),
         may_be_outside=_each("verdicts", _OUTSIDE.is_null()).list.any(),
     )
+    # One row for each object; a scene without objects has none.
     objects = scenes.select(pl.col("verdicts").explode()).drop_nulls().unnest("verdicts")
 
     def of_scenes(label: str, condition: pl.Expr, unknown: pl.Expr | None = None) -> SummaryLine:
@@ -116,14 +100,14 @@ def summarise(scenes: pl.DataFrame) -> AuditSummary:
         of_objects("objects out of bounds", pl.col("leaves_table") | pl.col("enters_restricted_zone")),
         of_objects("objects without a mesh", ~pl.col("has_mesh")),
     )
-    return AuditSummary(lines, _figures(scenes), tuple(_offenders(scenes)))
+    return AuditSummary(lines, _figures(scenes), tuple(_worst_scenes(scenes)))
 
 
 _OUTSIDE = pl.element().struct.field("leaves_table") | pl.element().struct.field("enters_restricted_zone")
 
 
 def _each(column: str, value: pl.Expr) -> pl.Expr:
-    """A list for each scene: a value for each of its pairs or verdicts."""
+    """A list for each scene: one value for each of its pairs or verdicts."""
     return pl.col(column).list.eval(value)
 
 
@@ -150,16 +134,16 @@ def _figures(scenes: pl.DataFrame) -> tuple[tuple[str, str], ...]:
 
 
 def _millimetres(value: float | None) -> str:
-    """A depth or gap, which is looked for up to a bound."""
+    """A depth or gap as text; the search for it ends at DEEPEST."""
     return "unknown" if value is None else f"at least {value:.0f} mm" if value >= 1e3 * DEEPEST else f"{value:.2f} mm"
 
 
 def _unknown(count: int, noun: str) -> str:
-    """What a figure was not taken over."""
+    """How many values a figure does not cover."""
     return f", {count} {noun}{'s' * (count > 1)} unknown" if count else ""
 
 
-def _offenders(scenes: pl.DataFrame) -> Iterable[WorstScene]:
+def _worst_scenes(scenes: pl.DataFrame) -> Iterable[tuple[str, str]]:
     kinds: Sequence[tuple[str, str, float]] = (
         ("deepest", "{:.1f} mm deep in each other", _BOUND),
         ("table_penetration_mm", "{:.1f} mm in the table", _BOUND),
@@ -167,6 +151,6 @@ def _offenders(scenes: pl.DataFrame) -> Iterable[WorstScene]:
         ("outside", "{:.2f} of its objects out of bounds", 0.0),
     )
     for column, text, bound in kinds:
-        worst = scenes.filter(pl.col(column) > bound).sort([column, "scene_id"], descending=[True, False]).head(_WORST)
+        worst = scenes.filter(pl.col(column) > bound).sort([column, "scene_id"], descending=[True, False]).head(_NUM_WORST)
         for scene_id, value in worst.select("scene_id", column).iter_rows():
-            yield WorstScene(scene_id, text.format(value))
+            yield scene_id, text.format(value)

@@ -1,4 +1,4 @@
-"""What an object rests on: exact contact when it is lowered a little, and the paper's own gap."""
+"""Support of an object: exact contact when it is lowered a little, and the paper's gap."""
 
 import igl
 import numpy as np
@@ -8,27 +8,28 @@ from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles, 
 from stable_data.scene import FloatArray
 
 _UPWARD = 0.01
-"""Least vertical part of a contact normal that carries: half a degree from a vertical wall."""
+"""Least vertical component of a contact normal that supports: half a degree from a vertical wall."""
 
 _ASIDE: FloatArray = DIRECTIONS[DIRECTIONS[:, 2] == 0]
 _PROBES = 128  # corners that bound a distance from above before it is computed
 
 
 def carries(pair: MeshPair, gap: float, upper_is_first: bool = True) -> bool:
-    """Does one object of a pair rest on the other one: does it meet it from above when lowered?
+    """Returns whether one object of a pair rests on the other: whether it meets the other from above when it is lowered.
 
-    It does where a face of the lower looks up. A face of the upper that looks down shows it too (a plate on a narrow post meets
-    the post's sides alone), unless it merely scratches a wall: then a step aside frees it and lifting does not. And what
-    lifting frees was carried, whichever way the faces of an open sheet are wound. Two vertical walls that touch never carry.
+    It does if a touched face of the lower object faces up. A touched face of the upper object that faces down shows it too (a
+    plate on a narrow post meets only the sides of the post), unless the object merely scratches a wall: then a sideways step
+    frees it and lifting does not. An object that lifting frees was supported, whichever way the faces of an open sheet are
+    oriented. Two vertical walls that touch never support each other.
 
     Args:
         pair: The two meshes, with a margin of at least the gap.
-        gap: How far it is lowered, lifted and stepped aside, metres.
-        upper_is_first: Whether the first of the pair is the one that is lowered.
+        gap: Distance of the lowering, the lifting and the sideways step, metres.
+        upper_is_first: Whether the first mesh of the pair is the one that is lowered.
     """
-    up = np.array([0.0, 0.0, 1.0 if upper_is_first else -1.0])  # moves the upper up, or, the same, the lower down
+    up = np.array([0.0, 0.0, 1.0 if upper_is_first else -1.0])  # only the first mesh moves: the upper up, or the lower down
     for lowered in (gap, 0.0):
-        touching = _touching(pair, -lowered * up, upper_is_first)
+        touching = _contact_slopes(pair, -lowered * up, upper_is_first)
         if touching is None:
             continue
         upper, lower = touching
@@ -42,8 +43,9 @@ def carries(pair: MeshPair, gap: float, upper_is_first: bool = True) -> bool:
     return False
 
 
-def _touching(pair: MeshPair, shift: FloatArray, upper_is_first: bool) -> tuple[FloatArray, FloatArray] | None:
-    """Vertical parts of the normals of the faces that touch, (C,) of the upper and (C,) of the lower; None where none do."""
+def _contact_slopes(pair: MeshPair, shift: FloatArray, upper_is_first: bool) -> tuple[FloatArray, FloatArray] | None:
+    """Vertical components of the normals of the touching faces, (C,) of the upper and (C,) of the lower; None without contact."""
+    # A few hundred contacts usually show an upward face; all contacts are listed only if they do not.
     for every in (False, True):
         contact = pair.contact(shift, every=every)
         if contact is None:
@@ -56,7 +58,7 @@ def _touching(pair: MeshPair, shift: FloatArray, upper_is_first: bool) -> tuple[
 
 
 def distance_to_surface(points: FloatArray, triangles: FloatArray | PosedTriangles, at_most: float) -> float:
-    """Smallest unsigned distance of points to a mesh, or ``at_most`` where all are farther.
+    """Computes the smallest unsigned distance of points to a mesh, or ``at_most`` if all are farther.
 
     Args:
         points: (P, 3) float64, metres, world frame.
@@ -66,7 +68,8 @@ def distance_to_surface(points: FloatArray, triangles: FloatArray | PosedTriangl
     surface = posed_triangles(triangles)
     corners = surface.triangles[:: max(1, len(surface.triangles) // _PROBES), 0]
     probe = np.linalg.norm(points[:, None] - corners[None], axis=2).min(initial=at_most)
-    at_most = min(at_most, float(probe))  # some corner is this near, so the surface is
+    at_most = min(at_most, float(probe))  # a corner is this near, so the surface is too
+    # Points are triangles without extent, so that near_triangles drops pairs that are farther apart than the bound.
     degenerate = np.repeat(points[:, None], 3, axis=1)
     near_points, near = near_triangles(degenerate, surface, at_most)
     if not len(near):

@@ -1,9 +1,9 @@
-"""Do two meshes cross? Exact triangle tests on the few triangles that are near the other mesh.
+"""Tests whether two meshes cross, exactly, on the few triangles that are near the other mesh.
 
-Building a bounding-volume tree for a whole mesh costs far more than asking it, and almost no triangle of a pair is near the
-other mesh. Both meshes are therefore thinned first, on a shared voxel grid, which is exact (a triangle that is dropped shares
-no voxel with any triangle of the other mesh). What is left is cut into clusters, and a cluster gets its tree when it is first
-asked: a pair that crosses shows it in the first cluster or two, a pair that does not is mostly told apart by boxes.
+Building a bounding-volume tree for a whole mesh costs far more than a query, and almost no triangle of a pair is near the other
+mesh. Both meshes are therefore filtered first on a shared voxel grid. This is exact: a triangle that is dropped shares no voxel
+with any triangle of the other mesh. The remaining triangles are grouped into clusters, and a cluster gets its tree at its first
+query. A pair that crosses usually shows it in the first cluster or two; a pair that does not is mostly separated by boxes.
 """
 
 import math
@@ -19,23 +19,24 @@ import numpy.typing as npt
 from stable_data.geometry.mesh import unit_normals
 from stable_data.scene import FloatArray, IntArray
 
-_MAX_CONTACTS = 256  # kept of one pair: enough directions to part it along
+_MAX_CONTACTS = 256  # contacts of one pair: enough directions to separate it
 _EVERY_CONTACT = 1_000_000
 _CELLS = 24  # voxels along the longest edge of the shared region, at most
-_MAX_ENTRIES = 60_000  # (triangle, voxel) pairs before a coarser grid is taken
-_FEW = 64  # triangles for which thinning costs more than a tree
-_USELESS_MARGIN = 5e-3  # metres; voxels as wide as this tell too little apart to pay
+_MAX_ENTRIES = 60_000  # (triangle, voxel) pairs above which the grid becomes coarser
+_FEW = 64  # for so few triangles the filter costs more than a tree
+_USELESS_MARGIN = 5e-3  # metres; with a larger margin the filter drops too few triangles to pay
 _CLUSTER = 256  # triangles of one tree
 _ANY_CONTACT = fcl.CollisionRequest()
-_CONTACT_WORK = 50  # triangles that take as long as one contact that is listed
-_BOX_PAIRS = 4  # pairs of boxes that are compared in the time of one triangle
+_CONTACT_WORK = 50  # work of one listed contact, in triangles
+_BOX_PAIRS = 4  # pairs of boxes that cost as much as one triangle
+# Bits of a number from 0 to 31, three apart: the Morton code of a cell sorts triangles so that neighbours share a cluster.
 _MORTON = np.array([sum((n >> bit & 1) << 3 * bit for bit in range(5)) for n in range(32)], np.uint16)
 
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
 
 
 def boxes(triangles: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest corner of each triangle's box.
+    """Computes the lowest and highest corner of each triangle's box.
 
     Args:
         triangles: (F, 3, D) float64.
@@ -48,16 +49,13 @@ def boxes(triangles: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 class WorkLimitError(Exception):
-    """A budget is used up: what was asked stays unknown."""
+    """A work limit is reached: the answer to the query stays unknown."""
 
 
 class WorkBudget:
-    """How much exact tests may cost together, counted in triangles that they look at (about 80 ns each).
+    """Counts the work of exact tests against a limit. The unit is a triangle that they examine (about 80 ns).
 
-    Work is counted, not timed: the same question is answered, or not, on whatever machine.
-
-    Args:
-        limit: Triangles.
+    Work is counted, not timed, so that every machine answers the same queries.
     """
 
     def __init__(self, limit: float = math.inf) -> None:
@@ -65,22 +63,22 @@ class WorkBudget:
 
     @property
     def is_spent(self) -> bool:
-        """Whether something was not done because of it."""
+        """Whether a query was refused because of the limit."""
         return self.spent > self.limit
 
     def spend(self, num_triangles: int) -> None:
-        """Counts work that is about to be done.
+        """Counts work before it is done.
 
         Raises:
-            WorkLimitError: That is more than is left.
+            WorkLimitError: The work exceeds the rest of the budget.
         """
-        self.spent += num_triangles
+        self.spent += num_triangles  # even if it is refused: smaller tests after it are refused too
         if self.is_spent:
             raise WorkLimitError
 
 
 class PosedTriangles:
-    """Triangles that stand somewhere, with their boxes computed once.
+    """Triangles at a pose, with their boxes computed once.
 
     Args:
         triangles: (F, 3, 3) float64, metres, world frame.
@@ -96,20 +94,21 @@ class PosedTriangles:
 
     @cached_property
     def box(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest corner of all, two (3,) float64."""
+        """Lowest and highest corner of all triangles, two (3,) float64."""
         low, high = self.boxes
         return low.min(axis=1, initial=np.inf), high.max(axis=1, initial=-np.inf)
 
 
 def posed_triangles(triangles: FloatArray | PosedTriangles) -> PosedTriangles:
-    """Triangles (F, 3, 3), metres, world frame, with their boxes; a surface stays what it is."""
+    """Returns triangles (F, 3, 3), metres, world frame, with their boxes; ``PosedTriangles`` are returned unchanged."""
     return triangles if isinstance(triangles, PosedTriangles) else PosedTriangles(triangles)
 
 
-class _Soup:
-    """Triangles of one mesh, with their boxes, that become fewer and fewer."""
+class _NearTriangles:
+    """Triangles of one mesh near another mesh, with their boxes; they become fewer with each filter."""
 
     def __init__(self, surface: PosedTriangles, margin: float, low: FloatArray, high: FloatArray) -> None:
+        # One axis after the other: a reduction over an axis of length 3 is slow.
         lowest, highest = surface.boxes
         mask = (lowest[0] <= high[0] + margin) & (highest[0] >= low[0] - margin)
         for axis in (1, 2):
@@ -132,9 +131,8 @@ class _Soup:
         self.keep(mask)
 
     def voxels(self, origin: FloatArray, spacing: float, shape: IntArray) -> tuple[IntArray, IntArray] | None:
-        """(triangle, voxel) for each voxel that a triangle may reach into, or None where there are too many."""
-        # Truncation is monotonic, so boxes that overlap share a cell; division by multiplication and 32 bits because it is
-        # faster.
+        """(triangle, voxel) for each voxel that a triangle may reach into, or None if there are too many."""
+        # Truncation is monotonic, so boxes that overlap share a cell. Multiplication and 32 bits are used for speed.
         last_cell = shape[:, None] - 1
         first = np.clip((self.low - origin[:, None]) * (1 / spacing), 0, last_cell).astype(np.int32)
         last = np.clip((self.high - origin[:, None]) * (1 / spacing), 0, last_cell).astype(np.int32)
@@ -155,7 +153,7 @@ class _Soup:
         self, owner: IntArray, count: IntArray, origin: FloatArray, spacing: float, cell: tuple[IntArray, IntArray, IntArray]
     ) -> BoolArray:
         """Which voxels the plane of their triangle passes: the box of a large slanted triangle is mostly empty."""
-        reached = np.ones(len(owner), bool)
+        reached = np.ones(len(owner), bool)  # the boxes of small triangles are exact enough
         large = np.nonzero(count[owner] > 8)[0]
         if len(large):
             of = owner[large]
@@ -170,11 +168,11 @@ class _Soup:
 
 
 def near_triangles(a: FloatArray | PosedTriangles, b: FloatArray | PosedTriangles, margin: float) -> tuple[IntArray, IntArray]:
-    """Triangles that may come within a distance of the other mesh: a superset, exact in what it drops.
+    """Finds the triangles that may come within a distance of the other mesh: no such triangle is dropped, some others remain.
 
     Args:
         a: Triangles, (F, 3, 3) float64, metres, world frame.
-        b: The other mesh's, (G, 3, 3).
+        b: Triangles of the other mesh, (G, 3, 3).
         margin: How far either mesh may be moved along each axis, metres.
 
     Returns:
@@ -182,15 +180,13 @@ def near_triangles(a: FloatArray | PosedTriangles, b: FloatArray | PosedTriangle
     """
     first, second = posed_triangles(a), posed_triangles(b)
     low, high = np.maximum(first.box[0] - margin, second.box[0]), np.minimum(first.box[1] + margin, second.box[1])
-    none = np.arange(0)
+    none = np.arange(0)  # int64, as indices are
     if (low > high).any():
         return none, none
-    one, other = _Soup(first, margin, low, high), _Soup(second, 0.0, low, high)
-    for _ in range(4):
+    one, other = _NearTriangles(first, margin, low, high), _NearTriangles(second, 0.0, low, high)
+    for _ in range(4):  # dropped triangles shrink the shared region, which the next round divides more finely
         before = len(one.index) + len(other.index)
-        if not len(one.index) or not len(other.index):
-            return none, none
-        if before <= _FEW or margin > _USELESS_MARGIN:
+        if not (len(one.index) and len(other.index)) or before <= _FEW or margin > _USELESS_MARGIN:
             break
         low = np.maximum(one.low.min(axis=1), other.low.min(axis=1))
         high = np.minimum(one.high.max(axis=1), other.high.max(axis=1))
@@ -198,16 +194,15 @@ def near_triangles(a: FloatArray | PosedTriangles, b: FloatArray | PosedTriangle
             return none, none
         one.crop(low, high)
         other.crop(low, high)
-        if not len(one.index) or not len(other.index):
-            return none, none
-        _thin(one, other, low, high)
-        if len(one.index) + len(other.index) > 0.8 * before:
+        if len(one.index) and len(other.index):
+            _filter_by_voxels(one, other, low, high)
+        if len(one.index) + len(other.index) > 0.8 * before:  # another round would gain little
             break
     return (one.index, other.index) if len(one.index) and len(other.index) else (none, none)
 
 
-def _thin(one: _Soup, other: _Soup, low: FloatArray, high: FloatArray) -> None:
-    """Keeps the triangles of each that share a voxel of a region with a triangle of the other."""
+def _filter_by_voxels(one: _NearTriangles, other: _NearTriangles, low: FloatArray, high: FloatArray) -> None:
+    """Keeps the triangles of each mesh that share a voxel of a region with a triangle of the other mesh."""
     extent = np.maximum(high - low, 1e-9)
     # Voxels much finer than the smaller triangles gain nothing.
     finest = min(float(np.median((soup.high - soup.low).max(axis=0))) for soup in (one, other))
@@ -219,25 +214,25 @@ def _thin(one: _Soup, other: _Soup, low: FloatArray, high: FloatArray) -> None:
         if entries is not None and others is not None:
             break
         if shape.max() == 1:
-            return
+            return  # a single voxel cannot separate any triangles
         spacing *= 2
     reached = [np.zeros(shape.prod(), bool) for _ in range(2)]
     reached[0][entries[1]], reached[1][others[1]] = True, True
-    for soup, (owner, cell), there in ((one, entries, reached[1]), (other, others, reached[0])):
+    for soup, (owner, cell), shared in ((one, entries, reached[1]), (other, others, reached[0])):
         mask = np.zeros(len(soup.index), bool)
-        mask[owner[there[cell]]] = True
+        mask[owner[shared[cell]]] = True
         soup.keep(mask)
 
 
 @dataclass(frozen=True, eq=False)
 class PairContact:
-    """Where two meshes cross.
+    """The contacts of two meshes that cross.
 
     Attributes:
         normals: Distinct contact normals, (K, 3) float64, unit, world frame.
         normals_a: Outward normals of the touching triangles of the first mesh, (C, 3).
-        normals_b: Of the second mesh, (C, 3).
-        is_cut_short: Whether there are more contacts than were asked for.
+        normals_b: Outward normals of the touching triangles of the second mesh, (C, 3).
+        is_cut_short: Whether there may be more contacts than were requested.
     """
 
     normals: FloatArray
@@ -247,16 +242,16 @@ class PairContact:
 
 
 class MeshPair:
-    """Two meshes that may be asked, again and again, whether they cross when the first is moved a little.
+    """Two meshes with repeated tests of whether they cross when the first is moved a little.
 
     Args:
-        a: Triangles of the first, (F, 3, 3) float64, metres, world frame.
-        b: Triangles of the second, (G, 3, 3).
-        margin: The farthest that the first will be moved, metres.
-        budget: What every question is counted against; none by default.
+        a: Triangles of the first mesh, (F, 3, 3) float64, metres, world frame.
+        b: Triangles of the second mesh, (G, 3, 3).
+        margin: The largest distance of a move of the first mesh, metres.
+        budget: Counts the work of every test; without a limit by default.
 
     Raises:
-        WorkLimitError: From here and from every question, where the budget is used up.
+        WorkLimitError: Here and in every test, if the budget is used up.
     """
 
     def __init__(
@@ -272,22 +267,23 @@ class MeshPair:
 
     @property
     def num_triangles(self) -> int:
-        """Triangles of both that are near the other, which are what the pair holds in memory."""
+        """Triangles of both meshes that are near the other mesh; the pair stores only these."""
         return self._a.num_triangles + self._b.num_triangles
 
     def cross(self, shift: tuple[float, float, float] | FloatArray = (0.0, 0.0, 0.0), direction: int = 0) -> bool:
-        """Do they touch when the first is moved by a vector (3,), metres?
+        """Returns whether the meshes touch when the first is moved.
 
         Args:
-            shift: The vector.
-            direction: Any number for the vector's direction. The clusters that crossed last along it are asked first.
+            shift: The move, (3,), metres.
+            direction: Any number for the direction of the move. The clusters that crossed last along it are tested first.
         """
         moved, result = np.asarray(shift, np.float64), fcl.CollisionResult()
-        asked = {clusters for clusters in (self._witnesses.get(direction), self._latest) if clusters is not None}
-        if any(self._clusters_cross(*clusters, moved, result) for clusters in asked):
+        # Clusters that crossed at a nearby shift most likely cross again.
+        tested = {clusters for clusters in (self._witnesses.get(direction), self._latest) if clusters is not None}
+        if any(self._clusters_cross(*clusters, moved, result) for clusters in tested):
             return True
-        for clusters in self._meeting(moved):
-            if clusters not in asked and self._clusters_cross(*clusters, moved, result):
+        for clusters in self._meeting_clusters(moved):
+            if clusters not in tested and self._clusters_cross(*clusters, moved, result):
                 self._witnesses[direction] = self._latest = clusters
                 return True
         return False
@@ -295,15 +291,15 @@ class MeshPair:
     def contact(
         self, shift: tuple[float, float, float] | FloatArray = (0.0, 0.0, 0.0), *, every: bool = False
     ) -> PairContact | None:
-        """Where they touch when the first is moved by a vector (3,), metres; None where they do not.
+        """Returns the contacts when the first mesh is moved; None without contact.
 
         Args:
-            shift: The vector.
+            shift: The move, (3,), metres.
             every: All contacts instead of a few hundred.
         """
         normals, of_a, of_b = [], [], []
         moved, left = np.asarray(shift, np.float64), _EVERY_CONTACT if every else _MAX_CONTACTS
-        for first, second in self._meeting(moved):
+        for first, second in self._meeting_clusters(moved):
             result = fcl.CollisionResult()
             self.budget.spend(self._a.size(first) + self._b.size(second))
             request = fcl.CollisionRequest(num_max_contacts=left, enable_contact=True)
@@ -320,20 +316,20 @@ class MeshPair:
         if not normals:
             return None
         found = np.array(normals)
-        found = found[np.linalg.norm(found, axis=1) > 0.5]
+        found = found[np.linalg.norm(found, axis=1) > 0.5]  # FCL gives degenerate contacts a zero normal
         _, distinct = np.unique(np.round(found, 2), axis=0, return_index=True)
         touching_a, touching_b = (unit_normals(np.concatenate(triangles))[0] for triangles in (of_a, of_b))
         return PairContact(found[np.sort(distinct)], touching_a, touching_b, left <= 0)
 
-    def _meeting(self, shift: FloatArray) -> Iterator[tuple[int, int]]:
-        """Pairs of clusters whose boxes meet when the first mesh is moved, those that share most first."""
+    def _meeting_clusters(self, shift: FloatArray) -> Iterator[tuple[int, int]]:
+        """Pairs of clusters whose boxes meet when the first mesh is moved, those with the largest common volume first."""
         (low, high), (other_low, other_high) = self._a.boxes, self._b.boxes
         self.budget.spend(low.shape[1] * other_low.shape[1] // _BOX_PAIRS)
         shared = np.ones((low.shape[1], other_low.shape[1]))
         for axis in range(3):
             lowest = np.maximum((low[axis] + shift[axis])[:, None], other_low[axis])
             extent = np.minimum((high[axis] + shift[axis])[:, None], other_high[axis]) - lowest
-            shared *= np.where(extent < 0, 0.0, extent + 1e-4)
+            shared *= np.where(extent < 0, 0.0, extent + 1e-4)  # boxes that only touch count too
         first, second = np.nonzero(shared)
         order = np.argsort(-shared[first, second], kind="stable")
         return zip(first[order].tolist(), second[order].tolist(), strict=True)
@@ -344,13 +340,14 @@ class MeshPair:
 
 
 class _Clusters:
-    """Triangles of a mesh in groups that lie together, each with a box and, once asked for, a tree."""
+    """Neighbouring triangles of a mesh in groups, each with a box and, after its first query, a tree."""
 
     def __init__(self, surface: PosedTriangles, index: IntArray) -> None:
         low, high = (bound[:, index] for bound in surface.boxes)
         if len(index) > 2 * _CLUSTER:
             centre = low + high
             least = centre.min(axis=1, keepdims=True)
+            # Twice the centres, in 32 cells along the longest side.
             cell = ((centre - least) * (31.999 / max(float((centre - least).max()), 1e-12))).astype(np.uint8)
             order = np.argsort(_MORTON[cell[0]] | _MORTON[cell[1]] << 1 | _MORTON[cell[2]] << 2, kind="stable")
             index, low, high = index[order], low[:, order], high[:, order]
@@ -363,19 +360,17 @@ class _Clusters:
 
     @property
     def num_triangles(self) -> int:
-        """Triangles of all clusters."""
         return len(self._triangles)
 
     def size(self, cluster: int) -> int:
-        """Triangles of a cluster."""
+        """Number of triangles of a cluster."""
         return min(_CLUSTER, len(self._triangles) - cluster * _CLUSTER)
 
     def members(self, cluster: int) -> FloatArray:
-        """Triangles of a cluster, (F, 3, 3)."""
         return self._triangles[cluster * _CLUSTER : (cluster + 1) * _CLUSTER]
 
     def body(self, cluster: int, shift: FloatArray | None = None) -> fcl.CollisionObject:
-        """A cluster as FCL takes it, moved by a vector (3,)."""
+        """A cluster as an FCL object, moved by a vector (3,)."""
         if cluster not in self._bodies:
             self._bodies[cluster] = fcl.CollisionObject(_tree(self.members(cluster)))
         if shift is not None:

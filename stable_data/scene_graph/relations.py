@@ -1,14 +1,14 @@
-"""The scene graph: what carries or contains what, and where objects are, from boxes, footprints and contacts of meshes.
+"""The scene graph: supports, containment and spatial relations, from boxes, footprints and contacts of meshes.
 
-A correction must keep the relations ``on`` and ``in``. They follow from contacts. The caller measures these on the meshes: it
-lowers an object by 0.5 to 3 mm and looks at what the object then meets with an upward normal. "Carried" has two meanings:
+A correction must preserve the relations ``on`` and ``in``. They follow from contacts. The caller measures these on the meshes:
+it lowers an object by 0.5 to 3 mm and finds what the object then meets with an upward normal. "Supported" has two meanings:
 
 * In the audit, an object without contact floats, however small the gap is.
-* In the scene graph, an object without contact is carried by what lies at most 10 mm below it, or by the container that its
+* In the scene graph, an object without contact is supported by an object at most 10 mm below it, or by the container that its
   bottom is in. Layouts that were settled as convex hulls have gaps of some millimetres. A graph without these supports would
   let a correction take a ball out of its bowl.
 
-The other relations are MesaTask's and follow from boxes. Overlap is a share of the smaller footprint.
+The other relations are those of MesaTask and follow from boxes. Overlap is a share of the smaller footprint.
 """
 
 import itertools
@@ -30,29 +30,30 @@ else:
     SceneGraph: TypeAlias = nx.MultiDiGraph
 
 Contacts: TypeAlias = Mapping[str, tuple[str, ...]]
-"""What each object rests on by contact: instances and ``table``."""
+"""The supports that each object touches: instances and ``table``."""
 
 NEAREST = 3
-"""Directional relations link an object to so many nearest others."""
+"""Directional relations link an object to this number of nearest objects."""
 
 REACH = 0.4
-"""Farthest centre distance of a directional relation, as a share of the table's longer side."""
+"""Largest distance of the centres in a directional relation, as a share of the table's longer side."""
 
 GAP = 1e-2
-"""What lies at most this far below an object without contact counts as carrying it, metres."""
+"""An object at most this far below an object without contact supports it, metres."""
 
-INSIDE_SLACK = 5e-3  # how far a content's centre may lie outside its container's outline, metres
-_SINK = 1.5e-2  # how deep such an object may reach into the box of what carries it (a plate's hollow), metres
-_BOTTOM = 5e-3  # a carrier's bottom is not higher than the carried object's, but for this much, metres
-INSIDE_FLOOR = 1.5e-3  # a content lies at least this much above its container's bottom, metres
+INSIDE_SLACK = 5e-3  # how far the centre of a content may be outside its container's outline, metres
+_SINK = 1.5e-2  # how deep an object without contact may reach into the box of its support (a plate's hollow), metres
+_BOTTOM = 5e-3  # how much the bottom of a support may be above the bottom of the supported object, metres
+INSIDE_FLOOR = 1.5e-3  # a content is at least this much above its container's bottom, metres
 _RIM_SHARE = 0.15  # the bottom of a content is below the rim by at least this share of the container's height
-_RIM_SHARE_UNKNOWN = 0.3  # the same where it is not known whether the thing is a container
-_SHEET = 8e-3  # and it is no lower than this, metres: how deep a thing is in a mat is how exactly its place was said
-_OVERLAP_UNKNOWN = 0.5  # and at least this share of the smaller outline is common, so that what leans on it is not in it
+# The rules for objects of which it is not known whether they are containers:
+_RIM_SHARE_UNKNOWN = 0.3  # the share for these
+_SHEET = 8e-3  # an object lower than this, metres, contains nothing: a depth in a mat is only rounding of the position
+_OVERLAP_UNKNOWN = 0.5  # least common share of the smaller outline: an object that leans on another one is not in it
 _ABOVE_SLACK = 5e-3  # metres
-_ABOVE_OVERLAP = 0.5
+_ABOVE_OVERLAP = 0.5  # least common share of the smaller outline
 _EVEN = 0.1  # steps of a row differ from their mean by at most this share
-_ROW_WIDTH = 0.25  # and its members leave the row by at most this share of a step
+_ROW_WIDTH = 0.25  # members of a row leave its line by at most this share of a step
 
 _FACINGS = ("front", "front_right", "right", "back_right", "back", "back_left", "left", "front_left")
 _COLUMNS = ("left", "middle", "right")
@@ -60,7 +61,7 @@ _ROWS = ("front", "middle", "back")
 
 
 class _Layout:
-    """Boxes and outlines of the objects of a scene, and their comparison."""
+    """Boxes and outlines of the objects of a scene, and comparisons of these."""
 
     def __init__(
         self, scene: Scene, footprints: Mapping[str, FloatArray] | None, containers: Mapping[str, bool | None] | None
@@ -69,15 +70,13 @@ class _Layout:
         self.low = {o.instance: o.bottom for o in scene.objects}
         self.high = {o.instance: o.top for o in scene.objects}
         self.outline = {
-            o.instance: shapely.convex_hull(
-                shapely.multipoints((footprints or {}).get(o.instance, yawed_rectangle(o))),
-            ).buffer(1e-6)
-            for o in scene.objects
+            name: shapely.convex_hull(shapely.multipoints((footprints or {}).get(name, yawed_rectangle(o)))).buffer(1e-6)
+            for name, o in self.objects.items()  # the buffer gives flat outlines an area
         }
         self.containers = containers or {}
 
-    def beyond(self, child: str, parent: str) -> float:
-        """How far a child's centre lies outside its parent's outline, metres; negative inside."""
+    def distance_outside(self, child: str, parent: str) -> float:
+        """How far a child's centre is outside its parent's outline, metres; negative inside."""
         centre, outline = shapely.Point(self.objects[child].position[:2]), self.outline[parent]
         distance = float(outline.exterior.distance(centre))
         return -distance if outline.contains(centre) else distance
@@ -87,27 +86,25 @@ class _Layout:
         return self.high[parent] - self.low[child]
 
     def holds(self, parent: str, child: str) -> bool:
-        """Is a child well inside a container, by outline and height?"""
-        flag = self.containers.get(parent)
-        if flag is False or self.beyond(child, parent) > INSIDE_SLACK:
+        """Whether a child is well inside a container, by outline and height."""
+        is_container, height = self.containers.get(parent), self.high[parent] - self.low[parent]
+        if is_container is False or self.distance_outside(child, parent) > INSIDE_SLACK:
             return False
-        if flag is None and (self._is_sheet(parent) or self.overlap(parent, child) < _OVERLAP_UNKNOWN):
+        if is_container is None and (
+            height < _SHEET or common_share(self.outline[parent], self.outline[child]) < _OVERLAP_UNKNOWN
+        ):
             return False
-        share = _RIM_SHARE if flag else _RIM_SHARE_UNKNOWN
-        deep = self.depth(child, parent) >= share * (self.high[parent] - self.low[parent])
-        return deep and self.low[child] > self.low[parent] + INSIDE_FLOOR
+        is_deep = self.depth(child, parent) >= (_RIM_SHARE if is_container else _RIM_SHARE_UNKNOWN) * height
+        return is_deep and self.low[child] > self.low[parent] + INSIDE_FLOOR
 
-    def _is_sheet(self, name: str) -> bool:
-        return self.high[name] - self.low[name] < _SHEET
 
-    def overlap(self, one: str, other: str) -> float:
-        """Common area of two outlines as a share of the smaller."""
-        a, b = self.outline[one], self.outline[other]
-        return float(a.intersection(b).area / min(a.area, b.area))
+def common_share(a: shapely.Geometry, b: shapely.Geometry) -> float:
+    """Returns the common area of two outlines as a share of the smaller."""
+    return float(a.intersection(b).area / min(a.area, b.area))
 
 
 def yawed_rectangle(item: SceneObject) -> FloatArray:
-    """Corners of an object's box seen from above, (4, 2) float64, metres, world frame, counter-clockwise."""
+    """The corners of an object's box seen from above, (4, 2) float64, metres, world frame, counter-clockwise."""
     half = np.array(item.size[:2]) / 2
     corners = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]) * half
     return rotate_xy(corners, item.yaw) + item.position[:2]
@@ -119,46 +116,52 @@ def supports(
     footprints: Mapping[str, FloatArray] | None = None,
     containers: Mapping[str, bool | None] | None = None,
 ) -> dict[str, str | None]:
-    """The support of each object, in the meaning of the scene graph; supports never form a cycle.
+    """Derives the support of each object, in the meaning of the scene graph; supports never form a cycle.
 
-    An object that touches several others has one support: the table, unless the object lies on the floor of a container; else
-    the object under its centre; else the highest. An object without contact is supported by what is closest below it (see the
+    An object that touches several others has one support: the table, unless the object is on the floor of a container; else the
+    object under its centre; else the highest. An object without contact is supported by the closest object below it (see the
     module).
 
     Args:
         scene: The scene.
-        contacts: What each object rests on; an object that is missing rests on nothing.
-        footprints: Convex outline of each mesh, (K, 2) float64, metres, world frame; the yawed box where missing.
-        containers: Whether things can be put into an object; None or missing where it is not known.
+        contacts: The supports that each object touches; a missing object touches none.
+        footprints: Convex outline of each mesh, (K, 2) float64, metres, world frame; the yawed box if missing.
+        containers: Whether objects can be put into an object; None or missing if it is not known.
 
     Returns:
-        Instance to instance, ``table``, or None where nothing is near below.
+        Instance -> instance, ``table``, or None without a support near below.
     """
     return _carriers(_Layout(scene, footprints, containers), contacts)
 
 
 def _carriers(layout: _Layout, contacts: Contacts) -> dict[str, str | None]:
     carriers: dict[str, str | None] = dict.fromkeys(layout.objects)
-    for child in sorted(layout.objects, key=lambda name: layout.low[name]):  # stable: ties keep the scene's order
-        touched = [p for p in contacts.get(child, ()) if p == TABLE or _may_carry(layout, carriers, p, child)]
+    # From the bottom up, so that the supports below an object are known when it is checked for a cycle.
+    for child in sorted(layout.objects, key=layout.low.__getitem__):  # stable: ties keep the scene's order
+        touched = [p for p in contacts.get(child, ()) if p == TABLE or _may_support(layout, carriers, p, child)]
         carriers[child] = _best_contact(layout, child, touched) if touched else _closest_below(layout, carriers, child)
     return carriers
 
 
-def _may_carry(layout: _Layout, carriers: Mapping[str, str | None], parent: str, child: str) -> bool:
-    low_enough = parent in layout.objects and parent != child and layout.low[parent] <= layout.low[child] + _BOTTOM
-    return low_enough and child not in ancestors(carriers, parent)
+def _may_support(layout: _Layout, carriers: Mapping[str, str | None], parent: str, child: str) -> bool:
+    is_below = parent in layout.objects and parent != child and layout.low[parent] <= layout.low[child] + _BOTTOM
+    return is_below and child not in ancestors(carriers, parent)
 
 
 def _best_contact(layout: _Layout, child: str, touched: list[str]) -> str:
     others = [p for p in touched if p != TABLE]
     if TABLE in touched and not any(layout.holds(p, child) for p in others):
         return TABLE
-    return min(others, key=lambda p: (max(0.0, layout.beyond(child, p)), layout.depth(child, p), p))
+    return min(others, key=lambda p: (max(0.0, layout.distance_outside(child, p)), layout.depth(child, p), p))
 
 
 def _closest_below(layout: _Layout, carriers: Mapping[str, str | None], child: str) -> str | None:
-    below = [p for p in layout.objects if _may_carry(layout, carriers, p, child) and layout.beyond(child, p) <= INSIDE_SLACK]
+    below = [
+        p
+        for p in layout.objects
+        if _may_support(layout, carriers, p, child) and layout.distance_outside(child, p) <= INSIDE_SLACK
+    ]
+    # On a surface near its bottom, else in a hollow, else on the table.
     solid = [p for p in below if -GAP <= layout.depth(child, p) <= _SINK]
     if solid:
         return min(solid, key=lambda p: (abs(layout.depth(child, p)), p))
@@ -174,21 +177,21 @@ def scene_graph(
     footprints: Mapping[str, FloatArray] | None = None,
     containers: Mapping[str, bool | None] | None = None,
 ) -> SceneGraph:
-    """The scene graph.
+    """Builds the scene graph.
 
-    Nodes are the instances and ``table``; an object's node has ``category``, ``support`` (see :func:`supports`),
-    ``container``, ``cell`` and ``facing``. Edges run from subject to target, keyed by their :class:`RelationKind`; the graph's
-    ``rows`` are the equally spaced ones, (instances, axis). Of two opposite relations the one whose subject comes first in the
-    scene is kept.
+    Nodes are the instances and ``table``. An object's node has ``category``, ``support`` (see :func:`supports`), ``container``,
+    ``cell`` and ``facing``. Edges run from subject to target; their key is the :class:`RelationKind`. The graph's ``rows`` are
+    the equally spaced rows, (instances, axis). Of two opposite relations, only the one whose subject comes first in the scene
+    is included.
 
     Args:
         scene: The scene.
-        contacts: What each object rests on; an object that is missing rests on nothing.
-        footprints: Convex outline of each mesh, (K, 2) float64, metres, world frame; the yawed box where missing.
-        containers: Whether things can be put into an object; None or missing where it is not known.
+        contacts: As for :func:`supports`.
+        footprints: As for :func:`supports`.
+        containers: As for :func:`supports`.
 
     Returns:
-        The graph; :func:`relations_of` lists it.
+        The graph; :func:`relations_of` lists its relations.
     """
     layout = _Layout(scene, footprints, containers)
     carriers = _carriers(layout, contacts)
@@ -206,9 +209,9 @@ def scene_graph(
     for child in carriers:
         _link_to_parent(graph, layout, carriers, child)
     for one, other in _near_pairs(scene):
-        kind = _between(scene, layout, one, other)
-        tied = other in ancestors(carriers, one) or one in ancestors(carriers, other)
-        if kind is not None and not tied:
+        kind = _spatial_relation(scene, layout, one, other)
+        is_stacked = other in ancestors(carriers, one) or one in ancestors(carriers, other)
+        if kind is not None and not is_stacked:
             graph.add_edge(one, other, key=kind)
     return graph
 
@@ -217,12 +220,13 @@ def _link_to_parent(graph: SceneGraph, layout: _Layout, carriers: Mapping[str, s
     carrier = carriers[child]
     if carrier is None:
         return
+    # A container further down counts: the second ball in a bowl is in the bowl, although it rests on the first.
     container = next((p for p in ancestors(carriers, child) if layout.holds(p, child)), None)
     graph.add_edge(child, container or carrier, key=RelationKind.IN if container else RelationKind.ON)
 
 
 def _near_pairs(scene: Scene) -> list[tuple[str, str]]:
-    """Every object with its nearest ones within reach, each pair once, in the scene's order."""
+    """Each object with its nearest objects within reach, each pair once, in the scene's order."""
     names = [o.instance for o in scene.objects]
     centres = scene.poses()[:, :2]
     distance = np.linalg.norm(centres[:, None] - centres[None], axis=2)
@@ -234,28 +238,26 @@ def _near_pairs(scene: Scene) -> list[tuple[str, str]]:
     return [(names[i], names[j]) for i, j in sorted(pairs)]
 
 
-def _between(scene: Scene, layout: _Layout, one: str, other: str) -> RelationKind | None:
-    vertical = _vertically(layout, one, other)
+def _spatial_relation(scene: Scene, layout: _Layout, one: str, other: str) -> RelationKind | None:
+    vertical = _vertical_kind(layout, one, other)
     if vertical is not None:
         return vertical
     dx, dy, _ = np.subtract(scene[one].position, scene[other].position)
     return direction_of(dx, dy)
 
 
-def _vertically(layout: _Layout, one: str, other: str) -> RelationKind | None:
+def _vertical_kind(layout: _Layout, one: str, other: str) -> RelationKind | None:
     over = layout.low[one] > layout.high[other] - _ABOVE_SLACK
     under = layout.high[one] < layout.low[other] + _ABOVE_SLACK
-    if (over or under) and layout.overlap(one, other) >= _ABOVE_OVERLAP:
+    if (over or under) and common_share(layout.outline[one], layout.outline[other]) >= _ABOVE_OVERLAP:
         return RelationKind.ABOVE if over else RelationKind.BELOW
     return None
 
 
 def direction_of(dx: float, dy: float) -> RelationKind | None:
-    """Where a subject is, seen from its target, to 45 degrees; None right on a diagonal.
+    """Returns the direction of a subject seen from its target, to 45 degrees; None exactly on a diagonal.
 
-    Args:
-        dx: Subject minus target along x, metres.
-        dy: The same along y.
+    ``dx`` and ``dy`` are the subject's position minus the target's, metres.
     """
     if abs(dx) == abs(dy):
         return None
@@ -267,25 +269,21 @@ def direction_of(dx: float, dy: float) -> RelationKind | None:
 def vertical_relation(
     scene: Scene, one: str, other: str, footprints: Mapping[str, FloatArray] | None = None
 ) -> RelationKind | None:
-    """``above`` or ``below`` where one object is over or under another, however far and whatever carries it; else None.
+    """Returns ``above`` or ``below`` if one object is over or under another, at any distance and with any support; else None.
 
-    Args:
-        scene: The scene.
-        one: The subject.
-        other: The target.
-        footprints: As for :func:`scene_graph`.
+    ``footprints`` are those of :func:`scene_graph`.
     """
     pair = replace(scene, objects=(scene[one], scene[other]))
-    return _vertically(_Layout(pair, footprints, None), one, other)
+    return _vertical_kind(_Layout(pair, footprints, None), one, other)
 
 
 def is_held(on_in: Set[Relation], relation: Relation) -> bool:
-    """Whether the subject is on or in the target, directly or through others.
+    """Returns whether the subject is on or in the target, directly or through others.
 
     Args:
         on_in: The ``on`` and ``in`` relations that hold, at most one for each subject.
-        relation: The relation in question. ``on`` also holds where the subject is in the target; ``in`` holds where at least
-            one relation between subject and target is ``in``.
+        relation: The relation to test. ``on`` also holds if the subject is in the target. ``in`` holds if at least one relation
+            between subject and target is ``in``.
     """
     carrier = {r.subject: r for r in on_in}
     is_in = False
@@ -300,13 +298,13 @@ def is_held(on_in: Set[Relation], relation: Relation) -> bool:
 
 
 def cell_of(position: tuple[float, ...], size_xy: tuple[float, float]) -> str:
-    """The ninth of the table that a point is in, such as ``back_left``; beyond the edge it is the nearest."""
+    """Returns the ninth of the table that a point is in, such as ``back_left``; distance_outside the edge, the nearest one."""
     column, row = (min(2, max(0, int(3 * p / s))) for p, s in zip(position, size_xy, strict=False))
     return f"{_ROWS[row]}_{_COLUMNS[column]}"
 
 
 def facing_of(yaw: float) -> str:
-    """The direction an object faces, to 45 degrees; ``front`` is towards the viewer, where yaw 0 faces."""
+    """Returns the direction that an object faces, to 45 degrees; ``front`` is towards the viewer, the facing at yaw 0."""
     return _FACINGS[round(np.degrees(yaw) / 45) % 8]
 
 
@@ -318,20 +316,21 @@ def _rows(scene: Scene, carriers: Mapping[str, str | None]) -> tuple[tuple[tuple
         ordered = sorted(standing, key=lambda o: (o.position[axis], o.instance))
         starts = itertools.combinations(range(len(ordered)), 2)
         rows = {row for first, second in starts if len(row := _row_from(ordered, first, second, axis)) >= 3}
+        # Every pair starts a row, so most rows are the ends of longer ones.
         longest = [row for row in rows if not any(set(row) < set(other) for other in rows)]
         found += [(row, "xy"[axis]) for row in sorted(longest)]
     return tuple(found)
 
 
 def _row_from(ordered: list[SceneObject], first: int, second: int, axis: int) -> tuple[str, ...]:
-    """Instances of the row that two objects start."""
+    """Instances of the row that starts with two objects."""
     members = [ordered[first], ordered[second]]
     step = members[1].position[axis] - members[0].position[axis]
     if step <= 0 or abs(members[1].position[1 - axis] - members[0].position[1 - axis]) > _ROW_WIDTH * step:
         return ()
     for o in ordered[second + 1 :]:
         if o.position[axis] - members[-1].position[axis] > (1 + 3 * _EVEN) * step:
-            break  # farther than any even step can be
+            break  # farther than any even step
         if abs(o.position[1 - axis] - members[0].position[1 - axis]) > _ROW_WIDTH * step:
             continue
         steps = np.diff([m.position[axis] for m in (*members, o)])
@@ -341,13 +340,10 @@ def _row_from(ordered: list[SceneObject], first: int, second: int, axis: int) ->
 
 
 def relations_of(graph: SceneGraph) -> tuple[Relation, ...]:
-    """Every relation of a scene graph, sorted.
-
-    Args:
-        graph: From :func:`scene_graph`.
+    """Lists every relation of a scene graph, sorted.
 
     Returns:
-        Edges, then ``face to`` and ``is at`` of every object, and the equally spaced rows, all in :class:`Relation`'s order.
+        Edges, ``face to`` and ``is at`` of every object, and the equally spaced rows, all in :class:`Relation`'s order.
     """
     found = [Relation(subject, RelationKind(kind), target) for subject, target, kind in graph.edges(keys=True)]
     for name, about in graph.nodes(data=True):

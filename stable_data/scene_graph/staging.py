@@ -1,8 +1,8 @@
 """The paper's partition of a scene into the stages O^t, O^B and O^b, and the sub-layout of each stage.
 
-O^t are the objects that the instruction names. O^B are those whose boxes are near one of them. O^b are the rest. The paper does
-not say what follows from supports: here the support of an object is generated no later than the object, so that no sub-layout
-floats.
+O^t are the objects that the instruction names. O^B are the objects whose boxes are near one of them. O^b are the rest. The
+paper does not state how supports matter: here the support of an object is generated no later than the object, so that no
+sub-layout floats.
 """
 
 from collections.abc import Iterable, Sequence
@@ -17,19 +17,20 @@ from stable_data.scene_graph.relations import yawed_rectangle
 from stable_data.scene_graph.support_tree import SupportTree
 
 THRESHOLD = 0.02
-"""Objects whose box is this close to a task object's are important, metres. The paper leaves its threshold open."""
+"""An object is important if its box is at most this far from the box of a task object, metres. The paper states no
+threshold."""
 
 _ORDER = {stage: index for index, stage in enumerate(Stage)}
 
 
 @dataclass(frozen=True, slots=True)
 class StageSample:
-    """What the reasoner learns from at one stage of one scene.
+    """A training sample of the reasoner: one stage of one scene.
 
     Attributes:
         scene_id: The scene.
         stage: The stage.
-        objects_in: All objects of earlier stages, in the order in which they were generated.
+        objects_in: All objects of earlier stages, in the order of generation.
         objects_out: This stage's objects in the order of generation (:func:`generation_order`); possibly none.
     """
 
@@ -45,24 +46,24 @@ class StageSample:
 
 
 def box_distance(one: SceneObject, other: SceneObject) -> float:
-    """Distance of two objects' boxes, each turned by its yaw, metres; 0 where they meet."""
+    """Computes the distance of two objects' boxes, each turned by its yaw, metres; 0 if they meet."""
     flat = shapely.distance(shapely.Polygon(yawed_rectangle(one)), shapely.Polygon(yawed_rectangle(other)))
     gap = abs(one.position[2] - other.position[2]) - (one.size[2] + other.size[2]) / 2
     return float(np.hypot(flat, max(0.0, gap)))
 
 
 def stage_scene(scene: Scene, threshold: float = THRESHOLD) -> Scene:
-    """Gives every object its stage.
+    """Sets the stage of every object.
 
     Distances are measured to the objects that the instruction names, not to their supports. Then each support joins the
-    earliest stage of the objects that it carries, directly or through others.
+    earliest stage of the objects that it supports, directly or through others.
 
     Args:
         scene: The scene, with its task's objects and every object's ``support``.
-        threshold: How close a box is to a task object's to be important, metres.
+        threshold: Largest distance of an important object's box to a task object's box, metres.
 
     Returns:
-        The scene with ``stage`` set on every object. Task objects that the scene does not have are passed over.
+        The scene with ``stage`` set on every object. Task objects that the scene does not contain are ignored.
 
     Raises:
         SceneError: There is no task (``task_missing``), or supports form a cycle (``support_circle``).
@@ -72,7 +73,7 @@ def stage_scene(scene: Scene, threshold: float = THRESHOLD) -> Scene:
     named = [o for o in scene.objects if o.instance in scene.task.task_objects]
     stages = {o.instance: _stage_of(o, named, threshold) for o in scene.objects}
     tree = SupportTree.of(scene.objects, scene.scene_id)
-    for name in reversed(tree.bottom_up()):
+    for name in reversed(tree.bottom_up()):  # from the top down, so that a stage reaches the lowest support
         if (carrier := tree.parent(name)) is not None:
             stages[carrier] = min(stages[carrier], stages[name], key=_ORDER.__getitem__)
     return replace(scene, objects=tuple(replace(o, stage=stages[o.instance]) for o in scene.objects))
@@ -85,13 +86,9 @@ def _stage_of(item: SceneObject, named: Iterable[SceneObject], threshold: float)
 
 
 def samples_of(scene: Scene) -> tuple[StageSample, ...]:
-    """The three samples of a staged scene, in the order of generation.
+    """Returns the three samples of a staged scene, in the order of generation.
 
-    Args:
-        scene: A staged scene.
-
-    Returns:
-        One sample a stage; a stage without objects has an empty ``objects_out``.
+    A stage without objects has an empty ``objects_out``.
 
     Raises:
         SceneError: An object has no stage (``stage_missing``), or supports form a cycle (``support_circle``).
@@ -109,9 +106,9 @@ def samples_of(scene: Scene) -> tuple[StageSample, ...]:
 
 
 def generation_order(scene_id: str, objects: Sequence[SceneObject]) -> tuple[SceneObject, ...]:
-    """Objects from large to small by footprint, then by height; each is followed at once by what it carries, in the same order.
+    """Sorts objects by footprint, then by height, large first; each is followed at once by the objects on it, in the same order.
 
-    A model that writes them in this order has always just written the pose of the support.
+    A model that writes objects in this order has always just written the pose of the support.
 
     Args:
         scene_id: Their scene, for the error.

@@ -1,4 +1,4 @@
-"""The supports of a layout from its boxes alone, for layouts without meshes, where contacts are not known."""
+"""Derives the supports of a layout from its boxes alone, for layouts without meshes, whose contacts are not known."""
 
 from collections.abc import Mapping, Sequence
 
@@ -7,44 +7,44 @@ import shapely
 from scipy.sparse.csgraph import connected_components
 
 from stable_data.scene import TABLE, Scene, SceneObject, Tabletop
-from stable_data.scene_graph.relations import GAP, INSIDE_SLACK, supports, yawed_rectangle
+from stable_data.scene_graph.relations import GAP, INSIDE_SLACK, common_share, supports, yawed_rectangle
 from stable_data.scene_graph.support_tree import ancestors
 
 ON_TABLE = GAP
 """An object whose bottom is at most this high stands on the table, metres, as in the scene graph."""
 
-_COMMON = 0.3  # an object that reaches into its support shares at least this part of the smaller outline with it
+_COMMON = 0.3  # least common share of the smaller outline for an object that reaches into its support
 
 
 def carriers_of(objects: Sequence[SceneObject], table: Tabletop) -> dict[str, str | None]:
-    """The support of each object, in the meaning of the scene graph, without contacts.
+    """Derives the support of each object, in the meaning of the scene graph, without contacts.
 
-    An object carries another one only if the centre of that one is above it, so objects are compared within groups. An object
-    may reach deeper into another one than the scene graph allows (the bow of a gift box). It is supported by it nevertheless:
-    it does not float, and the correction decides on the depth.
+    An object supports another one only if the centre of that one is above it, so objects are compared within groups. An object
+    may reach deeper into another one than the scene graph allows (the bow of a gift box). That one is its support nevertheless:
+    the object does not float, and the correction decides on the depth.
 
     Args:
         objects: All objects of a layout; instances are unique.
         table: The table.
 
     Returns:
-        Instance to instance, ``table``, or None where nothing is near below.
+        Instance -> instance, ``table``, or None without a support near below.
     """
     found: dict[str, str | None] = {}
     for group in _groups(objects):
-        if len(group) == 1:
+        if len(group) == 1:  # the common case needs no outlines
             found[group[0].instance] = TABLE if group[0].bottom <= ON_TABLE else None
             continue
         of_group = supports(Scene("layout", table, tuple(group)), {})
         for o in group:
             if of_group[o.instance] is None:
-                of_group[o.instance] = _reached_into(o, group, of_group)
+                of_group[o.instance] = _penetrated_support(o, group, of_group)
         found |= of_group
     return {o.instance: found[o.instance] for o in objects}
 
 
 def _groups(objects: Sequence[SceneObject]) -> list[list[SceneObject]]:
-    """Objects in groups: an object and its possible support, whose box contains the centre of the object, share a group."""
+    """Groups objects so that an object and a possible support, whose box contains the centre of the object, share a group."""
     if not objects:
         return []
     centres = np.array([o.position[:2] for o in objects])
@@ -58,15 +58,13 @@ def _groups(objects: Sequence[SceneObject]) -> list[list[SceneObject]]:
     return list(groups.values())
 
 
-def _reached_into(item: SceneObject, others: Sequence[SceneObject], carriers: Mapping[str, str | None]) -> str | None:
-    """Of the objects that an object reaches into from above, the one with the largest common outline; None without any."""
+def _penetrated_support(item: SceneObject, others: Sequence[SceneObject], carriers: Mapping[str, str | None]) -> str | None:
+    """The object with the largest common outline of those that an object reaches into from above; None without any."""
     outline = shapely.Polygon(yawed_rectangle(item))
-    best: tuple[float, str] | None = None
-    for o in others:
-        if o is item or not o.bottom < item.bottom <= o.top + GAP or item.instance in ancestors(carriers, o.instance):
-            continue
-        other = shapely.Polygon(yawed_rectangle(o))
-        share = float(outline.intersection(other).area / min(outline.area, other.area))
-        if share >= _COMMON and (best is None or share > best[0]):
-            best = share, o.instance
-    return best[1] if best else None
+    shares = {
+        o.instance: common_share(outline, shapely.Polygon(yawed_rectangle(o)))
+        for o in others
+        if o.bottom < item.bottom <= o.top + GAP and item.instance not in ancestors(carriers, o.instance)
+    }
+    best = max(shares, key=shares.__getitem__, default=None)
+    return best if best is not None and shares[best] >= _COMMON else None

@@ -1,4 +1,4 @@
-"""Who supports whom: the one place that walks along the supports of a scene, up or down, and finds circles among them."""
+"""Supports of a scene as a tree: traversal along the supports, up or down, and detection of cycles."""
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
@@ -11,12 +11,12 @@ Node = TypeVar("Node", bound=Hashable)
 
 
 def ancestors(parents: Mapping[Node, Node | None], node: Node) -> Iterator[Node]:
-    """What carries a node, directly and through others, nearest first.
+    """Yields the supports of a node, direct and indirect, nearest first.
 
     Args:
-        parents: Node -> what carries it. The mapping may still be growing. A value that is not a key, such as the table or
-            None, is not a node and ends the walk. A circle ends the walk where it would come back to a node.
-        node: Where the walk starts; it is not part of the result.
+        parents: Node -> its support. The mapping may be incomplete. A value that is not a key, such as the table or None, is
+            not a node and ends the traversal. A cycle ends it before it would return to a node.
+        node: The start; it is not part of the result.
     """
     seen = {node}
     above = parents.get(node)
@@ -27,11 +27,11 @@ def ancestors(parents: Mapping[Node, Node | None], node: Node) -> Iterator[Node]
 
 
 class SupportTree:
-    """The supports of some objects, as a tree for each object that no other object of them carries.
+    """The supports of some objects, as a tree for each object that no other object of them supports.
 
     Args:
-        supports: Instance -> what carries it. A support that is not an instance of the mapping (``table``, None, an object
-            that is left out) makes the instance a root.
+        supports: Instance -> its support. A support that is not an instance of the mapping (``table``, None, an object that is
+            left out) makes the instance a root.
         scene_id: The scene, for errors.
     """
 
@@ -48,15 +48,15 @@ class SupportTree:
         return cls({o.instance: o.support for o in objects}, scene_id)
 
     def parent(self, instance: str) -> str | None:
-        """The object that carries an object directly; None for a root."""
+        """The object that supports an object directly; None for a root."""
         return self._parents[instance]
 
     def children(self, instance: str | None) -> tuple[str, ...]:
-        """The objects that an object carries directly, in the given order; the roots for None."""
+        """The objects that an object supports directly, in the given order; the roots for None."""
         return tuple(self._children.get(instance, ()))
 
     def ancestors(self, instance: str) -> Iterator[str]:
-        """The objects that carry an object, directly and through others, nearest first."""
+        """The objects that support an object, directly and through others, nearest first."""
         return ancestors(self._parents, instance)
 
     def root(self, instance: str) -> str:
@@ -64,7 +64,7 @@ class SupportTree:
         return [instance, *self.ancestors(instance)][-1]
 
     def with_descendants(self, instances: AbstractSet[str]) -> set[str]:
-        """Some objects and all that they carry, directly and through others. What is no object of the tree carries nothing."""
+        """Some objects and all that they support, directly or indirectly. An instance that is not in the tree supports none."""
         members, waiting = set(instances), list(instances)
         while waiting:
             new = [child for child in self.children(waiting.pop()) if child not in members]
@@ -73,9 +73,10 @@ class SupportTree:
         return members
 
     def bottom_up(self) -> tuple[str, ...]:
-        """All objects, each one before the objects that it carries; its reverse is the order from the top down.
+        """All objects, each one before the objects that it supports; its reverse is the order from the top down.
 
-        Each object is followed at once by what it carries. Roots, and objects with the same parent, keep the given order.
+        Each object is followed at once by the objects that it supports. Roots, and objects with the same parent, keep the given
+        order.
 
         Raises:
             SceneError: Supports form a cycle (``support_circle``).
@@ -85,7 +86,7 @@ class SupportTree:
         while waiting:
             ordered.append(waiting.pop())
             waiting += self.children(ordered[-1])[::-1]
-        if len(ordered) < len(self._parents):
+        if len(ordered) < len(self._parents):  # no root leads to the objects of a cycle
             first = next(name for name in self._parents if name not in set(ordered))
             walk = [first, *self.ancestors(first)]
             found = " -> ".join([*walk, str(self.parent(walk[-1]))])

@@ -1,4 +1,4 @@
-"""What a physics engine is given of a scene: convex parts of its objects in their yaw frames. An asset is cut up once."""
+"""Rigid bodies of a scene for the physics engine: convex parts of its objects, in their yaw frames. An asset is decomposed once."""
 
 from collections.abc import Sequence
 from weakref import WeakKeyDictionary
@@ -13,32 +13,32 @@ from stable_data.scene import Scene, SceneObject
 from stable_data.simulation.settling import RigidBody, hull_volume
 
 DENSITY = 400.0
-"""Of an object of which nothing says what it weighs, kg/m³."""
+"""Density of every object whose mass is not known, kg/m³."""
 
 _LIGHTEST = 1e-3  # kilograms
 
-_CUT_UP: WeakKeyDictionary[AssetStore, dict[str, tuple[Mesh, ...]]] = WeakKeyDictionary()
-# A store has one shape for an asset at a scale and tilt.
-_PARTS: WeakKeyDictionary[Shape, tuple[Mesh, ...]] = WeakKeyDictionary()
+# Caches, which end with their store or shape. A store has one shape for an asset at a scale and tilt.
+_ASSET_PARTS: WeakKeyDictionary[AssetStore, dict[str, tuple[Mesh, ...]]] = WeakKeyDictionary()
+_SHAPE_PARTS: WeakKeyDictionary[Shape, tuple[Mesh, ...]] = WeakKeyDictionary()
 
 
 def parts_of(o: SceneObject, shape: Shape, store: AssetStore) -> tuple[Mesh, ...]:
-    """Convex parts of an object, metres, yaw frame, centred on its box as its shape is.
+    """Returns the convex parts of an object, metres, yaw frame, centred on its box as its shape is.
 
     Args:
-        o: The object, resolved: its scale is the one its mesh has (``AssetStore.resolved``).
+        o: The object, resolved: its scale is that of its mesh (``AssetStore.resolved``).
         shape: Its geometry.
-        store: Where its mesh is; keeps its asset's parts as long as it lives.
+        store: The store of its mesh; the parts of the asset are cached as long as it exists.
 
     Returns:
-        The same meshes each time for the same shape, so that an engine is given them once however many objects have them.
+        The same meshes each time for the same shape, so that a model contains them once for any number of objects.
 
     Raises:
-        MeshError: Nothing that has a volume could be made of the mesh.
+        MeshError: No part with a volume could be made of the mesh.
     """
-    if shape not in _PARTS:
-        _PARTS[shape] = _parts_of(o, shape, store)
-    return _PARTS[shape]
+    if shape not in _SHAPE_PARTS:
+        _SHAPE_PARTS[shape] = _parts_of(o, shape, store)
+    return _SHAPE_PARTS[shape]
 
 
 def _parts_of(o: SceneObject, shape: Shape, store: AssetStore) -> tuple[Mesh, ...]:
@@ -47,41 +47,42 @@ def _parts_of(o: SceneObject, shape: Shape, store: AssetStore) -> tuple[Mesh, ..
         return (Mesh(shape.vertices, shape.faces),)
     parts = asset_parts(o.asset_id, mesh, store)
     turn = (Rotation.from_quat(o.tilt_quat_xyzw).as_matrix() * o.scale).T
+    # The shape is the same mesh, moved to the centre of its box, so that one vertex gives the offset.
     centre = mesh.vertices[0] @ turn - shape.vertices[0]
     return tuple(Mesh(part.vertices @ turn - centre, part.faces) for part in parts)
 
 
 def asset_parts(asset_id: str, mesh: Mesh, store: AssetStore) -> tuple[Mesh, ...]:
-    """Convex parts of an asset, in the frame and unit of its mesh.
+    """Returns the convex parts of an asset, in the frame and unit of its mesh.
 
-    Those that a run keeps of it, in its table ``meshes``; else those that came with its file, where they are true to the mesh;
-    else the mesh is cut up.
+    They are the parts that the run stores in its table ``meshes``; else the parts in the asset's file, if they fit the mesh;
+    else a new decomposition of the mesh.
 
     Args:
         asset_id: The asset.
         mesh: Its repaired mesh.
-        store: Where it is; keeps its parts as long as it lives.
+        store: Its store; the parts are cached as long as it exists.
 
     Raises:
-        MeshError: Nothing that has a volume could be made of the mesh.
+        MeshError: No part with a volume could be made of the mesh.
     """
-    known = _CUT_UP.setdefault(store, {})
+    known = _ASSET_PARTS.setdefault(store, {})
     if asset_id not in known:
         known[asset_id] = store.kept_parts(asset_id) or collider_parts(mesh, given=store.colliders(asset_id))
     return known[asset_id]
 
 
 def bodies_of(scene: Scene, shapes: Sequence[Shape], store: AssetStore, density: float = DENSITY) -> list[RigidBody]:
-    """The objects of a scene as an engine sees them.
+    """Returns the objects of a scene as rigid bodies for the physics engine.
 
     Args:
         scene: The scene, resolved (``AssetStore.resolved``).
         shapes: The geometry of its objects, in its order.
-        store: Where their meshes are.
-        density: Of every object, kg/m³.
+        store: The store of their meshes.
+        density: Density of every object, kg/m³.
 
     Raises:
-        MeshError: Nothing that has a volume could be made of a mesh.
+        MeshError: No part with a volume could be made of a mesh.
     """
     bodies = []
     for o, shape in zip(scene.objects, shapes, strict=True):

@@ -2,9 +2,9 @@
 
     env = gymnasium.make("stable_data.simulation.gym_env:stable_data/Tabletop-v0", run=RUN, scene=scene_id)
 
-The physics are those that the stability verdict was given (:mod:`stable_data.simulation.mujoco_model`); beside the objects
-there is a ball, the hand, that goes where it is told, whatever stands in its way. It is the least that can act on any scene,
-and no robot: who has one puts it into the exported MJCF.
+The physics are those of the stability verdict (:mod:`stable_data.simulation.mujoco_model`). Beside the objects there is a ball,
+the hand, which moves as commanded; no object stops it. It is a minimal actuator for any scene and no robot; to add a robot, use
+the exported MJCF.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,24 +28,24 @@ from stable_data.simulation.settling import COLLIDER, compile_spec, has_exploded
 from stable_data.storage.run_folder import RunFolder, Uri
 
 Observation: TypeAlias = dict[str, Any]
-"""Name -> array, as ``TabletopEnv.observation_space`` says."""
+"""Name -> array, as in ``TabletopEnv.observation_space``."""
 
 Reward: TypeAlias = Callable[[Observation, Observation], float]
 """Reward of a step: the observations before and after it."""
 
 HAND_RADIUS = 0.02
-"""Of the ball that pushes, metres."""
+"""Radius of the ball that pushes, metres."""
 
 HAND_SPEED = 0.25
-"""Along each axis, metres a second, at an action of 1."""
+"""Speed along each axis at an action of 1, metres a second."""
 
 STEP_SECONDS = 0.05
-"""What a step of the environment takes."""
+"""Simulated time of one step of the environment."""
 
 _REACH = 0.15  # how far beyond the table and above the highest object the hand may go, metres
 _HAND = "hand"
 _HAND_COLOUR = (0.15, 0.15, 0.18, 1.0)
-_FAR = 1000.0  # what falls off the table falls for ever; farther than this it is not told, metres
+_FAR = 1000.0  # objects that fall off the table fall without end; observed positions are clipped to this, metres
 _FALLEN = -0.1  # an object whose centre is lower has left the table, metres
 
 
@@ -53,33 +53,33 @@ class TabletopEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     """A scene whose objects can be pushed.
 
     An action is the hand's velocity along x, y and z, (3,) float32 from -1 to 1, in shares of ``HAND_SPEED``. An observation
-    holds
+    contains
 
     - ``objects``: position (metres) and quaternion (xyzw) of every object, (N, 7) float32, in the order of the scene;
     - ``hand``: its centre, (3,) float32, metres;
-    - a picture (H, W, 3) uint8 by the name of each camera.
+    - a picture (H, W, 3) uint8 for each camera, by its name.
 
-    ``info`` says ``scene_id``, ``instruction``, ``instances`` and which of them have ``fallen`` off the table. An episode is
-    terminated where the simulation blew up, and truncated after ``max_steps``.
+    ``info`` contains ``scene_id``, ``instruction``, ``instances`` and those that have ``fallen`` off the table. An episode is
+    terminated if the simulation diverges, and truncated after ``max_steps``.
 
     Args:
-        solid: The scene with its geometry.
-        reward: Of a step; None: 0.
-        cameras: Pictures in the observation, of ``front`` and ``top``.
+        geometry: The scene with its geometry.
+        reward: Reward of a step; None: 0.
+        cameras: Cameras whose pictures are observed, of ``front`` and ``top``.
         image_size: Width and height of pictures, pixels.
-        max_steps: Of an episode.
+        max_steps: Steps of an episode.
         render_mode: ``rgb_array`` (a picture from the front), or None.
 
     Raises:
         ConfigError: A camera or render mode is not known (``setting_invalid``).
-        MeshError: An object has no solid part, or the engine refuses it.
+        MeshError: An object has no solid part, or MuJoCo refuses it.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": round(1 / STEP_SECONDS)}  # noqa: RUF012
 
     def __init__(
         self,
-        solid: SceneGeometry,
+        geometry: SceneGeometry,
         *,
         reward: Reward | None = None,
         cameras: Sequence[str] = (),
@@ -88,16 +88,16 @@ class TabletopEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         render_mode: str | None = None,
     ) -> None:
         _check_settings(cameras, max_steps, render_mode)
-        self.scene, self.render_mode = solid.scene, render_mode
+        self.scene, self.render_mode = geometry.scene, render_mode
         self._reward, self._cameras, self._image_size, self._max_steps = reward, tuple(cameras), image_size, max_steps
-        tops = [p[2] + shape.size[2] / 2 for p, shape in zip(solid.scene.poses(), solid.shapes, strict=True)]
-        x, y = solid.scene.table.size_xy
+        tops = [p[2] + shape.size[2] / 2 for p, shape in zip(geometry.scene.poses(), geometry.shapes, strict=True)]
+        x, y = geometry.scene.table.size_xy
         self._start_height = max(tops, default=0.0) + 2 * HAND_RADIUS
-        # In single precision, so that an observation at the edge is within its space.
+        # In single precision, so that an observation at the limit is within its space.
         self._low = np.array([-_REACH, -_REACH, HAND_RADIUS], np.float32)
         self._high = np.array([x + _REACH, y + _REACH, self._start_height + _REACH], np.float32)
-        self._farthest = np.tile(np.array([_FAR] * 3 + [1.0] * 4, np.float32), (len(solid.scene.objects), 1))
-        self._model = _model(solid, image_size)
+        self._farthest = np.tile(np.array([_FAR] * 3 + [1.0] * 4, np.float32), (len(geometry.scene.objects), 1))
+        self._model = _model_with_hand(geometry, image_size)
         self._data = mujoco.MjData(self._model)
         self._renderer: Any = None
         self._num_steps = 0
@@ -105,10 +105,10 @@ class TabletopEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self.observation_space = self._space()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
-        """Puts every object where the scene has it, and the hand somewhere above them.
+        """Puts every object at its pose in the scene, and the hand at a random place above them.
 
         Args:
-            seed: Of the hand's place.
+            seed: Seed of the hand's place.
             options: ``hand``: its place, (3,) metres, instead.
         """
         super().reset(seed=seed)
@@ -125,22 +125,22 @@ class TabletopEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         """Moves the hand for ``STEP_SECONDS``.
 
         Args:
-            action: Its velocity, (3,) from -1 to 1; more counts as 1.
+            action: Its velocity, (3,), clipped to -1 to 1.
 
         Raises:
-            ValueError: It is no such action.
+            ValueError: The action is not three finite numbers.
         """
-        wanted = np.asarray(action, np.float64)
-        if wanted.shape != (3,) or not np.isfinite(wanted).all():
+        command = np.asarray(action, np.float64)
+        if command.shape != (3,) or not np.isfinite(command).all():
             raise ValueError(f"action is {action}, expected three finite numbers: the hand's velocity along x, y and z")
         before = self._observation() if self._reward is not None else None
-        velocity = HAND_SPEED * np.clip(wanted, -1.0, 1.0)
+        velocity = HAND_SPEED * np.clip(command, -1.0, 1.0)
         timestep = self._model.opt.timestep
         with without_log_file():
             for _ in range(round(STEP_SECONDS / timestep)):
                 self._data.mocap_pos[0] = np.clip(self._data.mocap_pos[0] + timestep * velocity, self._low, self._high)
                 mujoco.mj_step(self._model, self._data)
-            mujoco.mj_kinematics(self._model, self._data)
+            mujoco.mj_kinematics(self._model, self._data)  # mj_step leaves the poses as they were before its last step
         self._num_steps += 1
         after = self._observation()
         reward = 0.0 if self._reward is None or before is None else float(self._reward(before, after))
@@ -151,23 +151,23 @@ class TabletopEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         """The scene from the front, (H, W, 3) uint8; None without a render mode.
 
         Raises:
-            ConfigError: The machine cannot draw (``no_gl``).
+            ConfigError: The machine cannot render (``no_gl``).
         """
         return None if self.render_mode is None else self._picture(CAMERAS[0])
 
     def close(self) -> None:
-        """Frees what draws."""
+        """Frees the renderer."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
 
     def _space(self) -> spaces.Dict:
         width, height = self._image_size
-        found: dict[str, spaces.Space[Any]] = {
+        entries: dict[str, spaces.Space[Any]] = {
             "objects": spaces.Box(-self._farthest, self._farthest, dtype=np.float32),
             _HAND: spaces.Box(self._low, self._high, dtype=np.float32),
         }
-        return spaces.Dict(found | {name: spaces.Box(0, 255, (height, width, 3), np.uint8) for name in self._cameras})
+        return spaces.Dict(entries | {name: spaces.Box(0, 255, (height, width, 3), np.uint8) for name in self._cameras})
 
     def _observation(self) -> Observation:
         poses = np.concatenate([self._positions(), self._data.xquat[1:-1][:, [1, 2, 3, 0]]], axis=1).astype(np.float32)
@@ -176,7 +176,7 @@ class TabletopEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return {"objects": np.clip(poses, -self._farthest, self._farthest), _HAND: hand, **pictures}
 
     def _positions(self) -> FloatArray:
-        """Of the objects, (N, 3): the world is body 0, the hand the last."""
+        """Positions of the objects, (N, 3): the world is body 0, the hand is the last body."""
         return np.asarray(self._data.xpos[1:-1], np.float64)
 
     def _info(self) -> dict[str, Any]:
@@ -199,30 +199,29 @@ class TabletopEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 def make_env(
     run: Uri, scene: str | Scene, *, settled: bool = False, store: AssetStore | None = None, **settings: Any
 ) -> TabletopEnv:
-    """The environment of a scene of a run.
+    """Makes the environment of a scene of a run.
 
     Args:
         run: The run's folder or URI, with the tables ``scenes``, ``assets`` and ``meshes``.
-        scene: Its id; or the scene itself, as the loader gives it.
-        settled: Objects lie where the physics engine left them (table ``settled``).
-        store: The assets of the run, :func:`stable_data.assets.run_assets.run_store`, where many environments are made of them.
-        settings: Of :class:`TabletopEnv`.
+        scene: Its id, or the scene itself, as the loader gives it.
+        settled: Objects start at their poses after settling (table ``settled``).
+        store: The assets of the run, :func:`stable_data.assets.run_assets.run_store`, to share them between many environments.
+        settings: Settings of :class:`TabletopEnv`.
 
     Raises:
-        ConfigError: The run has no such scene, or lacks a table; or a setting cannot be.
-        SceneError: It was never settled, and that is asked for.
+        ConfigError: The run has no such scene, or lacks a table; or a setting is invalid.
+        SceneError: The scene was never settled, but ``settled`` is set.
         MeshError: An object has no solid part.
     """
     if isinstance(scene, str):
         scenes = RunScenes(RunFolder(run), SceneSelection(scene_ids=(scene,), settled=settled), store)
-        return TabletopEnv(scenes.solid(next(iter(scenes))), **settings)
+        return TabletopEnv(scenes.geometry(next(iter(scenes))), **settings)
     rest = SettledPoses(RunFolder(run)).of(scene.scene_id) if settled else None
     return TabletopEnv(SceneGeometry.of(scene, store or run_store(run), rest), **settings)
 
 
-def _model(solid: SceneGeometry, image_size: tuple[int, int]) -> mujoco.MjModel:
-    """The scene's model with a hand."""
-    spec = engine_spec(solid, image_size)
+def _model_with_hand(geometry: SceneGeometry, image_size: tuple[int, int]) -> mujoco.MjModel:
+    spec = engine_spec(geometry, image_size)
     body = spec.worldbody.add_body(name=_HAND, mocap=True)
     body.add_geom(
         spec.find_default(COLLIDER),

@@ -1,7 +1,7 @@
-"""MuJoCo, told how to draw before it is first imported: ``from stable_data.simulation.mujoco_import import mujoco``.
+"""MuJoCo with its renderer chosen before the first import: ``from stable_data.simulation.mujoco_import import mujoco``.
 
-On Linux it draws without a display where EGL is there. It reads that once, at its first import, whichever module does it: so
-all of ours import it from here.
+On Linux MuJoCo renders without a display if EGL is installed. It reads this choice once, at its first import, by any module.
+Therefore all modules of this project import it from here.
 """
 
 import ctypes.util

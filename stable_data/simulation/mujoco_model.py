@@ -1,6 +1,6 @@
-"""A scene for the physics engine as a person would want it: names, looks, cameras, a ``home`` keyframe.
+"""A complete MuJoCo model of a scene: names, appearance, cameras, a ``home`` keyframe.
 
-What collides, how and with what mass is what the stability verdict was given, not another reading of it: the same
+Collision geometry, contact settings and masses are those of the stability verdict: both use
 :func:`stable_data.simulation.settling.spec_of`.
 """
 
@@ -12,8 +12,6 @@ from stable_data.rotations import wxyz
 from stable_data.scene import TABLE
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.render import (
-    SINK_COLOUR,
-    SINK_RISE,
     TABLE_COLOUR,
     View,
     add_camera,
@@ -22,53 +20,54 @@ from stable_data.simulation.render import (
     rgba,
     scene_bounds,
     set_lighting,
+    table_boxes,
 )
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import COLLIDER, compile_spec, spec_of
 
 VISUAL = "visual"
-"""Default class of the geoms that are only seen."""
+"""Default class of the geoms that are only visible."""
 
 HOME = "home"
-"""Name of the keyframe in which every object is where the scene has it."""
+"""Name of the keyframe in which every object has its pose in the scene."""
 
 CAMERAS: tuple[View, ...] = ("front", "top")
-"""The cameras: each has the name of where it looks from."""
+"""The cameras, named by the side from which they look."""
 
 COLLIDER_GROUP, VISUAL_GROUP = 3, 2
-"""Groups of geoms: the engine's viewer shows the second and hides the first."""
+"""Groups of geoms: MuJoCo's viewer hides the first and shows the second."""
 
 _RESERVED = frozenset({TABLE, "world", "hand", "restricted_zone"})
-_FLATTEST = 1e-14  # a face of less area is not seen, m²
-_PICTURE = (640, 480)  # the largest that is drawn off screen, where nobody says otherwise
+_FLATTEST = 1e-14  # a face of less area is not visible, m²
+_PICTURE = (640, 480)  # default size of the largest picture that can be rendered off screen, pixels
 
 
 def body_name(instance: str) -> str:
-    """The name that an instance has in the engine."""
+    """Returns the name of an instance in MuJoCo."""
     return safe_file_name(instance, _RESERVED)
 
 
-def engine_spec(solid: SceneGeometry, picture: tuple[int, int] = _PICTURE) -> mujoco.MjSpec:
-    """A scene as a description for the engine.
+def engine_spec(geometry: SceneGeometry, picture: tuple[int, int] = _PICTURE) -> mujoco.MjSpec:
+    """Describes a scene for MuJoCo.
 
-    Body k + 1 is object k, and it, its free joint and its geoms have its name (:func:`body_name`). Mass and inertia of a body
-    are written out, as the engine finds them from its convex parts.
+    Body k + 1 is object k; the body, its free joint and its geoms have the object's name (:func:`body_name`). Mass and inertia
+    of a body are explicit, as MuJoCo derives them from its convex parts.
 
     Args:
-        solid: The scene with its geometry.
-        picture: Width and height of the largest picture that can be drawn off screen, pixels.
+        geometry: The scene with its geometry.
+        picture: Width and height of the largest picture that can be rendered off screen, pixels.
 
     Returns:
         The description, a ``mujoco.MjSpec``.
 
     Raises:
-        MeshError: An object has no solid part, or the engine refuses it.
+        MeshError: An object has no solid part, or MuJoCo refuses it.
     """
-    spec = spec_of(solid.bodies, solid.scene.table)
-    spec.modelname = safe_file_name(solid.scene.scene_id)
-    model = compile_spec(spec)
+    spec = spec_of(geometry.bodies, geometry.scene.table)
+    spec.modelname = safe_file_name(geometry.scene.scene_id)
+    model = compile_spec(spec)  # once before the names are added, to read masses, inertias and hulls from it
     for number, mesh in enumerate(spec.meshes):
-        # The hull as the engine made it, so that files of it have faces and still give the same model to the last bit.
+        # The convex hull that MuJoCo made: exported files then have faces and still give exactly the same model.
         start = model.mesh_faceadr[number]
         mesh.userface = model.mesh_face[start : start + model.mesh_facenum[number]].ravel()
     visual = spec.add_default(VISUAL, spec.default)
@@ -77,68 +76,61 @@ def engine_spec(solid: SceneGeometry, picture: tuple[int, int] = _PICTURE) -> mu
     table = spec.geom(TABLE)
     table.group, table.rgba = VISUAL_GROUP, rgba(TABLE_COLOUR)
     meshes: dict[object, str] = {}
-    for k, o in enumerate(solid.scene.objects):
+    for k, o in enumerate(geometry.scene.objects):
         body, name = spec.bodies[k + 1], body_name(o.instance)
         body.explicitinertial, body.mass = True, model.body_mass[k + 1]
         body.ipos, body.iquat, body.inertia = model.body_ipos[k + 1], model.body_iquat[k + 1], model.body_inertia[k + 1]
         body.name = body.joints[0].name = name
         for number, geom in enumerate(body.geoms):
             geom.name, geom.group = f"{name}/part_{number}", COLLIDER_GROUP
-        _add_looks(spec, body, visual, solid, k, meshes)
-    _add_surroundings(spec, solid, picture)
+        _add_visuals(spec, body, visual, geometry, k, meshes)
+    _add_environment(spec, geometry, picture)
     spec.add_key(name=HOME, qpos=model.qpos0)
     return spec
 
 
-def _add_looks(
+def _add_visuals(
     spec: mujoco.MjSpec,
     body: mujoco.MjsBody,
     visual: mujoco.MjsDefault,
-    solid: SceneGeometry,
+    geometry: SceneGeometry,
     index: int,
     meshes: dict[object, str],
 ) -> None:
-    """The mesh of an object as it is seen, or its box, see-through, where there is none."""
-    o, mesh, name = solid.scene.objects[index], solid.meshes[index], f"{body.name}/visual"
+    """Adds the visible mesh of an object, or its transparent box if there is no mesh."""
+    o, mesh, name = geometry.scene.objects[index], geometry.meshes[index], f"{body.name}/visual"
     if mesh is not None and o.scale is not None:
-        is_seen = double_areas(Mesh(mesh.vertices * o.scale, mesh.faces)) > 2 * _FLATTEST
-        coats = [(colour, seen) for colour, rows in solid.paint(index) if len(seen := rows[is_seen[rows]])]
-        for number, (colour, rows) in enumerate(coats):
+        is_visible = double_areas(Mesh(mesh.vertices * o.scale, mesh.faces)) > 2 * _FLATTEST
+        colours = [(colour, seen) for colour, rows in geometry.paint(index) if len(seen := rows[is_visible[rows]])]
+        for number, (colour, rows) in enumerate(colours):
             own = f"{name}_{number}" if number else name
             key = (o.asset_id, o.scale, colour)
-            if key not in meshes:  # objects of one asset share its looks
+            if key not in meshes:  # objects of one asset share its visible mesh
                 meshes[key] = own
                 vertices, faces = drop_unused_vertices(mesh.vertices, mesh.faces[rows])
-                inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # what is only seen may be open or flat
+                inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # a visible mesh may be open or flat
                 spec.add_mesh(name=own, uservert=vertices.ravel(), userface=faces.ravel(), scale=list(o.scale), inertia=inertia)
             body.add_geom(
                 visual,
                 name=own,
                 type=mujoco.mjtGeom.mjGEOM_MESH,
                 meshname=meshes[key],
-                pos=solid.offset(index).tolist(),
+                pos=geometry.offset(index).tolist(),
                 quat=wxyz(o.tilt_quat_xyzw),
                 rgba=rgba(colour),
             )
-        if coats:
+        if colours:
             return
-    half = (np.maximum(o.size, 2e-4) / 2).tolist()
+    half = (np.maximum(o.size, 2e-4) / 2).tolist()  # MuJoCo refuses a box without thickness
     body.add_geom(visual, name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, rgba=rgba(object_colour(o), 0.45))
 
 
-def _add_surroundings(spec: mujoco.MjSpec, solid: SceneGeometry, picture: tuple[int, int]) -> None:
-    """Light, background and cameras."""
-    low, high = scene_bounds(solid.scene, [Mesh(shape.vertices, shape.faces) for shape in solid.shapes])
-    if solid.scene.table.restricted_zone is not None:
-        x_min, x_max, y_min, y_max = solid.scene.table.restricted_zone
-        spec.worldbody.add_geom(
-            spec.find_default(VISUAL),
-            name="restricted_zone",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[(x_min + x_max) / 2, (y_min + y_max) / 2, 0.0],
-            size=[(x_max - x_min) / 2, (y_max - y_min) / 2, SINK_RISE],
-            rgba=rgba(SINK_COLOUR),
-        )
+def _add_environment(spec: mujoco.MjSpec, geometry: SceneGeometry, picture: tuple[int, int]) -> None:
+    """Adds lights, background, cameras and the restricted zone."""
+    low, high = scene_bounds(geometry.scene, [Mesh(shape.vertices, shape.faces) for shape in geometry.shapes])
+    visual, box = spec.find_default(VISUAL), mujoco.mjtGeom.mjGEOM_BOX
+    for name, colour, centre, half in table_boxes(geometry.scene.table)[1:]:  # the table top itself is a collider already
+        spec.worldbody.add_geom(visual, name=name, type=box, pos=list(centre), size=list(half), rgba=rgba(colour))
     set_lighting(spec, picture)
     add_lights(spec, low, high)
     for view in CAMERAS:

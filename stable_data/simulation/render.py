@@ -1,8 +1,8 @@
-"""Pictures of scenes, drawn off screen, and contact sheets.
+"""Pictures of scenes, rendered off screen, and contact sheets.
 
-The camera follows the format's rule: it looks at the middle of what is there (objects and table) through a 50 mm lens on a
-36 mm sensor, from 1.5 times the largest dimension away; farther, where near corners would be cut off, and for pictures that
-are wider than high as much nearer as they are wider.
+The camera follows the rule of the format: it looks at the centre of objects and table through a 50 mm lens on a 36 mm sensor,
+at 1.5 times the largest dimension. It is farther away if near corners would be cut off. For pictures that are wider than high
+it is nearer, by the ratio of width to height.
 """
 
 import hashlib
@@ -20,7 +20,7 @@ from stable_data.errors import ConfigError
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import Paint
 from stable_data.rotations import wxyz, yaw_quat
-from stable_data.scene import FloatArray, Scene, SceneObject, Tabletop, Vec3
+from stable_data.scene import TABLE, FloatArray, Scene, SceneObject, Tabletop, Vec3
 from stable_data.simulation.mujoco_import import mujoco
 
 Picture: TypeAlias = npt.NDArray[np.uint8]
@@ -41,15 +41,15 @@ _HALF_VIEW = 18 / 50  # tangent of half the field of view: 36 mm sensor, 50 mm l
 _FIELD_OF_VIEW = float(np.degrees(2 * np.arctan(_HALF_VIEW)))
 _DISTANCE, _MARGIN = 1.5, 1.02
 TABLE_THICKNESS = 0.03
-SINK_RISE = 4e-4  # above the table top, so that it is seen
-_MAX_FACES = 6000
-_CREASE = np.cos(np.radians(35))  # edges sharper than this are drawn sharp
+SINK_RISE = 4e-4  # above the table top, so that it is visible
+_MAX_FACES = 6000  # a mesh with more faces is simplified for a picture
+_CREASE = np.cos(np.radians(35))  # edges sharper than this are not smoothed
 
 PALETTE: tuple[str, ...] = (
     "#d1495b", "#edae49", "#3f88c5", "#66a182", "#8d6b94", "#e07a5f", "#457b9d", "#84a98c", "#f2cc8f", "#b56576",
     "#6d9dc5", "#c97c5d", "#7fb7be", "#a3b18a", "#e9c46a", "#9c89b8",
 )  # fmt: skip
-"""Colours that a category takes by its name."""
+"""Colours of the categories that have none in OWN_COLOURS, chosen by a hash of the name."""
 
 OWN_COLOURS: Mapping[str, str] = {
     "apple": "#c8323c", "banana": "#f2d14b", "bowl": "#dfe6ea", "bread": "#c58a4a", "crate": "#b98a56", "basket": "#c9a26b",
@@ -57,7 +57,7 @@ OWN_COLOURS: Mapping[str, str] = {
     "plate": "#ece7da", "saucepan": "#8a949e", "soap": "#f3c9d0", "spoon": "#aab4bd", "tray": "#8f6a48", "mirror": "#b9d3df",
     "candle": "#f6ecd2", "box": "#cda777", "can": "#b5484b", "toothbrush": "#3fa7a0",
 }  # fmt: skip
-"""Colours of kinds that everyone knows the colour of."""
+"""Colours of categories with a well-known colour."""
 
 TABLE_COLOUR, SINK_COLOUR = "#a8794f", "#eef0f2"
 
@@ -70,29 +70,28 @@ def render_scene(
     view: View = "front",
     colors: Sequence[str | Paint] | None = None,
 ) -> Picture:
-    """A picture of a scene.
+    """Renders a picture of a scene.
 
     Args:
         scene: The scene.
-        meshes: Of each object, metres, yaw frame, centred on its box; None draws the object's box, see-through.
+        meshes: Mesh of each object, metres, yaw frame, centred on its box; for None a transparent box is drawn.
         size: Width and height, pixels; by default those of the format's ``front.png``.
-        view: Where from.
-        colors: Of each object, or of its faces; by default its category's colour, a little lighter or darker by its asset.
-
-    Returns:
-        The picture.
+        view: The side from which the camera looks.
+        colors: Colour of each object, or of its faces; by default the category's colour, a little lighter or darker for each
+            asset.
 
     Raises:
-        ConfigError: The machine cannot draw (``no_gl``), or the view is not known (``unknown_view``).
+        ConfigError: The machine cannot render (``no_gl``), or the view is not known (``unknown_view``).
     """
     if view not in _DIRECTIONS:
         raise ConfigError(f"view is {view!r}, expected one of {sorted(_DIRECTIONS)}", "unknown_view")
     chosen: list[str | Paint] = [object_colour(o) for o in scene.objects] if colors is None else list(colors)
     spec = mujoco.MjSpec()
     set_lighting(spec, size)
-    _add_table(spec, scene.table)
-    for k, (o, mesh, colour) in enumerate(zip(scene.objects, meshes, chosen, strict=True)):
-        _add_object(spec, o, mesh, colour, k)
+    for _, colour, centre, half in table_boxes(scene.table):
+        _add_box(spec, centre, half, rgba(colour))
+    for k, (o, mesh, paint) in enumerate(zip(scene.objects, meshes, chosen, strict=True)):
+        _add_object(spec, o, mesh, paint, k)
     low, high = scene_bounds(scene, meshes)
     add_lights(spec, low, high)
     add_camera(spec, low, high, view, size)
@@ -100,14 +99,14 @@ def render_scene(
 
 
 def category_colour(category: str) -> str:
-    """The colour of a category, ``#rrggbb``: the same everywhere."""
+    """Returns the colour of a category, ``#rrggbb``, the same in every scene."""
     if category in OWN_COLOURS:
         return OWN_COLOURS[category]
     return PALETTE[hashlib.sha256(category.encode()).digest()[0] % len(PALETTE)]
 
 
 def object_colour(o: SceneObject) -> str:
-    """Its category's colour, ``#rrggbb``, shaded so that the assets of a category can be told apart."""
+    """Returns the colour of an object's category, ``#rrggbb``, shaded so that the assets of a category can be distinguished."""
     share = hashlib.sha256((o.asset_id or "").encode()).digest()[0] / 255
     red, green, blue, _ = rgba(category_colour(o.category))
     shaded = (min(255, round(255 * (0.84 + 0.26 * share) * channel)) for channel in (red, green, blue))
@@ -115,10 +114,11 @@ def object_colour(o: SceneObject) -> str:
 
 
 def scene_bounds(scene: Scene, meshes: Sequence[Mesh | None]) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest corner of objects and table, (3,) float64 each, metres, world frame."""
+    """Computes the lowest and highest corner of objects and table, (3,) float64 each, metres, world frame."""
     corners = [np.array([[0.0, 0.0, -TABLE_THICKNESS], [*scene.table.size_xy, 0.0]])]
     for o, mesh in zip(scene.objects, meshes, strict=True):
         half = np.asarray(o.size) / 2 if mesh is None else np.abs(mesh.vertices).max(axis=0)
+        # Any yaw fits into the circle around the box.
         reach = np.array([np.hypot(half[0], half[1])] * 2 + [half[2]])
         corners.append(np.array([o.position - reach, o.position + reach]))
     every = np.concatenate(corners)
@@ -126,15 +126,12 @@ def scene_bounds(scene: Scene, meshes: Sequence[Mesh | None]) -> tuple[FloatArra
 
 
 def contact_sheet(images: Sequence[Picture], labels: Sequence[str], columns: int) -> Picture:
-    """Pictures side by side, each with its label under it.
+    """Arranges pictures in rows, each with its label below.
 
     Args:
-        images: Of one size.
+        images: Pictures of one size.
         labels: One for each picture.
         columns: Pictures in a row.
-
-    Returns:
-        The sheet.
 
     Raises:
         ConfigError: There is no picture, or their sizes differ (``invalid_sheet``).
@@ -156,29 +153,30 @@ def contact_sheet(images: Sequence[Picture], labels: Sequence[str], columns: int
 
 
 def set_lighting(spec: mujoco.MjSpec, size: tuple[int, int]) -> None:
-    """Sets background, buffers and quality for pictures of so many pixels, width and height."""
+    """Sets background, buffers and quality for pictures of a width and height, pixels."""
     spec.add_texture(
         name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
         rgb1=[0.93, 0.95, 0.97], rgb2=[0.80, 0.83, 0.87], width=64, height=384,
     )  # fmt: skip
     visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = size
-    # A CPU draws a shadow map no faster than a picture; four points of it for each pixel of a row are enough.
+    # A shadow map costs a CPU as much as a picture; four of its points for each pixel of a row are enough.
     visual.quality.shadowsize, visual.quality.offsamples = min(2048, max(512, 4 * max(size))), 4
     visual.headlight.ambient, visual.headlight.diffuse, visual.headlight.specular = [0.34] * 3, [0.18] * 3, [0.0] * 3
-    # The shadow map keeps off surfaces by a share of the depth that it spans: with 50 some table tops had specks of their own
-    # shadow.
+    # The offset of shadows from surfaces is a share of the depth range: with zfar 50 some table tops had specks of shadow.
     visual.map.znear, visual.map.zfar = 0.01, 200.0
-    visual.map.shadowclip = 0.8  # of the extent: half of what a shadow map spans
+    visual.map.shadowclip = 0.8  # in extents: half the width of the shadow map
 
 
-def _add_table(spec: mujoco.MjSpec, table: Tabletop) -> None:
+def table_boxes(table: Tabletop) -> list[tuple[str, str, Vec3, Vec3]]:
+    """Returns name, colour, centre and half size of the table top and of the restricted zone, metres."""
     x, y = table.size_xy
-    _add_box(spec, (x / 2, y / 2, -TABLE_THICKNESS / 2), (x / 2, y / 2, TABLE_THICKNESS / 2), rgba(TABLE_COLOUR))
+    boxes = [(TABLE, TABLE_COLOUR, (x / 2, y / 2, -TABLE_THICKNESS / 2), (x / 2, y / 2, TABLE_THICKNESS / 2))]
     if table.restricted_zone is not None:
         x_min, x_max, y_min, y_max = table.restricted_zone
         centre = ((x_min + x_max) / 2, (y_min + y_max) / 2, 0.0)
-        _add_box(spec, centre, ((x_max - x_min) / 2, (y_max - y_min) / 2, SINK_RISE), rgba(SINK_COLOUR))
+        boxes.append(("restricted_zone", SINK_COLOUR, centre, ((x_max - x_min) / 2, (y_max - y_min) / 2, SINK_RISE)))
+    return boxes
 
 
 def _add_box(spec: mujoco.MjSpec, centre: Vec3, half: Vec3, rgba: list[float], yaw: float = 0.0) -> None:
@@ -194,11 +192,12 @@ def _add_box(spec: mujoco.MjSpec, centre: Vec3, half: Vec3, rgba: list[float], y
 
 
 def _add_object(spec: mujoco.MjSpec, o: SceneObject, mesh: Mesh | None, paint: str | Paint, index: int) -> None:
-    coats = _coats(mesh, paint) if mesh is not None else []
-    if not coats:
+    parts = _coloured_parts(mesh, paint) if mesh is not None else []
+    if not parts:
         colour = paint if isinstance(paint, str) else object_colour(o)
-        _add_box(spec, o.position, _half(o.size), rgba(colour, 0.45), o.yaw)
-    for k, (colour, vertices, normals) in enumerate(coats):
+        x, y, z = (max(side / 2, 1e-4) for side in o.size)
+        _add_box(spec, o.position, (x, y, z), rgba(colour, 0.45), o.yaw)
+    for k, (colour, vertices, normals) in enumerate(parts):
         name, corners = f"object_{index}_{k}", np.arange(len(vertices), dtype=np.int32)
         spec.add_mesh(
             name=name, uservert=vertices.ravel(), usernormal=normals.ravel(), userface=corners, userfacenormal=corners,
@@ -210,20 +209,15 @@ def _add_object(spec: mujoco.MjSpec, o: SceneObject, mesh: Mesh | None, paint: s
         )  # fmt: skip
 
 
-def _coats(mesh: Mesh, paint: str | Paint) -> list[tuple[str, FloatArray, FloatArray]]:
-    """Colour, corners and normals of each part of a mesh that has one colour; nothing where there is nothing to see."""
+def _coloured_parts(mesh: Mesh, paint: str | Paint) -> list[tuple[str, FloatArray, FloatArray]]:
+    """Colour, corners and normals of each single-coloured part of a mesh; empty if no face is visible."""
     pairs = [(paint, mesh)] if isinstance(paint, str) else [(c, Mesh(mesh.vertices, mesh.faces[rows])) for c, rows in paint]
-    drawn = [(colour, _drawn(part)) for colour, part in pairs]
+    drawn = [(colour, _visible_faces(part)) for colour, part in pairs]
     return [(colour, *found) for colour, found in drawn if found is not None]
 
 
-def _half(size: Vec3) -> Vec3:
-    x, y, z = (max(side / 2, 1e-4) for side in size)
-    return (x, y, z)
-
-
 def add_lights(spec: mujoco.MjSpec, low: FloatArray, high: FloatArray) -> None:
-    """Adds the lights for what is between two corners, (3,) each, metres."""
+    """Adds the lights for a scene between two corners, (3,) each, metres."""
     centre, reach = (low + high) / 2, float((high - low).max())
     spec.stat.center, spec.stat.extent = centre.tolist(), reach
     sun = np.array([-0.45, -0.55, 1.3])
@@ -240,25 +234,26 @@ def add_lights(spec: mujoco.MjSpec, low: FloatArray, high: FloatArray) -> None:
 def add_camera(
     spec: mujoco.MjSpec, low: FloatArray, high: FloatArray, view: View, size: tuple[int, int], name: str = "view"
 ) -> None:
-    """Adds the camera that looks at so much from one side, as the module says; all corners of it are in the picture.
+    """Adds a camera that looks from one side, by the module's rule; all corners of the scene are in the picture.
 
     Args:
         spec: The description to add it to.
-        low: Lowest corner of what is there, (3,), metres.
+        low: Lowest corner of the scene, (3,), metres.
         high: Highest corner.
-        view: Where from.
-        size: Width and height of its pictures, of which the ratio counts.
+        view: The side from which it looks.
+        size: Width and height of its pictures; only their ratio matters.
         name: Its name.
     """
     direction = np.array(_DIRECTIONS[view]) / np.linalg.norm(_DIRECTIONS[view])
     right = np.cross([0.0, 0.0, 1.0], direction) if abs(direction[2]) < 0.999 else np.array([1.0, 0.0, 0.0])
     right /= np.linalg.norm(right)
     up = np.cross(direction, right)
-    quat = np.empty(4)
+    quat = np.empty(4)  # w first, as MuJoCo writes it
     mujoco.mju_mat2Quat(quat, np.stack([right, up, direction], axis=1).ravel())
     half = (high - low) / 2
+    # The distance at which each corner, at its depth along the view direction, is just inside the picture.
     corners = half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    ratio = size[0] / size[1]  # the field of view is that of the height
+    ratio = size[0] / size[1]  # the field of view is vertical
     needed = corners @ direction + np.maximum(abs(corners @ right) / ratio, abs(corners @ up)) / _HALF_VIEW
     usual = _DISTANCE * 2 * half.max() / max(1.0, ratio)
     position = (low + high) / 2 + max(usual, _MARGIN * needed.max()) * direction
@@ -266,19 +261,17 @@ def add_camera(
 
 
 def open_renderer(model: mujoco.MjModel, size: tuple[int, int]) -> mujoco.Renderer:
-    """What draws a model off screen; the driver keeps a context until it is closed.
+    """Opens an off-screen renderer of a model; its OpenGL context exists until it is closed.
 
-    Args:
-        model: The model.
-        size: Width and height, pixels.
+    ``size`` is width and height, pixels.
 
     Raises:
-        ConfigError: The machine cannot draw (``no_gl``).
+        ConfigError: The machine cannot render (``no_gl``).
     """
     try:
         return mujoco.Renderer(model, height=size[1], width=size[0])
     except (ImportError, AttributeError, RuntimeError, mujoco.FatalError) as error:
-        # MuJoCo was imported before `stable_data.simulation.mujoco_import` said how to draw.
+        # True if MuJoCo was imported before `stable_data.simulation.mujoco_import` chose the renderer.
         is_late = os.environ.get("MUJOCO_GL") == "egl" and "egl" not in getattr(mujoco, "GLContext", int).__module__
         late = "import stable_data.simulation.gym_env before mujoco, or set MUJOCO_GL=egl for both; else " if is_late else ""
         raise ConfigError(
@@ -294,7 +287,7 @@ def _draw(model: mujoco.MjModel, size: tuple[int, int]) -> Picture:
     try:
         mujoco.mj_forward(model, data)
         renderer.update_scene(data, camera="view")
-        shaded = renderer.render()
+        shaded = renderer.render()  # with hard shadows
         renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
         return _with_soft_shadows(renderer.render(), shaded)
     finally:
@@ -302,7 +295,7 @@ def _draw(model: mujoco.MjModel, size: tuple[int, int]) -> Picture:
 
 
 def _with_soft_shadows(lit: Picture, shaded: Picture) -> Picture:
-    """The picture without shadows, darkened where the other one is: free of the specks that shadow maps leave at edges."""
+    """Darkens the picture without shadows by the other one, filtered: shadow maps leave specks at edges."""
     brightness, darkened = lit.astype(np.float32).sum(axis=2) + 1, shaded.astype(np.float32).sum(axis=2) + 1
     share = Image.fromarray((255 * np.minimum(darkened / brightness, 1)).round().astype(np.uint8))
     soft = share.filter(ImageFilter.MedianFilter(3)).filter(ImageFilter.GaussianBlur(0.7))
@@ -310,17 +303,17 @@ def _with_soft_shadows(lit: Picture, shaded: Picture) -> Picture:
 
 
 def rgba(colour: str, alpha: float = 1.0) -> list[float]:
-    """``#rrggbb`` as shares of red, green, blue and opacity, 0 to 1."""
+    """Returns ``#rrggbb`` as shares of red, green, blue and opacity, 0 to 1."""
     return [*(int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)), alpha]
 
 
-def _drawn(mesh: Mesh) -> tuple[FloatArray, FloatArray] | None:
-    """Corners and normals (3F, 3) of what is drawn, or None where there is nothing to see. Kept for meshes drawn lately."""
-    return _drawn_of(mesh.vertices.tobytes(), mesh.faces.tobytes())
+def _visible_faces(mesh: Mesh) -> tuple[FloatArray, FloatArray] | None:
+    """Corners and normals (3F, 3) of the visible faces, or None without any. Cached for recent meshes."""
+    return _visible_faces_of(mesh.vertices.tobytes(), mesh.faces.tobytes())  # bytes, because a cache needs keys with a hash
 
 
 @lru_cache(maxsize=32)
-def _drawn_of(vertex_bytes: bytes, face_bytes: bytes) -> tuple[FloatArray, FloatArray] | None:
+def _visible_faces_of(vertex_bytes: bytes, face_bytes: bytes) -> tuple[FloatArray, FloatArray] | None:
     vertices = np.frombuffer(vertex_bytes, np.float64).reshape(-1, 3)
     faces = np.frombuffer(face_bytes, np.int64).reshape(-1, 3)
     if len(faces) > _MAX_FACES:
@@ -341,7 +334,7 @@ def _corner_normals(faces: npt.NDArray[np.int64], areas: FloatArray) -> FloatArr
     order = np.argsort(corner_vertex, kind="stable")
     starts = np.flatnonzero(np.r_[True, np.diff(corner_vertex[order]) != 0])
     counts = np.diff(np.r_[starts, len(order)])
-    # Every corner with every corner at the same vertex: pair k of corner c is the k-th of its vertex.
+    # All pairs of corners at the same vertex: pair k of corner c is with the k-th corner of its vertex.
     size = counts.repeat(counts)
     first = order.repeat(size)
     offset = np.arange(len(first)) - (np.cumsum(size) - size).repeat(size)

@@ -1,4 +1,4 @@
-"""The scenes of a run with all that is needed to build them: chosen, in order, with the meshes that they use."""
+"""Reads selected scenes of a run, in order, with the geometry that they need."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,18 +15,18 @@ from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import scene_from_row
 
 NEEDED = ("scenes", "assets", "meshes")
-"""Tables that a run must have for its scenes to be built."""
+"""Tables that a run must have so that its scenes can be built."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneSelection:
-    """Which scenes of a run, and how.
+    """A selection of scenes of a run.
 
     Attributes:
         where: A condition on ``scenes``, see :mod:`stable_data.storage.filter_expression`; None: all.
-        scene_ids: These alone; all where empty.
-        limit: The first so many of them; None: all.
-        settled: Objects lie where the physics engine left them (table ``settled``); else where the scene has them.
+        scene_ids: Only these scenes; all if empty.
+        limit: The number of first scenes that are used; None: all.
+        settled: Objects are at their poses after settling (table ``settled``); else at their poses in the scene.
     """
 
     where: str | None = None
@@ -36,31 +36,30 @@ class SceneSelection:
 
     @property
     def condition(self) -> str | None:
-        """The condition that ``where`` and ``scene_ids`` make."""
-        parts = ([f"({self.where})"] if self.where else []) + (
-            [f"scene_id in {sorted(self.scene_ids)!r}"] if self.scene_ids else []
-        )
-        return " and ".join(parts) or None
+        """The condition that combines ``where`` and ``scene_ids``."""
+        where = f"({self.where})" if self.where else None
+        ids = f"scene_id in {sorted(self.scene_ids)!r}" if self.scene_ids else None
+        return " and ".join(filter(None, (where, ids))) or None
 
 
 class RunScenes:
-    """The scenes of a run with their geometry, read as they are asked for; of each table no more than a row group is held.
+    """The scenes of a run with their geometry, read on demand; at most one row group of each table is in memory.
 
     Args:
         run: The run, with the tables of ``NEEDED``.
-        choice: Which of its scenes.
-        store: Its meshes, where they are opened already.
+        choice: The selection of its scenes.
+        store: Its meshes, if they are open already.
 
     Attributes:
         store: The meshes of the run.
 
     Raises:
         ConfigError: A table is missing (``table_missing``) or cannot be read; ``where`` is no condition; or a scene of
-            ``scene_ids`` is not there (``scene_unknown``).
+            ``scene_ids`` does not exist (``scene_unknown``).
     """
 
     def __init__(self, run: RunFolder, choice: SceneSelection = SceneSelection(), store: AssetStore | None = None) -> None:
-        check_tables(run, settled=choice.settled)
+        _check_tables(run, settled=choice.settled)
         self._scenes = TableFiles(run.uri, "scenes", None, where=choice.condition)
         self._limit = choice.limit
         if choice.scene_ids:
@@ -69,7 +68,6 @@ class RunScenes:
         self._settled = SettledPoses(run) if choice.settled else None
 
     def __len__(self) -> int:
-        """How many there are."""
         return len(self._scenes) if self._limit is None else min(len(self._scenes), self._limit)
 
     def __iter__(self) -> Iterator[Scene]:
@@ -83,24 +81,20 @@ class RunScenes:
                     left -= 1
                     yield scene_from_row(row)
 
-    def solid(self, scene: Scene) -> SceneGeometry:
-        """One of them with its geometry.
+    def geometry(self, scene: Scene) -> SceneGeometry:
+        """Returns one of the scenes with its geometry.
 
         Raises:
-            SceneError: It was never settled, and that is asked for.
+            SceneError: The scene was never settled, but settled poses are selected.
         """
         return SceneGeometry.of(scene, self.store, None if self._settled is None else self._settled.of(scene.scene_id))
 
 
 class SettledPoses:
-    """The table ``settled`` of a run.
-
-    Args:
-        run: The run.
-    """
+    """The table ``settled`` of a run, read on demand."""
 
     def __init__(self, run: RunFolder) -> None:
-        ids = TableFiles(run.uri, "settled", ["scene_id"])
+        ids = TableFiles(run.uri, "settled", ["scene_id"])  # poses are read later, by row group
         self._rows = TableFiles(run.uri, "settled", None)
         self._place = {
             name: (group, row)
@@ -110,7 +104,7 @@ class SettledPoses:
         self._read: tuple[int, pa.Table] | None = None
 
     def of(self, scene_id: str) -> dict[str, RestPose]:
-        """Where its objects came to rest, by instance; empty where it was never settled."""
+        """The poses of a scene's objects after settling, by instance; empty if it was never settled."""
         if scene_id not in self._place:
             return {}
         group, row = self._place[scene_id]
@@ -120,33 +114,29 @@ class SettledPoses:
         return {pose["instance"]: (tuple(pose["position"]), tuple(pose["quat_xyzw"])) for pose in poses}
 
 
-def check_tables(run: RunFolder, *, settled: bool = False) -> None:
-    """Refuses a run that lacks what an export needs.
-
-    Raises:
-        ConfigError: ``table_missing``.
-    """
+def _check_tables(run: RunFolder, *, settled: bool = False) -> None:
+    """Refuses a run without the tables that an export needs (``table_missing``)."""
     for table in NEEDED:
         if not run.files(table):
             raise ConfigError(
-                f"{run.uri}: the run has no table {table}, expected {', '.join(NEEDED)}; preprocess the dataset, or name the run of a job",
+                f"{run.uri}: the run has no table {table}, expected {', '.join(NEEDED)}; preprocess the dataset, or pass the run of a job",
                 "table_missing",
             )
     if settled and not (run.files("settled") and run.num_rows("settled")):
         raise ConfigError(
-            f"{run.uri}: the run keeps no settled poses, expected rows of the table settled; "
+            f"{run.uri}: the run stores no settled poses, expected rows of the table settled; "
             "generate with --set keep_settled=true, or export the scenes without --settled",
             "table_missing",
         )
 
 
 def _check_known(run: RunFolder, choice: SceneSelection) -> None:
-    """Refuses scenes that the run does not have, or that the condition does not take."""
+    """Refuses scenes that the run does not have, or that the condition excludes."""
     ids = TableFiles(run.uri, "scenes", ["scene_id"], where=choice.condition)
-    have = {name for group in range(len(ids.groups)) for name in ids.read([group])["scene_id"].to_pylist()}
-    missing = sorted(set(choice.scene_ids) - have)
+    found = {name for group in range(len(ids.groups)) for name in ids.read([group])["scene_id"].to_pylist()}
+    missing = sorted(set(choice.scene_ids) - found)
     if missing:
-        those = f" where {choice.where}" if choice.where else ""
+        condition = f" where {choice.where}" if choice.where else ""
         raise ConfigError(
-            f"{run.uri}: the run has no scenes {missing[:5]}{those}, expected ids of its table scenes", "scene_unknown"
+            f"{run.uri}: the run has no scenes {missing[:5]}{condition}, expected ids of its table scenes", "scene_unknown"
         )

@@ -1,4 +1,4 @@
-"""What a physics engine makes of a scene: MuJoCo lets it settle, watches it, and says whether it stayed where it was put.
+"""Settles a scene in MuJoCo, watches it, and judges whether its objects stayed at their poses.
 
 Colliders are the convex parts of the objects; the table is a box whose top is z = 0. World frame, metres, kilograms, seconds.
 """
@@ -18,43 +18,43 @@ from stable_data.scene import TABLE, FloatArray, QuatXyzw, Tabletop, Vec3
 from stable_data.simulation.mujoco_import import mujoco
 
 MOVE_LIMIT = 0.010
-"""A scene is stable when nothing moved farther than this in all, metres."""
+"""Largest movement of an object in a stable scene, from its start at any time, metres."""
 
 TURN_LIMIT = 5.0
-"""... and nothing turned farther than this in all, degrees."""
+"""Largest rotation of an object in a stable scene, from its start at any time, degrees."""
 
 DRIFT_LIMIT = 0.050
-"""... and nothing went farther than this after the settling, metres."""
+"""Largest movement of an object in a stable scene after the settling, metres."""
 
 COLLIDER = "collider"
-"""Default class of the geoms that collide, in a model of the engine."""
+"""Default class of the geoms that collide, in a MuJoCo model."""
 
 _TABLE_THICKNESS = 0.1
 _JITTER_SECONDS = 1.0
 _REST_SECONDS = 0.1
-_TURN_ARM = 0.05  # metres
-_FLATTEST = 1e-6  # parts thinner than this share of their length (or 1 µm) enclose nothing an engine can hit, and are left out
+_TURN_ARM = 0.05  # metres; turning counts as the speed of a point at this distance
+_FLATTEST = 1e-6  # parts thinner than this share of their length (or 1 µm) have no volume to collide with, and are left out
 
 
 @dataclass(frozen=True, slots=True)
 class PhysicsOptions:
-    """How the engine is set. The defaults are those of the stability verdict.
+    """Settings of MuJoCo. The defaults are those of the stability verdict.
 
     Attributes:
         timestep: Seconds.
-        settle_seconds: How long a scene may settle.
-        watch_seconds: How long it is watched after that.
-        sample_seconds: How often poses are looked at.
-        rest_speed: The settling ends early once nothing has moved faster than this for a tenth of a second, metres a second
-            (0 waits to its end). Turning counts as the speed of a point 5 cm away.
+        settle_seconds: Longest time of settling.
+        watch_seconds: How long the scene is watched after settling.
+        sample_seconds: Interval between samples of the poses.
+        rest_speed: Settling ends early if no object moved faster than this for a tenth of a second, metres a second (0: never).
+            Turning counts as the speed of a point 5 cm away.
         friction: Sliding, torsional (metres) and rolling (metres) coefficients of every contact.
         solref: Time constant (seconds) and damping ratio of contacts.
         solimp: Impedance of contacts at depth 0 and beyond the width, and the width (metres).
-        impratio: How much stiffer friction is than the normal direction; keeps elliptic cones from creeping.
-        sleep_speed: What moves slower than this in the watch, metres a second, with all that it touches, is not looked at until
-            something touches it (0: all is). It could creep a third of a millimetre in the watch.
-        hurries: Whether a scene is watched no longer once something has gone too far in the settling: it is not stable,
-            whatever comes. Where it comes to lie, how far it drifts and how it trembles is not known then.
+        impratio: Ratio of the stiffness of friction to that of the normal direction; it prevents creeping with elliptic cones.
+        sleep_speed: In the watch, objects slower than this, metres a second, are not simulated, with all that they touch, until
+            another object touches them (0: all are simulated). They could creep a third of a millimetre in the watch.
+        stops_early: The scene is not watched if an object exceeded a limit in the settling: it is not stable in any case. Rest
+            poses, drift and jitter are then unknown.
     """
 
     timestep: float = 0.002
@@ -67,20 +67,20 @@ class PhysicsOptions:
     solimp: Vec3 = (0.95, 0.99, 0.001)
     impratio: float = 10.0
     sleep_speed: float = 1e-4
-    hurries: bool = False
+    stops_early: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigidBody:
-    """An object as the engine sees it.
+    """An object for the physics engine.
 
     Attributes:
-        name: Named in reasons.
-        parts: Convex colliders, metres, yaw frame, centred on the object's box. Their hulls are what collides.
-        mass: Kilograms, spread evenly over the parts.
+        name: Its name in reasons.
+        parts: Convex colliders, metres, yaw frame, centred on the object's box. Their convex hulls collide.
+        mass: Kilograms, distributed over the parts by volume.
         position: Centre of its box in its yaw frame, metres, world frame.
         yaw: Rotation about +z, radians.
-        movable: False for what is fixed to the world.
+        movable: False if it is fixed to the world.
     """
 
     name: str
@@ -93,22 +93,24 @@ class RigidBody:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SettleResult:
-    """Where the bodies came to rest, and the verdict (docs/generate.md). None is unknown, and never a pass.
+    """Poses after settling, and the verdict (docs/generate.md). None is unknown, and never a pass.
 
     Attributes:
-        names: The bodies, in the order given.
-        positions: At the end, (N, 3) float64, metres, world frame: where the centre of the box at the start has gone.
-        quats_xyzw: At the end, (N, 4) float64, unit, world from yaw frame at yaw 0; upright at the start it is the yaw alone.
-        moves: Farthest that each body ever was from its start, (N,) float64, metres. Where the simulation blew up it is inf of
-            the bodies that had gone too far before (of all where none had), and NaN, unknown, of the others.
-        turns: Farthest that each body ever was turned from its start, (N,) float64, degrees, with inf and NaN as in ``moves``.
+        names: The bodies, in the given order.
+        positions: Final positions of the centres that the boxes had at the start, (N, 3) float64, metres, world frame.
+        quats_xyzw: Final rotations, (N, 4) float64, unit, world from yaw frame at yaw 0; for a body upright at the start only
+            the yaw.
+        moves: Largest distance of each body from its start at any time, (N,) float64, metres. If the simulation diverged, it is
+            inf for the bodies that had exceeded a limit before (for all, if none had), and NaN, unknown, for the others.
+        turns: Largest rotation of each body from its start at any time, (N,) float64, degrees, with inf and NaN as in
+            ``moves``.
         engine_penetration_mm: Deepest contact at t = 0.
         settle_move_max_mm: Largest of ``moves``.
         settle_turn_max_deg: Largest of ``turns``.
-        drift_mm: Farthest that a body was, while watched, from where it was when the settling ended.
-        jitter_mm: Farthest that a body was from its own mean position in the last second; what sleeps does not tremble.
-        stable: Nothing moved more than 10 mm or turned more than 5 degrees in all, nothing drifted 50 mm.
-        reason: Why ``stable`` is not True; empty where it is.
+        drift_mm: Largest distance of a body in the watch from its position at the end of the settling.
+        jitter_mm: Largest distance of a body from its own mean position in the last second; 0 for a sleeping body.
+        stable: No body moved more than 10 mm or turned more than 5 degrees in all, and none drifted 50 mm.
+        reason: Why ``stable`` is not True; empty if it is.
     """
 
     names: tuple[str, ...]
@@ -125,20 +127,20 @@ class SettleResult:
     reason: str = ""
 
     def pose(self, index: int) -> tuple[Vec3, QuatXyzw]:
-        """Position and quaternion of a body at the end, see ``positions`` and ``quats_xyzw``."""
+        """Final position and quaternion of a body, see ``positions`` and ``quats_xyzw``."""
         x, y, z = self.positions[index].tolist()
         a, b, c, d = self.quats_xyzw[index].tolist()
         return (x, y, z), (a, b, c, d)
 
     @property
     def unsteady(self) -> tuple[str, ...]:
-        """The bodies that went too far or turned too much; where the simulation blew up, those that are to blame."""
-        is_gone = _gone(self.moves, self.turns).tolist()
-        return tuple(name for name, gone in zip(self.names, is_gone, strict=True) if gone)
+        """The bodies that exceeded a limit; if the simulation diverged, those that caused it."""
+        exceeds = _exceed_limits(self.moves, self.turns).tolist()
+        return tuple(name for name, is_unsteady in zip(self.names, exceeds, strict=True) if is_unsteady)
 
     @property
     def num_restless(self) -> int:
-        """How many bodies are not known to stay: those that are unsteady, and all where the simulation blew up or never ran."""
+        """Number of bodies that are not known to stay: the unsteady ones, and all if the simulation diverged or did not run."""
         return int((~((self.moves <= MOVE_LIMIT) & (self.turns <= TURN_LIMIT))).sum())
 
 
@@ -147,12 +149,12 @@ def settle(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions
 
     Args:
         bodies: The objects.
-        table: The table that they stand on.
-        options: How the engine is set; by default 2 ms steps, 1 s to settle, 3 s watched.
+        table: The table that supports them.
+        options: Settings of MuJoCo; by default 2 ms steps, 1 s of settling, 3 s of watching.
 
     Returns:
-        Final poses and the verdict. ``stable`` is None where the engine could not be asked (a body without a solid part), False
-        where it was and something moved, fell or exploded.
+        Final poses and the verdict. ``stable`` is None if the scene could not be simulated (a body without a solid part), False
+        if a body moved or fell or the simulation diverged.
     """
     names = tuple(body.name for body in bodies)
     start = np.array([(*b.position, *yaw_quat(b.yaw)) for b in bodies], np.float64).reshape(-1, 7)
@@ -165,46 +167,39 @@ def settle(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions
     with without_log_file():
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
-        penetration = deepest_contact(data)
-        settled = _run(model, data, options.settle_seconds, options, options.rest_speed)
+        penetration = float(max(0.0, -data.contact.dist.min())) if data.ncon else 0.0
+        settled = _simulate(model, data, options.settle_seconds, options, options.rest_speed)
         path = np.concatenate([start[None], settled])
-        if not np.isfinite(path).all() or (options.hurries and _why_not(names, *_farthest(path), 0.0)):
+        if not np.isfinite(path).all() or (options.stops_early and _instability_reason(names, *_largest_movement(path), 0.0)):
             watched = settled[:0]
         else:
-            enable_sleeping(model, options)  # not before: what only just begins to fall is as slow as what rests
-            watched = _run(model, data, options.watch_seconds, options)
+            enable_sleeping(model, options)  # not before: a body that begins to fall is as slow as one at rest
+            watched = _simulate(model, data, options.watch_seconds, options)
     if not (np.isfinite(path).all() and np.isfinite(watched).all()):
-        return _exploded(names, np.concatenate([path, watched])[:-1], penetration)
+        return _diverged(names, np.concatenate([path, watched])[:-1], penetration)  # the last sample is NaN
     return _verdict(names, path, watched, penetration, options)
 
 
 def compile_bodies(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions = PhysicsOptions()) -> mujoco.MjModel:
-    """Builds the engine's model in memory.
-
-    Args:
-        bodies: The objects; body k + 1 of the model is ``bodies[k]`` (0 is the world with the table).
-        table: The table.
-        options: How the engine is set.
-
-    Returns:
-        The model, a ``mujoco.MjModel``.
+    """Compiles the MuJoCo model that :func:`spec_of` describes, a ``mujoco.MjModel``.
 
     Raises:
-        MeshError: A body has no solid part (code ``no_collider``) or no mass, or the engine refuses the model (``engine``).
+        MeshError: A body has no solid part (code ``no_collider``) or no mass, or MuJoCo refuses the model (``engine``).
     """
     return compile_spec(spec_of(bodies, table, options))
 
 
 def spec_of(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions = PhysicsOptions()) -> mujoco.MjSpec:
-    """What :func:`compile_bodies` compiles: the one description of a scene for the engine, which exports add names and looks to.
+    """Describes a scene for MuJoCo; exports add names and appearance to the description.
 
     Args:
-        bodies: The objects; body k + 1 of the model is ``bodies[k]``. Their geoms are their solid parts, in order.
+        bodies: The objects; body k + 1 of the model is ``bodies[k]`` (0 is the world with the table). Their geoms are their
+            solid parts, in order.
         table: The table, the geom ``table`` of the world.
-        options: How the engine is set.
+        options: Settings of MuJoCo.
 
     Returns:
-        The description, a ``mujoco.MjSpec``; what collides is of the class ``collider``.
+        The description, a ``mujoco.MjSpec``; geoms that collide are of the class ``collider``.
 
     Raises:
         MeshError: A body has no solid part (code ``no_collider``) or no mass.
@@ -213,6 +208,7 @@ def spec_of(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOption
     _configure(spec, options)
     collider = spec.add_default(COLLIDER, spec.default)
     collider.geom.friction, collider.geom.solref = list(options.friction), list(options.solref)
+    # Midpoint 0.5 and power 2 are MuJoCo's defaults; condim 4 adds torsional friction.
     collider.geom.solimp, collider.geom.condim = [*options.solimp, 0.5, 2.0], 4
     x, y = table.size_xy
     half = _TABLE_THICKNESS / 2
@@ -226,10 +222,10 @@ def spec_of(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOption
 
 
 def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """The engine's model of a description.
+    """Compiles a description to a MuJoCo model.
 
     Raises:
-        MeshError: The engine refuses it (``engine``).
+        MeshError: MuJoCo refuses it (``engine``).
     """
     try:
         return spec.compile()
@@ -240,22 +236,17 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def enable_sleeping(model: mujoco.MjModel, options: PhysicsOptions) -> None:
-    """From now on the engine does not look at what is slower than ``options.sleep_speed``, if that is more than 0."""
+    """Lets MuJoCo skip bodies slower than ``options.sleep_speed`` from now on, if that is more than 0."""
     if options.sleep_speed:
         model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
         model.opt.sleep_tolerance = options.sleep_speed
-
-
-def deepest_contact(data: mujoco.MjData) -> float:
-    """Depth of the deepest contact of the current state, metres, 0 where nothing touches."""
-    return float(max(0.0, -data.contact.dist.min())) if data.ncon else 0.0
 
 
 def _configure(spec: mujoco.MjSpec, options: PhysicsOptions) -> None:
     spec.option.timestep = options.timestep
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = options.impratio
-    # By default the engine starts a blown-up scene again from its first pose, which would look like one that never moved.
+    # By default MuJoCo resets a scene that diverges to its first pose, which would look like a scene that never moved.
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
 
@@ -274,7 +265,7 @@ def _add_body(spec: mujoco.MjSpec, body: RigidBody, meshes: dict[int, str], coll
         )
     for part, volume in zip(body.parts, volumes, strict=True):
         if volume > 0:
-            if id(part) not in meshes:  # objects of one asset share its colliders
+            if id(part) not in meshes:  # objects of one asset share its parts
                 meshes[id(part)] = f"part_{len(meshes)}"
                 inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
                 spec.add_mesh(name=meshes[id(part)], uservert=part.vertices.ravel(), inertia=inertia)
@@ -284,31 +275,32 @@ def _add_body(spec: mujoco.MjSpec, body: RigidBody, meshes: dict[int, str], coll
 
 @lru_cache(maxsize=1024)
 def hull_volume(part: Mesh) -> float:
-    """Volume of a closed convex part, cubic metres; 0 where it is too flat for an engine to collide with."""
+    """Computes the volume of a closed convex part, cubic metres; 0 if it is too flat to collide with."""
     vertices = part.vertices - part.vertices.mean(axis=0)
     if len(vertices) < 4 or not np.isfinite(vertices).all():
         return 0.0
-    spread = np.linalg.svd(vertices, compute_uv=False)
+    spread = np.linalg.svd(vertices, compute_uv=False)  # the smallest value measures the thickness
     if spread[2] < max(_FLATTEST * spread[0], 1e-6):
         return 0.0
     a, b, c = (vertices[part.faces[:, k]] for k in range(3))
     return max(0.0, float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6)
 
 
-def _run(
+def _simulate(
     model: mujoco.MjModel, data: mujoco.MjData, seconds: float, options: PhysicsOptions, rest_speed: float = 0.0
 ) -> FloatArray:
-    """Poses of all bodies at every sample, (T, N, 7) float64: position, quaternion xyzw; NaN from the first that blew up on.
+    """Poses of all bodies at every sample, (T, N, 7) float64: position, quaternion xyzw; NaN from the sample that diverged.
 
-    Ends early once nothing has moved faster than ``rest_speed`` for a while.
+    Ends early once no body has moved faster than ``rest_speed`` for a while.
     """
     patience = round(_REST_SECONDS / options.sample_seconds)
     num_still = 0
     stride = max(1, round(options.sample_seconds / options.timestep))
     samples = []
+    # Whole strides are simulated in one call, because each call from Python has a cost.
     for _ in range(max(1, round(seconds / options.timestep / stride))):
         mujoco.mj_step(model, data, nstep=stride)
-        # mj_step leaves the bodies where they were before the step; the joints are where they are now.
+        # mj_step leaves the poses of the bodies as they were before its last step; the joints are up to date.
         mujoco.mj_kinematics(model, data)
         pose = np.concatenate([data.xpos[1:], data.xquat[1:][:, [1, 2, 3, 0]]], axis=1)
         if has_exploded(data) or not np.isfinite(pose).all():
@@ -322,14 +314,14 @@ def _run(
 
 
 def _speed(data: mujoco.MjData) -> float:
-    """Of the fastest body, metres a second."""
+    """Speed of the fastest body, metres a second."""
     motion = data.qvel.reshape(-1, 6) * ([1.0] * 3 + [_TURN_ARM] * 3)
     return float(np.abs(motion).max(initial=0.0))
 
 
 @contextmanager
 def without_log_file() -> Iterator[None]:
-    """Keeps the engine from writing its warnings to a file in the working directory; the verdict says what they say."""
+    """Keeps MuJoCo from writing its warnings to a file in the working directory; the verdict gives the same information."""
     mujoco.set_mju_user_warning(lambda _: None)
     try:
         yield
@@ -338,7 +330,7 @@ def without_log_file() -> Iterator[None]:
 
 
 def has_exploded(data: mujoco.MjData) -> bool:
-    """Whether the engine has met numbers that no scene has."""
+    """Returns whether MuJoCo has found invalid positions, velocities or accelerations."""
     bad = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
     return any(data.warning[int(kind)].number > 0 for kind in bad)
 
@@ -348,61 +340,61 @@ def _verdict(
 ) -> SettleResult:
     """Judges trajectories (T, N, 7): the start and the settling, then the watch."""
     path = np.concatenate([settled, watched])
-    moves, turns = _farthest(path)
+    moves, turns = _largest_movement(path)
     drift, jitter = 0.0, None
     if len(watched):
         drift = float(np.linalg.norm(watched[:, :, :3] - settled[-1:, :, :3], axis=2).max(initial=0.0))
         last = watched[-max(1, round(_JITTER_SECONDS / options.sample_seconds)) :, :, :3]
         jitter = 1e3 * float(np.linalg.norm(last - last.mean(axis=0), axis=2).max(initial=0.0))
-    reason = _why_not(names, moves, turns, drift)
+    reason = _instability_reason(names, moves, turns, drift)
     move, turn = float(moves.max(initial=0.0)), float(turns.max(initial=0.0))
     figures = (1e3 * penetration, 1e3 * move, turn, 1e3 * drift if len(watched) else None, jitter)
     return SettleResult(names, path[-1, :, :3], path[-1, :, 3:], moves, turns, *figures, stable=not reason, reason=reason)
 
 
-def _farthest(path: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How far each body was from its start on a trajectory (T, N, 7), (N,) metres, and how far turned, (N,) degrees."""
+def _largest_movement(path: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Largest distance of each body from its start on a trajectory (T, N, 7), (N,) metres, and largest rotation, (N,) degrees."""
     moves = np.linalg.norm(path[:, :, :3] - path[:1, :, :3], axis=2).max(axis=0)
     return moves, np.degrees(_angles(path[:1, :, 3:], path[:, :, 3:])).max(axis=0)
 
 
-def _why_not(names: tuple[str, ...], moves: FloatArray, turns: FloatArray, drift: float) -> str:
+def _instability_reason(names: tuple[str, ...], moves: FloatArray, turns: FloatArray, drift: float) -> str:
     if moves.max(initial=0.0) > MOVE_LIMIT:
         return f"{names[int(moves.argmax())]} moved {1e3 * moves.max():.1f} mm"
     if turns.max(initial=0.0) > TURN_LIMIT:
         return f"{names[int(turns.argmax())]} turned {turns.max():.1f} degrees"
-    return f"something drifted {1e3 * drift:.1f} mm" if drift > DRIFT_LIMIT else ""
+    return f"an object drifted {1e3 * drift:.1f} mm" if drift > DRIFT_LIMIT else ""
 
 
 def _unknown(names: tuple[str, ...], start: FloatArray, reason: str) -> SettleResult:
-    nothing = np.full(len(names), np.nan)
-    return SettleResult(
-        names, start[:, :3], start[:, 3:], nothing, nothing, None, None, None, None, None, stable=None, reason=reason
-    )
+    unknown = np.full(len(names), np.nan)
+    figures = (None, None, None, None, None)
+    return SettleResult(names, start[:, :3], start[:, 3:], unknown, unknown, *figures, stable=None, reason=reason)
 
 
-def _exploded(names: tuple[str, ...], known: FloatArray, penetration: float) -> SettleResult:
-    """The verdict on a simulation that blew up after a trajectory (T, N, 7), its start included.
+def _diverged(names: tuple[str, ...], known: FloatArray, penetration: float) -> SettleResult:
+    """The verdict on a simulation that diverged after a trajectory (T, N, 7), with its start.
 
-    What had gone too far by then is to blame, for what only stands there does not blow up; where nothing had, anything may be.
+    Bodies that exceeded a limit before are the cause, because bodies at rest do not make a simulation diverge. If none had, all
+    may be.
     """
-    moves, turns = _farthest(known)
-    gone = _gone(moves, turns)
-    blamed = np.where(gone | ~gone.any(), np.inf, np.nan)
-    after = _why_not(names, moves, turns, 0.0)
-    reason = "the simulation blew up" + (f" after {after}" if after else "; are objects deep in one another?")
+    moves, turns = _largest_movement(known)
+    exceeds = _exceed_limits(moves, turns)
+    blamed = np.where(exceeds | ~exceeds.any(), np.inf, np.nan)
+    after = _instability_reason(names, moves, turns, 0.0)
+    reason = "the simulation diverged" + (f" after {after}" if after else "; separate objects that penetrate each other deeply")
     figures = (1e3 * penetration, None, None, None, None)
     return SettleResult(names, known[0, :, :3], known[0, :, 3:], blamed, blamed, *figures, stable=False, reason=reason)
 
 
-def _gone(moves: FloatArray, turns: FloatArray) -> npt.NDArray[np.bool_]:
-    """Which bodies went too far, (N,) bool."""
+def _exceed_limits(moves: FloatArray, turns: FloatArray) -> npt.NDArray[np.bool_]:
+    """Which bodies exceeded a limit, (N,) bool."""
     return (moves > MOVE_LIMIT) | (turns > TURN_LIMIT)
 
 
 def _angles(first: FloatArray, second: FloatArray) -> FloatArray:
     """Angle between rotations (..., 4), radians."""
-    # The arccosine of the product would be blind below 1e-4 rad.
+    # The chord, because the arccosine of the product cannot resolve angles below 1e-4 rad.
     sign = np.where((first * second).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)
     chord = np.linalg.norm(first - sign * second, axis=-1)
     return np.asarray(4 * np.arcsin(np.minimum(chord / 2, 1.0)))

@@ -80,7 +80,7 @@ def repair_settling(certifier: Certifier, done: CertificationResult, bodies: Seq
 
     def verdict(of: Scene) -> SettleResult:
         placed = [replace(body_of[o.instance], position=o.position, yaw=o.yaw) for o in of.objects]
-        return settle(placed, of.table, PhysicsOptions(hurries=not places))
+        return settle(placed, of.table, PhysicsOptions(stops_early=not places))
 
     with one_blas_thread():
         rest = done.rest or verdict(scene)

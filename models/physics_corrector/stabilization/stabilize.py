@@ -53,7 +53,7 @@ def stabilize(done: Correction, start: InputScene, options: CertifyOptions, stor
         return done
     scene, shapes, _ = store.resolved(done.certified)
     try:
-        rest = settle(bodies_of(scene, shapes, store), scene.table, PhysicsOptions(hurries=True))
+        rest = settle(bodies_of(scene, shapes, store), scene.table, PhysicsOptions(stops_early=True))
     except MeshError as error:
         return replace(done, engine_fault=str(error))
     done = replace(done, rest=rest if rest.stable is not None else None)

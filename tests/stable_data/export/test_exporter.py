@@ -74,7 +74,7 @@ def test_an_export_that_was_stopped_goes_on(name: str, run: RunFolder, tmp_path:
     there = {path: path.stat().st_mtime_ns for path in last_files(name, tmp_path / "out")}
     assert there
     again = export_run(run, tmp_path / "out", name, choice)
-    assert (again.made, again.there) == (1, 1)
+    assert (again.num_written, again.num_existing) == (1, 1)
     assert {path: path.stat().st_mtime_ns for path in there} == there
     assert content(tmp_path / "out") == content(tmp_path / "whole")
 
@@ -113,7 +113,7 @@ def test_what_nobody_foresaw_loses_one_scene(run: RunFolder, tmp_path: Path, mon
 def test_settled_poses_come_from_the_table(run: RunFolder) -> None:
     scenes = RunScenes(run, SceneSelection(settled=True))
     for scene in scenes:
-        solid = scenes.solid(scene)
+        solid = scenes.geometry(scene)
         rest = settle(solid.bodies, scene.table)
         assert rest.settle_move_max_mm is not None
         assert rest.settle_move_max_mm < 0.5
@@ -161,7 +161,7 @@ def test_a_run_that_keeps_no_settled_poses_says_so(tmp_path: Path) -> None:
     for _ in ("no table", "a table without rows"):
         result = command(bare.uri, tmp_path / "out", "--format", "mjcf", "--settled")
         assert result.exit_code == NOT_STARTED
-        assert "the run keeps no settled poses" in result.stderr
+        assert "the run stores no settled poses" in result.stderr
         assert "--set keep_settled=true" in result.stderr
         bare.write_shard("settled", "0" * 16, [])
 
@@ -202,7 +202,7 @@ def test_a_run_on_an_object_store_is_exported_the_same(run: RunFolder, tmp_path:
         for path in Path(run.root).glob("*/part-*.parquet"):
             remote.write_bytes(path.relative_to(run.root).as_posix(), path.read_bytes())
         for source, out in ((run, tmp_path / "local"), (remote, tmp_path / "remote")):
-            assert export_run(source, out, "mjcf", SceneSelection(settled=True, where="num_objects > 0")).made == 2
+            assert export_run(source, out, "mjcf", SceneSelection(settled=True, where="num_objects > 0")).num_written == 2
     here, there = content(tmp_path / "local"), content(tmp_path / "remote")
     assert here.pop(exporter.MANIFEST_FILE) != there.pop(exporter.MANIFEST_FILE)  # it says from where
     assert here == there

@@ -32,7 +32,7 @@ def plain_run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 @pytest.fixture(scope="module")
 def folder(plain_run: RunFolder, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("out") / "dataset"
-    assert export_run(plain_run, out, "mesatask", SceneSelection()).made == 2
+    assert export_run(plain_run, out, "mesatask", SceneSelection()).num_written == 2
     return out
 
 

@@ -17,7 +17,7 @@ from stable_data.metrics.alignment import Alignment, AlignmentReference, align, 
 from stable_data.metrics.alignment_summary import summarise_alignment
 from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.matching import ObjectMatching, RequiredObject
-from stable_data.metrics.reply_validity import ReplyTally
+from stable_data.metrics.reply_validity import reply_validity
 from stable_data.scene import TABLE, Relation, RelationKind, Scene, SceneObject, Tabletop, TaskInfo, Vec3
 from stable_data.scene_graph.relations import direction_of, relations_of, scene_graph
 from tests.stable_data.instructions.tables import TABLES, Table
@@ -321,14 +321,8 @@ def test_no_scenes_have_no_figures() -> None:
 
 
 def test_replies_are_counted_and_unknown_ones_are_not_valid() -> None:
-    tally = ReplyTally()
-    assert tally.figures().share is None
-    for _ in range(3):
-        tally.valid()
-    for code in ("reply_truncated", "object_unknown", "reply_truncated"):
-        tally.invalid(code)
-    tally.unknown()
-    found = tally.figures()
+    assert reply_validity(0, (), 0).share is None
+    found = reply_validity(3, ("reply_truncated", "object_unknown", "reply_truncated"), 1)
     assert found.invalid == (("reply_truncated", 2), ("object_unknown", 1))
     assert (found.num_valid, found.num_invalid, found.num_unknown, found.num_replies) == (3, 3, 1, 7)
     assert found.share == pytest.approx(3 / 7)

@@ -12,7 +12,7 @@ from stable_data.metrics.audit import (
     ObjectVerdict,
     PairVerdict,
     PosedScene,
-    _without_circles,
+    _mark_support_cycles,
     audit_posed_scene,
     audit_scene,
 )
@@ -211,23 +211,18 @@ def test_rows_say_the_same_in_millimetres() -> None:
     }
 
 
-def test_the_card_takes_counts_from_the_scene_graph() -> None:
-    card = audit_scene(*box_on_table()).card(num_stacked=2, num_contained=1)
-    assert (card.num_stacked, card.num_contained) == (2, 1)
-
-
 def _verdict(instance: str, *supports: str) -> ObjectVerdict:
     return ObjectVerdict(instance, not supports, supports, 0.0, 0.0, False, False, True)
 
 
 def test_things_that_only_carry_each_other_float() -> None:
     objects = (_verdict("cup", "toy"), _verdict("toy", "cup"), _verdict("ball", "toy"))
-    assert [o.floats for o in _without_circles(objects)] == [True, True, False]
+    assert [o.floats for o in _mark_support_cycles(objects)] == [True, True, False]
 
 
 def test_a_circle_that_a_missing_mesh_might_carry_is_unknown() -> None:
     objects = (_verdict("cup", "toy"), _verdict("toy", "cup"), _verdict("die", "box"), _verdict("box", "die"))
-    assert [o.floats for o in _without_circles(objects, {"toy"})] == [None, None, True, True]
+    assert [o.floats for o in _mark_support_cycles(objects, {"toy"})] == [None, None, True, True]
     # Two balls in the air that are in each other, one of them above a thing without a mesh.
     placed: list[Placed] = [
         ("left", ball(0.05), (0.5, 0.5, 0.3, 0.0)),
@@ -242,7 +237,7 @@ def test_a_circle_that_a_missing_mesh_might_carry_is_unknown() -> None:
 
 def test_a_circle_that_stands_on_something_does_not_float() -> None:
     objects = (_verdict("cup", "toy", "table"), _verdict("toy", "cup"))
-    assert [o.floats for o in _without_circles(objects)] == [False, False]
+    assert [o.floats for o in _mark_support_cycles(objects)] == [False, False]
 
 
 def copies(num: int) -> tuple[Scene, list[Shape]]:

@@ -77,10 +77,10 @@ def test_what_is_known_is_not_hidden_by_what_is_not() -> None:
     assert float(figures["deepest object-object penetration"].split()[0]) == pytest.approx(40, rel=0.03)
     assert figures["largest gap below an object"] == "at least 100 mm, 3 objects unknown"
     assert figures["mean share of colliding pairs (OC)"] == "0.000 %, 2 scenes unknown"
-    offenders = {(o.scene_id, o.what.split(" ", 1)[1]) for o in summary.offenders}
-    assert ("much", "mm deep in each other") in offenders
-    assert ("much", "mm above its support") in offenders
-    assert ("much", "of its objects out of bounds") in offenders
+    worst = {(scene_id, figure.split(" ", 1)[1]) for scene_id, figure in summary.worst}
+    assert ("much", "mm deep in each other") in worst
+    assert ("much", "mm above its support") in worst
+    assert ("much", "of its objects out of bounds") in worst
 
 
 def test_a_depth_in_the_table_is_measured_however_deep() -> None:
@@ -93,7 +93,7 @@ def test_a_depth_of_the_tolerance_itself_counts_as_the_verdict_has_it() -> None:
     assert card_of(frame_of_one, "sunk")["clean"] is True
     summary = summarise(frame_of_one)
     assert line(summary, "scenes that sink into the table (0.5 mm)").count == 0
-    assert summary.offenders == ()
+    assert summary.worst == ()
 
 
 def card_of(scenes: pl.DataFrame, scene_id: str) -> dict[str, Any]:
@@ -124,11 +124,11 @@ def test_objects_are_counted() -> None:
 
 
 def test_the_worst_scenes_are_named_with_their_figure() -> None:
-    offenders = {(o.scene_id, o.what) for o in summarise(frame()).offenders}
-    assert ("air", "20.0 mm above its support") in offenders
-    assert ("sunk", "10.0 mm in the table") in offenders
-    assert any(scene_id == "balls" and what.endswith("deep in each other") for scene_id, what in offenders)
-    assert not any(scene_id == "bowl" for scene_id, _ in offenders)
+    worst = summarise(frame()).worst
+    assert ("air", "20.0 mm above its support") in worst
+    assert ("sunk", "10.0 mm in the table") in worst
+    assert any(scene_id == "balls" and figure.endswith("deep in each other") for scene_id, figure in worst)
+    assert not any(scene_id == "bowl" for scene_id, _ in worst)
 
 
 def test_the_page_shows_counts_shares_and_unknowns() -> None:
@@ -144,5 +144,5 @@ def test_a_line_of_nothing_has_no_share() -> None:
 def test_no_scenes_make_an_empty_page() -> None:
     summary = summarise(frame().clear())
     assert summary.figures == ()
-    assert summary.offenders == ()
+    assert summary.worst == ()
     assert all(one.total == 0 for one in summary.lines)
