@@ -1,7 +1,7 @@
 """Scenes, geometry, verdicts and tables: the light library that policy-training jobs install.
 
-The names below are what most users need first. Each is imported when it is first used, so that ``import stable_data`` itself
-loads neither the tables nor the geometry; a missing extra is named with the command that installs it. Type checkers read
+The names below are what most users need first. Each is imported on first use, so ``import stable_data`` loads neither the tables
+nor the geometry. If an extra is missing, the error names it and the command that installs it. Type checkers read
 ``__init__.pyi``.
 """
 
@@ -31,7 +31,7 @@ __all__ = sorted(_MODULE_OF_NAME)
 
 
 def __getattr__(name: str) -> object:
-    """A public name, imported from its module; module attributes are looked up here where they are not there yet."""
+    """Imports a public name on first use; Python calls this for each attribute that the module does not have yet."""
     if name not in _MODULE_OF_NAME:
         raise AttributeError(f"module {__name__} has no attribute {name}, expected one of {', '.join(__all__)}")
     try:

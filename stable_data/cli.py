@@ -43,7 +43,7 @@ def with_clear_errors(command: Callable[P, R]) -> Callable[P, R]:
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("once", MissingColumnsWarning)
+                warnings.simplefilter("once", MissingColumnsWarning)  # one line per message, however many files cause it
                 warnings.showwarning = _show_warning
                 return command(*args, **kwargs)
         except (typer.Exit, typer.Abort, BrokenPipeError):
@@ -54,25 +54,25 @@ def with_clear_errors(command: Callable[P, R]) -> Callable[P, R]:
         except Exception as error:  # the outermost level: a traceback is shown only on request
             if os.environ.get(DEBUG):
                 raise
-            typer.echo(f"error: {_line(error)}", err=True)
+            typer.echo(f"error: {_error_line(error)}", err=True)
             raise typer.Exit(NOT_STARTED) from error
 
     return run
 
 
+_default_showwarning = warnings.showwarning
+
+
 def _show_warning(message: Warning | str, category: type[Warning], *rest: Any, **more: Any) -> None:
-    """Shows a warning of the toolkit as one line, and any other as Python does."""
+    """Shows a warning of the toolkit as one line, and any other warning as Python does."""
     if issubclass(category, MissingColumnsWarning):
         typer.echo(f"warning: {message}", err=True)
     else:
-        _show_any(message, category, *rest, **more)
+        _default_showwarning(message, category, *rest, **more)
 
 
-_show_any = warnings.showwarning
-
-
-def _line(error: Exception) -> str:
-    """The one-line message of an error."""
+def _error_line(error: Exception) -> str:
+    """Returns the one-line message of an error."""
     if isinstance(error, StableDataError):
         return str(error)
     if isinstance(error, ModuleNotFoundError) and (hint := install_hint(error)):
@@ -128,7 +128,7 @@ def synth(
 
 
 def tqdm_bar(total: int) -> "tqdm[NoReturn]":
-    """The progress bar of scene synthesis."""
+    """Creates the progress bar of scene synthesis."""
     from tqdm import tqdm
 
     return tqdm(total=total, desc="synth", unit="scene")
@@ -149,15 +149,14 @@ def _on_ray(out: Path, scenes: int, world: "EmbeddedWorld", workers: int, addres
     """Runs ``python -m pipelines synth``, because this package does not depend on Ray; returns its exit status."""
     checkout = Path(__file__).resolve().parents[1]
     if not (checkout / "pipelines").is_dir():
-        raise ConfigError(
-            "--workers and --address need pipelines/, which is not installed; run the command in a checkout", "no_pipelines"
-        )
+        message = "--workers and --address need pipelines/, which is not installed; run the command in a checkout"
+        raise ConfigError(message, "no_pipelines")
     command = [sys.executable, "-m", "pipelines", "synth", str(out), "--scenes", str(scenes), "--seed", str(world.seed)]
     command += [part for table in world.tables for part in ("--table", table)]
     command += ["--edits"] * world.edits + ["--whole-library"] * world.whole_library
     command += ["--pictures" if world.pictures else "--no-pictures"]
     command += ["--workers", str(workers)] * bool(workers) + (["--address", address] if address else [])
-    path = os.pathsep.join([str(checkout), *filter(None, [os.environ.get("PYTHONPATH")])])
+    path = os.pathsep.join([str(checkout), *filter(None, [os.environ.get("PYTHONPATH")])])  # the checkout need not be installed
     return subprocess.run(command, check=False, env=os.environ | {"PYTHONPATH": path}).returncode
 
 
@@ -243,7 +242,7 @@ def query(
     where: Annotated[str, typer.Argument(help='Condition on scenes, for example "clean and num_stacked >= 2".')],
     to: Annotated[str | None, typer.Option(help="Folder or URI for a run of the selected scenes and their assets.")] = None,
 ) -> None:
-    """Count the scenes of a run that satisfy a condition, or write them to a run of their own.
+    """Count the scenes of a run that satisfy a condition, or write them to a new run.
 
     Conditions compare columns of the table scenes with constants and are joined by and, or and not. An unknown value satisfies
     only is None: "aws is None or aws >= 1".

@@ -1,4 +1,4 @@
-"""Which code is running: the version, and the content of the sources."""
+"""The version of the running code: the release and a hash of the source files."""
 
 import hashlib
 from functools import cache
@@ -12,16 +12,17 @@ _PACKAGES = ("stable_data", "models", "pipelines")
 
 @cache
 def code_version() -> str:
-    """The version of the toolkit with a hash of its sources, such as ``0.1.0+1f0c2e9ab4d7``.
+    """Returns the version of the toolkit with a hash of its sources, such as ``0.1.0+1f0c2e9ab4d7``.
 
-    Two commits of one version differ in it where a module differs; tests, documents and benchmarks make no rows. It is the same on every
-    machine with the same files; where the light library is installed alone, of that alone. Sources are read once, 10 to 30 ms.
+    The hash covers all modules of ``stable_data``, ``models`` and ``pipelines``, or of the library alone where only it is
+    installed. Tests, documents and benchmarks do not count, because they make no rows. The value is the same on every machine with
+    the same files. The sources are read once, in 10 to 30 ms.
     """
     return f"{__version__}+{digest_of(_ROOT)}"
 
 
 def release_of(code: str) -> str:
-    """The version without the hash.
+    """Returns the version without the hash.
 
     Example:
         >>> release_of("0.1.0+1f0c2e9ab4d7")
@@ -31,11 +32,12 @@ def release_of(code: str) -> str:
 
 
 def digest_of(root: Path) -> str:
-    """12 hex digits of the hash of all modules of the toolkit in a folder, by their names and content."""
+    """Returns 12 hex digits of the hash of all modules of the toolkit in a folder, over their names and content."""
     digest = hashlib.sha256()
     found = (path for package in _PACKAGES for path in (root / package).rglob("*.py"))
-    # An editor's lock beside a module is a link to nothing.
+    # The lock file that an editor makes beside a module is a link without a target.
     paths = [path for path in found if path.is_file() and not path.name.startswith(".")]
+    # The order of files differs between file systems.
     for name in sorted(path.relative_to(root).as_posix() for path in paths):
         content = (root / name).read_bytes()
         digest.update(f"{name}\n{len(content)}\n".encode() + content)

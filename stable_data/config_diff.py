@@ -1,4 +1,4 @@
-"""Nested values by their dotted keys, and how two of them differ: settings, fingerprints of inputs."""
+"""Nested configurations by dotted keys, and the differences between two of them: settings, fingerprints of inputs."""
 
 import json
 from collections.abc import Mapping
@@ -8,32 +8,32 @@ from stable_data.errors import ConfigError
 
 
 def flatten_config(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested values by their dotted keys; what is empty stays as it is."""
-    found: dict[str, Any] = {}
+    """Returns nested values by their dotted keys; an empty dictionary counts as a value."""
+    flat: dict[str, Any] = {}
     for key, value in values.items():
-        found |= flatten_config(value, f"{prefix}{key}.") if isinstance(value, dict) and value else {prefix + key: value}
-    return found
+        flat |= flatten_config(value, f"{prefix}{key}.") if isinstance(value, dict) and value else {prefix + key: value}
+    return flat
 
 
 def config_differences(was: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """``key: was -> now`` for every key whose value differs."""
+    """Returns ``key: was -> now`` for every key whose value differs."""
     return [
         f"{key}: {was.get(key)} -> {now.get(key)}" for key in sorted(was.keys() | now.keys()) if was.get(key) != now.get(key)
     ]
 
 
-def refuse_changed(where: str, was: Mapping[str, Any], now: Mapping[str, Any], *, instead: str = "") -> None:
-    """Refuses to go on with what was made with another configuration.
+def refuse_changed(where: str, was: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Refuses to continue work that was started with another configuration.
 
     Args:
-        where: What was made: a folder or a file.
-        was: What it was made with, as its JSON has it.
-        now: What it is to go on with; values as JSON has them.
-        instead: What to do, where that is not to choose a new folder.
+        where: The folder or file that was made.
+        was: The configuration that it was made with, as read from JSON.
+        now: The current configuration; it is converted to JSON first, so that a tuple equals a list.
 
     Raises:
-        ConfigError: A value differs: ``key: was -> now``.
+        ConfigError: ``config_changed``: a value differs; the message lists ``key: was -> now``.
     """
+    # The JSON round trip turns tuples into lists, as in the stored configuration.
     if changed := config_differences(flatten_config(was), flatten_config(json.loads(json.dumps(now)))):
-        remedy = instead or "choose a new folder or restore it"
-        raise ConfigError(f"{where}: was made with another configuration ({'; '.join(changed)}); {remedy}", "config_changed")
+        found = f"was made with another configuration ({'; '.join(changed)})"
+        raise ConfigError(f"{where}: {found}; choose a new folder or restore it", "config_changed")

@@ -1,6 +1,6 @@
-"""The errors of the toolkit, and the notes that it keeps about things it could still use.
+"""The errors of the toolkit, and the notices about items that could still be used.
 
-A message says which thing, what was found, what was expected and what to do, in one line:
+A message is one line: which item, what was found, what was expected and what to do:
 ``office_table_0031: object 2_desk_lamp_0 has quaternion norm 0.82, expected 1 +- 1e-3; is the file in [w, x, y, z] order?``
 """
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 
 class StableDataError(ValueError):
-    """What every error of the toolkit is.
+    """The base class of all errors of the toolkit.
 
     Args:
-        message: One line: which thing, what was found, what was expected, what to do.
+        message: One line: which item, what was found, what was expected, what to do.
         code: Short machine-readable reason, the ``code`` column of the ``failures`` table.
     """
 
@@ -20,7 +20,7 @@ class StableDataError(ValueError):
         self.code = code
 
     def __reduce__(self) -> tuple[type["StableDataError"], tuple[str, str]]:
-        # The default would lose the code on the way back from a Ray worker.
+        # The default pickling would lose the code on the way back from a Ray worker.
         return type(self), (str(self), self.code)
 
 
@@ -42,13 +42,13 @@ class MissingColumnsWarning(UserWarning):
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """Something about one item that deserves a look: a row of ``warnings`` (kept) or ``failures`` (not usable).
+    """A remark about one item: a row of ``warnings`` (the item was used) or ``failures`` (it could not be used).
 
     Attributes:
         item_id: The scene or asset.
-        step: The step that noticed it, such as ``read`` or ``mesh``.
+        step: The step that made the remark, such as ``read`` or ``mesh``.
         code: Short machine-readable reason, such as ``glb_missing``.
-        message: One line for a person.
+        message: One line for the user.
     """
 
     item_id: str
@@ -58,16 +58,15 @@ class Notice:
 
 
 def cannot_write(where: str, error: OSError) -> ConfigError:
-    """The error for a place that cannot be written."""
+    """Returns the error for a folder or file that cannot be written."""
     reason = error.strerror or str(error)
     return ConfigError(
-        f"{where}: cannot be written ({reason}); free space or choose a writable folder, then run again",
-        "output_unwritable",
+        f"{where}: cannot be written ({reason}); free space or choose a writable folder, then run again", "output_unwritable"
     )
 
 
 def cannot_read(where: str, path: str, error: Exception) -> ConfigError:
-    """The error for a shard that is no Parquet any more."""
+    """Returns the error for a shard that is not a readable Parquet file."""
     reason = str(error).strip().partition("\n")[0]
     return ConfigError(
         f"{where}: {path} cannot be read ({reason}), expected a Parquet file of this run; "

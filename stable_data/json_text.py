@@ -1,4 +1,4 @@
-"""Untrusted JSON, read with bounds, and its numbers, read strictly and written so that they read back the same."""
+"""Untrusted JSON, parsed with limits, and numbers that are read strictly and written so that they read back exactly."""
 
 import json
 import math
@@ -10,18 +10,18 @@ from typing import Any
 from stable_data.errors import Notice, SceneError
 
 MAX_DEPTH = 64
-"""How deep JSON may nest: a layout needs 4."""
+"""Maximum nesting of JSON; a layout needs 4 levels."""
 
 MAX_VALUES = 1 << 22
-"""How many values JSON may hold: an annotated library of 12,000 assets has a tenth of it."""
+"""Maximum number of values in JSON; an annotated library of 12,000 assets has a tenth of it."""
 
 
 class ReadLog:
-    """What a reader notices about one item; the words that start each of its messages.
+    """Collects the notices about one item; every message starts with the item's id.
 
     Attributes:
         item_id: The scene or asset.
-        notices: What was kept but deserves a look.
+        notices: Remarks on content that was used.
     """
 
     def __init__(self, item_id: str) -> None:
@@ -29,25 +29,26 @@ class ReadLog:
         self.notices: list[Notice] = []
 
     def warn(self, code: str, message: str) -> None:
-        """Notes something that a fall-back exists for."""
+        """Adds a notice about a defect that has a fallback."""
         self.notices.append(Notice(self.item_id, "read", code, f"{self.item_id}: {message}"))
 
     def error(self, code: str, message: str) -> SceneError:
-        """The error to raise for something that no fall-back exists for."""
+        """Returns the error to raise for a defect that has no fallback."""
         return SceneError(f"{self.item_id}: {message}", code)
 
 
 def quote_value(value: object) -> str:
-    """A value as a message may quote it: bounded, on one line."""
+    """Returns a value as text for a message: bounded in length, on one line."""
     try:
+        # A long value is cut first, because its whole repr would take long.
         text = repr(value[:9] if isinstance(value, (list, str)) and len(value) > 99 else value)
-    except (ValueError, RecursionError):  # an integer of thousands of digits, or containers too deep
+    except (ValueError, RecursionError):  # an integer of thousands of digits, or containers nested too deep
         text = f"a huge {type(value).__name__}"
     return text if len(text) <= 99 else text[:96] + "..."
 
 
 def read_bounded(path: Path, max_bytes: int, log: ReadLog) -> bytes:
-    """The bytes of a regular file of at most ``max_bytes``.
+    """Reads a regular file of at most ``max_bytes``.
 
     Raises:
         SceneError: The file is missing, not a regular file, too big or unreadable.
@@ -56,7 +57,7 @@ def read_bounded(path: Path, max_bytes: int, log: ReadLog) -> bytes:
         raise log.error("file_missing", f"{path} is missing or not a regular file")
     try:
         with path.open("rb") as file:
-            data = file.read(max_bytes + 1)
+            data = file.read(max_bytes + 1)  # one more byte shows that the file is too big
     except OSError as error:
         raise log.error("file_unreadable", f"{path} cannot be read: {error.strerror}") from error
     if len(data) > max_bytes:
@@ -65,19 +66,19 @@ def read_bounded(path: Path, max_bytes: int, log: ReadLog) -> bytes:
 
 
 def parse_object(data: bytes | str, what: str, log: ReadLog, *, repeated_code: str | None = None) -> dict[str, Any]:
-    """The JSON object of a file.
+    """Parses the JSON object of a file.
 
     Args:
-        data: The file, UTF-8 where bytes.
+        data: The content; bytes are UTF-8.
         what: Its name in messages, such as ``layout.json``.
-        log: The item that it belongs to.
-        repeated_code: Code of the notice on a key that is given twice, whose first value is kept; None: that is an error.
+        log: The log of the item that the file belongs to.
+        repeated_code: Code of the notice about a repeated key, whose first value is used; None: a repeated key is an error.
 
     Raises:
         SceneError: ``json_too_big``, ``json_not_utf8``, ``json_truncated``, ``json_invalid``, ``json_duplicate_key``,
             ``json_too_deep`` or ``json_not_object``.
     """
-    text = _decoded(data, what, log)
+    text = _decode(data, what, log)
 
     def without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         entry = dict(pairs)
@@ -87,7 +88,7 @@ def parse_object(data: bytes | str, what: str, log: ReadLog, *, repeated_code: s
             found = f"{what} gives key {quote_value(repeated)}{more} twice in one object"
             if repeated_code is None:
                 raise log.error("json_duplicate_key", f"{found}; keep one of them")
-            log.warn(repeated_code, f"{found}; the first is kept")
+            log.warn(repeated_code, f"{found}; the first value is used")
             entry = {}
             for key, value in pairs:
                 entry.setdefault(key, value)
@@ -96,6 +97,7 @@ def parse_object(data: bytes | str, what: str, log: ReadLog, *, repeated_code: s
     try:
         document = json.loads(text, object_pairs_hook=without_repeats)
     except json.JSONDecodeError as error:
+        # An error at the end means that the rest of the file is missing.
         is_cut = error.pos >= len(text.rstrip()) or error.msg.startswith("Unterminated string")
         where = f"line {error.lineno} column {error.colno} (character {error.pos} of {len(text)})"
         code, hint = ("json_truncated", "is the file cut?") if is_cut else ("json_invalid", "expected JSON")
@@ -108,21 +110,21 @@ def parse_object(data: bytes | str, what: str, log: ReadLog, *, repeated_code: s
         raise log.error("json_invalid", f"{what} is not valid JSON: {quote_value(str(error))}") from None
     if not isinstance(document, dict):
         raise log.error("json_not_object", f"{what} holds a {type(document).__name__} at its top level, expected an object")
-    if _is_deep(document):
+    if _is_too_deep(document):
         raise log.error("json_too_deep", f"{what} nests deeper than {MAX_DEPTH} levels, expected a layout")
     return document
 
 
 def json_value(text: str) -> Any:
-    """The value of a JSON text that is one item of many, such as a line of a file.
+    """Parses a JSON text that is one of many items, such as a line of a file.
 
     Raises:
-        ValueError: It is no JSON, holds NaN, an integer of thousands of digits or text that is no UTF-8, or nests deeper than
-            MAX_DEPTH; the message is one line.
+        ValueError: The text is not JSON, contains NaN, an integer of thousands of digits or text that is not UTF-8, or nests
+            deeper than MAX_DEPTH; the message is one line.
     """
     try:
-        value = json.loads(text, parse_constant=_refused_constant)
-        is_deep = _is_deep(value)
+        value = json.loads(text, parse_constant=_refuse_constant)
+        is_deep = _is_too_deep(value)
     except RecursionError:
         is_deep = True
     if is_deep:
@@ -132,14 +134,14 @@ def json_value(text: str) -> Any:
     return value
 
 
-def _refused_constant(constant: str) -> float:
+def _refuse_constant(constant: str) -> float:
     raise ValueError(f"{constant} is not a JSON number")
 
 
 def is_unicode(value: object) -> bool:
-    """Whether all text of a string or of JSON content can be written as UTF-8: it holds no half of a surrogate pair.
+    """Whether all text of a string or of JSON content can be written as UTF-8: it contains no half of a surrogate pair.
 
-    Python reads such halves from escapes in JSON and from bytes that are no UTF-8, and every writer fails with them.
+    Python reads such halves from JSON escapes and from bytes that are not UTF-8, and every writer fails on them.
     """
     try:
         json.dumps(value, ensure_ascii=False).encode()
@@ -148,50 +150,50 @@ def is_unicode(value: object) -> bool:
     return True
 
 
-def _decoded(data: bytes | str, what: str, log: ReadLog) -> str:
-    """Text of no more values than MAX_VALUES that can be encoded again."""
+def _decode(data: bytes | str, what: str, log: ReadLog) -> str:
+    """Returns text that has at most MAX_VALUES values and can be encoded again."""
     try:
         text = data.decode("utf-8-sig") if isinstance(data, bytes) else data
     except UnicodeDecodeError as error:
         byte = error.object[error.start]
-        raise log.error(
-            "json_not_utf8", f"{what} is not UTF-8: byte 0x{byte:02x} at offset {error.start}; save it as UTF-8"
-        ) from None
-    if text.count("{") + text.count("[") + text.count(",") > MAX_VALUES:  # of two bytes Python makes an object of 64
+        message = f"{what} is not UTF-8: byte 0x{byte:02x} at offset {error.start}; save it as UTF-8"
+        raise log.error("json_not_utf8", message) from None
+    # A value of two bytes becomes a Python object of 64 bytes, so the number of values bounds the memory for parsing.
+    if text.count("{") + text.count("[") + text.count(",") > MAX_VALUES:
         raise log.error("json_too_big", f"{what} has more than {MAX_VALUES:,} brackets and commas, expected fewer; split it")
-    if "\\ud" in text.lower() or not text.isascii():  # half of a surrogate pair survives in Python and breaks every writer
+    # The text is parsed a second time only if it may contain half of a surrogate pair.
+    if "\\ud" in text.lower() or not text.isascii():
         try:
             is_whole = is_unicode(json.loads(text))
         except (ValueError, RecursionError):
-            is_whole = True  # parse_object says what is wrong
+            is_whole = True  # parse_object reports this error
         if not is_whole:
             raise log.error("json_not_utf8", f"{what} holds half of a surrogate pair, expected whole characters")
     return text
 
 
 def json_text(document: object, **style: Any) -> str:
-    """JSON of content that may have been read from a file; NaN and infinities, which JSON does not have, become null.
+    """Returns JSON of content that may come from a file; NaN and infinities, which JSON does not have, become null.
 
-    Args:
-        document: The content.
-        style: Further options of ``json.dumps``.
+    ``style`` are further options of ``json.dumps``.
     """
     try:
         return json.dumps(document, ensure_ascii=False, allow_nan=False, **style)
     except ValueError:
-        return json.dumps(_finite(document), ensure_ascii=False, allow_nan=False, **style)
+        return json.dumps(_without_non_finite(document), ensure_ascii=False, allow_nan=False, **style)
 
 
-def _finite(value: object) -> object:
+def _without_non_finite(value: object) -> object:
     if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: _without_non_finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
+        return [_without_non_finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _is_deep(document: object) -> bool:
+def _is_too_deep(document: object) -> bool:
     """Whether containers nest deeper than MAX_DEPTH."""
+    # Level by level, because recursion could overflow the stack.
     level: list[Any] = [document] if isinstance(document, (dict, list)) else []
     for _ in range(MAX_DEPTH):
         level = [
@@ -206,9 +208,9 @@ def _is_deep(document: object) -> bool:
 
 
 def numbers(value: object, count: int) -> tuple[float, ...] | None:
-    """A JSON list of ``count`` numbers as floats, possibly not finite; None where it is anything else.
+    """Returns a JSON list of ``count`` numbers as floats, possibly not finite; None for any other value.
 
-    A boolean is not a number, nor is a string that spells one; an integer beyond a double is infinite.
+    A boolean is not a number, and neither is a string of digits. An integer beyond the range of a double becomes infinite.
     """
     if not isinstance(value, (list, tuple)) or len(value) != count:
         return None
@@ -217,8 +219,8 @@ def numbers(value: object, count: int) -> tuple[float, ...] | None:
 
 
 def number(value: object) -> float | None:
-    """A JSON number as a float, possibly not finite; None where it is anything else."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
+    """Returns a JSON number as a float, possibly not finite; None for any other value."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):  # bool is a subclass of int
         return None
     try:
         return float(value)
@@ -227,14 +229,14 @@ def number(value: object) -> float | None:
 
 
 def are_finite(values: Sequence[float] | None) -> bool:
-    """Whether there are values and all are finite."""
+    """Whether the values are given and all finite."""
     return values is not None and all(map(math.isfinite, values))
 
 
 def exact_preimage(forward: Callable[[float], float], guess: float, target: float) -> float:
-    """The double near ``guess`` that ``forward`` takes to ``target`` exactly, or ``guess`` where no double does."""
+    """Returns the double near ``guess`` that ``forward`` maps to ``target`` exactly, or ``guess`` if there is none."""
     below = above = guess
-    for _ in range(4):
+    for _ in range(4):  # the rounding of a few operations moves a value by a few doubles at most
         for candidate in (below, above):
             if forward(candidate) == target:
                 return candidate

@@ -1,4 +1,4 @@
-"""The geometry of a MesaTask pose: yaw and tilt of a rotation, the box in the yaw frame, and what ``position`` is."""
+"""The two meanings of ``position`` in MesaTask layouts of tilted objects, and the conversion between them."""
 
 import math
 from dataclasses import replace
@@ -9,22 +9,22 @@ import numpy as np
 from stable_data.rotations import UPRIGHT_TILT, rotation_matrix, yaw_frame_box
 from stable_data.scene import FloatArray, QuatXyzw, SceneObject, Vec3
 
-_SIZE_SLACK = (2.5e-3, 0.02)  # metres and share of the size, both to be passed: sizes are rounded to 1 mm
-_TELLING = 3e-3  # metres
+_SIZE_SLACK = (2.5e-3, 0.02)  # metres and share of the size; a difference must exceed both, because sizes are rounded to 1 mm
+_MIN_OFFSET = 3e-3  # difference in height of the two centres that rounding to 1 mm cannot hide, metres
 
 
 class PositionConvention(StrEnum):
-    """What the position of a tilted mesh is the centre of."""
+    """Which centre of a tilted mesh its position is."""
 
     BOX_CENTRE = "box_centre"
-    """Of the box in the yaw frame, tilt included: this library's own meaning, and the one that resting heights support."""
+    """The centre of the box in the yaw frame, tilt included: the meaning in this library; resting heights agree with it."""
 
     MESH_CENTRE = "mesh_centre"
-    """Of the mesh's own box, turned with the mesh, as the format's official viewer places it."""
+    """The centre of the mesh's own box, rotated with the mesh, as the official viewer of the format places it."""
 
 
 def has_size(extents: FloatArray, size: Vec3) -> bool:
-    """Whether a mesh is as large as an object says: the test of whether it is the mesh that the scene was made with.
+    """Whether a mesh has the size of an object: the test of whether the scene was made with this mesh.
 
     Args:
         extents: Box of the mesh at the object's scale and tilt, (3,) float64, metres, yaw frame.
@@ -35,19 +35,20 @@ def has_size(extents: FloatArray, size: Vec3) -> bool:
 
 
 def keeps_box(quat_xyzw: QuatXyzw) -> bool:
-    """Whether a rotation takes boxes to boxes, to a degree: then a mesh's own box and its box in the yaw frame share a centre."""
+    """Whether a rotation maps boxes to boxes, within a degree: then the two centres of :class:`PositionConvention` coincide."""
+    # Every rotated axis must be close to an axis of the frame.
     return bool(np.abs(rotation_matrix(quat_xyzw)).max(axis=0).min() > math.cos(UPRIGHT_TILT))
 
 
 def to_box_centre(scene_object: SceneObject, vertices: FloatArray) -> SceneObject:
-    """The object whose position was read as its mesh's centre, with the position that this library means.
+    """Converts the position of an object from ``mesh_centre`` to ``box_centre``.
 
     Args:
-        scene_object: Position: turned centre of the mesh's own box (``mesh_centre``), metres, world frame.
+        scene_object: Position: rotated centre of the mesh's own box (``mesh_centre``), metres, world frame.
         vertices: Its mesh, (V, 3) float64, mesh units, z up, the mesh's own box centred on the origin.
 
     Returns:
-        The same object; position: centre of its box in its yaw frame. Unchanged where it has no scale.
+        The object with the centre of its box in its yaw frame as position. Unchanged if it has no scale.
     """
     if scene_object.scale is None:
         return scene_object
@@ -59,16 +60,12 @@ def to_box_centre(scene_object: SceneObject, vertices: FloatArray) -> SceneObjec
 
 
 def reveals_convention(scene_object: SceneObject, vertices: FloatArray) -> bool:
-    """Whether an object's height tells which of the two conventions its dataset follows.
+    """Whether an object's height shows which of the two conventions its dataset follows.
 
-    It is tilted, its mesh is the annotated one (:func:`has_size`), and its two centres differ in height by more than the
-    millimetres that a layout is written to.
-
-    Args:
-        scene_object: The object.
-        vertices: Its mesh, as for :func:`to_box_centre`.
+    The object must be tilted, its mesh must have its size (:func:`has_size`), and the heights of its two centres must differ by more
+    than the millimetres to which a layout is rounded. The vertices are those of :func:`to_box_centre`.
     """
     if scene_object.scale is None or scene_object.tilt_angle < UPRIGHT_TILT:
         return False
     low, high = yaw_frame_box(vertices, scene_object.scale, scene_object.tilt_quat_xyzw)
-    return has_size(high - low, scene_object.size) and bool(abs(low[2] + high[2]) / 2 > _TELLING)
+    return has_size(high - low, scene_object.size) and bool(abs(low[2] + high[2]) / 2 > _MIN_OFFSET)

@@ -1,4 +1,4 @@
-"""Rotations as unit quaternions, xyzw: products, yaw and tilt, boxes of turned things."""
+"""Rotations as unit quaternions, xyzw: products, yaw and tilt, boxes of rotated objects."""
 
 import math
 from collections.abc import Sequence
@@ -12,18 +12,18 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 UPRIGHT_TILT = math.radians(1.0)
-"""What is tilted by less counts as upright, radians."""
+"""A smaller tilt counts as upright, radians."""
 
 YAW_ARM = 0.1
-"""What a turn costs beside a shift in distances of poses, metres a radian."""
+"""Weight of a rotation against a translation in distances of poses, metres per radian."""
 
 _UPRIGHT = 1e-3  # radians: below it, scale_factor times original_size is the box in the yaw frame
 _GIMBAL = 1e-5  # horizontal length of the x axis below which its heading is noise
-_HEADING_TOLERANCE = 1e-3
+_HEADING_TOLERANCE = 1e-3  # radians
 
 
 def quat_product(a: QuatXyzw, b: QuatXyzw) -> QuatXyzw:
-    """The rotation ``b`` followed by the rotation ``a``, xyzw."""
+    """Returns the rotation ``b`` followed by the rotation ``a``, xyzw."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (
@@ -40,42 +40,37 @@ def yaw_quat(yaw: float) -> QuatXyzw:
 
 
 def normalise_quat(quat_xyzw: QuatXyzw) -> QuatXyzw:
-    """The unit quaternion of the same direction, xyzw."""
+    """Returns the unit quaternion of the same direction, xyzw."""
     norm = math.sqrt(math.fsum(q * q for q in quat_xyzw))
     x, y, z, w = quat_xyzw
     return (x / norm, y / norm, z / norm, w / norm)
 
 
 def wxyz(quat_xyzw: QuatXyzw) -> list[float]:
-    """The quaternion with the real part first, as MuJoCo has it."""
+    """Returns the quaternion with the real part first, as MuJoCo expects it."""
     return [quat_xyzw[3], *quat_xyzw[:3]]
 
 
 def quat_of(rotation: "Rotation") -> QuatXyzw:
-    """The quaternion of a single rotation of SciPy."""
+    """Returns the quaternion of a single SciPy rotation, xyzw."""
     x, y, z, w = rotation.as_quat().tolist()
     return (x, y, z, w)
 
 
 def rotate_xy(points: FloatArray, yaw: float) -> FloatArray:
-    """Points seen from above, (..., 2), turned by ``yaw`` radians about the origin."""
+    """Rotates horizontal points (..., 2) by ``yaw`` radians about the origin."""
     c, s = np.cos(yaw), np.sin(yaw)
     return np.asarray(points @ np.array([[c, s], [-s, c]]))
 
 
 def half_extents_xy(size: Sequence[float], yaw: float) -> FloatArray:
-    """Half the extents along x and y of a box that is turned by ``yaw`` radians, (2,) float64.
-
-    Args:
-        size: Of the box in its yaw frame; the height is not used.
-        yaw: Radians.
-    """
+    """Half the extents along x and y, (2,) float64, of a box of that size rotated by ``yaw`` radians; its height is not used."""
     c, s = abs(np.cos(yaw)), abs(np.sin(yaw))
     return np.array([c * size[0] + s * size[1], s * size[0] + c * size[1]]) / 2
 
 
 def rotation_matrix(quat_xyzw: QuatXyzw) -> FloatArray:
-    """The matrix of a unit quaternion, (3, 3) float64."""
+    """Returns the matrix of a unit quaternion, (3, 3) float64."""
     x, y, z, w = quat_xyzw
     return np.array(
         [
@@ -87,57 +82,54 @@ def rotation_matrix(quat_xyzw: QuatXyzw) -> FloatArray:
 
 
 def stand_on_end(axis: int, *, is_down: bool = False) -> QuatXyzw:
-    """The rotation that stands a long thing on end.
-
-    Args:
-        axis: Along which it is long: 0, 1 or 2.
-        is_down: Whether the positive end of that axis is to be the lower one.
-    """
+    """Returns the rotation, xyzw, that stands an object with the long axis 0, 1 or 2 on end, if ``is_down`` on its positive end."""
     half = math.sqrt(0.5)
-    turned = ((0.0, -half, 0.0, half), (half, 0.0, 0.0, half), UPRIGHT)[axis]
-    return quat_product((1.0, 0.0, 0.0, 0.0), turned) if is_down else turned
+    upward = ((0.0, -half, 0.0, half), (half, 0.0, 0.0, half), UPRIGHT)[axis]
+    return quat_product((1.0, 0.0, 0.0, 0.0), upward) if is_down else upward
 
 
 def heading(quat_xyzw: QuatXyzw) -> tuple[float, float]:
-    """Where the turned x axis points, seen from above.
+    """The horizontal direction of the rotated x axis.
 
     Returns:
-        Its angle atan2(R10, R00), radians, and its horizontal length, 0 where the angle means nothing.
+        Its angle atan2(R10, R00), radians, and its horizontal length; if the length is 0, the angle has no meaning.
     """
     x, y, z, w = quat_xyzw
-    east, north = 1 - 2 * (y * y + z * z), 2 * (x * y + z * w)
+    east, north = 1 - 2 * (y * y + z * z), 2 * (x * y + z * w)  # first column of the rotation matrix
     return math.atan2(north, east), math.hypot(east, north)
 
 
 def tilt_angle(quat_xyzw: QuatXyzw) -> float:
-    """Angle between the turned z axis and z, radians."""
+    """Angle between the rotated z axis and z, radians."""
     x, y, z, w = quat_xyzw
+    # Unlike acos, atan2 is accurate for small angles.
     return 2 * math.atan2(math.hypot(x, y), math.hypot(z, w))
 
 
 def is_yaw_of(yaw: float, quat_xyzw: QuatXyzw) -> bool:
-    """Whether an angle is the z angle of some Euler form x-y-z of a rotation.
+    """Whether an angle is the z angle of an Euler form x-y-z of a rotation.
 
-    That is its heading modulo 2 pi; for a tilted object also the heading plus pi, the equivalent Euler form; for an x axis
-    that points straight up or down any angle.
+    Such an angle is the heading modulo 2 pi. For a tilted object it may also be the heading plus pi, the equivalent Euler form. If
+    the x axis points straight up or down, every angle is a z angle.
     """
     angle, length = heading(quat_xyzw)
     if length < _GIMBAL:
         return True
     period = math.pi if tilt_angle(quat_xyzw) > UPRIGHT_TILT else 2 * math.pi
+    # The shorter the horizontal part of the x axis, the less certain is its heading.
     return abs(math.remainder(yaw - angle, period)) <= _HEADING_TOLERANCE + 1e-6 / length
 
 
 def tilt_of(quat_xyzw: QuatXyzw, yaw: float) -> QuatXyzw:
-    """What is left of a rotation once ``yaw`` is taken off: Rz(-yaw) · R, unit, xyzw."""
+    """Returns the rotation without its yaw: Rz(-yaw) · R, unit, xyzw."""
     x, y, z, w = quat_xyzw
     if x == 0 and y == 0 and abs(math.remainder(yaw - 2 * math.atan2(z, w), 2 * math.pi)) < 1e-6:
-        return UPRIGHT  # a pure yaw: what is left is rounding
+        return UPRIGHT  # a pure yaw: the remainder is rounding
     return normalise_quat(quat_product(yaw_quat(-yaw), quat_xyzw))
 
 
 def rotated_extents(extents: Vec3, quat_xyzw: QuatXyzw) -> Vec3:
-    """Extents of the axis-aligned box around a turned box; exact for a box, an upper bound for what it holds."""
+    """Extents of the axis-aligned box around a rotated box; an upper bound for the contents of the box."""
     if quat_xyzw == UPRIGHT:
         return extents
     x, y, z = (np.abs(rotation_matrix(quat_xyzw)) @ np.asarray(extents)).tolist()
@@ -145,7 +137,7 @@ def rotated_extents(extents: Vec3, quat_xyzw: QuatXyzw) -> Vec3:
 
 
 def yaw_frame_box(vertices: FloatArray, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> tuple[FloatArray, FloatArray]:
-    """The box of a scaled and tilted mesh, in the yaw frame.
+    """Computes the box of a scaled and tilted mesh, in the yaw frame.
 
     Args:
         vertices: (V, 3) float64, mesh units, z up, the mesh's own box centred on the origin.
@@ -155,10 +147,10 @@ def yaw_frame_box(vertices: FloatArray, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -
     Returns:
         Lowest and highest corner, (3,) float64 each, metres, measured from the centre of the mesh's own box.
     """
-    turned = (np.asarray(vertices, np.float64) * np.asarray(scale)) @ rotation_matrix(tilt_quat_xyzw).T
-    return turned.min(axis=0), turned.max(axis=0)
+    tilted = (np.asarray(vertices, np.float64) * np.asarray(scale)) @ rotation_matrix(tilt_quat_xyzw).T
+    return tilted.min(axis=0), tilted.max(axis=0)
 
 
 def is_upright(tilt: QuatXyzw) -> bool:
-    """Whether the extents of the scaled mesh are its box in the yaw frame."""
-    return abs(tilt[3]) >= math.cos(_UPRIGHT / 2)
+    """Whether a tilt is so small that the extents of the scaled mesh are its box in the yaw frame."""
+    return abs(tilt[3]) >= math.cos(_UPRIGHT / 2)  # w is the cosine of half the angle

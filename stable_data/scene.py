@@ -1,10 +1,10 @@
-"""What a tabletop scene is: frozen values, validated once, in SI units.
+"""The data model of a tabletop scene: immutable values in SI units, validated when they are created.
 
-Frame: metres, radians; z up; the table top is z = 0; the origin is the table's near-left corner, +x right, +y away from the
-viewer. Yaw is counter-clockwise about +z; an object at yaw 0 faces -y. Quaternions are xyzw.
+Frame: metres, radians; z points up; the table top is z = 0; the origin is the table's near-left corner; +x points right, +y away
+from the viewer. Yaw is counter-clockwise about +z; an object at yaw 0 faces -y. Quaternions are xyzw.
 
 An object's pose: ``world = position + Rz(yaw) · R(tilt) · diag(scale) · mesh``, where ``position`` is the centre of the
-object's box in its yaw frame. The corrector changes ``position`` and ``yaw`` alone.
+object's box in its yaw frame. The corrector changes only ``position`` and ``yaw``.
 
 Dimension letters used in shapes: S scenes, N objects, P points, V vertices, F faces, C channels, T tokens.
 """
@@ -27,10 +27,10 @@ QuatXyzw: TypeAlias = tuple[float, float, float, float]
 Rectangle: TypeAlias = tuple[float, float, float, float]  # x_min, x_max, y_min, y_max
 
 MAX_INSTRUCTION = 2000
-"""Longest instruction, characters. The time to read what one says of a scene grows with the third power of its length."""
+"""Longest instruction, characters. The time to parse an instruction grows with the third power of its length."""
 
 TABLE = "table"
-"""The name that stands for the table top where an instance is expected (``SceneObject.support``)."""
+"""The name of the table top where an instance is expected (``SceneObject.support``)."""
 
 UPRIGHT: QuatXyzw = (0.0, 0.0, 0.0, 1.0)
 
@@ -44,7 +44,7 @@ class Stage(StrEnum):
 
 
 class RelationKind(StrEnum):
-    """The scene graph's vocabulary. ``on`` and ``in`` are by contact and containment, the others by boxes."""
+    """The relations of the scene graph. ``on`` and ``in`` depend on contact and containment, the others on boxes."""
 
     ON = "on"
     IN = "in"
@@ -64,9 +64,9 @@ class Relation:
     """One edge of the scene graph: ``subject kind target``.
 
     Attributes:
-        subject: Instance; for ``are equally spaced along`` the instances, with a comma and a space between them.
+        subject: Instance; for ``are equally spaced along`` the instances, joined by ``, ``.
         kind: The relation.
-        target: Instance, or ``table``; a cell, direction or axis for the last three kinds.
+        target: Instance, or ``table``; for the last three kinds a cell, direction or axis.
     """
 
     subject: str
@@ -74,7 +74,7 @@ class Relation:
     target: str
 
     def __str__(self) -> str:
-        """As a sentence of three words."""
+        """Returns ``subject kind target``."""
         return f"{self.subject} {self.kind} {self.target}"
 
 
@@ -83,9 +83,9 @@ class Tabletop:
     """The table: a rectangle at z = 0 from the origin to ``size_xy``.
 
     Attributes:
-        table_type: Such as ``office_table``.
+        table_type: Kind of table, such as ``office_table``.
         size_xy: Extent along x and y, metres.
-        restricted_zone: Where nothing may stand (a sink), (x_min, x_max, y_min, y_max), metres.
+        restricted_zone: Rectangle on which nothing may stand (a sink), (x_min, x_max, y_min, y_max), metres.
     """
 
     table_type: str
@@ -107,17 +107,17 @@ class SceneObject:
 
     Attributes:
         instance: Id, unique in the scene, ``<k>_<category>_<n>``.
-        category: Its kind, cleaned words joined by ``_``.
-        position: Centre of its box in its yaw frame, metres, world frame.
+        category: Kind of object, cleaned words joined by ``_``.
+        position: Centre of the box in the yaw frame, metres, world frame.
         yaw: Rotation about +z, radians.
         size: Box in the yaw frame, tilt included, metres.
-        asset_id: The mesh, or None where the scene names none that can be used.
+        asset_id: The mesh, or None if the scene names no usable one.
         scale: Metres per mesh unit along the mesh's own axes (z up), or None: fit the tilted mesh to ``size``.
         tilt_quat_xyzw: Rotation before yaw, unit.
-        description: Words for it, possibly empty.
-        stage: Its stage, once staged.
-        support: Instance that carries it, ``table``, or None where nothing does or it is not known.
-        source: The entry of the file that it was read from, so that writing loses nothing. Not compared.
+        description: Free text, possibly empty.
+        stage: The stage, once the scene is staged.
+        support: Instance that carries the object, ``table``, or None if nothing does or it is unknown.
+        source: The entry of the file that the object was read from, so that writing loses nothing. Not compared.
     """
 
     instance: str
@@ -134,7 +134,7 @@ class SceneObject:
     source: Mapping[str, Any] | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Refuses what no geometry can be built on."""
+        """Refuses values that no geometry can be built on."""
         numbers = (*self.position, self.yaw, *self.size, *(self.scale or ()), *self.tilt_quat_xyzw)
         if not all(map(math.isfinite, numbers)):
             raise SceneError(f"object {self.instance}: pose, size or scale is not finite: {numbers}", "not_finite")
@@ -148,39 +148,40 @@ class SceneObject:
 
     @property
     def bottom(self) -> float:
-        """Height of the lower face of its box, metres, world frame."""
+        """Height of the lower face of the box, metres, world frame."""
         return self.position[2] - self.size[2] / 2
 
     @property
     def top(self) -> float:
-        """Height of the upper face of its box, metres, world frame."""
+        """Height of the upper face of the box, metres, world frame."""
         return self.position[2] + self.size[2] / 2
 
     @property
     def tilt_angle(self) -> float:
-        """Angle between the mesh's up axis and the world's, radians."""
+        """Angle between the mesh's up axis and the world's up axis, radians."""
         x, y, _, _ = self.tilt_quat_xyzw
+        # The last element of the rotation matrix, clipped because rounding may exceed 1.
         return math.acos(max(-1.0, min(1.0, 1 - 2 * (x * x + y * y))))
 
     def moved(self, position: Vec3, yaw: float) -> "SceneObject":
-        """The same object elsewhere."""
+        """Returns the object at another pose."""
         return replace(self, position=position, yaw=yaw)
 
 
 @dataclass(frozen=True, slots=True)
 class TaskInfo:
-    """What is to be done in a scene: MesaTask's keys plus what the instruction entails.
+    """The task of a scene: MesaTask's keys, and what the instruction entails.
 
     Attributes:
-        environment: Where it happens, a sentence.
+        environment: The place, a sentence.
         task: The instruction.
-        goal: Conditions that hold when it is done, sentences.
+        goal: Conditions that hold when the task is done, sentences.
         action_sequence: Primitive actions such as ``Pick(Cup)``.
         objects_cluster: Types of the task objects, such as ``NestingCup``.
         task_objects: Instances of O^t.
-        relations: Relations that the instruction entails of the scene it starts from.
+        relations: Relations that the instruction entails for the initial scene.
         origin: ``file``, ``template`` or ``model``.
-        source: The file's content, so that writing loses nothing. Not compared.
+        source: The content of the file, so that writing loses nothing. Not compared.
     """
 
     environment: str
@@ -196,15 +197,15 @@ class TaskInfo:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """A table, what stands on it, and what is to be done there.
+    """A table, the objects on it, and the task.
 
     Attributes:
         scene_id: Unique in its dataset.
         table: The table top.
         objects: The objects; instances are unique.
-        task: The task info, where there is one.
-        relations: The scene graph, once derived.
-        source: Top-level entries of the file other than the objects. Not compared.
+        task: The task info, if there is one.
+        relations: The scene graph, once it is computed.
+        source: Top-level entries of the file without the objects. Not compared.
     """
 
     scene_id: str
@@ -215,16 +216,15 @@ class Scene:
     source: Mapping[str, Any] | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Refuses two objects of one name, and an object named like the table."""
+        """Refuses two objects with the same name, and an object with the name of the table."""
         names = [o.instance for o in self.objects]
         if len(set(names)) < len(names) or TABLE in names:
             twice = sorted({n for n in names if names.count(n) > 1 or n == TABLE})
-            raise SceneError(
-                f"{self.scene_id}: instances {twice} are not unique, expected one name per object", "duplicate_instance"
-            )
+            message = f"{self.scene_id}: instances {twice} are not unique, expected one name per object"
+            raise SceneError(message, "duplicate_instance")
 
     def __getitem__(self, instance: str) -> SceneObject:
-        """The object of that name."""
+        """The object with that name."""
         for o in self.objects:
             if o.instance == instance:
                 return o
@@ -235,11 +235,7 @@ class Scene:
         return np.array([(*o.position, o.yaw) for o in self.objects], np.float64).reshape(-1, 4)
 
     def with_poses(self, poses: npt.ArrayLike) -> "Scene":
-        """The scene with its objects elsewhere.
-
-        Args:
-            poses: As ``poses`` gives them, (N, 4).
-        """
+        """Returns the scene with its objects at other poses, (N, 4), as :meth:`poses` returns them."""
         rows = np.asarray(poses, np.float64).tolist()
         return replace(
             self, objects=tuple(o.moved((x, y, z), yaw) for o, (x, y, z, yaw) in zip(self.objects, rows, strict=True))

@@ -1,7 +1,7 @@
-"""The task info of a scene as JSON: its keys, what is valid, and the ``TaskInfo`` that it stands for.
+"""The task info of a scene as JSON: its keys, its validation, and its conversion to :class:`TaskInfo`.
 
 The keys are MesaTask's, with ``task_objects``, ``relations`` and ``origin`` added. A file of a dataset is read leniently
-(:func:`parse_task_info`): the instruction is enough. An answer of a model must be whole (:func:`validate_task_info`).
+(:func:`parse_task_info`): the instruction is enough. An answer of a model must be complete (:func:`validate_task_info`).
 """
 
 from collections.abc import Iterable, Mapping
@@ -13,10 +13,10 @@ from stable_data.json_text import ReadLog, are_finite, is_unicode, numbers, quot
 from stable_data.scene import MAX_INSTRUCTION, Relation, RelationKind, TaskInfo
 
 LISTS = {"goal": "Goal", "action_sequence": "Action Sequence", "objects_cluster": "Objects cluster"}
-"""Field of TaskInfo -> key, of the lists of strings that every task info has."""
+"""Field of TaskInfo -> key, for the lists of strings that every task info has."""
 
 ORIGINS = ("file", "template", "model")
-"""Values of ``origin``; the first one is meant where the key is missing."""
+"""Values of ``origin``; a missing key means the first one."""
 
 _TEXT = {"type": "string"}
 _TEXTS = {"type": "array", "items": _TEXT}
@@ -53,17 +53,14 @@ TASK_INFO_SCHEMA: dict[str, Any] = {
         },
     },
 }
-"""JSON Schema of a whole task info: MesaTask's keys plus ``task_objects`` and ``relations``."""
+"""JSON Schema of a complete task info: MesaTask's keys plus ``task_objects`` and ``relations``."""
 
 
 def validate_task_info(data: Mapping[str, Any]) -> None:
-    """Refuses a task info that MesaTask's own validator would refuse.
-
-    Args:
-        data: The content of a ``task_info.json``.
+    """Refuses the content of a ``task_info.json`` that MesaTask's own validator would refuse.
 
     Raises:
-        SceneError: A key is missing or of the wrong type, or the task is longer than MAX_INSTRUCTION (``task_info_invalid``).
+        SceneError: ``task_info_invalid``: a key is missing or of the wrong type, or the task is longer than MAX_INSTRUCTION.
     """
     try:
         is_readable = is_unicode(dict(data))
@@ -91,11 +88,9 @@ def _invalid(key: str, found: Any, expected: str) -> SceneError:
 
 
 def task_info_of(data: Mapping[str, Any], origin: str = "file") -> TaskInfo:
-    """The task info of a whole document. Its task objects and relations are left out: they are to be resolved in the scene.
+    """Parses the complete content of a ``task_info.json``; ``origin`` is one of ORIGINS.
 
-    Args:
-        data: The content of a ``task_info.json``.
-        origin: One of ORIGINS.
+    Its task objects and relations are omitted: they must be resolved in the scene.
 
     Raises:
         SceneError: See :func:`validate_task_info`.
@@ -106,15 +101,15 @@ def task_info_of(data: Mapping[str, Any], origin: str = "file") -> TaskInfo:
 
 
 def parse_task_info(document: Mapping[str, Any], log: ReadLog, what: str = "task info") -> TaskInfo:
-    """The task info of a document that may lack keys; keys that are not known stay in ``source``.
+    """Parses the content of a ``task_info.json`` that may lack keys; unknown keys stay in ``source``.
 
     Args:
-        document: The content of a ``task_info.json``.
+        document: The content.
         log: Names the scene in errors.
-        what: Names the document in errors.
+        what: Name of the document in errors.
 
     Raises:
-        SceneError: ``task_info_invalid``: no task, one longer than MAX_INSTRUCTION, or a field of the wrong type.
+        SceneError: ``task_info_invalid``: there is no task, it is longer than MAX_INSTRUCTION, or a field has the wrong type.
     """
     task, environment = document.get("Task"), document.get("Environment", "")
     if not isinstance(task, str) or not task.strip():
@@ -134,7 +129,7 @@ def _are_texts(value: object) -> bool:
 
 
 def _texts(document: Mapping[str, Any], key: str, log: ReadLog, what: str) -> tuple[str, ...]:
-    """A list of strings; a lone string is a list of one."""
+    """Reads a list of strings; a single string is a list of one."""
     value = document.get(key)
     if value is None:
         return ()
@@ -146,16 +141,17 @@ def _texts(document: Mapping[str, Any], key: str, log: ReadLog, what: str) -> tu
 
 
 def relations_in(document: Mapping[str, Any], log: ReadLog, what: str = "task info") -> tuple[Relation, ...]:
-    """The relations of a document, each {subject, kind, target} or a list of the three.
+    """Reads the relations of a document, each {subject, kind, target} or a list of these three.
 
     Raises:
-        SceneError: ``task_info_invalid``: one has another form.
+        SceneError: ``task_info_invalid``: a relation has another form.
     """
     entries = document.get("relations")
     if entries is None:
         return ()
     relations = []
     for entry in entries if isinstance(entries, list) else [entries]:
+        # A relation of any other type becomes an empty list, which the check below refuses.
         parts: Iterable[Any] = [entry.get(key) for key in ("subject", "kind", "target")] if isinstance(entry, dict) else entry
         parts = parts if isinstance(parts, list) else []
         if len(parts) != 3 or not all(isinstance(part, str) for part in parts) or parts[1] not in list(RelationKind):
@@ -165,6 +161,6 @@ def relations_in(document: Mapping[str, Any], log: ReadLog, what: str = "task in
 
 
 def origin_in(document: Mapping[str, Any]) -> str:
-    """The origin of a document, one of ORIGINS."""
+    """Reads the origin of a document, one of ORIGINS."""
     origin = document.get("origin")
     return origin if origin in ORIGINS else ORIGINS[0]

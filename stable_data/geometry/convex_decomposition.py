@@ -1,9 +1,9 @@
-"""Convex parts of a mesh for a physics engine: its hull where that is true enough, else cuts that keep its hollow.
+"""Convex parts of a mesh for a physics engine: the convex hull if it is accurate enough, else cut pieces that keep hollows open.
 
-The solid is cut by planes, exactly (manifold3d), the worst piece first, until the hull of every piece is true enough or the
-budget of parts is spent. Two rules make containers come out hollow: a cut is judged by the empty volume that the hulls of its
-pieces still cover, and where no single plane helps (a bowl cut once is as full as before), a fan of planes through the middle
-of the hollow is tried.
+Planes cut the solid exactly (manifold3d), always the worst piece first, until the hull of every piece is accurate enough or the
+budget of parts is used up. Two rules keep containers hollow. A cut is rated by the empty volume that the hulls of its pieces
+still cover. If no single plane reduces this volume (a bowl cut once is as full as before), a fan of planes through the middle of
+the hollow is tried.
 """
 
 import heapq
@@ -20,7 +20,7 @@ import vhacdx
 from scipy.spatial import ConvexHull, QhullError
 
 from stable_data.errors import MeshError
-from stable_data.geometry.mesh import Mesh, area_vectors, double_areas, is_closed, signed_volumes, unit_normals
+from stable_data.geometry.mesh import Mesh, area_vectors, double_areas, is_closed, join_meshes, signed_volumes, unit_normals
 from stable_data.geometry.surface_sampling import sample_surface
 from stable_data.scene import FloatArray
 
@@ -29,35 +29,35 @@ ConvexPart: TypeAlias = Mesh
 
 Solid: TypeAlias = manifold3d.Manifold
 
-_MAX_FACES = 3000  # to be cut; more are first simplified
-_SIMPLIFY = 0.002  # tolerance of the second-best way to do so, share of the largest extent
+_MAX_FACES = 3000  # of a solid that is cut; a larger one is simplified first
+_SIMPLIFY = 0.002  # tolerance of the fallback simplification, share of the largest extent
 _SHELL = 0.01  # thickness given to a sheet, share of its largest extent
-_PLATE = 1e-3  # and to a flat part of a solid
+_PLATE = 1e-3  # thickness given to a flat part of a solid, share of the mesh's largest extent
 _SLAB = 0.1  # two parallel flat parts nearer than this are the two sides of one slab
-_FLAT = 1e-6  # a solid of less volume than this share of its cubed extent is a sheet
-_NOTHING = 1e-9  # and one of less than this is nothing
-_FRACTIONS = (0.15, 0.3, 0.5, 0.7, 0.85)  # where planes are tried along an axis
-_HELPS = 0.8  # share of the empty volume that must not be left for a single plane to be enough
+_MIN_SOLID_VOLUME = 1e-6  # a smaller volume, share of the cubed extent, is that of a sheet
+_MIN_VOLUME = 1e-9  # a piece of a smaller volume is dropped
+_FRACTIONS = (0.15, 0.3, 0.5, 0.7, 0.85)  # positions along an axis at which planes are tried
+_ENOUGH = 0.8  # a single plane is enough if it leaves less than this share of the empty volume
 _FAN_PLANES = 4
-_FAN_HANDICAP = 1.2  # it spends four times the parts
+_FAN_HANDICAP = 1.2  # a fan makes more parts than a single plane, so it must be better by this factor
 _NUM_PROBES = 2048
-_NEGLIGIBLE = 1e-7  # what stands out less than this share of the largest extent does not stand out
+_NEGLIGIBLE = 1e-7  # smaller distances count as zero, share of the largest extent
 _NUM_DEPTH_PROBES = 200
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConvexParts:
-    """Convex parts that stand for a mesh, and how true they are. Distances are sampled, in the mesh's unit.
+    """Convex parts that approximate a mesh, and their accuracy. Distances are sampled, in the mesh's unit.
 
     Attributes:
         parts: At least one.
         method: ``given`` (they came with the mesh), ``hull``, ``cuts``, or ``vhacd`` (an open mesh that could not be given a
             thickness).
-        overfill_max: How far the parts stand out of the mesh at most: what fills a hollow.
-        overfill_mean: The same on average over the parts' surface; within the mesh it counts 0.
-        uncovered_max: How far the mesh stands out of the parts at most.
-        uncovered_mean: The same on average over the mesh's surface; within a part it counts 0.
-        hull_distance: ``overfill_max`` of the mesh's convex hull: what one part would have cost.
+        overfill_max: Largest distance by which the parts extend out of the mesh, for example into a hollow.
+        overfill_mean: Mean of this distance over the parts' surface; points within the mesh count as 0.
+        uncovered_max: Largest distance by which the mesh extends out of the parts.
+        uncovered_mean: Mean of this distance over the mesh's surface; points within a part count as 0.
+        hull_distance: ``overfill_max`` of the mesh's convex hull, for comparison.
     """
 
     parts: tuple[ConvexPart, ...]
@@ -68,11 +68,6 @@ class ConvexParts:
     uncovered_mean: float
     hull_distance: float
 
-    @property
-    def max_distance(self) -> float:
-        """The larger of the two one-sided maxima."""
-        return max(self.overfill_max, self.uncovered_max)
-
 
 def convex_parts(
     mesh: Mesh, *, given: Sequence[ConvexPart] = (), kept: bool = False, max_parts: int = 32, tolerance: float = 0.01
@@ -81,83 +76,81 @@ def convex_parts(
 
     Args:
         mesh: Repaired (``stable_data.geometry.mesh_repair``), any unit. An open one is a shell of 1 % of its largest extent.
-        given: Parts that came with it, in its frame. They are taken where they are convex and true to the tolerance, whatever
+        given: Parts that came with the mesh, in its frame. They are used if they are convex and within the tolerance, whatever
             their number.
-        kept: Whether they are taken as they are, bit for bit, for an engine has already been given them.
-        max_parts: Budget.
-        tolerance: Overfill to stop at, share of the largest extent; a hull that keeps it is taken as it is.
+        kept: Use the given parts unchanged, bit for bit, because a physics engine has already used them.
+        max_parts: Largest number of parts.
+        tolerance: Overfill at which cutting stops, share of the largest extent; a hull within it is used without cutting.
 
     Returns:
         The parts and their distances, in the mesh's frame and unit.
 
     Raises:
-        MeshError: ``convex_failed``: nothing that has a volume could be made of it.
+        MeshError: ``convex_failed``: the mesh gives no part with a volume.
     """
     cutting = _Cutting(mesh, max_parts, tolerance)
     if kept and given:
         parts, method = tuple(cutting.in_units(part) for part in given), "given"
     else:
-        parts, method = cutting.chosen(given)
+        parts, method = cutting.choose(given)
     distances = [*cutting.overfill(parts), *cutting.uncovered(parts), cutting.overfill((cutting.hull,))[0]]
     own = tuple(given) if kept and given else cutting.in_frame(parts)
     return ConvexParts(own, method, *(cutting.extent * d for d in distances))
 
 
 def collider_parts(mesh: Mesh, *, given: Sequence[ConvexPart] = ()) -> tuple[ConvexPart, ...]:
-    """The parts of :func:`convex_parts` alone: quicker, for only what decides between them is measured."""
+    """Returns only the parts of :func:`convex_parts`: faster, because it measures only what the choice depends on."""
     cutting = _Cutting(mesh)
-    return cutting.in_frame(cutting.chosen(given)[0])
+    return cutting.in_frame(cutting.choose(given)[0])
 
 
 class _Cutting:
-    """A mesh in units of its largest extent, and how true parts are to it; each is measured once."""
+    """A mesh in units of its largest extent, with cached accuracy measures of parts."""
 
     def __init__(self, mesh: Mesh, max_parts: int = 32, tolerance: float = 0.01) -> None:
         self.center, self.extent = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2, float(mesh.extents.max())
         self._unit, self._max_parts, self._tolerance = self.in_units(mesh), max_parts, tolerance
         hull = _hull(self._unit.vertices) or _thick_hull(self._unit.vertices, _SHELL)
         if hull is None:
-            raise MeshError(
-                f"mesh with extents {mesh.extents}: no convex hull has a volume, expected a surface that is not flat",
-                "convex_failed",
-            )
+            message = f"mesh with extents {mesh.extents}: no convex hull has a volume, expected a surface that is not flat"
+            raise MeshError(message, "convex_failed")
         self.hull = hull
         self.overfill = cache(partial(_overfill, self._unit))
         self.uncovered = cache(partial(_uncovered, self._unit))
 
-    def chosen(self, given: Sequence[ConvexPart]) -> tuple[tuple[Mesh, ...], str]:
-        """The parts, in units, and where they come from."""
+    def choose(self, given: Sequence[ConvexPart]) -> tuple[tuple[Mesh, ...], str]:
+        """Chooses the parts, in units, and names the method."""
         parts = tuple(filter(None, (_hull(self.in_units(part).vertices) for part in given)))
         if parts and max(self.overfill(parts)[0], self.uncovered(parts)[0]) <= self._tolerance:
             return parts, "given"
         parts, method = (), ""
         if self.overfill((self.hull,))[0] > max(self._tolerance, _SHELL):
-            parts, method = _divided(self._unit, self._max_parts, self._tolerance)
+            parts, method = _divide(self._unit, self._max_parts, self._tolerance)
         return (parts, method) if parts else ((self.hull,), "hull")
 
     def in_frame(self, parts: tuple[Mesh, ...]) -> tuple[Mesh, ...]:
-        """Parts as the mesh has them."""
+        """Converts parts to the frame and unit of the mesh."""
         return tuple(Mesh(part.vertices * self.extent + self.center, part.faces) for part in parts)
 
     def in_units(self, mesh: Mesh) -> Mesh:
-        """A mesh in units of the largest extent."""
+        """Converts a mesh to units of the largest extent."""
         return Mesh((mesh.vertices - self.center) / self.extent, mesh.faces)
 
 
-def _divided(unit: Mesh, max_parts: int, tolerance: float) -> tuple[tuple[Mesh, ...], str]:
-    """Several parts and the method that made them; none where it found nothing."""
+def _divide(unit: Mesh, max_parts: int, tolerance: float) -> tuple[tuple[Mesh, ...], str]:
+    """Returns several parts and their method; no parts if none could be made."""
     solid, plates = _solid_and_plates(unit)
     if solid is None:
         return _vhacd(unit, max_parts), "vhacd"
     plates = plates[: max_parts // 2]
-    hulls = [_hull(_mesh(piece.solid).vertices) for piece in _cut_up(solid, max_parts - len(plates), tolerance)]
+    hulls = [_hull(_mesh(piece.solid).vertices) for piece in _cut_repeatedly(solid, max_parts - len(plates), tolerance)]
     return (*(hull for hull in hulls if hull is not None), *plates), "cuts"
 
 
 def _manifold(mesh: Mesh) -> Solid | None:
-    """The solid that a closed mesh bounds, None where its faces do not join to one."""
+    """The solid that a closed mesh bounds, or None if its faces do not bound one."""
     solid = manifold3d.Manifold(manifold3d.Mesh64(mesh.vertices, mesh.faces.astype(np.uint64)))
-    return solid if solid.status() == manifold3d.Error.NoError and solid.volume() > _FLAT else None
+    return solid if solid.status() == manifold3d.Error.NoError and solid.volume() > _MIN_SOLID_VOLUME else None
 
 
 def _mesh(solid: Solid) -> Mesh:
@@ -166,13 +159,13 @@ def _mesh(solid: Solid) -> Mesh:
 
 
 def _solid_and_plates(unit: Mesh) -> tuple[Solid | None, tuple[Mesh, ...]]:
-    """A solid to cut, without overlaps, and the flat parts of the mesh that have no thickness, as thin convex parts.
+    """Returns a solid without overlaps, and its flat parts, which have no thickness, as thin convex parts.
 
-    An open mesh is taken as a shell. None where nothing solid can be made of the mesh.
+    An open mesh becomes a shell. The solid is None if the mesh does not bound one.
     """
     if not is_closed(unit):
         return _manifold(_shell(unit)), ()
-    patch = igl.bfs_orient(unit.faces)[1]
+    patch = igl.bfs_orient(unit.faces)[1]  # patches of connected faces
     corners = {n: unit.vertices[np.unique(unit.faces[patch == n])] for n in range(patch.max() + 1)}
     flat = [n for n in corners if _is_plate(corners[n])]
     sheets = [corners[n] for n in flat]
@@ -181,22 +174,21 @@ def _solid_and_plates(unit: Mesh) -> tuple[Solid | None, tuple[Mesh, ...]]:
     if solid is None:
         return _manifold(_shell(unit)), ()
     pieces = solid.decompose()
-    if len(pieces) > 1 and all(
-        piece.volume() > 0 for piece in pieces
-    ):  # a cavity has a negative volume and must stay in its shell
+    # A cavity has a negative volume and must stay in its shell.
+    if len(pieces) > 1 and all(piece.volume() > 0 for piece in pieces):
         solid = manifold3d.Manifold.batch_boolean(pieces, manifold3d.OpType.Add)
-    return _simplified(solid), tuple(_plates(sheets))
+    return _simplify_solid(solid), tuple(_plates(sheets))
 
 
-def _simplified(solid: Solid) -> Solid:
-    """About ``_MAX_FACES`` faces at most, by quadric collapse where its result still bounds a solid."""
+def _simplify_solid(solid: Solid) -> Solid:
+    """Reduces a solid to about ``_MAX_FACES`` faces, by quadric collapse if the result still bounds a solid."""
     if solid.num_tri() <= _MAX_FACES:
         return solid
-    collapsed = _manifold(_collapsed(_mesh(solid)))
+    collapsed = _manifold(_collapse_faces(_mesh(solid)))
     return solid.simplify(_SIMPLIFY) if collapsed is None else collapsed
 
 
-def _collapsed(mesh: Mesh) -> Mesh:
+def _collapse_faces(mesh: Mesh) -> Mesh:
     if len(mesh.faces) <= _MAX_FACES:
         return mesh
     vertices, faces = fast_simplification.simplify(
@@ -210,7 +202,7 @@ def _is_plate(corners: FloatArray) -> bool:
 
 
 def _plates(sheets: list[FloatArray]) -> Iterator[Mesh]:
-    """Thin convex parts of flat sheets (V, 3); two that lie close above each other are the two sides of one slab."""
+    """Thin convex parts of flat sheets (V, 3); two parallel sheets close to each other are the two sides of one slab."""
     while sheets:
         sheet = sheets.pop(0)
         normal = _flattest_direction(sheet)
@@ -231,7 +223,7 @@ def _flattest_direction(points: FloatArray) -> FloatArray:
 
 
 def _shell(unit: Mesh) -> Mesh:
-    """Both sides of a sheet, half the shell's thickness off along its vertex normals, joined along its rim."""
+    """Both sides of a sheet, moved by half the shell's thickness along the vertex normals and joined along the rim."""
     normal = np.zeros_like(unit.vertices)
     np.add.at(normal, unit.faces.ravel(), np.repeat(area_vectors(unit.triangles), 3, axis=0))
     offset = _SHELL / 2 * normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
@@ -245,7 +237,7 @@ def _shell(unit: Mesh) -> Mesh:
 
 
 def _hull(points: FloatArray) -> Mesh | None:
-    """Convex hull of points (P, 3), None where they are flat. By Qhull: the hulls of manifold3d may fold at slivers."""
+    """Convex hull of points (P, 3), None if they are flat. By Qhull, because hulls of manifold3d may fold at slivers."""
     try:
         hull = ConvexHull(points)
     except QhullError:
@@ -257,25 +249,25 @@ def _hull(points: FloatArray) -> Mesh | None:
 
 
 def _thick_hull(points: FloatArray, thickness: float) -> Mesh | None:
-    """Hull of flat points (P, 3), moved apart across their plane so that it has a volume."""
+    """Hull of flat points (P, 3), moved apart across their plane so that the hull has a volume."""
     offset = _flattest_direction(points) * thickness / 2
     return _hull(np.concatenate([points + offset, points - offset]))
 
 
-def _empty(solid: Solid) -> float:
-    """Volume that the hull covers and the solid does not."""
+def _empty_volume(solid: Solid) -> float:
+    """Volume inside the hull and outside the solid."""
     return max(0.0, float(solid.hull().volume() - solid.volume()))
 
 
 def _halves(solid: Solid, normal: FloatArray, offset: float) -> tuple[Solid, ...]:
-    """The one or two solids that a plane leaves."""
-    halves = tuple(half for half in solid.split_by_plane(tuple(normal), offset) if half.volume() > _NOTHING)
+    """Splits a solid by a plane; returns the solid itself if one side is empty."""
+    halves = tuple(half for half in solid.split_by_plane(tuple(normal), offset) if half.volume() > _MIN_VOLUME)
     return halves if len(halves) == 2 else (solid,)
 
 
 @dataclass(order=True, slots=True)
 class _Piece:
-    """A piece of the solid; the one with the smallest rank is the next to be cut."""
+    """A piece of the solid; the piece with the smallest rank is cut next."""
 
     rank: float
     number: int
@@ -283,8 +275,8 @@ class _Piece:
     depth: float = field(compare=False)
 
 
-def _cut_up(solid: Solid, max_parts: int, tolerance: float) -> list[_Piece]:
-    """Cuts the worst piece again and again until all hulls are true or the budget is spent."""
+def _cut_repeatedly(solid: Solid, max_parts: int, tolerance: float) -> list[_Piece]:
+    """Cuts the worst piece until all hulls are accurate or the budget is used up."""
     queue, done = [_piece(solid, 0)], list[_Piece]()
     number = 1
     while queue and len(queue) + len(done) < max_parts:
@@ -295,27 +287,28 @@ def _cut_up(solid: Solid, max_parts: int, tolerance: float) -> list[_Piece]:
         for part in solids:
             heapq.heappush(queue, _piece(part, number))
             number += 1
-    return sorted(done + queue, key=lambda piece: piece.number)
+    return sorted(done + queue, key=lambda piece: piece.number)  # in the order of creation
 
 
 def _piece(solid: Solid, number: int) -> _Piece:
-    """Ranks by depth and by volume: depth alone chases slits, volume alone leaves thin ones."""
+    """Ranks a piece by depth and volume: depth alone prefers slits, volume alone never cuts thin hollows."""
     hull, mesh = _mesh(solid.hull()), _mesh(solid)
+    # Samples may miss a small face of the hull, so the centre of every face is a probe too.
     probes = np.concatenate([sample_surface(hull, _NUM_DEPTH_PROBES), hull.triangles.mean(axis=1)])
     depth = float(np.sqrt(igl.point_mesh_squared_distance(probes, mesh.vertices, mesh.faces)[0].max()))
-    return _Piece(-depth * _empty(solid) ** (1 / 3), number, solid, depth)
+    return _Piece(-depth * _empty_volume(solid) ** (1 / 3), number, solid, depth)
 
 
 def _cut(solid: Solid, room: int) -> tuple[Solid, ...]:
-    """The solids of the best cut: by one plane, or where none helps and there is room, by a fan of planes; () for none."""
+    """Returns the pieces of the best cut: by one plane, or by a fan if no plane helps and the budget allows it; () for none."""
     best: tuple[Solid, ...] = ()
     best_left = np.inf
     for normal, offset in _planes(_mesh(solid)):
         halves = _halves(solid, normal, offset)
-        left = sum(_empty(half) for half in halves)
+        left = sum(_empty_volume(half) for half in halves)
         if len(halves) == 2 and left < best_left:
             best, best_left = halves, left
-    if best_left < _HELPS * _empty(solid) or room < 2 * _FAN_PLANES:
+    if best_left < _ENOUGH * _empty_volume(solid) or room < 2 * _FAN_PLANES:
         return best
     middle = _middle_of_hollow(solid)
     for axis in range(3):
@@ -323,18 +316,19 @@ def _cut(solid: Solid, room: int) -> tuple[Solid, ...]:
         for angle in (np.arange(_FAN_PLANES) + 0.5) * np.pi / _FAN_PLANES:
             normal = np.roll([0.0, np.cos(angle), np.sin(angle)], axis)
             fan = tuple(half for part in fan for half in _halves(part, normal, float(normal @ middle)))
-        left = _FAN_HANDICAP * sum(_empty(part) for part in fan)
+        left = _FAN_HANDICAP * sum(_empty_volume(part) for part in fan)
         if len(fan) > 1 and left < best_left:
             best, best_left = fan, left
     return best
 
 
 def _planes(mesh: Mesh) -> Iterator[tuple[FloatArray, float]]:
-    """Planes worth trying, as normal and offset: across the piece's own principal axes and the mesh's."""
+    """Candidate planes as normal and offset, across the principal axes of the piece and the axes of the mesh."""
     weight = double_areas(mesh)
     middles = mesh.triangles.mean(axis=1)
     spread = middles - weight @ middles / weight.sum()
-    fractions = _FRACTIONS if len(mesh.faces) <= _MAX_FACES else _FRACTIONS[1:4]  # large pieces are dear, and soon smaller
+    # Cuts of a large piece are slow, and its pieces are soon small enough for all fractions.
+    fractions = _FRACTIONS if len(mesh.faces) <= _MAX_FACES else _FRACTIONS[1:4]
     for normal in (*np.linalg.eigh((spread * weight[:, None]).T @ spread)[1].T, *np.eye(3)):
         along = mesh.vertices @ normal
         for fraction in fractions:
@@ -342,7 +336,7 @@ def _planes(mesh: Mesh) -> Iterator[tuple[FloatArray, float]]:
 
 
 def _middle_of_hollow(solid: Solid) -> FloatArray:
-    """Centroid (3,) of what the hull covers and the solid does not."""
+    """Centroid (3,) of the volume inside the hull and outside the solid."""
     moment, volume = np.zeros(3), 0.0
     for mesh, sign in ((_mesh(solid.hull()), 1.0), (_mesh(solid), -1.0)):
         weight = sign * signed_volumes(mesh.triangles)
@@ -352,8 +346,8 @@ def _middle_of_hollow(solid: Solid) -> FloatArray:
 
 
 def _vhacd(unit: Mesh, max_parts: int) -> tuple[Mesh, ...]:
-    """V-HACD: coarse, but it takes any soup of triangles. May find nothing."""
-    few = _collapsed(unit)
+    """Decomposes any triangle soup with V-HACD, coarsely; may find no part."""
+    few = _collapse_faces(unit)
     found = vhacdx.compute_vhacd(
         few.vertices, few.faces.astype(np.uint32), maxConvexHulls=max_parts, resolution=100_000, asyncACD=False
     )
@@ -361,18 +355,19 @@ def _vhacd(unit: Mesh, max_parts: int) -> tuple[Mesh, ...]:
 
 
 def _overfill(unit: Mesh, parts: tuple[Mesh, ...]) -> tuple[float, float]:
-    """Largest and mean distance by which the parts' surface stands out of the mesh."""
-    points = sample_surface(_joined(parts), _NUM_PROBES)
+    """Largest and mean distance by which the parts' surface extends out of the mesh."""
+    points = sample_surface(join_meshes(parts), _NUM_PROBES)
     distance = np.sqrt(igl.point_mesh_squared_distance(points, unit.vertices, unit.faces)[0])
-    away = np.flatnonzero(distance > _NEGLIGIBLE)  # few where the parts are true, and what is inside takes longest to tell
+    # Only these need the slow inside test, and accurate parts have few of them.
+    away = np.flatnonzero(distance > _NEGLIGIBLE)
     if is_closed(unit) and len(away):
         distance[away[igl.fast_winding_number(unit.vertices, unit.faces, points[away]) > 0.5]] = 0
     return float(distance.max()), float(distance.mean())
 
 
 def _uncovered(unit: Mesh, parts: tuple[Mesh, ...]) -> tuple[float, float]:
-    """Largest and mean distance by which the mesh's surface stands out of the union of the parts."""
-    points, joined = sample_surface(unit, _NUM_PROBES), _joined(parts)
+    """Largest and mean distance by which the mesh's surface extends out of the union of the parts."""
+    points, joined = sample_surface(unit, _NUM_PROBES), join_meshes(parts)
     distance = np.sqrt(igl.point_mesh_squared_distance(points, joined.vertices, joined.faces)[0])
     away = np.flatnonzero(distance > _NEGLIGIBLE)
     distance[away[np.any([inside_convex(part, points[away]) for part in parts], axis=0)]] = 0
@@ -380,7 +375,7 @@ def _uncovered(unit: Mesh, parts: tuple[Mesh, ...]) -> tuple[float, float]:
 
 
 def inside_convex(part: ConvexPart, points: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Which points (P, 3) lie in a convex part, (P,) bool."""
+    """Whether each point (P, 3) lies in a convex part, (P,) bool."""
     corners = part.triangles
     normals, double_area = unit_normals(corners)
     has_area = double_area > 1e-12 * double_area.max()  # a sliver's normal is noise
@@ -388,9 +383,3 @@ def inside_convex(part: ConvexPart, points: FloatArray) -> np.ndarray[tuple[int]
     heights: FloatArray = points @ normals.T - np.einsum("ij,ij->i", normals, corners[:, 0])
     inside: np.ndarray[tuple[int], np.dtype[np.bool_]] = (heights <= 1e-6 * part.extents.max()).all(axis=1)
     return inside
-
-
-def _joined(parts: tuple[Mesh, ...]) -> Mesh:
-    offsets = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-    faces = [part.faces + offset for part, offset in zip(parts, offsets, strict=True)]
-    return Mesh(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))

@@ -1,4 +1,4 @@
-"""Meshes from binary glTF, which is not trusted."""
+"""Reads meshes from untrusted binary glTF files."""
 
 import json
 import struct
@@ -15,20 +15,20 @@ from stable_data.errors import MeshError, Notice
 from stable_data.geometry.mesh import Mesh, center_vertices, double_areas, drop_unused_vertices
 from stable_data.scene import FloatArray, IntArray
 
-_WELD = 1e-6  # vertices nearer than this share of the largest extent are one
-_FLAT = 1e-12  # a face of less area than this share of the squared extent is no face
-_SMALLEST = 1e-30  # extents beyond this and its inverse lose their squares and cubes to rounding
+_WELD = 1e-6  # vertices nearer than this share of the largest extent are merged
+_FLAT = 1e-12  # a face of a smaller area, share of the squared extent, does not count
+_SMALLEST = 1e-30  # squares and cubes of smaller extents, or of extents above its inverse, leave the range of a double
 COLLIDERS = "colliders"
-"""Name of the mesh of a file that holds its convex parts; no node shows it."""
+"""Name of the mesh that holds the convex parts of a file; no node shows it."""
 
 PART_FACES = "part_faces"
-"""Key of that mesh's ``extras``: how many faces each part has, in order."""
+"""Key in the ``extras`` of that mesh: the number of faces of each part, in order."""
 
 _MAGIC, _JSON_CHUNK, _BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 _SURFACES = _TRIANGLES, _STRIP, _FAN = 4, 5, 6
-# Required extensions that change how a surface looks, or that the accessor reader covers, not where it is.
+# Required extensions that change only the look of a surface, or that the accessor reader supports.
 _HARMLESS = (
     "KHR_materials_",
     "KHR_texture_",
@@ -38,27 +38,27 @@ _HARMLESS = (
     "KHR_xmp",
     "KHR_mesh_quantization",
 )
-_LEVEL_STEPS = np.zeros(256, np.int8)  # by which a letter of a JSON text opens or closes a level
+_LEVEL_STEPS = np.zeros(256, np.int8)  # change of the nesting level at each character of a JSON text
 _LEVEL_STEPS[list(b"[{")] = 1
 _LEVEL_STEPS[list(b"]}")] = -1
-# What json, struct, numpy and plain indexing raise on hostile content.
-_HOSTILE = (ArithmeticError, AttributeError, LookupError, MemoryError, RecursionError, TypeError, ValueError, struct.error)
+# The exceptions of json, struct, numpy and indexing on invalid content.
+_PARSE_ERRORS = (ArithmeticError, AttributeError, LookupError, MemoryError, RecursionError, TypeError, ValueError, struct.error)
 _Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True, slots=True)
 class MeshLimits:
-    """What a mesh file may cost. A file beyond one of these is refused before what is beyond it is made.
+    """Limits on the size of a mesh file. A file beyond a limit is refused before memory for the excess is allocated.
 
     Attributes:
         max_bytes: Size of the file.
         max_json_bytes: Size of its JSON chunk.
-        max_json_levels: Lists and objects of the JSON inside one another.
+        max_json_levels: Nesting of lists and objects in the JSON.
         max_nodes: Nodes of its scene.
         max_primitives: Primitives, counted once for each node that shows their mesh.
-        max_corners: Vertices of those primitives, counted likewise.
-        max_faces: Triangles of those primitives, counted likewise.
-        max_colliders: Convex parts that the file brings with it.
+        max_corners: Vertices of those primitives, counted in the same way.
+        max_faces: Triangles of those primitives, counted in the same way.
+        max_colliders: Convex parts in the file.
     """
 
     max_bytes: int = 128 * 2**20
@@ -76,29 +76,26 @@ def load_glb(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimi
 
     Args:
         data: The file, or its content. Not trusted: sizes are checked against its true length, and no URI in it is opened.
-        asset_id: Named in messages.
+        asset_id: The asset's name in messages.
         limits: Sizes beyond which the file is refused.
 
     Returns:
-        The mesh, file units, z up, node transforms applied, vertices welded, centred on its box; and what was odd about it.
+        The mesh, file units, z up, node transforms applied, vertices welded, centred on its box; and notices about it.
 
     Raises:
-        MeshError: It cannot be used; ``code`` is ``glb_truncated``, ``glb_zero_bytes``, ``glb_nan_vertices``, ``glb_no_faces``,
-            ``glb_degenerate_only``, ``glb_too_large``, ``glb_unsupported``, ``glb_unreadable`` or ``glb_invalid``.
+        MeshError: The file cannot be used; ``code`` is ``glb_truncated``, ``glb_zero_bytes``, ``glb_nan_vertices``,
+            ``glb_no_faces``, ``glb_degenerate_only``, ``glb_too_large``, ``glb_unsupported``, ``glb_unreadable`` or ``glb_invalid``.
     """
     return _read(data, _GlbReader(asset_id, limits), lambda reader: (_welded(*reader.soup(), reader), tuple(reader.notices)))
 
 
 def load_colliders(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits()) -> tuple[Mesh, ...]:
-    """The convex parts that a file brings with it, as :func:`stable_data.geometry.gltf_writer.write_glb` stores them.
+    """Reads the convex parts of a file, as :func:`stable_data.geometry.gltf_writer.write_glb` stores them.
 
-    Args:
-        data: The file, or its content; not trusted.
-        asset_id: Named in messages.
-        limits: Sizes beyond which the file is refused.
+    The arguments are those of :func:`load_glb`.
 
     Returns:
-        Closed convex meshes, in the frame and unit of :func:`load_glb`'s mesh; none where the file has no ``colliders``.
+        Closed convex meshes, in the frame and unit of :func:`load_glb`'s mesh; none if the file has no ``colliders``.
 
     Raises:
         MeshError: The file or the parts cannot be used; the codes are those of :func:`load_glb`.
@@ -111,11 +108,11 @@ class MaterialGroup:
     """Triangles of a file with one material.
 
     Attributes:
-        triangles: (F, 3, 3) float64, in the file's unit, z up, placed; nothing welded.
-        factor: The material's base colour, red, green, blue from 0 to 1, linear; None where there is no material.
-        corner_colours: Colours of the corners, (F, 3, 3), likewise; None where they have none.
-        image: The material's texture, a file's content; None where it has none that lies in the file.
-        corner_uv: Where in it the corners are, (F, 3, 2), shares of its width and height from the upper left.
+        triangles: (F, 3, 3) float64, in the file's unit, z up, node transforms applied, not welded.
+        factor: The material's base colour, red, green, blue from 0 to 1, linear; None without a material.
+        corner_colours: Colours of the corners, (F, 3, 3), from 0 to 1, linear; None if the file has none.
+        image: The content of the material's texture file; None if there is none inside the GLB.
+        corner_uv: Texture coordinates of the corners, (F, 3, 2), shares of width and height from the upper left.
     """
 
     triangles: FloatArray
@@ -126,35 +123,30 @@ class MaterialGroup:
 
 
 def load_material_groups(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits()) -> list[MaterialGroup]:
-    """What a file says of the colours of its surface.
-
-    Args:
-        data: The file, or its content; not trusted, and no URI in it is opened.
-        asset_id: Named in messages.
-        limits: Sizes beyond which the file is refused.
+    """Reads the surface of a file with its colours and textures. The arguments are those of :func:`load_glb`.
 
     Raises:
-        MeshError: It breaks the format; the codes are those of :func:`load_glb`.
+        MeshError: The file violates the format; the codes are those of :func:`load_glb`.
     """
-    return _read(data, _GlbReader(asset_id, limits), _GlbReader.coats)
+    return _read(data, _GlbReader(asset_id, limits), _GlbReader.material_groups)
 
 
-def _read(data: bytes | Path, reader: "_GlbReader", wanted: Callable[["_GlbReader"], _Result]) -> _Result:
-    """What is wanted of a file. Every failure is a MeshError, and no content of a file gives a warning of numpy."""
+def _read(data: bytes | Path, reader: "_GlbReader", extract: Callable[["_GlbReader"], _Result]) -> _Result:
+    """Opens a file and extracts a result. Every failure is a MeshError, and no content of a file causes a numpy warning."""
     try:
         with np.errstate(all="ignore"):
             reader.open(reader.content(data) if isinstance(data, Path) else data)
-            return wanted(reader)
+            return extract(reader)
     except MeshError:
         raise
-    except _HOSTILE as error:
+    except _PARSE_ERRORS as error:
         found = f"breaks the glTF 2.0 format ({type(error).__name__}: {error})"
         reader.fail("glb_invalid", found, "a valid GLB; export it again")
 
 
 @dataclass(slots=True)
 class _GlbReader:
-    """One pass over one file: every size in it is checked against the bytes that are really there."""
+    """Reads one file; every size stated in it is checked against the bytes that exist."""
 
     asset_id: str
     limits: MeshLimits
@@ -167,7 +159,7 @@ class _GlbReader:
         raise MeshError(f"asset {self.asset_id}: {found:.300}, expected {expected}", code)
 
     def check_limit(self, name: str, found: int) -> None:
-        """Refuses a file that has more of something than a field of :class:`MeshLimits` allows."""
+        """Refuses a file that exceeds a field of :class:`MeshLimits`."""
         if found > (most := getattr(self.limits, name)):
             what = name.removeprefix("max_").replace("_", " ")
             self.fail("glb_too_large", f"has {found} {what}", f"at most {most} ({name}); simplify it")
@@ -176,7 +168,7 @@ class _GlbReader:
         self.notices.append(Notice(self.asset_id, "mesh", code, f"asset {self.asset_id}: {message}"))
 
     def content(self, path: Path) -> bytes:
-        """The content of a file."""
+        """Reads the content of a file."""
         try:
             self.check_limit("max_bytes", path.stat().st_size)
             return path.read_bytes()
@@ -185,20 +177,20 @@ class _GlbReader:
             raise MeshError(f"asset {self.asset_id}: {path} cannot be read: {reason}", "glb_unreadable") from error
 
     def soup(self) -> tuple[FloatArray, IntArray]:
-        """Corners (V, 3) in the file's frame, z up, and faces (F, 3), instances placed; nothing welded yet."""
+        """Corners (V, 3) in the file's frame, z up, and faces (F, 3), node transforms applied, not welded."""
         self._refuse_unsupported()
         vertices, faces, num_vertices = [], [], 0
-        for _, corners, triangles in self._placed():
+        for _, corners, triangles in self._placed_primitives():
             faces.append(triangles + num_vertices)
             vertices.append(corners)
             num_vertices += len(corners)
         return np.concatenate(vertices), np.concatenate(faces)
 
-    def coats(self) -> list[MaterialGroup]:
-        """What the scene shows, by material; see :func:`load_material_groups`."""
+    def material_groups(self) -> list[MaterialGroup]:
+        """The surface of the scene by material; see :func:`load_material_groups`."""
         self._refuse_unsupported()
-        found = []
-        for primitive, corners, triangles in self._placed():
+        groups = []
+        for primitive, corners, triangles in self._placed_primitives():
             factor, texture = self._base_colour(primitive)
             attributes, colours, uv = primitive["attributes"], None, None
             if "COLOR_0" in attributes:
@@ -208,14 +200,15 @@ class _GlbReader:
             name = f"TEXCOORD_{(texture or {}).get('texCoord', 0)}"
             if image is not None and name in attributes:
                 uv = self._accessor(attributes[name], 2, triangles).astype(np.float64)
-            found.append(MaterialGroup(corners[triangles], factor, colours, image, uv))
-        return found
+            groups.append(MaterialGroup(corners[triangles], factor, colours, image, uv))
+        return groups
 
     def _base_colour(self, primitive: dict[str, Any]) -> tuple[tuple[float, float, float] | None, dict[str, Any] | None]:
-        """Factor and texture of a primitive's material; without a material no factor."""
+        """Factor and texture of a primitive's material; without a material there is no factor."""
         if "material" not in primitive:
             return None, None
         material = self._entry("materials", primitive["material"])
+        # An archived extension that files still use.
         older = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
         names = ("baseColorFactor", "baseColorTexture") if older is None else ("diffuseFactor", "diffuseTexture")
         found = material.get("pbrMetallicRoughness", {}) if older is None else older
@@ -223,21 +216,21 @@ class _GlbReader:
         return (red, green, blue), found.get(names[1])
 
     def _image(self, texture: dict[str, Any]) -> bytes | None:
-        """The content of a texture's picture; None where it is not in the file."""
+        """The content of a texture's image; None if it is not in the file."""
         entry = self._entry("textures", texture["index"])
         source = entry.get("extensions", {}).get("EXT_texture_webp", {}).get("source", entry.get("source"))
         image = {} if source is None else self._entry("images", source)
         if "bufferView" not in image:
             return None
         index = image["bufferView"]
-        if index not in self.images:  # many primitives may have one large texture
+        if index not in self.images:  # many primitives may share one large texture
             self.images[index] = bytes(self._view(index))
-            if sum(map(len, self.images.values())) > len(self.binary):
+            if sum(map(len, self.images.values())) > len(self.binary):  # overlapping textures could fill the memory
                 self.fail("glb_invalid", "has textures that overlap", "a part of the file for each; export it again")
         return self.images[index]
 
-    def _placed(self) -> Iterator[tuple[dict[str, Any], FloatArray, IntArray]]:
-        """Every primitive that the scene shows with its corners (V, 3), z up, where its node has them, and its triangles (F, 3)."""
+    def _placed_primitives(self) -> Iterator[tuple[dict[str, Any], FloatArray, IntArray]]:
+        """Every primitive of the scene with its corners (V, 3), z up, in the scene's frame, and its triangles (F, 3)."""
         placed = list(self._placed_meshes())
         if not self._num_faces(mesh_index for mesh_index, _ in placed):
             self.fail("glb_no_faces", "has no triangle", "at least one; is it a point cloud, a skeleton or an empty node?")
@@ -245,15 +238,16 @@ class _GlbReader:
         for mesh_index, world_from_node in placed:
             if mesh_index not in primitives:
                 primitives[mesh_index] = list(self._primitives(self._entry("meshes", mesh_index)))
-            is_mirrored = np.linalg.det(world_from_node[:3, :3]) < 0
+            is_mirrored = np.linalg.det(world_from_node[:3, :3]) < 0  # a mirrored mesh would be inside out
             for primitive, corners, triangles in primitives[mesh_index]:
                 moved = corners @ world_from_node[:3, :3].T + world_from_node[:3, 3]
+                # From y up to z up.
                 yield primitive, moved[:, [0, 2, 1]] * (1.0, -1.0, 1.0), triangles[:, ::-1] if is_mirrored else triangles
 
     def _num_faces(self, mesh_indices: Iterable[int]) -> int:
-        """Counts the triangles of meshes, one of them as often as it is given, before any is read.
+        """Counts the triangles of meshes, each as often as it is listed, before any is read.
 
-        Primitives may share an accessor and nodes a mesh, so what a file asks for can be far larger than the file.
+        Primitives may share an accessor and nodes may share a mesh, so a small file can describe a very large scene.
         """
         num_primitives = num_corners = num_faces = 0
         for mesh_index, times in Counter(mesh_indices).items():
@@ -275,7 +269,7 @@ class _GlbReader:
         return self._size(self._entry("accessors", accessor), f"accessors[{accessor}]", "count")
 
     def colliders(self) -> tuple[Mesh, ...]:
-        """The convex parts of the mesh ``colliders``, centred on the box of all, placed as the one mesh that the scene shows."""
+        """The convex parts of the mesh ``colliders``, centred on their common box, with the node transform of the scene's one mesh."""
         meshes = self.document.get("meshes", [])
         found = [k for k, mesh in enumerate(meshes) if mesh.get("name") == COLLIDERS and "extras" in mesh]
         placed = list(self._placed_meshes())
@@ -303,20 +297,17 @@ class _GlbReader:
         if size == 0:
             self.fail("glb_zero_bytes", "file is empty", "a GLB; copy it again")
         self.check_limit("max_bytes", size)
-        if size < 20:
+        if size < 20:  # 12 bytes of header and 8 bytes before the first chunk
             self.fail("glb_truncated", f"file has {size} bytes", "a GLB header and a chunk; copy it again")
         magic, version, claimed, json_length, json_type = struct.unpack_from("<5I", content)
         if magic != _MAGIC or version != 2 or json_type != _JSON_CHUNK:
-            self.fail(
-                "glb_invalid",
-                f"starts with {content[:8]!r} and chunk {json_type:#x}",
-                "binary glTF 2.0 with its JSON chunk first",
-            )
+            found = f"starts with {content[:8]!r} and chunk {json_type:#x}"
+            self.fail("glb_invalid", found, "binary glTF 2.0 with its JSON chunk first")
         self.check_limit("max_json_bytes", json_length)
         chunk, end = self._chunk(content, 20, json_length)
         text = bytes(chunk)
         self.check_limit("max_json_levels", _num_levels(text))
-        self.document = json.loads(text.decode())  # which could guess another encoding of bytes
+        self.document = json.loads(text.decode())  # decoded here, because json.loads would guess the encoding of bytes
         if end + 8 <= size and struct.unpack_from("<I", content, end + 4)[0] == _BIN_CHUNK:
             self.binary, end = self._chunk(content, end + 8, struct.unpack_from("<I", content, end)[0])
         if claimed != size:
@@ -324,22 +315,21 @@ class _GlbReader:
 
     def _chunk(self, content: bytes, start: int, length: int) -> tuple[memoryview, int]:
         if start + length > len(content):
-            self.fail(
-                "glb_truncated", f"a chunk ends at byte {start + length} of {len(content)}", "a whole file; copy it again"
-            )
+            found = f"a chunk ends at byte {start + length} of {len(content)}"
+            self.fail("glb_truncated", found, "a whole file; copy it again")
         return memoryview(content)[start : start + length], start + length
 
     def _refuse_unsupported(self) -> None:
         required = [e for e in self.document.get("extensionsRequired", []) if not e.startswith(_HARMLESS)]
         if required:
-            self.fail(
-                "glb_unsupported", f"requires {required!r:.200}", "plain accessors; export it without compression or instancing"
-            )
+            expected = "plain accessors; export it without compression or instancing"
+            self.fail("glb_unsupported", f"requires {required!r:.200}", expected)
 
     def _placed_meshes(self) -> Iterator[tuple[int, FloatArray]]:
-        """(mesh index, world_from_node (4, 4)) of every mesh in the scene, in file order."""
+        """Yields (mesh index, world_from_node (4, 4)) of every mesh in the scene, in file order."""
         roots = self._roots(self.document.get("nodes", []))
         self.check_limit("max_nodes", len(roots))
+        # A stack instead of recursion, which could overflow; reversed, so that nodes come in file order.
         stack = [(root, np.eye(4)) for root in reversed(roots)]
         seen: set[int] = set()
         while stack:
@@ -359,18 +349,17 @@ class _GlbReader:
     def _roots(self, nodes: list[dict[str, Any]]) -> list[int]:
         if self.document.get("scenes"):
             return list(self._entry("scenes", self.document.get("scene", 0)).get("nodes", []))
+        # Without a scene, every node without a parent is a root.
         children = {child for node in nodes for child in node.get("children", [])}
         return [index for index in range(len(nodes)) if index not in children]
 
     def _primitives(self, mesh: dict[str, Any]) -> Iterator[tuple[dict[str, Any], FloatArray, IntArray]]:
-        """Every primitive that has triangles with its corners (V, 3) float64 and triangles (F, 3) int64."""
+        """Yields every primitive that has triangles with its corners (V, 3) float64 and triangles (F, 3) int64."""
         for primitive in mesh["primitives"]:
             mode = primitive.get("mode", _TRIANGLES)
             if mode not in _SURFACES:
-                self.note(
-                    "glb_primitive_skipped",
-                    f"a primitive of points or lines (mode {mode!r:.40}) has no surface and is left out",
-                )
+                message = f"a primitive of points or lines (mode {mode!r:.40}) has no surface and is skipped"
+                self.note("glb_primitive_skipped", message)
                 continue
             corners = self._accessor(primitive["attributes"]["POSITION"], 3).astype(np.float64)
             indices = np.arange(len(corners))
@@ -381,15 +370,12 @@ class _GlbReader:
     def _indices(self, accessor: int, num_corners: int) -> IntArray:
         indices = self._accessor(accessor, 1)[:, 0]
         if indices.dtype.kind != "u" or (len(indices) and indices.max() >= num_corners):
-            self.fail(
-                "glb_invalid",
-                f"a face index reaches beyond the {num_corners} vertices",
-                "unsigned indices of vertices that exist",
-            )
+            found = f"a face index reaches beyond the {num_corners} vertices"
+            self.fail("glb_invalid", found, "unsigned indices of vertices that exist")
         return indices.astype(np.int64)
 
     def _accessor(self, index: int, width: int, rows: IntArray | slice = slice(None)) -> npt.NDArray[Any]:
-        """Values (count, width) of an accessor, or some rows of them; all of them lie in its buffer view."""
+        """Values (count, width) of an accessor, or some rows of them; checks that all lie in its buffer view."""
         accessor, name = self._entry("accessors", index), f"accessors[{index}]"
         if "sparse" in accessor or "bufferView" not in accessor:
             self.fail("glb_unsupported", f"{name} is sparse or has no data", "plain accessors; export it without compression")
@@ -404,28 +390,25 @@ class _GlbReader:
         content, end = self._view(accessor["bufferView"]), offset + (count - 1) * stride + element if count else offset
         if end > len(content):
             self.fail("glb_truncated", f"{name} ends at byte {end} of the {len(content)} of its bufferView", "all its elements")
-        # numpy compares the size with that of the buffer only where the buffer is not empty.
+        # numpy checks the size against the buffer only if the buffer is not empty, so it was checked above.
         values = np.ndarray((count, width), kind, content, offset, (stride, kind.itemsize))[rows]
+        # Normalised integers represent numbers up to 1.
         return values / np.iinfo(kind).max if accessor.get("normalized") and kind.kind != "f" else values
 
     def _view(self, index: int) -> memoryview:
         """The bytes of a buffer view."""
         view, name = self._entry("bufferViews", index), f"bufferViews[{index}]"
         if "uri" in self._entry("buffers", view["buffer"]) or view["buffer"] != 0:
-            self.fail(
-                "glb_unsupported",
-                "its content lies in a second file or a URI",
-                "one self-contained GLB; external files are not opened",
-            )
+            expected = "one self-contained GLB; external files are not opened"
+            self.fail("glb_unsupported", "its content is in a second file or a URI", expected)
         start, length = self._size(view, name, "byteOffset", 0), self._size(view, name, "byteLength")
         if start + length > len(self.binary):
-            self.fail(
-                "glb_truncated", f"{name} ends at byte {start + length} of {len(self.binary)}", "a whole file; copy it again"
-            )
+            found = f"{name} ends at byte {start + length} of {len(self.binary)}"
+            self.fail("glb_truncated", found, "a whole file; copy it again")
         return self.binary[start : start + length]
 
     def _entry(self, kind: str, index: object) -> dict[str, Any]:
-        """One object of a list of the document; an index counts from its start, so it is never negative."""
+        """Returns an entry of a list of the document; a negative index is refused, because it would count from the end."""
         entries = self.document[kind]
         if not isinstance(entries, list) or type(index) is not int or not 0 <= index < len(entries):
             self.fail("glb_invalid", f"refers to {kind}[{index!r:.40}]", f"an index into its list of {kind}; export it again")
@@ -435,25 +418,26 @@ class _GlbReader:
         return entry
 
     def _size(self, owner: dict[str, Any], name: str, key: str, default: int | None = None) -> int:
-        """A count or a number of bytes."""
+        """Returns a count or a number of bytes."""
         value = owner.get(key, default)
-        if type(value) is not int or value < 0:  # a bool is an int
+        if type(value) is not int or value < 0:  # isinstance would accept a bool
             self.fail("glb_invalid", f"{name} has {key} {value!r:.40}", "a whole number from 0; export it again")
         return value
 
 
 def _num_levels(text: bytes) -> int:
-    """Lists and objects of a JSON text inside one another; counted before parsing, for the parser calls itself for each."""
+    """Nesting depth of a JSON text; counted before parsing, because the parser is recursive."""
+    # Escaped backslashes and quotes do not end a string.
     letters = np.frombuffer(text.replace(b"\\\\", b"").replace(b'\\"', b""), np.uint8)
-    is_outside = np.cumsum(letters == ord('"')) % 2 == 0  # of strings
+    is_outside = np.cumsum(letters == ord('"')) % 2 == 0  # outside of strings
     return int(np.cumsum(_LEVEL_STEPS[letters] * is_outside).max(initial=0))
 
 
 def _parent_from_node(node: dict[str, Any]) -> FloatArray:
     if "matrix" in node:
-        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T  # glTF stores columns first
     x, y, z, w = np.array(node.get("rotation", (0, 0, 0, 1)), np.float64)
-    s = 2 / (x * x + y * y + z * z + w * w)
+    s = 2 / (x * x + y * y + z * z + w * w)  # also normalises the quaternion
     rotation = np.array(
         [
             [1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
@@ -469,17 +453,17 @@ def _parent_from_node(node: dict[str, Any]) -> FloatArray:
 
 def _triangles(indices: IntArray, mode: int) -> IntArray:
     if mode == _TRIANGLES:
-        return indices[: len(indices) // 3 * 3].reshape(-1, 3)
+        return indices[: len(indices) // 3 * 3].reshape(-1, 3)  # an incomplete last triangle is dropped
     num = max(len(indices) - 2, 0)
     if mode == _FAN:
         return np.stack([np.broadcast_to(indices[:1], num), indices[1 : num + 1], indices[2 : num + 2]], axis=1)
     strip = np.stack([indices[:num], indices[1 : num + 1], indices[2 : num + 2]], axis=1)
-    strip[1::2] = strip[1::2, ::-1]  # every second triangle of a strip runs the other way round
+    strip[1::2] = strip[1::2, ::-1]  # every second triangle of a strip has the opposite winding
     return strip
 
 
 def _welded(soup: FloatArray, faces: IntArray, reader: _GlbReader) -> Mesh:
-    """One clean mesh of placed corners (V, 3) and faces (F, 3)."""
+    """Welds corners (V, 3) and faces (F, 3) to one clean mesh."""
     soup, faces = drop_unused_vertices(soup, faces)
     if not np.isfinite(soup).all():
         bad = int((~np.isfinite(soup)).any(axis=1).sum())
@@ -494,12 +478,14 @@ def _welded(soup: FloatArray, faces: IntArray, reader: _GlbReader) -> Mesh:
 
 
 def _weld(vertices: FloatArray, faces: IntArray, cell: float) -> tuple[FloatArray, IntArray]:
-    """Makes one of vertices in one cell and drops faces that collapse.
+    """Merges the vertices of each grid cell and drops faces that collapse.
 
-    An edge of a grid may part twins, along each axis on one of four staggered grids at most; so one of the four joins them.
+    A cell border may separate two near vertices. Along each axis this happens on one of four staggered grids at most, so one of
+    the four merges them.
     """
     for shift in (0.0, 0.25, 0.5, 0.75):
         grid = np.floor((vertices - vertices.min(axis=0)) / cell + shift).astype(np.int64)
+        # 21 bits per axis, because an axis has at most 1 / _WELD cells.
         key = (grid[:, 0] << 42) | (grid[:, 1] << 21) | grid[:, 2]
         _, first, index = np.unique(key, return_index=True, return_inverse=True)
         vertices, faces = vertices[first], index[faces]

@@ -1,4 +1,4 @@
-"""Binary glTF: geometry, colours, convex parts; the same bytes every time."""
+"""Writes binary glTF: geometry, colours, convex parts; the same input gives the same bytes."""
 
 import json
 import struct
@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from stable_data.geometry.gltf_reader import COLLIDERS, PART_FACES
-from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.mesh import Mesh, join_meshes
 from stable_data.geometry.mesh_colors import to_linear
 from stable_data.scene import FloatArray, IntArray
 
-_FLOAT, _UINT, _VERTICES, _INDICES = 5126, 5125, 34962, 34963  # of the glTF 2.0 specification
+_FLOAT, _UINT, _VERTICES, _INDICES = 5126, 5125, 34962, 34963  # constants of the glTF 2.0 specification
 
 
 def write_glb(
@@ -23,60 +23,55 @@ def write_glb(
     paint: Sequence[tuple[str, IntArray]] = (),
     parts: Sequence[Mesh] = (),
 ) -> bytes:
-    """A mesh as binary glTF: geometry and colours, the same bytes every time.
+    """Writes a mesh as binary glTF; the same input gives the same bytes.
 
     Args:
         mesh: Any unit, z up.
-        unit: Mesh units in one unit of the file.
-        is_z_up: Keep the coordinates z up, under a node that turns, scales and moves them.
-        paint: Colours, as seen on a screen, with the faces that they are on, each face once: (``#rrggbb``, indices).
+        unit: Mesh units per unit of the file.
+        is_z_up: Store the coordinates z up, under a node that rotates, scales and moves them.
+        paint: Display colours and the faces that have them, each face once: (``#rrggbb``, indices).
         parts: Convex parts whose union is the mesh, in its frame. They become a second mesh, ``colliders``, that no node shows;
-            its ``extras.part_faces`` lists the faces of each part.
+            its ``extras.part_faces`` lists the number of faces of each part.
 
     Returns:
-        The file. What it shows is y up, as glTF demands.
+        The content of the file. The scene is y up, as glTF demands.
     """
     node: dict[str, object] = {"mesh": 0, "name": "asset"}
     if is_z_up:
-        shift = mesh.extents[2] / unit / 2  # stands on its node's origin
+        shift = mesh.extents[2] / unit / 2  # the mesh stands on the origin of its node
         half = np.sqrt(0.5)
         node |= {"rotation": [-half, 0.0, 0.0, half], "scale": [2.0, 2.0, 2.0], "translation": [0.0, shift, 0.0]}
 
     def stored(vertices: FloatArray) -> FloatArray:
         if is_z_up:
             return vertices / unit / 2
-        return np.stack([vertices[:, 0], vertices[:, 2], -vertices[:, 1]], axis=1) / unit
+        return np.stack([vertices[:, 0], vertices[:, 2], -vertices[:, 1]], axis=1) / unit  # from z up to y up
 
-    coats = [mesh.faces[rows] for _, rows in paint] or [mesh.faces]
-    primitives = [{"attributes": {"POSITION": 0}, "indices": 1 + k} for k in range(len(coats))]
+    face_groups = [mesh.faces[rows] for _, rows in paint] or [mesh.faces]
+    primitives = [{"attributes": {"POSITION": 0}, "indices": 1 + k} for k in range(len(face_groups))]
     meshes: list[dict[str, Any]] = [{"primitives": primitives}]
     document: dict[str, Any] = {"scene": 0, "scenes": [{"nodes": [0]}], "nodes": [node], "meshes": meshes}
-    arrays: list[FloatArray | IntArray] = [stored(mesh.vertices), *coats]
+    arrays: list[FloatArray | IntArray] = [stored(mesh.vertices), *face_groups]
     if paint:
         document["materials"] = [material(color) for color, _ in paint]
         meshes[0]["primitives"] = [{**primitive, "material": k} for k, primitive in enumerate(primitives)]
     if parts:
-        starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
         primitive = {"attributes": {"POSITION": len(arrays)}, "indices": len(arrays) + 1}
         meshes.append({"name": COLLIDERS, "primitives": [primitive], "extras": {PART_FACES: [len(p.faces) for p in parts]}})
-        arrays.append(stored(np.concatenate([part.vertices for part in parts])))
-        arrays.append(np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]))
+        joined = join_meshes(parts)
+        arrays += [stored(joined.vertices), joined.faces]
     return pack(document, arrays)
 
 
 def material(color: str) -> dict[str, Any]:
-    """GlTF's material of a colour, ``#rrggbb`` as seen on a screen."""
-    return {"pbrMetallicRoughness": {"baseColorFactor": _linear(color), "metallicFactor": 0.0}}
-
-
-def _linear(color: str) -> list[float]:
-    """GlTF's linear RGBA of a colour as it is seen on a screen (sRGB)."""
-    seen = np.array([int(color[k : k + 2], 16) / 255 for k in (1, 3, 5)])
-    return [*(round(channel, 5) for channel in to_linear(seen).tolist()), 1.0]
+    """Returns the glTF material of a display colour (sRGB), ``#rrggbb``; glTF stores linear RGBA."""
+    linear = to_linear(np.array([int(color[k : k + 2], 16) / 255 for k in (1, 3, 5)])).tolist()
+    factor = [*(round(channel, 5) for channel in linear), 1.0]
+    return {"pbrMetallicRoughness": {"baseColorFactor": factor, "metallicFactor": 0.0}}
 
 
 def pack(document: dict[str, Any], arrays: Sequence[FloatArray | IntArray]) -> bytes:
-    """The file of a glTF document whose accessor k is ``arrays[k]``: corners where they are floats, else faces."""
+    """Packs a glTF document whose accessor k is ``arrays[k]``: corners if it holds floats, else faces."""
     accessors: list[dict[str, Any]] = []
     views: list[dict[str, Any]] = []
     chunks: list[bytes] = []
@@ -97,7 +92,7 @@ def pack(document: dict[str, Any], arrays: Sequence[FloatArray | IntArray]) -> b
     document = {"asset": {"version": "2.0", "generator": "stable-data"}, **document}
     document |= {"accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": len(binary)}]}
     text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
+    text += b" " * (-len(text) % 4)  # chunks are aligned to 4 bytes
     size = 12 + 8 + len(text) + 8 + len(binary)
     header = struct.pack("<4sII", b"glTF", 2, size)
     return b"".join((header, struct.pack("<I4s", len(text), b"JSON"), text, struct.pack("<I4s", len(binary), b"BIN\0"), binary))

@@ -1,4 +1,4 @@
-"""What a mesh weighs: mass, centre and inertia."""
+"""Mass properties of a mesh: mass, centre of mass and inertia."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from stable_data.scene import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MassProperties:
-    """What an object weighs and how it resists turning.
+    """The mass of an object and its distribution.
 
     Attributes:
         mass: Kilograms.
@@ -27,21 +27,18 @@ class MassProperties:
 def mass_properties(
     mesh: Mesh, *, mass: float | None = None, density: float | None = None, is_sheet: bool = False, thickness: float = 2e-3
 ) -> MassProperties:
-    """Mass, centre and inertia of a homogeneous object, exact for its triangles.
+    """Computes mass, centre and inertia of a homogeneous object in the mesh's frame, exactly for its triangles.
 
     Args:
-        mesh: Metres; faces outward where it is a solid.
+        mesh: Metres; the faces of a solid point outward.
         mass: Kilograms; this or ``density``.
-        density: kg/m³.
-        is_sheet: Take the surface as a shell instead of the volume (``MeshReport.is_sheet``).
-        thickness: Of the shell, metres; it decides the mass that a density gives, not the shape of the inertia.
-
-    Returns:
-        The properties, in the mesh's frame.
+        density: kg/m³; this or ``mass``.
+        is_sheet: Treat the surface as a shell instead of the volume (``MeshReport.is_sheet``).
+        thickness: Of the shell, metres; it changes the mass that a density gives, but not the shape of the inertia.
 
     Raises:
-        MeshError: ``mass_invalid``: both or neither of mass and density, or one that is not positive.
-        MeshError: ``mass_no_volume``: a solid that encloses none; is it a sheet, or inside out?
+        MeshError: ``mass_invalid``: both or neither of mass and density are given, or a value is not positive.
+        MeshError: ``mass_no_volume``: a solid that encloses no volume; it may be a sheet, or inside out.
     """
     given = [m for m in (mass, density) if m is not None]
     if len(given) != 1 or not (0 < given[0] < float("inf") and thickness > 0):
@@ -55,12 +52,11 @@ def mass_properties(
     weight, d = (double_areas(mesh) / 2 * thickness, 2) if is_sheet else (signed_volumes(corners), 3)
     content = float(weight.sum())
     if content <= 0:
-        raise MeshError(
-            f"mesh encloses {content:.3g} m3, expected more than 0; is it a sheet, or inside out?", "mass_no_volume"
-        )
+        message = f"mesh encloses {content:.3g} m3, expected more than 0; is it a sheet, or inside out?"
+        raise MeshError(message, "mass_no_volume")
     center = weight @ total / ((d + 1) * content)
     second = np.einsum("f,fni,fnj->ij", weight, corners, corners) + np.einsum("f,fi,fj->ij", weight, total, total)
-    second = second / ((d + 1) * (d + 2)) - content * np.outer(center, center)
+    second = second / ((d + 1) * (d + 2)) - content * np.outer(center, center)  # parallel axis theorem
     kilograms = mass if mass is not None else given[0] * content
-    inertia = (np.trace(second) * np.eye(3) - second) * (kilograms / content)
+    inertia = (np.trace(second) * np.eye(3) - second) * (kilograms / content)  # second moments are those of density 1
     return MassProperties(kilograms, center, inertia)

@@ -1,8 +1,9 @@
-"""What a triangle mesh is, and its arithmetic: areas, volumes, edges.
+"""The triangle mesh, and its arithmetic: areas, volumes, edges.
 
-Frame: z up, centred on its box, in the file's own units (``SceneObject.scale`` turns them into metres).
+Frame: z up, centred on its box, in the file's own units (``SceneObject.scale`` converts them to metres).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,7 @@ class Mesh:
     faces: IntArray
 
     def __post_init__(self) -> None:
-        """Makes the arrays contiguous, so that every geometry library takes them without a copy."""
+        """Makes the arrays contiguous, so that every geometry library accepts them without a copy."""
         object.__setattr__(self, "vertices", np.ascontiguousarray(self.vertices, np.float64))
         object.__setattr__(self, "faces", np.ascontiguousarray(self.faces, np.int64))
 
@@ -45,7 +46,7 @@ def area_vectors(triangles: FloatArray) -> FloatArray:
 
 
 def unit_normals(triangles: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Unit normals of triangles (F, 3, 3), (F, 3) float64, zero where one has no area; and twice their areas, (F,)."""
+    """Unit normals (F, 3) float64 of triangles (F, 3, 3), zero for a triangle without area; and twice the areas, (F,)."""
     normals = area_vectors(triangles)
     length = np.linalg.norm(normals, axis=1)
     return np.divide(normals, length[:, None], out=np.zeros_like(normals), where=length[:, None] > 0), length
@@ -58,7 +59,7 @@ def double_areas(mesh: Mesh) -> FloatArray:
 
 
 def signed_volumes(triangles: FloatArray) -> FloatArray:
-    """Volume of the tetrahedra from the origin to triangles (F, 3, 3), (F,) float64, negative where they look inwards."""
+    """Volumes of the tetrahedra from the origin to triangles (F, 3, 3), (F,) float64, negative for triangles that face inward."""
     volumes: FloatArray = np.einsum("ij,ij->i", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2])) / 6
     return volumes
 
@@ -68,9 +69,9 @@ class Edges:
     """Undirected edges of faces.
 
     Attributes:
-        corners: (E, 2), low corner first.
-        count: How many faces use each, (E,).
-        balance: How many more run it upwards than downwards, (E,).
+        corners: (E, 2), lower index first.
+        count: Number of faces that use each edge, (E,).
+        balance: Number of faces that use it from the lower to the higher index, less those in the other direction, (E,).
         of_faces: The three edges of every face, (F, 3).
     """
 
@@ -81,27 +82,28 @@ class Edges:
 
     @classmethod
     def of(cls, faces: IntArray) -> "Edges":
-        """The edges of faces (F, 3)."""
+        """Computes the edges of faces (F, 3)."""
         directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
         low, high, num = directed.min(axis=1), directed.max(axis=1), faces.max() + 1
+        # One integer per undirected edge: sorting integers is much faster than sorting rows.
         key, index, count = np.unique(low * num + high, return_inverse=True, return_counts=True)
         balance = np.bincount(index, np.where(directed[:, 0] == low, 1, -1)).astype(np.int64)
         return cls(np.stack([key // num, key % num], axis=1), count, balance, index.reshape(-1, 3))
 
     @property
     def is_watertight(self) -> bool:
-        """Whether each joins two faces that run against each other."""
+        """Whether each edge joins two faces with opposite directions along it."""
         return bool((self.count == 2).all() and (self.balance == 0).all())
 
     def boundary(self) -> IntArray:
-        """Directed edges that no face runs against, (B, 2): the rims of what is missing, also where three faces meet."""
+        """Directed edges without a face in the opposite direction, (B, 2): the rims of holes, also where three faces meet."""
         forward = np.repeat(self.corners, np.maximum(self.balance, 0), axis=0)
         backward = np.repeat(self.corners[:, ::-1], np.maximum(-self.balance, 0), axis=0)
         return np.concatenate([forward, backward])
 
 
 def is_closed(mesh: Mesh) -> bool:
-    """Whether every edge is run as often one way as the other: then winding numbers are whole."""
+    """Whether every edge is used as often in one direction as in the other: then winding numbers are whole."""
     return bool((Edges.of(mesh.faces).balance == 0).all())
 
 
@@ -113,8 +115,15 @@ def drop_unused_vertices(vertices: FloatArray, faces: IntArray) -> tuple[FloatAr
 
 
 def center_vertices(vertices: FloatArray, faces: IntArray) -> Mesh:
-    """A mesh without unused vertices, its box centred on the origin."""
+    """Returns a mesh without unused vertices, its box centred on the origin."""
     vertices, faces = drop_unused_vertices(vertices, faces)
     if len(vertices):
         vertices = vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     return Mesh(vertices, faces)
+
+
+def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
+    """Joins meshes into one, their vertices and faces in order; nothing is merged."""
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+    faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]
+    return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))

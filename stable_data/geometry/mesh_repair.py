@@ -1,4 +1,4 @@
-"""Repair of a mesh: closed and outward where it can be, open where it could hold something."""
+"""Mesh repair: closes and orients a mesh as far as possible, but leaves openings that can hold objects."""
 
 from dataclasses import dataclass, replace
 from typing import TypeAlias
@@ -15,36 +15,37 @@ from stable_data.geometry.mesh import Edges, Mesh, area_vectors, center_vertices
 from stable_data.geometry.shape import winding_number
 from stable_data.scene import FloatArray, IntArray
 
-_CRACK = 0.03  # a hole narrower than this share of the largest extent is damage, not a mouth
-_SLIVER = 1e-4  # so is one of less area than this share of the surface
-_SMALL_MOUTH = 0.02  # share of the surface up to which a hole that does not look up is a cut end, not a hollow
-_BURIED = 0.75  # winding number at a mouth's centre above which it lies inside the object: 0.5 alone, 1.5 inside another part
+_CRACK = 0.03  # a narrower hole, share of the largest extent, is damage and not a mouth
+_SLIVER = 1e-4  # a hole of a smaller area, share of the surface, is damage too
+_SMALL_MOUTH = 0.02  # share of the surface up to which a hole that does not open upwards is a cut end and not a hollow
+# Winding number at a mouth's centre above which the mouth is inside the object: 0.5 alone, 1.5 inside another part.
+_BURIED_WINDING = 0.75
 _NUM_PROBES = 512
 _MAX_PARTS = 50_000  # parts, and holes
-_MAX_PAIRS = 2_000_000  # of parts whose boxes meet, of a face and a hole
-_MAX_SEEN = 50_000_000  # faces that are summed for a winding number, each from many points: some 10 s
+_MAX_PAIRS = 2_000_000  # pairs of parts whose boxes overlap, and pairs of a face and a hole
+_MAX_SUMMED = 50_000_000  # faces summed for winding numbers over all points: about 10 s
 
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
 class MeshReport:
-    """What a mesh is like after repair, and what repair did.
+    """Properties of a mesh after repair, and the actions of the repair.
 
     Attributes:
         num_vertices: Vertices.
         num_faces: Faces.
-        is_watertight: Every edge joins exactly two faces that run against each other along it.
+        is_watertight: Every edge joins exactly two faces that use it in opposite directions.
         was_watertight: The same before repair.
-        is_solid: It encloses a volume that can be relied on: closed but for slivers.
-        is_sheet: It does not: open, and to be treated as a thin shell whose hollow is outside.
+        is_solid: The mesh encloses a reliable volume: it is closed except for slivers.
+        is_sheet: The opposite: an open mesh, treated as a thin shell whose hollow is outside.
         num_components: Parts that share no edge.
         num_boundary_edges: Edges of one face.
         num_nonmanifold_edges: Edges of more than two faces.
-        num_flipped_faces: Faces that repair turned round.
+        num_flipped_faces: Faces whose orientation the repair reversed.
         volume: Enclosed volume, cubic mesh units; overlapping parts count twice, 0 for a sheet.
         area: Surface, squared mesh units, one side.
-        actions: What was done, in plain words.
+        actions: The actions of the repair, in words.
     """
 
     num_vertices: int
@@ -63,34 +64,34 @@ class MeshReport:
 
 
 def repair_mesh(mesh: Mesh, asset_id: str) -> tuple[Mesh, MeshReport, tuple[Notice, ...]]:
-    """Makes a mesh as closed and outward as it can be without filling anything that could hold something.
+    """Closes and orients a mesh as far as possible without filling a hollow that could hold an object.
 
-    A hole is closed where it is a crack, where its mouth lies inside the object (the buried end of a handle), or where it is
-    small and does not open upwards. The mouth of a bowl, a cup or a vase is none of these.
+    A hole is closed if it is a crack, if its mouth is inside the object (the hidden end of a handle), or if it is small and does not
+    open upwards. The mouth of a bowl, a cup or a vase is none of these.
 
     Args:
         mesh: As loaded.
-        asset_id: Named in notices.
+        asset_id: The asset's name in notices.
 
     Returns:
-        The repaired mesh, its report, and ``glb_inside_out`` where all of it had to be turned.
+        The repaired mesh, its report, and the notice ``glb_inside_out`` if most faces of a solid had to be reversed.
 
     Raises:
-        MeshError: It has more parts or holes than repair takes, or they lie in each other so that repair takes too long.
+        MeshError: ``mesh_too_complex``: it has more parts or holes than the limits, or their arrangement makes repair too slow.
     """
     actions = []
     before = Edges.of(mesh.faces)
     faces = _without_duplicates(mesh.faces)
     if len(faces) < len(mesh.faces):
         actions.append(f"dropped {len(mesh.faces) - len(faces)} duplicate faces")
-    given, faces = faces, _oriented(faces)
-    part = _parts(faces)
+    original, faces = faces, _orient_faces(faces)
+    part = _part_of_faces(faces)
     _check_limit(asset_id, "parts", int(part.max()) + 1, _MAX_PARTS)
     vertices, caps = _caps(mesh.vertices, faces, part, asset_id)
-    is_turned = _looks_inward(vertices, faces, part, caps, asset_id)
-    faces = np.where(is_turned[part][:, None], faces[:, ::-1], faces)
-    caps = caps.turned(is_turned)
-    num_flipped = int((faces != given).any(axis=1).sum())
+    is_reversed = _is_inside_out(vertices, faces, part, caps, asset_id)
+    faces = np.where(is_reversed[part][:, None], faces[:, ::-1], faces)
+    caps = caps.with_reversed(is_reversed)
+    num_flipped = int((faces != original).any(axis=1).sum())
     if num_flipped:
         actions.append(f"turned {num_flipped} of {len(faces)} faces")
     is_filled = _is_back_of_sheet(vertices, faces, part, caps, asset_id)
@@ -99,38 +100,39 @@ def repair_mesh(mesh: Mesh, asset_id: str) -> tuple[Mesh, MeshReport, tuple[Noti
         actions.append(f"closed {is_filled.sum()} of {len(is_filled)} holes")
     repaired = center_vertices(vertices, np.concatenate([faces, caps.faces[is_filled[caps.hole]]]))
     report = _report(repaired, before.is_watertight, num_flipped, tuple(actions))
-    if report.is_solid and num_flipped > len(given) / 2:
-        message = f"asset {asset_id}: {num_flipped} of {len(given)} faces looked inwards; turned"
+    if report.is_solid and num_flipped > len(original) / 2:
+        message = f"asset {asset_id}: {num_flipped} of {len(original)} faces pointed inwards; they were reversed"
         return repaired, report, (Notice(asset_id, "mesh", "glb_inside_out", message),)
     return repaired, report, ()
 
 
 def _without_duplicates(faces: IntArray) -> IntArray:
-    """One of faces on the same corners; neither of two that look against each other, unless all do (a sheet drawn twice)."""
+    """Drops duplicate faces, and both of two opposite faces on the same corners, unless all are such (a sheet drawn twice)."""
     corners = np.sort(faces, axis=1)
     _, first, index, count = np.unique(corners, axis=0, return_index=True, return_inverse=True, return_counts=True)
     index = index.reshape(-1)
     if len(first) == len(faces):
         return faces
+    # An even permutation of the sorted corners is one orientation, an odd one the other.
     is_even = (
         (faces == corners).all(axis=1)
         | (faces == corners[:, [1, 2, 0]]).all(axis=1)
         | (faces == corners[:, [2, 0, 1]]).all(axis=1)
     )
     cancels = (np.bincount(index, np.where(is_even, 1, -1)) == 0) & (count > 1)
-    if cancels.sum() <= 0.1 * len(first):
+    if cancels.sum() <= 0.1 * len(first):  # a larger share means a sheet drawn twice
         first = first[~cancels]
     return faces[np.sort(first)]
 
 
 def _check_limit(asset_id: str, what: str, count: int, limit: int) -> None:
     if count > limit:
-        message = f"asset {asset_id}: repair meets {count} {what}, expected at most {limit}; simplify the mesh"
+        message = f"asset {asset_id}: repair found {count} {what}, expected at most {limit}; simplify the mesh"
         raise MeshError(message, "mesh_too_complex")
 
 
-def _oriented(faces: IntArray) -> IntArray:
-    """Neighbours running against each other along their edge, each patch the way most of its faces were."""
+def _orient_faces(faces: IntArray) -> IntArray:
+    """Gives neighbours opposite directions along their edge, and each patch the orientation of most of its faces."""
     edges = Edges.of(faces)
     is_shared = edges.count == 2
     if (edges.balance[is_shared] == 0).all():
@@ -141,21 +143,21 @@ def _oriented(faces: IntArray) -> IntArray:
     one, other, clashes = users[first], users[first + 1], edges.balance[is_shared] != 0
     _, once = np.unique(one * num + other, return_index=True)  # a sheet drawn twice shares three edges with itself
     neighbours = coo_array((1 + clashes[once], (one[once], other[once])), shape=(num, num))
-    # In a tree each face is reached one way, even on a patch with a single side; this one crosses the fewest clashing edges.
+    # In a tree each face is reached in one way, even on a patch with a single side. This tree crosses the fewest clashing edges.
     tree = minimum_spanning_tree(neighbours).tocoo()
     patch = connected_components(tree, directed=False)[1]
     is_crossed = tree.data > 1
-    # Every face twice, as it is and turned: what is connected runs the same way round.
+    # Every face appears twice, as it is and reversed; connected entries have the same orientation.
     a = np.concatenate([tree.row, tree.row + num])
     b = np.concatenate([tree.col + num * is_crossed, tree.col + num * ~is_crossed])
-    way = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(2 * num, 2 * num)), directed=False)[1][:num]
-    is_turned = way != way[np.unique(patch, return_index=True)[1]][patch]
-    is_turned ^= (np.bincount(patch, np.where(is_turned, -1, 1)) < 0)[patch]
-    return np.where(is_turned[:, None], faces[:, ::-1], faces)
+    side = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(2 * num, 2 * num)), directed=False)[1][:num]
+    is_reversed = side != side[np.unique(patch, return_index=True)[1]][patch]
+    is_reversed ^= (np.bincount(patch, np.where(is_reversed, -1, 1)) < 0)[patch]
+    return np.where(is_reversed[:, None], faces[:, ::-1], faces)
 
 
-def _parts(faces: IntArray) -> IntArray:
-    """The part of every face, (F,): faces that share an edge, whatever the number of faces there, are of one part."""
+def _part_of_faces(faces: IntArray) -> IntArray:
+    """The part of every face, (F,): faces that share an edge belong to one part, even if more than two meet there."""
     edges, num = Edges.of(faces), len(faces)
     size = num + len(edges.corners)
     joined = coo_array((np.ones(3 * num), (np.repeat(np.arange(num), 3), num + edges.of_faces.ravel())), shape=(size, size))
@@ -163,7 +165,7 @@ def _parts(faces: IntArray) -> IntArray:
 
 
 def _rims(boundary: IntArray) -> tuple[IntArray, IntArray]:
-    """Boundary edges in closed chains, each run against its faces, the way a cap's own edges run.
+    """Joins boundary edges to closed chains, each in the direction in which the edges of a cap run.
 
     Returns:
         The edges (B, 2), hole by hole, and the hole of each (B,).
@@ -173,31 +175,31 @@ def _rims(boundary: IntArray) -> tuple[IntArray, IntArray]:
         following.setdefault(b, []).append(a)
     rims: list[tuple[int, int]] = []
     lengths = []
-    for start, ways in following.items():
-        while ways:
-            begun, vertex, after = len(rims), start, None
+    for start, next_vertices in following.items():
+        while next_vertices:
+            num_before, vertex, after = len(rims), start, None
             while after != start:
                 after = following[vertex].pop()
                 rims.append((vertex, after))
                 vertex = after
-            lengths.append(len(rims) - begun)
+            lengths.append(len(rims) - num_before)
     return np.array(rims, np.int64).reshape(-1, 2), np.repeat(np.arange(len(lengths)), lengths)
 
 
 def _sums(values: FloatArray, group: IntArray) -> FloatArray:
-    """Sums of rows (B, 3) group by group, (G, 3)."""
+    """Sums rows (B, 3) by group, (G, 3)."""
     return np.stack([np.bincount(group, column) for column in values.T], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Caps:
-    """A fan over every hole: triangles from the rim to its centre.
+    """A fan of triangles over every hole, from the rim to its centre.
 
     Attributes:
         faces: (B, 3), hole by hole; the last corner is the centre.
         hole: The hole of each, (B,).
         start: The first face of each hole, (H,).
-        part: The part that each hole is in, (H,).
+        part: The part of each hole, (H,).
     """
 
     faces: IntArray
@@ -205,13 +207,13 @@ class _Caps:
     start: IntArray
     part: IntArray
 
-    def turned(self, is_turned: BoolArray) -> "_Caps":
-        """The fans with those of some parts (P,) the other way round."""
-        return replace(self, faces=np.where(is_turned[self.part[self.hole]][:, None], self.faces[:, [1, 0, 2]], self.faces))
+    def with_reversed(self, is_reversed: BoolArray) -> "_Caps":
+        """Reverses the fans of some parts (P,)."""
+        return replace(self, faces=np.where(is_reversed[self.part[self.hole]][:, None], self.faces[:, [1, 0, 2]], self.faces))
 
 
 def _caps(vertices: FloatArray, faces: IntArray, part: IntArray, asset_id: str) -> tuple[FloatArray, _Caps]:
-    """Vertices with the centre of every hole appended, and the fans."""
+    """Appends the centre of every hole to the vertices, and creates the fans."""
     owner = np.zeros(len(vertices), np.int64)
     owner[faces] = part[:, None]
     rims, hole = _rims(Edges.of(faces).boundary())
@@ -223,29 +225,29 @@ def _caps(vertices: FloatArray, faces: IntArray, part: IntArray, asset_id: str) 
     return np.concatenate([vertices, centres]), _Caps(caps, hole, start, owner[rims[start, 0]])
 
 
-def _looks_inward(vertices: FloatArray, faces: IntArray, part: IntArray, caps: _Caps, asset_id: str) -> BoolArray:
-    """Whether each part is to be turned outwards, (P,); one inside another that looks inwards is a cavity and stays."""
+def _is_inside_out(vertices: FloatArray, faces: IntArray, part: IntArray, caps: _Caps, asset_id: str) -> BoolArray:
+    """Whether each part must be reversed, (P,); an inward part inside another part is a cavity and stays."""
     closed = np.concatenate([faces, caps.faces])
     label = np.concatenate([part, caps.part[caps.hole]])
     volume = np.bincount(label, signed_volumes(vertices[closed]))
     noise = 1e-9 * np.ptp(vertices, axis=0).max() ** 3
-    is_turned = np.full(len(volume), volume.sum() < -noise)
-    volume = np.where(is_turned, -volume, volume)
+    is_reversed = np.full(len(volume), volume.sum() < -noise)
+    volume = np.where(is_reversed, -volume, volume)
     inward = np.flatnonzero(volume < -noise)
     if len(inward):
         points = vertices[faces[np.unique(part, return_index=True)[1][inward]]].mean(axis=1)
         order = np.argsort(label, kind="stable")
         winding = _winding_of_others(vertices, closed[order], label[order], points, inward, asset_id)
-        is_turned[inward] ^= np.abs(winding) <= 0.5
-    return is_turned
+        is_reversed[inward] ^= np.abs(winding) <= 0.5
+    return is_reversed
 
 
 def _winding_of_others(
     vertices: FloatArray, closed: IntArray, label: IntArray, points: FloatArray, own: IntArray, asset_id: str
 ) -> FloatArray:
-    """How often the parts wind around points (K, 3), each of which lies on its own part (K,), not counted; (K,).
+    """Winding numbers (K,) of all other parts around points (K, 3), each of which is on its own part (K,).
 
-    The faces (F, 3) come part by part. A closed part winds only around what lies in its box.
+    The faces (F, 3) are sorted by part. A closed part winds only around points in its box.
     """
     corners = vertices[closed]
     count = np.bincount(label)
@@ -260,13 +262,13 @@ def _winding_of_others(
         inside = near[((points[near] >= low[k]) & (points[near] <= high[k])).all(axis=1) & (own[near] != k)]
         if len(inside):
             num_asked += len(inside) * int(count[k])
-            _check_limit(asset_id, "faces around points in other parts", num_asked, _MAX_SEEN)
+            _check_limit(asset_id, "faces around points in other parts", num_asked, _MAX_SUMMED)
             winding[inside] += winding_number(points[inside], corners[start[k] : start[k] + count[k]])
     return winding
 
 
 def _is_back_of_sheet(vertices: FloatArray, faces: IntArray, part: IntArray, caps: _Caps, asset_id: str) -> BoolArray:
-    """Whether each cap lies flat on faces that have the same rim, (H,): a plate of no thickness, which may have a back."""
+    """Whether each cap lies flat on faces with the same rim, (H,): a plate without thickness, whose back may be closed."""
     if not len(caps.start):
         return np.zeros(0, bool)
     surface = double_areas(Mesh(vertices, faces))
@@ -279,11 +281,12 @@ def _is_back_of_sheet(vertices: FloatArray, faces: IntArray, part: IntArray, cap
 
 
 def _beneath(num_vertices: int, faces: IntArray, caps: _Caps, asset_id: str) -> tuple[IntArray, IntArray]:
-    """Pairs of a face and a hole whose rim has all three corners of the face."""
+    """Returns pairs of a face and a hole whose rim contains all three corners of the face."""
     num = len(caps.start)
     on_rim = np.unique(caps.faces[:, 0] * num + caps.hole)  # (corner, hole), sorted
     count = np.bincount(on_rim // num, minlength=num_vertices)
     start = np.cumsum(count) - count
+    # The corner that is on the fewest rims gives the fewest candidates.
     rarest = np.take_along_axis(faces, count[faces].argmin(axis=1)[:, None], axis=1)[:, 0]
     _check_limit(asset_id, "pairs of a face and a hole that touch", int(count[rarest].sum()), _MAX_PAIRS)
     face = np.repeat(np.arange(len(faces)), count[rarest])
@@ -294,7 +297,7 @@ def _beneath(num_vertices: int, faces: IntArray, caps: _Caps, asset_id: str) -> 
 
 
 def _is_safe_to_fill(vertices: FloatArray, faces: IntArray, caps: _Caps, is_asked: BoolArray, asset_id: str) -> BoolArray:
-    """Whether closing a hole cannot close a hollow that something could lie in, (H,), of those asked for."""
+    """Whether closing a hole cannot close a hollow that could hold an object, (H,), for the requested holes."""
     if not is_asked.any():
         return np.zeros(len(is_asked), bool)
     corners = vertices[caps.faces]
@@ -304,15 +307,15 @@ def _is_safe_to_fill(vertices: FloatArray, faces: IntArray, caps: _Caps, is_aske
     width = (np.maximum.reduceat(rim, caps.start) - np.minimum.reduceat(rim, caps.start)).max(axis=1)
     is_slit = (area <= _SLIVER * surface) & (fan_area <= 10 * _SLIVER * surface)
     is_safe: BoolArray = is_slit | (width <= _CRACK * np.ptp(vertices, axis=0).max())
-    is_cut_end = area >= 0.9 * fan_area  # what is far from planar is none
+    is_cut_end = area >= 0.9 * fan_area  # the mouth is nearly planar
     is_safe |= is_cut_end & (area <= _SMALL_MOUTH * surface) & (normal[:, 2] <= 0.5 * area)
     is_safe &= is_asked
-    # At its mouth's centre a part counts itself half; more can only come from what surrounds the mouth.
+    # At the centre of its mouth a part alone has winding number 0.5; a larger one means that another part surrounds the mouth.
     rest = np.flatnonzero(is_cut_end & is_asked & ~is_safe)
     if len(rest):
-        _check_limit(asset_id, "faces around holes, hole by hole", len(rest) * len(faces), _MAX_SEEN)
-        # Summed face by face: libigl's tree gives another number each time for a point in the plane of a rim.
-        is_safe[rest] = winding_number(corners[caps.start[rest], 2], vertices[faces]) > _BURIED
+        _check_limit(asset_id, "faces around holes, hole by hole", len(rest) * len(faces), _MAX_SUMMED)
+        # Exact sums: at a point in the plane of a rim, libigl's tree gives a different number each time.
+        is_safe[rest] = winding_number(corners[caps.start[rest], 2], vertices[faces]) > _BURIED_WINDING
     return is_safe
 
 
@@ -328,7 +331,7 @@ def _report(mesh: Mesh, was_watertight: bool, num_flipped: int, actions: tuple[s
         was_watertight=was_watertight,
         is_solid=is_solid,
         is_sheet=not is_solid,
-        num_components=int(_parts(mesh.faces).max()) + 1,
+        num_components=int(_part_of_faces(mesh.faces).max()) + 1,
         num_boundary_edges=int((edges.count == 1).sum()),
         num_nonmanifold_edges=int((edges.count > 2).sum()),
         num_flipped_faces=num_flipped,
@@ -339,12 +342,13 @@ def _report(mesh: Mesh, was_watertight: bool, num_flipped: int, actions: tuple[s
 
 
 def _encloses(mesh: Mesh, edges: Edges) -> bool:
-    """Whether points just outside nearly all of the surface count as outside by winding number (or inside another part)."""
+    """Whether points just outside nearly all of the surface are outside by winding number (or inside another part)."""
     if (edges.balance == 0).all():
         return True
     double_area = double_areas(mesh)
     rims, hole = _rims(edges.boundary())
     apex = mesh.vertices[rims[np.unique(hole, return_index=True)[1], 0]][hole]
+    # The area vector of a hole is the same for every surface that fills it.
     mouths = _sums(np.cross(mesh.vertices[rims[:, 0]] - apex, mesh.vertices[rims[:, 1]] - apex), hole)
     widest = float(np.linalg.norm(mouths, axis=1).max(initial=0.0))
     if widest > 10 * _SLIVER * double_area.sum():

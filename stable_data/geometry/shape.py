@@ -1,4 +1,4 @@
-"""The geometry of one object: its mesh at its scale and tilt, in its yaw frame, ready to be asked."""
+"""The geometry of one object: its mesh at its scale and tilt, in its yaw frame."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,22 +13,8 @@ from stable_data.rotations import rotate_xy
 from stable_data.scene import FloatArray, IntArray, QuatXyzw, Vec3
 
 _BOX_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-_BOX_FACES = np.array(
-    [
-        [0, 1, 3],
-        [0, 3, 2],
-        [4, 6, 7],
-        [4, 7, 5],
-        [0, 4, 5],
-        [0, 5, 1],
-        [2, 3, 7],
-        [2, 7, 6],
-        [0, 2, 6],
-        [0, 6, 4],
-        [1, 5, 7],
-        [1, 7, 3],
-    ]
-)
+_BOX_SIDES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+_BOX_FACES = _BOX_SIDES[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)  # each side is split along a diagonal
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +24,7 @@ class Shape:
     Attributes:
         vertices: (V, 3) float64, metres, yaw frame; the box of the referenced ones is centred on the origin.
         faces: (F, 3) int64, wound outwards.
-        is_exact: False for the box that stands in for a mesh that is missing or broken: a verdict that rests on it is unknown.
+        is_exact: False for a box that replaces a missing or broken mesh: a verdict that depends on it is unknown.
     """
 
     vertices: FloatArray
@@ -47,15 +33,12 @@ class Shape:
 
     @classmethod
     def from_mesh(cls, mesh: Mesh, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> "Shape":
-        """Scales, tilts and centres a mesh.
+        """Scales, tilts and centres a mesh; the result is in metres, yaw frame.
 
         Args:
             mesh: Mesh units, z up.
             scale: Metres per mesh unit along the mesh's axes.
             tilt_quat_xyzw: Rotation before yaw, unit.
-
-        Returns:
-            The shape, metres, yaw frame.
         """
         vertices = (mesh.vertices * np.asarray(scale)) @ Rotation.from_quat(tilt_quat_xyzw).as_matrix().T
         low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -63,7 +46,7 @@ class Shape:
 
     @classmethod
     def box(cls, size: Vec3) -> "Shape":
-        """A stand-in: the object's box, metres."""
+        """Creates the box that replaces a missing mesh, metres."""
         return cls(_BOX_CORNERS * np.asarray(size), _BOX_FACES, is_exact=False)
 
     @cached_property
@@ -74,18 +57,14 @@ class Shape:
 
     @cached_property
     def footprint(self) -> FloatArray:
-        """Convex outline seen from above, (K, 2) float64, metres, yaw frame, counter-clockwise, not closed."""
-        hull = shapely.convex_hull(shapely.linestrings(self.vertices[:, :2]))  # making a line is ten times faster than points
-        if hull.geom_type != "Polygon":  # a needle or a sheet on edge: give it a hair's breadth
+        """Convex hull of the horizontal projection, (K, 2) float64, metres, yaw frame, counter-clockwise, not closed."""
+        hull = shapely.convex_hull(shapely.linestrings(self.vertices[:, :2]))  # a line is built ten times faster than points
+        if hull.geom_type != "Polygon":  # a needle or an upright sheet: widen it, so that it has an area
             hull = hull.buffer(1e-5)
         return np.array(shapely.orient_polygons(hull).exterior.coords)[:-1]
 
     def posed(self, pose: npt.ArrayLike) -> FloatArray:
-        """Vertices in the world frame, (V, 3) float64, metres.
-
-        Args:
-            pose: x, y, z in metres and yaw in radians, (4,).
-        """
+        """Vertices in the world frame, (V, 3) float64, metres, at a pose (4,): x, y, z in metres and yaw in radians."""
         x, y, z, yaw = np.asarray(pose, np.float64)
         c, s = np.cos(yaw), np.sin(yaw)
         rotated = np.empty_like(self.vertices)
@@ -102,17 +81,10 @@ class Shape:
 
 
 def winding_number(points: FloatArray, triangles: FloatArray) -> FloatArray:
-    """How often triangles wind around points: 1 inside, 0 outside of a closed outward mesh.
+    """How often triangles (F, 3, 3) wind around points (P, 3), (P,) float64: 1 inside, 0 outside of a closed outward mesh.
 
-    Sums exact solid angles (Van Oosterom and Strackee 1983), so holes in the mesh blur it but do not break it. For one or two
-    points: libigl first builds a tree, which takes ten times as long.
-
-    Args:
-        points: (P, 3) float64, metres.
-        triangles: (F, 3, 3) float64, metres.
-
-    Returns:
-        (P,) float64.
+    Sums exact solid angles (Van Oosterom and Strackee 1983), so holes in the mesh change the result only gradually. Meant for one
+    or two points: libigl first builds a tree, which takes ten times as long.
     """
     total = np.empty(len(points))
     for k, point in enumerate(points):

@@ -1,8 +1,8 @@
-"""The MesaTask-10K format on disk, read and written. The only place that knows its centimetres, xyzw rotations and z_rotation.
+"""Reads and writes the MesaTask-10K format. Only this package knows its centimetres, xyzw rotations and z_rotation.
 
-``dataset`` opens a folder; ``layout`` reads a layout.json or a language model's reply, with ``entry`` for one object and
-``document`` for the JSON; ``writing`` writes them; ``task_info`` reads and writes what lies beside a layout; ``library`` knows
-annotations and asset files; ``features`` the text features; ``frame`` the geometry of the pose.
+``dataset`` opens a folder; ``layout`` reads a layout.json or a language model's reply, and ``entry`` one object of it;
+``writing`` writes them; ``task_info`` reads and writes the file of that name; ``library`` reads annotations and asset files;
+``features`` reads and writes text features; ``asset_catalog`` makes an asset library of a folder; ``lint`` audits its scenes.
 """
 
 from stable_data.assets.annotation import AssetAnnotation, category_of

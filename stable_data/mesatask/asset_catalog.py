@@ -1,4 +1,4 @@
-"""The catalogue of a folder in the MesaTask-10K format."""
+"""The asset library of a folder in the MesaTask-10K format."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -29,16 +29,16 @@ from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Scene, Vec3
 def library_of_folder(
     root: Path, name: str | None = None, *, scenes: Iterable[Scene] = (), own_features: bool = False
 ) -> AssetLibrary:
-    """The catalogue of a folder in the MesaTask-10K format: Asset_annotation.json, and the GLB files where it is silent.
+    """Makes the asset library of a folder from Asset_annotation.json, and from the GLB files of assets without an annotated box.
 
     Args:
-        root: The folder.
-        name: What to call the library; by default the folder's name.
-        scenes: Scenes that show how the assets rest. An asset that they do not show stands as its mesh does.
-        own_features: Take sbert_text_features.pkl. Otherwise call :meth:`AssetLibrary.embedded`.
+        root: A folder in the MesaTask-10K format.
+        name: Name of the library; by default the folder's name.
+        scenes: Scenes that show how the assets rest. An asset that is in none of them rests in the orientation of its mesh.
+        own_features: Use sbert_text_features.pkl. Otherwise call :meth:`AssetLibrary.embedded`.
 
     Raises:
-        ConfigError: The folder is missing or holds nothing that can be used, or its features cannot be read.
+        ConfigError: The folder is missing or has no usable asset, or its features cannot be read.
     """
     if not root.is_dir():
         raise ConfigError(f"{root} is not a folder; expected one in the MesaTask-10K format", "root_missing")
@@ -53,6 +53,7 @@ def library_of_folder(
             vertices = _mesh_vertices(folder, uid)
             extents = None if vertices is None else as_vec3(np.ptp(vertices, axis=0))
         tilts = tilts if extents is None else add_leaning_tilts(tilts, extents)
+        # A tilt by right angles only permutes the extents; any other tilt needs the mesh.
         if vertices is None and any(not is_right_angled(quat) for quat, _ in tilts):
             vertices = _mesh_vertices(folder, uid)
         if extents is None:
@@ -79,7 +80,7 @@ def _annotated(annotation: AssetAnnotation, uid: str, extents: Vec3, tilts: tupl
 
 
 def _tilts_of(scenes: Iterable[Scene]) -> dict[str, list[tuple[QuatXyzw, int]]]:
-    """The tilts of each asset in scenes, with how often."""
+    """Counts the tilts of each asset in scenes."""
     counts: dict[str, Counter[QuatXyzw]] = {}
     for scene in scenes:
         for o in scene.objects:
@@ -89,7 +90,7 @@ def _tilts_of(scenes: Iterable[Scene]) -> dict[str, list[tuple[QuatXyzw, int]]]:
 
 
 def _mesh_vertices(folder: AssetFolder, asset_id: str) -> FloatArray | None:
-    """Vertices of an asset's mesh, or None where it has none that can be read."""
+    """Vertices of an asset's mesh, or None if it has no readable mesh."""
     path = folder.path(asset_id)
     try:
         return None if path is None else load_glb(path, asset_id)[0].vertices

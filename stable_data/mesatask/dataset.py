@@ -14,30 +14,23 @@ from stable_data.mesatask.task_info import TASK_INFO_FILE, read_task_info
 from stable_data.mesatask.writing import LAYOUT_FOLDER
 from stable_data.scene import Scene, SceneObject, TaskInfo
 
-TABLE_TYPES = (
-    "bathroom_vanity",
-    "coffee_table",
-    "dining_table",
-    "dressing_table",
-    "kitchen_counter",
-    "office_table",
-)
-"""The kinds of table of MesaTask-10K."""
+TABLE_TYPES = ("bathroom_vanity", "coffee_table", "dining_table", "dressing_table", "kitchen_counter", "office_table")
+"""The kinds of table in MesaTask-10K."""
 
 _MAX_TASK_INFO_BYTES = 1 << 20
 
 
 class MesaTaskDataset:
-    """A dataset on disk: Layout_info/<table type>/<scene>/layout.json, annotations and meshes beside it.
+    """A dataset on disk: Layout_info/<table type>/<scene>/layout.json, with annotations and meshes.
 
     Args:
         root: Its folder.
-        limits: What a layout may hold before it is refused.
+        limits: Limits beyond which a layout is refused.
 
     Attributes:
         root: Its folder.
-        scene_ids: Its scenes, sorted: names of their folders; where two share one, the later is ``<table type>/<name>``.
-        notices: What is odd about the folder as a whole.
+        scene_ids: Its scenes, sorted: the names of their folders; a name that occurs again becomes ``<table type>/<name>``.
+        notices: Remarks on the folder as a whole.
 
     Raises:
         ConfigError: ``root_missing``, ``not_a_dataset``, ``dataset_empty``, or the annotations cannot be read.
@@ -63,43 +56,40 @@ class MesaTaskDataset:
 
     @property
     def annotations(self) -> Mapping[str, AssetAnnotation]:
-        """What is annotated, by uid."""
+        """The annotations by uid."""
         return self._assets.annotations
 
     def asset_path(self, asset_id: str) -> Path | None:
-        """The GLB of an asset, never outside of Assets_library; None where there is none."""
+        """The path of an asset's GLB, always inside Assets_library; None if there is none."""
         return self._assets.path(asset_id)
 
     def annotation(self, asset_id: str) -> AssetAnnotation:
-        """What is annotated about an asset; defaults for one that only has a GLB.
+        """Returns the annotation of an asset; defaults for an asset that only has a GLB.
 
         Raises:
-            KeyError: It is neither annotated nor on disk.
+            KeyError: The asset is neither annotated nor on disk.
         """
         return self._assets.annotation(asset_id)
 
     def layout_path(self, scene_id: str) -> Path:
-        """Where a scene's layout.json lies.
+        """The path of a scene's layout.json.
 
         Raises:
-            SceneError: There is no such scene.
+            SceneError: ``scene_unknown``: there is no such scene.
         """
         if scene_id not in self._folders:
             raise SceneError(f"{scene_id}: {self.root} has no such scene, expected one of its {len(self)}", "scene_unknown")
         return self._folders[scene_id] / LAYOUT_FILE
 
     def read(self, scene_id: str) -> tuple[Scene, tuple[Notice, ...]]:
-        """A scene with its task info, where one lies beside it.
-
-        Args:
-            scene_id: One of ``scene_ids``.
+        """Reads the scene with an id of ``scene_ids``, with its task info, if there is one.
 
         Returns:
-            The scene, and what about it deserves a look. An object whose asset is unknown has none; one whose GLB is missing
-            keeps its asset id, as does one whose GLB turns out to be broken.
+            The scene, and notices about it. An object with an unknown asset loses its asset id; an object whose GLB is missing or
+            broken keeps it.
 
         Raises:
-            SceneError: The scene cannot be used; ``code`` says why.
+            SceneError: The scene cannot be used; ``code`` gives the reason.
         """
         path = self.layout_path(scene_id)
         log = ReadLog(scene_id)
@@ -111,17 +101,17 @@ class MesaTaskDataset:
         return scene, (*notices, *log.notices)
 
     def _with_known_asset(self, scene_object: SceneObject, log: ReadLog) -> SceneObject:
-        """The object, without its asset where nobody knows it."""
+        """Removes the asset of an object if it is unknown."""
         uid, name = scene_object.asset_id, scene_object.instance
         if uid is None:
             return scene_object
         if uid not in self._assets:
-            message = f"object {name} has uid {uid}, neither annotated nor in Assets_library; it is kept as a box of its size"
+            message = f"object {name} has uid {uid}, neither annotated nor in Assets_library; a box of its size replaces it"
             log.warn("unknown_uid", message)
             return replace(scene_object, asset_id=None)
         path = self.asset_path(uid)
         if path is None:
-            log.warn("glb_missing", f"object {name} has uid {uid}, whose GLB is missing; it is kept as a box of its size")
+            log.warn("glb_missing", f"object {name} has uid {uid}, whose GLB is missing; a box of its size replaces it")
         elif path.stem != uid:
             message = (
                 f"object {name} has uid {uid}, which has no GLB; {path.name} is used instead and may have another orientation"
@@ -131,15 +121,14 @@ class MesaTaskDataset:
 
 
 def _scene_folders(root: Path, log: ReadLog) -> dict[str, Path]:
-    """The folders of the scenes by id."""
+    """Finds the folders of the scenes by id."""
     if not root.is_dir():
         raise ConfigError(f"{root} is not a folder; expected one in the MesaTask-10K format", "root_missing")
     layouts = root / LAYOUT_FOLDER
     if not layouts.is_dir():
         hint = f"; did you mean {root.parent}?" if root.name == LAYOUT_FOLDER else ""
-        raise ConfigError(
-            f"{root} has no folder {LAYOUT_FOLDER}, expected {LAYOUT_FOLDER}/<table type>/<scene>{hint}", "not_a_dataset"
-        )
+        message = f"{root} has no folder {LAYOUT_FOLDER}, expected {LAYOUT_FOLDER}/<table type>/<scene>{hint}"
+        raise ConfigError(message, "not_a_dataset")
     every = sorted(path for path in layouts.glob("*/*") if path.is_dir() and not path.name.startswith("."))
     folders: dict[str, Path] = {}
     for folder in every:
@@ -147,7 +136,7 @@ def _scene_folders(root: Path, log: ReadLog) -> dict[str, Path]:
             folders[_free_name(folder, folders)] = folder
     if not folders:
         raise ConfigError(f"{layouts} contains no <table type>/<scene>/{LAYOUT_FILE}; unpack the archive", "dataset_empty")
-    named = dict(folders)  # a folder without a layout takes no name from a scene
+    named = dict(folders)  # scenes get their names first, so that a folder without a layout cannot take one
     for folder in (folder for folder in every if not (folder / LAYOUT_FILE).is_file()):
         name = _free_name(folder, named)
         named[name] = folder
@@ -159,12 +148,12 @@ def _scene_folders(root: Path, log: ReadLog) -> dict[str, Path]:
 
 
 def _free_name(folder: Path, taken: Mapping[str, Path]) -> str:
-    """The id of a scene: its folder's name, or with the table type where another one has that."""
+    """The id of a scene: its folder's name, with the table type if another scene has that name."""
     return folder.name if folder.name not in taken else f"{folder.parent.name}/{folder.name}"
 
 
 def _task_beside(layout_path: Path, log: ReadLog) -> TaskInfo | None:
-    """The task info beside a layout; a bad one is a notice, for the scene is good without it."""
+    """Reads the task info of a scene; an invalid one is only a notice, because the scene is usable without it."""
     path = layout_path.with_name(TASK_INFO_FILE)
     if not path.exists():
         return None

@@ -34,7 +34,7 @@ def split_of(group: str, table_type: str, shares: SplitShares = SplitShares()) -
     """
     if table_type not in TABLE_TYPES:
         return "unseen"
-    place = int(hashlib.sha256(f"{shares.seed}:{group}".encode()).hexdigest()[:8], 16) / 2**32
+    place = int(hashlib.sha256(f"{shares.seed}:{group}".encode()).hexdigest()[:8], 16) / 2**32  # in [0, 1)
     if place < shares.train:
         return "train"
     return "validation" if place < shares.train + shares.validation else "test"

@@ -1,4 +1,4 @@
-"""Reads one object of a layout: names, pose, scale and size, each with its fall-back or its reason to refuse the scene."""
+"""Reads one object of a layout: names, pose, scale and size, each with a fallback or a reason to refuse the scene."""
 
 import math
 from collections.abc import Mapping
@@ -14,21 +14,21 @@ from stable_data.scene import UPRIGHT, QuatXyzw, SceneObject, Vec3
 POSE_KEYS = ("rotation", "scale_factor")
 """Keys of an object that only the dataset's form has."""
 BOX_YAW = "box_yaw"
-"""An addition to the format: repeats ``z_rotation`` where it is meant although it is no Euler angle of ``rotation``."""
+"""An addition to the format: repeats a ``z_rotation`` that is valid although it is no Euler angle of ``rotation``."""
 MAX_NAME_LENGTH = 200
 
 _UNIT_TOLERANCE = 1e-3
-_SIZE_ROUNDING = 2e-3  # how far size, rounded to 1 mm, may be from the product that it was rounded from, metres
+_SIZE_ROUNDING = 2e-3  # largest difference between a size, rounded to 1 mm, and the exact product, metres
 
 
 @dataclass(frozen=True, slots=True)
 class LayoutLimits:
-    """What a layout may hold before it is refused.
+    """Limits beyond which a layout is refused.
 
     Attributes:
         max_bytes: Size of a file.
         max_objects: Objects of a scene.
-        max_reach: Largest distance of an object from the table, and largest extent of anything, metres.
+        max_reach: Largest distance of an object from the table, and largest extent of an object, metres.
     """
 
     max_bytes: int = 64 << 20
@@ -38,15 +38,15 @@ class LayoutLimits:
 
 @dataclass(frozen=True, slots=True)
 class ReadContext:
-    """What one layout's objects are read with.
+    """The context in which the objects of one layout are read.
 
     Attributes:
-        log: Takes the notices.
-        origin_cm: x_min, y_min of the zone: what becomes the origin.
+        log: Collects the notices.
+        origin_cm: x_min, y_min of the zone, which become the origin.
         size_xy: The table, metres.
         is_reply: Whether the layout is a language model's.
-        annotations: What is known about assets.
-        limits: What may be read.
+        annotations: Annotations of assets by uid.
+        limits: Limits beyond which the layout is refused.
     """
 
     log: ReadLog
@@ -57,19 +57,13 @@ class ReadContext:
     limits: LayoutLimits = field(default_factory=LayoutLimits)
 
 
-def read_object(entry: Mapping[str, Any], instance: str, border: ReadContext) -> SceneObject:
-    """One object of a layout.
-
-    Args:
-        entry: Its entry in the file.
-        instance: Its name, made unique.
-        border: What it is read with.
-    """
-    log = border.log
-    asset_id = _asset_id(entry, instance, border)
-    annotation = _annotation(asset_id, border.annotations)
-    position = _position(entry, instance, border)
-    if border.is_reply:
+def read_object(entry: Mapping[str, Any], instance: str, context: ReadContext) -> SceneObject:
+    """Reads one object of a layout from its entry in the file; ``instance`` is its name, made unique."""
+    log = context.log
+    asset_id = _asset_id(entry, instance, context)
+    annotation = _annotation(asset_id, context.annotations)
+    position = _position(entry, instance, context)
+    if context.is_reply:
         yaw, tilt, scale = _reply_yaw(entry, instance, log), UPRIGHT, None
     else:
         yaw, tilt = _rotation(entry, instance, log)
@@ -79,7 +73,7 @@ def read_object(entry: Mapping[str, Any], instance: str, border: ReadContext) ->
         category_of(annotation.category if annotation and annotation.category else instance),
         position,
         yaw,
-        _size(entry, instance, scale, tilt, border),
+        _size(entry, instance, scale, tilt, context),
         asset_id=asset_id,
         scale=scale,
         tilt_quat_xyzw=tilt,
@@ -88,27 +82,26 @@ def read_object(entry: Mapping[str, Any], instance: str, border: ReadContext) ->
     )
 
 
-def _asset_id(entry: Mapping[str, Any], instance: str, border: ReadContext) -> str | None:
-    """The uid: selected, else retrieved."""
+def _asset_id(entry: Mapping[str, Any], instance: str, context: ReadContext) -> str | None:
+    """The selected uid, else the retrieved one."""
     uid = entry.get("selected_uid") or entry.get("retrieved_uid")
     if not uid:
-        if not border.is_reply:
-            border.log.warn("uid_missing", f"object {instance} names no asset; it is kept as a box of its size")
+        if not context.is_reply:
+            context.log.warn("uid_missing", f"object {instance} names no asset; a box of its size replaces it")
         return None
     if not isinstance(uid, str) or len(uid) > MAX_NAME_LENGTH:
-        border.log.warn(
-            "uid_invalid", f"object {instance} has uid {quote_value(uid)}, expected a name; it is kept as a box of its size"
-        )
+        message = f"object {instance} has uid {quote_value(uid)}, expected a name; a box of its size replaces it"
+        context.log.warn("uid_invalid", message)
         return None
     if not is_inside(uid):
         message = f"object {instance} has uid {quote_value(uid)}, which leads out of the asset folder; expected a plain name"
-        raise border.log.error("uid_path_traversal", message)
+        raise context.log.error("uid_path_traversal", message)
     return uid
 
 
-def _position(entry: Mapping[str, Any], instance: str, border: ReadContext) -> Vec3:
+def _position(entry: Mapping[str, Any], instance: str, context: ReadContext) -> Vec3:
     """Centre of the box, metres, from the zone's corner."""
-    value, log = entry.get("position"), border.log
+    value, log = entry.get("position"), context.log
     found = numbers(value, 3)
     if found is None:
         code = "position_missing" if value is None else "position_invalid"
@@ -116,10 +109,11 @@ def _position(entry: Mapping[str, Any], instance: str, border: ReadContext) -> V
     if not are_finite(found):
         code = "position_nan" if any(map(math.isnan, found)) else "position_inf"
         raise log.error(code, f"object {instance} has position {quote_value(value)}, expected finite centimetres")
-    x, y = border.origin_cm
+    x, y = context.origin_cm
     position = ((found[0] - x) / 100, (found[1] - y) / 100, found[2] / 100)
-    reach = border.limits.max_reach
-    beyond = max(max(-p, p - side) for p, side in zip(position, (*border.size_xy, 0.0), strict=True))
+    reach = context.limits.max_reach
+    # Largest distance outside of the table along an axis.
+    beyond = max(max(-p, p - side) for p, side in zip(position, (*context.size_xy, 0.0), strict=True))
     if beyond > reach:
         message = (
             f"object {instance} has position {quote_value(value)} cm, {beyond:g} m off the table; expected at most {reach:g} m"
@@ -129,7 +123,7 @@ def _position(entry: Mapping[str, Any], instance: str, border: ReadContext) -> V
 
 
 def _scale(entry: Mapping[str, Any], instance: str, log: ReadLog) -> Vec3 | None:
-    """Metres per mesh unit; None where the file's factor cannot be used."""
+    """Metres per mesh unit; None if the file's factor is unusable."""
     value = entry.get("scale_factor")
     found = numbers(value, 3)
     if found is not None and are_finite(found) and min(found) > 0:
@@ -148,7 +142,7 @@ def _scale(entry: Mapping[str, Any], instance: str, log: ReadLog) -> Vec3 | None
 
 
 def _rotation(entry: Mapping[str, Any], instance: str, log: ReadLog) -> tuple[float, QuatXyzw]:
-    """Yaw, radians, and tilt. ``rotation`` is the truth; ``z_rotation`` says which of its yaw frames ``size`` belongs to."""
+    """Yaw, radians, and tilt. ``rotation`` decides; ``z_rotation`` states to which of its yaw frames ``size`` belongs."""
     z_rotation = entry.get("z_rotation")
     yaw = number(z_rotation)
     if yaw is None or not math.isfinite(yaw):
@@ -156,18 +150,18 @@ def _rotation(entry: Mapping[str, Any], instance: str, log: ReadLog) -> tuple[fl
     rotation = _unit_rotation(entry, instance, log)
     if rotation is None:
         return (yaw or 0.0), UPRIGHT
-    angle = heading(rotation)[0] if heading(rotation)[1] > 0 else 0.0
+    angle = heading(rotation)[0] if heading(rotation)[1] > 0 else 0.0  # a vertical x axis has no heading
     if z_rotation is None:
         return angle, tilt_of(rotation, angle)
     if yaw is None or not (is_yaw_of(yaw, rotation) or entry.get(BOX_YAW) == yaw):
-        message = f"object {instance} has z_rotation {quote_value(z_rotation)}, but its rotation turns by {angle:g} rad; rotation is used"
+        message = f"object {instance} has z_rotation {quote_value(z_rotation)}, but its rotation is {angle:g} rad about z; rotation is used"
         log.warn("z_rotation_disagrees", message)
         yaw = angle
     return yaw, tilt_of(rotation, yaw)
 
 
 def _unit_rotation(entry: Mapping[str, Any], instance: str, log: ReadLog) -> QuatXyzw | None:
-    """The file's quaternion, normalised; None where it cannot be used."""
+    """The file's quaternion, normalised; None if it is unusable."""
     value = entry.get("rotation")
     found = numbers(value, 4)
     norm = math.hypot(*found) if found is not None else math.nan
@@ -177,13 +171,13 @@ def _unit_rotation(entry: Mapping[str, Any], instance: str, log: ReadLog) -> Qua
         return normalise_quat((found[0], found[1], found[2], found[3]))
     is_short = isinstance(value, list) and len(value) != 4
     code = "rotation_missing" if value is None else "rotation_wrong_length" if is_short else "rotation_invalid"
-    message = f"object {instance} has rotation {quote_value(value)}, expected a quaternion [x, y, z, w]; upright by z_rotation"
+    message = f"object {instance} has rotation {quote_value(value)}, expected a quaternion [x, y, z, w]; it is upright, with z_rotation"
     log.warn(code, message)
     return None
 
 
 def _reply_yaw(entry: Mapping[str, Any], instance: str, log: ReadLog) -> float:
-    """A reply's z_rotation, which is in degrees, as radians."""
+    """Converts a reply's z_rotation from degrees to radians."""
     yaw_deg = number(entry.get("z_rotation"))
     if yaw_deg is not None and math.isfinite(yaw_deg):
         return math.radians(yaw_deg)
@@ -192,25 +186,23 @@ def _reply_yaw(entry: Mapping[str, Any], instance: str, log: ReadLog) -> float:
     return 0.0
 
 
-def _size(entry: Mapping[str, Any], instance: str, scale: Vec3 | None, tilt: QuatXyzw, border: ReadContext) -> Vec3:
-    """The box in the yaw frame, metres: the file's, or the product that it was rounded from."""
-    value, log, reach = entry.get("size"), border.log, border.limits.max_reach
+def _size(entry: Mapping[str, Any], instance: str, scale: Vec3 | None, tilt: QuatXyzw, context: ReadContext) -> Vec3:
+    """The box in the yaw frame, metres: the file's size, or the exact product that was rounded to it."""
+    value, log, reach = entry.get("size"), context.log, context.limits.max_reach
     found = numbers(value, 3)
     exact = scaled_extents(entry, scale)
     if found is None or not are_finite(found) or min(found) < 0 or max(found) <= 0:
         code = "size_missing" if value is None else "size_invalid"
-        if exact is None or math.hypot(*exact) > reach:
-            raise log.error(
-                code, f"object {instance} has size {quote_value(value)}, expected three positive numbers in centimetres"
-            )
-        log.warn(
-            code, f"object {instance} has size {quote_value(value)}; the turned box of original_size and scale_factor is used"
-        )
+        if exact is None or math.hypot(*exact) > reach:  # the diagonal bounds the rotated box
+            message = f"object {instance} has size {quote_value(value)}, expected three positive numbers in centimetres"
+            raise log.error(code, message)
+        message = f"object {instance} has size {quote_value(value)}; the rotated box of original_size and scale_factor is used"
+        log.warn(code, message)
         return rotated_extents(exact, tilt)
     size = (found[0] / 100, found[1] / 100, found[2] / 100)
     if max(size) > reach:
         raise log.error("size_huge", f"object {instance} has size {quote_value(value)} cm, expected at most {reach:g} m")
-    if exact is None or not is_upright(tilt):
+    if exact is None or not is_upright(tilt):  # only upright is the product the box in the yaw frame
         return size
     if max(abs(a - b) for a, b in zip(exact, size, strict=True)) <= _SIZE_ROUNDING:
         return exact
@@ -222,7 +214,7 @@ def _size(entry: Mapping[str, Any], instance: str, scale: Vec3 | None, tilt: Qua
 
 
 def scaled_extents(entry: Mapping[str, Any], scale: Vec3 | None) -> Vec3 | None:
-    """Extents of the scaled mesh along its own axes, metres, where the file gives what they follow from."""
+    """Extents of the scaled mesh along its own axes, metres; None if the file does not give original_size and scale_factor."""
     found = numbers(entry.get("original_size"), 3)
     if scale is None or found is None or not are_finite(found) or min(found) < 0 or max(found) <= 0:
         return None
@@ -231,12 +223,12 @@ def scaled_extents(entry: Mapping[str, Any], scale: Vec3 | None) -> Vec3 | None:
 
 
 def _annotation(asset_id: str | None, annotations: Mapping[str, AssetAnnotation]) -> AssetAnnotation | None:
-    """What is known about an asset, or about the one that it is a turned variant of."""
+    """The annotation of an asset, or of the asset of which it is a rotated variant."""
     return None if asset_id is None else annotations.get(asset_id) or annotations.get(stem_of(asset_id))
 
 
 def _description(entry: Mapping[str, Any], annotation: AssetAnnotation | None) -> str:
-    """The file's own words, else the annotation's."""
+    """The file's own description, else the annotation's."""
     own = entry.get("description")
     if isinstance(own, str) and own.strip():
         return own

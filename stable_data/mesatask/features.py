@@ -1,7 +1,7 @@
-"""sbert_text_features.pkl: text features by uid. A pickle, so it is opened without letting it build anything.
+"""Reads and writes sbert_text_features.pkl: text features by uid. The pickle is read without running any code that it names.
 
-The format needs four names from numpy to describe an array. They are answered by stand-ins that hold plain values; the array is
-made here, from its bytes, after the pickle has been read. Nothing that the file names is imported or called.
+The format needs a few names from numpy to describe an array. Stand-ins that store plain values replace them; the array is made
+here, from its bytes, after the pickle has been read. No name in the file is imported or called.
 """
 
 import gzip
@@ -22,13 +22,13 @@ from stable_data.json_text import quote_value
 
 FEATURES_FILE = "sbert_text_features.pkl"
 _MAX_BYTES = 1 << 28
-_MAX_MEMO = 1 << 22
-_MAX_OPERATIONS = 1 << 24  # an object takes up to 100 bytes; rows as lists of floats have one a number
+_MAX_MEMO = 1 << 22  # the unpickler allocates memory up to the largest index
+_MAX_OPERATIONS = 1 << 24  # one operation creates an object of up to 100 bytes; a list of floats needs one per number
 _MAX_ROWS = 1 << 20
-_MAX_NUMBERS = 1 << 26
-_MAX_DEPTH = 64
+_MAX_NUMBERS = 1 << 26  # in all rows together
+_MAX_DEPTH = 64  # of tuples
 _GZIP_MAGIC = b"\x1f\x8b"
-_UNSOUND = (
+_PARSE_ERRORS = (
     pickle.UnpicklingError,
     ArithmeticError,
     AttributeError,
@@ -40,48 +40,47 @@ _UNSOUND = (
     ValueError,
 )
 _TUPLES = ("TUPLE", "TUPLE1", "TUPLE2", "TUPLE3")
-_SETS = ("EMPTY_SET", "FROZENSET", "ADDITEMS")
+_SETS = ("EMPTY_SET", "FROZENSET", "ADDITEMS")  # their items are hashed, which may recurse without limit
 _FLOATS = ("f2", "f4", "f8")
 _MULTIARRAY = ("numpy.core.multiarray", "numpy._core.multiarray")
 _NUMERIC = ("numpy.core.numeric", "numpy._core.numeric")
 
 
 def read_text_features(path: Path, max_bytes: int = _MAX_BYTES) -> tuple[tuple[str, ...], npt.NDArray[np.float32]]:
-    """Text features of the assets, plain or gzip-compressed.
+    """Reads the text features of assets, plain or gzip-compressed.
 
     Args:
         path: A pickle of {"uids": list of N strings, "text_features": array (N, D)}.
-        max_bytes: Refuse more than this, also after decompression.
+        max_bytes: Largest size, also after decompression.
 
     Returns:
         The uids and their features, (N, D) float32.
 
     Raises:
-        ConfigError: The file is missing, too big, not a pickle, asks for anything but numpy arrays (``pickle_refused``), or
-            does not hold what is expected.
+        ConfigError: The file is missing, too big or not a pickle, refers to anything except numpy arrays (``pickle_refused``), or
+            does not have the expected content.
     """
-    data = _unpacked(path, max_bytes)
-    _check_operations(data, path)
+    data = _read_unpacked(path, max_bytes)
     try:
+        _check_operations(data, path)
         document = _PlainUnpickler(data, path).load()
     except ConfigError:
         raise
-    except _UNSOUND as error:
-        raise ConfigError(
-            f"{path} is not a valid pickle: {quote_value(str(error))}; fetch it again", "features_invalid"
-        ) from error
+    except _PARSE_ERRORS as error:
+        message = f"{path} is not a valid pickle: {quote_value(str(error))}; fetch it again"
+        raise ConfigError(message, "features_invalid") from error
     if not isinstance(document, dict) or not {"uids", "text_features"} <= document.keys():
         raise _invalid(path, f"holds a {type(document).__name__}")
-    return _checked(document["uids"], document["text_features"], path)
+    return _check_content(document["uids"], document["text_features"], path)
 
 
 def write_text_features(path: Path, uids: Sequence[str], features: npt.ArrayLike) -> None:
-    """Writes text features as the format has them.
+    """Writes text features in the format of MesaTask-10K.
 
     Args:
         path: The file.
         uids: N uids.
-        features: (N, D); rows are compared by dot product and should be of unit length.
+        features: (N, D); rows are compared by dot product and should have unit length.
 
     Raises:
         ConfigError: The numbers of uids and rows differ, or a feature is not finite.
@@ -94,7 +93,7 @@ def write_text_features(path: Path, uids: Sequence[str], features: npt.ArrayLike
 
 
 class _Described:
-    """What a pickle says about a numpy value. It has no behaviour but to take its state."""
+    """A pickle's description of a numpy value. It only stores its arguments and state."""
 
     __slots__ = ("arguments", "state")
 
@@ -131,7 +130,7 @@ class _Scalar(_Described):
 
 
 class _Bytes(_Described):
-    """bytes as protocol 2 spells them: arguments (text, "latin1")."""
+    """Bytes in pickle protocol 2: arguments (text, "latin1")."""
 
     __slots__ = ()
 
@@ -163,12 +162,12 @@ class _PlainUnpickler(pickle.Unpickler):
         self._refuse("a persistent id")
 
     def _refuse(self, what: str) -> NoReturn:
-        message = f"{self._path} asks for {quote_value(what)}, expected numpy arrays in plain containers; it was not run, do not trust it"
+        message = f"{self._path} refers to {quote_value(what)}, expected numpy arrays in plain containers; it was not run, do not trust it"
         raise ConfigError(message, "pickle_refused")
 
 
-def _unpacked(path: Path, max_bytes: int) -> bytes:
-    """The pickle's bytes, decompressed, bounded."""
+def _read_unpacked(path: Path, max_bytes: int) -> bytes:
+    """Reads the bytes of the pickle, decompressed, up to a limit."""
     if not path.is_file():
         raise ConfigError(f"{path} is missing or not a regular file", "features_missing")
     try:
@@ -184,40 +183,29 @@ def _unpacked(path: Path, max_bytes: int) -> bytes:
 
 
 def _check_operations(data: bytes, path: Path) -> None:
-    """Refuses a pickle that would take much more memory than its bytes, or nests so deep that it would end the process."""
-    num_tuples = 0
-    try:
-        for number, (operation, argument, _) in enumerate(pickletools.genops(data), 1):
-            found = ""
-            if operation.name in ("PUT", "BINPUT", "LONG_BINPUT") and argument is not None and argument > _MAX_MEMO:
-                found = f"memo index {argument}, expected at most {_MAX_MEMO}"
-            elif operation.name in _SETS:
-                found = "a set"
-            elif number > _MAX_OPERATIONS:
-                found = f"more than {_MAX_OPERATIONS:,} operations, expected features as one array"
-            if found:
-                raise ConfigError(
-                    f"{path} contains {found}; expected numpy arrays in plain containers; it was not read, do not trust it",
-                    "pickle_refused",
-                )
-            num_tuples += operation.name in _TUPLES
-        if num_tuples > _MAX_DEPTH and _tuple_depth(data) > _MAX_DEPTH:
-            raise ConfigError(
-                f"{path} nests tuples deeper than {_MAX_DEPTH}, expected at most 4; it was not read, do not trust it",
-                "pickle_refused",
-            )
-    except ConfigError:
-        raise
-    except _UNSOUND as error:
-        raise ConfigError(
-            f"{path} is not a valid pickle: {quote_value(str(error))}; fetch it again", "features_invalid"
-        ) from error
+    """Refuses a pickle that needs much more memory than its bytes, or nests so deep that it would crash the process."""
+    num_tuples, found = 0, ""
+    for number, (operation, argument, _) in enumerate(pickletools.genops(data), 1):
+        if operation.name in ("PUT", "BINPUT", "LONG_BINPUT") and argument is not None and argument > _MAX_MEMO:
+            found = f"contains memo index {argument}, expected at most {_MAX_MEMO}"
+        elif operation.name in _SETS:
+            found = "contains a set"
+        elif number > _MAX_OPERATIONS:
+            found = f"contains more than {_MAX_OPERATIONS:,} operations, expected features as one array"
+        if found:
+            break
+        num_tuples += operation.name in _TUPLES
+    if not found and num_tuples > _MAX_DEPTH and _tuple_depth(data) > _MAX_DEPTH:
+        found = f"nests tuples deeper than {_MAX_DEPTH}, expected at most 4"
+    if found:
+        message = f"{path} {found}; expected numpy arrays in plain containers; it was not read, do not trust it"
+        raise ConfigError(message, "pickle_refused")
 
 
 def _tuple_depth(data: bytes) -> int:
-    """How deep tuples nest: Python hashes one that is a key by recursion in C, which nothing bounds.
+    """How deep tuples nest: Python hashes a tuple that is a key by unlimited recursion in C.
 
-    The pickle's operations are followed with the depth of each value instead of the value.
+    The function follows the operations of the pickle with the depth of each value instead of the value.
     """
     stack, marks, memo, deepest = list[int](), list[int](), dict[int, int](), 0
     for operation, argument, _ in pickletools.genops(data):
@@ -239,10 +227,10 @@ def _tuple_depth(data: bytes) -> int:
     return deepest
 
 
-def _checked(uids: Any, described: Any, path: Path) -> tuple[tuple[str, ...], npt.NDArray[np.float32]]:
-    """The document's two values, once they are what they should be."""
-    names = _plain(uids, path)
-    rows = _plain(described, path)
+def _check_content(uids: Any, described: Any, path: Path) -> tuple[tuple[str, ...], npt.NDArray[np.float32]]:
+    """Checks and converts the two values of the document."""
+    names = _to_plain(uids, path)
+    rows = _to_plain(described, path)
     if not isinstance(names, (list, tuple)) or not all(isinstance(name, str) for name in names):
         raise _invalid(path, f"has a {type(names).__name__} of uids")
     try:
@@ -251,25 +239,21 @@ def _checked(uids: Any, described: Any, path: Path) -> tuple[tuple[str, ...], np
         if not isinstance(rows, np.ndarray):
             _check_rows(rows)
         features = np.asarray(rows, np.float32) if len(rows) else np.zeros((0, 0), np.float32)
-    except _UNSOUND as error:
-        raise _invalid(path, f"has features that are no table ({quote_value(str(error))})") from error
+    except _PARSE_ERRORS as error:
+        raise _invalid(path, f"has features that are not a table ({quote_value(str(error))})") from error
     if features.ndim != 2 or not np.isfinite(features).all():
         raise _invalid(path, f"has features of shape {features.shape}, or values that are not finite")
     return tuple(names), features
 
 
 def _check_rows(rows: list[Any]) -> None:
-    """Refuses rows that are no rows of numbers, or too many of them: one list or array may be referred to many times.
-
-    Raises:
-        ValueError: What is wrong.
-    """
+    """Refuses rows that are not rows of numbers, or too many: a pickle may refer to one list or array many times."""
     num_numbers = sum(len(row) for row in rows)
     if num_numbers > _MAX_NUMBERS:
         raise ValueError(f"{num_numbers:,} numbers, expected at most {_MAX_NUMBERS:,}")
     for row in rows:
         if row.ndim != 1 if isinstance(row, np.ndarray) else not all(isinstance(x, int | float) for x in row):
-            raise ValueError(f"a row that is {type(row).__name__}, expected one of numbers")
+            raise ValueError(f"a row of type {type(row).__name__}, expected a row of numbers")
 
 
 def _invalid(path: Path, what: str) -> ConfigError:
@@ -277,17 +261,17 @@ def _invalid(path: Path, what: str) -> ConfigError:
     return ConfigError(f"{path} {what}, {expected}; fetch it again", "features_invalid")
 
 
-def _plain(value: Any, path: Path) -> Any:
-    """A list or array for a described one, one level of nesting down."""
+def _to_plain(value: Any, path: Path) -> Any:
+    """Converts described arrays to lists or arrays, one level of nesting down."""
     if isinstance(value, (list, tuple)):
         if len(value) > _MAX_ROWS:
             raise _invalid(path, f"has a list of {len(value):,}, expected at most {_MAX_ROWS:,}")
-        return [_plain_array(item, path) if isinstance(item, _Described) else item for item in value]
-    return _plain_array(value, path) if isinstance(value, _Described) else value
+        return [_to_plain_array(item, path) if isinstance(item, _Described) else item for item in value]
+    return _to_plain_array(value, path) if isinstance(value, _Described) else value
 
 
-def _plain_array(value: _Described, path: Path) -> Any:
-    """The array that a description speaks of: floats as an array, strings and objects as a list."""
+def _to_plain_array(value: _Described, path: Path) -> Any:
+    """Converts a description to the array: floats to an array, strings and objects to a list."""
     try:
         if isinstance(value, _Scalar):
             dtype, data = value.arguments
@@ -301,8 +285,8 @@ def _plain_array(value: _Described, path: Path) -> Any:
                 raise ValueError(f"{len(data)} plain items for shape {shape}")
             return data
         return _from_bytes(data, dtype, shape, is_fortran)
-    except _UNSOUND as error:
-        raise _invalid(path, f"describes an array that cannot be ({quote_value(str(error))})") from error
+    except _PARSE_ERRORS as error:
+        raise _invalid(path, f"describes an invalid array ({quote_value(str(error))})") from error
 
 
 def _size(shape: Any) -> int:
@@ -313,13 +297,13 @@ def _size(shape: Any) -> int:
 
 
 def _from_bytes(data: bytes | _Bytes, dtype: _Dtype, shape: tuple[int, ...], is_fortran: bool) -> Any:
-    """An array of floats, or a list of strings, from its bytes."""
+    """Makes an array of floats, or a list of strings, from its bytes."""
     content = data.arguments[0].encode("latin-1") if isinstance(data, _Bytes) else data
     name, size = dtype.arguments[0], _size(shape)
     if not isinstance(name, str):
         raise ValueError(f"a dtype that is {type(name).__name__}, expected its name")
     kind = name.lstrip("<>=|")
-    is_big = bool(dtype.state) and dtype.state[1] == ">"
+    is_big = bool(dtype.state) and dtype.state[1] == ">"  # the byte order is part of the state
     if kind not in _FLOATS and not (kind[:1] == "U" and kind[1:].isdigit()):
         raise ValueError(f"dtype {quote_value(kind)}, expected floats or strings")
     if kind[0] == "U" and size > _MAX_ROWS:

@@ -1,4 +1,4 @@
-"""What the format says about assets: annotations, categories, and the files under Assets_library."""
+"""Reads the assets of the format: annotations, categories, and the files in Assets_library."""
 
 import bisect
 import math
@@ -17,20 +17,18 @@ ANNOTATION_FILE = "Asset_annotation.json"
 LIBRARY_FOLDER = "Assets_library"
 
 _MAX_ANNOTATION_BYTES = 1 << 27
+# A rotated variant, such as ``_x_90_y_0``.
 _VARIANT_SUFFIX = re.compile(r"_x_-?\d+(?:\.\d+)?(?:_[yz]_-?\d+(?:\.\d+)?)+$")
 _HEX = "[0-9a-fA-F]"
+# The uids of MesaTask-10K: 32 hex digits, or a UUID.
 _KNOWN_FORM = re.compile(rf"{_HEX}{{32}}|(?:gen_)?{_HEX}{{8}}-{_HEX}{{4}}-{_HEX}{{4}}-{_HEX}{{4}}-{_HEX}{{12}}")
 _MAX_ID_LENGTH = 200
 
 
 def read_annotation(asset_id: str, entry: Mapping[str, Any]) -> AssetAnnotation:
-    """One entry of Asset_annotation.json. What is missing or of the wrong type gets its default.
+    """Reads the entry of an asset in Asset_annotation.json. A missing value, or one of the wrong type, gets its default.
 
-    Keys are told apart without case, ``-`` and ``_``: the same flag occurs as isContainer, is_container and is-container.
-
-    Args:
-        asset_id: Its uid.
-        entry: Its value in the file.
+    Keys are compared without case, ``-`` and ``_``, because the same flag occurs as isContainer, is_container and is-container.
     """
     values = {re.sub(r"[-_ ]", "", key).lower(): value for key, value in entry.items()}
     container = _flag(values.get("iscontainer"))
@@ -51,7 +49,7 @@ def read_annotation(asset_id: str, entry: Mapping[str, Any]) -> AssetAnnotation:
 
 
 def write_annotation(annotation: AssetAnnotation) -> dict[str, Any]:
-    """The entry of Asset_annotation.json for an asset; untouched where it was read from one that still says the same."""
+    """Returns the entry of Asset_annotation.json for an asset; the original entry if the annotation is unchanged."""
     if annotation.raw and read_annotation(annotation.asset_id, annotation.raw) == annotation:
         return dict(annotation.raw)
     entry: dict[str, Any] = {
@@ -79,7 +77,7 @@ def is_inside(asset_id: str) -> bool:
 
 
 def stem_of(asset_id: str) -> str:
-    """The id without the suffix of a turned variant, such as ``_x_90_y_0``."""
+    """Returns the id without the suffix of a rotated variant, such as ``_x_90_y_0``."""
     return _VARIANT_SUFFIX.sub("", asset_id)
 
 
@@ -91,7 +89,7 @@ class AssetFolder:
 
     Attributes:
         annotations: By uid.
-        notices: What was odd about the annotations and the files.
+        notices: Remarks on the annotations and the files.
 
     Raises:
         ConfigError: Asset_annotation.json exists but cannot be used.
@@ -109,7 +107,7 @@ class AssetFolder:
         self.notices = tuple(log.notices)
 
     def _glb_files(self, log: ReadLog) -> Iterator[Path]:
-        """Files with the ending .glb that may be read, in order of their names."""
+        """Yields the .glb files that may be read, in the order of their names."""
         if not self._folder.is_dir():
             return
         with os.scandir(self._folder) as entries:
@@ -117,6 +115,7 @@ class AssetFolder:
         for path, entry in found:
             if path.suffix.lower() != ".glb":
                 continue
+            # Only a link needs the slow check that it stays inside the library.
             if self._is_own(path) if entry.is_symlink() else entry.is_file():
                 yield path
             else:
@@ -124,7 +123,7 @@ class AssetFolder:
                 log.warn("glb_refused", f"{message}; it is not used; put the file itself there")
 
     def _is_own(self, path: Path) -> bool:
-        """Whether a path leads to a regular file inside of the library."""
+        """Whether a path leads to a regular file inside the library."""
         return path.is_file() and path.resolve().is_relative_to(self._resolved)
 
     @property
@@ -133,10 +132,10 @@ class AssetFolder:
         return tuple(sorted({*self.annotations, *self._files}))
 
     def path(self, asset_id: str) -> Path | None:
-        """The GLB of an asset; None where there is none, or where it would lie outside of the library.
+        """The path of an asset's GLB; None if there is none, or if it would be outside the library.
 
-        A turned variant (``<uid>_x_90_y_0``) is served by its own file, else by its stem's. A uid without a file of its own is
-        served by a variant's, the first by name.
+        A rotated variant (``<uid>_x_90_y_0``) uses its own file, else that of its stem. A uid without a file uses the file of a
+        variant, the first by name.
         """
         if not is_inside(asset_id) or len(asset_id) > _MAX_ID_LENGTH:
             return None
@@ -145,7 +144,7 @@ class AssetFolder:
         return path if path is not None and self._is_own(path) else None
 
     def _variant(self, stem: str) -> Path | None:
-        """A file named ``<stem>_...``, where the stem is a full uid: ``mug`` is not served by ``mug_red``."""
+        """Finds a file named ``<stem>_...`` if the stem is a complete uid, so that ``mug`` does not use the file of ``mug_red``."""
         if not _KNOWN_FORM.fullmatch(stem):
             return None
         index = bisect.bisect_left(self._stems, stem + "_")
@@ -153,13 +152,14 @@ class AssetFolder:
         return self._files[found] if found.startswith(stem + "_") else None
 
     def annotation(self, asset_id: str) -> AssetAnnotation:
-        """What is annotated about an asset, a variant's stem included; defaults for one that only has a file.
+        """Returns the annotation of an asset or of its stem; defaults for an asset that only has a file.
 
         Raises:
-            KeyError: It is neither annotated nor on disk.
+            KeyError: The asset is neither annotated nor on disk.
         """
         found = self.annotations.get(asset_id) or self.annotations.get(stem_of(asset_id))
-        if found is None and asset_id not in self._files and self.path(asset_id) is None:  # a file may be gone since
+        # A file that was found at the start may have been deleted since.
+        if found is None and asset_id not in self._files and self.path(asset_id) is None:
             raise KeyError(asset_id)
         return found or AssetAnnotation(asset_id)
 
@@ -171,7 +171,7 @@ class AssetFolder:
 
 
 def _read_annotations(path: Path, log: ReadLog) -> dict[str, AssetAnnotation]:
-    """Every usable entry of Asset_annotation.json; empty where the file is missing."""
+    """Reads every usable entry of Asset_annotation.json; empty if the file is missing."""
     if not path.exists():
         log.warn("annotation_missing", f"{path} is missing: categories come from instance names, descriptions are empty")
         return {}
@@ -185,10 +185,8 @@ def _read_annotations(path: Path, log: ReadLog) -> dict[str, AssetAnnotation]:
         if isinstance(entry, dict):
             annotations[asset_id] = read_annotation(asset_id, entry)
         else:
-            log.warn(
-                "annotation_invalid",
-                f"asset {quote_value(asset_id)} is annotated with {quote_value(entry)}, expected an object; left out",
-            )
+            message = f"asset {quote_value(asset_id)} is annotated with {quote_value(entry)}, expected an object; it is ignored"
+            log.warn("annotation_invalid", message)
     return annotations
 
 
@@ -197,23 +195,23 @@ def _text(value: object) -> str:
 
 
 def _flag(value: object) -> bool | None:
-    """A boolean, also one written as 0, 1 or a word."""
+    """Reads a boolean, also one written as 0, 1 or a word."""
     if isinstance(value, str):
         value = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}.get(value.strip().lower())
     return bool(value) if value in (True, False) else None
 
 
 def _mass(value: object) -> float | None:
-    """Kilograms, also where written with the unit."""
+    """Reads kilograms, also with the unit as text."""
     if isinstance(value, str):
-        match = re.fullmatch(r"\s*+(\d++(?:\.\d++)?)\s*+(?:kg)?\s*+", value)  # possessive: the time is linear in the length
+        match = re.fullmatch(r"\s*+(\d++(?:\.\d++)?)\s*+(?:kg)?\s*+", value)  # possessive, so the time is linear in the length
         value = float(match[1]) if match else None
     mass = number(value)
     return mass if mass is not None and math.isfinite(mass) and mass > 0 else None
 
 
 def _extents_z_up(values: Mapping[str, Any]) -> Vec3 | None:
-    """The y-up box of an annotation, whichever way it is given, as z-up extents."""
+    """Converts the y-up box of an annotation, in any of its forms, to z-up extents."""
     box = values.get("bbox")
     if isinstance(box, dict) and isinstance(box.get("size"), (dict, list)):
         box = box["size"]
@@ -225,7 +223,7 @@ def _extents_z_up(values: Mapping[str, Any]) -> Vec3 | None:
         extents = _difference(values.get("maxpoint"), values.get("minpoint"))
     if extents is None or not are_finite(extents) or min(extents) < 0 or max(extents) <= 0:
         return None
-    x, y, z = extents
+    x, y, z = extents  # y up
     return (x, z, y)
 
 

@@ -1,4 +1,4 @@
-"""Lint: the audit of every scene of a folder, as a page and as a table."""
+"""Lint: the audit of every scene of a folder, as a text page and as a table."""
 
 import errno
 import os
@@ -23,13 +23,13 @@ from stable_data.storage import schemas
 
 @dataclass(frozen=True, slots=True)
 class LintResult:
-    """What lint found.
+    """The result of lint.
 
     Attributes:
         root: The folder.
-        rows: One row a scene: its id, the metric card, pairs and verdicts.
+        rows: One row per scene: its id, the metric card, pairs and verdicts.
         failures: Scenes that could not be read or judged.
-        warnings: What is doubtful about those that could.
+        warnings: Notices about the other scenes.
     """
 
     root: Path
@@ -42,14 +42,14 @@ class LintResult:
         return pl.DataFrame(pl.from_arrow(self._arrow()))
 
     def summary(self) -> AuditSummary:
-        """The page's content."""
+        """Computes the summary of the page."""
         return summarise(self.frame())
 
     def write(self, path: Path) -> None:
         """Writes the rows as Parquet.
 
         Raises:
-            ConfigError: The place cannot be written.
+            ConfigError: The file cannot be written.
         """
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -58,7 +58,7 @@ class LintResult:
             raise cannot_write(str(path), error) from error
 
     def __str__(self) -> str:
-        """The page."""
+        """The page as text."""
         head = f"{self.root}: {len(self.rows)} scenes, {len(self.failures)} not usable, {len(self.warnings)} warnings"
         failed = [f"not usable: {n.message}" for n in self.failures]
         counted: dict[str, int] = {}
@@ -74,10 +74,10 @@ class LintResult:
 
 
 def prepare_place(path: Path) -> None:
-    """Makes the folder of a file that is to be written later.
+    """Creates the folder of a file that is written later, and checks that the file can be written.
 
     Raises:
-        ConfigError: The place cannot be written.
+        ConfigError: The file cannot be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -90,10 +90,6 @@ def prepare_place(path: Path) -> None:
 
 def lint_folder(root: Path, *, progress: bool = False) -> LintResult:
     """Audits every scene of a folder in the MesaTask-10K format.
-
-    Args:
-        root: The folder.
-        progress: Whether to show a progress bar.
 
     Raises:
         ConfigError: The folder is not a dataset.
@@ -117,18 +113,18 @@ def lint_folder(root: Path, *, progress: bool = False) -> LintResult:
 def _lint_scene(
     dataset: MesaTaskDataset, store: AssetStore, convention: PositionConvention, scene_id: str
 ) -> tuple[schemas.Row | None, tuple[Notice, ...]]:
-    """The row of a scene and what is doubtful about it; without a row, why there is none."""
+    """Returns the row of a scene and notices about it; without a row, the reason."""
     step = "read"
     try:
-        scene, read = dataset.read(scene_id)
+        scene, read_notices = dataset.read(scene_id)
         step = "mesh"
-        scene, shapes, meshed = store.resolved(scene, convention)
+        scene, shapes, mesh_notices = store.resolved(scene, convention)
         step = "audit"
         audit = audit_scene(scene, shapes)
     except StableDataError as error:
         return None, (Notice(scene_id, step, error.code, str(error)),)
-    except Exception as error:  # noqa: BLE001 - what nobody foresaw is one scene lost, not the page
+    except Exception as error:  # noqa: BLE001 - an unexpected error loses one scene, not the page
         message = f"{scene_id}: {type(error).__name__}: {error}; please report this with the file"
         return None, (Notice(scene_id, step, "unexpected", message),)
     row = {"scene_id": scene_id, "table_type": scene.table.table_type, **asdict(audit.card()), **audit.rows()}
-    return row, (*read, *meshed, *audit.notices)
+    return row, (*read_notices, *mesh_notices, *audit.notices)

@@ -1,4 +1,4 @@
-"""Near-duplicate scenes: they share a group, and with it a split."""
+"""Groups of near-duplicate scenes; the scenes of a group are in the same split."""
 
 import hashlib
 
@@ -6,10 +6,9 @@ from stable_data.scene import Scene
 
 
 def duplicate_group(scene: Scene) -> str:
-    """The group of a scene and its possible near-duplicates: the same table type and the same assets, wherever these stand.
+    """Returns the group of a scene and its possible near-duplicates, 16 hexadecimal digits.
 
-    Returns:
-        16 hexadecimal digits.
+    Such scenes have the same table type and the same assets, at any poses.
     """
     content = sorted(f"{o.category}:{o.asset_id}" for o in scene.objects)
     return hashlib.sha256("\n".join([scene.table.table_type, *content]).encode()).hexdigest()[:16]

@@ -1,6 +1,5 @@
-"""Reads and writes the task_info.json that may lie beside a layout; :mod:`stable_data.task_info` says what is valid."""
+"""Reads and writes the task_info.json of a scene; :mod:`stable_data.task_info` defines what is valid."""
 
-from collections.abc import Mapping
 from typing import Any
 
 from stable_data.errors import SceneError
@@ -12,14 +11,7 @@ TASK_INFO_FILE = "task_info.json"
 
 
 def read_task_info(data: bytes | str, scene_id: str) -> TaskInfo:
-    """The task of a scene.
-
-    Args:
-        data: The file, UTF-8 where bytes.
-        scene_id: The scene, for messages.
-
-    Returns:
-        The task; keys that are not known stay in ``source``.
+    """Reads the task of a scene from its file (bytes are UTF-8); unknown keys stay in ``source``.
 
     Raises:
         SceneError: ``task_info_invalid``: not JSON, no task, one longer than MAX_INSTRUCTION, or a field of the wrong type.
@@ -33,11 +25,9 @@ def read_task_info(data: bytes | str, scene_id: str) -> TaskInfo:
 
 
 def write_task_info(task: TaskInfo, table: Tabletop) -> dict[str, Any]:
-    """The document of a task, lengths in centimetres.
+    """Returns the document of a task, lengths in centimetres. A field that is unchanged since it was read is written as it was.
 
-    Args:
-        task: Written untouched where it still says what it was read from.
-        table: Gives item_placement_zone and sink_zone where the task was not read from a file.
+    The table gives item_placement_zone and sink_zone if the task was not read from a file.
     """
     document = dict(task.source or {})
     zones: dict[str, Any] = {}
@@ -48,26 +38,23 @@ def write_task_info(task: TaskInfo, table: Tabletop) -> dict[str, Any]:
             zones["sink_zone"] = [length * 100 for length in table.restricted_zone]
     fields: dict[str, Any] = {"Environment": task.environment, **zones, "Task": task.task}
     for field, key in LISTS.items():
-        fields[key] = _kept(document.get(key), getattr(task, field))
+        fields[key] = _list_entry(document.get(key), getattr(task, field))
     if task.task_objects or "task_objects" in document:
-        fields["task_objects"] = _kept(document.get("task_objects"), task.task_objects)
+        fields["task_objects"] = _list_entry(document.get("task_objects"), task.task_objects)
     if task.relations or "relations" in document:
         same = task.source is not None and relations_in(task.source, ReadLog("")) == task.relations
         fields["relations"] = document["relations"] if same else [_relation_entry(relation) for relation in task.relations]
     if task.origin != origin_in(document):
         fields["origin"] = task.origin
-    return document | fields if task.source is None else _updated(document, fields)
+    if task.source is not None:  # a key that the file did not have is added only if it has a value
+        fields = {key: value for key, value in fields.items() if key in document or value}
+    return document | fields
 
 
-def _updated(document: dict[str, Any], fields: Mapping[str, Any]) -> dict[str, Any]:
-    """The document with new values; keys that it did not have are added only where they say something."""
-    return document | {key: value for key, value in fields.items() if key in document or value}
-
-
-def _kept(was: object, values: tuple[str, ...]) -> object:
-    """What stood there, where it says the same: a lone string stays one."""
-    same = was == list(values) or (isinstance(was, str) and values == (was,)) or (was is None and not values)
-    return was if same and was is not None else list(values)
+def _list_entry(was: object, values: tuple[str, ...]) -> object:
+    """Returns the file's value if it is unchanged (a single string stays one), else the new list."""
+    same = was == list(values) or (isinstance(was, str) and values == (was,))
+    return was if same else list(values)
 
 
 def _relation_entry(relation: Relation) -> dict[str, str]:

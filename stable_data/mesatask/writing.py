@@ -1,7 +1,7 @@
 """Writes scenes and annotations in the MesaTask-10K format.
 
-What was read and not changed is written as it stood, entry by entry and key by key; what was changed or is new is written in
-full precision, so that it reads back the same to the last bit or the one before.
+Unchanged content is written as it was read, entry by entry and key by key. Changed and new values are written in full precision, so
+that reading them gives the same double or a neighbouring one.
 """
 
 import copy
@@ -24,7 +24,7 @@ from stable_data.scene import UPRIGHT, QuatXyzw, Scene, SceneObject, Vec3
 LAYOUT_FOLDER = "Layout_info"
 SCENE_SETTINGS = {"units": "centimeters", "up_axis": "Z"}
 
-_NAME_LENGTH = 63  # what Blender leaves of an object's name
+_NAME_LENGTH = 63  # longest name of an object in Blender
 _SAME_SIZE = 1e-9  # metres
 _UNLIMITED = LayoutLimits(max_reach=math.inf)
 
@@ -36,17 +36,15 @@ def write_layout(
     decimals: int | None = None,
     annotations: Mapping[str, AssetAnnotation] | None = None,
 ) -> dict[str, Any]:
-    """The content of a scene's layout.json.
-
-    Stages, supports, relations and the task info have no place in it.
+    """Returns the content of a scene's layout.json, which has no stages, supports, relations or task info.
 
     Args:
         scene: The scene.
-        extents: Box of each asset's mesh by uid, mesh units, z up: becomes ``original_size`` where an object has none.
-        decimals: Round the positions and sizes that are written anew to so many decimals of a centimetre; the format's own
-            files have 1. None: full precision.
-        annotations: Those that the scene was read with. An object's words are written where they are not the annotation's;
-            None: where they are not the ones in its source.
+        extents: Box of each asset's mesh by uid, mesh units, z up: it becomes ``original_size`` of an object that has none.
+        decimals: Decimals of a centimetre to which new positions and sizes are rounded; the format's own files have 1. None:
+            full precision.
+        annotations: Those that the scene was read with. A description is written if it differs from the annotation's; None: if it
+            differs from that of the source.
     """
     source = copy.deepcopy(dict(scene.source or {}))
     is_dataset_form = any(_has_pose(o) for o in scene.objects)
@@ -58,11 +56,9 @@ def write_layout(
 
 
 def write_reply_layout(scene: Scene, *, decimals: int | None = None) -> dict[str, Any]:
-    """The scene as a language model replies with it: centimetres, degrees, words; neither tilt nor asset.
+    """Returns the layout in a language model's form: centimetres, degrees, descriptions; neither tilt nor asset.
 
-    Args:
-        scene: The scene; objects stay in its order.
-        decimals: Round lengths and angles to so many decimals. None: full precision.
+    Lengths and angles are rounded to ``decimals``; None: full precision.
     """
     width, depth = (_centimetres(side, decimals=decimals) for side in scene.table.size_xy)
     layout: dict[str, Any] = {"item_placement_zone": [0.0, width, 0.0, depth]}
@@ -90,12 +86,12 @@ def write_scene(
     decimals: int | None = None,
     annotations: Mapping[str, AssetAnnotation] | None = None,
 ) -> Path:
-    """Writes a scene's folder: layout.json, front.png and task_info.json where there is one.
+    """Writes a scene's folder: layout.json, and front.png and task_info.json if there are any.
 
     Args:
         root: The dataset's folder.
         scene: The scene; its id is the folder's name, its table type the name of the folder above.
-        front_png: The picture, if there is one.
+        front_png: The image, if there is one.
         extents: As for :func:`write_layout`.
         decimals: As for :func:`write_layout`.
         annotations: As for :func:`write_layout`.
@@ -104,7 +100,7 @@ def write_scene(
         The folder.
 
     Raises:
-        SceneError: The id or the table type cannot be the name of a folder.
+        SceneError: ``scene_id_invalid``: the id or the table type cannot be the name of a folder.
     """
     folder = scene_folder(root, scene)
     folder.mkdir(parents=True, exist_ok=True)
@@ -118,10 +114,10 @@ def write_scene(
 
 
 def scene_folder(root: Path, scene: Scene) -> Path:
-    """Where a scene lies in a dataset's folder.
+    """The folder of a scene in a dataset's folder.
 
     Raises:
-        SceneError: The id or the table type cannot be the name of a folder.
+        SceneError: ``scene_id_invalid``: the id or the table type cannot be the name of a folder.
     """
     name = scene.scene_id.removeprefix(f"{scene.table.table_type}/")
     for part in (name, scene.table.table_type):
@@ -142,7 +138,7 @@ def write_asset(root: Path, asset_id: str, glb: bytes) -> Path:
     """Writes a mesh, y up, to Assets_library and returns its path.
 
     Raises:
-        ConfigError: The id cannot be the name of a file.
+        ConfigError: ``uid_path_traversal``: the id cannot be the name of a file.
     """
     if not asset_id or not is_inside(asset_id):
         raise ConfigError(f"asset id {asset_id!r} cannot name a file, expected a plain name", "uid_path_traversal")
@@ -154,7 +150,7 @@ def write_asset(root: Path, asset_id: str, glb: bytes) -> Path:
 
 
 def _zones(scene: Scene, source: Mapping[str, Any], is_dataset_form: bool) -> tuple[tuple[float, float], dict[str, Any]]:
-    """The corner that positions are written from, centimetres, and the zones: as they stood, where they still say the same."""
+    """Returns the corner from which positions are written, centimetres, and the zones; unchanged zones as they were read."""
     keys = ("item_placement_zone", "restricted_zone", "sink_zone")
     x = y = 0.0
     if source.get("item_placement_zone") is not None:
@@ -166,10 +162,7 @@ def _zones(scene: Scene, source: Mapping[str, Any], is_dataset_form: bool) -> tu
     if scene.table.restricted_zone is not None:
         x_min, x_max, y_min, y_max = scene.table.restricted_zone
         zones["restricted_zone"] = [
-            _centimetres(x_min, x),
-            _centimetres(x_max, x),
-            _centimetres(y_min, y),
-            _centimetres(y_max, y),
+            _centimetres(side, offset) for side, offset in zip((x_min, x_max, y_min, y_max), (x, x, y, y), strict=True)
         ]
     return (x, y), zones
 
@@ -181,18 +174,19 @@ def _object_entry(
     decimals: int | None,
     annotations: Mapping[str, AssetAnnotation] | None,
 ) -> dict[str, Any]:
-    """The entry of an object: its source, with what has changed since."""
+    """Returns the entry of an object: its source with all changes since it was read."""
     entry = copy.deepcopy(dict(o.source or {}))
     was = _as_read(o, origin_cm, annotations or {})
     is_other_asset = was is None or (o.asset_id is not None and was.asset_id != o.asset_id)
     if is_other_asset or entry.get("instance") != o.instance:
-        _put_names(entry, o)
+        _write_names(entry, o)
     if is_other_asset:
-        entry.pop("original_size", None)  # in a reply's form it meant another thing, and another asset has another size
+        # In the reply's form the key has another meaning, and another asset has another size.
+        entry.pop("original_size", None)
         if o.asset_id is not None and o.asset_id in extents:
             entry["original_size"] = list(extents[o.asset_id])
     words = "" if was is None else was.description
-    # Words that the source does not have may be an annotation's, which is written elsewhere.
+    # A description that the source does not have may be an annotation's, which another file stores.
     if o.description != words and (was is None or words or annotations is not None):
         entry["description"] = o.description
     if o.scale is not None and (was is None or was.scale != o.scale):
@@ -200,12 +194,12 @@ def _object_entry(
     elif was is not None and was.scale != o.scale:
         entry["scale_factor"] = None
     if was is None or (was.yaw, was.tilt_quat_xyzw) != (o.yaw, o.tilt_quat_xyzw):
-        _put_rotation(entry, o)
+        _write_rotation(entry, o)
     if was is None or (was.size, was.scale) != (o.size, o.scale):
         entry["size"] = [_centimetres(side, decimals=decimals) for side in o.size]
         own = None if is_other_asset else scaled_extents(entry, o.scale)
         if own is not None and is_upright(o.tilt_quat_xyzw) and math.dist(own, o.size) > _SAME_SIZE:
-            del entry["original_size"]  # with the scale it would be read as the size
+            del entry["original_size"]  # a reader would take its product with the scale as the size
     if was is None or was.position != o.position:
         entry["position"] = [
             _centimetres(side, offset, decimals) for side, offset in zip(o.position, (*origin_cm, 0.0), strict=True)
@@ -219,15 +213,15 @@ def _has_pose(o: SceneObject) -> bool:
 
 
 def _as_read(o: SceneObject, origin_cm: tuple[float, float], annotations: Mapping[str, AssetAnnotation]) -> SceneObject | None:
-    """The object as its source reads; None where it has none, or one of a reply's form."""
+    """Reads the source of an object again; None if it has none, or one of a reply's form."""
     if o.source is None or not _has_pose(o):
         return None
-    border = ReadContext(ReadLog(o.instance), origin_cm, (0.0, 0.0), annotations=annotations, limits=_UNLIMITED)
-    return read_object(o.source, o.instance, border)
+    context = ReadContext(ReadLog(o.instance), origin_cm, (0.0, 0.0), annotations=annotations, limits=_UNLIMITED)
+    return read_object(o.source, o.instance, context)
 
 
-def _put_names(entry: dict[str, Any], o: SceneObject) -> None:
-    """Instance, Blender's name and both uid keys. An asset that could not be used keeps its uid."""
+def _write_names(entry: dict[str, Any], o: SceneObject) -> None:
+    """Writes the instance, Blender's name and both uid keys. An asset that could not be used keeps its uid."""
     uid = o.asset_id or entry.get("selected_uid") or entry.get("retrieved_uid")
     entry["name"] = (f"{o.instance}_{uid}" if isinstance(uid, str) else o.instance)[:_NAME_LENGTH]
     entry["instance"] = o.instance
@@ -235,20 +229,20 @@ def _put_names(entry: dict[str, Any], o: SceneObject) -> None:
         entry["retrieved_uid"] = entry["selected_uid"] = o.asset_id
 
 
-def _put_rotation(entry: dict[str, Any], o: SceneObject) -> None:
-    """The whole rotation, and the yaw of the box; marked where the tilt has a heading of its own."""
+def _write_rotation(entry: dict[str, Any], o: SceneObject) -> None:
+    """Writes the whole rotation and the yaw of the box, which is marked if it is no Euler angle of the rotation."""
     rotation: QuatXyzw = yaw_quat(o.yaw)
     if o.tilt_quat_xyzw != UPRIGHT:
         rotation = normalise_quat(quat_product(rotation, o.tilt_quat_xyzw))
     entry["rotation"] = list(rotation)
-    entry["z_rotation"] = yaw = math.remainder(o.yaw, 2 * math.pi)
+    entry["z_rotation"] = yaw = math.remainder(o.yaw, 2 * math.pi)  # in [-pi, pi]
     entry.pop(BOX_YAW, None)
     if not is_yaw_of(yaw, rotation):
         entry[BOX_YAW] = yaw
 
 
 def _centimetres(metres: float, offset_cm: float = 0.0, decimals: int | None = None) -> float:
-    """The number of centimetres that reads back as so many metres from ``offset_cm``."""
+    """Returns the number of centimetres that reads back as exactly this distance from ``offset_cm``."""
     if decimals is not None:
         return _rounded(metres * 100 + offset_cm, decimals)
     return exact_preimage(lambda found: (found - offset_cm) / 100, metres * 100 + offset_cm, metres)
@@ -259,5 +253,5 @@ def _rounded(value: float, decimals: int | None) -> float:
 
 
 def _json(document: object) -> bytes:
-    """JSON as the format's files have it."""
+    """Returns JSON in the style of the format's files."""
     return (json_text(document, indent=2) + "\n").encode()

@@ -1,7 +1,7 @@
-"""Builds signed-distance grids: exact where the surface is, passed on from there, signed by regions.
+"""Builds signed-distance grids: exact near the surface, propagated from there, and signed by regions.
 
-Nodes farther than half a spacing from the surface form connected regions that no surface crosses, so that one winding query
-signs a whole region. How it measures against evaluating every node: docs/signed_distance.md.
+Nodes farther than half a spacing from the surface form connected regions that no surface crosses, so one winding query gives the
+sign of a whole region. docs/signed_distance.md compares this with an evaluation of every node.
 """
 
 from dataclasses import dataclass, replace
@@ -17,22 +17,22 @@ from stable_data.geometry.sdf.narrow_band import GridNodes, NarrowBand, unsigned
 from stable_data.scene import FloatArray, IntArray, Vec3
 
 _NUM_PROBES = 512
-_THIN_SHARE = 20  # percentile of the inward rays that counts as the wall: thinner spots are edges and tips
-_DOUBT = 0.2  # winding number this far from a whole number: near a hole, where a region may leak
+_THIN_SHARE = 20  # percentile of the inward rays that is the wall thickness: thinner places are edges and tips
+_WINDING_TOLERANCE = 0.2  # a winding number this far from a whole number means a hole nearby, through which a region may leak
 _VOTE_STRIDE = 8
-_STEPS = (1.0, 1.7)  # spacings walked off the surface to meet a node whose side is known
+_WALK_DISTANCES = (1.0, 1.7)  # spacings from the surface at which a node with a known sign is looked for
 _NUM_NEAR, _NUM_FAR = 512, 256
 _GOLDEN = 0.6180339887498949
 
 
 @dataclass(frozen=True, slots=True)
 class GridLimits:
-    """What resolution may cost.
+    """Limits on the resolution of a grid.
 
     Attributes:
-        min_nodes: Nodes of the coarsest grid, whatever the wall.
-        max_nodes: Nodes of the finest grid; nothing is finer, however thin the wall.
-        nodes_per_wall: Spacings that a wall is to be thick, where ``max_nodes`` affords it.
+        min_nodes: Nodes of the coarsest grid, whatever the wall thickness.
+        max_nodes: Nodes of the finest grid, however thin the wall.
+        nodes_per_wall: Wanted wall thickness in spacings, if ``max_nodes`` permits it.
         padding: Nodes around the mesh's box on each side.
     """
 
@@ -43,17 +43,13 @@ class GridLimits:
 
 
 def unit_mesh(mesh: Mesh, aspect: Vec3 = (1.0, 1.0, 1.0)) -> tuple[Mesh, float]:
-    """A mesh at an aspect, divided by the largest extent of its box.
-
-    Args:
-        mesh: Mesh frame.
-        aspect: Scale along the mesh's axes divided by its largest component.
+    """Applies an aspect, the scale divided by its largest component, to a mesh, and divides it by the largest extent of its box.
 
     Returns:
         The unit mesh, and the length of its unit in the lengths of the mesh at its aspect.
 
     Raises:
-        MeshError: The mesh has no extent.
+        MeshError: ``mesh_empty``: the mesh has no extent.
     """
     vertices = mesh.vertices * np.asarray(aspect)
     extent = float(np.ptp(vertices[mesh.faces], axis=(0, 1)).max()) if len(mesh.faces) else 0.0
@@ -63,13 +59,13 @@ def unit_mesh(mesh: Mesh, aspect: Vec3 = (1.0, 1.0, 1.0)) -> tuple[Mesh, float]:
 
 
 def probe_points(mesh: Mesh, num_points: int) -> tuple[FloatArray, FloatArray]:
-    """Points spread over the surface by area, the same ones every time, and the unit normals of their faces, (P, 3) each."""
+    """Points spread evenly over the surface, always the same ones, and the unit normals of their faces, (P, 3) each."""
     triangles = mesh.triangles
     normals, double_area = unit_normals(triangles)
     area = np.cumsum(double_area)
     k = np.arange(num_points)
     face = np.minimum(np.searchsorted(area, (k + 0.5) / num_points * area[-1]), len(area) - 1)
-    # The R2 sequence (golden ratio's analogue in the plane), folded into the triangle.
+    # The R2 sequence (the golden ratio's analogue in the plane), folded into the triangle.
     u, v = (0.5 + 0.7548776662466927 * k) % 1, (0.5 + 0.5698402909980532 * k) % 1
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     a, b, c = triangles[face, 0], triangles[face, 1], triangles[face, 2]
@@ -84,17 +80,17 @@ def build_grid(
     shell_thickness: float = 0.0,
     limits: GridLimits = GridLimits(),
 ) -> SdfGrid:
-    """Grid of a mesh at an aspect.
+    """Builds the grid of a mesh at an aspect.
 
-    The spacing follows the mesh's wall, between ``limits.min_nodes`` and ``limits.max_nodes``. A sheet gets a shell of at least
-    one spacing, so that its surface reads as inside everywhere; the thickness used is in the grid.
+    The spacing follows the wall thickness of the mesh, between ``limits.min_nodes`` and ``limits.max_nodes``. A sheet gets a shell of
+    at least one spacing, so that its surface is inside everywhere; the grid states the thickness used.
 
     Args:
         mesh: Repaired, mesh frame.
         aspect: Scale along the mesh's axes divided by its largest component.
-        is_sheet: The mesh is open and stands for a thin shell.
+        is_sheet: The mesh is open and represents a thin shell.
         shell_thickness: Thickness of that shell, in lengths of the mesh at its aspect.
-        limits: What resolution may cost.
+        limits: Limits on the resolution.
 
     Returns:
         The grid, with its measured errors.
@@ -107,6 +103,7 @@ def build_grid(
     wall = 0.0 if is_sheet else wall_thickness(exact)
     lattice = _lattice(unit, wall, limits)
     if is_sheet:
+        # A thinner shell could lie between the nodes.
         exact = SignedDistance(unit, is_sheet=True, shell_thickness=max(shell_thickness / extent, lattice.spacing))
     band = NarrowBand.around(exact, lattice)
     distance = unsigned_distances(exact, lattice, band)
@@ -117,16 +114,16 @@ def build_grid(
 
 
 def measure_grid_errors(grid: SdfGrid, exact: SignedDistance, *, num_near: int = _NUM_NEAR, num_far: int = _NUM_FAR) -> SdfGrid:
-    """The grid with its errors measured at points that are not nodes.
+    """Measures the errors of a grid at points that are not nodes.
 
     Args:
         grid: The grid.
-        exact: What it stands for, unit frame.
+        exact: The exact distance that the grid approximates, unit frame.
         num_near: Points within a spacing of the surface.
         num_far: Points all over the box.
 
     Returns:
-        The grid with ``mean_error``, ``max_error``, ``far_error`` and ``sign_error`` filled in.
+        The grid with ``mean_error``, ``max_error``, ``far_error`` and ``sign_error``.
     """
     points = _held_out(grid, exact.mesh, num_near, num_far)
     truth = exact(points)
@@ -148,22 +145,23 @@ def _held_out(grid: SdfGrid, mesh: Mesh, num_near: int, num_far: int) -> FloatAr
     surface, normals = probe_points(mesh, num_near)
     k = np.arange(num_near)
     offset = grid.spacing * (2 * ((0.5 + _GOLDEN * k) % 1) - 1)
-    # The R3 sequence: the golden ratio's analogue in space.
+    # The R3 sequence, the golden ratio's analogue in space.
     spread = (0.5 + np.outer(np.arange(num_far), [0.8191725133961645, 0.6710436067037893, 0.5497004779019703])) % 1
     box = grid.spacing * (np.array(grid.values.shape) - 1)
     return np.concatenate([surface + offset[:, None] * normals, grid.origin + spread * box])
 
 
 def wall_thickness(exact: SignedDistance) -> float:
-    """How thick the wall is where it is thin, from rays shot inwards: their lower quintile, mesh units; 0 for none."""
+    """Thickness of the thin part of the wall, from rays shot inwards: their lower quintile, mesh units; 0 if none hits."""
     points, normals = probe_points(exact.mesh, _NUM_PROBES)
+    # Rays start just below the surface, so that they do not hit their own face.
     travelled = exact.first_hit(points - 1e-6 * exact.mesh.extents.max() * normals, -normals)
     travelled = travelled[np.isfinite(travelled)]
     return float(np.percentile(travelled, _THIN_SHARE)) if len(travelled) else 0.0
 
 
 def _lattice(unit: Mesh, wall: float, limits: GridLimits) -> GridNodes:
-    """The nodes: as fine as the wall asks, within the limits, centred on the mesh's box."""
+    """Chooses the nodes: as fine as the wall requires, within the limits, centred on the mesh's box."""
     low, high = unit.triangles.min(axis=(0, 1)), unit.triangles.max(axis=(0, 1))
     finest, coarsest = (_spacing(high - low, n, limits.padding) for n in (limits.max_nodes, limits.min_nodes))
     wanted = wall / limits.nodes_per_wall if wall > 0 else finest
@@ -173,8 +171,8 @@ def _lattice(unit: Mesh, wall: float, limits: GridLimits) -> GridNodes:
 
 
 def _shape(size: FloatArray, spacing: float, padding: int) -> tuple[int, int, int]:
-    """Nodes along each axis that cover a box of that size and the padding."""
-    x, y, z = (int(n) + 1 + 2 * padding for n in np.ceil(size / spacing - 1e-9))
+    """Numbers of nodes along each axis that cover a box of that size and the padding."""
+    x, y, z = (int(n) + 1 + 2 * padding for n in np.ceil(size / spacing - 1e-9))  # rounding must not add a node
     return x, y, z
 
 
@@ -182,18 +180,18 @@ def _spacing(size: FloatArray, num_nodes: int, padding: int) -> float:
     """The smallest spacing, to a thousandth, whose lattice has at most that many nodes."""
     low, high = 1e-4, 1.0
     while high / low > 1.001:
-        middle = float(np.sqrt(low * high))
+        middle = float(np.sqrt(low * high))  # bisection on a logarithmic scale
         low, high = (low, middle) if np.prod(_shape(size, middle, padding)) <= num_nodes else (middle, high)
     return high
 
 
 def _inside(exact: SignedDistance, lattice: GridNodes, band: NarrowBand, distance: FloatArray) -> BoolArray:
-    """Side of every node.
+    """Whether every node is inside.
 
-    Two neighbours whose distances add up to more than what lies between them have no surface between them. So nodes farther
-    than half a spacing from the surface form regions of one side each; a node nearer than that takes the side of a node met
-    when walking away from its nearest surface point. One of the rest that lies straight behind a face is inside, where the
-    surface is closed and turned outwards and no sample of them says otherwise. What is left asks for its own winding number.
+    If the distances of two neighbours add up to more than the distance between them, no surface is between them. So the nodes farther
+    than half a spacing from the surface form regions with one sign each. A nearer node gets the sign of a node that is met when
+    walking away from its nearest surface point. A remaining node straight behind a face is inside, if the surface is closed and
+    oriented outwards and no sample of these nodes contradicts this. All other nodes get their own winding number.
     """
     regions, num_regions = ndimage.label(distance > lattice.spacing / 2)
     region = regions.ravel().astype(np.int64)
@@ -201,9 +199,9 @@ def _inside(exact: SignedDistance, lattice: GridNodes, band: NarrowBand, distanc
     inside = is_inside[region]
     is_close = region[band.nodes] == 0
     close = band.nodes[is_close]
-    met = _met(lattice, close, band.away[is_close], distance.ravel(), region)
-    inside[close] = inside[met]
-    is_left = (met < 0) | is_doubtful[region[met]]
+    far = _far_neighbours(lattice, close, band.away[is_close], distance.ravel(), region)
+    inside[close] = inside[far]
+    is_left = (far < 0) | is_doubtful[region[far]]
     left = close[is_left]
     if is_closed and _behind_is_inside(exact, lattice, band, left):
         is_asked = ~band.is_behind[is_close][is_left]
@@ -215,7 +213,7 @@ def _inside(exact: SignedDistance, lattice: GridNodes, band: NarrowBand, distanc
 
 
 def _behind_is_inside(exact: SignedDistance, lattice: GridNodes, band: NarrowBand, left: IntArray) -> bool:
-    """Whether every sampled node of those that lies straight behind a face is inside: it is not where two faces coincide."""
+    """Whether a sample of the nodes straight behind a face is inside; this is false where two faces coincide."""
     slot = np.searchsorted(band.nodes, left)
     slot = slot[band.is_behind[slot]]
     one_a_face = slot[np.unique(band.face[slot], return_index=True)[1]]
@@ -226,32 +224,33 @@ def _behind_is_inside(exact: SignedDistance, lattice: GridNodes, band: NarrowBan
 def _sides(
     exact: SignedDistance, lattice: GridNodes, region: IntArray, num_regions: int, distance: FloatArray
 ) -> tuple[BoolArray, BoolArray, bool]:
-    """Whether each region is inside, (R + 1,); whether it leaks, so that its nodes must be asked; and whether none does."""
+    """Whether each region is inside, (R + 1,); whether it leaks, so that its nodes need own queries; and whether none leaks."""
     voter = np.zeros(num_regions + 1, np.int64)
-    for depth in (0.0, 1.0, 2.0):  # the last one written, a deep one where there is any, speaks for the region
+    for depth in (0.0, 1.0, 2.0):  # the last write wins: a node deep in the region, if there is one, represents it
         nodes = np.flatnonzero(distance > depth * lattice.spacing)
         voter[region[nodes]] = nodes
+    # Nodes of a coarse grid vote too: votes that differ within a region show that it leaks.
     grid = np.arange(lattice.size).reshape(lattice.shape)[(slice(_VOTE_STRIDE // 2, None, _VOTE_STRIDE),) * 3].ravel()
     nodes = np.concatenate([voter[1:], grid[region[grid] > 0]])
     winding = exact.winding_number(lattice.places(nodes))
     is_inside, is_outside, is_doubtful = np.zeros((3, num_regions + 1), np.bool_)
     is_inside[region[nodes[winding > 0.5]]] = True
     is_outside[region[nodes[winding <= 0.5]]] = True
-    is_whole = np.abs(winding - np.round(winding)) <= _DOUBT
+    is_whole = np.abs(winding - np.round(winding)) <= _WINDING_TOLERANCE
     is_doubtful[region[nodes[~is_whole]]] = True
     is_doubtful |= is_inside & is_outside
-    return is_inside, is_doubtful, bool(is_whole.all() and (winding > -_DOUBT).all())
+    return is_inside, is_doubtful, bool(is_whole.all() and (winding > -_WINDING_TOLERANCE).all())
 
 
-def _met(lattice: GridNodes, close: IntArray, away: FloatArray, distance: FloatArray, region: IntArray) -> IntArray:
-    """For each node near the surface one that certainly lies on its side and in a region, flat index, or −1."""
+def _far_neighbours(lattice: GridNodes, close: IntArray, away: FloatArray, distance: FloatArray, region: IntArray) -> IntArray:
+    """For each node near the surface a node that is certainly on the same side and in a region, flat index, or −1."""
     start = lattice.places(close)
-    met = np.full(len(close), -1, np.int64)
+    far = np.full(len(close), -1, np.int64)
     top = np.array(lattice.shape) - 1
-    for step in _STEPS:
+    for step in _WALK_DISTANCES:
         node = np.clip(np.rint((start - lattice.origin) / lattice.spacing + step * away), 0, top).astype(np.int64)
         flat = np.ravel_multi_index(tuple(node.T), lattice.shape)
         apart = np.linalg.norm(lattice.origin + lattice.spacing * node - start, axis=1)
         is_safe = (distance[close] + distance[flat] > apart) & (region[flat] > 0)
-        met = np.where((met < 0) & is_safe, flat, met)
-    return met
+        far = np.where((far < 0) & is_safe, flat, far)
+    return far

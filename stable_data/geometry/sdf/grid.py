@@ -1,15 +1,16 @@
-"""Signed distance as grids: what a grid holds, and reading one or many of them. Numpy alone; `sdf_build` makes them.
+"""Signed-distance grids: their content, and sampling in one or many of them. Needs only numpy; ``build`` makes the grids.
 
-**Frame.** A grid belongs to a mesh at an aspect (``SceneObject.scale`` divided by its largest component). The mesh, times the
-aspect, divided by the largest extent of its box, is the *unit mesh*; the grid lies in that frame and its lengths are in that
-unit. What remains is one uniform factor s, metres per unit, and distances scale with it: ``D_{s·M}(x) = s · D_M(x / s)``.
-A distance is never taken through an uneven scale.
+**Frame.** A grid belongs to a mesh at an aspect (``SceneObject.scale`` divided by its largest component). The mesh, multiplied by
+the aspect and divided by the largest extent of its box, is the *unit mesh*; the grid uses its frame and its unit of length. The
+remaining factor is uniform, s metres per unit, and distances scale with it: ``D_{s·M}(x) = s · D_M(x / s)``. An uneven scale is
+never applied to a distance.
 
-**Values** are float16 in the unit: 11 significant bits, so a value is off by at most 1/2048 of itself, 2.4e-4 at half an
-extent and nothing that matters beside the surface.
+**Values** are float16 in the unit: 11 significant bits, so the relative error is at most 1/2048. That is 2.4e-4 at half an extent
+and negligible near the surface.
 
-**Reading** is trilinear. A point outside the box reads the nearest point of the box plus the way there: never less than the
-true distance but for the grid's own error, and exact where the way there leads straight off the surface.
+**Sampling** is trilinear. A point outside the box gets the value at the nearest point of the box plus the distance to that point.
+Except for the grid's own error, this is never less than the true distance, and exact where the way to the box leads straight to
+the surface.
 """
 
 from collections.abc import Sequence
@@ -28,13 +29,13 @@ class SdfGrid:
 
     Attributes:
         values: At the nodes, (nx, ny, nz) float16, C order, at least 2 along each axis, units.
-        origin: Place of node (0, 0, 0), (3,) float64, units.
-        spacing: Between nodes, the same along each axis, units.
+        origin: Coordinates of node (0, 0, 0), (3,) float64, units.
+        spacing: Distance between nodes, the same along each axis, units.
         extent: One unit in the lengths of the mesh at its aspect: metres per unit are ``extent`` times the largest scale.
-        shell_thickness: What a sheet was given, units; 0 for a solid.
-        wall_thickness: Of the mesh, estimated, units; 0 where there is none to speak of.
+        shell_thickness: Thickness given to a sheet, units; 0 for a solid.
+        wall_thickness: Estimated wall thickness of the mesh, units; 0 if it has no wall.
         mean_error: Mean of |grid − exact| within one spacing of the surface, at points between the nodes, units.
-        max_error: The largest of them, units.
+        max_error: The largest of these errors, units.
         far_error: The largest |grid − exact| at points in the rest of the box, units.
         sign_error: Share of the points at least half a spacing from the surface that have the wrong sign.
     """
@@ -53,14 +54,14 @@ class SdfGrid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridAtlas:
-    """Many grids in one flat buffer, G of them, so that points of different grids are read together.
+    """G grids in one flat buffer, so that points of different grids are sampled together.
 
     Attributes:
         values: All nodes, one grid after the other, each in C order, float16, units.
-        offset: Where each grid starts in ``values``, (G,) int64.
+        offset: Start of each grid in ``values``, (G,) int64.
         shape: Nodes along each axis, (G, 3) int64.
-        origin: Place of node (0, 0, 0), (G, 3) float64, units.
-        spacing: Between nodes, (G,) float64, units.
+        origin: Coordinates of node (0, 0, 0), (G, 3) float64, units.
+        spacing: Distance between nodes, (G,) float64, units.
     """
 
     values: npt.NDArray[np.float16]
@@ -71,7 +72,7 @@ class GridAtlas:
 
     @classmethod
     def from_grids(cls, grids: Sequence[SdfGrid]) -> "GridAtlas":
-        """Puts grids into one buffer, in their order."""
+        """Copies grids into one buffer, in their order."""
         size = np.array([g.values.size for g in grids], np.int64)
         values = [g.values.ravel() for g in grids]
         return cls(
@@ -87,11 +88,11 @@ class GridAtlas:
         return len(self.offset)
 
     def sample(self, grid_index: IntArray, points: FloatArray, scale: FloatArray | float = 1.0) -> FloatArray:
-        """Signed distances, each point read in its own grid.
+        """Computes signed distances, each point in its own grid.
 
         Args:
             grid_index: Grid of each point, (P,) int64.
-            points: (P, 3) float64, frame of that grid's mesh, metres where the scale is metres per unit.
+            points: (P, 3) float64, frame of that grid's mesh, metres if the scale is metres per unit.
             scale: Uniform factor from units to the lengths of the points, (P,) or one for all, positive.
 
         Returns:
@@ -102,11 +103,11 @@ class GridAtlas:
     def sample_with_gradient(
         self, grid_index: IntArray, points: FloatArray, scale: FloatArray | float = 1.0
     ) -> tuple[FloatArray, FloatArray]:
-        """As `sample`, and the derivative with respect to the points, (P, 3) float64, of what is returned, not of the mesh."""
+        """As :meth:`sample`, and the derivative of the returned value (not of the mesh) with respect to the points, (P, 3) float64."""
         factor = np.broadcast_to(np.asarray(scale, np.float64), len(points))
         shape, spacing = self.shape[grid_index], self.spacing[grid_index][:, None]
         places = (points / factor[:, None] - self.origin[grid_index]) / spacing  # in nodes
-        held = np.clip(places, 0, shape - 1)
+        held = np.clip(places, 0, shape - 1)  # the nearest point of the box
         beyond = places - held
         value, slope = self._trilinear(self.offset[grid_index], shape, held)
         gap = np.linalg.norm(beyond, axis=1)
@@ -115,8 +116,8 @@ class GridAtlas:
         return factor * (value + gap * spacing[:, 0]), gradient
 
     def _trilinear(self, offset: IntArray, shape: IntArray, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Value (P,) and slope per node (P, 3) at places inside the grids, counted in nodes."""
-        cell = np.minimum(places.astype(np.int64), shape - 2)
+        """Value (P,) and slope per node (P, 3) at places inside the grids, measured in nodes."""
+        cell = np.minimum(places.astype(np.int64), shape - 2)  # a point on the upper face is in the last cell
         part = places - cell
         stride = np.stack([shape[:, 1] * shape[:, 2], shape[:, 2], np.ones(len(shape), np.int64)], axis=1)
         first = offset + (cell * stride).sum(axis=1)
@@ -132,11 +133,11 @@ class GridAtlas:
 
 
 def sample_grid(grid: SdfGrid, points: FloatArray, scale: float = 1.0) -> tuple[FloatArray, FloatArray]:
-    """Signed distances and their gradient, read in one grid.
+    """Computes signed distances and their gradient in one grid.
 
     Args:
         grid: The grid.
-        points: (P, 3) float64, frame of the mesh, metres where the scale is metres per unit.
+        points: (P, 3) float64, frame of the mesh, metres if the scale is metres per unit.
         scale: Uniform factor from units to the lengths of the points, positive.
 
     Returns:

@@ -334,7 +334,7 @@ def test_many_faces_on_one_edge_take_little_time() -> None:
 def test_what_would_take_too_long_is_refused_with_the_limit(mesh: Callable[[], Mesh], found: str) -> None:
     shells = mesh()
     shells.faces[: len(shells.faces) // 2] = shells.faces[: len(shells.faces) // 2, ::-1].copy()
-    with pytest.raises(MeshError, match=f"asset dust: repair meets .*{found}.* at most .*; simplify the mesh") as caught:
+    with pytest.raises(MeshError, match=f"asset dust: repair found .*{found}.* at most .*; simplify the mesh") as caught:
         repair_mesh(shells, "dust")
     assert caught.value.code == "mesh_too_complex"
 
