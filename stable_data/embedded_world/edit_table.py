@@ -1,12 +1,12 @@
-"""The table ``edits``: edits of scenes that a run has read, to train on; drafts alone, neither settled nor judged.
+"""The table ``edits``: drafts of edits for the scenes of a run, as training data; they are neither settled nor checked.
 
-What a reasoner writes is corrected afterwards, so an example needs no proof that it stays: hundreds of drafts are made in the
-time that one proof takes. :mod:`stable_data.embedded_world.edits` makes the ones that are proved.
+The reply of a reasoner is corrected afterwards, so a training example needs no proof that it is at rest. Hundreds of drafts take
+the time of one proof. :mod:`stable_data.embedded_world.edits` makes proved edits.
 """
 
 import math
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -15,7 +15,7 @@ import networkx as nx
 import numpy as np
 
 from stable_data.content_id import content_id
-from stable_data.embedded_world.drafting import KINDS, EditDraft, SceneEditor
+from stable_data.embedded_world.drafting import EditDraft, SceneEditor, kinds_in_turn
 from stable_data.embedded_world.edits import edited_objects, phrase_edit
 from stable_data.embedded_world.families.catalogue import KEYS, asset
 from stable_data.embedded_world.groups.arrangement import GroupItem, GroupSampler
@@ -28,99 +28,93 @@ from stable_data.scene_graph.relations import scene_graph, supports
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import Row, object_row, scene_from_row
 
-_SAME_TILT = 1e-6  # a tilt that went through a file is taken for the catalogue's where no component differs by more
-_DIGITS = 9  # of what is written: a millionth of a millimetre
+_SAME_TILT = 1e-6  # largest difference per component of a tilt from a file and the equal tilt of the catalogue
+_DIGITS = 9  # decimals of lengths in metres: a millionth of a millimetre
 
 
 def edit_rows(row: Row, count: int = 4, seed: int = 0) -> list[Row]:
-    """Rows of ``edits`` for a scene of the embedded world.
+    """Makes rows of ``edits`` for a scene of the embedded world.
 
     Args:
         row: The scene, a row of ``scenes``.
-        count: How many edits; kinds take turns, and where one cannot be made, the next is.
-        seed: Together with the scene's id, what the edits depend on.
+        count: Number of edits; the kinds take turns, and the next kind replaces one that has no draft.
+        seed: Determines the edits, together with the id of the scene.
 
     Returns:
-        At most ``count`` rows, no two with the same words.
+        At most ``count`` rows, all with different instructions.
 
     Raises:
-        SceneError: The scene is not of the embedded world as it was made (``not_synth``).
+        SceneError: The scene is not an unchanged scene of the embedded world (``not_synth``).
     """
     scene = scene_from_row(row)
-    things = _things_of(scene)
-    containers = _containers(things)
+    placed = _placed_objects(scene)
+    containers = {name: obj.asset.hollow is not None for name, obj in placed.items()}
     graph = scene_graph(scene, {o.instance: (o.support,) for o in scene.objects if o.support}, containers=containers)
     namer, scene_hash = ObjectNamer(scene, graph), zlib.crc32(scene.scene_id.encode())
     carriers = frozenset(name for verdict in row["verdicts"] for name in verdict["supports"]) | {
         o.support for o in scene.objects if o.support is not None
     }
+    # Keyed by the instruction, so that no two rows have the same words.
     rows: dict[str, Row] = {}
     for number in range(count):
+        # A stream per edit: an edit does not depend on the number of edits before it.
         rng = np.random.default_rng([seed, scene_hash, number])
-        desk = SceneEditor(scene, things, namer, GroupSampler(rng), carriers)
-        first = (scene_hash + number) % len(KINDS)
-        for kind, draft in _drafts(desk, (*KINDS[first:], *KINDS[:first])):
+        editor = SceneEditor(scene, placed, namer, GroupSampler(rng), carriers)
+        kinds = kinds_in_turn(scene_hash + number)
+        for kind, draft in ((each, draft) for each in kinds for draft in editor.drafts(each)):
             after, text = _objects_after(scene, draft), phrase_edit(draft, rng)
             if after is not None and text not in rows:
-                rows[text] = _row(row, f"{scene.scene_id}_{number}", kind, text, scene, _supported(scene, after, draft))
+                rows[text] = _row(row, f"{scene.scene_id}_{number}", kind, text, scene, _with_supports(scene, after, draft))
                 break
     return list(rows.values())
 
 
-def _drafts(desk: SceneEditor, kinds: tuple[str, ...]) -> Iterator[tuple[str, EditDraft]]:
-    return ((kind, draft) for kind in kinds for draft in desk.drafts(kind))
-
-
-def _things_of(scene: Scene) -> dict[str, PlacedObject]:
-    """What the scene was made from, by instance; what carries each other is a group."""
+def _placed_objects(scene: Scene) -> dict[str, PlacedObject]:
+    """The placed object of each instance; objects that support each other form a group."""
     keys = (scene.source or {}).get(RECORD, {}).get("keys", ())
     if len(keys) != len(scene.objects) or any(
         key not in KEYS or asset(key).uid != o.asset_id for key, o in zip(keys, scene.objects, strict=True)
     ):
         raise SceneError(
-            f"{scene.scene_id}: its record names {len(keys)} assets of the catalogue for {len(scene.objects)} objects, expected "
-            "those that it shows; make edits of scenes of stable-data synth",
+            f"{scene.scene_id}: its record lists {len(keys)} catalogue assets, expected the assets of its {len(scene.objects)} objects "
+            "in order; use a scene that stable-data synth made",
             "not_synth",
         )
+    # Objects that support each other move together, so they form a group.
     links = nx.Graph([(o.instance, o.support) for o in scene.objects if o.support not in (None, TABLE)])
     links.add_nodes_from(o.instance for o in scene.objects)
     group = {name: number for number, names in enumerate(nx.connected_components(links)) for name in names}
-    return {o.instance: _thing(key, o, group[o.instance]) for key, o in zip(keys, scene.objects, strict=True)}
+    return {o.instance: _placed_object(key, o, group[o.instance]) for key, o in zip(keys, scene.objects, strict=True)}
 
 
-def _thing(key: str, o: SceneObject, group: int) -> PlacedObject:
-    assert o.scale is not None  # the format has it
+def _placed_object(key: str, o: SceneObject, group: int) -> PlacedObject:
+    assert o.scale is not None  # the MesaTask format always states it
     x, y, z = o.position
-    return PlacedObject(GroupItem(key, x, y, o.yaw, _planned(key, o.tilt_quat_xyzw), _over(o.scale, asset(key).unit)), z, group)
+    scale = _relative_scale(o.scale, asset(key).unit)
+    return PlacedObject(GroupItem(key, x, y, o.yaw, _catalogue_tilt(key, o.tilt_quat_xyzw), scale), z, group)
 
 
-def _planned(key: str, tilt_quat_xyzw: QuatXyzw) -> QuatXyzw:
-    """The catalogue's tilt, where this is one."""
+def _catalogue_tilt(key: str, tilt_quat_xyzw: QuatXyzw) -> QuatXyzw:
+    """The equal tilt of the catalogue, if there is one."""
     tilts = asset(key).tilts
     return next((tilt for tilt in tilts if np.allclose(tilt, tilt_quat_xyzw, rtol=0, atol=_SAME_TILT)), tilt_quat_xyzw)
 
 
-def _over(scale: Vec3, unit: float) -> Vec3:
+def _relative_scale(scale: Vec3, unit: float) -> Vec3:
     x, y, z = (round(s / unit, _DIGITS) for s in scale)
     return x, y, z
 
 
-def _containers(things: Mapping[str, PlacedObject]) -> dict[str, bool]:
-    return {name: thing.asset.hollow is not None for name, thing in things.items()}
-
-
 def _objects_after(scene: Scene, draft: EditDraft) -> tuple[SceneObject, ...] | None:
-    """The objects of the edited scene as they were lowered."""
-    found = [
-        scene[name] if name is not None and name not in draft.changed else lower_object(thing) for name, thing in draft.things
-    ]
+    """The objects of the edited scene at their lowered poses."""
+    found = [scene[name] if name is not None and name not in draft.changed else lower_object(obj) for name, obj in draft.placed]
     return edited_objects(scene, draft, found)
 
 
-def lower_object(thing: PlacedObject) -> SceneObject:
-    """A thing as an object where it was put, before anything has settled; its name is its key."""
-    item, source = thing.item, thing.asset
-    x, y, z = (round(v, _DIGITS) for v in (item.x, item.y, thing.z))
+def lower_object(obj: PlacedObject) -> SceneObject:
+    """Converts a placed object into a scene object at its unsettled pose, named by its asset key."""
+    item, source = obj.item, obj.asset
+    x, y, z = (round(v, _DIGITS) for v in (item.x, item.y, obj.z))
     width, depth, height = _box(item.key, item.scale, item.tilt_quat_xyzw)
     sx, sy, sz = (s * source.unit for s in item.scale)
     return SceneObject(
@@ -142,14 +136,14 @@ def _box(key: str, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> Vec3:
     return x, y, z
 
 
-def _supported(scene: Scene, after: tuple[SceneObject, ...], draft: EditDraft) -> tuple[SceneObject, ...]:
-    """The objects with what carries each, by their boxes where they are elsewhere than before."""
-    kept = {o.instance: o.support for o in scene.objects if o in after}
-    containers = {o.instance: thing.asset.hollow is not None for o, (_, thing) in zip(after, draft.things, strict=True)}
+def _with_supports(scene: Scene, after: tuple[SceneObject, ...], draft: EditDraft) -> tuple[SceneObject, ...]:
+    """The objects with their supports; the supports of changed objects are inferred from the boxes."""
+    unchanged = {o.instance: o.support for o in scene.objects if o in after}
+    containers = {o.instance: obj.asset.hollow is not None for o, (_, obj) in zip(after, draft.placed, strict=True)}
     names = {o.instance for o in after}
-    contacts = {name: (support,) for name, support in kept.items() if support is not None and support in names | {TABLE}}
+    contacts = {name: (support,) for name, support in unchanged.items() if support is not None and support in names | {TABLE}}
     carriers = supports(replace(scene, objects=after), contacts, containers=containers)
-    return tuple(o if o.instance in kept else replace(o, support=carriers[o.instance]) for o in after)
+    return tuple(o if o.instance in unchanged else replace(o, support=carriers[o.instance]) for o in after)
 
 
 def _row(row: Row, edit_id: str, kind: str, text: str, scene: Scene, after: tuple[SceneObject, ...]) -> Row:
@@ -167,16 +161,16 @@ def _row(row: Row, edit_id: str, kind: str, text: str, scene: Scene, after: tupl
 
 
 def write_edits(run: RunFolder, out: RunFolder, count: int = 4, seed: int = 0) -> Iterator[tuple[int, list[SceneError]]]:
-    """Writes ``edits`` for the ``scenes`` of a run, a shard for each of its shards; those that are there are left alone.
+    """Writes ``edits`` for the ``scenes`` of a run, one shard per shard of scenes; existing shards are skipped.
 
     Args:
         run: A run over the embedded world, with its ``scenes``.
-        out: Where to write, which may be the run itself.
-        count: Edits a scene.
-        seed: Which edits.
+        out: The output folder, which may be the run itself.
+        count: Edits per scene.
+        seed: Seed of the edits.
 
     Yields:
-        After each shard how many edits it has got, 0 where it was there, and the scenes that have none.
+        After each shard the number of new edits, 0 if the shard existed, and an error for each scene without edits.
 
     Raises:
         ConfigError: A folder cannot be read or written.

@@ -1,6 +1,6 @@
-"""Edits: a scene, an instruction that changes it, and the scene as it then is; clean and at rest before and after.
+"""Edits: a scene, an instruction and the edited scene; both scenes are clean and at rest.
 
-What an edit does not speak of keeps its pose to the last digit.
+Objects that an instruction does not mention keep their poses exactly.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,22 +17,22 @@ from stable_data.instructions.naming import ObjectNamer
 from stable_data.instructions.wording.paraphrase import request, reword
 from stable_data.scene import Scene, SceneObject
 
-_KEPT = 1e-3  # what an edit does not speak of settles no farther than this from where it was, metres; it is then put back
+_MAX_SHIFT = 1e-3  # an object that the edit does not mention may settle this far away and is then put back, metres
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneEdit:
-    """A change of a scene.
+    """An edit of a scene.
 
     Attributes:
         kind: ``add``, ``remove``, ``replace``, ``move`` or ``restyle``.
-        instruction: What is asked for.
-        before: The scene as it was.
-        after: The scene as it is then; instances that both have are the same things.
-        added: Instances that are new.
-        removed: Instances that are gone.
-        moved: Instances whose place, or shape, is another.
-        placed: The things of ``after``, in its order.
+        instruction: The instruction.
+        before: The scene before the edit.
+        after: The scene after the edit; an instance in both scenes is the same object.
+        added: Instances only in ``after``.
+        removed: Instances only in ``before``.
+        moved: Instances whose pose or asset differs.
+        placed: The placed objects of ``after``, in its order.
     """
 
     kind: str
@@ -45,39 +45,39 @@ class SceneEdit:
     placed: tuple[PlacedObject, ...]
 
 
-def make_edit(made: EmbeddedScene, rng: np.random.Generator, kinds: Sequence[str] = ()) -> SceneEdit | None:
-    """An edit of a scene.
+def make_edit(embedded: EmbeddedScene, rng: np.random.Generator, kinds: Sequence[str] = ()) -> SceneEdit | None:
+    """Makes an edit of a scene.
 
     Args:
-        made: The scene.
-        rng: Draws.
-        kinds: Which kinds may be tried, in this order; any where empty, in any order.
+        embedded: The scene.
+        rng: The random choices.
+        kinds: The kinds to try, in this order; all kinds in random order if empty.
 
     Returns:
-        The edit; None where no draft of the kinds tried came to rest clean.
+        The edit; None if no draft of these kinds came to rest clean.
     """
-    judged = audit(made.scene, made.placed)
-    graph = graph_of(made.scene, judged, made.placed)
-    carriers = frozenset(name for o in judged.objects for name in o.supports)
-    settled = {o.instance: place_as_settled(thing, o) for o, thing in zip(made.scene.objects, made.placed, strict=True)}
-    desk = SceneEditor(made.scene, settled, ObjectNamer(made.scene, graph), GroupSampler(rng), carriers)
+    scene_audit = audit(embedded.scene, embedded.placed)
+    graph = graph_of(embedded.scene, scene_audit, embedded.placed)
+    carriers = frozenset(name for o in scene_audit.objects for name in o.supports)
+    settled = {o.instance: place_as_settled(obj, o) for o, obj in zip(embedded.scene.objects, embedded.placed, strict=True)}
+    editor = SceneEditor(embedded.scene, settled, ObjectNamer(embedded.scene, graph), GroupSampler(rng), carriers)
     for kind in kinds or [KINDS[k] for k in rng.permutation(len(KINDS))]:
-        for draft in desk.drafts(kind):
-            edit = _carried_out(kind, draft, desk)
+        for draft in editor.drafts(kind):
+            edit = _execute_draft(kind, draft, editor)
             if edit is not None:
                 return edit
     return None
 
 
-def place_as_settled(thing: PlacedObject, o: SceneObject) -> PlacedObject:
-    """A thing where it has come to lie."""
+def place_as_settled(obj: PlacedObject, o: SceneObject) -> PlacedObject:
+    """Returns a placed object at its settled pose."""
     x, y, z = o.position
-    return PlacedObject(replace(thing.item, x=x, y=y, yaw=o.yaw, tilt_quat_xyzw=o.tilt_quat_xyzw), z, thing.group)
+    return PlacedObject(replace(obj.item, x=x, y=y, yaw=o.yaw, tilt_quat_xyzw=o.tilt_quat_xyzw), z, obj.group)
 
 
-def _carried_out(kind: str, draft: EditDraft, desk: SceneEditor) -> SceneEdit | None:
-    """The edit, where what it makes stays, is clean, and leaves alone what it does not speak of."""
-    before, placed = desk.scene, [thing for _, thing in draft.things]
+def _execute_draft(kind: str, draft: EditDraft, editor: SceneEditor) -> SceneEdit | None:
+    """Settles a draft; None unless the result is clean, at rest and changes only what the draft may change."""
+    before, placed = editor.scene, [obj for _, obj in draft.placed]
     settled = settle_objects(placed, before.table)
     if settled is None or settled[1]:
         return None
@@ -89,38 +89,40 @@ def _carried_out(kind: str, draft: EditDraft, desk: SceneEditor) -> SceneEdit | 
         scene_id=f"{before.scene_id}_{kind}",
         objects=objects,
         task=None,
-        source={RECORD: {"keys": [thing.item.key for thing in placed]}},
+        source={RECORD: {"keys": [obj.item.key for obj in placed]}},
     )
     if unclean_objects(audit(after, placed)) or unsteady_objects(after, placed):
         return None
     old, new = {o.instance for o in before.objects}, {o.instance for o in objects}
     moved = tuple(o.instance for o in objects if o.instance in old and o != before[o.instance])
-    text = phrase_edit(draft, desk.kit.rng)
+    text = phrase_edit(draft, editor.kit.rng)
     return SceneEdit(kind, text, before, after, tuple(sorted(new - old)), tuple(sorted(old - new)), moved, tuple(placed))
 
 
 def phrase_edit(draft: EditDraft, rng: np.random.Generator) -> str:
-    """The words of a draft as a request."""
+    """Phrases a draft as a request."""
     return request(reword(draft.text, rng), "", rng)
 
 
-def edited_objects(before: Scene, draft: EditDraft, found: Sequence[SceneObject]) -> tuple[SceneObject, ...] | None:
-    """The objects of an edited scene under their names; what is another thing than before has another name.
+def edited_objects(before: Scene, draft: EditDraft, settled: Sequence[SceneObject]) -> tuple[SceneObject, ...] | None:
+    """Names the objects of an edited scene; an object of another category than before receives a new name.
 
     Args:
-        before: The scene as it was.
+        before: The scene before the edit.
         draft: The edit.
-        found: Its things as objects of any names, where they came to lie.
+        settled: The settled objects of the draft, under any names.
 
     Returns:
-        The objects, those that stay as they were in the scene; None where one is elsewhere that the edit does not speak of.
+        The objects, those that the edit does not change as they are in ``before``; None if the edit displaces such an object.
     """
     numbers = _numbers(before)
     objects: list[SceneObject] = []
-    for (instance, _), o in zip(draft.things, found, strict=True):
+    for (instance, _), o in zip(draft.placed, settled, strict=True):
+        # A new object, or another one in its place.
         if instance is None or before[instance].category != o.category:
             objects.append(replace(o, instance=next(numbers).format(o.category, _count(objects, before, o.category))))
-        elif _is_kept(o, before[instance]):
+        # The simulation moves every object slightly: an unmentioned one receives its former pose.
+        elif _is_unchanged(o, before[instance]):
             objects.append(before[instance])
         elif instance in draft.changed:
             objects.append(replace(o, instance=instance))
@@ -129,18 +131,18 @@ def edited_objects(before: Scene, draft: EditDraft, found: Sequence[SceneObject]
     return tuple(objects)
 
 
-def _is_kept(o: SceneObject, was: SceneObject) -> bool:
-    return o.asset_id == was.asset_id and bool(np.linalg.norm(np.subtract(o.position, was.position)) <= _KEPT)
+def _is_unchanged(o: SceneObject, old: SceneObject) -> bool:
+    return o.asset_id == old.asset_id and bool(np.linalg.norm(np.subtract(o.position, old.position)) <= _MAX_SHIFT)
 
 
 def _numbers(scene: Scene) -> Iterator[str]:
-    """Forms of further instance names, running numbers that the scene does not use."""
+    """Patterns of new instance names, numbered from the first number that the scene does not use."""
     used = [int(o.instance.split("_")[0]) for o in scene.objects]
     first = max(used, default=0) + 1
     return (f"{first + k}_{{}}_{{}}" for k in range(MOST + 1))
 
 
 def _count(objects: Sequence[SceneObject], scene: Scene, category: str) -> int:
-    """The number of a further object of a category."""
+    """The number of the next object of a category."""
     names = {o.instance for o in (*objects, *scene.objects) if o.category == category}
     return max((int(name.rsplit("_", 1)[1]) + 1 for name in names), default=0)

@@ -1,4 +1,4 @@
-"""What is on each kind of table: the groups that make it what it is, and the others that may stand around them."""
+"""Plans of the kinds of table: the themes of each kind and the other groups that may stand on it."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -13,13 +13,13 @@ from stable_data.scene import Tabletop
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """A group and where it may stand.
+    """A group and the region for it.
 
     Attributes:
         arrange: Draws the group.
-        x: Lowest and highest place of its origin, shares of the table's width.
-        y: The same along the table's depth.
-        yaw: Which way it looks, radians.
+        x: Lowest and highest position of its origin, shares of the width of the table.
+        y: Lowest and highest position of its origin, shares of the depth of the table.
+        yaw: Its yaw, radians.
     """
 
     arrange: Arrange
@@ -29,7 +29,7 @@ class Slot:
 
 
 Theme: TypeAlias = Callable[[GroupSampler, Tabletop], Sequence[Slot]]
-"""Draws the groups that a table is about, the most important first."""
+"""Draws the main groups of a table, the most important first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,12 +37,12 @@ class TablePlan:
     """A kind of table.
 
     Attributes:
-        width: Lowest and highest, metres.
-        depth: Likewise.
-        themes: What the table may be about.
-        others: What else may stand on it, each as often as it is listed.
-        has_sink: Whether a rectangle in its middle is kept free.
-        density: Objects on a square metre, on average.
+        width: Smallest and largest width, metres.
+        depth: Smallest and largest depth, metres.
+        themes: The possible themes, each drawn as often as it is listed.
+        others: Groups that may stand beside the theme, each as often as it is listed.
+        has_sink: Whether a rectangle in the middle stays free.
+        density: Mean number of objects per square metre.
     """
 
     width: tuple[float, float]
@@ -54,7 +54,7 @@ class TablePlan:
 
 
 def single(*categories: str, wobble: float = 0.4) -> Arrange:
-    """A thing by itself."""
+    """Returns a function that draws a single item."""
 
     def arrange(kit: GroupSampler) -> Group:
         return [kit.single(*categories, wobble=wobble)]
@@ -64,11 +64,11 @@ def single(*categories: str, wobble: float = 0.4) -> Arrange:
 
 _BACK, _FRONT, _MIDDLE = (0.68, 0.92), (0.08, 0.35), (0.35, 0.65)
 _LEFT, _CENTRE, _RIGHT = (0.06, 0.32), (0.38, 0.62), (0.68, 0.94)
-_SEAT = 0.19  # of a plate's middle from its edge of the table, metres
+_SEAT = 0.19  # distance of the middle of a plate from the edge of the table, metres
 
 
 def seats(kit: GroupSampler, table: Tabletop, most: int = 6) -> list[Slot]:
-    """Place settings for one to six, facing each other, as many as the table has room for."""
+    """Slots for one to six place settings that face each other, as many as the table has room for."""
     width, depth = table.size_xy
     on_a_side = max(1, min(2, int(width / 0.52)))
     has_back, has_ends = depth > 0.68, width > 1.35 and depth > 0.7
@@ -83,7 +83,7 @@ def seats(kit: GroupSampler, table: Tabletop, most: int = 6) -> list[Slot]:
 
 
 def _exact(arrange: Arrange, x: float, y: float, yaw: float = 0.0) -> Slot:
-    """A spot with little play."""
+    """A slot with little play."""
     return Slot(arrange, (x - 0.012, x + 0.012), (y - 0.012, y + 0.012), yaw)
 
 
@@ -264,7 +264,7 @@ TABLES: Mapping[str, TablePlan] = MappingProxyType(
         "office_table": TablePlan((0.85, 1.5), (0.52, 0.78), (_computer, _laptop, _study, _paperwork), _OFFICE, density=17),
     }
 )
-"""The six kinds of table that the format knows, by its names."""
+"""The six kinds of table of the format, by name."""
 
 UNSEEN_TABLES: Mapping[str, TablePlan] = MappingProxyType(
     {
@@ -273,4 +273,4 @@ UNSEEN_TABLES: Mapping[str, TablePlan] = MappingProxyType(
         "tv_stand": TablePlan((1.1, 1.6), (0.34, 0.45), (_television,), _LIVING, density=20),
     }
 )
-"""Kinds of table that training never sees."""
+"""Kinds of table that training does not use."""

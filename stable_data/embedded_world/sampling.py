@@ -1,7 +1,7 @@
-"""Tasks from nowhere: a table, what would stand on it, and an instruction that makes sense there; the scene itself is thrown away.
+"""Samples tasks without a scene: a table and an instruction for objects that would fit on it.
 
-A composition is drawn as for a scene of the embedded world, and told about as it was placed. Nothing is settled or judged,
-which is what takes the time: a generator of scenes asks for nothing but the words and the table.
+A composition is drawn as for a scene of the embedded world and described as it was placed. Settling and checking take most of the
+time of a scene and are left out, because a generator of scenes needs only the instruction and the table.
 """
 
 from dataclasses import replace
@@ -18,24 +18,24 @@ from stable_data.instructions import derive_task
 from stable_data.scene import Scene, Tabletop
 from stable_data.scene_graph.relations import scene_graph, supports
 
-_STREAM = 7  # apart from those that scenes of the same seed and number are drawn from
+_STREAM = 7  # makes the random stream differ from that of the scene with the same seed and number
 _ATTEMPTS = 30
 
 
 def sample_task(number: int, seed: int = 0, tables: tuple[str, ...] = ()) -> tuple[Tabletop, str]:
-    """A table and an instruction.
+    """Samples a table and an instruction.
 
     Args:
-        number: Which task; kinds of table take turns as they do among scenes.
-        seed: Which set.
-        tables: Kinds of table to take in turn; all of them where empty.
+        number: Number of the task; kinds of table take turns as for scenes.
+        seed: Seed of the set.
+        tables: Kinds of table to use in turn; all kinds if empty.
 
     Returns:
-        The same for the same arguments; no composition of the embedded world's scenes is used again.
+        The table and the instruction, the same for the same arguments; no composition of a scene is used again.
 
     Raises:
-        ConfigError: A kind of table is not known (``unknown_table``).
-        SceneError: No composition had enough room (``synth_failed``).
+        ConfigError: A kind of table is unknown (``unknown_table``).
+        SceneError: No composition has enough objects (``synth_failed``).
     """
     table_type = table_type_of(number, tables)
     plan = plan_of(table_type)
@@ -45,10 +45,10 @@ def sample_task(number: int, seed: int = 0, tables: tuple[str, ...] = ()) -> tup
         placed = compose(plan, table, GroupSampler(rng), draw_scene_number(plan, table, rng), MOST)
         if len(placed) < FEWEST:
             continue
-        names = instance_names([thing.asset.category for thing in placed])
-        objects = tuple(replace(lower_object(thing), instance=name) for name, thing in zip(names, placed, strict=True))
+        names = instance_names([obj.asset.category for obj in placed])
+        objects = tuple(replace(lower_object(obj), instance=name) for name, obj in zip(names, placed, strict=True))
         scene = Scene(scene_id_of(number, tables), table, objects)
-        containers = {name: thing.asset.hollow is not None for name, thing in zip(names, placed, strict=True)}
+        containers = {name: obj.asset.hollow is not None for name, obj in zip(names, placed, strict=True)}
         carriers = supports(scene, {}, containers=containers)
         graph = scene_graph(scene, {name: (carrier,) for name, carrier in carriers.items() if carrier}, containers=containers)
         return table, derive_task(scene, graph, rng).task

@@ -1,4 +1,4 @@
-"""Scenes of the embedded world: composed, settled, and kept once they are at rest and clean."""
+"""Scenes of the embedded world: composed, settled and accepted when they are at rest and clean."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -19,25 +19,25 @@ from stable_data.scene import TABLE, RelationKind, Scene, Tabletop
 from stable_data.scene_graph.relations import SceneGraph, scene_graph
 
 FEWEST, MOST = 4, 30
-"""Objects in a scene."""
+"""Fewest and most objects of a scene."""
 
 RECORD = "synth"
-"""Key of layout.json under which a scene says how it was made."""
+"""Key of layout.json under which a scene records how it was made."""
 
 _ATTEMPTS = 30
-_MENDINGS = 5  # times that a composition may lose what does not stay or is not clean
-_SPREAD = 0.4  # of the number of objects around a table's own mean, as a share of it
-_SINK = (0.34, 0.66, 0.2, 0.84)  # of the table's width and depth
-_UNSEEN_EVERY = 25  # one scene in so many stands on a kind of table that training never sees
+_MAX_REMOVALS = 5  # rounds in which failed groups may be removed from a composition
+_SPREAD = 0.4  # standard deviation of the logarithm of the number of objects
+_SINK = (0.34, 0.66, 0.2, 0.84)  # x_min, x_max, y_min, y_max of a sink, shares of the width and depth of the table
+_UNSEEN_EVERY = 25  # every 25th scene stands on a kind of table that training never sees
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EmbeddedScene:
-    """A scene at rest and what it was made from.
+    """A scene at rest with its placed objects.
 
     Attributes:
         scene: The scene, with a task info.
-        placed: The things, in the order of its objects.
+        placed: The placed objects, in the order of the scene's objects.
     """
 
     scene: Scene
@@ -45,10 +45,10 @@ class EmbeddedScene:
 
 
 def plan_of(table_type: str) -> TablePlan:
-    """The plan of a kind of table.
+    """Returns the plan of a kind of table.
 
     Raises:
-        ConfigError: There is no such kind (``unknown_table``).
+        ConfigError: The kind is unknown (``unknown_table``).
     """
     plans = {**TABLES, **UNSEEN_TABLES}
     if table_type not in plans:
@@ -57,7 +57,7 @@ def plan_of(table_type: str) -> TablePlan:
 
 
 def table_type_of(number: int, tables: Sequence[str] = ()) -> str:
-    """Scenes take the kinds of table in turn, and one in 25 a kind that training never sees; or those asked for."""
+    """The kind of table of a scene: the given kinds in turn, or all kinds, with every 25th scene on a kind that training never sees."""
     if tables:
         return tables[number % len(tables)]
     unseen = tuple(UNSEEN_TABLES)
@@ -74,45 +74,46 @@ def scene_id_of(number: int, tables: Sequence[str] = ()) -> str:
 def make_scene(number: int, seed: int = 0, tables: Sequence[str] = ()) -> EmbeddedScene:
     """Makes one scene.
 
-    Groups are composed and settled. What falls over, does not stay or is not clean is taken away with its group, and the rest
-    is settled again; where too little is left, another composition is drawn. The scene records both.
+    Groups are composed and settled. A group with an object that falls over, moves or is not clean is removed, and the rest is
+    settled again. If too few objects remain, another composition is drawn. The scene records the numbers of both.
 
     Args:
-        number: Which scene.
-        seed: Which set.
-        tables: Kinds of table to take in turn; all of them where empty.
+        number: Number of the scene.
+        seed: Seed of the set.
+        tables: Kinds of table to use in turn; all kinds if empty.
 
     Returns:
         The scene, the same for the same arguments.
 
     Raises:
-        ConfigError: A kind of table is not known (``unknown_table``).
-        SceneError: No attempt came out (``synth_failed``); the message says what went wrong how often.
+        ConfigError: A kind of table is unknown (``unknown_table``).
+        SceneError: No attempt succeeded (``synth_failed``); the message counts the reasons.
     """
     table_type = table_type_of(number, tables)
     plan, scene_id = plan_of(table_type), scene_id_of(number, tables)
     rejected: Counter[str] = Counter()
     for attempt in range(_ATTEMPTS):
+        # A stream per attempt: a scene does not depend on the draws of earlier attempts.
         rng = np.random.default_rng([seed, number, attempt])
         table = draw_table(table_type, plan, rng)
         placed = compose(plan, table, GroupSampler(rng), draw_scene_number(plan, table, rng), MOST)
-        made = _mended(scene_id, table, placed, rejected)
+        made = _remove_failed_groups(scene_id, table, placed, rejected)
         if made is None:
             rejected["too little left"] += 1
             continue
         record = {"seed": seed, "number": number, "attempt": attempt, "rejected": dict(sorted(rejected.items()))}
-        return _finished(*made, record)
+        return _with_task(*made, record)
     raise SceneError(
         f"{scene_id}: none of {_ATTEMPTS} compositions came to rest clean ({dict(rejected)}), expected one; use another seed",
         "synth_failed",
     )
 
 
-def _mended(
+def _remove_failed_groups(
     scene_id: str, table: Tabletop, placed: Sequence[PlacedObject], rejected: Counter[str]
 ) -> tuple[Scene, Audit, Sequence[PlacedObject]] | None:
-    """A composition without the groups that do not stay or are not clean; None where too little is left of it."""
-    for _ in range(_MENDINGS):
+    """Removes the groups of a composition that move or are not clean; None if too few objects remain."""
+    for _ in range(_MAX_REMOVALS):
         if len(placed) < FEWEST:
             return None
         settled = settle_objects(placed, table)
@@ -120,29 +121,31 @@ def _mended(
             rejected["blew up"] += 1
             return None
         objects, bad = settled
+        # Each check runs only if the previous ones find nothing.
         reason = "fell over or strayed"
         if not bad:
             scene = Scene(scene_id, table, objects)
-            judged = audit(scene, placed)
-            bad, reason = unclean_objects(judged), "not clean"
+            scene_audit = audit(scene, placed)
+            bad, reason = unclean_objects(scene_audit), "not clean"
         if not bad:
             bad, reason = unsteady_objects(scene, placed), "not at rest"
         if not bad:
-            return scene, judged, placed
+            return scene, scene_audit, placed
+        # A group without one of its objects is incomplete, so all of it is removed.
         groups = {placed[k].group for k in bad}
         rejected[reason] += len(groups)
-        placed = [thing for thing in placed if thing.group not in groups]
+        placed = [obj for obj in placed if obj.group not in groups]
     return None
 
 
 def draw_scene_number(plan: TablePlan, table: Tabletop, rng: np.random.Generator) -> int:
-    """How many things are to be put on a table."""
+    """Draws the number of objects for a table."""
     mean = plan.density * _free_area(table)
     return int(np.clip(round(mean * rng.lognormal(0.0, _SPREAD)), FEWEST + 1, MOST - 2))
 
 
 def draw_table(table_type: str, plan: TablePlan, rng: np.random.Generator) -> Tabletop:
-    """A table of a kind."""
+    """Draws a table of a kind."""
     width, depth = (round(float(rng.uniform(*bounds)), 3) for bounds in (plan.width, plan.depth))
     if not plan.has_sink:
         return Tabletop(table_type, (width, depth))
@@ -153,30 +156,30 @@ def draw_table(table_type: str, plan: TablePlan, rng: np.random.Generator) -> Ta
 
 
 def _free_area(table: Tabletop) -> float:
-    """Square metres."""
+    """The area outside the restricted zone, square metres."""
     zone = table.restricted_zone
     taken = 0.0 if zone is None else (zone[1] - zone[0]) * (zone[3] - zone[2])
     return table.size_xy[0] * table.size_xy[1] - taken
 
 
-def graph_of(scene: Scene, judged: Audit, placed: Sequence[PlacedObject]) -> SceneGraph:
-    """The scene graph of a judged scene."""
-    contacts = {o.instance: o.supports for o in judged.objects}
-    containers = {o.instance: thing.asset.hollow is not None for o, thing in zip(scene.objects, placed, strict=True)}
+def graph_of(scene: Scene, scene_audit: Audit, placed: Sequence[PlacedObject]) -> SceneGraph:
+    """The scene graph of an audited scene."""
+    contacts = {o.instance: o.supports for o in scene_audit.objects}
+    containers = {o.instance: obj.asset.hollow is not None for o, obj in zip(scene.objects, placed, strict=True)}
     return scene_graph(scene, contacts, containers=containers)
 
 
-def _finished(scene: Scene, judged: Audit, placed: Sequence[PlacedObject], record: dict[str, Any]) -> EmbeddedScene:
-    """The scene with a task that makes sense in it, by pattern, and with the record of how it was made."""
-    graph = graph_of(scene, judged, placed)
+def _with_task(scene: Scene, scene_audit: Audit, placed: Sequence[PlacedObject], record: dict[str, Any]) -> EmbeddedScene:
+    """Adds a derived task and the record of how the scene was made."""
+    graph = graph_of(scene, scene_audit, placed)
     kinds = Counter(kind for _, target, kind in graph.edges(keys=True) if target != TABLE)
-    record["keys"] = [thing.item.key for thing in placed]
+    record["keys"] = [obj.item.key for obj in placed]
     nested = {"stacked": kinds[RelationKind.ON], "contained": kinds[RelationKind.IN], "depth": _depth(graph)}
     task = derive_task(scene, graph, task_rng(scene.scene_id))
     return EmbeddedScene(replace(scene, task=task, source={RECORD: record | nested}), tuple(placed))
 
 
 def _depth(graph: SceneGraph) -> int:
-    """Longest chain of things in or on things: 1 for what stands on the table alone."""
-    kept = [(a, b) for a, b, kind in graph.edges(keys=True) if kind in (RelationKind.ON, RelationKind.IN)]
-    return int(nx.dag_longest_path_length(nx.DiGraph(kept)))
+    """Length of the longest support chain: 1 for an object that stands on the table."""
+    links = [(a, b) for a, b, kind in graph.edges(keys=True) if kind in (RelationKind.ON, RelationKind.IN)]
+    return int(nx.dag_longest_path_length(nx.DiGraph(links)))

@@ -1,4 +1,4 @@
-"""What a set looks like in figures: objects, sizes, tilts, stacking, near-duplicates; beside those known of MesaTask-10K."""
+"""Statistics of a set: objects, sizes, tilts, stacking and near-duplicates, beside the known values of MesaTask-10K."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,8 +12,8 @@ from stable_data.embedded_world.scenes import RECORD
 from stable_data.scene import FloatArray, Scene
 
 _TILTED = 1.0  # degrees
-_UNEVEN = 1.02  # largest factor of a scale over the smallest
-_SAME = 0.02  # positions nearer than this are the same place, metres
+_UNEVEN = 1.02  # largest component of a scale over the smallest
+_SAME = 0.02  # largest distance of two objects at the same place, metres
 
 MESATASK: Mapping[str, str] = MappingProxyType(
     {
@@ -27,26 +27,26 @@ MESATASK: Mapping[str, str] = MappingProxyType(
         "objects scaled unevenly by more than 2 %": "16 % ¹",
     }
 )
-"""What is known of MesaTask-10K, from its paper; ¹: office tables alone, a sample of 162."""
+"""Known values of MesaTask-10K, from its paper; ¹: office tables only, a sample of 162."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneCounts:
-    """What one scene adds to the figures.
+    """The counts of one scene for the statistics.
 
     Attributes:
         scene_id: The scene.
-        table_type: Its kind of table.
+        table_type: Kind of table.
         table_size: Width and depth, metres.
-        categories: Of its objects, sorted.
-        positions: Of its objects in the order of ``categories``, (N, 3) float64, metres.
+        categories: Categories of the objects, sorted.
+        positions: Positions of the objects in the order of ``categories``, (N, 3) float64, metres.
         longest: Longest side of each object, metres.
         assets: Asset ids.
         num_tilted: Objects tilted by more than 1 degree.
         num_uneven: Objects whose scale differs between axes by more than 2 %.
-        num_stacked: Objects on another one, as recorded.
-        num_contained: Objects in another one, as recorded.
-        depth: Longest chain of things in or on things, as recorded.
+        num_stacked: Objects on another object, as recorded.
+        num_contained: Objects in another object, as recorded.
+        depth: Length of the longest support chain, as recorded.
     """
 
     scene_id: str
@@ -64,7 +64,7 @@ class SceneCounts:
 
 
 def count_scene(scene: Scene) -> SceneCounts:
-    """What a scene of the embedded world adds to the figures."""
+    """Counts a scene of the embedded world."""
     objects = sorted(scene.objects, key=lambda o: (o.category, o.position))
     record = (scene.source or {}).get(RECORD, {})
     return SceneCounts(
@@ -84,7 +84,7 @@ def count_scene(scene: Scene) -> SceneCounts:
 
 
 def summarise_counts(scenes: Sequence[SceneCounts]) -> dict[str, str]:
-    """The figures of a set, by name."""
+    """The statistics of a set by name, as text."""
     count = np.array([len(s.categories) for s in scenes])
     num_objects = int(count.sum())
     width, depth = 100 * np.array([s.table_size for s in scenes]).T
@@ -115,13 +115,13 @@ def _range(values: FloatArray) -> str:
 
 
 def _share(flags: Iterable[bool]) -> str:
-    told = list(flags)
-    share = 100 * sum(told) / len(told)
+    values = list(flags)
+    share = 100 * sum(values) / len(values)
     return f"{share:.0f} %" if share >= 10 or share == 0 else f"{share:.2g} %"
 
 
 def near_duplicates(scenes: Sequence[SceneCounts]) -> frozenset[str]:
-    """Scenes that have a twin: the same categories, each object within 2 cm of its counterpart."""
+    """Scenes that have a near-duplicate: the same categories, each object within 2 cm of its counterpart."""
     alike: dict[tuple[str, tuple[str, ...]], list[SceneCounts]] = defaultdict(list)
     for scene in scenes:
         alike[scene.table_type, scene.categories].append(scene)
@@ -137,39 +137,24 @@ def near_duplicates(scenes: Sequence[SceneCounts]) -> frozenset[str]:
 def _is_same(one: SceneCounts, other: SceneCounts) -> bool:
     distance = np.linalg.norm(one.positions[:, None] - other.positions[None], axis=2)
     differs = np.array(one.categories)[:, None] != np.array(other.categories)[None]
+    # The large cost prevents matches between different categories.
     rows, columns = linear_sum_assignment(np.where(differs, 1e3, distance))
     return bool(distance[rows, columns].max(initial=0.0) < _SAME and not differs[rows, columns].any())
 
 
 def dataset_card(scenes: Sequence[SceneCounts], sheet: str | None = None) -> str:
-    """The dataset card, Markdown: the figures beside MesaTask-10K's, tables, categories, and a link to a sheet of pictures."""
-    lines = [
-        "# A set of the embedded world",
-        "",
-        "Made by `stable-data synth`; every scene is at rest and clean. Licence: Apache-2.0.",
-        "",
-    ]
+    """The dataset card, Markdown: the statistics beside MesaTask-10K's, tables, categories and a link to a picture sheet."""
+    lines = ["# A set of the embedded world", ""]
+    lines += ["Made by `stable-data synth`; every scene is at rest and clean. Licence: Apache-2.0.", ""]
     lines += ["| | this set | MesaTask-10K |", "|---|---|---|"]
     lines += [f"| {name} | {value} | {MESATASK.get(name, 'not known')} |" for name, value in summarise_counts(scenes).items()]
-    lines += [
-        "",
-        "¹ Only office tables: a sample of 162.",
-        "",
-        "## Kinds of table",
-        "",
-        "| table | scenes | objects per scene |",
-    ]
-    lines += ["|---|---|---|"]
-    for table_type, found in sorted(_by_table(scenes).items()):
-        lines.append(f"| {table_type} | {len(found)} | {np.mean([len(s.categories) for s in found]):.1f} |")
+    lines += ["", "¹ Only office tables: a sample of 162.", ""]
+    lines += ["## Kinds of table", "", "| table | scenes | objects per scene |", "|---|---|---|"]
+    counts: dict[str, list[int]] = defaultdict(list)
+    for scene in scenes:
+        counts[scene.table_type].append(len(scene.categories))
+    lines += [f"| {table_type} | {len(found)} | {np.mean(found):.1f} |" for table_type, found in sorted(counts.items())]
     lines += ["", f"![scenes of the set]({sheet})"] if sheet else []
     uses = Counter(c for s in scenes for c in s.categories)
     lines += ["", "## Categories", "", ", ".join(f"{category} {count}" for category, count in uses.most_common()), ""]
     return "\n".join(lines)
-
-
-def _by_table(scenes: Sequence[SceneCounts]) -> dict[str, list[SceneCounts]]:
-    found: dict[str, list[SceneCounts]] = defaultdict(list)
-    for scene in scenes:
-        found[scene.table_type].append(scene)
-    return found

@@ -1,4 +1,4 @@
-"""The embedded world as a folder in the MesaTask-10K format: its library, its scenes, and what it was made with."""
+"""The embedded world as a folder in the MesaTask-10K format: asset library, scenes, edits and a manifest of the settings."""
 
 import json
 import shutil
@@ -15,7 +15,7 @@ from PIL import Image
 from stable_data import __version__
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.config_diff import refuse_changed
-from stable_data.embedded_world.drafting import KINDS
+from stable_data.embedded_world.drafting import kinds_in_turn
 from stable_data.embedded_world.edits import SceneEdit, make_edit
 from stable_data.embedded_world.families.catalogue import KEYS, LICENCE, asset, unit_cube
 from stable_data.embedded_world.scenes import RECORD, EmbeddedScene, make_scene, plan_of, scene_id_of, table_type_of
@@ -31,10 +31,10 @@ from stable_data.mesatask.writing import LAYOUT_FOLDER, write_annotations, write
 from stable_data.simulation.render import FRONT_SIZE, contact_sheet, render_scene
 
 TABLE_UID = "3cc47c3f78d34985bf4314de2f8196dd"
-"""What the format calls its table top: a unit cube."""
+"""Asset id of the table top in the format: a unit cube."""
 
 SINK_UID = "sink_cube"
-"""What the format calls its sink: a unit cube."""
+"""Asset id of the sink in the format: a unit cube."""
 
 MANIFEST_FILE = "synth.json"
 FAILURES_FOLDER = "synth_failures"
@@ -43,22 +43,22 @@ EDIT_FOLDER, EDIT_FILE, EDITS_FILE = "Edit_info", "edit.json", "edits.jsonl"
 SHEET_FILE = "sheet.png"
 
 _NUM_ON_SHEET, _SHEET_PICTURE = 60, (256, 256)
-_EDIT_STREAM = 1_000_003  # no scene is drawn from this attempt
+_EDIT_STREAM = 1_000_003  # larger than any attempt number of a scene, so that the random streams differ
 
 Progress = Callable[[int], None]
-"""Told after every scene how many are done."""
+"""Called after each scene with the number of finished scenes."""
 
 
 @dataclass(frozen=True, slots=True)
 class EmbeddedWorld:
-    """What scenes of the embedded world depend on, beside their number.
+    """The settings that determine the scenes of a set, together with their numbers.
 
     Attributes:
-        seed: Any whole number from 0 on.
-        tables: Kinds of table to take in turn; all of them where empty.
-        pictures: Draw front.png.
-        edits: Write an edit of every scene, where one can be made.
-        whole_library: Write every asset of the catalogue; else only those that the scenes use.
+        seed: A whole number, at least 0.
+        tables: Kinds of table to use in turn; all kinds if empty.
+        pictures: Whether to render front.png.
+        edits: Whether to write an edit for each scene that allows one.
+        whole_library: Whether to write all assets of the catalogue instead of only those in use.
     """
 
     seed: int = 0
@@ -74,29 +74,29 @@ class EmbeddedWorld:
             plan_of(table_type)
 
     def scene_folder(self, out: Path, number: int) -> Path:
-        """Where a scene lies."""
+        """The folder of a scene."""
         return out / LAYOUT_FOLDER / table_type_of(number, self.tables) / scene_id_of(number, self.tables)
 
 
 def write_world(
     out: Path, num_scenes: int = 24, world: EmbeddedWorld = EmbeddedWorld(), progress: Progress | None = None
 ) -> list[SceneError]:
-    """Writes a set of the embedded world, or what is missing of it.
+    """Writes a set of the embedded world, or its missing scenes.
 
-    Scene k depends on the world and k alone. A folder appears whole or not at all, and one that exists is left alone.
+    Scene k depends only on the settings and on k. A scene folder is written in one step; an existing one is not changed.
 
     Args:
-        out: The folder, in the MesaTask-10K format once written.
-        num_scenes: How many scenes.
-        world: What they depend on.
-        progress: Called after every scene.
+        out: The output folder, in the MesaTask-10K format.
+        num_scenes: Number of scenes.
+        world: The settings.
+        progress: Called after each scene.
 
     Returns:
-        The scenes that could not be made, with the reason; each is also a file in ``synth_failures``.
+        An error for each scene that could not be made; each is also a file in ``synth_failures``.
 
     Raises:
-        ConfigError: The folder cannot be written (``out_not_writable``), holds something else (``not_a_world``), or the set was
-            begun with another seed or other tables (``config_changed``); or the numbers make no sense (``invalid_count``).
+        ConfigError: The folder cannot be written (``out_not_writable``), contains other files (``not_a_world``) or a set with other
+            settings (``config_changed``); or a number is out of range (``invalid_count``).
     """
     open_world(out, num_scenes, world)
     failures = write_scenes(out, range(num_scenes), world, progress)
@@ -105,7 +105,7 @@ def write_world(
 
 
 def open_world(out: Path, num_scenes: int, world: EmbeddedWorld) -> None:
-    """Makes a folder ready for scenes: checks what it holds, writes the library and what the set is made with."""
+    """Prepares a folder for scenes: checks its contents and writes the library and the manifest."""
     if num_scenes < 1:
         raise ConfigError(f"the number of scenes is {num_scenes}, expected at least 1", "invalid_count")
     wanted = _manifest(world)
@@ -126,10 +126,10 @@ def open_world(out: Path, num_scenes: int, world: EmbeddedWorld) -> None:
 
 
 def write_scenes(out: Path, numbers: Iterable[int], world: EmbeddedWorld, progress: Progress | None = None) -> list[SceneError]:
-    """Writes some scenes of a set that :func:`open_world` made ready; those that are there are left alone.
+    """Writes some scenes of a set that :func:`open_world` prepared; existing scenes are not changed.
 
     Returns:
-        The scenes that could not be made.
+        An error for each scene that could not be made.
 
     Raises:
         ConfigError: The folder cannot be written (``out_not_writable``).
@@ -148,33 +148,28 @@ def write_scenes(out: Path, numbers: Iterable[int], world: EmbeddedWorld, progre
 
 
 def _write_one(out: Path, number: int, world: EmbeddedWorld) -> SceneError | None:
-    """Writes a scene and its edit, unless they are there; the edit first, so that a scene that is there has one."""
+    """Writes a scene and its edit if they are missing; the edit first, so that an existing scene always has its edit."""
     folder = world.scene_folder(out, number)
     if (folder / LAYOUT_FILE).is_file():
         return None
     try:
-        made = make_scene(number, world.seed, world.tables)
+        embedded = make_scene(number, world.seed, world.tables)
     except SceneError as error:
-        _keep_failure(out, folder.name, error)
+        _write_failure(out, folder.name, error)
         return error
+    # The stream of the edit differs from those of the attempts at the scene.
     if world.edits:
-        edit = make_edit(made, np.random.default_rng([world.seed, number, _EDIT_STREAM]), _kinds_of(number))
+        edit = make_edit(embedded, np.random.default_rng([world.seed, number, _EDIT_STREAM]), kinds_in_turn(number))
         if edit is not None:
             _write_edit(out, edit, pictures=world.pictures)
-    _write_whole(out, folder, made, pictures=world.pictures)
+    _write_scene_folder(out, folder, embedded, pictures=world.pictures)
     return None
-
-
-def _kinds_of(number: int) -> tuple[str, ...]:
-    """Scenes take the kinds of edit in turn; where one cannot be made, the next."""
-    first = number % len(KINDS)
-    return (*KINDS[first:], *KINDS[:first])
 
 
 def _write_edit(out: Path, edit: SceneEdit, *, pictures: bool) -> None:
     """Writes the edited scene into ``Edit_info``, with ``edit.json`` beside its layout."""
     table_type = edit.before.table.table_type
-    told = {
+    record = {
         "scene_id": edit.before.scene_id,
         "edited": edit.after.scene_id,
         "kind": edit.kind,
@@ -183,12 +178,12 @@ def _write_edit(out: Path, edit: SceneEdit, *, pictures: bool) -> None:
         "removed": edit.removed,
         "moved": edit.moved,
     }
-    made = EmbeddedScene(edit.after, edit.placed)
-    _write_whole(out, out / EDIT_FOLDER / table_type / edit.after.scene_id, made, pictures=pictures, beside={EDIT_FILE: told})
+    folder = out / EDIT_FOLDER / table_type / edit.after.scene_id
+    _write_scene_folder(out, folder, EmbeddedScene(edit.after, edit.placed), pictures=pictures, beside={EDIT_FILE: record})
 
 
 def close_world(out: Path, world: EmbeddedWorld) -> None:
-    """Writes what is said of the whole set: its card (``README.md``), a sheet of pictures, the annotations, ``edits.jsonl``."""
+    """Writes the files about the whole set: the dataset card (``README.md``), a picture sheet, the annotations, ``edits.jsonl``."""
     dataset = MesaTaskDataset(out)
     scenes = [count_scene(dataset.read(scene_id)[0]) for scene_id in dataset.scene_ids]
     edits = sorted((out / EDIT_FOLDER).glob(f"*/*/{EDIT_FILE}"))
@@ -205,7 +200,8 @@ def close_world(out: Path, world: EmbeddedWorld) -> None:
 
 
 def _write_sheet(out: Path) -> bool:
-    """Draws an even choice of the pictures on one sheet; gives whether there are any."""
+    """Draws an even selection of the pictures on one sheet; returns whether there are any."""
+    # Every n-th picture, n rounded up, so that the sheet has at most _NUM_ON_SHEET pictures.
     paths = sorted((out / LAYOUT_FOLDER).glob("*/*/front.png"))
     chosen = paths[:: -(-len(paths) // _NUM_ON_SHEET)] if paths else []
     images = [np.asarray(Image.open(path, formats=("PNG",)).convert("RGB").resize(_SHEET_PICTURE)) for path in chosen]
@@ -215,7 +211,7 @@ def _write_sheet(out: Path) -> bool:
 
 
 def used_keys(out: Path) -> set[str]:
-    """Assets that the scenes and edits of a set use, by their keys, from their records."""
+    """Keys of the assets that the scenes and edits of a set use, from their records."""
     found: set[str] = set()
     for folder in (LAYOUT_FOLDER, EDIT_FOLDER):
         for path in (out / folder).glob(f"*/*/{LAYOUT_FILE}"):
@@ -224,8 +220,9 @@ def used_keys(out: Path) -> set[str]:
 
 
 def _manifest(world: EmbeddedWorld) -> dict[str, Any]:
+    # These settings must be equal when a set is continued.
     settings = asdict(world)
-    settings.pop("pictures")  # shapes no scene
+    settings.pop("pictures")  # pictures do not change the scenes
     return {"made_by": f"stable-data {__version__}", "num_assets": len(KEYS), **settings, "tables": list(world.tables)}
 
 
@@ -244,16 +241,16 @@ def _unwritable(out: Path, error: OSError) -> ConfigError:
     return ConfigError(f"{out} cannot be written: {error.strerror or error}; choose another folder", "out_not_writable")
 
 
-def _keep_failure(out: Path, name: str, error: SceneError) -> None:
+def _write_failure(out: Path, name: str, error: SceneError) -> None:
     folder = out / FAILURES_FOLDER
     folder.mkdir(exist_ok=True)
     (folder / f"{name}.json").write_text(json.dumps({"code": error.code, "message": str(error)}, indent=2) + "\n", "utf-8")
 
 
 def write_library(out: Path, keys: Iterable[str]) -> None:
-    """Writes assets of the catalogue, where they are missing, then the annotations of all that are there."""
+    """Writes the missing ones of some assets, then the annotations of these assets."""
     cube = write_glb(unit_cube())
-    annotations = dict(_cube_annotations())
+    annotations = _cube_annotations()
     for uid in annotations:
         write_asset(out, uid, cube)
     for key in keys:
@@ -264,53 +261,42 @@ def write_library(out: Path, keys: Iterable[str]) -> None:
     write_annotations(out, annotations)
 
 
-def _cube_annotations() -> list[tuple[str, AssetAnnotation]]:
-    """The table top and the sink are no objects: they are marked as not standing on a table."""
+def _cube_annotations() -> dict[str, AssetAnnotation]:
+    """Annotations of the table top and the sink, marked as not standing on a table."""
     words = ((TABLE_UID, "table", "A table top."), (SINK_UID, "sink", "A sink."))
-    return [
-        (
-            uid,
-            AssetAnnotation(
-                uid,
-                category,
-                text.rstrip(".").lower(),
-                text,
-                "synth",
-                on_table=False,
-                extents_z_up=(1.0, 1.0, 1.0),
-                raw={"licence": LICENCE},
-            ),
-        )
-        for uid, category, text in words
-    ]
+    extents, raw = (1.0, 1.0, 1.0), {"licence": LICENCE}
+    return {
+        uid: AssetAnnotation(uid, name, text.rstrip(".").lower(), text, "synth", on_table=False, extents_z_up=extents, raw=raw)
+        for uid, name, text in words
+    }
 
 
-def _write_whole(
-    out: Path, folder: Path, made: EmbeddedScene, *, pictures: bool, beside: Mapping[str, Mapping[str, Any]] | None = None
+def _write_scene_folder(
+    out: Path, folder: Path, embedded: EmbeddedScene, *, pictures: bool, beside: Mapping[str, Mapping[str, Any]] | None = None
 ) -> None:
-    """Writes a scene's folder aside, with other JSON files beside its layout, and puts it in place in one step."""
+    """Writes a scene folder with additional JSON files in one step: into a temporary folder that is then renamed."""
     folder.parent.mkdir(parents=True, exist_ok=True)
-    for thing in made.placed:
-        if not (out / LIBRARY_FOLDER / f"{thing.asset.uid}.glb").is_file():
-            write_asset(out, thing.asset.uid, thing.asset.glb)
-    aside = Path(tempfile.mkdtemp(prefix=".scene_", dir=out))
+    for obj in embedded.placed:
+        if not (out / LIBRARY_FOLDER / f"{obj.asset.uid}.glb").is_file():
+            write_asset(out, obj.asset.uid, obj.asset.glb)
+    temporary = Path(tempfile.mkdtemp(prefix=".scene_", dir=out))
     try:
-        extents = {thing.asset.uid: thing.asset.file_extents for thing in made.placed}
-        written = write_scene(aside, made.scene, render_preview(made) if pictures else None, extents=extents)
+        extents = {obj.asset.uid: obj.asset.file_extents for obj in embedded.placed}
+        written = write_scene(temporary, embedded.scene, render_preview(embedded) if pictures else None, extents=extents)
         for name, content in (beside or {}).items():
             (written / name).write_text(json.dumps(content, indent=2) + "\n", "utf-8")
-        if folder.exists():  # left by a hand, without a layout
+        if folder.exists():  # a folder without a layout, not written by this module
             shutil.rmtree(folder)
         written.replace(folder)
     finally:
-        shutil.rmtree(aside, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
-def render_preview(made: EmbeddedScene, size: tuple[int, int] = FRONT_SIZE) -> bytes | None:
-    """The front view as PNG, in the colours of its things; None where the machine cannot draw."""
-    paints = [thing.asset.paint for thing in made.placed]
+def render_preview(embedded: EmbeddedScene, size: tuple[int, int] = FRONT_SIZE) -> bytes | None:
+    """The front view as PNG, with the colours of the assets; None if the machine cannot render."""
+    paints = [obj.asset.paint for obj in embedded.placed]
     try:
-        image = render_scene(made.scene, yaw_frame_meshes(made), size=size, colors=paints)
+        image = render_scene(embedded.scene, yaw_frame_meshes(embedded), size=size, colors=paints)
     except ConfigError as error:
         if error.code != "no_gl":
             raise
@@ -320,8 +306,8 @@ def render_preview(made: EmbeddedScene, size: tuple[int, int] = FRONT_SIZE) -> b
     return stream.getvalue()
 
 
-def yaw_frame_meshes(made: EmbeddedScene) -> Sequence[Mesh | None]:
-    """The mesh of every object, metres, yaw frame, centred on its box."""
-    pairs = zip(made.scene.objects, made.placed, strict=True)
-    shapes = [Shape.from_mesh(thing.asset.mesh, thing.item.scale, o.tilt_quat_xyzw) for o, thing in pairs]
+def yaw_frame_meshes(embedded: EmbeddedScene) -> Sequence[Mesh | None]:
+    """The mesh of each object, metres, yaw frame, centred on its box."""
+    pairs = zip(embedded.scene.objects, embedded.placed, strict=True)
+    shapes = [Shape.from_mesh(obj.asset.mesh, obj.item.scale, o.tilt_quat_xyzw) for o, obj in pairs]
     return [Mesh(shape.vertices, shape.faces) for shape in shapes]

@@ -1,8 +1,7 @@
-"""The families of the embedded world, room by room.
+"""The families of the embedded world, ordered by room.
 
-A module holds the families of one kind of thing, one function for each, and lists them in ``FAMILIES``. Lengths are metres;
-every solid stands on z = 0 and faces -y. What several modules share: ``vessels``, ``displays``, ``wording``, ``palette``,
-``tables``.
+Each module defines the families of one kind of object: one design function per category, listed in ``FAMILIES``. Lengths are
+metres; every solid rests on z = 0 and faces -y. Several modules share ``vessels``, ``displays``, ``wording`` and ``palette``.
 """
 
 from stable_data.embedded_world.families import (
@@ -39,40 +38,16 @@ from stable_data.embedded_world.families import (
     vehicles,
     washing,
 )
+from stable_data.embedded_world.modelling.family import Drawing
 
-FAMILIES = (
-    *drinkware.FAMILIES,
-    *dishes.FAMILIES,
-    *serving.FAMILIES,
-    *cutlery.FAMILIES,
-    *bottles.FAMILIES,
-    *groceries.FAMILIES,
-    *boxes.FAMILIES,
-    *pots.FAMILIES,
-    *utensils.FAMILIES,
-    *appliances.FAMILIES,
-    *fruit.FAMILIES,
-    *vegetables.FAMILIES,
-    *baking.FAMILIES,
-    *paper.FAMILIES,
-    *pens.FAMILIES,
-    *office.FAMILIES,
-    *clocks.FAMILIES,
-    *computers.FAMILIES,
-    *devices.FAMILIES,
-    *sound.FAMILIES,
-    *lamps.FAMILIES,
-    *washing.FAMILIES,
-    *grooming.FAMILIES,
-    *makeup.FAMILIES,
-    *personal.FAMILIES,
-    *candles.FAMILIES,
-    *plants.FAMILIES,
-    *figures.FAMILIES,
-    *ornaments.FAMILIES,
-    *vehicles.FAMILIES,
-    *toys.FAMILIES,
-    *games.FAMILIES,
-)
+# The order of the modules and of their families is the order of the catalogue's keys: append, do not sort.
+_MODULES = (
+    drinkware, dishes, serving, cutlery, bottles, groceries, boxes, pots, utensils, appliances, fruit,
+    vegetables, baking, paper, pens, office, clocks, computers, devices, sound, lamps, washing, grooming,
+    makeup, personal, candles, plants, figures, ornaments, vehicles, toys, games,
+)  # fmt: skip
+
+FAMILIES: tuple[Drawing, ...] = tuple(design for module in _MODULES for design in module.FAMILIES)
+"""The design function of every category; its name is the category."""
 
 __all__ = ["FAMILIES"]

@@ -1,11 +1,10 @@
-"""What boils, toasts, mixes and weighs on a kitchen counter."""
+"""Kitchen appliances: kettles, toasters, blenders, coffee makers, scales."""
 
 import math
 
-from stable_data.embedded_world.families.tables import KITCHEN
 from stable_data.embedded_world.families.vessels import angular_grip, lid_knob, pouring_lip
 from stable_data.embedded_world.families.wording import fix_articles, material_word, pick_words
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
+from stable_data.embedded_world.modelling.family import AssetDesign, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import arc_points, disc, scaled
 from stable_data.embedded_world.modelling.solids import Ring, Solid, bar, box, circle, join, lathe, loft, rectangle, slab
 
@@ -76,10 +75,8 @@ def blender(draw: VariantSampler) -> AssetDesign:
 
     jug = loft([ring(0.72 * r, low + 0.01), ring(r, low + h)]).painted("clear")
     collar, lid = lathe([(0.85 * r, low - 0.002), (0.78 * r, low + 0.022)]), loft([ring(x * r, low + h + z) for x, z in _LID])
-    cap, grip = (
-        disc(0.3 * r, 0.0, 0.032).moved(z=low + h + 0.012),
-        angular_grip(0.78 * r, low + 0.55 * h, 0.75 * r, 0.33 * h, 0.02, 0.014),
-    )
+    cap = disc(0.3 * r, 0.0, 0.032).moved(z=low + h + 0.012)
+    grip = angular_grip(0.78 * r, low + 0.55 * h, 0.75 * r, 0.33 * h, 0.02, 0.014)
     front, lean = -0.43 * w, math.degrees(math.atan(0.14 * w / low))
     knobs = (
         [(disc(0.022, 0.0, 0.018), 0.0)] if is_round else [(slab(0.018, 0.012, 0.008, 0.002), x) for x in (-0.03, 0.0, 0.03)]
@@ -101,9 +98,8 @@ def _drip_machine(w: float, trim: str) -> Solid:
     d, h, r, y = 1.2 * w, 1.7 * w, 0.34 * w, -0.19 * w
     body = _stand(w, d, h, 0.035, 0.3)
     jug = lathe([(0.9 * r, 0.034), (r, 0.05), (r, 0.034 + 0.2 * h), (0.7 * r, 0.034 + 0.42 * h)])
-    lid = lathe([(0.73 * r, 0.43 * h), (0.73 * r, 0.5 * h), (0.4 * r, 0.55 * h)]) + disc(0.3 * r, 0.0, 0.2 * h).moved(
-        z=0.53 * h
-    )
+    lid = lathe([(0.73 * r, 0.43 * h), (0.73 * r, 0.5 * h), (0.4 * r, 0.55 * h)])
+    lid += disc(0.3 * r, 0.0, 0.2 * h).moved(z=0.53 * h)
     grip = angular_grip(0.85 * r, 0.034 + 0.25 * h, 0.32 * w, 0.16 * h, 0.018, 0.012).turned(z=-40)
     lights = join([disc(0.009, 0.0, 0.006).turned(x=90).moved(x, -d / 2 + 0.001, 0.85 * h) for x in (-0.03, 0.0, 0.03)])
     return join([body, lights.painted(trim), jug.painted("amber").moved(y=y), (lid + grip).painted("black").moved(y=y)])
@@ -151,12 +147,8 @@ def _digital_scale(w: float) -> tuple[Solid, float, float, float]:
     d = 1.3 * w
     screen = slab(0.5 * w, 0.03, 0.003, 0.001).moved(0.0, -0.4 * d, 0.019).painted("olive")
     buttons = join([disc(0.007, 0.0, 0.003, 12).moved(x * w, -0.4 * d, 0.019) for x in (-0.36, 0.36)]).painted("grey")
-    return (
-        join([slab(w, d, 0.02, 0.005), screen, buttons, disc(0.13 * w, 0.0, 0.012).moved(0.0, 0.1 * d, 0.018)]),
-        0.45 * w,
-        0.1 * d,
-        0.034,
-    )
+    solid = join([slab(w, d, 0.02, 0.005), screen, buttons, disc(0.13 * w, 0.0, 0.012).moved(0.0, 0.1 * d, 0.018)])
+    return solid, 0.45 * w, 0.1 * d, 0.034
 
 
 def _dial_scale(w: float) -> tuple[Solid, float, float, float]:
@@ -190,10 +182,4 @@ def kitchen_scale(draw: VariantSampler) -> AssetDesign:
     return AssetDesign(body + pan.painted(plate), "electronics", color, captions, top=top, density=800.0)
 
 
-FAMILIES = (
-    AssetFamily("kettle", kettle, (KITCHEN,)),
-    AssetFamily("toaster", toaster, (KITCHEN,)),
-    AssetFamily("blender", blender, (KITCHEN,)),
-    AssetFamily("coffee_maker", coffee_maker, (KITCHEN,)),
-    AssetFamily("kitchen_scale", kitchen_scale, (KITCHEN,)),
-)
+FAMILIES = (kettle, toaster, blender, coffee_maker, kitchen_scale)

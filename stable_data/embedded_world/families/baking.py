@@ -5,9 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN, OFFICE
 from stable_data.embedded_world.families.wording import fix_articles, pick_words
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
+from stable_data.embedded_world.modelling.family import AssetDesign, VariantSampler
 from stable_data.embedded_world.modelling.shapes import BALL, Outline, disc, scaled, wedge
 from stable_data.embedded_world.modelling.solids import Ring, Solid, box, chain, circle, hull, join, lathe, loft, slab
 
@@ -264,13 +263,4 @@ def cookie(draw: VariantSampler) -> AssetDesign:
     return AssetDesign(solid, "food", color, (f"a {name}", f"sweet {name}", f"baked {name}, a biscuit"), density=550.0)
 
 
-FAMILIES = (
-    AssetFamily("bread", bread, (KITCHEN, DINING)),
-    AssetFamily("baguette", baguette, (KITCHEN, DINING)),
-    AssetFamily("bun", bun, (KITCHEN, DINING)),
-    AssetFamily("croissant", croissant, (KITCHEN, DINING)),
-    AssetFamily("cake", cake, (KITCHEN, DINING, COFFEE)),
-    AssetFamily("donut", donut, (KITCHEN, DINING, COFFEE, OFFICE)),
-    AssetFamily("muffin", muffin, (KITCHEN, DINING, COFFEE, OFFICE)),
-    AssetFamily("cookie", cookie, (KITCHEN, DINING, COFFEE)),
-)
+FAMILIES = (bread, baguette, bun, croissant, cake, donut, muffin, cookie)

@@ -1,9 +1,8 @@
 """Bottles and flasks, all closed."""
 
-from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN, OFFICE
 from stable_data.embedded_world.families.vessels import banded_lathe, round_handle
-from stable_data.embedded_world.families.wording import color_word, with_article
-from stable_data.embedded_world.modelling.family import EITHER, AssetDesign, AssetFamily, VariantSampler
+from stable_data.embedded_world.families.wording import color_word, fix_articles
+from stable_data.embedded_world.modelling.family import EITHER, AssetDesign, VariantSampler
 from stable_data.embedded_world.modelling.shapes import scaled
 from stable_data.embedded_world.modelling.solids import bar, join
 
@@ -78,10 +77,8 @@ def water_bottle(draw: VariantSampler) -> AssetDesign:
         loop = scaled([(-0.5, 0.97), (-0.4, 1.07), (0.4, 1.07), (0.5, 0.97)], radius, height)
         parts.append(bar(loop, 0.011, 0.004).painted(cap))
     name = color_word(color)
-    captions = (
-        f"{with_article(name)} {style} water bottle",
-        f"{name} drinking bottle with {with_article(cap)} cap",
-        f"{style} bottle of water",
+    captions = fix_articles(
+        f"a {name} {style} water bottle", f"{name} drinking bottle with a {cap} cap", f"{style} bottle of water"
     )
     return AssetDesign(join(parts), "plastic", color, captions, tilts=EITHER)
 
@@ -101,17 +98,10 @@ def thermos(draw: VariantSampler) -> AssetDesign:
         parts.append(
             round_handle((radius - 0.003, 0.2 * height), (radius - 0.003, 0.56 * height), 0.03, 0.014, 0.008).painted("black")
         )
-    captions = (
-        f"{with_article(color)} thermos{extra}",
-        f"{color} vacuum flask with {with_article(lid)} lid",
-        f"{color} flask for hot drinks",
+    captions = fix_articles(
+        f"a {color} thermos{extra}", f"{color} vacuum flask with a {lid} lid", f"{color} flask for hot drinks"
     )
     return AssetDesign(join(parts), "metal", color, captions, density=850.0)
 
 
-FAMILIES = (
-    AssetFamily("bottle", bottle, (DINING, COFFEE, KITCHEN)),
-    AssetFamily("sauce_bottle", sauce_bottle, (DINING, KITCHEN)),
-    AssetFamily("water_bottle", water_bottle, (DINING, COFFEE, KITCHEN, OFFICE)),
-    AssetFamily("thermos", thermos, (DINING, COFFEE, KITCHEN, OFFICE)),
-)
+FAMILIES = (bottle, sauce_bottle, water_bottle, thermos)

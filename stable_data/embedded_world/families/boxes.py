@@ -1,9 +1,8 @@
-"""Boxes, baskets and bags to keep things in."""
+"""Storage boxes, baskets and bags."""
 
-from stable_data.embedded_world.families.tables import BATHROOM, COFFEE, DINING, DRESSING, KITCHEN, OFFICE
 from stable_data.embedded_world.families.vessels import banded_box, banded_lathe, banded_vessel, cup, well
-from stable_data.embedded_world.families.wording import color_word, with_article
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
+from stable_data.embedded_world.families.wording import color_word, fix_articles
+from stable_data.embedded_world.modelling.family import AssetDesign, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import front_panel, scaled
 from stable_data.embedded_world.modelling.solids import Solid, bar, box, join, loft, rectangle, slab, vessel
 
@@ -39,10 +38,8 @@ def basket(draw: VariantSampler) -> AssetDesign:
     loop = bar([(-0.04, -0.02), (-0.036, 0.02), (-0.02, 0.034), (0.02, 0.034), (0.036, 0.02), (0.04, -0.02)], 0.007, 0.009)
     grips = [loop.turned(z=90 * side).moved(side * (end - wall / 2 - 0.001), 0.0, height).painted(weave) for side in (-1, 1)]
     shape = "round" if is_round else "oblong"
-    captions = (
-        f"{with_article(shape)} {word} basket with two handles",
-        f"open {word} basket",
-        f"{shape} basket for keeping things in",
+    captions = fix_articles(
+        f"a {shape} {word} basket with two handles", f"open {word} basket", f"{shape} basket for keeping things in"
     )
     return AssetDesign(join([solid, *grips]), "fabric", color, captions, hollow=hollow, density=260.0)
 
@@ -105,7 +102,7 @@ def gift_box(draw: VariantSampler) -> AssetDesign:
 
 
 def storage_bin(draw: VariantSampler) -> AssetDesign:
-    """An open box to keep things in, with a broad rim or a soft fold."""
+    """An open storage bin with a broad rim or a soft fold."""
     color, edge, word, material = draw.pick(
         ("grey", "#c4c8ca", "grey fabric", "fabric"), ("white", "white", "white plastic", "plastic"),
         ("teal", "cream", "teal fabric", "fabric"), ("oak", "oak", "wooden", "wood"),
@@ -148,7 +145,7 @@ def tin_box(draw: VariantSampler) -> AssetDesign:
         cover = _lid(wide, deep, rim, height)
         top = SupportArea(wide - 0.015, deep - 0.015, height)
     name = color_word(color)
-    captions = (f"{with_article(shape)} {name} {use} tin with a lid", f"{name} metal tin", f"closed {use} tin in {name}")
+    captions = fix_articles(f"a {shape} {name} {use} tin with a lid", f"{name} metal tin", f"closed {use} tin in {name}")
     return AssetDesign(body + cover.painted(lid), "tin", color, captions, top=top, density=420.0)
 
 
@@ -178,12 +175,4 @@ def paper_bag(draw: VariantSampler) -> AssetDesign:
     return AssetDesign(join([vessel(outer, inner), *grips, mark]), "paper", color, captions, hollow=hollow, density=400.0)
 
 
-FAMILIES = (
-    AssetFamily("basket", basket, (COFFEE, KITCHEN, DRESSING, BATHROOM)),
-    AssetFamily("crate", crate, (KITCHEN, COFFEE, OFFICE)),
-    AssetFamily("storage_box", storage_box, (OFFICE, DRESSING, BATHROOM, KITCHEN)),
-    AssetFamily("gift_box", gift_box, (COFFEE, DINING, OFFICE, DRESSING)),
-    AssetFamily("storage_bin", storage_bin, (OFFICE, DRESSING, BATHROOM, KITCHEN)),
-    AssetFamily("tin_box", tin_box, (KITCHEN, COFFEE, OFFICE)),
-    AssetFamily("paper_bag", paper_bag, (KITCHEN, OFFICE, COFFEE)),
-)
+FAMILIES = (basket, crate, storage_box, gift_box, storage_bin, tin_box, paper_bag)

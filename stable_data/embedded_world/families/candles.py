@@ -2,9 +2,8 @@
 
 import math
 
-from stable_data.embedded_world.families.tables import BATHROOM, COFFEE, DINING, DRESSING
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
-from stable_data.embedded_world.modelling.shapes import arc_points, rod, round_body, square_body
+from stable_data.embedded_world.modelling.family import AssetDesign, VariantSampler
+from stable_data.embedded_world.modelling.shapes import arc_points, rod, round_body, scaled, square_body
 from stable_data.embedded_world.modelling.solids import bar, box, join, slab, turned_vessel
 
 
@@ -33,11 +32,9 @@ def candle(draw: VariantSampler) -> AssetDesign:
     else:
         radius, height = (1.35 * radius, 0.65 * height) if style == "wide" else (radius, height)
         body = round_body([(radius, 0.0), (radius, height - 0.003), (radius - 0.003, height)])
-    spots = (
-        [(0.45 * radius * math.cos(a), 0.45 * radius * math.sin(a)) for a in (0.5, 2.6, 4.7)]
-        if style == "wide"
-        else [(0.0, 0.0)]
-    )
+    spots = [(0.0, 0.0)]
+    if style == "wide":
+        spots = [(0.45 * radius * math.cos(a), 0.45 * radius * math.sin(a)) for a in (0.5, 2.6, 4.7)]
     pools = [
         round_body([(0.009, height - 0.002), (0.009, height + 0.0008)], 16).painted("#f3ead2").moved(x, y) for x, y in spots
     ]
@@ -49,7 +46,7 @@ def candle(draw: VariantSampler) -> AssetDesign:
 
 
 def candlestick(draw: VariantSampler) -> AssetDesign:
-    """A candle in its stick: turned, short with a ring, or with three arms."""
+    """A candle in a candlestick: turned, short with a ring, or with three arms."""
     height, foot = draw.between(0.1, 0.15), draw.between(0.045, 0.054)
     style = draw.pick("turned", "plain", "three-armed", "turned", "chamber", "three-armed")
     color = draw.pick("gold", "black", "silver", "walnut", "copper", "white")
@@ -62,11 +59,9 @@ def candlestick(draw: VariantSampler) -> AssetDesign:
         parts.append(bar([(1.25 * foot + 0.012 + x, 0.024 + z) for x, z in ring], 0.008, 0.005, 8))
         parts.append(round_body([(0.016, 0.003), (0.015, height + 0.01)], 24))
     else:
-        knobs = (
-            [(0.008, 0.02), (0.016, 0.35), (0.008, 0.45), (0.008, 0.75), (0.015, 0.86)]
-            if style == "turned"
-            else [(0.008, 0.02)]
-        )
+        knobs = [(0.008, 0.02)]
+        if style == "turned":
+            knobs += [(0.016, 0.35), (0.008, 0.45), (0.008, 0.75), (0.015, 0.86)]
         profile = [(foot, 0.0), (foot, 0.006), (0.5 * foot, 0.014), *((r, 0.014 + z * (height - 0.02)) for r, z in knobs)]
         parts = [round_body([*profile, (0.009, height), (0.016, height + 0.005), (0.016, height + 0.018)], 32)]
     stick = round_body([(0.011, 0.0), (0.0095, tall), (0.005, tall + 0.003)], 16).painted(wax)
@@ -75,12 +70,7 @@ def candlestick(draw: VariantSampler) -> AssetDesign:
     if style == "three-armed":
         spots += [(-0.075, height - 0.004), (0.075, height - 0.004)]
         for side in (-1, 1):
-            path = [
-                (0.0, 0.62 * height),
-                (0.04 * side, 0.58 * height),
-                (0.07 * side, 0.72 * height),
-                (0.075 * side, height - 0.01),
-            ]
+            path = [*scaled([(0.0, 0.62), (0.04, 0.58), (0.07, 0.72)], side, height), (0.075 * side, height - 0.01)]
             parts.append(bar(path, 0.009, 0.009, 8))
             parts.append(
                 round_body([(0.006, height - 0.016), (0.016, height - 0.01), (0.016, height + 0.006)], 24).moved(0.075 * side)
@@ -102,12 +92,8 @@ def tea_light(draw: VariantSampler) -> AssetDesign:
     radius, height = draw.between(0.0185, 0.021), draw.between(0.014, 0.018)
     lip = height - 0.0015
     tin = round_body([(radius - 0.0005, 0.0), (radius - 0.0005, lip), (radius + 0.0008, lip), (radius + 0.0008, height)], 32)
-    tin = join(
-        [
-            tin.painted("silver"),
-            round_body([(radius - 0.002, height - 0.002), (radius - 0.002, height + 0.0008)], 24).painted(wax),
-        ]
-    )
+    tin = tin.painted("silver")
+    tin += round_body([(radius - 0.002, height - 0.002), (radius - 0.002, height + 0.0008)], 24).painted(wax)
     tin += round_body([(0.0015, height), (0.0013, height + 0.008)], 8).painted("black")
     if style == "bare":
         captions = (f"a small tea light with {wax} wax", f"{wax} tealight candle", "tea light in its tin cup")
@@ -125,13 +111,8 @@ def tea_light(draw: VariantSampler) -> AssetDesign:
         holder = turned_vessel([(0.9 * wide, 0.0), (1.6 * wide, 0.014)], [(0.95 * wide, 0.007), (1.6 * wide - 0.004, 0.014)])
     kind = {"glass": "glass", "cube": "block", "saucer": "dish"}[style]
     captions = (f"a tea light in a {color} {kind}", f"{color} tealight holder", f"small candle in a {kind}")
-    return AssetDesign(
-        join([holder, tin.moved(z=rise)]),
-        {"glass": "glass", "cube": "wood"}.get(style, "ceramic"),
-        color,
-        captions,
-        density=900.0,
-    )
+    material = {"glass": "glass", "cube": "wood"}.get(style, "ceramic")
+    return AssetDesign(join([holder, tin.moved(z=rise)]), material, color, captions, density=900.0)
 
 
 def diffuser(draw: VariantSampler) -> AssetDesign:
@@ -152,19 +133,10 @@ def diffuser(draw: VariantSampler) -> AssetDesign:
         a, out = 2 * math.pi * k / count + 0.4, 0.045 + 0.012 * (k % 2)
         foot = (0.006 * math.cos(a), 0.006 * math.sin(a), height - 0.004)
         sticks.append(rod(foot, (out * math.cos(a), out * math.sin(a), height + rise - 0.008 * (k % 3)), 0.0016).painted(reed))
-    captions = (
-        f"a reed diffuser with {count} sticks, {color}",
-        f"{color} room fragrance with reeds",
-        f"{style} scent bottle with sticks",
-    )
-    return AssetDesign(
-        join([body, collar, label.painted("cream" if color != "white" else "kraft"), *sticks]), "glass", color, captions
-    )
+    first = f"a reed diffuser with {count} sticks, {color}"
+    captions = (first, f"{color} room fragrance with reeds", f"{style} scent bottle with sticks")
+    label = label.painted("cream" if color != "white" else "kraft")
+    return AssetDesign(join([body, collar, label, *sticks]), "glass", color, captions)
 
 
-FAMILIES = (
-    AssetFamily("candle", candle, (COFFEE, DINING, DRESSING, BATHROOM)),
-    AssetFamily("candlestick", candlestick, (COFFEE, DINING)),
-    AssetFamily("tea_light", tea_light, (COFFEE, DINING, BATHROOM)),
-    AssetFamily("diffuser", diffuser, (COFFEE, DRESSING, BATHROOM)),
-)
+FAMILIES = (candle, candlestick, tea_light, diffuser)

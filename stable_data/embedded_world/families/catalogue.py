@@ -1,4 +1,4 @@
-"""The catalogue of the embedded world: every asset by category and variant, built once, weighed, named by content."""
+"""The catalogue of the embedded world: each asset by category and variant, built once, weighed and named by its content."""
 
 import hashlib
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ import numpy as np
 
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.embedded_world.families import FAMILIES
-from stable_data.embedded_world.modelling.family import COLORS, DENSITY, AssetFamily, SupportArea, VariantSampler
+from stable_data.embedded_world.modelling.family import COLORS, DENSITY, Drawing, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.solids import box, coats, mesh_of, volume
 from stable_data.errors import ConfigError
 from stable_data.geometry.gltf_writer import write_glb
@@ -18,38 +18,38 @@ from stable_data.geometry.mesh import Mesh
 from stable_data.scene import IntArray, QuatXyzw, Vec3
 
 NUM_VARIANTS = 6
-"""Assets of each category."""
+"""Number of assets of each category."""
 
-BY_CATEGORY: Mapping[str, AssetFamily] = MappingProxyType({family.category: family for family in FAMILIES})
-"""Every family, by category."""
+BY_CATEGORY: Mapping[str, Drawing] = MappingProxyType({design.__name__: design for design in FAMILIES})
+"""The design function of each category."""
 
 LICENCE = "Apache-2.0"
-"""Of every asset: that of this project, whose code makes it."""
+"""Licence of all assets: that of this project, whose code makes them."""
 
 KEYS: tuple[str, ...] = tuple(f"{category}/{n}" for category in BY_CATEGORY for n in range(NUM_VARIANTS))
-"""Every asset, as ``category/variant``."""
+"""All assets, as ``category/variant``."""
 
-_UNITS = (1.0, 0.01, 0.001, 0.0254, 0.1, 0.37)  # metres in one unit of a file: files come in all units
+_UNITS = (1.0, 0.01, 0.001, 0.0254, 0.1, 0.37)  # metres per unit of a file; the variety tests readers of files in other units
 
 
 @dataclass(frozen=True, eq=False)
 class EmbeddedAsset:
-    """An asset, ready to be placed.
+    """An asset of the catalogue.
 
     Attributes:
         key: ``category/variant``.
         material: A key of ``DENSITY``.
         color_name: A key of ``COLORS``, or ``#rrggbb``.
-        captions: Three or more ways to name it, the first the plainest full one.
+        captions: Three or more names for it; the first is the plainest complete one.
         tilts: Its usual resting tilts; the first is the most usual.
-        mesh: Closed, outward, metres, z up, centred on its box.
-        parts: The convex parts whose union it is, in the same frame.
+        mesh: Closed, faces outward, metres, z up, centred on its box.
+        parts: The convex parts whose union is the mesh, in the same frame.
         mass: Kilograms.
-        unit: Metres in one unit of its file.
-        is_z_up: Its file keeps the mesh z up under a node that turns it, as many exporters do.
+        unit: Metres per unit of its file.
+        is_z_up: Whether its file stores the mesh z up below a node that rotates it, as many exporters do.
         paint: Colours of its faces: (``#rrggbb``, indices).
-        top: Where things can stand on it, in the mesh's frame; None where nothing does.
-        hollow: Where things can be in it, likewise.
+        top: The area that objects can stand on, in the frame of the mesh; None if there is none.
+        hollow: The space that objects can be in, likewise.
     """
 
     key: str
@@ -68,17 +68,17 @@ class EmbeddedAsset:
 
     @property
     def category(self) -> str:
-        """Its kind."""
+        """Its category."""
         return self.key.split("/")[0]
 
     @property
     def color(self) -> str:
-        """``#rrggbb``."""
+        """Its colour, ``#rrggbb``."""
         return _rgb(self.color_name)
 
     @cached_property
     def glb(self) -> bytes:
-        """Its file."""
+        """The contents of its GLB file."""
         return write_glb(self.mesh, unit=self.unit, is_z_up=self.is_z_up, paint=self.paint, parts=self.parts)
 
     @cached_property
@@ -88,7 +88,7 @@ class EmbeddedAsset:
 
     @property
     def file_extents(self) -> Vec3:
-        """Box of its file's mesh, file units, z up."""
+        """Box of the mesh, file units, z up."""
         x, y, z = (self.mesh.extents / self.unit).tolist()
         return (x, y, z)
 
@@ -111,24 +111,25 @@ class EmbeddedAsset:
 
 @cache
 def asset(key: str) -> EmbeddedAsset:
-    """The asset of that name.
+    """Returns an asset of the catalogue.
 
     Args:
         key: ``category/variant``, one of ``KEYS``.
 
     Raises:
-        ConfigError: There is none.
+        ConfigError: The key is unknown (``unknown_asset``).
     """
     category, _, number = key.partition("/")
     if key not in _KNOWN:
         raise ConfigError(f"asset {key!r} is not in the catalogue, expected one of {sorted(KEYS)}", "unknown_asset")
     variant = int(number)
-    design = BY_CATEGORY[category].design(VariantSampler(category, variant))
+    design = BY_CATEGORY[category](VariantSampler(category, variant))
     mesh, parts, centre = mesh_of(design.solid)
     mass = (design.density or DENSITY[design.material]) * volume(mesh)
+    # Units vary between assets, not between runs.
     rng = np.random.default_rng([*category.encode(), variant])
     unit, is_z_up = float(rng.choice(_UNITS)), bool(rng.random() < 0.3)
-    top, hollow = (_moved(space, centre.tolist()) for space in (design.top, design.hollow))
+    top, hollow = (_recentred(space, centre.tolist()) for space in (design.top, design.hollow))
     paint = tuple((_rgb(color or design.color), rows) for color, rows in coats(design.solid).items() if len(rows))
     return EmbeddedAsset(
         key=key,
@@ -154,12 +155,12 @@ def _rgb(color: str) -> str:
     return COLORS.get(color, color)
 
 
-def _moved(space: SupportArea | None, centre: list[float]) -> SupportArea | None:
+def _recentred(space: SupportArea | None, centre: list[float]) -> SupportArea | None:
     if space is None:
         return None
     return replace(space, x=space.x - centre[0], y=space.y - centre[1], z=space.z - centre[2])
 
 
 def unit_cube() -> Mesh:
-    """What the format uses as table top and sink: a cube of edge 1, centred."""
+    """The mesh of the table top and of the sink in the format: a centred cube with edges of length 1."""
     return mesh_of(box(1.0, 1.0, 1.0))[0]

@@ -1,12 +1,11 @@
-"""What shows the time."""
+"""Clocks."""
 
 import math
 
 from stable_data.embedded_world.families.displays import digits
 from stable_data.embedded_world.families.palette import PAPER
-from stable_data.embedded_world.families.tables import COFFEE, DRESSING, OFFICE
-from stable_data.embedded_world.families.wording import with_article
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
+from stable_data.embedded_world.families.wording import fix_articles
+from stable_data.embedded_world.modelling.family import AssetDesign, VariantSampler
 from stable_data.embedded_world.modelling.shapes import panel, round_body, scaled, silhouette
 from stable_data.embedded_world.modelling.solids import Solid, bar, box, join, lathe, loft, rectangle, slab
 
@@ -44,7 +43,7 @@ def desk_clock(draw: VariantSampler) -> AssetDesign:
             arch = [(-1.0, -1.0), (1.0, -1.0), *((math.cos(a), math.sin(a)) for a in angles)]
             body = silhouette(scaled(arch, 1.15 * r, 1.15 * r), thick)
             solid = (body + front).moved(z=1.15 * r + 0.01) + slab(3.0 * r, thick + 0.02, 0.0104, 0.002)
-    captions = (with_article(f"{color} {kind} desk clock"), f"{color} desk clock", f"{kind} clock for a desk")
+    captions = fix_articles(f"a {color} {kind} desk clock", f"{color} desk clock", f"{kind} clock for a desk")
     return AssetDesign(solid, "wood", color, captions, density=500.0)
 
 
@@ -76,11 +75,8 @@ def alarm_clock(draw: VariantSampler) -> AssetDesign:
         top = join([*(bell.turned(y=t) for t in (-30, 30)), hammer, grip]).painted("silver")
         legs = [leg.moved(x * 0.55 * r, y * 0.3 * thick, 0.0) for x in (-1, 1) for y in (-1, 1)]
         solid = join([drum, top, join(legs).painted("silver")]).moved(z=1.32 * r)
-    captions = (
-        with_article(f"{color} {kind} alarm clock"),
-        f"{color} alarm clock",
-        f"{kind} alarm clock",
-        "bedside clock with an alarm",
+    captions = fix_articles(
+        f"a {color} {kind} alarm clock", f"{color} alarm clock", f"{kind} alarm clock", "bedside clock with an alarm"
     )
     return AssetDesign(solid, "metal" if kind == "twin-bell" else "plastic", color, captions, density=700.0)
 
@@ -119,8 +115,4 @@ def hourglass(draw: VariantSampler) -> AssetDesign:
     )
 
 
-FAMILIES = (
-    AssetFamily("desk_clock", desk_clock, (OFFICE, DRESSING)),
-    AssetFamily("alarm_clock", alarm_clock, (OFFICE,)),
-    AssetFamily("hourglass", hourglass, (COFFEE, OFFICE)),
-)
+FAMILIES = (desk_clock, alarm_clock, hourglass)

@@ -1,13 +1,12 @@
-"""Computers and what people work them with."""
+"""Computers, monitors and input devices."""
 
 import math
 
 import numpy as np
 
 from stable_data.embedded_world.families.displays import WALLPAPERS, lit_screen
-from stable_data.embedded_world.families.tables import COFFEE, OFFICE
-from stable_data.embedded_world.families.wording import with_article
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
+from stable_data.embedded_world.families.wording import fix_articles
+from stable_data.embedded_world.modelling.family import AssetDesign, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import panel, prism, silhouette
 from stable_data.embedded_world.modelling.solids import Solid, box, join, lathe, loft, slab
 
@@ -28,7 +27,7 @@ def laptop(draw: VariantSampler) -> AssetDesign:
     width, kind = draw.between(0.29, 0.38), draw.pick("open", "open", "closed")
     depth, opening = width * draw.between(0.64, 0.7), draw.between(98.0, 122.0)
     color, caps = draw.pick("silver", "black", "grey", "white", "navy", "pink"), draw.pick("black", "black", "white")
-    captions = (with_article(f"{kind} {color} laptop"), f"{color} laptop", f"{kind} notebook computer")
+    captions = fix_articles(f"a {kind} {color} laptop", f"{color} laptop", f"{kind} notebook computer")
     if kind == "closed":
         hinge = box(0.7 * width, 0.012, 0.009).moved(0.0, depth / 2 - 0.007, 0.006)
         lid = slab(width, depth, 0.0085, 0.002).moved(z=0.0115) + hinge
@@ -65,7 +64,7 @@ def monitor(draw: VariantSampler) -> AssetDesign:
         foot = slab(0.1, 0.08, 0.013, 0.003).moved(y=0.04)
         foot += join(prism(legs, 0.0, 0.012).turned(z=turn).moved(y=0.03) for turn in (-122, 122))
     name = "computer monitor" if kind == "wide" else f"{kind} computer monitor"
-    captions = (with_article(f"{color} {name} on a stand"), f"{color} monitor", f"computer screen with a {stand} foot")
+    captions = fix_articles(f"a {color} {name} on a stand", f"{color} monitor", f"computer screen with a {stand} foot")
     return AssetDesign(join([head, neck, foot.moved(y=0.014)]), "electronics", color, captions, density=420.0)
 
 
@@ -94,17 +93,15 @@ def tablet(draw: VariantSampler) -> AssetDesign:
         stylus = slab(0.009, 0.16, 0.0085, 0.002).moved(wide / 2 + 0.004)
         solid += stylus.painted("white" if color != "white" else "grey")
     name = {"flat": "tablet", "propped": "tablet leaning in its cover", "with a stylus": "tablet with a stylus"}[kind]
-    captions = (with_article(f"{color} {name}"), f"{color} tablet computer", f"touch-screen {name}")
+    captions = fix_articles(f"a {color} {name}", f"{color} tablet computer", f"touch-screen {name}")
     return AssetDesign(solid, "electronics", color, captions, density=1500.0)
 
 
 def keyboard(draw: VariantSampler) -> AssetDesign:
     """A computer keyboard, rising a little to the back."""
     kind = draw.pick("full-size", "compact", "tenkeyless")
-    width, depth = (
-        {"full-size": 0.43, "compact": 0.29, "tenkeyless": 0.35}[kind] * draw.between(0.97, 1.04),
-        draw.between(0.105, 0.135),
-    )
+    width = {"full-size": 0.43, "compact": 0.29, "tenkeyless": 0.35}[kind] * draw.between(0.97, 1.04)
+    depth = draw.between(0.105, 0.135)
     color, caps = draw.pick(
         ("black", "grey"), ("white", "grey"), ("silver", "white"), ("grey", "black"), ("navy", "cream"), ("white", "teal")
     )
@@ -117,22 +114,19 @@ def keyboard(draw: VariantSampler) -> AssetDesign:
     accent = draw.pick("red", "orange", "teal")
     x, y = (0.5 - columns / 2) * pitch, (0.5 - 0.5 / rows) * tall
     escape = panel(0.8 * pitch, 0.76 * tall / rows, z, accent, x, y, 0.0022)
-    rise = silhouette([(-depth / 2, 0.0), (depth / 2, 0.0), (depth / 2, 0.011), (-depth / 2, 0.003)], width - 0.001).turned(
-        z=90
-    )
+    side = [(-depth / 2, 0.0), (depth / 2, 0.0), (depth / 2, 0.011), (-depth / 2, 0.003)]
+    rise = silhouette(side, width - 0.001).turned(z=90)
     board = join([box(width, depth, z - 0.003, 0.004).moved(z=0.003), *fields, escape])
     tilted = board.moved(y=depth / 2).turned(x=3.6).moved(y=-depth / 2, z=-0.0004)
-    captions = (with_article(f"{kind} {color} keyboard with {caps} keys"), f"{color} keyboard", f"{kind} computer keyboard")
+    captions = fix_articles(f"a {kind} {color} keyboard with {caps} keys", f"{color} keyboard", f"{kind} computer keyboard")
     return AssetDesign(rise + tilted, "electronics", color, captions, density=900.0)
 
 
 def mouse(draw: VariantSampler) -> AssetDesign:
     """A computer mouse, its buttons away from the viewer."""
     n, kind = draw.between(0.1, 0.125), draw.pick("wireless", "gaming", "slim")
-    width, high = (
-        n * draw.between(0.55, 0.62),
-        {"wireless": 0.038, "gaming": 0.041, "slim": 0.026}[kind] * draw.between(0.92, 1.05),
-    )
+    width = n * draw.between(0.55, 0.62)
+    high = {"wireless": 0.038, "gaming": 0.041, "slim": 0.026}[kind] * draw.between(0.92, 1.05)
     color, accent = draw.pick("black", "white", "grey", "red", "blue", "pink"), draw.pick("teal", "orange", "yellow")
     second = {"black": "#4a4f55", "white": "#cfd2d4", "grey": "#5d6470"}.get(color, "#2a2d31")
     shares = [(0.95, 0.0), (1.0, 0.16), (1.0, 0.4), (0.94, 0.66), (0.8, 0.86), (0.58, 0.97), (0.36, 1.0)]
@@ -147,7 +141,7 @@ def mouse(draw: VariantSampler) -> AssetDesign:
     solid = loft(rings) + buttons + split + wheel.painted(accent if kind == "gaming" else "#555b61")
     if kind == "gaming":
         solid += loft([np.c_[1.02 * oval, np.full(28, z * high)] for z in (0.16, 0.28)]).painted(accent)
-    captions = (with_article(f"{color} {kind} computer mouse"), f"{color} mouse", f"{kind} mouse with a scroll wheel")
+    captions = fix_articles(f"a {color} {kind} computer mouse", f"{color} mouse", f"{kind} mouse with a scroll wheel")
     return AssetDesign(solid, "electronics", color, captions, density=650.0)
 
 
@@ -158,33 +152,21 @@ def mouse_pad(draw: VariantSampler) -> AssetDesign:
     color, second = draw.pick("black", "navy", "teal", "red", "grey", "purple"), draw.pick("grey", "white", "black")
     second = "silver" if second == color else second
     if kind == "round":
-        solid = lathe([(width / 2, 0.0), (width / 2, thick)]).painted(second) + lathe(
-            [(0.47 * width, 0.001), (0.47 * width, thick + 0.0008)]
-        )
+        solid = lathe([(width / 2, 0.0), (width / 2, thick)]).painted(second)
+        solid += lathe([(0.47 * width, 0.001), (0.47 * width, thick + 0.0008)])
         top = SupportArea(0.9 * width, 0.9 * width, thick + 0.0008, is_round=True)
     else:
-        solid = box(width, depth, thick, 0.012).painted(second) + box(width - 0.008, depth - 0.008, thick - 4e-4, 0.01).moved(
-            z=0.0012
-        )
+        solid = box(width, depth, thick, 0.012).painted(second)
+        solid += box(width - 0.008, depth - 0.008, thick - 4e-4, 0.01).moved(z=0.0012)
         top = SupportArea(0.9 * width, 0.9 * depth, thick + 0.0008)
     if kind == "wrist-rest":
         arch = [(-0.028, 0.0), (0.028, 0.0), (0.026, 0.01), (0.016, 0.018), (0.0, 0.021), (-0.016, 0.018), (-0.026, 0.01)]
         solid += silhouette(arch, 0.92 * width).turned(z=90).moved(y=-depth / 2 + 0.02).painted(second)
         top = SupportArea(0.9 * width, 0.9 * depth - 0.06, thick + 0.0008, y=0.03)
     name = "mouse pad with a wrist rest" if kind == "wrist-rest" else f"{kind} mouse pad"
-    captions = (
-        with_article(f"{color} {name}"),
-        f"{color} mouse mat",
-        f"{name} and {with_article(second)} edge" if kind == "wrist-rest" else f"{name} with {with_article(second)} edge",
-    )
+    edge = f"{'and' if kind == 'wrist-rest' else 'with'} a {second} edge"
+    captions = fix_articles(f"a {color} {name}", f"{color} mouse mat", f"{name} {edge}")
     return AssetDesign(solid, "rubber", color, captions, top=top, density=500.0)
 
 
-FAMILIES = (
-    AssetFamily("laptop", laptop, (OFFICE, COFFEE)),
-    AssetFamily("monitor", monitor, (OFFICE,)),
-    AssetFamily("tablet", tablet, (OFFICE, COFFEE)),
-    AssetFamily("keyboard", keyboard, (OFFICE,)),
-    AssetFamily("mouse", mouse, (OFFICE,)),
-    AssetFamily("mouse_pad", mouse_pad, (OFFICE,)),
-)
+FAMILIES = (laptop, monitor, tablet, keyboard, mouse, mouse_pad)

@@ -1,11 +1,10 @@
-"""What people eat with. It lies flat."""
+"""Cutlery, lying flat."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
+from stable_data.embedded_world.modelling.family import AssetDesign, VariantSampler
 from stable_data.embedded_world.modelling.solids import NUM_INSIDE, Solid, chain, circle, join, loft, rectangle, vessel
 
 
@@ -97,9 +96,4 @@ def chopsticks(draw: VariantSampler) -> AssetDesign:
     return AssetDesign(join([*sticks, block.moved(0.0, 0.8 * length)]), "wood", color, captions)
 
 
-FAMILIES = (
-    AssetFamily("fork", fork, (DINING, KITCHEN)),
-    AssetFamily("spoon", spoon, (DINING, COFFEE, KITCHEN)),
-    AssetFamily("table_knife", table_knife, (DINING, KITCHEN)),
-    AssetFamily("chopsticks", chopsticks, (DINING,)),
-)
+FAMILIES = (fork, spoon, table_knife, chopsticks)

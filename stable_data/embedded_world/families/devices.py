@@ -7,9 +7,8 @@ import numpy as np
 
 from stable_data.embedded_world.families.displays import WALLPAPERS
 from stable_data.embedded_world.families.palette import DARK_GLASS
-from stable_data.embedded_world.families.tables import COFFEE, DRESSING, OFFICE
-from stable_data.embedded_world.families.wording import with_article
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
+from stable_data.embedded_world.families.wording import fix_articles
+from stable_data.embedded_world.modelling.family import AssetDesign, VariantSampler
 from stable_data.embedded_world.modelling.shapes import panel, prism, silhouette
 from stable_data.embedded_world.modelling.solids import bar, box, join, lathe, loft, rectangle, slab, turned_vessel
 
@@ -44,7 +43,7 @@ def phone(draw: VariantSampler) -> AssetDesign:
             parts.append(panel(0.13 * width, 0.13 * width, thick + 0.0012, ink, (i - 1.5) * 0.2 * width, y * depth, 0.0006))
         parts.append(panel(0.5 * width, 0.07 * depth, thick + 0.0012, "white", y=0.3 * depth, rise=0.0004))
         name = "smartphone with its screen on"
-    captions = (with_article(f"{color} {name}"), f"{color} phone", f"{color} mobile phone")
+    captions = fix_articles(f"a {color} {name}", f"{color} phone", f"{color} mobile phone")
     return AssetDesign(join(parts), "electronics", color, captions, density=1500.0)
 
 
@@ -76,7 +75,7 @@ def charger_dock(draw: VariantSampler) -> AssetDesign:
             post = bar([(x, 0.01), (x, 0.8 * width)], 0.016, 0.016, 12).moved(y=0.004)
             solid += slab(1.1 * width, 1.05 * width, 0.012, 0.003).moved(0.96 * width, 0.012) + post + puck
             name = "charging station for a phone and a watch"
-    captions = (with_article(f"{color} {name}"), f"{color} phone charger", f"{material} {name}")
+    captions = fix_articles(f"a {color} {name}", f"{color} phone charger", f"{material} {name}")
     return AssetDesign(solid, material, color, captions, density=900.0)
 
 
@@ -95,7 +94,7 @@ def power_bank(draw: VariantSampler) -> AssetDesign:
     bolt = [(0.012, 0.03), (-0.012, 0.004), (0.004, 0.0)]
     mark = [prism(points, thick - 0.001, thick + 0.0008) for points in (bolt, [(-x, -y + 0.002) for x, y in bolt])]
     solid = join([slab(width, depth, thick, 0.004), *lamps, *ports, label, join(mark).moved(y=0.25 * depth).painted("yellow")])
-    captions = (with_article(f"{kind} {color} power bank"), f"{color} power bank", f"{color} portable charger")
+    captions = fix_articles(f"a {kind} {color} power bank", f"{color} power bank", f"{color} portable charger")
     return AssetDesign(solid, "electronics", color, captions, density=1500.0)
 
 
@@ -129,7 +128,7 @@ def remote_control(draw: VariantSampler) -> AssetDesign:
     y = -0.06 * n if kind == "classic" else 0.2 * n
     parts.append(lathe([(0.36 * width, thick - 0.001), (0.36 * width, thick + 0.0016)]).moved(y=y).painted(keys))
     parts.append(lathe([(0.15 * width, thick), (0.15 * width, thick + 0.003)], 20).moved(y=y).painted("grey"))
-    captions = (with_article(f"{color} {kind} remote control"), f"{color} remote control", f"{kind} tv remote")
+    captions = fix_articles(f"a {color} {kind} remote control", f"{color} remote control", f"{kind} tv remote")
     return AssetDesign(join(parts), "plastic", color, captions, density=800.0)
 
 
@@ -153,10 +152,8 @@ def router(draw: VariantSampler) -> AssetDesign:
     step = 0.84 * width / (count - 1)
     lean = [(k - (count - 1) / 2) for k in range(count)]
     sticks = [stick.turned(y=8 * k).moved(k * step, 0.42 * depth, 0.4 * high) for k in lean]
-    captions = (
-        with_article(f"{color} router with {count} antennas"),
-        f"{color} wireless router",
-        f"wi-fi router with {count} aerials",
+    captions = fix_articles(
+        f"a {color} router with {count} antennas", f"{color} wireless router", f"wi-fi router with {count} aerials"
     )
     return AssetDesign(join([body, *slats, *dots, *sticks]), "electronics", color, captions, density=500.0)
 
@@ -183,10 +180,8 @@ def game_controller(draw: VariantSampler) -> AssetDesign:
     pads += [knob.moved(0.044 + 0.0105 * x, 0.012 + 0.0105 * y).painted(c) for x, y, c in spots]
     pads += [slab(0.034, 0.014, 0.02, 0.003).moved(0.042 * x, 0.032, 0.018).painted(second) for x in (-1, 1)]
     pads.append(lathe([(0.007, 0.039), (0.007, 0.0416)], 20).moved(y=0.014).painted("silver" if color != "silver" else "grey"))
-    captions = (
-        with_article(f"{color} game controller"),
-        f"{color} gamepad with two sticks",
-        f"{color} controller for video games",
+    captions = fix_articles(
+        f"a {color} game controller", f"{color} gamepad with two sticks", f"{color} controller for video games"
     )
     return AssetDesign(join([core, *grips, *pads]), "plastic", color, captions, density=700.0)
 
@@ -200,27 +195,16 @@ def camera(draw: VariantSampler) -> AssetDesign:
     name = {"#4a4f55": "dark grey", "#5d5148": "dark brown"}.get(color, color)
     sizes = {"reflex": (130, 56, 85, 34, 45), "compact": (105, 32, 62, 23, 16), "instant": (115, 62, 100, 26, 20)}[kind]
     width, depth, high, r, reach = (0.001 * size * draw.between(0.92, 1.08) for size in sizes)
-    rings = [
-        (1.06 * r, -0.004),
-        (1.06 * r, 0.004),
-        (r, 0.005),
-        (r, reach - 0.006),
-        (1.04 * r, reach - 0.005),
-        (1.04 * r, reach),
-    ]
+    rings = [(1.06 * r, -0.004), (1.06 * r, 0.004), (r, 0.005)]
+    rings += [(r, reach - 0.006), (1.04 * r, reach - 0.005), (1.04 * r, reach)]
     barrel = lathe(rings).painted("#2a2d31") + lathe([(0.72 * r, reach - 0.001), (0.72 * r, reach + 0.0008)]).painted("#3a5f86")
     glint = lathe([(0.2 * r, reach), (0.2 * r, reach + 0.0014)], 20).moved(0.25 * r, 0.3 * r).painted("white")
     lens = (barrel + glint).turned(x=90).moved(0.0, -depth / 2, 0.47 * high)
     parts = [slab(width, depth, high, 0.005), lens]
-    skin = (
-        box(width + 0.0014, depth + 0.0014, 0.5 * high, 0.005)
-        .moved(z=0.2 * high)
-        .painted(trim if color != "black" else "#4a4f55")
-    )
-    button = lathe([(0.007, high - 0.002), (0.007, high + 0.005)], 20)
-    parts.append(
-        button.moved(-0.38 * width).painted("red" if kind == "instant" else "silver" if color != "silver" else "black")
-    )
+    skin = box(width + 0.0014, depth + 0.0014, 0.5 * high, 0.005).moved(z=0.2 * high)
+    skin = skin.painted(trim if color != "black" else "#4a4f55")
+    button = lathe([(0.007, high - 0.002), (0.007, high + 0.005)], 20).moved(-0.38 * width)
+    parts.append(button.painted("red" if kind == "instant" else "silver" if color != "silver" else "black"))
     if kind == "reflex":
         side = [(-0.034, high - 0.004), (0.034, high - 0.004), (0.018, high + 0.022), (-0.018, high + 0.022)]
         wheel = lathe([(0.011, high - 0.002), (0.011, high + 0.008)], 20).moved(0.4 * width).painted("grey")
@@ -238,7 +222,7 @@ def camera(draw: VariantSampler) -> AssetDesign:
         stripe = box(0.008, 0.004, 0.4 * high).moved(y=0.0012 - depth / 2, z=0.2 * high)
         parts += [stripe.moved((k - 5.2) * 0.0079).painted(c) for k, c in enumerate(("red", "yellow", "teal"))]
     what = {"reflex": "camera with a large lens", "compact": "compact camera", "instant": "instant camera"}[kind]
-    captions = (with_article(f"{name} {what}"), f"{name} camera", f"{kind} camera for taking photos")
+    captions = fix_articles(f"a {name} {what}", f"{name} camera", f"{kind} camera for taking photos")
     return AssetDesign(join(parts), "electronics", color, captions, density=900.0)
 
 
@@ -266,7 +250,7 @@ def webcam(draw: VariantSampler) -> AssetDesign:
         head = loft([rectangle(w * r, 1.5 * r, z * r, 0.5 * r) for w, z in sizes]) + lens.moved(z=0.55 * r)
         head += lathe([(0.003, 0.5 * r), (0.003, 0.55 * r + 0.001)], 12).moved(1.2 * r).painted("#58d06a")
     solid = join([head.turned(x=90).moved(z=low + 0.74 * r), *parts])
-    captions = (with_article(f"{color} webcam on a {stand}"), f"{color} webcam", f"{kind}-shaped camera for video calls")
+    captions = fix_articles(f"a {color} webcam on a {stand}", f"{color} webcam", f"{kind}-shaped camera for video calls")
     low = min(float(part[:, 2].min()) for part in solid.parts)
     return AssetDesign(solid.moved(z=-low), "electronics", color, captions, density=900.0)
 
@@ -286,22 +270,10 @@ def desk_fan(draw: VariantSampler) -> AssetDesign:
     foot = lathe([(0.86 * r, 0.0), (0.86 * r, 0.01), (0.6 * r, 0.024), (0.2 * r, 0.03)]).moved(y=0.06 * r)
     neck = box(0.24 * r, 0.2 * r, stem + 0.9 * r).moved(0.0, 0.22 * r, 0.012)
     button = lathe([(0.008, 0.0), (0.008, 0.03)], 16).moved(0.0, -0.5 * r + 0.06 * r).painted(second)
-    captions = (
-        with_article(f"{color} desk fan with {count} blades"),
-        f"{color} table fan",
-        f"small {color} fan on a round foot",
+    captions = fix_articles(
+        f"a {color} desk fan with {count} blades", f"{color} table fan", f"small {color} fan on a round foot"
     )
     return AssetDesign(join([head, foot, neck, button]), "plastic", color, captions, density=600.0)
 
 
-FAMILIES = (
-    AssetFamily("phone", phone, (OFFICE, COFFEE, DRESSING)),
-    AssetFamily("charger_dock", charger_dock, (OFFICE,)),
-    AssetFamily("power_bank", power_bank, (OFFICE,)),
-    AssetFamily("remote_control", remote_control, (OFFICE, COFFEE)),
-    AssetFamily("router", router, (OFFICE,)),
-    AssetFamily("game_controller", game_controller, (OFFICE, COFFEE)),
-    AssetFamily("camera", camera, (OFFICE,)),
-    AssetFamily("webcam", webcam, (OFFICE,)),
-    AssetFamily("desk_fan", desk_fan, (OFFICE,)),
-)
+FAMILIES = (phone, charger_dock, power_bank, remote_control, router, game_controller, camera, webcam, desk_fan)

@@ -5,10 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN, OFFICE
 from stable_data.embedded_world.families.vessels import banded_lathe, banded_vessel, cup, well
-from stable_data.embedded_world.families.wording import color_word, with_article
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
+from stable_data.embedded_world.families.wording import color_word, fix_articles
+from stable_data.embedded_world.modelling.family import AssetDesign, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.solids import Solid, box, circle, join, loft, rectangle
 
 
@@ -24,7 +23,7 @@ def _dish(radius: float, height: float, foot: float, rim: str, line: str) -> tup
 
 
 def plate(draw: VariantSampler) -> AssetDesign:
-    """A plate that stacks on its like."""
+    """A plate; equal plates stack."""
     kind, low, high = draw.pick(("dinner plate", 0.125, 0.138), ("side plate", 0.092, 0.106))
     color, rim, line = draw.pick(
         ("white", "", ""), ("white", "", "blue"), ("#5f7f8c", "", ""),
@@ -32,8 +31,8 @@ def plate(draw: VariantSampler) -> AssetDesign:
     )  # fmt: skip
     radius, height = draw.between(low, high), draw.between(0.019, 0.026)
     solid, top = _dish(radius, height, draw.pick(0.6, 0.72, 0.66) * radius, rim, line)
-    name, trim = color_word(color), f" with {with_article(rim or line)} rim" if rim or line else ""
-    captions = (f"a {name} {kind}{trim}", f"round {name} ceramic plate", f"{name} {kind} for a meal")
+    name, trim = color_word(color), f" with a {rim or line} rim" if rim or line else ""
+    captions = fix_articles(f"a {name} {kind}{trim}", f"round {name} ceramic plate", f"{name} {kind} for a meal")
     return AssetDesign(solid, "ceramic", color, captions, top, replace(top, height=height - top.z))
 
 
@@ -45,8 +44,8 @@ def saucer(draw: VariantSampler) -> AssetDesign:
     )  # fmt: skip
     radius, height = draw.between(0.066, 0.08), draw.between(0.015, 0.02)
     solid, top = _dish(radius, height, draw.between(0.52, 0.6) * radius, rim, line)
-    trim = f" with {with_article(rim or line)} rim" if rim or line else ""
-    captions = (f"a {color} saucer{trim}", f"small {color} plate for under a teacup", f"{color} porcelain saucer")
+    trim = f" with a {rim or line} rim" if rim or line else ""
+    captions = fix_articles(f"a {color} saucer{trim}", f"small {color} plate for under a teacup", f"{color} porcelain saucer")
     return AssetDesign(solid, "ceramic", color, captions, top)
 
 
@@ -85,17 +84,14 @@ def coaster(draw: VariantSampler) -> AssetDesign:
     )  # fmt: skip
     corners, name = draw.pick((48, "round"), (4, "square"), (6, "six-sided"))
     half, thick = draw.between(0.045, 0.052) * (1.32 if corners == 4 else 1.0), draw.between(0.004, 0.008)
-    solid = banded_lathe(
-        [(half - 0.0008, 0.0), (half, 0.0008), (half, thick - 0.0008), (half - 0.0008, thick)], corners=corners
-    )
+    profile = [(half - 0.0008, 0.0), (half, 0.0008), (half, thick - 0.0008), (half - 0.0008, thick)]
+    solid = banded_lathe(profile, corners=corners)
     if inset:
         solid += banded_lathe([(0.8 * half, thick - 0.001), (0.8 * half, thick + 0.0004)], corners=corners).painted(inset)
     flat = 2 * (0.8 if inset else 0.97) * half * math.cos(math.pi / corners)
     captions = (f"a {name} {word} coaster", f"{word} coaster for a glass", f"small {name} mat for a drink")
-    is_round = corners != 4
-    return AssetDesign(
-        solid, material, color, captions, top=SupportArea(flat, flat, thick + (0.0004 if inset else 0), is_round=is_round)
-    )
+    top = SupportArea(flat, flat, thick + (0.0004 if inset else 0), is_round=corners != 4)
+    return AssetDesign(solid, material, color, captions, top=top)
 
 
 def napkin(draw: VariantSampler) -> AssetDesign:
@@ -141,15 +137,8 @@ def placemat(draw: VariantSampler) -> AssetDesign:
         width, depth, cut = draw.between(0.4, 0.45), draw.between(0.29, 0.32), 0.06 if shape == "eight-sided" else 0.002
         solid = box(width, depth, thick, cut) + box(width - 0.03, depth - 0.03, 0.0014, cut).moved(z=0.0016).painted(inner)
         top = SupportArea(width - 0.031 - cut, depth - 0.031 - cut, 0.003)
-    captions = (f"{with_article(shape)} {word} placemat", f"{word} table mat", f"flat {shape} {word} mat")
+    captions = fix_articles(f"a {shape} {word} placemat", f"{word} table mat", f"flat {shape} {word} mat")
     return AssetDesign(solid, material, color, captions, top=top)
 
 
-FAMILIES = (
-    AssetFamily("plate", plate, (DINING, COFFEE, KITCHEN)),
-    AssetFamily("saucer", saucer, (DINING, COFFEE)),
-    AssetFamily("bowl", bowl, (DINING, COFFEE, KITCHEN)),
-    AssetFamily("coaster", coaster, (DINING, COFFEE, OFFICE)),
-    AssetFamily("napkin", napkin, (DINING, COFFEE)),
-    AssetFamily("placemat", placemat, (DINING, COFFEE)),
-)
+FAMILIES = (plate, saucer, bowl, coaster, napkin, placemat)

@@ -1,4 +1,4 @@
-"""What screens show: digits, windows. Lengths in metres; all of it lies on a level surface, to be read from -y."""
+"""Contents of screens: digits, windows. Lengths in metres; all lie on a level surface and are read from -y."""
 
 from stable_data.embedded_world.families.palette import DARK_GLASS
 from stable_data.embedded_world.modelling.shapes import panel

@@ -1,9 +1,8 @@
-"""What people drink from."""
+"""Drinkware."""
 
-from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN, OFFICE
 from stable_data.embedded_world.families.vessels import banded_lathe, cup, radius_at, round_handle, square_handle, well
-from stable_data.embedded_world.families.wording import color_word, with_article
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
+from stable_data.embedded_world.families.wording import color_word, fix_articles
+from stable_data.embedded_world.modelling.family import AssetDesign, VariantSampler
 from stable_data.embedded_world.modelling.shapes import scaled
 
 
@@ -24,11 +23,8 @@ def mug(draw: VariantSampler) -> AssetDesign:
     handle = draw.pick(round_handle, round_handle, square_handle)(low, high, draw.between(0.024, 0.03), 0.012, 0.0075)
     body = cup(outer, inner, lining, bands=[(0.42 * height, dip)] if dip else ())
     word = f"{color} and {dip}" if dip else color
-    captions = (
-        f"{with_article(word)} {style} mug with a handle",
-        f"{word} coffee mug",
-        f"ceramic mug, {word}",
-        "mug for hot drinks",
+    captions = fix_articles(
+        f"a {word} {style} mug with a handle", f"{word} coffee mug", f"ceramic mug, {word}", "mug for hot drinks"
     )
     return AssetDesign(body + handle, "ceramic", color, captions, hollow=well(foot - wall, 0.007, height - 0.007))
 
@@ -47,8 +43,10 @@ def teacup(draw: VariantSampler) -> AssetDesign:
     inner = [(0.4 * radius, floor), (belly * radius - wall, 0.45 * height), (radius - wall, height)]
     low, high = ((radius_at(outer, z * height) - wall / 2, z * height) for z in (0.36, 0.84))
     handle = draw.pick(round_handle, square_handle)(low, high, draw.between(0.018, 0.023), 0.0065, 0.0045)
-    trim = f" with {with_article(rim)} rim" if rim else ""
-    captions = (f"a {color} teacup{trim}", f"{color} porcelain cup for tea", f"small wide {color} tea cup with a handle")
+    trim = f" with a {rim} rim" if rim else ""
+    captions = fix_articles(
+        f"a {color} teacup{trim}", f"{color} porcelain cup for tea", f"small wide {color} tea cup with a handle"
+    )
     solid = cup(outer, inner, lining, 0.88 * height, rim) + handle
     return AssetDesign(solid, "ceramic", color, captions, hollow=well(0.4 * radius, floor, height - floor))
 
@@ -65,10 +63,8 @@ def tumbler(draw: VariantSampler) -> AssetDesign:
     edge = [(0.93 * height, "navy" if color != "navy" else "white")] if style == "enamel" else [(0.86 * height, "white")]
     body = cup(outer, [(foot - wall, 0.004), (radius - wall, height)], "white" if style == "enamel" else "", bands=edge)
     word = f"{color} {style}"
-    captions = (
-        f"{with_article(word)} tumbler",
-        f"{color} drinking cup without a handle",
-        f"{color} {style} cup with {with_article(edge[0][1])} rim",
+    captions = fix_articles(
+        f"a {word} tumbler", f"{color} drinking cup without a handle", f"{color} {style} cup with a {edge[0][1]} rim"
     )
     material = "plastic" if style == "plastic" else "tin"
     return AssetDesign(body, material, color, captions, hollow=well(foot - wall, 0.004, height - 0.004))
@@ -79,14 +75,11 @@ def _travel_tumbler(draw: VariantSampler, color: str, radius: float, height: flo
     profile = [(foot - 0.002, 0.0), (foot, 0.002), (radius, 0.93 * height), (radius, height - 0.003), (radius - 0.003, height)]
     body = banded_lathe(profile, [(0.002, "silver"), (0.1 * height, color), (0.93 * height, "black")])
     straw = banded_lathe([(0.0038, 0.0), (0.0038, 0.07)], corners=12).painted(draw.pick("clear", "white", "black"))
-    captions = (
-        f"{with_article(color)} tumbler with a lid and a straw",
-        f"insulated {color} travel tumbler",
-        "cup with a straw",
+    captions = fix_articles(
+        f"a {color} tumbler with a lid and a straw", f"insulated {color} travel tumbler", "cup with a straw"
     )
-    return AssetDesign(
-        body + straw.turned(y=8).moved(0.35 * radius, 0.0, height - 0.012), "metal", color, captions, density=650.0
-    )
+    solid = body + straw.turned(y=8).moved(0.35 * radius, 0.0, height - 0.012)
+    return AssetDesign(solid, "metal", color, captions, density=650.0)
 
 
 def drinking_glass(draw: VariantSampler) -> AssetDesign:
@@ -102,9 +95,8 @@ def drinking_glass(draw: VariantSampler) -> AssetDesign:
     inner = [(radius_at(outer, floor) - 1.3 * wall, floor), *((r - wall, z) for r, z in profile[1:])]
     name = color_word(color)
     captions = (f"a {style} {name} drinking glass", f"{name} water glass", f"empty {style} glass for drinks")
-    return AssetDesign(
-        cup(outer, inner), "glass", color, captions, hollow=well(inner[0][0], floor, height - floor), density=1900.0
-    )
+    hollow = well(inner[0][0], floor, height - floor)
+    return AssetDesign(cup(outer, inner), "glass", color, captions, hollow=hollow, density=1900.0)
 
 
 def wine_glass(draw: VariantSampler) -> AssetDesign:
@@ -136,25 +128,14 @@ def egg_cup(draw: VariantSampler) -> AssetDesign:
     outer = scaled([(0.88, 0.0), (0.86, 0.07), (waist, 0.38), (0.84, 0.66), (1.0, 1.0)], radius, height)
     if draw.pick("empty", "full") == "full":
         shares = [(0.9, 0.0), (0.9, 0.12), (0.76, 0.45), (0.5, 0.72), (0.22, 0.84)]
-        egg = (
-            banded_lathe(scaled(shares, radius, 0.038), corners=24)
-            .moved(z=height - 0.002)
-            .painted(draw.pick("#d9a878", "#f0e3d0"))
-        )
+        egg = banded_lathe(scaled(shares, radius, 0.038), corners=24).moved(z=height - 0.002)
+        egg = egg.painted(draw.pick("#d9a878", "#f0e3d0"))
         captions = (f"a {word} egg cup with an egg", f"boiled egg in a {word} egg cup", f"breakfast egg in a {word} cup")
-        return AssetDesign(
-            banded_lathe(outer) + egg, material, color, captions, density=1100.0 if material == "ceramic" else 750.0
-        )
+        density = 1100.0 if material == "ceramic" else 750.0
+        return AssetDesign(banded_lathe(outer) + egg, material, color, captions, density=density)
     captions = (f"an empty {word} egg cup", f"small {word} cup for a boiled egg", f"{word} egg holder")
     solid = cup(outer, [(0.55 * radius, 0.58 * height), (radius - wall, height)], lining)
     return AssetDesign(solid, material, color, captions, hollow=well(0.55 * radius, 0.58 * height, 0.42 * height))
 
 
-FAMILIES = (
-    AssetFamily("mug", mug, (DINING, COFFEE, KITCHEN, OFFICE)),
-    AssetFamily("teacup", teacup, (DINING, COFFEE)),
-    AssetFamily("tumbler", tumbler, (DINING, COFFEE, KITCHEN, OFFICE)),
-    AssetFamily("drinking_glass", drinking_glass, (DINING, COFFEE, KITCHEN, OFFICE)),
-    AssetFamily("wine_glass", wine_glass, (DINING, COFFEE)),
-    AssetFamily("egg_cup", egg_cup, (DINING, KITCHEN)),
-)
+FAMILIES = (mug, teacup, tumbler, drinking_glass, wine_glass, egg_cup)

@@ -1,37 +1,36 @@
-"""Little animals to be looked at."""
+"""Animal figures."""
 
 from dataclasses import dataclass
 
-from stable_data.embedded_world.families.tables import COFFEE, DRESSING, OFFICE
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
+from stable_data.embedded_world.modelling.family import AssetDesign, VariantSampler
 from stable_data.embedded_world.modelling.shapes import ellipsoid, rod, round_body
 from stable_data.embedded_world.modelling.solids import Solid, bar, box, join, lathe, loft, rectangle, slab
 
 
 @dataclass(frozen=True, slots=True)
 class _Clay:
-    """What figures are modelled from: rounds whose measures are metres in a figure of size 1.
+    """Rounded parts of figures; their measures are metres in a figure of size 1.
 
     Attributes:
-        size: Of the figure.
-        dark: Colour of its eyes.
+        size: Size of the figure.
+        dark: Colour of the eyes.
     """
 
     size: float
     dark: str
 
     def blob(self, x: float, y: float, z: float, wide: float, deep: float, high: float, tint: str | None = None) -> Solid:
-        """An ellipsoid around a point by its half axes."""
+        """An ellipsoid around a point from its half axes."""
         s = self.size
         part = ellipsoid(wide * s, deep * s, high * s, 16 if wide + deep > 0.03 else 10).moved(x * s, y * s, z * s)
         return part.painted(tint) if tint else part
 
     def foot(self, wide: float, deep: float, high: float) -> Solid:
-        """A flat round to stand on."""
+        """A flat round base."""
         return round_body([(wide * self.size, 0.0), (wide * self.size, high * self.size)], 24, deep / wide)
 
     def eyes(self, x: float, y: float, z: float, radius: float) -> list[Solid]:
-        """An eye on either side."""
+        """An eye on each side."""
         return [self.blob(side * x, y, z, radius, radius, radius, self.dark) for side in (-1, 1)]
 
 
@@ -150,7 +149,4 @@ def piggy_bank(draw: VariantSampler) -> AssetDesign:
     return AssetDesign(join([body, snout, *holes, *legs, *ears, *eyes, slot, curl]), "ceramic", color, captions, density=900.0)
 
 
-FAMILIES = (
-    AssetFamily("figurine", figurine, (COFFEE, OFFICE, DRESSING)),
-    AssetFamily("piggy_bank", piggy_bank, (COFFEE, OFFICE, DRESSING)),
-)
+FAMILIES = (figurine, piggy_bank)

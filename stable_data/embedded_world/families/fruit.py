@@ -6,9 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from stable_data.embedded_world.families.palette import LEAF
-from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN, OFFICE
 from stable_data.embedded_world.families.wording import fix_articles, pick_words
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
+from stable_data.embedded_world.modelling.family import AssetDesign, VariantSampler
 from stable_data.embedded_world.modelling.shapes import BALL, HALF_BALL, disc, lying_lathe, prism, scaled
 from stable_data.embedded_world.modelling.solids import Ring, Solid, box, chain, circle, hull, join, lathe, loft, vessel
 
@@ -26,7 +25,7 @@ def _leaf(length: float, tilt: float) -> Solid:
 
 
 def _half(radius: float, height: float, pith: str, flesh: str, num: int) -> tuple[Solid, list[Solid]]:
-    """Half a fruit, cut side up, and what is seen on the cut: pith and ``num`` segments."""
+    """Half a fruit, cut side up, and the visible cut: pith and ``num`` segments."""
     face = disc(0.96 * radius, height - 0.002, height + 0.0009, 32).painted(pith)
     step = 2 * math.pi / num
     arc = [(0.84 * radius * math.cos(a), 0.84 * radius * math.sin(a)) for a in (0.08 * step, 0.5 * step, 0.92 * step)]
@@ -98,6 +97,7 @@ def banana(draw: VariantSampler) -> AssetDesign:
         z = np.maximum(share * thick / 2 * np.sin(angle), -0.4 * thick)  # flat where it lies
         return np.stack([reach * np.sin(turn * along), reach * np.cos(turn * along) - bend, z], axis=1)
 
+    # Places along the bend and thickness there, shares.
     shape = ((-1.06, 0.3), (-0.94, 0.34), (-0.76, 0.82), (-0.4, 1.0), (0.4, 1.0), (0.75, 0.84), (0.97, 0.36))
     stem, tip = chain([ring(-1.22, 0.34), ring(-1.02, 0.33)]), chain([ring(0.94, 0.42), ring(1.03, 0.22)])
     one = chain([ring(*place) for place in shape]) + (stem + tip).painted(_BARK)
@@ -149,9 +149,8 @@ def avocado(draw: VariantSampler) -> AssetDesign:
 
     skin = rings([(0.5, 0.0), (0.74, 0.16 * h), (0.92, 0.5 * h), (1.0, h)])
     flesh = rings([(0.95, h - 0.002), (0.95, h + 0.0012)]).painted("#cdd47e")
-    seed = lathe(scaled(((0.97, -0.1), (1.0, 0.05), (0.9, 0.45), (0.6, 0.8), (0.2, 0.95)), 0.5 * r, 0.5 * r), 32).painted(
-        "#7a4a28"
-    )
+    stone = scaled(((0.97, -0.1), (1.0, 0.05), (0.9, 0.45), (0.6, 0.8), (0.2, 0.95)), 0.5 * r, 0.5 * r)
+    seed = lathe(stone, 32).painted("#7a4a28")
     captions = fix_articles("half of an avocado with its stone", f"halved {word} avocado", "cut avocado with a brown pit")
     return AssetDesign(join([skin, flesh, seed.moved(-0.05 * length, 0.0, h)]), "fruit", color, captions)
 
@@ -162,10 +161,8 @@ def watermelon(draw: VariantSampler) -> AssetDesign:
     word, color, stripe = pick_words(draw, "green #86b257 #3a6b33, light_green #a3c26d #4d7d3d, dark_green #3f6e3a #24472a")
     if is_half:
         h = 0.92 * r
-        rind, red = (
-            disc(0.97 * r, h - 0.002, h + 0.001, 48).painted("#e6ecc4"),
-            disc(0.88 * r, h, h + 0.0024, 48).painted("#cf4046"),
-        )
+        rind = disc(0.97 * r, h - 0.002, h + 0.001, 48).painted("#e6ecc4")
+        red = disc(0.88 * r, h, h + 0.0024, 48).painted("#cf4046")
         seed = box(0.008, 0.004, 0.004, 0.0012).moved(0.55 * r, 0.0, h)
         seeds = join([seed.moved(x=-0.22 * r * (k % 2)).turned(z=36 * k) for k in range(10)]).painted("black")
         captions = fix_articles(
@@ -187,12 +184,4 @@ def watermelon(draw: VariantSampler) -> AssetDesign:
     return AssetDesign(body + dark, "fruit", color, captions, density=920.0)
 
 
-FAMILIES = (
-    AssetFamily("apple", apple, (KITCHEN, DINING, COFFEE, OFFICE)),
-    AssetFamily("orange", orange, (KITCHEN, DINING, COFFEE)),
-    AssetFamily("lemon", lemon, (KITCHEN, DINING, COFFEE)),
-    AssetFamily("banana", banana, (KITCHEN, DINING, COFFEE)),
-    AssetFamily("pear", pear, (KITCHEN, DINING, COFFEE)),
-    AssetFamily("avocado", avocado, (KITCHEN, DINING)),
-    AssetFamily("watermelon", watermelon, (KITCHEN, DINING)),
-)
+FAMILIES = (apple, orange, lemon, banana, pear, avocado, watermelon)

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from stable_data.embedded_world.families.tables import COFFEE, OFFICE
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
+from stable_data.embedded_world.families.wording import fix_articles
+from stable_data.embedded_world.modelling.family import AssetDesign, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import arc_points, ellipsoid, prism, round_body, silhouette
 from stable_data.embedded_world.modelling.solids import Solid, box, chain, join, loft, rectangle, slab
 
@@ -40,7 +40,7 @@ def puzzle_cube(draw: VariantSampler) -> AssetDesign:
             )
             (upper if turn else lower).append(tile)
     solid = join(lower) + join(upper).turned(z=turn) if turn else join(lower)
-    captions = (
+    captions = fix_articles(
         f"a {state} puzzle cube, {layers} by {layers}",
         "colourful twisty puzzle cube",
         f"{color} puzzle cube with coloured stickers",
@@ -53,10 +53,10 @@ _LATITUDES = (-70, -56, -40, -24, -8, 8, 24, 40, 56, 72, 86)
 
 
 def _cut_low(seam: Solid, low: float) -> Solid:
-    """A seam without what would stand out below the flat that the ball rests on."""
+    """Cuts a seam where it extends below the flat of the ball."""
     part = np.vstack(seam.parts)
-    kept = part[part[:, 2] > -low + 0.0008]
-    return Solid(chain([kept[: len(kept) // 2], kept[len(kept) // 2 :]]).body, (kept,)).painted(seam.paints[0][1])
+    above = part[part[:, 2] > -low + 0.0008]
+    return Solid(chain([above[: len(above) // 2], above[len(above) // 2 :]]).body, (above,)).painted(seam.paints[0][1])
 
 
 def _seams(kind: str, more: float, radius: float, color: str) -> list[Solid]:
@@ -93,7 +93,7 @@ def _patches(kind: str, more: float, radius: float, color: str) -> list[Solid]:
     return [patch, *upper, *lower]
 
 
-def toy_ball(draw: VariantSampler) -> AssetDesign:
+def ball(draw: VariantSampler) -> AssetDesign:
     """A small ball, flat where it rests."""
     radius = draw.between(0.034, 0.055)
     kind = draw.pick("football", "basketball", "beach ball", "tennis ball", "striped ball", "dotted ball")
@@ -139,7 +139,7 @@ def board_game(draw: VariantSampler) -> AssetDesign:
         for j in range(3)
     ]
     label = box(0.6 * width, 0.004, 0.3 * height).moved(0.0, 0.0008 - depth / 2, 0.48 * height).painted(accent)
-    captions = (
+    captions = fix_articles(
         f"a board game in its {color} box",
         f"{color} board game box",
         f"flat game box with a {accent} title",
@@ -159,6 +159,7 @@ def dice(draw: VariantSampler) -> AssetDesign:
     size, up = draw.between(0.018, 0.03), draw.pick(6, 5, 4, 3, 2, 1)
     color, pip = draw.pick("white", "red", "blue", "black", "green", "oak"), "black"
     pip = "white" if color in ("red", "blue", "black", "green") else pip
+    # Opposite faces of a die add up to seven.
     around = [n for n in range(1, 7) if n not in (up, 7 - up)]
     numbers = (around[0], around[1], 7 - around[0], 7 - around[1])
     dot = round_body([(0.085 * size, size / 2 - 0.0008), (0.08 * size, size / 2 + 0.0007)], 8).painted(pip)
@@ -271,11 +272,4 @@ def chess_piece(draw: VariantSampler) -> AssetDesign:
     return AssetDesign(join(parts).resized(s), "wood", color, captions)
 
 
-FAMILIES = (
-    AssetFamily("puzzle_cube", puzzle_cube, (COFFEE, OFFICE)),
-    AssetFamily("ball", toy_ball, (COFFEE, OFFICE)),
-    AssetFamily("board_game", board_game, (COFFEE, OFFICE)),
-    AssetFamily("dice", dice, (COFFEE, OFFICE)),
-    AssetFamily("card_deck", card_deck, (COFFEE, OFFICE)),
-    AssetFamily("chess_piece", chess_piece, (COFFEE, OFFICE)),
-)
+FAMILIES = (puzzle_cube, ball, board_game, dice, card_deck, chess_piece)

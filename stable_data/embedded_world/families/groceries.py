@@ -1,19 +1,18 @@
-"""Food as it comes from the shop: jars, tins, cartons, cheese, eggs."""
+"""Packed and fresh food: jars, tins, cartons, cheese, eggs."""
 
 import math
 
 import numpy as np
 
-from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN
 from stable_data.embedded_world.families.vessels import banded_box, banded_lathe, well
-from stable_data.embedded_world.families.wording import color_word, fix_articles, pick_words, with_article
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
+from stable_data.embedded_world.families.wording import color_word, fix_articles, pick_words
+from stable_data.embedded_world.modelling.family import AssetDesign, VariantSampler
 from stable_data.embedded_world.modelling.shapes import HALF_BALL, disc, front_panel, lying_lathe, prism, scaled, wedge
 from stable_data.embedded_world.modelling.solids import bar, box, circle, join, lathe, loft
 
 
 def jar(draw: VariantSampler) -> AssetDesign:
-    """A closed glass jar full of something, with a wide lid."""
+    """A closed full glass jar with a wide lid."""
     food, color, label, lid = draw.pick(
         ("strawberry jam", "#9e2634", "white", "red"), ("honey", "#d39a2c", "cream", "gold"), ("pickles", "#7d8a42", "white", "green"),
         ("peanut butter", "#b98a55", "blue", "red"), ("olives", "#59603a", "cream", "black"), ("flour", "#ece4d2", "#ece4d2", "oak"),
@@ -24,7 +23,7 @@ def jar(draw: VariantSampler) -> AssetDesign:
     solid = banded_lathe(body, [(0.2 * height, label), (0.6 * height, color)] if label != color else (), corners)
     cover = neck + 0.003
     solid += banded_lathe([(cover, 0.84 * height), (cover, height - 0.0015), (cover - 0.0015, height)]).painted(lid)
-    captions = (f"a jar of {food} with {with_article(lid)} lid", f"glass jar full of {food}", f"closed {food} jar")
+    captions = fix_articles(f"a jar of {food} with a {lid} lid", f"glass jar full of {food}", f"closed {food} jar")
     return AssetDesign(solid, "glass", color, captions, top=well(cover - 0.0015, height))
 
 
@@ -44,7 +43,7 @@ def spice_jar(draw: VariantSampler) -> AssetDesign:
         body = box(1.8 * radius, 1.8 * radius, 0.8 * height, 0.004)
         body += front_panel(1.2 * radius, 0.34 * height, -0.9 * radius, 0.24 * height, label)
     cap = [(0.86 * radius, 0.78 * height), (0.86 * radius, height - 0.001), (0.86 * radius - 0.001, height)]
-    captions = (f"a small {shape} jar of {spice}", f"spice jar with {spice}", f"{spice} in a jar with {with_article(lid)} lid")
+    captions = fix_articles(f"a small {shape} jar of {spice}", f"spice jar with {spice}", f"{spice} in a jar with a {lid} lid")
     return AssetDesign(body + banded_lathe(cap).painted(lid), "glass", color, captions, density=900.0)
 
 
@@ -59,7 +58,7 @@ def can(draw: VariantSampler) -> AssetDesign:
     bands = [(0.005, label), (0.3 * height, stripe), (0.45 * height, label), (height - 0.005, "silver")]
     body = banded_lathe([*bead, *((r, height - z) for r, z in reversed(bead))], bands)
     lid = banded_lathe([(0.86 * radius, height - 0.004), (0.86 * radius, height + 0.0005)]).painted("grey")
-    captions = (f"a tin of {food}", f"metal can of {food}", f"canned {food} with {with_article(color_word(label))} label")
+    captions = fix_articles(f"a tin of {food}", f"metal can of {food}", f"canned {food} with a {color_word(label)} label")
     return AssetDesign(body + lid, "tin", "silver", captions, top=well(0.86 * radius, height + 0.0005))
 
 
@@ -127,14 +126,8 @@ def cheese(draw: VariantSampler) -> AssetDesign:
         h *= 0.65
     parts = [wedge(r, degrees, 0.0, h)]
     if style in ("holes", "blue"):
-        spots = (
-            (0.14, 0.5, 6),
-            (0.36, 0.3, 8),
-            (0.62, 0.62, 10),
-            (0.5, 0.78, 5),
-            (0.84, 0.35, 8),
-            (0.28, 0.7, 4),
-        )  # radii in mm
+        # x and z as shares of the cut side, radius in mm
+        spots = ((0.14, 0.5, 6), (0.36, 0.3, 8), (0.62, 0.62, 10), (0.5, 0.78, 5), (0.84, 0.35, 8), (0.28, 0.7, 4))
         for x, z, size in spots:
             hole = disc(size * (0.001 if style == "holes" else 0.0005), -0.002, 0.001, 10)
             parts.append(hole.turned(x=90).moved((x - 0.5) * r, 0.0, z * h).painted(rind))
@@ -149,13 +142,8 @@ def cheese(draw: VariantSampler) -> AssetDesign:
         parts.append(join(cover).painted(rind))
         if style == "brie":
             parts.append(wedge(r, degrees, h - 0.0015, h + 0.0022, -0.012).painted(rind))
-    names = {
-        "holes": "cheese with holes",
-        "brie": "soft white cheese",
-        "blue": "blue cheese",
-        "gouda": "hard cheese with a rind",
-    }
-    name = names[style]
+    names = {"holes": "cheese with holes", "brie": "soft white cheese", "blue": "blue cheese"}
+    name = names.get(style, "hard cheese with a rind")
     return AssetDesign(join(parts), "food", color, (f"a wedge of {name}", f"piece of {name}", "cheese wedge"), density=1000.0)
 
 
@@ -165,40 +153,17 @@ def egg(draw: VariantSampler) -> AssetDesign:
     word, color = pick_words(
         draw, "white #eee9df, brown #c48d62, pale #ecd9b8, light_brown #d3a47c, white #f2efe8, pale #f0e3cc"
     )
-    shape = [
-        (-1.0, 0.22),
-        (-0.9, 0.5),
-        (-0.66, 0.8),
-        (-0.3, 0.99),
-        (-0.02, 1.0),
-        (0.3, 0.95),
-        (0.66, 0.74),
-        (0.9, 0.43),
-        (1.0, 0.18),
-    ]
+    shape = [(-1.0, 0.22), (-0.9, 0.5), (-0.66, 0.8), (-0.3, 0.99), (-0.02, 1.0)]
+    shape += [(0.3, 0.95), (0.66, 0.74), (0.9, 0.43), (1.0, 0.18)]
     if is_half:
         oval, h = np.array([stretch, 1.0, 1.0]), 0.86 * r
         dome = loft([circle(x * r, z * h, 32) * oval for x, z in HALF_BALL])
-        yolk = (
-            lathe(scaled(((1.0, -0.9), (1.0, 0.3), (0.9, 1.0)), 0.56 * r, 0.0022), 32)
-            .moved(-0.12 * r, 0.0, h)
-            .painted("#eda93a")
-        )
+        yolk = lathe(scaled(((1.0, -0.9), (1.0, 0.3), (0.9, 1.0)), 0.56 * r, 0.0022), 32).moved(-0.12 * r, 0.0, h)
         captions = fix_articles("half of a boiled egg", "halved hard-boiled egg with a yellow yolk", "boiled egg, cut side up")
-        return AssetDesign(dome + yolk, "fruit", "#f4f0e6", captions, density=1030.0)
+        return AssetDesign(dome + yolk.painted("#eda93a"), "fruit", "#f4f0e6", captions, density=1030.0)
     solid = lying_lathe([(x * stretch * r, y * r) for x, y in shape], corners=20)
-    return AssetDesign(
-        solid, "fruit", color, (f"a {word} egg", f"raw {word} egg", f"chicken egg with a {word} shell"), density=1030.0
-    )
+    captions = (f"a {word} egg", f"raw {word} egg", f"chicken egg with a {word} shell")
+    return AssetDesign(solid, "fruit", color, captions, density=1030.0)
 
 
-FAMILIES = (
-    AssetFamily("jar", jar, (DINING, KITCHEN)),
-    AssetFamily("spice_jar", spice_jar, (DINING, KITCHEN)),
-    AssetFamily("can", can, (DINING, KITCHEN)),
-    AssetFamily("soda_can", soda_can, (DINING, COFFEE, KITCHEN)),
-    AssetFamily("milk_carton", milk_carton, (DINING, KITCHEN)),
-    AssetFamily("cereal_box", cereal_box, (DINING, KITCHEN)),
-    AssetFamily("cheese", cheese, (KITCHEN, DINING)),
-    AssetFamily("egg", egg, (KITCHEN, DINING)),
-)
+FAMILIES = (jar, spice_jar, can, soda_can, milk_carton, cereal_box, cheese, egg)

@@ -1,11 +1,11 @@
-"""What hair, chins and noses are kept in order with."""
+"""Articles for hair, shaving and the face."""
 
 import math
 
 import numpy as np
 
-from stable_data.embedded_world.families.tables import BATHROOM, COFFEE, DRESSING, OFFICE
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
+from stable_data.embedded_world.families.wording import fix_articles
+from stable_data.embedded_world.modelling.family import AssetDesign, VariantSampler
 from stable_data.embedded_world.modelling.shapes import lying_body, round_body, scaled, square_body
 from stable_data.embedded_world.modelling.solids import bar, box, chain, join, loft, rectangle, slab
 
@@ -32,9 +32,7 @@ def comb(draw: VariantSampler) -> AssetDesign:
         handle = slab(length - toothed + 0.01, wide, thick - 0.0003, 0.001)
         parts.append(handle.moved((toothed - 0.01) / 2, (depth - spine) / 2 - (0.0 if style == "tail" else 0.004)))
     material = "wood" if color == "walnut" else "plastic"
-    words = {"pocket": "pocket comb", "wide-tooth": "wide-tooth comb", "tail": "tail comb", "handled": "comb with a handle"}[
-        style
-    ]
+    words = "comb with a handle" if style == "handled" else f"{style} comb"
     captions = (f"{color} {words}", f"{color} comb", f"flat hair comb made of {material}")
     return AssetDesign(join([*parts, *teeth]), material, color, captions)
 
@@ -52,30 +50,19 @@ def hair_brush(draw: VariantSampler) -> AssetDesign:
     back, pillow = (
         round_body(part, 32, ratio) if style == "oval" else square_body(part, 0.35, ratio) for part in (profile, pad)
     )
-    grip = [
-        (-0.02, 0.007, 0.006, 0.0055),
-        (0.02, 0.0085, 0.007, 0.006),
-        (0.07, 0.012, 0.009, 0.0075),
-        (length - head, 0.009, 0.007, 0.006),
-    ]
+    grip = [(-0.02, 0.007, 0.006, 0.0055), (0.02, 0.0085, 0.007, 0.006)]
+    grip += [(0.07, 0.012, 0.009, 0.0075), (length - head, 0.009, 0.007, 0.006)]
     handle = lying_body(grip, 16).turned(z=-90).moved(0.0, 0.004 - head / 2)
     bristle = loft([rectangle(0.0032, 0.0032, 0.0), rectangle(0.002, 0.002, 0.016)]).moved(z=thick + 0.003)
     spots = [(i, j) for i in (-1.5, -0.5, 0.5, 1.5) for j in (-2, -1, 0, 1, 2) if abs(i) < 1 or abs(j) < 2]
     tufts = [
         bristle.moved(0.15 * width * i, 0.135 * head * j).painted("black" if cushion != "black" else "silver") for i, j in spots
     ]
-    captions = (
-        f"{color} {style} hair brush with its bristles up",
-        f"{color} hairbrush",
-        f"{style} brush with a {cushion} cushion",
+    captions = fix_articles(
+        f"{color} {style} hair brush with its bristles up", f"{color} hairbrush", f"{style} brush with a {cushion} cushion"
     )
-    return AssetDesign(
-        join([back, pillow.painted(cushion), handle, *tufts]),
-        "wood" if color in ("walnut", "bamboo") else "plastic",
-        color,
-        captions,
-        density=450.0,
-    )
+    material = "wood" if color in ("walnut", "bamboo") else "plastic"
+    return AssetDesign(join([back, pillow.painted(cushion), handle, *tufts]), material, color, captions, density=450.0)
 
 
 def hair_dryer(draw: VariantSampler) -> AssetDesign:
@@ -88,12 +75,7 @@ def hair_dryer(draw: VariantSampler) -> AssetDesign:
     barrel = lying_body([(x, a * radius, b * radius, middle) for x, a, b in shape])
     end = 0.36 * length - 0.004
     mouth = [(end, 0.76 * radius, 0.74 * radius, middle), (end + nozzle, 0.95 * radius, 0.36 * radius, middle)]
-    dark = lying_body(
-        [
-            (end + nozzle - 0.003, 0.88 * radius, 0.26 * radius, middle),
-            (end + nozzle + 0.001, 0.88 * radius, 0.26 * radius, middle),
-        ]
-    )
+    dark = lying_body([(end + nozzle + x, 0.88 * radius, 0.26 * radius, middle) for x in (-0.003, 0.001)])
     grill = lying_body(
         [(left - 0.003, 0.74 * radius, 0.74 * radius, middle), (left + 0.004, 0.78 * radius, 0.78 * radius, middle)]
     )
@@ -118,22 +100,16 @@ def razor(draw: VariantSampler) -> AssetDesign:
         for y, z in ((-0.8, 0.0003), (-0.6, 0.0006), (-0.4, 0.0013))
     ]
     head = slab(width, 0.019, 0.0115, 0.002).moved(0.0, half - 0.0075)
-    blades = [
-        box(0.86 * width, 0.002, 0.0125).moved(0.0, half - 0.0075 + y, -0.0002 + 0.0002).painted("silver")
-        for y in (0.0025, 0.0065)
-    ]
+    blades = [box(0.86 * width, 0.002, 0.0125).moved(0.0, half - 0.0075 + y, 0.0).painted("silver") for y in (0.0025, 0.0065)]
     cap = box(0.9 * width, 0.0032, 0.0092).moved(0.0, half + 0.0015, 0.001).painted(accent)
-    captions = (
+    captions = fix_articles(
         f"a {color} safety razor" if color != "orange" else "an orange disposable razor",
         f"{color} razor",
         "shaving razor, lying flat",
     )
-    return AssetDesign(
-        join([handle, head.painted("black" if color != "black" else "grey"), *grips, *blades, cap]).turned(z=180),
-        "metal" if color == "silver" else "plastic",
-        color,
-        captions,
-    )
+    head = head.painted("black" if color != "black" else "grey")
+    solid = join([handle, head, *grips, *blades, cap]).turned(z=180)
+    return AssetDesign(solid, "metal" if color == "silver" else "plastic", color, captions)
 
 
 def cotton_jar(draw: VariantSampler) -> AssetDesign:
@@ -164,15 +140,14 @@ def cotton_jar(draw: VariantSampler) -> AssetDesign:
 def tissue_box(draw: VariantSampler) -> AssetDesign:
     """A box of tissues, one of them standing out of the slot."""
     is_cube = draw.pick(False, True, False, True, False, False)
-    width, depth, height = (
-        (0.115, 0.115, draw.between(0.12, 0.135)) if is_cube else (draw.between(0.21, 0.24), 0.118, draw.between(0.055, 0.09))
-    )
+    if is_cube:
+        width, depth, height = 0.115, 0.115, draw.between(0.12, 0.135)
+    else:
+        width, depth, height = draw.between(0.21, 0.24), 0.118, draw.between(0.055, 0.09)
     color = draw.pick("blue", "white", "pink", "bamboo", "teal", "grey")
     accent = draw.pick("cream", "yellow", "grey", "navy", "white")
     body = slab(width, depth, height, 0.002)
-    slot = round_body(
-        [(0.055 if not is_cube else 0.042, height - 0.003), (0.055 if not is_cube else 0.042, height + 0.001)], 32, 0.42
-    )
+    slot = round_body([(0.042 if is_cube else 0.055, height + z) for z in (-0.003, 0.001)], 32, 0.42)
     band = box(width + 0.0018, depth + 0.0018, 0.22 * height).moved(z=0.3 * height).painted(accent)
     folds = [(0.036, 0.006, 0.0, 0.0), (0.05, 0.011, 0.022, 10.0), (0.062, 0.006, 0.045, -14.0), (0.02, 0.003, 0.066, -34.0)]
     rings = []
@@ -186,11 +161,4 @@ def tissue_box(draw: VariantSampler) -> AssetDesign:
     return AssetDesign(join(parts), "cardboard", color, captions, density=150.0)
 
 
-FAMILIES = (
-    AssetFamily("comb", comb, (BATHROOM, DRESSING)),
-    AssetFamily("hair_brush", hair_brush, (BATHROOM, DRESSING)),
-    AssetFamily("hair_dryer", hair_dryer, (BATHROOM, DRESSING)),
-    AssetFamily("razor", razor, (BATHROOM,)),
-    AssetFamily("cotton_jar", cotton_jar, (BATHROOM, DRESSING)),
-    AssetFamily("tissue_box", tissue_box, (BATHROOM, DRESSING, COFFEE, OFFICE)),
-)
+FAMILIES = (comb, hair_brush, hair_dryer, razor, cotton_jar, tissue_box)

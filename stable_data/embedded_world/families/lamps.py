@@ -3,9 +3,8 @@
 import math
 from itertools import pairwise
 
-from stable_data.embedded_world.families.tables import COFFEE, DRESSING, OFFICE
-from stable_data.embedded_world.families.wording import with_article
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
+from stable_data.embedded_world.families.wording import fix_articles
+from stable_data.embedded_world.modelling.family import AssetDesign, VariantSampler
 from stable_data.embedded_world.modelling.shapes import arc_points, disc, panel, scaled, silhouette
 from stable_data.embedded_world.modelling.solids import Solid, bar, box, join, lathe, slab, turned_vessel
 
@@ -53,7 +52,7 @@ def desk_lamp(draw: VariantSampler) -> AssetDesign:
         x, z = path[-1]
         solid = base + (arms + shade.moved(z=-0.082).turned(y=-32).moved(x, 0.0, z)).turned(z=-90)
     name = {"bar": "LED desk lamp", "banker's": f"banker's lamp with a {glass} shade"}.get(kind, f"{kind} desk lamp").lower()
-    captions = (with_article(f"{color} {name}"), f"{color} desk lamp", "lamp to read by")
+    captions = fix_articles(f"a {color} {name}", f"{color} desk lamp", "lamp to read by")
     return AssetDesign(solid, "electronics", color, captions)
 
 
@@ -79,11 +78,8 @@ def table_lamp(draw: VariantSampler) -> AssetDesign:
     knob = lathe([(0.007, high - 0.002), (0.009, high + 0.008), (0.005, high + 0.014)], 12).painted("gold")
     name = shade if not shade.startswith("#") else "beige"
     material = "wood" if color == "oak" else "ceramic"
-    captions = (f"a table lamp with {with_article(color)} {kind} base", f"{color} table lamp", f"lamp with a {name} shade")
+    captions = fix_articles(f"a table lamp with a {color} {kind} base", f"{color} table lamp", f"lamp with a {name} shade")
     return AssetDesign(join([solid, stem, cover, knob]), material, color, captions, density=1000.0)
 
 
-FAMILIES = (
-    AssetFamily("desk_lamp", desk_lamp, (OFFICE,)),
-    AssetFamily("table_lamp", table_lamp, (OFFICE, COFFEE, DRESSING)),
-)
+FAMILIES = (desk_lamp, table_lamp)

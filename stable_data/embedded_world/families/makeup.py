@@ -1,12 +1,12 @@
-"""What stands on a dressing table."""
+"""Cosmetics and mirrors."""
 
 import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from stable_data.embedded_world.families.tables import BATHROOM, DRESSING
-from stable_data.embedded_world.modelling.family import LYING, AssetDesign, AssetFamily, SupportArea, VariantSampler
+from stable_data.embedded_world.families.wording import fix_articles
+from stable_data.embedded_world.modelling.family import LYING, AssetDesign, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import front_panel, lying_body, round_body, square_body
 from stable_data.embedded_world.modelling.solids import Solid, box, chain, circle, join, loft, slab, vessel
 
@@ -37,20 +37,13 @@ def perfume(draw: VariantSampler) -> AssetDesign:
     block = [(0.95, 0.0), (1.0, 0.15), (1.0, 1.7), (0.9, 1.85)]
     stopper = [(r * size, height + 0.004 + z * size) for r, z in (ball if style in ("square", "round", "tapered") else block)]
     cap = (square_body(stopper, 0.3) if style == "flat" else round_body(stopper, 24)).painted(metal)
-    label = (
-        [
-            front_panel(
-                (0.36 if style == "eight-sided" else 0.5) * width, 0.3 * height, front, 0.32 * height, "cream", thickness=0.004
-            )
-        ]
-        if style in ("flat", "square", "eight-sided")
-        else []
-    )
+    label = []
+    if style in ("flat", "square", "eight-sided"):
+        wide = (0.36 if style == "eight-sided" else 0.5) * width
+        label = [front_panel(wide, 0.3 * height, front, 0.32 * height, "cream", thickness=0.004)]
     name = {"#d9b46a": "golden"}.get(color, color)
-    captions = (
-        f"a small {style} bottle of perfume, {name}",
-        f"{name} perfume bottle with a {metal} cap",
-        "scent bottle with a stopper",
+    captions = fix_articles(
+        f"a small {style} bottle of perfume, {name}", f"{name} perfume bottle with a {metal} cap", "scent bottle with a stopper"
     )
     return AssetDesign(join([glass, neck, cap, *label]), "glass", color, captions)
 
@@ -103,13 +96,8 @@ def cream_jar(draw: VariantSampler) -> AssetDesign:
     cover = [(1.0, split - 0.001), (1.02, split + 0.002), (1.02, height - 0.002), (0.97, height)]
     top = round_body([(r * radius, z) for r, z in cover]).painted(lid)
     captions = (f"a low {color} jar of face cream with a {lid} lid", f"{color} cream jar", f"{style} pot of skin cream")
-    return AssetDesign(
-        join([round_body(belly), top]),
-        "glass",
-        color,
-        captions,
-        top=SupportArea(1.3 * radius, 1.3 * radius, height, is_round=True),
-    )
+    space = SupportArea(1.3 * radius, 1.3 * radius, height, is_round=True)
+    return AssetDesign(join([round_body(belly), top]), "glass", color, captions, top=space)
 
 
 def makeup_palette(draw: VariantSampler) -> AssetDesign:
@@ -173,18 +161,11 @@ def brush_holder(draw: VariantSampler) -> AssetDesign:
     foot = round_body([(radius * flare + 0.0025, 0.0), (radius * flare + 0.0025, 0.0075)], corners).painted(metal)
     free = 2 * (radius * min(flare, 1.0) - wall) * math.cos(math.pi / inside)
     name = {"#a9b8a4": "sage"}.get(color, color)
-    captions = (
-        f"{name} pot for makeup brushes with a {metal} foot",
-        f"{name} brush holder",
-        "open holder for cosmetic brushes",
+    captions = fix_articles(
+        f"{name} pot for makeup brushes with a {metal} foot", f"{name} brush holder", "open holder for cosmetic brushes"
     )
-    return AssetDesign(
-        join([pot, foot]),
-        "glass" if color == "clear" else "ceramic",
-        color,
-        captions,
-        hollow=SupportArea(free, free, 0.008, height - 0.008, is_round=True),
-    )
+    material, hollow = "glass" if color == "clear" else "ceramic", SupportArea(free, free, 0.008, height - 0.008, is_round=True)
+    return AssetDesign(join([pot, foot]), material, color, captions, hollow=hollow)
 
 
 def mirror(draw: VariantSampler) -> AssetDesign:
@@ -222,25 +203,11 @@ def hand_mirror(draw: VariantSampler) -> AssetDesign:
     else:
         bevel = 0.2 if style == "square" else 0.55
         face = square_body(frame, bevel) + square_body(glass, bevel).painted(_GLASS)
-    shape = [
-        (0.0, 0.016, 0.006, 0.0055),
-        (0.025, 0.0085, 0.006, 0.0055),
-        (0.75 * grip, 0.0115, 0.007, 0.0065),
-        (grip, 0.008, 0.0055, 0.005),
-    ]
+    shape = [(0.0, 0.016, 0.006, 0.0055), (0.025, 0.0085, 0.006, 0.0055)]
+    shape += [(0.75 * grip, 0.0115, 0.007, 0.0065), (grip, 0.008, 0.0055, 0.005)]
     handle = lying_body(shape, 16).turned(z=-90).moved(0.0, 0.008 - tall * radius)
     captions = (f"{style} {color} hand mirror lying on its back", f"{color} hand mirror", f"hand-held mirror, {style}")
     return AssetDesign(face + handle, "wood" if color == "walnut" else "plastic", color, captions)
 
 
-FAMILIES = (
-    AssetFamily("perfume", perfume, (BATHROOM, DRESSING)),
-    AssetFamily("lipstick", lipstick, (BATHROOM, DRESSING)),
-    AssetFamily("nail_polish", nail_polish, (BATHROOM, DRESSING)),
-    AssetFamily("cream_jar", cream_jar, (BATHROOM, DRESSING)),
-    AssetFamily("makeup_palette", makeup_palette, (BATHROOM, DRESSING)),
-    AssetFamily("makeup_brush", makeup_brush, (BATHROOM, DRESSING)),
-    AssetFamily("brush_holder", brush_holder, (BATHROOM, DRESSING)),
-    AssetFamily("mirror", mirror, (BATHROOM, DRESSING)),
-    AssetFamily("hand_mirror", hand_mirror, (BATHROOM, DRESSING)),
-)
+FAMILIES = (perfume, lipstick, nail_polish, cream_jar, makeup_palette, makeup_brush, brush_holder, mirror, hand_mirror)

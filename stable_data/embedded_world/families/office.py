@@ -5,9 +5,8 @@ from itertools import product
 
 from stable_data.embedded_world.families.displays import digits
 from stable_data.embedded_world.families.palette import PAPER
-from stable_data.embedded_world.families.tables import OFFICE
-from stable_data.embedded_world.families.wording import with_article
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
+from stable_data.embedded_world.families.wording import fix_articles
+from stable_data.embedded_world.modelling.family import AssetDesign, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import hoop, panel, prism, scaled, silhouette
 from stable_data.embedded_world.modelling.solids import (
     Solid,
@@ -43,7 +42,7 @@ def file_tray(draw: VariantSampler) -> AssetDesign:
         posts = [post.moved(x * (width - wall) / 2, y * (depth / 2 - 0.03)) for x in (-1, 1) for y in (-1, 1)]
         solid, floor = join([level, level.moved(z=pitch), join(posts).painted("grey")]), pitch + wall
     height = "two-tier" if levels == 2 else "single"
-    captions = (with_article(f"{height} {color} letter tray"), f"{color} file tray", f"{height} tray for papers")
+    captions = fix_articles(f"a {height} {color} letter tray", f"{color} file tray", f"{height} tray for papers")
     inside = SupportArea(width - 2 * wall - 0.004, depth - 2 * wall - 0.002, floor, front - wall)
     return AssetDesign(solid, material, color, captions, hollow=inside, density=1500.0 if material == "metal" else None)
 
@@ -62,7 +61,7 @@ def file_holder(draw: VariantSampler) -> AssetDesign:
     ends = [box(width - 0.001, wall, h).moved(y=y) for y, h in ((-at, low - 0.003), (at, height - 0.001))]
     label = panel(0.5 * width, 0.032, 0.0, PAPER).turned(x=90).moved(0.0, 0.0002 - depth / 2, 0.6 * low)
     solid = join([box(width - 0.002, depth - 0.002, 0.005), *walls, *ends, label])
-    captions = (with_article(f"{color} {material} magazine holder"), f"{color} file holder", f"{material} magazine file")
+    captions = fix_articles(f"a {color} {material} magazine holder", f"{color} file holder", f"{material} magazine file")
     inside = SupportArea(width - 2 * wall - 0.001, depth - 2 * wall - 0.002, 0.005, low - 0.005)
     return AssetDesign(solid, material, color, captions, hollow=inside, density=600.0)
 
@@ -83,7 +82,7 @@ def pen_holder(draw: VariantSampler) -> AssetDesign:
     if draw.pick(True, False):
         band = [circle(r + 0.0012, z, corners) for z in (0.0015, 0.2 * height)]
         cup += vessel(band, [circle(r - 0.0012, z, inside) for z in (0.004, 0.2 * height)]).painted(second)
-    captions = (with_article(f"{kind} {color} pen holder"), f"{color} pen cup", f"{kind} {material} pencil holder")
+    captions = fix_articles(f"a {kind} {color} pen holder", f"{color} pen cup", f"{kind} {material} pencil holder")
     room = 2 * (r - wall) * math.cos(math.pi / inside) if kind != "square" else math.sqrt(2) * (r - wall)
     space = SupportArea(room, room, 0.006, height - 0.006, is_round=kind != "square")
     return AssetDesign(cup.turned(z=45 if kind == "square" else 0), material, color, captions, hollow=space)
@@ -129,7 +128,7 @@ def desk_organizer(draw: VariantSampler) -> AssetDesign:
         solid = join([tall, back, *pieces])
         space = SupportArea(left - 2 * wall - 0.001, depth - 2 * wall - 0.001, floor, high - floor, x=(left - width) / 2)
     name = f"{color} desk organizer {kind}" if kind != "stepped" else f"stepped {color} desk organizer"
-    captions = (with_article(f"{name}"), f"{color} desk organizer", f"{material} desk tidy with compartments")
+    captions = fix_articles(f"a {name}", f"{color} desk organizer", f"{material} desk tidy with compartments")
     return AssetDesign(solid, material, color, captions, hollow=space, density=1000.0 if material == "metal" else None)
 
 
@@ -145,7 +144,7 @@ def stapler(draw: VariantSampler) -> AssetDesign:
     shape = [(0.47, 24), (0.48, 36), (0.4, 50), (0.1, 58), (-0.36, 54), (-0.46, 46), (-0.48, 34)]
     arm = scaled(shape, n, 0.001 * k)
     solid = join([base, hinge.painted("silver"), silhouette(rail, 0.4 * wide).painted("silver"), silhouette(arm, 0.78 * wide)])
-    captions = (with_article(f"{color} {kind} stapler"), f"{color} stapler", f"{kind} office stapler")
+    captions = fix_articles(f"a {color} {kind} stapler", f"{color} stapler", f"{kind} office stapler")
     return AssetDesign(solid, "metal", color, captions, density=1500.0)
 
 
@@ -165,7 +164,7 @@ def tape_dispenser(draw: VariantSampler) -> AssetDesign:
     )
     cheeks = [cheek.moved(y=y * 0.38 * wide) for y in (-1, 1)]
     solid = join([foot, head, *cheeks, hub, (tape + strip).painted("#e9dcae"), blade.painted("silver")])
-    captions = (with_article(f"{color} tape dispenser with a roll of tape"), f"{color} tape dispenser", "desk tape dispenser")
+    captions = fix_articles(f"a {color} tape dispenser with a roll of tape", f"{color} tape dispenser", "desk tape dispenser")
     return AssetDesign(solid, "plastic", color, captions, density=1300.0)
 
 
@@ -204,7 +203,7 @@ def ruler(draw: VariantSampler) -> AssetDesign:
         for k, share in enumerate(long)
     ]
     line = panel(n - 0.012, 0.0014, thick, ink, y=0.42 * width, rise=0.0004)
-    captions = (with_article(f"{centimetres} cm {color} {material} ruler"), f"{color} ruler", f"{material} ruler")
+    captions = fix_articles(f"a {centimetres} cm {color} {material} ruler", f"{color} ruler", f"{material} ruler")
     return AssetDesign(join([body, line, *marks]), material, color, captions)
 
 
@@ -231,7 +230,7 @@ def calculator(draw: VariantSampler) -> AssetDesign:
         rise = math.degrees(math.atan2(0.02, 0.92 * depth))
         solid = solid.moved(y=0.46 * depth).turned(x=rise).moved(y=-0.46 * depth, z=0.0024)
         solid += silhouette(side, 0.92 * width).turned(z=90)
-    captions = (with_article(f"{color} {size} calculator with {keys} keys"), f"{color} calculator", f"{size} calculator")
+    captions = fix_articles(f"a {color} {size} calculator with {keys} keys", f"{color} calculator", f"{size} calculator")
     return AssetDesign(solid, "electronics", color, captions, density=700.0)
 
 
@@ -247,24 +246,13 @@ def hole_punch(draw: VariantSampler) -> AssetDesign:
     lever = [(-0.46, 0.02 + lift), (-0.42, 0.034 + lift), (0.28, 0.056), (0.4, 0.048), (0.4, 0.036)]
     guide = box(0.5 * width, 0.014, 0.004).moved(0.62 * width, 0.34 * depth, 0.004).painted("silver")
     solid = join([base, metal, guide, silhouette(scaled(lever, depth, 1.0), 0.86 * width).turned(z=90)])
-    captions = (
-        with_article(f"{color} two-hole punch"),
-        f"{color} hole punch",
-        "hole punch with a lever",
-        "paper punch for binders",
+    captions = fix_articles(
+        f"a {color} two-hole punch", f"{color} hole punch", "hole punch with a lever", "paper punch for binders"
     )
     return AssetDesign(solid, "metal", color, captions, density=1300.0)
 
 
 FAMILIES = (
-    AssetFamily("file_tray", file_tray, (OFFICE,)),
-    AssetFamily("file_holder", file_holder, (OFFICE,)),
-    AssetFamily("pen_holder", pen_holder, (OFFICE,)),
-    AssetFamily("desk_organizer", desk_organizer, (OFFICE,)),
-    AssetFamily("stapler", stapler, (OFFICE,)),
-    AssetFamily("tape_dispenser", tape_dispenser, (OFFICE,)),
-    AssetFamily("scissors", scissors, (OFFICE,)),
-    AssetFamily("ruler", ruler, (OFFICE,)),
-    AssetFamily("calculator", calculator, (OFFICE,)),
-    AssetFamily("hole_punch", hole_punch, (OFFICE,)),
-)
+    file_tray, file_holder, pen_holder, desk_organizer, stapler, tape_dispenser, scissors, ruler, calculator,
+    hole_punch,
+)  # fmt: skip

@@ -1,12 +1,11 @@
-"""What stands about a room to be looked at."""
+"""Ornaments."""
 
 import math
 
 import numpy as np
 
-from stable_data.embedded_world.families.tables import COFFEE, DINING, DRESSING, OFFICE
-from stable_data.embedded_world.families.wording import with_article
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
+from stable_data.embedded_world.families.wording import fix_articles
+from stable_data.embedded_world.modelling.family import AssetDesign, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import arc_points, ellipsoid, panel, prism, round_body, scaled, silhouette
 from stable_data.embedded_world.modelling.solids import Solid, bar, box, circle, join, lathe, loft, rectangle, vessel
 
@@ -43,7 +42,7 @@ def decor_tray(draw: VariantSampler) -> AssetDesign:
 
 
 def snow_globe(draw: VariantSampler) -> AssetDesign:
-    """A glass ball with snow and firs in it on a foot; what is inside stands out of the glass a little, to be seen."""
+    """A glass ball with snow and firs on a foot; the contents extend slightly beyond the glass, so that they are visible."""
     radius, foot = draw.between(0.034, 0.046), draw.between(0.02, 0.032)
     color, band = draw.pick("walnut", "red", "gold", "navy", "black", "white"), draw.pick("gold", "silver", "cream")
     style = draw.pick("flared", "straight", "stepped")
@@ -70,11 +69,8 @@ def snow_globe(draw: VariantSampler) -> AssetDesign:
         spot = [radius * math.cos(up) * math.cos(a), radius * math.cos(up) * math.sin(a), middle + radius * math.sin(up)]
         flakes.append(round_body([(0.0016, -0.002), (0.0024, 0.0), (0.0016, 0.002)], 6).moved(*spot).painted("white"))
     glass = dome((-50, -20, 8, 32, 54, 76), 0.0).painted("#b5d6ea")
-    captions = (
-        f"a snow globe with firs on a {color} foot",
-        f"{color} snow globe",
-        "glass ball with snow in it",
-        "snow globe souvenir",
+    captions = fix_articles(
+        f"a snow globe with firs on a {color} foot", f"{color} snow globe", "glass ball with snow in it", "snow globe souvenir"
     )
     return AssetDesign(join([base, glass, snow, *firs, *flakes]), "glass", color, captions)
 
@@ -140,7 +136,7 @@ _LANDS = (
 
 
 def _land(radius: float, longitude: float, latitude: float, reach: float) -> Solid:
-    """A patch that stands a little out of a ball of that radius around the origin."""
+    """A patch that extends slightly from a ball around the origin."""
     rings = []
     for share, lift in ((1.0, 0.92), (1.0, 1.01), (0.66, 1.013), (0.3, 1.014)):
         tilt = math.radians(share * reach)
@@ -165,11 +161,8 @@ def globe(draw: VariantSampler) -> AssetDesign:
     foot = lathe([(0.72 * r, 0.0), (0.74 * r, 0.006), (0.7 * r, 0.014), (0.3 * r, 0.02)])
     stem = lathe([(0.011, 0.015), (0.008, height - outside + 0.004)], 20)
     name = {"#cdb98a": "antique", "#8fc0dd": "pale blue"}.get(sea, sea)
-    captions = (
-        with_article(f"{name} globe on a {wood} stand"),
-        f"{name} globe",
-        "desk globe with the continents",
-        "model of the earth",
+    captions = fix_articles(
+        f"a {name} globe on a {wood} stand", f"{name} globe", "desk globe with the continents", "model of the earth"
     )
     return AssetDesign(whole + foot + stem, "plastic", wood, captions, density=280.0)
 
@@ -200,18 +193,10 @@ def photo_frame(draw: VariantSampler) -> AssetDesign:
     up, y = 0.66 * height, 0.66 * height * slope
     strut = silhouette([(foot - 0.012, 0.0), (foot, 0.0), (y, up), (y - 0.06 * height * slope - 0.003, 0.6 * height)], 0.03)
     way = "landscape" if width > height else "upright"
-    captions = (
-        with_article(f"{color} photo frame with a {kind} picture"),
-        f"{color} picture frame",
-        f"{way} photo in {with_article(color)} frame",
+    captions = fix_articles(
+        f"a {color} photo frame with a {kind} picture", f"{color} picture frame", f"{way} photo in a {color} frame"
     )
     return AssetDesign(frame + strut.turned(z=90), "wood", color, captions)
 
 
-FAMILIES = (
-    AssetFamily("decor_tray", decor_tray, (COFFEE, DINING, DRESSING)),
-    AssetFamily("snow_globe", snow_globe, (COFFEE, OFFICE, DRESSING)),
-    AssetFamily("bookend", bookend, (OFFICE, COFFEE)),
-    AssetFamily("globe", globe, (OFFICE,)),
-    AssetFamily("photo_frame", photo_frame, (OFFICE, DRESSING)),
-)
+FAMILIES = (decor_tray, snow_globe, bookend, globe, photo_frame)

@@ -1,4 +1,4 @@
-"""Colours that several families share beside those with a name."""
+"""Colours that several families share, in addition to the named ones."""
 
 from collections.abc import Mapping
 from types import MappingProxyType

@@ -4,9 +4,8 @@ import math
 from itertools import pairwise
 
 from stable_data.embedded_world.families.palette import NEON, PAPER
-from stable_data.embedded_world.families.tables import COFFEE, OFFICE
-from stable_data.embedded_world.families.wording import with_article
-from stable_data.embedded_world.modelling.family import ON_EDGE, AssetDesign, AssetFamily, SupportArea, VariantSampler
+from stable_data.embedded_world.families.wording import fix_articles
+from stable_data.embedded_world.modelling.family import ON_EDGE, AssetDesign, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import disc, hoop, panel, prism, scaled, silhouette
 from stable_data.embedded_world.modelling.solids import Solid, box, join, lathe
 from stable_data.scene import UPRIGHT
@@ -51,12 +50,7 @@ def book(draw: VariantSampler) -> AssetDesign:
         label = panel(0.4 * length, 0.5 * thickness, 0.0, second, -0.15 * length).turned(x=90)
         solid += title + picture + label.moved(y=-width / 2, z=thickness / 2)
         top = SupportArea(0.84 * length, 0.84 * width, thickness + 0.0008, x=-0.01 * length)
-    captions = (
-        with_article(f"{color} {kind} book"),
-        f"{color} book",
-        f"{kind} book with {with_article(color)} cover",
-        "a book to read",
-    )
+    captions = fix_articles(f"a {color} {kind} book", f"{color} book", f"{kind} book with a {color} cover", "a book to read")
     return AssetDesign(solid, "paper", color, captions, top=top, tilts=(UPRIGHT, ON_EDGE), density=600.0)
 
 
@@ -79,11 +73,8 @@ def notebook(draw: VariantSampler) -> AssetDesign:
         solid += box(length + 0.0014, size, thickness - 0.0002).moved(y=y, z=0.001).painted(second)
     title = panel(0.26 * length, 0.5 * width, thickness, second if kind == "spiral" else PAPER, -0.18 * length)
     phrase = {"spiral": "spiral-bound", "elastic band": "pocket", "cloth spine": "cloth-bound"}[kind]
-    captions = (
-        f"a {phrase} notebook with a {color} cover",
-        f"{color} notebook",
-        f"notebook with {with_article(kind)}",
-        "notebook for notes",
+    captions = fix_articles(
+        f"a {phrase} notebook with a {color} cover", f"{color} notebook", f"notebook with a {kind}", "notebook for notes"
     )
     return AssetDesign((solid + title).turned(z=-90), "paper", color, captions, density=550.0)
 
@@ -115,11 +106,7 @@ def magazine(draw: VariantSampler) -> AssetDesign:
         boxes = [panel(*at, c, x * 0.23 * width, -0.34 * depth, 0.0006) for x, c in ((-1, second), (1, PAPER))]
         solid = join([pages, *covers, back, title, image, *boxes])
         top = SupportArea(0.8 * width, 0.8 * depth, thick + 0.0006)
-    captions = (
-        with_article(f"{kind} magazine with {with_article(color)} cover"),
-        f"{color} magazine",
-        f"{kind} magazine lying flat",
-    )
+    captions = fix_articles(f"a {kind} magazine with a {color} cover", f"{color} magazine", f"{kind} magazine lying flat")
     return AssetDesign(solid, "paper", color, captions, top=top, density=500.0)
 
 
@@ -145,13 +132,8 @@ def newspaper(draw: VariantSampler) -> AssetDesign:
             width *= 0.72
         lower = scaled([(0.003 / depth - 0.5, 0.0), (0.5, 0.0), (0.5, 0.46), (-0.5, 0.46), (-0.503, 0.24)], depth, thick)
         back = 0.5 * depth - 0.008
-        upper = [
-            (-depth / 2, 0.42 * thick),
-            (back, 0.42 * thick),
-            (back, thick),
-            (0.004 - depth / 2, thick),
-            (-depth / 2, 0.7 * thick),
-        ]
+        upper = [(-depth / 2, 0.42 * thick), (back, 0.42 * thick), (back, thick)]
+        upper += [(0.004 - depth / 2, thick), (-depth / 2, 0.7 * thick)]
         second = draw.pick(PAPER, color)
         solid = (silhouette(lower, width) + silhouette(upper, width - 0.004).painted(second)).turned(z=90)
         print_ = [
@@ -162,10 +144,8 @@ def newspaper(draw: VariantSampler) -> AssetDesign:
         ]
         solid = join([solid, *print_])
         top = SupportArea(0.8 * width, 0.8 * depth, thick + 0.0005)
-    captions = (
-        with_article(f"{kind} newspaper"),
-        f"{kind} daily paper",
-        "newspaper with a headline" if top else "paper in a rubber band",
+    captions = fix_articles(
+        f"a {kind} newspaper", f"{kind} daily paper", "newspaper with a headline" if top else "paper in a rubber band"
     )
     return AssetDesign(solid, "paper", color, captions, top=top, density=400.0)
 
@@ -196,12 +176,12 @@ def envelope(draw: VariantSampler) -> AssetDesign:
         stamp = panel(0.12 * width, 0.26 * depth, z, draw.pick("red", "teal", "navy"), 0.41 * width, 0.33 * depth)
         sender = _lines(0.26 * width, 0.16 * depth, z, 2, -0.33 * width, 0.38 * depth)
         solid += stamp + sender + _lines(0.42 * width, 0.34 * depth, z, 4, 0.1 * width, -0.16 * depth)
-    captions = {
+    words = {
         "bundle": ("a bundle of letters tied with red string", "stack of envelopes", "pile of letters"),
-        "sealed": (with_article(f"{name} envelope with a wax seal"), f"{name} envelope", "sealed letter"),
-        "addressed": (with_article(f"{name} envelope with a stamp"), f"{name} envelope", "letter ready to post"),
+        "sealed": (f"a {name} envelope with a wax seal", f"{name} envelope", "sealed letter"),
+        "addressed": (f"a {name} envelope with a stamp", f"{name} envelope", "letter ready to post"),
     }[kind]
-    return AssetDesign(solid, "paper", color, captions)
+    return AssetDesign(solid, "paper", color, fix_articles(*words))
 
 
 def paper_stack(draw: VariantSampler) -> AssetDesign:
@@ -225,11 +205,8 @@ def paper_stack(draw: VariantSampler) -> AssetDesign:
         lever = box(0.012, 0.03, 0.0015).moved(y=y - 0.026, z=z + 0.0002)
         solid += (silhouette(side, 0.03).turned(z=90) + lever).moved(x).painted("black")
     detail = {"neat": "neat stack", "untidy": "untidy pile", "clipped": "clipped bundle"}[kind]
-    captions = (
-        with_article(f"{detail} of printed papers"),
-        "stack of papers",
-        f"{detail} of documents",
-        "sheets of paper with text",
+    captions = fix_articles(
+        f"a {detail} of printed papers", "stack of papers", f"{detail} of documents", "sheets of paper with text"
     )
     top = SupportArea(0.8 * width, 0.8 * depth, z + 0.0004) if kind == "neat" else None
     return AssetDesign(solid, "paper", "#f0eee8", captions, top=top)
@@ -265,7 +242,7 @@ def sticky_notes(draw: VariantSampler) -> AssetDesign:
         solid += _lines(0.6 * side, 0.3 * side, z + 0.0012, 3, y=0.26 * side)
     text = "sticky note cube in several colors" if kind == "cube" else f"{name} sticky note {kind}"
     plain = "colorful sticky notes" if kind == "cube" else f"{name} sticky notes"
-    captions = (with_article(text), plain, "sticky notes for reminders", "block of self-adhesive notes")
+    captions = fix_articles(f"a {text}", plain, "sticky notes for reminders", "block of self-adhesive notes")
     top = SupportArea(0.9 * side, 0.9 * side, z) if kind == "cube" else None
     return AssetDesign(solid, "paper", color, captions, top=top)
 
@@ -283,11 +260,8 @@ def binder(draw: VariantSampler) -> AssetDesign:
     eye = hoop(0.026, 0.026, 0.003, 0.004, 12).moved(0.11, 0.0, -0.0012).painted("silver")
     front = (label + eye).turned(x=90).moved(y=-width / 2, z=thickness / 2)
     thick = "thick" if thickness > 0.06 else "slim"
-    captions = (
-        with_article(f"{thick} {color} ring binder"),
-        f"{color} binder",
-        f"{color} lever arch file",
-        "binder full of papers",
+    captions = fix_articles(
+        f"a {thick} {color} ring binder", f"{color} binder", f"{color} lever arch file", "binder full of papers"
     )
     solid, tilts = join([*boards, back, sheets, arch, front]), draw.pick((ON_EDGE, UPRIGHT), (UPRIGHT, ON_EDGE))
     return AssetDesign(solid, "cardboard", color, captions, tilts=tilts, density=400.0)
@@ -306,18 +280,8 @@ def clipboard(draw: VariantSampler) -> AssetDesign:
     tab = prism([(-0.05, 0.0), (0.05, 0.0), (0.03, 0.03), (-0.03, 0.03)], 0.0, 0.002).turned(x=20)
     clip = join([jaw, roll, tab.moved(0.0, y, z + 0.005)]).painted("silver")
     material = "wood" if color in ("brown", "oak") else "plastic"
-    captions = (with_article(f"{color} clipboard with sheets of paper"), f"{color} clipboard", "clipboard with a metal clip")
+    captions = fix_articles(f"a {color} clipboard with sheets of paper", f"{color} clipboard", "clipboard with a metal clip")
     return AssetDesign(join([box(width, depth, 0.0035, 0.01), sheets, written, clip]), material, color, captions)
 
 
-FAMILIES = (
-    AssetFamily("book", book, (OFFICE, COFFEE)),
-    AssetFamily("notebook", notebook, (OFFICE,)),
-    AssetFamily("magazine", magazine, (OFFICE, COFFEE)),
-    AssetFamily("newspaper", newspaper, (OFFICE, COFFEE)),
-    AssetFamily("envelope", envelope, (OFFICE,)),
-    AssetFamily("paper_stack", paper_stack, (OFFICE,)),
-    AssetFamily("sticky_notes", sticky_notes, (OFFICE,)),
-    AssetFamily("binder", binder, (OFFICE,)),
-    AssetFamily("clipboard", clipboard, (OFFICE,)),
-)
+FAMILIES = (book, notebook, magazine, newspaper, envelope, paper_stack, sticky_notes, binder, clipboard)

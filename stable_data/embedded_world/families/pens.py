@@ -1,11 +1,10 @@
-"""Pens and what rubs them out."""
+"""Pens and erasers."""
 
 import math
 
 from stable_data.embedded_world.families.palette import NEON, PAPER
-from stable_data.embedded_world.families.tables import OFFICE
-from stable_data.embedded_world.families.wording import with_article
-from stable_data.embedded_world.modelling.family import LYING, AssetDesign, AssetFamily, VariantSampler
+from stable_data.embedded_world.families.wording import fix_articles
+from stable_data.embedded_world.modelling.family import LYING, AssetDesign, VariantSampler
 from stable_data.embedded_world.modelling.shapes import panel, scaled, silhouette
 from stable_data.embedded_world.modelling.solids import Profile, Solid, box, join, lathe, loft, rectangle, slab
 from stable_data.scene import FloatArray
@@ -46,7 +45,7 @@ def pen(draw: VariantSampler) -> AssetDesign:
             _rod([(1.13 * r, 0.515 * length), (1.1 * r, 0.92 * length), (0.6 * r, length)], r - 1e-4),
             (clip.moved(0.0, 1.4 * r, 0.58 * length) + root.moved(0.0, 1.2 * r, 0.84 * length)).painted(trim),
         ]
-    captions = (with_article(f"{color} {kind} pen"), f"{color} pen", f"{kind} pen with {trim} trim", "pen to write with")
+    captions = fix_articles(f"a {color} {kind} pen", f"{color} pen", f"{kind} pen with {trim} trim", "pen to write with")
     return AssetDesign(join(pieces), "plastic", color, captions, tilts=LYING)
 
 
@@ -71,11 +70,8 @@ def pencil(draw: VariantSampler) -> AssetDesign:
     size = "short" if length < 0.13 else "long"
     name = "carpenter's pencil" if kind == "carpenter's" else "pencil"
     detail = "with an eraser on its end" if kind == "with an eraser" else "with a sharpened point"
-    captions = (
-        with_article(f"{size} {color} {name} {detail}"),
-        f"{color} {name}",
-        f"sharpened {size} {name}",
-        "wooden pencil for drawing",
+    captions = fix_articles(
+        f"a {size} {color} {name} {detail}", f"{color} {name}", f"sharpened {size} {name}", "wooden pencil for drawing"
     )
     return AssetDesign(solid, "wood", color, captions, tilts=LYING)
 
@@ -99,11 +95,8 @@ def marker(draw: VariantSampler) -> AssetDesign:
     clip = box(0.005, 0.003, length - cut - 0.006).moved(0.0, 0.98 * r, cut + 0.002)
     solid = barrel + cap + (clip if kind == "whiteboard" else cap)
     lift = 0.004 if kind == "felt-tip" else 0.0
-    captions = (
-        with_article(f"{color} {kind} marker with its cap on"),
-        f"{color} marker",
-        f"{kind} marker pen in {color}",
-        "thick felt pen",
+    captions = fix_articles(
+        f"a {color} {kind} marker with its cap on", f"{color} marker", f"{kind} marker pen in {color}", "thick felt pen"
     )
     return AssetDesign(solid.moved(z=lift), "plastic", color, captions, tilts=LYING)
 
@@ -123,10 +116,8 @@ def highlighter(draw: VariantSampler) -> AssetDesign:
     clip = box(0.3 * width, 0.0024, length - cut - 0.002).moved(0.0, thick / 2 + 0.0008, cut - 0.008)
     label = panel(0.5 * width, 0.5 * cut, 0.0, "black" if not dark else color).turned(x=-90).moved(0.0, thick / 2, 0.48 * cut)
     body = body.painted("black") if dark else body
-    captions = (
-        with_article(f"{name} highlighter"),
-        f"fluorescent {name} highlighter pen",
-        f"{name} text marker with its cap on",
+    captions = fix_articles(
+        f"a {name} highlighter", f"fluorescent {name} highlighter pen", f"{name} text marker with its cap on"
     )
     return AssetDesign(join([body, cap, clip, label]), "plastic", color, captions, tilts=LYING, density=600.0)
 
@@ -139,24 +130,15 @@ def eraser(draw: VariantSampler) -> AssetDesign:
     if kind == "sleeve":
         sleeve = box(0.62 * n, width + 0.0014, thick + 0.0014).moved(0.14 * n).painted(second)
         mark = panel(0.3 * n, 0.3 * width, thick + 0.0014, "white", 0.14 * n)
-        solid, text = slab(n, width, thick, 0.0025) + sleeve + mark, f"in {with_article(second)} sleeve"
+        solid, text = slab(n, width, thick, 0.0025) + sleeve + mark, f"in a {second} sleeve"
     elif kind == "slanted":
         shape = scaled([(-0.58, 0.0), (0.42, 0.0), (0.58, 1.0), (-0.42, 1.0)], n, thick)
-        solid, text = (
-            silhouette(shape, width) + panel(0.44 * n, 0.4 * width, thick, second),
-            f"with {with_article(second)} print",
-        )
+        solid, text = silhouette(shape, width) + panel(0.44 * n, 0.4 * width, thick, second), f"with a {second} print"
     else:
         end = box(0.36 * n + 0.0004, width - 0.0004, thick - 0.0002).moved(0.32 * n).painted(second)
-        solid, text = slab(0.64 * n, width, thick, 0.001).moved(-0.18 * n) + end, f"with {with_article(second)} end"
-    captions = (with_article(f"{color} eraser {text}"), f"{color} eraser", f"small {color} rubber {text}", "pencil eraser")
+        solid, text = slab(0.64 * n, width, thick, 0.001).moved(-0.18 * n) + end, f"with a {second} end"
+    captions = fix_articles(f"a {color} eraser {text}", f"{color} eraser", f"small {color} rubber {text}", "pencil eraser")
     return AssetDesign(solid, "rubber", color, captions)
 
 
-FAMILIES = (
-    AssetFamily("pen", pen, (OFFICE,)),
-    AssetFamily("pencil", pencil, (OFFICE,)),
-    AssetFamily("marker", marker, (OFFICE,)),
-    AssetFamily("highlighter", highlighter, (OFFICE,)),
-    AssetFamily("eraser", eraser, (OFFICE,)),
-)
+FAMILIES = (pen, pencil, marker, highlighter, eraser)

@@ -1,12 +1,11 @@
-"""What people wear or carry, laid down, and what they lay it in."""
+"""Personal accessories and their containers."""
 
 import math
 
 import numpy as np
 
-from stable_data.embedded_world.families.tables import BATHROOM, COFFEE, DRESSING, OFFICE
-from stable_data.embedded_world.families.wording import with_article
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
+from stable_data.embedded_world.families.wording import fix_articles
+from stable_data.embedded_world.modelling.family import AssetDesign, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import lying_body, round_body, silhouette
 from stable_data.embedded_world.modelling.solids import bar, box, join, lathe, loft, rectangle, slab, turned_vessel
 
@@ -33,12 +32,11 @@ def watch(draw: VariantSampler) -> AssetDesign:
     wide = 1.05 * radius
     if on_cushion:
         high, deep = draw.between(0.02, 0.024), draw.between(0.03, 0.034)
-        pillow = lying_body(
-            [(x, r * deep, r * high, 0.9 * high) for x, r in ((-0.042, 0.7), (-0.03, 1.0), (0.03, 1.0), (0.042, 0.7))]
-        )
+        ends = ((-0.042, 0.7), (-0.03, 1.0), (0.03, 1.0), (0.042, 0.7))
+        pillow = lying_body([(x, r * deep, r * high, 0.9 * high) for x, r in ends])
         strap = lying_body([(x, deep + 0.0025, high + 0.0025, 0.9 * high) for x in (-wide / 2, wide / 2)], 32).painted(color)
         parts = [pillow, strap, head.moved(z=1.9 * high)]
-        captions = (
+        captions = fix_articles(
             f"a wrist watch with a {color} strap on a cushion",
             f"{color} watch on its cushion",
             f"{metal} watch with a {dial} dial",
@@ -65,16 +63,11 @@ def sunglasses(draw: VariantSampler) -> AssetDesign:
     color = draw.pick("black", "brown", "gold", "red", "white", "navy")
     lens, gap = draw.pick("#2c2f33", "#4a3524", "#2d4a3a", "#39414f"), 0.074
     high = wide if style == "round" else high
+    sections = (((1.0, 0.0), (1.0, 0.0045)), ((0.84, 0.002), (0.84, 0.0057)))
     if style == "square":
-        rim, glass = (
-            loft([rectangle(s * wide, s * high, z, 0.008 * s) for s, z in rings])
-            for rings in (((1.0, 0.0), (1.0, 0.0045)), ((0.84, 0.002), (0.84, 0.0057)))
-        )
+        rim, glass = (loft([rectangle(s * wide, s * high, z, 0.008 * s) for s, z in rings]) for rings in sections)
     else:
-        rim, glass = (
-            round_body([(s * wide / 2, z) for s, z in rings], 32, high / wide)
-            for rings in (((1.0, 0.0), (1.0, 0.0045)), ((0.84, 0.002), (0.84, 0.0057)))
-        )
+        rim, glass = (round_body([(s * wide / 2, z) for s, z in rings], 32, high / wide) for rings in sections)
     eye = rim + glass.painted(lens)
     bridge = bar([(-0.014, 0.0025), (0.0, 0.0035), (0.014, 0.0025)], 0.006, 0.004, 8).moved(y=0.16 * high)
     ends = [box(0.014, 0.009, 0.0045).moved(side * (gap / 2 + wide / 2 - 0.0005), 0.24 * high) for side in (-1, 1)]
@@ -151,7 +144,7 @@ def glasses_case(draw: VariantSampler) -> AssetDesign:
         snap = lathe([(0.006, 0.0), (0.006, 0.004)]).turned(x=90).moved(0.0, 0.001 - width / 2, 0.54 * high)
         solid += flap.turned(z=90).painted("kraft") + snap.painted("silver")
         detail = "with a flap"
-    captions = (with_article(f"{color} glasses case {detail}"), f"{color} glasses case", "hard case for spectacles")
+    captions = fix_articles(f"a {color} glasses case {detail}", f"{color} glasses case", "hard case for spectacles")
     return AssetDesign(solid, "plastic", color, captions, density=280.0)
 
 
@@ -178,18 +171,12 @@ def jewelry_box(draw: VariantSampler) -> AssetDesign:
         parts.append(box(0.018, 0.005, 0.024).moved(0.0, -depth / 2 - 0.0005, 0.66 * height).painted(metal))
     words = f"with {drawers} drawer{'s' if drawers > 1 else ''}" if drawers else "with a lid and a clasp"
     captions = (f"a small {color} jewelry box {words}", f"{color} jewelry box", f"box for jewels, {metal} fittings")
-    return AssetDesign(
-        join([body, lid, *feet, *parts]),
-        "wood",
-        color,
-        captions,
-        top=SupportArea(width - 0.012, depth - 0.012, height),
-        density=350.0,
-    )
+    top = SupportArea(width - 0.012, depth - 0.012, height)
+    return AssetDesign(join([body, lid, *feet, *parts]), "wood", color, captions, top=top, density=350.0)
 
 
 def ring_dish(draw: VariantSampler) -> AssetDesign:
-    """A little dish for rings, some with a cone that a ring is on."""
+    """A small dish for rings, some with a cone that holds a ring."""
     radius, height = draw.between(0.045, 0.058), draw.between(0.014, 0.022)
     has_cone = draw.pick(True, False, True, False, True, False)
     color = draw.pick("white", "pink", "black", "teal", "cream", "navy")
@@ -202,10 +189,8 @@ def ring_dish(draw: VariantSampler) -> AssetDesign:
     if has_cone:
         top = draw.between(0.055, 0.075)
         cone = round_body([(0.016, 0.004), (0.014, 0.009), (0.0035, top - 0.002), (0.002, top)], 24)
-        band = round_body([(0.0112, 0.42 * top), (0.0118, 0.42 * top + 0.0016), (0.0112, 0.42 * top + 0.0032)], 24).painted(
-            metal
-        )
-        dish, hollow = join([dish, cone, band]), None
+        band = round_body([(0.0112, 0.42 * top), (0.0118, 0.42 * top + 0.0016), (0.0112, 0.42 * top + 0.0032)], 24)
+        dish, hollow = join([dish, cone, band.painted(metal)]), None
         words = f"with a cone and a {metal} ring"
     else:
         dish += round_body([(0.6 * radius, 0.004), (0.6 * radius, 0.0056)], 32).painted(metal)
@@ -215,11 +200,4 @@ def ring_dish(draw: VariantSampler) -> AssetDesign:
     return AssetDesign(dish, "ceramic", color, captions, hollow=hollow)
 
 
-FAMILIES = (
-    AssetFamily("watch", watch, (OFFICE, DRESSING)),
-    AssetFamily("sunglasses", sunglasses, (COFFEE, OFFICE, DRESSING)),
-    AssetFamily("wallet", wallet, (COFFEE, OFFICE, DRESSING)),
-    AssetFamily("glasses_case", glasses_case, (OFFICE,)),
-    AssetFamily("jewelry_box", jewelry_box, (DRESSING,)),
-    AssetFamily("ring_dish", ring_dish, (BATHROOM, DRESSING)),
-)
+FAMILIES = (watch, sunglasses, wallet, glasses_case, jewelry_box, ring_dish)

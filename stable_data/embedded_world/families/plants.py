@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from stable_data.embedded_world.families.tables import BATHROOM, COFFEE, DINING, DRESSING, OFFICE
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
+from stable_data.embedded_world.families.wording import fix_articles
+from stable_data.embedded_world.modelling.family import AssetDesign, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import ellipsoid, rod, round_body, scaled
 from stable_data.embedded_world.modelling.solids import Solid, bar, box, chain, circle, join, loft, vessel
 
@@ -35,22 +35,16 @@ def vase(draw: VariantSampler) -> AssetDesign:
     color, glaze = draw.pick("teal", "white", "terracotta", "navy", "olive", "pink"), draw.pick("cream", "gold", "black")
     body = _vase(style, radius, height)
     if style == "urn":
-        path = [
-            (0.58 * radius, 0.93 * height),
-            (1.05 * radius, 0.94 * height),
-            (1.15 * radius, 0.8 * height),
-            (0.86 * radius, 0.64 * height),
-        ]
+        path = scaled([(0.58, 0.93), (1.05, 0.94), (1.15, 0.8), (0.86, 0.64)], radius, height)
         body += bar(path, 0.01, 0.008, 8) + bar([(-x, z) for x, z in path], 0.01, 0.008, 8)
     if style in ("bulbous", "slender", "gourd"):
         (r, z), (s, t) = _VASES[style][1:3]
-        body += round_body([(r * radius + 0.0008, z * height + 0.002), (s * radius + 0.0008, t * height - 0.002)]).painted(
-            glaze
-        )
+        band = [(r * radius + 0.0008, z * height + 0.002), (s * radius + 0.0008, t * height - 0.002)]
+        body += round_body(band).painted(glaze)
     captions = (f"an empty {color} vase, {style}", f"{color} ceramic vase", f"{style} vase without flowers")
-    hollow = (
-        SupportArea(0.68 * radius, 0.68 * radius, 0.45 * height, 0.55 * height, is_round=True) if style == "trumpet" else None
-    )
+    hollow = None
+    if style == "trumpet":
+        hollow = SupportArea(0.68 * radius, 0.68 * radius, 0.45 * height, 0.55 * height, is_round=True)
     if style == "cylinder":
         hollow = SupportArea(1.05 * radius - 0.008, 1.05 * radius - 0.008, 0.02 * height, 0.98 * height, is_round=True)
     return AssetDesign(body, "ceramic", color, captions, hollow=hollow, density=900.0)
@@ -207,12 +201,8 @@ def cactus(draw: VariantSampler) -> AssetDesign:
             for k in range(5)
         ]
         for side, low in ((1, 0.35), (-1, 0.52)) if kind == "saguaro" else ():
-            path = [
-                (0.0, low * top),
-                (0.026 * side, low * top + 0.003),
-                (0.032 * side, low * top + 0.011),
-                (0.032 * side, low * top + 0.04),
-            ]
+            rise = ((0.0, 0.0), (0.026, 0.003), (0.032, 0.011), (0.032, 0.04))
+            path = [(x * side, low * top + z) for x, z in rise]
             body.append(bar(path, 0.0165, 0.0165, 10))
             body.append(ellipsoid(0.0083, 0.0083, 0.007, 10).moved(0.032 * side, 0.0, low * top + 0.04))
     plant = join(body).painted(green)
@@ -221,18 +211,10 @@ def cactus(draw: VariantSampler) -> AssetDesign:
     words = {"round": "round cactus with a flower", "saguaro": "cactus with two arms", "prickly": "cactus with flat pads"}.get(
         kind, "column cactus with a flower"
     )
-    captions = (
-        f"a small {words} in a {color} pot",
-        f"little cactus in a {color} pot",
-        "potted cactus",
-        "desert plant in a pot",
+    captions = fix_articles(
+        f"a small {words} in a {color} pot", f"little cactus in a {color} pot", "potted cactus", "desert plant in a pot"
     )
     return AssetDesign(_pot(radius, height, pot) + plant.moved(z=height), "ceramic", color, captions, density=900.0)
 
 
-FAMILIES = (
-    AssetFamily("vase", vase, (COFFEE, DINING, OFFICE)),
-    AssetFamily("flower_vase", flower_vase, (COFFEE, DINING, OFFICE, DRESSING)),
-    AssetFamily("potted_plant", potted_plant, (COFFEE, DINING, OFFICE, DRESSING, BATHROOM)),
-    AssetFamily("cactus", cactus, (COFFEE, OFFICE, DRESSING)),
-)
+FAMILIES = (vase, flower_vase, potted_plant, cactus)

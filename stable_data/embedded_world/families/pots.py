@@ -1,13 +1,12 @@
-"""What food is cooked and mixed in."""
+"""Cookware and mixing vessels."""
 
 import math
 
 import numpy as np
 
-from stable_data.embedded_world.families.tables import DINING, KITCHEN
 from stable_data.embedded_world.families.vessels import INSCRIBED, angular_grip, pouring_lip, side_grips, well
 from stable_data.embedded_world.families.wording import fix_articles, material_word, pick_words
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
+from stable_data.embedded_world.modelling.family import AssetDesign, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import disc, scaled
 from stable_data.embedded_world.modelling.solids import (
     Solid,
@@ -166,10 +165,8 @@ def colander(draw: VariantSampler) -> AssetDesign:
         f"{color} strainer",
         f"{color} bowl with holes for draining pasta",
     )
-    solid, hollow = (
-        join([bowl, join(holes).painted("black"), side_grips(r, h - 0.008, 0.03, 0.035)]),
-        well(low - wall - 0.003, 0.022, h - 0.022, INSCRIBED),
-    )
+    solid = join([bowl, join(holes).painted("black"), side_grips(r, h - 0.008, 0.03, 0.035)])
+    hollow = well(low - wall - 0.003, 0.022, h - 0.022, INSCRIBED)
     return AssetDesign(solid, "metal", color, captions, hollow=hollow, density=1800.0)
 
 
@@ -217,14 +214,4 @@ def mortar(draw: VariantSampler) -> AssetDesign:
     return AssetDesign(bowl + pestle.painted(tool), "wood" if stone == "wood" else "ceramic", color, captions)
 
 
-FAMILIES = (
-    AssetFamily("saucepan", saucepan, (KITCHEN,)),
-    AssetFamily("frying_pan", frying_pan, (KITCHEN, DINING)),
-    AssetFamily("cooking_pot", cooking_pot, (KITCHEN, DINING)),
-    AssetFamily("pot_lid", pot_lid, (KITCHEN, DINING)),
-    AssetFamily("oven_dish", oven_dish, (KITCHEN, DINING)),
-    AssetFamily("mixing_bowl", mixing_bowl, (KITCHEN, DINING)),
-    AssetFamily("colander", colander, (KITCHEN,)),
-    AssetFamily("measuring_cup", measuring_cup, (KITCHEN,)),
-    AssetFamily("mortar", mortar, (KITCHEN,)),
-)
+FAMILIES = (saucepan, frying_pan, cooking_pot, pot_lid, oven_dish, mixing_bowl, colander, measuring_cup, mortar)

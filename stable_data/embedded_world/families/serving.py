@@ -1,4 +1,4 @@
-"""What food and drink are served from: pots, jugs, shakers, trays."""
+"""Vessels to serve food and drink: pots, jugs, shakers, trays."""
 
 import math
 from collections.abc import Sequence
@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from stable_data.embedded_world.families.tables import COFFEE, DINING, KITCHEN
 from stable_data.embedded_world.families.vessels import Bands, banded_lathe, cup, radius_at, round_handle, square_handle, well
-from stable_data.embedded_world.families.wording import color_word, with_article
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
+from stable_data.embedded_world.families.wording import color_word, fix_articles
+from stable_data.embedded_world.modelling.family import AssetDesign, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import scaled
 from stable_data.embedded_world.modelling.solids import (
     Profile,
@@ -65,7 +64,7 @@ def teapot(draw: VariantSampler) -> AssetDesign:
     tube += [(-start - 0.6 * reach, 0.75 * high, 0.0095), (-start - 0.78 * reach, 0.96 * high, 0.0085)]
     low, top = ((radius_at(profile, z * high) - 0.006, z * high) for z in (0.26, 0.84))
     handle = round_handle(low, top, draw.between(0.55, 0.7) * radius, 0.013, 0.009)
-    captions = (f"{with_article(style)} {name} teapot with a lid", f"{name} tea pot with a spout", f"{style} ceramic teapot")
+    captions = fix_articles(f"a {style} {name} teapot with a lid", f"{name} tea pot with a spout", f"{style} ceramic teapot")
     return AssetDesign(join([pot, handle, _spout(tube)]), "ceramic", color, captions, density=620.0)
 
 
@@ -101,10 +100,8 @@ def sugar_bowl(draw: VariantSampler) -> AssetDesign:
     profile += [(0.8 * radius, high), (0.86 * radius, high + 0.003), (0.5 * radius, high + 0.011), (0.2 * radius, high + 0.014)]
     low, top = ((radius_at(profile, z * high) - 0.004, z * high) for z in (0.34, 0.78))
     side = round_handle(low, top, 0.013, 0.007, 0.005)
-    captions = (
-        f"a {color} sugar bowl with {with_article(lid)} lid",
-        f"{color} sugar pot with two handles",
-        f"{color} ceramic sugar jar",
+    captions = fix_articles(
+        f"a {color} sugar bowl with a {lid} lid", f"{color} sugar pot with two handles", f"{color} ceramic sugar jar"
     )
     solid = join([_lidded(profile, [(high, lid)], 0.007, lid), side, side.turned(z=180)])
     return AssetDesign(solid, "ceramic", color, captions, density=950.0)
@@ -168,7 +165,7 @@ def serving_tray(draw: VariantSampler) -> AssetDesign:
         solid = join([solid, *(grip.moved(side * (width - wall) / 2, 0.0, height) for side in (-1, 1))])
         clear = sizes[0][0] + 0.013  # the corners are cut off
         top = SupportArea(width - clear, depth - clear, floor)
-    captions = (f"{with_article(shape)} {word} serving tray", f"{word} tray with a low rim", f"{word} tray for carrying drinks")
+    captions = fix_articles(f"a {shape} {word} serving tray", f"{word} tray with a low rim", f"{word} tray for carrying drinks")
     density = 800.0 if material == "metal" else None
     return AssetDesign(solid, material, color, captions, top, replace(top, height=height - floor), density=density)
 
@@ -185,7 +182,7 @@ def butter_dish(draw: VariantSampler) -> AssetDesign:
     sides = ((0.034, 0.012), (0.036, 0.012 + 0.8 * high), (0.05, top))
     cover = loft([rectangle(width - e, depth - e, z, 0.01) for e, z in sides]).painted(lid)
     knob = slab(draw.between(0.024, 0.05), 0.018, 0.016, 0.004).moved(z=top - 0.001).painted("oak" if lid == "clear" else lid)
-    captions = (f"{with_article(word)} butter dish with a lid", f"covered {word} butter dish", "lidded dish for butter")
+    captions = fix_articles(f"a {word} butter dish with a lid", f"covered {word} butter dish", "lidded dish for butter")
     return AssetDesign(join([base, cover, knob]), "ceramic", color, captions, density=700.0)
 
 
@@ -205,13 +202,4 @@ def cake_stand(draw: VariantSampler) -> AssetDesign:
     return AssetDesign(banded_lathe(profile), material, color, captions, top=well(radius - 0.001, height), density=density)
 
 
-FAMILIES = (
-    AssetFamily("teapot", teapot, (DINING, COFFEE, KITCHEN)),
-    AssetFamily("pitcher", pitcher, (DINING, COFFEE, KITCHEN)),
-    AssetFamily("sugar_bowl", sugar_bowl, (DINING, COFFEE, KITCHEN)),
-    AssetFamily("salt_shaker", salt_shaker, (DINING, KITCHEN)),
-    AssetFamily("pepper_mill", pepper_mill, (DINING, KITCHEN)),
-    AssetFamily("serving_tray", serving_tray, (DINING, COFFEE, KITCHEN)),
-    AssetFamily("butter_dish", butter_dish, (DINING, KITCHEN)),
-    AssetFamily("cake_stand", cake_stand, (DINING, COFFEE, KITCHEN)),
-)
+FAMILIES = (teapot, pitcher, sugar_bowl, salt_shaker, pepper_mill, serving_tray, butter_dish, cake_stand)

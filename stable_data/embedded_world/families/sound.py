@@ -1,12 +1,11 @@
-"""What makes or hears sound."""
+"""Speakers, headphones, microphones and radios."""
 
 import math
 
 from stable_data.embedded_world.families.displays import digits
 from stable_data.embedded_world.families.palette import DARK_GLASS
-from stable_data.embedded_world.families.tables import COFFEE, OFFICE
-from stable_data.embedded_world.families.wording import with_article
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
+from stable_data.embedded_world.families.wording import fix_articles
+from stable_data.embedded_world.modelling.family import AssetDesign, VariantSampler
 from stable_data.embedded_world.modelling.shapes import arc_points, disc, panel, scaled, silhouette
 from stable_data.embedded_world.modelling.solids import bar, box, join, lathe, slab
 
@@ -73,7 +72,7 @@ def speaker(draw: VariantSampler) -> AssetDesign:
         rubber = lathe([(1.22 * r, 0.0), (1.22 * r, 0.008)]).painted(trim)
         solid = join([solid, rubber, *(dot.turned(z=turn) for turn in (0, 90, 180, 270))])
         name = "smart speaker with a light ring"
-    captions = (with_article(f"{color} {name}"), f"{color} speaker", f"{kind} loudspeaker")
+    captions = fix_articles(f"a {color} {name}", f"{color} speaker", f"{kind} loudspeaker")
     return AssetDesign(solid, "electronics", color, captions, density=600.0)
 
 
@@ -102,10 +101,8 @@ def microphone(draw: VariantSampler) -> AssetDesign:
         pin = disc(0.3 * r, -1.7 * r, 1.7 * r, 12).turned(y=90).moved(z=1.5 * r).painted("silver")
         head = join([body, grille, bar(yoke, 0.014, 0.006, 8), pin]).moved(z=stem + 0.6 * r)
     rod = lathe([(0.006, 0.01), (0.006, stem + 0.004)]).painted("grey")
-    captions = (
-        with_article(f"{color} {kind} microphone on a desk stand"),
-        f"{color} microphone",
-        "microphone for recording a voice",
+    captions = fix_articles(
+        f"a {color} {kind} microphone on a desk stand", f"{color} microphone", "microphone for recording a voice"
     )
     return AssetDesign(join([base, rod, head]), "electronics", color, captions)
 
@@ -141,13 +138,8 @@ def radio(draw: VariantSampler) -> AssetDesign:
         rod = lathe([(0.0035, 0.0), (0.0022, 0.8 * width), (0.004, 0.801 * width), (0.004, 0.83 * width)], 12).turned(y=-38)
         solid += rod.moved(0.38 * width, 0.3 * depth, high - 0.006).painted("silver")
     detail = "a handle" if kind == "retro" else "a silver aerial"
-    captions = (with_article(f"{color} {kind} radio with {detail}"), f"{color} radio", f"{kind} radio")
+    captions = fix_articles(f"a {color} {kind} radio with {detail}", f"{color} radio", f"{kind} radio")
     return AssetDesign(solid, "electronics", color, captions, density=450.0)
 
 
-FAMILIES = (
-    AssetFamily("headphones", headphones, (OFFICE,)),
-    AssetFamily("speaker", speaker, (OFFICE, COFFEE)),
-    AssetFamily("microphone", microphone, (OFFICE,)),
-    AssetFamily("radio", radio, (OFFICE,)),
-)
+FAMILIES = (headphones, speaker, microphone, radio)

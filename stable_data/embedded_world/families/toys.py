@@ -1,11 +1,11 @@
-"""What small children play with."""
+"""Toys for small children."""
 
 import math
 from itertools import pairwise
 
 from stable_data.embedded_world.families.palette import WINDOW
-from stable_data.embedded_world.families.tables import BATHROOM, COFFEE, OFFICE
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, SupportArea, VariantSampler
+from stable_data.embedded_world.families.wording import fix_articles
+from stable_data.embedded_world.modelling.family import AssetDesign, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import arc_points, ellipsoid, rod, round_body, silhouette
 from stable_data.embedded_world.modelling.solids import Solid, box, chain, circle, join, loft, rectangle, slab
 
@@ -84,9 +84,8 @@ def stacking_rings(draw: VariantSampler) -> AssetDesign:
     """Rings of falling size on a post."""
     count, radius, rise = draw.pick(5, 4, 6, 5, 4, 6), draw.between(0.042, 0.055), draw.between(0.015, 0.019)
     color, is_wood = draw.pick("white", "oak", "yellow", "bamboo", "red", "blue"), draw.pick(False, True, False)
-    tints = [("red", "orange", "yellow", "green", "blue", "purple"), ("teal", "cream", "pink", "olive", "gold", "navy")][
-        int(is_wood)
-    ]
+    bright, muted = ("red", "orange", "yellow", "green", "blue", "purple"), ("teal", "cream", "pink", "olive", "gold", "navy")
+    tints = muted if is_wood else bright
     foot, parts = 0.012, [round_body([(1.02 * radius, 0.0), (1.02 * radius, 0.007), (0.85 * radius, 0.012)], 24)]
     for k in range(count):
         r, z = radius * (1 - 0.58 * k / count), foot - 0.0006 + k * (rise - 0.0006)
@@ -112,11 +111,8 @@ def rubber_duck(draw: VariantSampler) -> AssetDesign:
     beak = draw.pick("orange", "red")
     trunk = [(0.62, 0.0), (0.92, 0.008), (1.0, 0.02), (0.94, 0.033), (0.7, 0.044), (0.3, 0.05)]
     body = round_body([(0.033 * r, z) for r, z in trunk], 24, 1.22).moved(y=0.006)
-    tail = (
-        chain([circle(0.017, 0.0, 10) * (1.2, 0.6, 1.0), circle(0.004, 0.03, 10) * (2.0, 0.7, 1.0)])
-        .turned(x=-38)
-        .moved(0.0, 0.03, 0.03)
-    )
+    tail = chain([circle(0.017, 0.0, 10) * (1.2, 0.6, 1.0), circle(0.004, 0.03, 10) * (2.0, 0.7, 1.0)])
+    tail = tail.turned(x=-38).moved(0.0, 0.03, 0.03)
     head = ellipsoid(0.0245, 0.0235, 0.0235, 20).moved(0.0, -0.016, 0.066)
     bill = [ellipsoid(0.0125, 0.013, 0.0036, 12).moved(0.0, -0.042, z).painted(beak) for z in (0.0635, 0.0585)]
     eyes = [ellipsoid(0.0042, 0.0035, 0.0048, 8).moved(side * 0.0115, -0.0355, 0.073).painted("black") for side in (-1, 1)]
@@ -124,19 +120,12 @@ def rubber_duck(draw: VariantSampler) -> AssetDesign:
     parts = [body, tail, head, *bill, *eyes, *wings]
     if extra == "a crown":
         parts += [round_body([(0.013, 0.083), (0.0145, 0.094)], 16).moved(y=-0.016).painted("gold")]
-        parts += [
-            rod(
-                (0.0115 * math.cos(a), 0.0115 * math.sin(a) - 0.016, 0.092),
-                (0.0125 * math.cos(a), 0.0125 * math.sin(a) - 0.016, 0.101),
-                0.0042,
-                0.0012,
-            ).painted("gold")
-            for a in (0.3, 1.56, 2.8, 4.07, 5.3)
-        ]
+        for a in (0.3, 1.56, 2.8, 4.07, 5.3):
+            foot, tip = ((r * math.cos(a), r * math.sin(a) - 0.016, z) for r, z in ((0.0115, 0.092), (0.0125, 0.101)))
+            parts.append(rod(foot, tip, 0.0042, 0.0012).painted("gold"))
     elif extra == "a top hat":
-        parts += [
-            round_body([(0.019, 0.083), (0.019, 0.087), (0.0125, 0.0872), (0.0135, 0.104)], 20).moved(y=-0.016).painted("black")
-        ]
+        hat = round_body([(0.019, 0.083), (0.019, 0.087), (0.0125, 0.0872), (0.0135, 0.104)], 20)
+        parts.append(hat.moved(y=-0.016).painted("black"))
     elif extra == "a scarf":
         parts += [round_body([(0.0215, 0.046), (0.0245, 0.05), (0.0215, 0.054)], 24).moved(y=-0.011).painted("red")]
     elif extra == "sunglasses":
@@ -154,12 +143,9 @@ def teddy_bear(draw: VariantSampler) -> AssetDesign:
     color, light = draw.pick("brown", "#c79a6a", "cream", "grey", "#8a5a3c", "pink"), draw.pick("cream", "#e6cfa8", "white")
     bow, has_bow = draw.pick("red", "blue", "green", "purple"), draw.pick(True, False, True)
     light = "white" if color == "cream" else light
+    trunk = [(0.03 * plump, 0.0), (0.041 * plump, 0.02), (0.041 * plump, 0.045), (0.03, 0.072), (0.018, 0.085)]
     parts = [
-        round_body(
-            [(0.03 * plump, 0.0), (0.041 * plump, 0.02), (0.041 * plump, 0.045), (0.03, 0.072), (0.018, 0.085)], 16, 0.88
-        )
-    ]
-    parts += [
+        round_body(trunk, 16, 0.88),
         ellipsoid(0.036, 0.033, 0.033, 16).moved(0.0, -0.004, 0.108),
         ellipsoid(0.016, 0.012, 0.013, 12).moved(0.0, -0.034, 0.1).painted(light),
     ]
@@ -179,7 +165,7 @@ def teddy_bear(draw: VariantSampler) -> AssetDesign:
             wing = loft([rectangle(0.004, 0.006, 0.0), rectangle(0.014, 0.007, 0.018)]).turned(y=side * 90)
             parts.append(wing.moved(side * 0.001, -0.024, 0.078).painted(bow))
     name = {"#c79a6a": "tan", "#8a5a3c": "dark brown"}.get(color, color)
-    captions = (
+    captions = fix_articles(
         f"a sitting {name} teddy bear" + (f" with a {bow} bow" if has_bow else ""),
         f"{name} teddy bear",
         "stuffed toy bear",
@@ -205,12 +191,9 @@ def toy_robot(draw: VariantSampler) -> AssetDesign:
     if head_kind == "square":
         parts.append(slab(0.038, 0.03, 0.03, 0.003).moved(z=0.086))
     else:
-        shape = (
-            [(0.0165, 0.086), (0.019, 0.094), (0.019, 0.106), (0.0125, 0.116)]
-            if head_kind == "round"
-            else [(0.019, 0.086), (0.019, 0.098), (0.014, 0.11), (0.006, 0.116)]
-        )
-        parts.append(round_body(shape, 24))
+        dome = [(0.019, 0.086), (0.019, 0.098), (0.014, 0.11), (0.006, 0.116)]
+        head = [(0.0165, 0.086), (0.019, 0.094), (0.019, 0.106), (0.0125, 0.116)] if head_kind == "round" else dome
+        parts.append(round_body(head, 24))
     front = -0.0152 if head_kind == "square" else -0.0172
     parts += [
         round_body([(0.0056, 0.0), (0.0056, 0.006)], 12).turned(x=90).moved(i * 0.009, front + 0.0035, 0.103).painted(glow)
@@ -228,17 +211,12 @@ def toy_robot(draw: VariantSampler) -> AssetDesign:
     for side in (-1, 1):
         parts.append(slab(0.016, 0.02, 0.034, 0.002).moved(side * 0.0125, 0.002, 0.006).painted(accent))
         parts.append(slab(0.02, 0.036, 0.011, 0.002).moved(side * 0.0125, -0.003))
-        arm = slab(0.011, 0.012, 0.036, 0.002).moved(z=-0.036) + slab(0.015, 0.015, 0.012, 0.002).moved(z=-0.044).painted(
-            accent
-        )
+        arm = slab(0.011, 0.012, 0.036, 0.002).moved(z=-0.036)
+        arm += slab(0.015, 0.015, 0.012, 0.002).moved(z=-0.044).painted(accent)
         turn = {"down": 0.0, "raised": 155.0, "forward": -78.0}[arms if side > 0 else ("down" if arms == "raised" else arms)]
         parts.append(arm.turned(x=turn).moved(side * 0.031, 0.0, 0.075))
-        parts.append(
-            round_body([(0.0075, 0.0), (0.0075, 0.014)], 12)
-            .turned(y=90)
-            .moved(side * 0.029 - 0.007, 0.0, 0.073)
-            .painted(accent)
-        )
+        shoulder = round_body([(0.0075, 0.0), (0.0075, 0.014)], 12).turned(y=90)
+        parts.append(shoulder.moved(side * 0.029 - 0.007, 0.0, 0.073).painted(accent))
     captions = (f"a {color} toy robot with an antenna", f"{color} robot with {glow} eyes", "little toy robot", "tin robot")
     return AssetDesign(join(parts).resized(s), "tin", color, captions, density=600.0)
 
@@ -252,28 +230,16 @@ def toy_house(draw: VariantSampler) -> AssetDesign:
     door, rise = draw.pick("brown", "red", "green"), draw.between(0.032, 0.048)
     eaves, front = 0.007, -depth / 2
     parts = [box(width, depth, wall), box(width + 0.02, depth + 0.024, 0.005, 0.004).painted("green")]
+    # The roof reaches a little into the walls, so that they are joined.
     low = wall - 0.0015
     if style == "gable":
-        outline = [
-            (-width / 2 - eaves, low),
-            (width / 2 + eaves, low),
-            (width / 2 + eaves, low + 0.003),
-            (0.002, low + rise),
-            (-0.002, low + rise),
-            (-width / 2 - eaves, low + 0.003),
-        ]
+        end, top = width / 2 + eaves, low + rise
+        outline = [(-end, low), (end, low), (end, low + 0.003), (0.002, top), (-0.002, top), (-end, low + 0.003)]
         parts.append(silhouette(outline, depth + 2 * eaves).painted(roof))
     else:
         wide, deep, tip = width + 2 * eaves, depth + 2 * eaves, 0.45 * width if style == "hip" else 0.004
-        parts.append(
-            loft(
-                [
-                    rectangle(wide, deep, low),
-                    rectangle(wide, deep, low + 0.003),
-                    rectangle(tip, 0.004, low + rise * (1.0 if style == "hip" else 1.7)),
-                ]
-            ).painted(roof)
-        )
+        peak = rectangle(tip, 0.004, low + rise * (1.0 if style == "hip" else 1.7))
+        parts.append(loft([rectangle(wide, deep, low), rectangle(wide, deep, low + 0.003), peak]).painted(roof))
     if style != "tower":
         parts.append(box(0.013, 0.013, rise + 0.004).moved(0.27 * width, 0.12 * depth, low).painted("terracotta"))
         parts.append(box(0.017, 0.017, 0.004).moved(0.27 * width, 0.12 * depth, low + rise + 0.002))
@@ -288,7 +254,7 @@ def toy_house(draw: VariantSampler) -> AssetDesign:
         parts += [pane.moved(x, front + 0.0006, z).painted(WINDOW), sill.moved(x, front - 0.0005, z - 0.002).painted("white")]
     parts.append(box(0.004, 0.3 * depth, 0.02).moved(width / 2 - 0.0006, 0.0, 0.018).painted(WINDOW))
     parts.append(box(0.004, 0.3 * depth, 0.02).moved(0.0006 - width / 2, 0.0, 0.018).painted(WINDOW))
-    captions = (
+    captions = fix_articles(
         f"{color} toy house with a {roof} roof",
         f"{color} doll house",
         "little wooden house",
@@ -297,11 +263,4 @@ def toy_house(draw: VariantSampler) -> AssetDesign:
     return AssetDesign(join(parts), "wood", color, captions, density=400.0)
 
 
-FAMILIES = (
-    AssetFamily("toy_block", toy_block, (COFFEE, OFFICE)),
-    AssetFamily("stacking_rings", stacking_rings, (COFFEE, OFFICE)),
-    AssetFamily("rubber_duck", rubber_duck, (COFFEE, OFFICE, BATHROOM)),
-    AssetFamily("teddy_bear", teddy_bear, (COFFEE, OFFICE)),
-    AssetFamily("toy_robot", toy_robot, (COFFEE, OFFICE)),
-    AssetFamily("toy_house", toy_house, (COFFEE, OFFICE)),
-)
+FAMILIES = (toy_block, stacking_rings, rubber_duck, teddy_bear, toy_robot, toy_house)

@@ -1,13 +1,12 @@
-"""What a cook works with by hand."""
+"""Kitchen utensils."""
 
 import math
 
 import numpy as np
 
-from stable_data.embedded_world.families.tables import DINING, KITCHEN
 from stable_data.embedded_world.families.vessels import INSCRIBED, angular_grip, lid_knob, side_grips, well
 from stable_data.embedded_world.families.wording import fix_articles, material_word, pick_words
-from stable_data.embedded_world.modelling.family import LYING, AssetDesign, AssetFamily, SupportArea, VariantSampler
+from stable_data.embedded_world.modelling.family import LYING, AssetDesign, SupportArea, VariantSampler
 from stable_data.embedded_world.modelling.shapes import disc, prism
 from stable_data.embedded_world.modelling.solids import (
     Solid,
@@ -25,7 +24,7 @@ from stable_data.embedded_world.modelling.solids import (
 
 
 def _stood_up(solid: Solid) -> Solid:
-    """What was built lying along y, its working end towards -y, put on the end of its handle."""
+    """Puts a solid that lies along y, its working end towards -y, upright on the end of its handle."""
     return solid.turned(x=-90).grounded()
 
 
@@ -253,15 +252,4 @@ def dish_sponge(draw: VariantSampler) -> AssetDesign:
     return AssetDesign(soft + rough.painted(scour), "foam", color, captions)
 
 
-FAMILIES = (
-    AssetFamily("cutting_board", cutting_board, (KITCHEN, DINING)),
-    AssetFamily("kitchen_knife", kitchen_knife, (KITCHEN,)),
-    AssetFamily("ladle", ladle, (KITCHEN, DINING)),
-    AssetFamily("spatula", spatula, (KITCHEN,)),
-    AssetFamily("wooden_spoon", wooden_spoon, (KITCHEN, DINING)),
-    AssetFamily("whisk", whisk, (KITCHEN,)),
-    AssetFamily("rolling_pin", rolling_pin, (KITCHEN,)),
-    AssetFamily("grater", grater, (KITCHEN,)),
-    AssetFamily("utensil_holder", utensil_holder, (KITCHEN,)),
-    AssetFamily("dish_sponge", dish_sponge, (KITCHEN,)),
-)
+FAMILIES = (cutting_board, kitchen_knife, ladle, spatula, wooden_spoon, whisk, rolling_pin, grater, utensil_holder, dish_sponge)

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from stable_data.embedded_world.families.palette import LEAF
-from stable_data.embedded_world.families.tables import DINING, KITCHEN
 from stable_data.embedded_world.families.wording import fix_articles, pick_words
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
+from stable_data.embedded_world.modelling.family import AssetDesign, VariantSampler
 from stable_data.embedded_world.modelling.shapes import BALL, disc, lying_lathe, prism, scaled
 from stable_data.embedded_world.modelling.solids import Solid, bar, box, circle, hull, join, lathe, loft
 
@@ -150,9 +149,7 @@ def eggplant(draw: VariantSampler) -> AssetDesign:
     stalk = bar([(0.0, 0.004), (0.0, 0.018), (0.008, 0.032)], 0.011, 0.011, corners=8)
     top = join([cap, stalk, *leaves]).painted("#6d8a45").turned(y=90).moved(length - 0.004, 0.0, math.cos(math.pi / 20) * r)
     captions = fix_articles(
-        f"a {word} eggplant with a green cap",
-        f"{word} aubergine",
-        f"{'long' if length > 0.2 else 'small'} {word} eggplant",
+        f"a {word} eggplant with a green cap", f"{word} aubergine", f"{'long' if length > 0.2 else 'small'} {word} eggplant"
     )
     return AssetDesign(body + top, "fruit", color, captions, density=550.0)
 
@@ -177,13 +174,4 @@ def pumpkin(draw: VariantSampler) -> AssetDesign:
     return AssetDesign(join([*lobes, core, stalk]), "fruit", color, captions, density=600.0)
 
 
-FAMILIES = (
-    AssetFamily("tomato", tomato, (KITCHEN, DINING)),
-    AssetFamily("potato", potato, (KITCHEN, DINING)),
-    AssetFamily("carrot", carrot, (KITCHEN, DINING)),
-    AssetFamily("cucumber", cucumber, (KITCHEN, DINING)),
-    AssetFamily("onion", onion, (KITCHEN, DINING)),
-    AssetFamily("bell_pepper", bell_pepper, (KITCHEN, DINING)),
-    AssetFamily("eggplant", eggplant, (KITCHEN, DINING)),
-    AssetFamily("pumpkin", pumpkin, (KITCHEN, DINING)),
-)
+FAMILIES = (tomato, potato, carrot, cucumber, onion, bell_pepper, eggplant, pumpkin)

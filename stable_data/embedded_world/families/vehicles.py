@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 
 from stable_data.embedded_world.families.palette import WINDOW
-from stable_data.embedded_world.families.tables import COFFEE, OFFICE
-from stable_data.embedded_world.modelling.family import AssetDesign, AssetFamily, VariantSampler
+from stable_data.embedded_world.families.wording import fix_articles
+from stable_data.embedded_world.modelling.family import AssetDesign, VariantSampler
 from stable_data.embedded_world.modelling.shapes import ellipsoid, lying_body, round_body, silhouette
 from stable_data.embedded_world.modelling.solids import Solid, box, join, slab
 
@@ -72,7 +72,7 @@ def toy_car(draw: VariantSampler) -> AssetDesign:
         parts.append(box(0.005, wide + 0.001, 0.0035).moved(nose, 0.0, 0.009).painted("silver"))
     wheels = _wheels((front, rear), wide / 2 + (0.001 if style != "racing car" else 0.003), r, 0.01, tyre, "silver")
     whole = join([body, *parts, *wheels])
-    captions = (
+    captions = fix_articles(
         f"{color} toy {style}" if "car" in style else f"{color} toy car, a {style}",
         f"{color} toy car",
         "little car on four wheels",
@@ -116,7 +116,4 @@ def toy_train(draw: VariantSampler) -> AssetDesign:
     return AssetDesign(join(parts).resized(s).turned(z=-90), "wood", color, captions)
 
 
-FAMILIES = (
-    AssetFamily("toy_car", toy_car, (COFFEE, OFFICE)),
-    AssetFamily("toy_train", toy_train, (COFFEE, OFFICE)),
-)
+FAMILIES = (toy_car, toy_train)

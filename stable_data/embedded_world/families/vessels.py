@@ -1,4 +1,4 @@
-"""What vessels are made of: bodies painted in bands, hollows, handles, lips."""
+"""Parts of vessels: bodies painted in bands, hollows, handles, lips."""
 
 import math
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ Paints: TypeAlias = Sequence[tuple[Ring, str]]  # (ring from which, colour) from
 Point: TypeAlias = tuple[float, float]  # (x, z), metres
 
 SNUG = 0.97
-"""Share of a hollow's radius that is free between its corners, with some play."""
+"""Share of the radius of a hollow that is free between its corners, with some play."""
 
 INSCRIBED = 0.98
 """The same without play, for sixteen corners."""
@@ -47,7 +47,7 @@ def banded_loft(rings: Sequence[Ring], bands: Paints) -> Solid:
     for k, (low, high) in enumerate(pairwise(starts)):
         stack = [ring for ring in rings if low < ring[0, 2] < high]
         if k and low > rings[0][0, 2]:
-            # A piece begins inside the one below it, and shares with it nothing but the corners of one ring.
+            # A piece begins inside the piece below; the two share only the corners of one ring.
             first = bands[k - 1][0]
             stack = [(first - [0, 0, low]) * 0.9 + [0, 0, low - 0.0006], first, *stack]
         elif k:
@@ -57,6 +57,7 @@ def banded_loft(rings: Sequence[Ring], bands: Paints) -> Solid:
         if len(stack) > 1:
             piece = loft(stack)
             pieces.append(piece.painted(bands[k - 1][1]) if k else piece)
+    # The parts are those of the plain loft: bands are no bodies of their own.
     whole = join(pieces)
     return Solid(whole.body, loft(rings).parts, whole.paints)
 
@@ -134,6 +135,7 @@ def round_handle(low: Point, high: Point, reach: float, width: float, thickness:
         thickness: In the plane of the handle, metres.
     """
     (x, z), (dx, dz) = ((low[n] + high[n]) / 2 for n in (0, 1)), ((high[n] - low[n]) / 2 for n in (0, 1))
+    # Six points on the right side of an ellipse.
     turns = [(math.cos(math.radians(d)), math.sin(math.radians(d))) for d in (-68, -40, -13, 13, 40, 68)]
     return bar([low, *((x + dx * s + reach * c, z + dz * s) for c, s in turns), high], width, thickness)
 

@@ -1,12 +1,12 @@
-"""What people wash themselves with."""
+"""Toiletries and towels."""
 
 import math
 
 import numpy as np
 
-from stable_data.embedded_world.families.tables import BATHROOM, DRESSING, KITCHEN
-from stable_data.embedded_world.modelling.family import EITHER, LYING, AssetDesign, AssetFamily, SupportArea, VariantSampler
-from stable_data.embedded_world.modelling.shapes import front_panel, lying_body, round_body, square_body
+from stable_data.embedded_world.families.wording import fix_articles
+from stable_data.embedded_world.modelling.family import EITHER, LYING, AssetDesign, SupportArea, VariantSampler
+from stable_data.embedded_world.modelling.shapes import front_panel, lying_body, round_body, scaled, square_body
 from stable_data.embedded_world.modelling.solids import Solid, bar, box, chain, circle, join, loft, rectangle, slab, vessel
 
 
@@ -74,11 +74,8 @@ def toothbrush_cup(draw: VariantSampler) -> AssetDesign:
         hollow = SupportArea(free, free, 0.007, height - 0.007, is_round=True)
     if style == "footed":
         cup += round_body([(radius + 0.002, 0.0), (radius + 0.002, 0.0065)]).painted("bamboo")
-    captions = (
-        f"{style} {color} cup for toothbrushes",
-        f"{color} toothbrush holder",
-        f"ceramic bathroom tumbler, {color} and {style}",
-    )
+    words = f"{color} and {style}"
+    captions = (f"{style} {color} cup for toothbrushes", f"{color} toothbrush holder", f"ceramic bathroom tumbler, {words}")
     return AssetDesign(cup, "ceramic", color, captions, hollow=hollow)
 
 
@@ -113,13 +110,7 @@ def soap(draw: VariantSampler) -> AssetDesign:
     color = draw.pick("pink", "cream", "white", "green", "#b9a5cf", "#e8b98a")
     name = {"#b9a5cf": "lavender", "#e8b98a": "honey"}.get(color, color)
     half = length / 2
-    profile = [
-        (0.86 * half, 0.0),
-        (half, 0.3 * height),
-        (half, 0.65 * height),
-        (0.86 * half, 0.95 * height),
-        (0.7 * half, height),
-    ]
+    profile = scaled([(0.86, 0.0), (1.0, 0.3), (1.0, 0.65), (0.86, 0.95), (0.7, 1.0)], half, height)
     if style == "round":
         body = round_body([(0.85 * r, z) for r, z in profile])
         field = round_body([(0.42 * half, 0.5 * height), (0.4 * half, height + 0.0012)], 24)
@@ -155,13 +146,8 @@ def soap_dish(draw: VariantSampler) -> AssetDesign:
     ribs = [box(0.005, reach * depth, 0.0045, 0.0008).moved(k * 0.017, 0.0, floor - 0.001) for k in (-2, -1, 0, 1, 2)]
     top = floor + 0.0035
     captions = (f"{style} {color} soap dish with ribs", f"{color} soap dish", f"shallow {style} dish for a bar of soap")
-    return AssetDesign(
-        join([vessel(outer, inner), *ribs]),
-        "wood" if color == "bamboo" else "ceramic",
-        color,
-        captions,
-        hollow=SupportArea(0.068, reach * depth, top, height - top),
-    )
+    material, hollow = "wood" if color == "bamboo" else "ceramic", SupportArea(0.068, reach * depth, top, height - top)
+    return AssetDesign(join([vessel(outer, inner), *ribs]), material, color, captions, hollow=hollow)
 
 
 def soap_dispenser(draw: VariantSampler) -> AssetDesign:
@@ -175,13 +161,7 @@ def soap_dispenser(draw: VariantSampler) -> AssetDesign:
     if style == "tapered":
         profile = [(1.1 * radius, 0.0), (1.12 * radius, 0.004), (0.62 * radius, 0.95 * height), (0.014, height)]
     if style == "bulbous":
-        profile = [
-            (0.8 * radius, 0.0),
-            (1.15 * radius, 0.25 * height),
-            (1.15 * radius, 0.45 * height),
-            (0.6 * radius, 0.85 * height),
-        ]
-        profile += [(0.5 * radius, height)]
+        profile = scaled([(0.8, 0.0), (1.15, 0.25), (1.15, 0.45), (0.6, 0.85), (0.5, 1.0)], radius, height)
     if style == "square":
         body = square_body([(0.9 * r, z) for r, z in profile], 0.25)
     else:
@@ -190,10 +170,8 @@ def soap_dispenser(draw: VariantSampler) -> AssetDesign:
         body += round_body([(radius + 0.0008, 0.2 * height), (radius + 0.0008, 0.58 * height)]).painted(
             "white" if color != "white" else "kraft"
         )
-    captions = (
-        f"a {style} {color} soap dispenser with a {pump} pump",
-        f"{color} pump dispenser",
-        f"liquid hand soap, {pump} pump",
+    captions = fix_articles(
+        f"a {style} {color} soap dispenser with a {pump} pump", f"{color} pump dispenser", f"liquid hand soap, {pump} pump"
     )
     return AssetDesign(join([body, _pump(height, 0.024, pump)]), "plastic", color, captions)
 
@@ -259,33 +237,19 @@ def deodorant(draw: VariantSampler) -> AssetDesign:
     accent = draw.pick("grey", "white", "orange", "white", "pink")
     if style == "stick":
         half, height = draw.between(0.029, 0.034), draw.between(0.11, 0.13)
-        parts = [
-            round_body([(half, 0.0), (half, 0.66 * height)], 48, 0.55),
-            round_body([(half + 0.001, 0.0), (half + 0.001, 0.012)], 48, 0.55).painted(accent),
-        ]
+        parts = [round_body([(half, 0.0), (half, 0.66 * height)], 48, 0.55)]
+        parts.append(round_body([(half + 0.001, 0.0), (half + 0.001, 0.012)], 48, 0.55).painted(accent))
         cap = [(half + 0.0008, 0.655 * height), (half + 0.0008, 0.94 * height), (0.8 * half, height)]
         parts.append(round_body(cap, 48, 0.55).painted(accent))
         parts.append(front_panel(half, 0.3 * height, -0.54 * half, 0.22 * height, accent, thickness=0.004))
     elif style == "roll-on":
         half, height = draw.between(0.021, 0.025), draw.between(0.095, 0.112)
-        low = [
-            (0.9 * half, 0.0),
-            (half, 0.003),
-            (0.86 * half, 0.3 * height),
-            (half, 0.54 * height),
-            (0.9 * half, 0.58 * height),
-        ]
+        low = [(0.9 * half, 0.0), (half, 0.003), *scaled([(0.86, 0.3), (1.0, 0.54), (0.9, 0.58)], half, height)]
         cap = [(half, 0.57 * height), (half, 0.82 * height), (0.84 * half, 0.93 * height), (0.5 * half, height)]
         parts = [round_body(low, 32), round_body(cap, 32).painted(accent)]
     else:
         half, height = draw.between(0.023, 0.027), draw.between(0.15, 0.18)
-        can = [
-            (half - 0.002, 0.0),
-            (half, 0.002),
-            (half, 0.76 * height),
-            (0.82 * half, 0.8 * height),
-            (0.82 * half, 0.81 * height),
-        ]
+        can = [(half - 0.002, 0.0), (half, 0.002), *scaled([(1.0, 0.76), (0.82, 0.8), (0.82, 0.81)], half, height)]
         band = [(half + 0.0008, 0.3 * height), (half + 0.0008, 0.6 * height)]
         cap = [(0.93 * half, 0.8 * height), (0.93 * half, 0.95 * height), (0.8 * half, height)]
         parts = [round_body(can, 32), round_body(band, 32).painted(accent), round_body(cap, 32).painted(accent)]
@@ -312,6 +276,7 @@ def towel(draw: VariantSampler) -> AssetDesign:
     thick = draw.between(0.014, 0.019)
     pitch = thick - 0.0008
     sheets = [_folded(width - 0.004 * (k % 2), depth - 0.006 * (k % 2), thick).moved(z=k * pitch) for k in range(layers)]
+    # Which layers are joined by a fold, and on which side.
     folds = ((0, -1), (1, 1)) if layers == 3 else ((0, -1), (2, -1))[: layers // 2]
     turns = [_folded(0.06, depth - 0.002, thick + pitch).moved(side * (width / 2 - 0.028), 0.0, k * pitch) for k, side in folds]
     height = thick + (layers - 1) * pitch
@@ -322,14 +287,6 @@ def towel(draw: VariantSampler) -> AssetDesign:
 
 
 FAMILIES = (
-    AssetFamily("toothbrush", toothbrush, (BATHROOM,)),
-    AssetFamily("toothbrush_cup", toothbrush_cup, (BATHROOM,)),
-    AssetFamily("toothpaste", toothpaste, (BATHROOM,)),
-    AssetFamily("soap", soap, (BATHROOM,)),
-    AssetFamily("soap_dish", soap_dish, (BATHROOM,)),
-    AssetFamily("soap_dispenser", soap_dispenser, (BATHROOM, KITCHEN)),
-    AssetFamily("shampoo_bottle", shampoo_bottle, (BATHROOM,)),
-    AssetFamily("lotion_bottle", lotion_bottle, (BATHROOM, DRESSING)),
-    AssetFamily("deodorant", deodorant, (BATHROOM, DRESSING)),
-    AssetFamily("towel", towel, (BATHROOM,)),
-)
+    toothbrush, toothbrush_cup, toothpaste, soap, soap_dish, soap_dispenser, shampoo_bottle, lotion_bottle, deodorant,
+    towel,
+)  # fmt: skip

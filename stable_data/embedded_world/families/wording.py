@@ -1,4 +1,4 @@
-"""Words of captions: articles, names of colours, options written as text."""
+"""Words of captions: articles, names of colours and materials, options written as text."""
 
 import re
 from collections.abc import Mapping
@@ -15,31 +15,26 @@ _NAMES: Mapping[str, str] = MappingProxyType(
 )  # fmt: skip
 
 
-def with_article(words: str) -> str:
-    """Words with their article."""
-    return f"{'an' if words[0] in 'aeiou' else 'a'} {words}"
-
-
 def fix_articles(*captions: str) -> tuple[str, ...]:
-    """Captions, every article in them made the one that fits the next word."""
+    """Returns captions in which each article ``a`` before a vowel is ``an``."""
     return tuple(re.sub(r"\ba (?=[aeiou])", "an ", caption) for caption in captions)
 
 
 def color_word(color: str) -> str:
-    """What people call a colour."""
+    """The usual word for a colour."""
     return _NAMES.get(color, color)
 
 
 def material_word(color: str) -> str:
-    """What people call a kitchen thing of that colour: by its material where that is bare."""
+    """The word for a kitchen object of a colour: its material if that is unpainted, otherwise the colour."""
     return {"silver": "stainless steel", "clear": "glass"}.get(color, color)
 
 
 def pick_words(draw: VariantSampler, *options: str) -> list[str]:
-    """The words of one of several options.
+    """Picks one of several options and splits it into words.
 
     Args:
-        draw: The chance behind the variant.
-        options: Parted by commas, in one text or in several; ``_`` stands for a blank within a word.
+        draw: The random choices of the variant.
+        options: Options separated by commas, in one or several texts; ``_`` stands for a blank within a word.
     """
     return [word.replace("_", " ") for word in draw.pick(*", ".join(options).split(", ")).split()]

@@ -1,1 +1,1 @@
-"""Functional groups: what people put together on a table, kind by kind."""
+"""Functional groups: objects that people use together on a table, by activity."""

@@ -42,14 +42,14 @@ def bottles(kit: GroupSampler) -> Group:
 
 def tray_of_bottles(kit: GroupSampler) -> Group:
     """A tray with bottles and jars on it."""
-    things = [kit.item(kit.key(*BOTTLES), yaw=kit.around(0.4)) for _ in range(kit.count(3, 5))]
-    return place_on_carrier(kit.item(kit.key("decor_tray", "serving_tray")), things, kit, gap=0.01)
+    items = [kit.item(kit.key(*BOTTLES), yaw=kit.around(0.4)) for _ in range(kit.count(3, 5))]
+    return place_on_carrier(kit.item(kit.key("decor_tray", "serving_tray")), items, kit, gap=0.01)
 
 
 def perfumes(kit: GroupSampler) -> Group:
     """Perfumes and lipsticks in a vanity's row, evenly spaced."""
     kinds = kit.pick("perfume", "lipstick", "nail_polish", "cream_jar")
-    items = [kit.item(kit.key(kinds), wobble=0.15) for _ in range(kit.count(3, 5))]
+    items = kit.items(3, 5, kinds, wobble=0.15)
     return row(items, kit.between(0.01, 0.03))
 
 
@@ -60,7 +60,7 @@ def brushes(kit: GroupSampler) -> Group:
 
 
 def makeup(kit: GroupSampler) -> Group:
-    """A palette with what goes with it around."""
+    """A makeup palette in a row with other cosmetics."""
     palette = kit.item(kit.key("makeup_palette"), wobble=0.3)
     items = [palette, *(kit.item(kit.key(*MAKEUP), wobble=0.4) for _ in range(kit.count(1, 3)))]
     return row(items, kit.between(0.015, 0.035))
@@ -69,10 +69,10 @@ def makeup(kit: GroupSampler) -> Group:
 def jewelry(kit: GroupSampler) -> Group:
     """A jewellery box with a dish or a perfume on its lid or beside it."""
     box = kit.item(kit.key("jewelry_box"), wobble=0.15)
-    thing = kit.item(kit.key("ring_dish", "watch", "perfume", "nail_polish"), wobble=1)
+    item = kit.item(kit.key("ring_dish", "watch", "perfume", "nail_polish"), wobble=1)
     if kit.chance(0.5):
-        return place_on_carrier(box, [thing], kit)
-    return row([box, thing], kit.between(0.02, 0.05))
+        return place_on_carrier(box, [item], kit)
+    return row([box, item], kit.between(0.02, 0.05))
 
 
 def towels(kit: GroupSampler) -> Group:
@@ -84,20 +84,17 @@ def towels(kit: GroupSampler) -> Group:
 
 def towel_basket(kit: GroupSampler) -> Group:
     """A basket with soap, brushes and small bottles."""
-    things = [
-        kit.item(kit.key("soap", "cream_jar", "comb", "deodorant", "nail_polish", "toothpaste"), yaw=kit.around(3))
-        for _ in range(3)
-    ]
-    return fill_container(kit.item(kit.key("basket", "storage_bin")), things, kit)
+    items = [kit.loose_item("soap", "cream_jar", "comb", "deodorant", "nail_polish", "toothpaste") for _ in range(3)]
+    return fill_container(kit.item(kit.key("basket", "storage_bin")), items, kit)
 
 
 def hair(kit: GroupSampler) -> Group:
     """A brush and a comb, or a hair dryer."""
-    things = [
+    items = [
         kit.item(kit.key(kind), wobble=0.3)
         for kind in kit.some(kit.count(1, 2), "hair_brush", "comb", "hair_dryer", "hand_mirror")
     ]
-    return row(things, kit.between(0.02, 0.04))
+    return row(items, kit.between(0.02, 0.04))
 
 
 def mirror(kit: GroupSampler) -> Group:
@@ -106,6 +103,6 @@ def mirror(kit: GroupSampler) -> Group:
 
 
 def tissues(kit: GroupSampler) -> Group:
-    """A box of tissues, perhaps with cotton beside it."""
+    """A box of tissues, sometimes with cotton beside it."""
     box = kit.item(kit.key("tissue_box"), wobble=0.15)
     return [box] if kit.chance(0.5) else row([box, kit.item(kit.key("cotton_jar", "lotion_bottle"))], kit.between(0.02, 0.05))

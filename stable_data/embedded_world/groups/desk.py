@@ -22,7 +22,7 @@ TOPPERS = ("mug", "glasses_case", "phone", "apple", "calculator", "alarm_clock",
 
 
 def workstation(kit: GroupSampler) -> Group:
-    """A monitor, a keyboard before it, a mouse on the right, perhaps on a pad."""
+    """A monitor, a keyboard before it, a mouse on the right, sometimes on a pad."""
     monitor, keyboard = kit.item(kit.key("monitor"), wobble=0.03), kit.item(kit.key("keyboard"), wobble=0.04)
     gap = monitor.size[1] / 2 + keyboard.size[1] / 2 + kit.between(0.05, 0.12)
     keyboard = keyboard.moved(kit.around(0.02), -gap)
@@ -48,7 +48,7 @@ def laptop(kit: GroupSampler) -> Group:
 
 
 def books(kit: GroupSampler) -> Group:
-    """A stack of books, the largest at the bottom, sometimes with a thing on top."""
+    """A stack of books, the largest at the bottom, sometimes with an object on top."""
     count = kit.count(2, 5)
     volumes = [kit.item(kit.key("book", "book", "notebook", "magazine")) for _ in range(count)]
     volumes = [replace(o, tilt_quat_xyzw=asset(o.key).tilts[0]) for o in volumes]
@@ -59,11 +59,11 @@ def books(kit: GroupSampler) -> Group:
 
 def _topped(pile: Group, kit: GroupSampler) -> Group:
     last = pile[-1]
-    thing = kit.item(kit.key(*TOPPERS), wobble=3)
-    width, depth, _ = thing.size
+    item = kit.item(kit.key(*TOPPERS), wobble=3)
+    width, depth, _ = item.size
     if max(width, depth) > 0.95 * min(last.size[:2]):
         return pile
-    return [*pile, replace(thing, x=last.x + kit.around(0.01), y=last.y + kit.around(0.01))]
+    return [*pile, replace(item, x=last.x + kit.around(0.01), y=last.y + kit.around(0.01))]
 
 
 def standing_books(kit: GroupSampler) -> Group:
@@ -103,9 +103,9 @@ def writing(kit: GroupSampler) -> Group:
 
 
 def office_bits(kit: GroupSampler) -> Group:
-    """Two or three small things side by side."""
-    things = [kit.item(kit.key(kind), wobble=0.25) for kind in kit.some(kit.count(2, 3), *SMALL)]
-    return row(things, kit.between(0.015, 0.04))
+    """Two or three small objects side by side."""
+    items = [kit.item(kit.key(kind), wobble=0.25) for kind in kit.some(kit.count(2, 3), *SMALL)]
+    return row(items, kit.between(0.015, 0.04))
 
 
 def file_tray(kit: GroupSampler) -> Group:
@@ -115,38 +115,35 @@ def file_tray(kit: GroupSampler) -> Group:
 
 
 def organizer(kit: GroupSampler) -> Group:
-    """A storage bin with small things in it."""
-    things = [
-        kit.item(kit.key("eraser", "sticky_notes", "tape_dispenser", "calculator", "mouse"), yaw=kit.around(3))
-        for _ in range(3)
-    ]
-    return fill_container(kit.item(kit.key("storage_bin", "basket")), things, kit)
+    """A storage bin with small objects in it."""
+    items = [kit.loose_item("eraser", "sticky_notes", "tape_dispenser", "calculator", "mouse") for _ in range(3)]
+    return fill_container(kit.item(kit.key("storage_bin", "basket")), items, kit)
 
 
 def boxes(kit: GroupSampler) -> Group:
-    """A smaller box on a larger one, perhaps a third."""
-    pile = [kit.item(kit.key("storage_box", "gift_box", "tin_box", "board_game")) for _ in range(kit.count(2, 3))]
+    """A smaller box on a larger one, sometimes on a third."""
+    pile = kit.items(2, 3, "storage_box", "gift_box", "tin_box", "board_game")
     pile.sort(key=lambda o: -min(o.size[:2]))
     return stack(pile, kit, shift=0.008, turn=0.25)
 
 
 def papers(kit: GroupSampler) -> Group:
     """Envelopes, papers and a clipboard on one another."""
-    pile = [kit.item(kit.key("paper_stack", "envelope", "clipboard", "newspaper", "notebook")) for _ in range(kit.count(2, 3))]
+    pile = kit.items(2, 3, "paper_stack", "envelope", "clipboard", "newspaper", "notebook")
     pile.sort(key=lambda o: -o.size[0] * o.size[1])
     return stack(pile, kit, shift=0.015, turn=0.3)
 
 
 def phone_dock(kit: GroupSampler) -> Group:
     """A phone, a power bank or headphones lying together."""
-    things = [
+    items = [
         kit.item(kit.key(kind), wobble=0.2)
         for kind in kit.some(2, "phone", "power_bank", "headphones", "charger_dock", "tablet")
     ]
-    return row(things, kit.between(0.02, 0.04))
+    return row(items, kit.between(0.02, 0.04))
 
 
 def ornaments(kit: GroupSampler) -> Group:
-    """A frame, a plant, a clock: what makes a desk somebody's own."""
+    """A frame, a plant, a clock: personal objects on a desk."""
     kinds = ("photo_frame", "cactus", "potted_plant", "desk_clock", "figurine", "globe", "puzzle_cube", "snow_globe")
     return row([kit.item(kit.key(kind), wobble=0.3) for kind in kit.some(kit.count(1, 2), *kinds)], kit.between(0.02, 0.06))

@@ -1,4 +1,4 @@
-"""Eating and drinking: place settings, tea, what stands in the middle of a table. Lengths in metres."""
+"""Eating and drinking: place settings, tea, centrepieces. Lengths in metres."""
 
 import math
 
@@ -22,7 +22,7 @@ SWEET = ("muffin", "donut", "cookie", "croissant", "cake")
 
 
 def place_setting(kit: GroupSampler) -> Group:
-    """A plate with what lies on it, cutlery at its sides, something to drink from behind; all of the scene's own household."""
+    """A plate with a bowl, napkin or bread on it, cutlery at its sides and a drink behind it; all from the variants of the scene."""
     plate = GroupItem(kit.own("plate"), yaw=kit.around(3))
     width = plate.size[0]
     group: Group = []
@@ -58,13 +58,13 @@ def _drink(kit: GroupSampler) -> str:
 
 
 def _upright_along_y(key: str, x: float, kit: GroupSampler) -> GroupItem:
-    """A thing that lies flat with its long side along y, at a place beside a plate."""
+    """A flat item with its long side along y, beside a plate."""
     width, depth, _ = GroupItem(key).size
     return GroupItem(key, x, kit.around(0.008), (math.pi / 2 if width > depth else 0.0) + kit.around(0.05))
 
 
 def tea_for_two(kit: GroupSampler) -> Group:
-    """A teapot between two cups on saucers, with sugar or something sweet."""
+    """A teapot between two cups on saucers, sometimes with a sugar bowl."""
     pot = kit.item(kit.key("teapot"), yaw=kit.around(0.5))
     reach = max(pot.size[:2]) / 2 + 0.085
     group: Group = [pot]
@@ -77,15 +77,15 @@ def tea_for_two(kit: GroupSampler) -> Group:
 
 
 def tea_tray(kit: GroupSampler) -> Group:
-    """A tray with a pot, cups and something sweet on it."""
-    things = [kit.item(kit.key("teapot", "pitcher"), wobble=0.4)]
-    things += [GroupItem(kit.own("teacup", "mug"), yaw=kit.around(0.6)) for _ in range(kit.count(1, 2))]
-    things += [kit.item(kit.key("sugar_bowl", "muffin", "donut"), wobble=0.5)]
-    return place_on_carrier(kit.item(kit.key("serving_tray")), things, kit)
+    """A tray with a pot, cups and sugar or a sweet on it."""
+    items = [kit.item(kit.key("teapot", "pitcher"), wobble=0.4)]
+    items += [GroupItem(kit.own("teacup", "mug"), yaw=kit.around(0.6)) for _ in range(kit.count(1, 2))]
+    items += [kit.item(kit.key("sugar_bowl", "muffin", "donut"), wobble=0.5)]
+    return place_on_carrier(kit.item(kit.key("serving_tray")), items, kit)
 
 
 def breakfast_tray(kit: GroupSampler) -> Group:
-    """A tray with a plate that holds something, and a drink: things on things on a tray."""
+    """A tray with a drink and a plate that holds food: objects on objects on a tray."""
     tray, plate = kit.item(kit.key("serving_tray")), GroupItem(kit.own("saucer", "plate"), yaw=kit.around(3))
     placed = place_on_carrier(tray, [plate, GroupItem(kit.own("mug", "teacup"), yaw=kit.around(0.6))], kit)
     for there in placed[1:]:
@@ -97,16 +97,14 @@ def breakfast_tray(kit: GroupSampler) -> Group:
 def fruit_bowl(kit: GroupSampler) -> Group:
     """A bowl with two to five fruits."""
     kinds = [kit.key(*FRUIT) for _ in range(kit.count(2, 5))]
-    return heap_in_bowl(
-        kit.item(kit.key("bowl", "mixing_bowl", "colander"), yaw=kit.around(3)), [kit.item(key) for key in kinds], kit
-    )
+    return heap_in_bowl(kit.loose_item("bowl", "mixing_bowl", "colander"), [kit.item(key) for key in kinds], kit)
 
 
 def bread_basket(kit: GroupSampler) -> Group:
     """A basket with buns or fruit side by side."""
     kinds = kit.pick("bun", "croissant", "apple", "orange", "egg", "muffin")
     basket = kit.item(kit.key("basket"))
-    return fill_container(basket, [kit.item(kit.key(kinds), yaw=kit.around(3)) for _ in range(kit.count(2, 4))], kit, gap=0.006)
+    return fill_container(basket, kit.loose_items(2, 4, kinds), kit, gap=0.006)
 
 
 def centrepiece(kit: GroupSampler) -> Group:
@@ -118,7 +116,7 @@ def centrepiece(kit: GroupSampler) -> Group:
 
 def wine(kit: GroupSampler) -> Group:
     """A bottle and one to three glasses before it."""
-    bottle = kit.item(kit.key("bottle"), yaw=kit.around(3))
+    bottle = kit.loose_item("bottle")
     glasses = [GroupItem(kit.own("wine_glass", "drinking_glass"), yaw=kit.around(3)) for _ in range(kit.count(1, 3))]
     reach = bottle.size[0] / 2 + max(g.size[0] for g in glasses) / 2 + kit.between(0.02, 0.05)
     first = -math.pi / 2 + kit.around(0.5)
@@ -146,19 +144,19 @@ def cutlery(kit: GroupSampler) -> Group:
 
 def cake(kit: GroupSampler) -> Group:
     """A cake or buns on a stand or a plate."""
-    sweet = kit.item(kit.key("cake", "muffin", "donut", "croissant"), yaw=kit.around(3))
-    return place_on_carrier(kit.item(kit.key("cake_stand", "plate"), yaw=kit.around(3)), [sweet], kit, overhang=0.3)
+    sweet = kit.loose_item("cake", "muffin", "donut", "croissant")
+    return place_on_carrier(kit.loose_item("cake_stand", "plate"), [sweet], kit, overhang=0.3)
 
 
 def plate_of_sweets(kit: GroupSampler) -> Group:
-    """A plate with two or three small sweet things side by side."""
+    """A plate with two to four sweets side by side."""
     plate = GroupItem(kit.own("plate"), yaw=kit.around(3))
     kind = kit.pick("cookie", "donut", "muffin")
-    return place_on_carrier(plate, [kit.item(kit.key(kind), yaw=kit.around(3)) for _ in range(kit.count(2, 4))], kit, gap=0.003)
+    return place_on_carrier(plate, kit.loose_items(2, 4, kind), kit, gap=0.003)
 
 
 def cup_on_saucer(kit: GroupSampler) -> Group:
-    """A cup on its saucer, perhaps with a spoon in it."""
+    """A cup on its saucer."""
     saucer = kit.item(kit.own("saucer"), yaw=kit.around(3))
     cup = GroupItem(kit.own("teacup"), yaw=kit.around(0.8), scale=saucer.scale)
     return [saucer, cup]
@@ -181,7 +179,7 @@ def lying_bottle(kit: GroupSampler) -> Group:
 
 
 def spoons_in_cup(kit: GroupSampler) -> Group:
-    """Chopsticks or spoons that lean in a cup; the wooden kind that is kept standing."""
+    """Wooden spoons or spatulas that lean in a cup."""
     return lean_in_cup(
         kit.item(kit.key("tumbler", "utensil_holder")), [kit.key("wooden_spoon", "spatula") for _ in range(2)], kit
     )

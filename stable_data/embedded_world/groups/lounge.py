@@ -14,64 +14,51 @@ from stable_data.embedded_world.groups.arrangement import (
 )
 
 DECOR = (
-    "candle",
-    "figurine",
-    "vase",
-    "flower_vase",
-    "potted_plant",
-    "hourglass",
-    "snow_globe",
-    "diffuser",
-    "piggy_bank",
-    "cactus",
-)
+    "candle", "figurine", "vase", "flower_vase", "potted_plant", "hourglass", "snow_globe", "diffuser", "piggy_bank", "cactus",
+)  # fmt: skip
 
 
 def magazines(kit: GroupSampler) -> Group:
     """Magazines in a pile, a remote control or glasses on top."""
-    pile = [kit.item(kit.key("magazine", "newspaper", "book")) for _ in range(kit.count(2, 4))]
+    pile = kit.items(2, 4, "magazine", "newspaper", "book")
     pile.sort(key=lambda o: -o.size[0] * o.size[1])
     group = stack(pile, kit, shift=0.012, turn=0.3)
     if kit.chance(0.5):
-        thing = kit.item(
+        item = kit.item(
             kit.key("remote_control", "sunglasses", "glasses_case", "phone"), group[-1].x, group[-1].y, kit.around(1)
         )
-        if max(thing.size[:2]) < 0.95 * max(group[-1].size[:2]):
-            group.append(thing)
+        if max(item.size[:2]) < 0.95 * max(group[-1].size[:2]):
+            group.append(item)
     return group
 
 
 def remotes(kit: GroupSampler) -> Group:
     """Remote controls and a game controller side by side."""
-    things = [
+    items = [
         kit.item(kit.key(kit.pick("remote_control", "game_controller", "remote_control")), wobble=0.3)
         for _ in range(kit.count(1, 3))
     ]
-    return row(things, kit.between(0.015, 0.04))
+    return row(items, kit.between(0.015, 0.04))
 
 
 def decor(kit: GroupSampler) -> Group:
     """One to three ornaments close together, the tallest in the middle."""
-    things = sorted(
-        (kit.item(kit.key(kind), wobble=0.6) for kind in kit.some(kit.count(1, 3), *DECOR)), key=lambda o: o.size[2]
-    )
-    if len(things) == 3:
-        things = [things[0], things[2], things[1]]
-    return row([replace(o, y=kit.around(0.015)) for o in things], kit.between(0.012, 0.05))
+    items = sorted((kit.item(kit.key(kind), wobble=0.6) for kind in kit.some(kit.count(1, 3), *DECOR)), key=lambda o: o.size[2])
+    if len(items) == 3:
+        items = [items[0], items[2], items[1]]
+    return row([replace(o, y=kit.around(0.015)) for o in items], kit.between(0.012, 0.05))
 
 
 def candle_tray(kit: GroupSampler) -> Group:
     """A small tray with candles and an ornament."""
-    things = [
-        kit.item(kit.key("candle", "tea_light", "diffuser", "figurine"), yaw=kit.around(3)) for _ in range(kit.count(2, 3))
-    ]
-    return place_on_carrier(kit.item(kit.key("decor_tray", "serving_tray")), things, kit, gap=0.015)
+    items = kit.loose_items(2, 3, "candle", "tea_light", "diffuser", "figurine")
+    return place_on_carrier(kit.item(kit.key("decor_tray", "serving_tray")), items, kit, gap=0.015)
 
 
 def toys(kit: GroupSampler) -> Group:
-    """Toys lying about."""
+    """Scattered toys."""
     kinds = ("toy_car", "toy_block", "rubber_duck", "puzzle_cube", "ball", "dice", "toy_train", "toy_robot", "stacking_rings")
-    items = [kit.item(kit.key(kind), yaw=kit.around(3)) for kind in kit.some(kit.count(2, 4), *kinds)]
+    items = [kit.loose_item(kind) for kind in kit.some(kit.count(2, 4), *kinds)]
     area = items[0].outline().buffer(0.16)
     return scatter(area, items, kit, gap=0.01)
 
@@ -79,8 +66,8 @@ def toys(kit: GroupSampler) -> Group:
 def toy_bin(kit: GroupSampler) -> Group:
     """A bin or basket with toys in it."""
     kinds = ("toy_car", "toy_block", "rubber_duck", "puzzle_cube", "dice")
-    things = [kit.item(kit.key(*kinds), yaw=kit.around(3)) for _ in range(kit.count(2, 4))]
-    return fill_container(kit.item(kit.key("storage_bin", "basket", "crate")), things, kit)
+    items = kit.loose_items(2, 4, *kinds)
+    return fill_container(kit.item(kit.key("storage_bin", "basket", "crate")), items, kit)
 
 
 def blocks(kit: GroupSampler) -> Group:
@@ -93,19 +80,17 @@ def blocks(kit: GroupSampler) -> Group:
 def board_game(kit: GroupSampler) -> Group:
     """A game's box with cards or dice on it, or beside it."""
     box = kit.item(kit.key("board_game"), wobble=0.2)
-    return place_on_carrier(
-        box, [kit.item(kit.key("card_deck", "dice", "chess_piece"), yaw=kit.around(3)) for _ in range(kit.count(1, 3))], kit
-    )
+    return place_on_carrier(box, kit.loose_items(1, 3, "card_deck", "dice", "chess_piece"), kit)
 
 
 def chess(kit: GroupSampler) -> Group:
     """A few chess pieces."""
-    items = [kit.item(kit.key("chess_piece")) for _ in range(kit.count(2, 4))]
+    items = kit.items(2, 4, "chess_piece")
     return scatter(items[0].outline().buffer(0.09), items, kit, gap=0.01)
 
 
 def glasses_and_keys(kit: GroupSampler) -> Group:
-    """What comes out of the pockets."""
+    """Contents of pockets."""
     kinds = kit.some(kit.count(2, 3), "sunglasses", "wallet", "watch", "phone", "glasses_case")
     return row([kit.item(kit.key(kind), wobble=0.5) for kind in kinds], kit.between(0.015, 0.04))
 

@@ -1,7 +1,7 @@
-"""What a family of assets is: a category and how its variants are drawn.
+"""Families of assets: a family is a category with a function that designs its variants.
 
-A family's ``design`` makes one variant from a :class:`VariantSampler`: a closed solid that stands on z = 0 and faces -y,
-metres, with what the rest of the world needs to know of it.
+The function makes one variant from a :class:`VariantSampler`: a closed solid that stands on z = 0 and faces -y, metres, with its
+material, captions, support areas and resting tilts.
 """
 
 import zlib
@@ -19,10 +19,10 @@ T = TypeVar("T")
 
 _HALF = 0.7071067811865476
 LAID: QuatXyzw = (_HALF, 0.0, 0.0, _HALF)
-"""What stands on its end laid on its side, its top towards -y."""
+"""Tilt of an upright object laid on its side, its top towards -y."""
 
 ON_EDGE: QuatXyzw = (0.0, _HALF, 0.0, _HALF)
-"""What lies flat put on its edge, what was its left now on top, its face towards +x."""
+"""Tilt of a flat object put on its edge, its left side on top, its face towards +x."""
 
 STANDING = (UPRIGHT,)
 EITHER = (UPRIGHT, LAID)
@@ -30,25 +30,13 @@ LYING = (LAID,)
 
 DENSITY: Mapping[str, float] = MappingProxyType(
     {
-        "ceramic": 2300.0,
-        "glass": 1200.0,  # bottles are hollow or full of something lighter
-        "metal": 2700.0,
-        "tin": 1000.0,
-        "wood": 650.0,
-        "plastic": 950.0,
-        "rubber": 1100.0,
-        "paper": 750.0,
-        "cardboard": 250.0,
-        "fabric": 200.0,
-        "foam": 120.0,
-        "plant": 400.0,
-        "fruit": 850.0,
-        "food": 350.0,
-        "wax": 900.0,
-        "electronics": 1300.0,
+        "ceramic": 2300.0, "glass": 1200.0, "metal": 2700.0, "tin": 1000.0, "wood": 650.0, "plastic": 950.0, "rubber": 1100.0,
+        "paper": 750.0, "cardboard": 250.0, "fabric": 200.0, "foam": 120.0, "plant": 400.0, "fruit": 850.0, "food": 350.0,
+        "wax": 900.0, "electronics": 1300.0,
     }
-)
-"""Effective density of each material, kilograms per cubic metre."""
+)  # fmt: skip
+"""Effective density of each material, kilograms per cubic metre: that of glass is low because bottles are empty or contain a
+lighter material."""
 
 COLORS: Mapping[str, str] = MappingProxyType(
     {
@@ -64,16 +52,16 @@ COLORS: Mapping[str, str] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class SupportArea:
-    """A level place where other things can be: the top of a book, the inside of a bowl. Metres, frame of the solid.
+    """A level area that can support objects: the top of a book, the inside of a bowl. Metres, frame of the solid.
 
     Attributes:
-        width: Along x; the diameter where it is round.
-        depth: Along y; likewise.
-        z: Height of its floor.
-        height: Up to the rim, for what is inside; 0 for a top.
-        is_round: Whether it is a circle (or an ellipse) instead of a rectangle.
-        x: Its middle.
-        y: Its middle.
+        width: Along x; the diameter if round.
+        depth: Along y; the diameter if round.
+        z: Height of the area.
+        height: Height of the rim above the area for a hollow; 0 for a top.
+        is_round: Whether the area is a circle or an ellipse instead of a rectangle.
+        x: Middle of the area.
+        y: Middle of the area.
     """
 
     width: float
@@ -90,14 +78,14 @@ class AssetDesign:
     """One variant of a family.
 
     Attributes:
-        solid: Its shape: one connected solid that stands on z = 0 and faces -y, metres.
+        solid: One connected solid that stands on z = 0 and faces -y, metres.
         material: A key of ``DENSITY``.
         color: A key of ``COLORS``, or ``#rrggbb``.
-        captions: Three or more ways to name it, lower case, without a full stop; the first is the plainest full one.
-        top: Where other things can stand on it.
-        hollow: Where other things can lie or stand in it; only what has one counts as a container.
+        captions: Three or more names for it, lower case, without a full stop; the first is the plainest complete one.
+        top: Area that objects can stand on.
+        hollow: Space that objects can lie or stand in; an asset without one is no container.
         tilts: Its usual resting tilts; the first is the most usual.
-        density: Overrides that of the material, kilograms per cubic metre: things that are hollow inside.
+        density: Replaces the density of the material, kilograms per cubic metre, for example for an object that is hollow inside.
     """
 
     solid: Solid
@@ -111,10 +99,10 @@ class AssetDesign:
 
 
 class VariantSampler:
-    """The chance behind one variant: the same for the same category and number.
+    """The random choices of one variant, the same for the same category and variant.
 
     Args:
-        category: The family's.
+        category: Category of the family.
         variant: Number of the variant, from 0.
     """
 
@@ -124,29 +112,16 @@ class VariantSampler:
         self._num_picks = 0
 
     def between(self, low: float, high: float) -> float:
-        """A length between two, metres, to the tenth of a millimetre."""
+        """Draws a length between two bounds, metres, rounded to 0.1 mm."""
         return round(float(self._rng.uniform(low, high)), 4)
 
     def pick(self, *options: T) -> T:
-        """One of several; as many variants as there are options show them all."""
+        """Picks one of several options; as many variants as there are options use all of them."""
         self._num_picks += 1
+        # Each pick has its own order, so that variants differ in the combination of their options.
         order = np.random.default_rng([self._key, self._num_picks]).permutation(len(options))
         return options[int(order[self._variant % len(options)])]
 
 
 Drawing: TypeAlias = Callable[[VariantSampler], AssetDesign]
-
-
-@dataclass(frozen=True, slots=True)
-class AssetFamily:
-    """A category of assets.
-
-    Attributes:
-        category: Its kind, words joined by ``_``, singular.
-        design: Makes a variant.
-        tables: Kinds of table that it is usual on.
-    """
-
-    category: str
-    design: Drawing
-    tables: tuple[str, ...]
+"""Designs one variant of a family; the name of the function is the category: words joined by ``_``, singular."""

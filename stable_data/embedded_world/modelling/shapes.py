@@ -1,7 +1,7 @@
-"""Shapes that many things are made of: plates, panels, round and lying bodies, rods, hoops.
+"""Common shapes of assets: plates, panels, round and lying bodies, rods, hoops.
 
-Frame and units as in :mod:`stable_data.embedded_world.modelling.solids`: z up, metres; what is made here stands on z = 0
-unless it says otherwise.
+Frame and units as in :mod:`stable_data.embedded_world.modelling.solids`: z up, metres; a shape stands on z = 0 unless stated
+otherwise.
 """
 
 import math
@@ -13,20 +13,20 @@ import numpy as np
 
 from stable_data.embedded_world.modelling.solids import NUM_AROUND, Profile, Solid, box, chain, circle, loft, rectangle
 
-Outline: TypeAlias = Sequence[tuple[float, float]]  # corners of a convex plane figure in turn, metres
+Outline: TypeAlias = Sequence[tuple[float, float]]  # corners of a convex polygon in order, metres
 
 Sections: TypeAlias = Sequence[tuple[float, float, float, float]]  # (x, half width, half height, z of the middle), metres
 
-_LATITUDES = (-72, -45, -15, 15, 45, 72)  # degrees, of the rings of an ellipsoid
+_LATITUDES = (-72, -45, -15, 15, 45, 72)  # of the rings of an ellipsoid, degrees
 
 
 def scaled(outline: Outline, across: float, up: float) -> list[tuple[float, float]]:
-    """An outline or a profile given in shares of its two extents, metres."""
+    """Scales an outline or a profile that is given in shares of its two extents, metres."""
     return [(x * across, z * up) for x, z in outline]
 
 
 def arc_points(radius: float, degrees: Iterable[float]) -> list[tuple[float, float]]:
-    """Points of a circle around the origin, counter-clockwise from the first axis; a profile of a ball as (radius, z)."""
+    """Points on a circle around the origin, counter-clockwise from the first axis; also the profile of a ball as (radius, z)."""
     return [(radius * math.cos(math.radians(a)), radius * math.sin(math.radians(a))) for a in degrees]
 
 
@@ -37,47 +37,36 @@ def ball_profile(degrees: Sequence[float]) -> list[tuple[float, float]]:
 
 
 BALL = ball_profile((-66, -50, -30, -10, 10, 30, 50, 70, 82))
-"""Profile of a ball that rests on a flat, shares."""
+"""Profile of a ball with a flat to rest on, shares."""
 
 HALF_BALL = ball_profile((-62, -45, -28, -12, 0))
-"""Profile of the lower half of one, shares."""
+"""Profile of the lower half of such a ball, shares."""
 
 
 def prism(outline: Outline, low: float, high: float) -> Solid:
-    """A plan between two heights.
-
-    Args:
-        outline: (x, y).
-        low: Height of its underside.
-        high: Height of its top.
-    """
+    """Extrudes a plan, corners (x, y), between two heights."""
     return loft([np.array([(x, y, z) for x, y in outline]) for z in (low, high)])
 
 
 def silhouette(outline: Outline, depth: float) -> Solid:
-    """A side view carried along y.
-
-    Args:
-        outline: (x, z).
-        depth: Along y, half of it on either side of y = 0.
-    """
+    """Extrudes a side view, corners (x, z), along y by ``depth``, symmetric about y = 0."""
     return loft([np.array([(x, y, z) for x, z in outline]) for y in (-depth / 2, depth / 2)])
 
 
 def disc(radius: float, low: float, high: float, corners: int = 24) -> Solid:
-    """An upright cylinder between two heights."""
+    """Returns an upright cylinder between two heights."""
     return loft([circle(radius, low, corners), circle(radius, high, corners)])
 
 
 def wedge(radius: float, degrees: float, low: float, high: float, inset: float = 0.0) -> Solid:
-    """A slice of a round, its tip on the left, one cut side along x.
+    """Returns a slice of a disc with its tip on the left and one cut side along x.
 
     Args:
-        radius: Of the round.
-        degrees: Between the cut sides.
-        low: Height of its underside.
-        high: Height of its top.
-        inset: Share by which it is smaller about its middle.
+        radius: Radius of the disc.
+        degrees: Angle between the cut sides.
+        low: Height of the underside.
+        high: Height of the top.
+        inset: Share by which the slice shrinks towards its middle.
     """
     arc = [math.radians(degrees * k / 4) for k in range(5)]
     points = [(0.0, 0.0), *((radius * math.cos(a), radius * math.sin(a)) for a in arc)]
@@ -87,66 +76,62 @@ def wedge(radius: float, degrees: float, low: float, high: float, inset: float =
 
 
 def panel(width: float, depth: float, z: float, color: str, x: float = 0.0, y: float = 0.0, rise: float = 0.0008) -> Solid:
-    """A coloured plate let into a level surface: a label, a screen, a key.
+    """Returns a coloured plate in a level surface: a label, a screen, a key.
 
     Args:
         width: Along x.
         depth: Along y.
         z: Height of the surface.
-        color: Of the plate.
-        x: Its middle.
-        y: Its middle.
-        rise: How far it stands out.
+        color: Colour of the plate.
+        x: Middle of the plate.
+        y: Middle of the plate.
+        rise: Height above the surface.
     """
     return box(width, depth, rise + 0.0012).moved(x, y, z - 0.0012).painted(color)
 
 
 def front_panel(width: float, height: float, y: float, z: float, color: str, x: float = 0.0, thickness: float = 0.003) -> Solid:
-    """A coloured plate let into a face that looks to -y, out of which it stands by a millimetre.
+    """Returns a coloured plate in a face towards -y, 1 mm in front of it.
 
     Args:
         width: Along x.
         height: Along z.
-        y: Of the face.
-        z: Height of its lower edge.
-        color: Of the plate.
-        x: Its middle.
-        thickness: Along y, most of it behind the face.
+        y: Position of the face.
+        z: Height of the lower edge.
+        color: Colour of the plate.
+        x: Middle of the plate.
+        thickness: Along y, mostly behind the face.
     """
     return box(width, thickness, height).moved(x, y + (thickness / 2 - 0.001), z).painted(color)
 
 
 def round_body(profile: Profile, corners: int = NUM_AROUND, flatness: float = 1.0) -> Solid:
-    """A solid of round or elliptic section: on its side it lies on a flat, not on an edge.
+    """Returns a solid of round or elliptic section; on its side it lies on a facet, not on an edge.
 
     Args:
         profile: (half width, z) from the bottom up.
-        corners: Of its section.
-        flatness: Its depth as a share of its width.
+        corners: Corners of the section.
+        flatness: Depth as a share of the width.
     """
+    # The half step turns facets instead of corners towards the axes.
     angle = 2 * np.pi * (np.arange(corners) + 0.5) / corners
     outline = np.stack([np.cos(angle), flatness * np.sin(angle)], axis=1)
     return loft([np.c_[r * outline, np.full(corners, z)] for r, z in profile])
 
 
 def square_body(profile: Profile, bevel: float = 0.2, flatness: float = 1.0) -> Solid:
-    """A solid of rectangular section with cut corners.
+    """Returns a solid of rectangular section with cut corners.
 
     Args:
         profile: (half width, z) from the bottom up.
-        bevel: Cut off the corners, a share of the half width.
-        flatness: Its depth as a share of its width.
+        bevel: Cut at the corners as a share of the half width.
+        flatness: Depth as a share of the width.
     """
     return loft([rectangle(2 * r, 2 * r * flatness, z, bevel * r) for r, z in profile])
 
 
 def lying_body(sections: Sections, corners: int = 24) -> Solid:
-    """A body along x of elliptic sections, flat underneath.
-
-    Args:
-        sections: From the left to the right.
-        corners: Of each.
-    """
+    """Returns a body along x of elliptic sections with the given number of corners, flat underneath; sections from left to right."""
     angle = 2 * np.pi * np.arange(corners) / corners
     rings = []
     for x, half_width, half_height, middle in sections:
@@ -156,14 +141,15 @@ def lying_body(sections: Sections, corners: int = 24) -> Solid:
 
 
 def lying_lathe(profile: Outline, sag: float = 0.0, corners: int = 16) -> Solid:
-    """A solid of revolution along x that lies on a facet.
+    """Returns a solid of revolution along x that lies on a facet.
 
     Args:
         profile: (x, radius) from the left to the right.
-        sag: 0 keeps its axis straight; 1 lays its whole length on the table.
-        corners: Of its section.
+        sag: 0 for a straight axis; 1 rests the whole length on the table.
+        corners: Corners of the section.
     """
     thick, facet = max(r for _, r in profile), math.cos(math.pi / corners)
+    # A facet faces down.
     angle = 2 * np.pi * (np.arange(corners) + 0.5) / corners - np.pi / 2
     rings = []
     for x, r in profile:
@@ -173,41 +159,42 @@ def lying_lathe(profile: Outline, sag: float = 0.0, corners: int = 16) -> Solid:
 
 
 def ellipsoid(x: float, y: float, z: float, corners: int = 16) -> Solid:
-    """An ellipsoid around the origin by its half axes, its poles cut flat."""
+    """Returns an ellipsoid around the origin from its half axes, with flat poles."""
     rings = [circle(math.cos(math.radians(a)), z * math.sin(math.radians(a)), corners) for a in _LATITUDES]
     return loft([ring * (x, y, 1.0) for ring in rings])
 
 
 def rod(foot: tuple[float, float, float], tip: tuple[float, float, float], radius: float, end: float | None = None) -> Solid:
-    """A straight thin rod of six sides between two points, its ends level.
+    """Returns a straight thin rod with six sides and level ends.
 
     Args:
-        foot: Where it begins.
-        tip: Where it ends.
-        radius: At its foot.
-        end: At its tip; as at its foot where None.
+        foot: Start point.
+        tip: End point.
+        radius: Radius at the foot.
+        end: Radius at the tip; ``radius`` if None.
     """
     rings = [circle(r, 0.0, 6) + np.array(point) for point, r in ((foot, radius), (tip, radius if end is None else end))]
     return loft(rings)
 
 
 def hoop(width: float, depth: float, height: float, thickness: float, corners: int = 14) -> Solid:
-    """An elliptic ring that lies on z = 0.
+    """Returns an elliptic ring that lies on z = 0.
 
     Args:
-        width: Outside, along x.
-        depth: Outside, along y.
+        width: Outer extent along x.
+        depth: Outer extent along y.
         height: Along z.
-        thickness: Of the ring, in its plane.
-        corners: Of its outline, one part between two of them.
+        thickness: Thickness of the ring in its plane.
+        corners: Corners of the outline, with one part between two of them.
     """
     angle = 2 * np.pi * np.arange(corners) / corners
     around = np.stack([np.cos(angle), np.sin(angle)], axis=1) / 2
+    # The outer and the inner edge of the ring.
     edges = [around * (width - 2 * inset, depth - 2 * inset) for inset in (0.0, thickness)]
     rings = np.stack([np.c_[edge, np.full(corners, z)] for z in (0.0, height) for edge in edges], axis=1)
     parts = []
     for k in range(corners):
-        # A tip inside the next part keeps two parts from meeting face to face.
+        # A tip inside the next part prevents two parts from sharing a face.
         tip = 0.9 * rings[k].mean(axis=0) + 0.1 * rings[(k + 1) % corners].mean(axis=0)
         parts.append(np.vstack([rings[k - 1], rings[k], tip]))
     hulls = [manifold3d.Manifold.hull_points(part) for part in parts]

@@ -1,6 +1,6 @@
-"""Solids as unions of convex parts: lofts, vessels, bars. The parts that make a solid are also its colliders.
+"""Solids as unions of convex parts: lofts, vessels, bars. The parts are also the colliders of the solid.
 
-Frame: z up, metres. Round things have 48 corners around, and a hollow has 16, so that each part of a wall is convex.
+Frame: z up, metres. An outer circle has 48 corners and the circle of a hollow has 16, so that each part of a wall is convex.
 """
 
 from collections.abc import Iterable, Sequence
@@ -18,25 +18,25 @@ from stable_data.geometry.mesh import Mesh
 from stable_data.scene import FloatArray, IntArray
 
 NUM_AROUND = 48
-"""Corners of a circle seen from outside."""
+"""Corners of an outer circle."""
 
 NUM_INSIDE = 16
-"""Corners of a round hollow: one for each part of its wall."""
+"""Corners of a round hollow, one per part of its wall."""
 
-Ring: TypeAlias = FloatArray  # (M, 3), counter-clockwise seen from where the loft goes to
+Ring: TypeAlias = FloatArray  # (M, 3), counter-clockwise seen from the direction of the loft
 Profile: TypeAlias = Sequence[tuple[float, float]]  # (radius, z) from the bottom up, metres
 
-_CONVEX = 1e-9  # share of the volume by which the hull of a convex stack may exceed it
+_CONVEX = 1e-9  # largest relative difference between the hull of a convex stack and the sum of its layers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solid:
-    """A closed solid and the convex parts that tile or cover it.
+    """A closed solid and the convex parts whose union it is.
 
     Attributes:
         body: The solid, a ``manifold3d.Manifold``.
-        parts: Corners of every convex part, each (P, 3) float64, metres.
-        paints: Colours of the surfaces that have one of their own: (manifold's number of the original, colour).
+        parts: Corners of each convex part, (P, 3) float64, metres.
+        paints: Colours of painted surfaces: (manifold's number of the original, colour).
     """
 
     body: Any
@@ -48,49 +48,50 @@ class Solid:
         return Solid(self.body + other.body, self.parts + other.parts, self.paints + other.paints)
 
     def painted(self, color: str) -> "Solid":
-        """The same solid in one colour, which its surface keeps in unions."""
+        """The solid in one colour, which its surface retains in unions."""
+        # The numbers of originals count up, and unions order their faces by them: the order of creation shapes the mesh.
         body = self.body.as_original()
         return Solid(body, self.parts, ((body.original_id(), color),))
 
     def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> "Solid":
-        """The same solid elsewhere, metres."""
+        """The translated solid, metres."""
         return Solid(self.body.translate((x, y, z)), tuple(part + np.array([x, y, z]) for part in self.parts), self.paints)
 
     def turned(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> "Solid":
-        """The same solid turned about x, then y, then z, degrees."""
+        """The solid rotated about x, then y, then z, degrees."""
         rotation = _rotation(x, y, z)
         body = self.body.transform(np.c_[rotation, np.zeros(3)])
         return Solid(body, tuple(part @ rotation.T for part in self.parts), self.paints)
 
     def resized(self, share: float) -> "Solid":
-        """The same solid, larger or smaller about the origin."""
+        """The solid scaled about the origin."""
         return Solid(self.body.scale((share, share, share)), tuple(part * share for part in self.parts), self.paints)
 
     def leaned(self, slope: float) -> "Solid":
-        """The same solid sheared backwards by ``slope`` metres in a metre, so that its foot stays level."""
+        """The solid sheared backwards by ``slope`` metres per metre of height; its foot stays level."""
         shear = np.eye(3)
         shear[1, 2] = slope
         body = self.body.transform(np.c_[shear, np.zeros(3)])
         return Solid(body, tuple(part @ shear.T for part in self.parts), self.paints)
 
     def grounded(self) -> "Solid":
-        """The same solid with its lowest point at z = 0."""
+        """The solid with its lowest point at z = 0."""
         return self.moved(z=-self.body.bounding_box()[2])
 
 
 def join(solids: Iterable[Solid]) -> Solid:
-    """The union of solids that overlap or touch."""
+    """Returns the union of solids that overlap or touch."""
     return reduce(add, solids)
 
 
 def circle(radius: float, z: float, corners: int = NUM_AROUND) -> Ring:
-    """A regular ring around the z axis, (corners, 3), metres."""
+    """Returns a regular ring around the z axis, (corners, 3), metres."""
     angle = 2 * np.pi * np.arange(corners) / corners
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(corners, z)], axis=1)
 
 
 def rectangle(width: float, depth: float, z: float, bevel: float = 0.0) -> Ring:
-    """A ring of four corners, or of eight where they are cut off at 45 degrees, metres. Begins in the middle of no edge."""
+    """Returns a ring of four corners, or of eight if ``bevel`` cuts them at 45 degrees, metres; it starts at a corner."""
     x, y, b = width / 2, depth / 2, bevel
     if not b:
         outline = [(x, -y), (x, y), (-x, y), (-x, -y)]
@@ -100,10 +101,10 @@ def rectangle(width: float, depth: float, z: float, bevel: float = 0.0) -> Ring:
 
 
 def loft(rings: Sequence[Ring]) -> Solid:
-    """The tube through rings of equally many corners, closed at both ends.
+    """Connects rings with equal numbers of corners to a tube that is closed at both ends.
 
     Args:
-        rings: Flat convex rings, so that each four-cornered side between two of them is flat.
+        rings: Flat convex rings for which each four-cornered side between two rings is flat.
 
     Returns:
         The solid; its parts are the longest runs of layers that are convex.
@@ -112,10 +113,10 @@ def loft(rings: Sequence[Ring]) -> Solid:
 
 
 def chain(rings: Sequence[Ring]) -> Solid:
-    """The union of the hulls of each ring with the next: a loft whose sides need not be flat."""
+    """Returns the union of the convex hulls of successive rings: a loft whose sides need not be flat."""
     parts = []
     for k in range(len(rings) - 1):
-        # A tip inside the next part keeps two parts from meeting face to face, where rounding would leave slivers.
+        # A tip inside the next part prevents two parts from sharing a face, where rounding would leave slivers.
         ends = rings[k + 1 : k + 3]
         tip = ends[0].mean(axis=0) * 0.9 + ends[-1].mean(axis=0) * 0.1
         parts.append(np.vstack([rings[k], rings[k + 1], tip]))
@@ -124,32 +125,33 @@ def chain(rings: Sequence[Ring]) -> Solid:
 
 
 def hull(points: FloatArray) -> Solid:
-    """The convex solid around points, (N, 3), metres."""
+    """Returns the convex hull of points, (N, 3), metres."""
     return Solid(manifold3d.Manifold.hull_points(points), (points,))
 
 
 def lathe(profile: Profile, corners: int = NUM_AROUND) -> Solid:
-    """A solid of revolution.
+    """Returns a solid of revolution.
 
     Args:
-        profile: Of its outside.
-        corners: Of its section.
+        profile: Its outside.
+        corners: Corners of its section.
     """
     return loft([circle(r, z, corners) for r, z in profile])
 
 
 def vessel(outer: Sequence[Ring], inner: Sequence[Ring]) -> Solid:
-    """A solid with a hollow that is open at the top.
+    """Returns a solid with a hollow that is open at the top.
 
     Args:
-        outer: Rings of the outside from the bottom up; as many corners as ``inner`` has, or a multiple.
-        inner: Rings of the hollow from its floor up; the last one is at the height of the rim.
+        outer: Rings of the outside from the bottom up; each has the number of corners of ``inner`` or a multiple.
+        inner: Rings of the hollow from its floor up; the last is at the height of the rim.
 
     Returns:
-        The solid. Its parts are the floor and, for each layer of the hollow, one part of the wall for each corner of it.
+        The solid. Its parts are the floor and, for each layer of the hollow, one part of the wall per corner.
     """
-    mouth = inner[-1] + (inner[-1] - inner[-2]) * 0.25  # goes on above the rim, so that no two faces coincide
+    mouth = inner[-1] + (inner[-1] - inner[-2]) * 0.25  # extends above the rim, so that no two faces coincide
     body = _tube(outer) - _tube([*inner, mouth])
+    # The wall needs an outer ring at the height of each ring of the hollow.
     cuts = [_cut(outer, ring[0, 2]) for ring in inner]
     parts = list(_convex_runs([*_between(outer, -np.inf, inner[0][0, 2]), cuts[0]]))
     for k in range(len(inner) - 1):
@@ -159,30 +161,30 @@ def vessel(outer: Sequence[Ring], inner: Sequence[Ring]) -> Solid:
 
 
 def turned_vessel(outer: Profile, inner: Profile) -> Solid:
-    """A vessel of revolution, from the profiles of its outside and of its hollow."""
+    """Returns a vessel of revolution from the profiles of its outside and of its hollow."""
     return vessel([circle(r, z) for r, z in outer], [circle(r, z, NUM_INSIDE) for r, z in inner])
 
 
 def box(width: float, depth: float, height: float, bevel: float = 0.0) -> Solid:
-    """A box that stands on z = 0, its upright edges cut by ``bevel``, metres."""
+    """Returns a box that stands on z = 0; ``bevel`` cuts its upright edges, metres."""
     return loft([rectangle(width, depth, 0.0, bevel), rectangle(width, depth, height, bevel)])
 
 
 def slab(width: float, depth: float, height: float, bevel: float) -> Solid:
-    """A box that stands on z = 0 with all its edges cut by ``bevel``, metres."""
+    """Returns a box that stands on z = 0; ``bevel`` cuts all its edges, metres."""
     b = bevel
     rings = [rectangle(width - 2 * b, depth - 2 * b, 0, b), rectangle(width, depth, b, 2 * b)]
     return loft([*rings, rectangle(width, depth, height - b, 2 * b), rectangle(width - 2 * b, depth - 2 * b, height, b)])
 
 
 def bar(path: Sequence[tuple[float, float]], width: float, thickness: float, corners: int = 12) -> Solid:
-    """A bent bar of elliptic section along a path in the plane y = 0, mitred at the bends.
+    """Returns a bent bar of elliptic section along a path in the plane y = 0, mitred at the bends.
 
     Args:
         path: (x, z) of its axis, metres.
-        width: Across the plane, along y, metres.
-        thickness: In the plane, metres.
-        corners: Of the section.
+        width: Width along y, metres.
+        thickness: Thickness in the plane, metres.
+        corners: Corners of the section.
     """
     points = np.array(path, np.float64)
     steps = np.diff(points, axis=0)
@@ -190,6 +192,7 @@ def bar(path: Sequence[tuple[float, float]], width: float, thickness: float, cor
     before, after = np.vstack([steps[:1], steps]), np.vstack([steps, steps[-1:]])
     mitre = before + after
     mitre /= np.linalg.norm(mitre, axis=1)[:, None]
+    # A mitred section is wider than the bar, by one over the cosine of half the bend.
     stretch = 1 / (mitre * after).sum(axis=1)
     angle = 2 * np.pi * np.arange(corners) / corners
     rings = []
@@ -201,10 +204,10 @@ def bar(path: Sequence[tuple[float, float]], width: float, thickness: float, cor
 
 
 def mesh_of(solid: Solid) -> tuple[Mesh, tuple[Mesh, ...], FloatArray]:
-    """The triangle mesh and its convex parts, both moved so that the mesh is centred on its box.
+    """Converts a solid into a triangle mesh and its convex parts, translated so that the mesh is centred on its box.
 
     Returns:
-        The closed mesh and the hull of every part, metres, and where the centre was before, (3,) float64.
+        The closed mesh and the hull of each part, metres, and the centre before the translation, (3,) float64.
 
     Raises:
         MeshError: The union failed.
@@ -221,8 +224,9 @@ def mesh_of(solid: Solid) -> tuple[Mesh, tuple[Mesh, ...], FloatArray]:
 
 
 def coats(solid: Solid) -> dict[str | None, IntArray]:
-    """Which faces of :func:`mesh_of` have which colour: indices by colour, None for those that nobody painted."""
+    """Face indices of :func:`mesh_of` by colour, None for unpainted faces."""
     raw, color_of = solid.body.to_mesh64(), dict(solid.paints)
+    # A run index counts triangle corners, three per face.
     bounds = np.asarray(raw.run_index, np.int64) // 3
     found: dict[str | None, list[IntArray]] = {}
     for original, first, last in zip(raw.run_original_id, bounds[:-1], bounds[1:], strict=True):
@@ -231,7 +235,7 @@ def coats(solid: Solid) -> dict[str | None, IntArray]:
 
 
 def volume(mesh: Mesh) -> float:
-    """Volume that a closed mesh encloses, cubic mesh units."""
+    """The volume that a closed mesh encloses, cubic mesh units."""
     a, b, c = (mesh.triangles[:, n] for n in range(3))
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6
 
@@ -246,6 +250,7 @@ def _tube(rings: Sequence[Ring]) -> Any:
     body = manifold3d.Manifold(manifold3d.Mesh64(vertices, faces.astype(np.uint64)))
     if body.status() != manifold3d.Error.NoError:
         raise MeshError(f"a loft of {len(rings)} rings has status {body.status()}, expected a closed tube", "loft")
+    # The rings may run clockwise: then the tube is inside out.
     return body if body.volume() > 0 else _tube([ring[::-1] for ring in rings])
 
 
@@ -255,15 +260,17 @@ def _tube_faces(num_rings: int, num_corners: int) -> IntArray:
     faces = []
     for k in range(num_rings - 1):
         low, high = k * num_corners, (k + 1) * num_corners
+        # Two triangles per side of the tube.
         faces.append(np.stack([low + corner, low + following, high + following], axis=1))
         faces.append(np.stack([low + corner, high + following, high + corner], axis=1))
+    # A fan closes each end; the lower one faces down.
     fan = np.stack([np.zeros(num_corners - 2, np.int64), corner[1:-1], corner[2:]], axis=1)
     faces += [fan[:, ::-1], fan + (num_rings - 1) * num_corners]
     return np.concatenate(faces)
 
 
 def _convex_runs(rings: Sequence[Ring]) -> Iterable[FloatArray]:
-    """Corners of the longest stacks of layers that are convex, greedily from the first."""
+    """Corners of the longest convex stacks of layers, greedily from the first."""
     layers = [_hull_volume(rings[k : k + 2]) for k in range(len(rings) - 1)]
     start = 0
     while start < len(layers):
@@ -283,7 +290,7 @@ def _between(rings: Sequence[Ring], low: float, high: float) -> list[Ring]:
 
 
 def _cut(rings: Sequence[Ring], z: float) -> Ring:
-    """The outside at one height: the ring there, or the one between its neighbours."""
+    """The outside at one height: the ring there, or the interpolation of its neighbours."""
     for low, high in pairwise(rings):
         if low[0, 2] - 1e-12 <= z <= high[0, 2] + 1e-12:
             share = (z - low[0, 2]) / (high[0, 2] - low[0, 2])
@@ -292,7 +299,7 @@ def _cut(rings: Sequence[Ring], z: float) -> Ring:
 
 
 def _sectors(walls: Sequence[Ring], hollow: Sequence[Ring]) -> Iterable[FloatArray]:
-    """One convex piece of the wall for each corner of the hollow's rings."""
+    """One convex part of the wall for each corner of the hollow's rings."""
     num_inside = len(hollow[0])
     share = len(walls[0]) // num_inside
     for k in range(num_inside):

@@ -98,7 +98,7 @@ def test_household_is_the_same_for_a_scene(kit: GroupSampler) -> None:
 
 def test_group_that_does_not_fit_is_left_out(kit: GroupSampler) -> None:
     ground = TableOccupancy(Tabletop("office_table", (0.2, 0.2)))
-    assert ground.placed([GroupItem("serving_tray/0")], Slot(dining.tea_tray), kit, 30) == []
+    assert ground.place_group([GroupItem("serving_tray/0")], Slot(dining.tea_tray), kit, 30) == []
 
 
 def test_lowered_things_are_just_clear() -> None:

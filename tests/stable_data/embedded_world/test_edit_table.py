@@ -107,10 +107,10 @@ def test_the_same_scene_has_the_same_edits_and_another_seed_others(rows: list[Ro
 
 
 def test_a_scene_of_elsewhere_is_refused(rows: list[Row]) -> None:
-    with pytest.raises(SceneError, match="make edits of scenes of stable-data synth") as caught:
+    with pytest.raises(SceneError, match="use a scene that stable-data synth made") as caught:
         edit_rows(rows[0] | {"source_json": None})
     assert caught.value.code == "not_synth"
-    with pytest.raises(SceneError, match="expected those that it shows"):
+    with pytest.raises(SceneError, match="expected the assets of its"):
         edit_rows(rows[0] | {"objects": rows[0]["objects"][:-1]})
 
 
