@@ -1,5 +1,6 @@
 """Reads meshes from untrusted binary glTF files."""
 
+import errno
 import json
 import struct
 from collections import Counter
@@ -170,6 +171,8 @@ class _GlbReader:
     def content(self, path: Path) -> bytes:
         """Reads the content of a file."""
         try:
+            if not path.is_file():  # the read of a pipe or a device could wait for ever
+                raise FileNotFoundError(errno.ENOENT, "missing or not a regular file")
             self.check_limit("max_bytes", path.stat().st_size)
             return path.read_bytes()
         except OSError as error:

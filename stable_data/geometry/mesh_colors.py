@@ -25,6 +25,7 @@ MOST_COLOURS = 8
 
 _FORMATS = ("PNG", "JPEG", "WEBP")  # texture formats of glTF; for others Pillow may start Ghostscript
 _PIXELS = 512  # side to which a texture is reduced
+_MAX_SCANS = 100  # of a progressive JPEG; encoders write about 10
 _MOST_PIXELS = 2**27  # of all textures of a file before they are reduced
 _MAX_SAMPLED_FACES = 20_000  # faces; up to this number a texture is read at many points of each face
 _CELL = 16  # of 256: side of the colour cells that are merged if a mesh has many colours
@@ -94,6 +95,9 @@ def _decode_textures(images: dict[int, bytes], asset_id: str) -> dict[int, npt.N
             warnings.simplefilter("ignore")
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             for key, image in images.items():
+                # Each scan of a progressive JPEG decodes the whole picture again. The marker cannot occur in coded data.
+                if image.startswith(b"\xff\xd8") and image.count(b"\xff\xda") > _MAX_SCANS:
+                    raise ValueError(f"a JPEG with more than {_MAX_SCANS} scans")
                 with Image.open(io.BytesIO(image), formats=_FORMATS) as picture:  # reads only the header
                     num_pixels += picture.width * picture.height
                     if num_pixels > _MOST_PIXELS:

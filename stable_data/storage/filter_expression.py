@@ -85,7 +85,8 @@ def parse_filter(text: str, schema: pa.Schema) -> FilterExpression:
         raise _invalid(text, f"has {len(text)} characters, expected at most {LONGEST_QUERY}; ask in several queries")
     tree: ast.expr | None
     try:
-        tree = ast.parse(" ".join(text.split()), mode="eval").body
+        # A condition may have several lines; spaces within its text constants stay as they are.
+        tree = ast.parse(" ".join(text.strip().splitlines()), mode="eval").body
     except (SyntaxError, ValueError) as error:
         raise _invalid(text, f"cannot be read ({getattr(error, 'msg', error)})") from error
     except (RecursionError, MemoryError):

@@ -137,6 +137,18 @@ def test_a_texture_of_another_format_is_not_opened(file_format: str) -> None:
     assert caught.value.code == "texture_invalid"
 
 
+def test_a_picture_of_thousands_of_scans_is_not_decoded() -> None:
+    picture = Image.linear_gradient("L")
+    stream = io.BytesIO()
+    picture.save(stream, "JPEG", progressive=True)
+    assert painted(with_pictures(stream.getvalue()))
+    scans = stream.getvalue()
+    last = scans[scans.rindex(b"\xff\xda") : -2]
+    with pytest.raises(MeshError, match="more than 100 scans") as caught:
+        painted(with_pictures(scans[:-2] + 1000 * last + scans[-2:]))
+    assert caught.value.code == "texture_invalid"
+
+
 def png_of(width: int, height: int) -> bytes:
     """A PNG that claims a size and has no pixels."""
     chunks = [(b"IHDR", struct.pack(">2I5B", width, height, 8, 2, 0, 0, 0)), (b"IDAT", b""), (b"IEND", b"")]

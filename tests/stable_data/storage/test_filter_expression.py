@@ -229,3 +229,8 @@ def test_what_is_unknown_passes_where_it_is_asked_for_and_nowhere_else() -> None
     lenient = parse_filter("aws is None or aws >= 1", schema)
     assert [lenient.passes({"aws": aws}, schema) for aws in (None, 0.5, 1.0)] == [True, False, True]
     assert not parse_filter("(aws is None or aws >= 1) and stable", schema).passes({"aws": None, "stable": None}, schema)
+
+
+def test_spaces_in_a_text_are_kept_and_lines_are_joined() -> None:
+    table = pa.table({"kind": ["a  b", "a b"]}, pa.schema([("kind", pa.string())]))
+    assert parse_filter("kind ==\n 'a  b'", SCHEMA).rows(table)["kind"].to_pylist() == ["a  b"]
