@@ -1,7 +1,7 @@
-"""What an instruction says of the scene it starts from, read from its words.
+"""Reads the relations that an instruction states about its initial scene.
 
-``take the jar out of the cup`` says that the jar is in the cup; ``put the jar into the cup`` says nothing of where it is.
-Types, and objects that the words single out, are replaced by numbers first (:func:`number_mentions`); claims are about numbers.
+``take the jar out of the cup`` states that the jar is in the cup; ``put the jar into the cup`` states nothing about its place.
+First :func:`number_mentions` replaces types and names of objects by numbers; the relations are between numbers.
 """
 
 import re
@@ -14,7 +14,7 @@ from stable_data.instructions.wording.words import type_words
 from stable_data.scene import RelationKind
 
 OUTERMOST = {"leftmost": 1, "rightmost": -1}
-"""Words for the one of several that is farthest out, with the sign of x that is least there."""
+"""Words for an outermost object, with the sign that makes its x the smallest."""
 
 _LIST = r"(?P<a><\d+>(?:(?:, and |, | and )<\d+>)*)"
 _B = r"(?P<b><\d+>)"
@@ -59,15 +59,14 @@ _STATED = re.compile(rf"{_LIST}(?P<be>{_BE}) {_SPOT} {_B}")
 _NOUN = re.compile(rf"{_LIST} {_SPOT} {_B}")
 _SINGLED_OUT = re.compile(rf"{_LIST},? (?:which|that) (?:is|are) {_SPOT} $")
 _ALSO = re.compile(rf",? (?:(?:and )?(?:is |are )?also|and(?: is| are)?) {_SPOT} {_B}")
-"""Goes on after where a thing is with where it is besides: ``is left of the cup and behind the plate``, ``in the bowl is also in
-the mug``."""
+"""A further place after the first: ``is left of the cup and behind the plate``, ``in the bowl is also in the mug``."""
 
 _EMPTIED = re.compile(
     r"\b(?:(?:everything|nothing)(?: that is| should be)? (?:in|on|out of|off|from)|empty|clear(?: out)?) <(\d+)>(?! away)"
     r"|<(\d+)> empty\b|<(\d+)>(?: that (?:is|are|lies|sits|stands) [^.;,]*)?\. take (?:what lies on top off|everything off)"
 )
 _ALL = re.compile(r"\b(?:everything|nothing|whatever|what|empty|clear)\b", re.IGNORECASE)
-"""Words with which an instruction can speak of what it does not name; what :data:`_EMPTIED` reads has one of them."""
+"""Words for objects that an instruction does not name; each match of :data:`_EMPTIED` contains one of them."""
 
 _LEFT = {
     "out of": RelationKind.IN,
@@ -80,24 +79,24 @@ _LEFT = {
 
 @dataclass(frozen=True, slots=True)
 class StatedRelation:
-    """What an instruction says of the start: number ``a`` is ``kind`` of ``b``; None: in it or on it, the words leave open which."""
+    """A relation of the initial scene: number ``a`` is ``kind`` of number ``b``. A kind of None means in or on."""
 
     a: int
     kind: RelationKind | None
     b: int
 
 
-def number_mentions(text: str, types: Sequence[str], said: Sequence[ObjectMention] = (), pins: Sequence[str] = ()) -> str:
-    """The instruction in lower case, what it mentions as ``<number>``, articles gone.
+def number_mentions(text: str, types: Sequence[str], mentioned: Sequence[ObjectMention] = (), pins: Sequence[str] = ()) -> str:
+    """Returns the instruction in lower case, with each mention and its articles replaced by ``<number>``.
 
     Args:
         text: The instruction.
-        types: Each has its index as its number; the longest are looked for first.
-        said: Words that single objects out; they go before the types.
-        pins: The objects; their numbers come after those of the types.
+        types: Types of objects; the number of a type is its index. The longest are replaced first.
+        mentioned: Mentions of single objects; they are replaced before the types.
+        pins: The objects of these mentions; their numbers follow the numbers of the types.
     """
     marked = text.lower()
-    for m in reversed(said):
+    for m in reversed(mentioned):
         marked = f"{marked[: m.start]}<{len(types) + pins.index(m.instance)}>{marked[m.end :]}"
     lead = rf"(?:\b(?:the|a|an|both|all|each|{'|'.join(OUTERMOST)}) )*"
     for index in sorted(range(len(types)), key=lambda k: -len(" ".join(type_words(types[k])))):
@@ -107,68 +106,64 @@ def number_mentions(text: str, types: Sequence[str], said: Sequence[ObjectMentio
 
 
 def is_named(category: str, text: str) -> bool:
-    """Does an instruction speak of such a thing, by any of its names?"""
+    """Whether an instruction mentions a category by one of its nouns."""
     return any("<0>" in number_mentions(text.replace("<", " "), (noun,)) for noun in nouns_of(category))
 
 
 def mentions_all(text: str) -> bool:
-    """Could an instruction speak of things by their place alone: ``everything``, ``whatever is in there``, ``clear the tray``?"""
+    """Whether an instruction may mention objects by their place alone: ``everything``, ``clear the tray``."""
     return bool(_ALL.search(text))
 
 
 def spelling(name: str) -> str:
-    """A pattern for a type in an instruction."""
+    """Returns a regular expression for a type in an instruction."""
     return "[ _-]".join(re.escape(word) for word in type_words(name))
 
 
 def read_claims(marked: str) -> tuple[StatedRelation, ...]:
-    """What a marked instruction says of the scene it starts from, each claim once."""
+    """Returns the relations that a numbered instruction states about its initial scene, each once."""
     found = [*_taken(marked), *_stated(marked)]
     found += [c for m in _BEFORE.finditer(marked) for c in _pairs(m, RelationKind.IN_FRONT_OF)]
     return tuple(dict.fromkeys(found))
 
 
 def _taken(marked: str) -> Iterator[StatedRelation]:
-    """Claims in words of taking away."""
+    """Relations in phrases of removal."""
     for match in _AWAY.finditer(marked):
         before = marked[: match.start()]
         is_other = match["gone"] or any(re.search(words, before) for words in (_FILLING, _PARTING, _PART_OF_IT))
         if match["how"] == "from" and is_other:
-            continue  # "move a away from b", "fill a from b", "separate a from b", "get a drop of a from b" do not say where a is
-        # "Lift a that is left of c off b" says it of a.
-        meant = _SINGLED_OUT.search(before) or match
-        yield from _claims([int(a) for a in re.findall(r"\d+", meant["a"])], _left(match), match)
+            continue  # "move a away from b", "fill a from b", "separate a from b", "get a drop of a from b" do not state the place of a
+        # In "lift a that is left of c off b" the removed object is a.
+        subjects = _SINGLED_OUT.search(before) or match
+        yield from _claims(_numbers(subjects), _LEFT.get(match["how"]), match)
     for pattern in (_AWAY_IT, _IT_AWAY, _TAKEN_OFF, _INSTEAD, _NO_MORE):
         for match in pattern.finditer(marked):
             if pattern is _TAKEN_OFF and re.search(_INSTEAD_OF, marked[: match.start()]):
-                continue  # "instead of b. Take it out" speaks of b itself
-            yield from _pairs(match, _left(match))
+                continue  # in "instead of b. Take it out" the removed object is b
+            yield from _pairs(match, _LEFT.get(match["how"]))
     for match in _OUT.finditer(marked):
         yield from _pairs(match, RelationKind.IN)
 
 
-def _left(match: re.Match[str]) -> RelationKind | None:
-    return _LEFT.get(match["how"])
-
-
 def _stated(marked: str) -> Iterator[StatedRelation]:
-    """Claims in words of being somewhere."""
+    """Relations in phrases of location."""
     for match in _ILL_PLACED.finditer(marked):
         yield from _pairs(match, _SPOTS[match["spot"]])
     for pattern in (_STATED, _NOUN):
         for match in pattern.finditer(marked):
             before = re.split(r"[.;:]", marked[: match.start()])[-1]
             verbs = re.findall(f"{_PLACING}|{_TAKING}", before) if pattern is _NOUN else []
-            # "Put a on b" says where a shall be, "pick up a on b" where it is: the last verb tells.
+            # "Put a on b" gives the target of a, "pick up a on b" its place: the last verb decides.
             if re.search(_WISH, before) or (verbs and re.fullmatch(_PLACING, verbs[-1])):
                 continue
-            things = [int(a) for a in re.findall(r"\d+", match["a"])]
-            # "A, b and c standing on d" says it of c alone, "a, b and c stand on d" of all.
+            subjects = _numbers(match)
+            # "A, b and c standing on d" states the place of c alone, "a, b and c stand on d" of all.
             if pattern is _STATED and re.match(r",? ?(?:which|that|\w+ing|placed|kept)\b", match["be"]):
-                things = things[-1:]
+                subjects = subjects[-1:]
             where: re.Match[str] | None = match
             while where is not None:
-                yield from _claims(things, _spot(where), where)
+                yield from _claims(subjects, _spot(where), where)
                 where = _ALSO.match(marked, where.end())
 
 
@@ -177,15 +172,18 @@ def _spot(match: re.Match[str]) -> RelationKind:
 
 
 def _pairs(match: re.Match[str], kind: RelationKind | None) -> Iterator[StatedRelation]:
-    return _claims([int(a) for a in re.findall(r"\d+", match["a"])], kind, match)
+    return _claims(_numbers(match), kind, match)
 
 
-def _claims(things: Sequence[int], kind: RelationKind | None, match: re.Match[str]) -> Iterator[StatedRelation]:
-    """What a match says of some things."""
+def _numbers(match: re.Match[str]) -> list[int]:
+    return [int(a) for a in re.findall(r"\d+", match["a"])]
+
+
+def _claims(subjects: Sequence[int], kind: RelationKind | None, match: re.Match[str]) -> Iterator[StatedRelation]:
     target = int(match["b"][1:-1])
-    return (StatedRelation(a, kind, target) for a in things if a != target)
+    return (StatedRelation(a, kind, target) for a in subjects if a != target)
 
 
 def emptied_numbers(marked: str) -> tuple[int, ...]:
-    """The numbers of what a marked instruction wants emptied or cleared, whatever is in or on it."""
+    """Returns the numbers of the objects that a numbered instruction asks to empty or clear."""
     return tuple(int(next(filter(None, groups))) for groups in _EMPTIED.findall(marked))

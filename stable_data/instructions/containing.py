@@ -1,9 +1,9 @@
-"""Kinds of task about what is in what: put in, taken out, moved from one container to another, filled, emptied."""
+"""Kinds of task about objects in containers: put in, take out, move to another container, fill, empty."""
 
 import itertools
 from collections.abc import Iterator
 
-from stable_data.instructions.kind import MOST_LISTED, Roles, TaskKind
+from stable_data.instructions.kind import MAX_LISTED, Finder, Roles, TaskKind
 from stable_data.instructions.situation import TaskContext
 from stable_data.instructions.wording.vocabulary import classes_of
 from stable_data.scene import RelationKind
@@ -28,65 +28,69 @@ def _take_outs(s: TaskContext) -> Iterator[Roles]:
 
 
 def _transfers(s: TaskContext) -> Iterator[Roles]:
-    for (x, y), z in itertools.product(s.linked(IN), s.mixed(s.containers)):
+    for (x, y), z in itertools.product(s.linked(IN), s.shuffled(s.containers)):
         if z != y and s.fits(x, z):
             yield {"x": x, "y": y, "z": z}
 
 
+def some_into(item_class: str, place_class: str, counts: tuple[int, ...]) -> Finder:
+    """Returns a finder of some loose objects of a class, named one by one, and a container of another class for them."""
+
+    def find(s: TaskContext) -> Iterator[Roles]:
+        for y, count in itertools.product(s.shuffled(s.of(place_class, s.containers)), counts):
+            xs = tuple(s.shuffled(n for n in s.of(item_class, s.loose) if s.fits(n, y))[:count])
+            if len(xs) == count and s.all_fit(xs, y):
+                yield {"xs": xs, "y": y}
+
+    return find
+
+
 def _gathers(s: TaskContext) -> Iterator[Roles]:
-    """Two or three things that fit into one container together."""
-    for y in s.mixed(s.containers):
-        fitting = s.mixed(x for x in s.loose if s.fits(x, y))
-        for count in s.mixed((2, 3)):
+    """Two or three objects that fit into one container together."""
+    for y in s.shuffled(s.containers):
+        fitting = s.shuffled(x for x in s.loose if s.fits(x, y))
+        for count in s.shuffled((2, 3)):
             xs = tuple(fitting[:count])
             if len(xs) == count and s.all_fit(xs, y):
                 yield {"xs": xs, "y": y}
 
 
 def _all_of_a_kind(s: TaskContext) -> Iterator[Roles]:
-    """Every object of a category, all of them loose."""
-    for y, xs in itertools.product(s.mixed(s.containers), s.mixed(s.kinds(s.every_loose))):
-        if len(xs) > 1 and s.all_fit(xs, y) and s.is_every(xs):
-            yield {"xs": tuple(xs), "y": y}
+    for y, xs in itertools.product(s.shuffled(s.containers), s.whole_kinds(2)):
+        if s.all_fit(xs, y):
+            yield {"xs": xs, "y": y}
 
 
 def _shares(s: TaskContext) -> Iterator[Roles]:
-    """Two things, each into a container of its own."""
+    """Two objects, each into another container."""
     for x, z in s.pairs(s.loose, s.loose):
-        places = ((y, w) for y, w in itertools.permutations(s.mixed(s.containers)[:4], 2) if s.fits(x, y) and s.fits(z, w))
+        places = ((y, w) for y, w in itertools.permutations(s.shuffled(s.containers)[:4], 2) if s.fits(x, y) and s.fits(z, w))
         yield from ({"x": x, "y": y, "z": z, "w": w} for y, w in places)
 
 
-def _full(s: TaskContext, least: int) -> Iterator[tuple[str, tuple[str, ...]]]:
-    for y in s.mixed(n for n in s.objects if n in s.steady & s.named and n in s.load):
-        xs = s.parts(y, IN)
-        if least <= len(xs) and set(xs) <= set(s.free):
-            yield y, tuple(xs)
-
-
 def _emptied(s: TaskContext) -> Iterator[Roles]:
-    return ({"y": y, "xs": xs} for y, xs in _full(s, 2) if len(xs) <= MOST_LISTED)
+    return ({"y": y, "xs": xs} for y, xs in s.filled(IN, 2) if len(xs) <= MAX_LISTED)
 
 
 def _emptied_at_once(s: TaskContext) -> Iterator[Roles]:
-    return ({"y": y, "xs": xs} for y, xs in _full(s, 1))
+    return ({"y": y, "xs": xs} for y, xs in s.filled(IN, 1))
 
 
 def _poured_over(s: TaskContext) -> Iterator[Roles]:
-    """All that is in one container into another."""
-    for (y, xs), z in itertools.product(_full(s, 2), s.mixed(s.containers)):
+    """All contents of one container into another."""
+    for (y, xs), z in itertools.product(s.filled(IN, 2), s.shuffled(s.containers)):
         if z != y and s.all_fit(xs, z):
             yield {"y": y, "xs": xs, "z": z}
 
 
 def _replaced(s: TaskContext) -> Iterator[Roles]:
-    for (x, y), z in itertools.product(s.linked(IN), s.mixed(s.loose)):
+    for (x, y), z in itertools.product(s.linked(IN), s.shuffled(s.loose)):
         if s.graph.nodes[y]["container"] and s.fits(z, y):
             yield {"x": x, "y": y, "z": z}
 
 
 def _loaded(s: TaskContext) -> Iterator[Roles]:
-    """A container that can be carried with what is put into it."""
+    """A container that can be carried with its new contents."""
     return (roles for roles in _put_ins(s) if roles["y"] in s.loose)
 
 

@@ -1,4 +1,4 @@
-"""A task for a scene: a kind is drawn, then objects, then words."""
+"""Derives a task for a scene: draws a kind of task, then its objects, then the words."""
 
 import hashlib
 
@@ -25,75 +25,73 @@ SIMPLE_KINDS: tuple[TaskKind, ...] = (
     *using.KINDS,
     *tidying.KINDS,
 )
-"""Kinds of task that stand for themselves."""
+"""Kinds of task with one step."""
 
 KINDS: tuple[TaskKind | MultiStepKind, ...] = (*SIMPLE_KINDS, *steps_of(SIMPLE_KINDS))
-"""Every kind of task."""
+"""All kinds of task."""
 
 NUM_PATTERNS = len({text for kind in KINDS for text in kind.texts})
-"""Different texts with roles, before any rewording."""
+"""Number of different templates, before rewording."""
 
 
 def task_rng(scene_id: str, seed: int = 0) -> np.random.Generator:
-    """The generator from which a scene's task is drawn: the same for the same scene and seed, whoever asks and whenever."""
+    """Returns the random generator for the task of a scene; it depends on the scene id and the seed alone."""
     digest = hashlib.sha256(f"{seed}:{scene_id}".encode()).digest()
     return np.random.default_rng(int.from_bytes(digest[:8], "big"))
 
 
 def derive_task(scene: Scene, graph: SceneGraph, rng: np.random.Generator) -> TaskInfo:
-    """A task that makes sense in a scene, by template.
+    """Derives a feasible task for a scene from templates.
 
-    A kind of task is drawn evenly among those that the scene has the objects for, then the objects, then the words. What is
-    said is true: objects are told apart from the others of their kind, relations hold, and the goal is not reached yet. Objects
-    that float in the scene graph's sense, or have no mesh, are left alone where there are others.
+    Draws a kind of task with equal probability among the kinds that are feasible in the scene, then the objects, then the words.
+    Each statement is true: each name identifies one object, the relations hold, and the goal is not reached yet. Objects
+    without a support in the scene graph and objects without a mesh are used only if the scene has no others.
 
     Args:
         scene: The scene; at least one object.
         graph: Its scene graph.
-        rng: Where the draws come from, as a rule :func:`task_rng` of the scene's id.
+        rng: The random generator, usually :func:`task_rng` of the scene id.
 
     Returns:
-        The task info, ``origin`` ``template``; its task objects, and what it says of the start, are known. Every task object
-        adds its type to ``objects_cluster``, so a type may be there twice.
+        The task info with ``origin`` ``template``, its task objects and the relations that it states about the initial scene.
+        Each task object adds its type to ``objects_cluster``, so a type may occur twice.
 
     Raises:
         SceneError: The scene has no objects (``scene_empty``).
     """
     if not scene.objects:
         raise SceneError(f"{scene.scene_id}: no objects, expected at least one for a task; remove the scene", "scene_empty")
-    supports = {name: about.get("support") for name, about in graph.nodes(data=True)}
-    steady = [o.instance for o in scene.objects if o.asset_id is not None and supports[o.instance] is not None]
+    steady = [o.instance for o in scene.objects if o.asset_id is not None and graph.nodes[o.instance]["support"] is not None]
     namer = ObjectNamer(scene, graph)
-    situation = TaskContext(scene, graph, rng, steady, [name for name in steady if namer.names(name)])
-    told = (kind.tell(situation, namer) for kind in situation.mixed(KINDS))
-    first = next((one for one in told if one is not None), None)
-    if first is None:
-        return _task(_fallback(scene, steady, namer), scene)
-    return _task(first, scene, request(first.text, first.theme, rng))
+    context = TaskContext(scene, graph, rng, steady, [name for name in steady if namer.names(name)])
+    drafts = (kind.draft(context, namer) for kind in context.shuffled(KINDS))  # lazy: a draft consumes random numbers
+    draft = next((d for d in drafts if d is not None), None)
+    if draft is None:
+        return _task_info(_fallback(scene, steady, namer), scene)
+    return _task_info(draft, scene, request(draft.text, draft.theme, rng))
 
 
-def _task(told: TaskDraft, scene: Scene, text: str = "") -> TaskInfo:
+def _task_info(draft: TaskDraft, scene: Scene, text: str = "") -> TaskInfo:
     objects = {o.instance: o for o in scene.objects}
     return TaskInfo(
         environment=f"A {scene.table.table_type.replace('_', ' ')}, seen from its front edge.",
-        task=text or sentences(told.text),
-        goal=tuple(sentences(goal) for goal in told.goal),
-        action_sequence=told.actions,
-        objects_cluster=tuple(type_name(objects[name].category) or "Object" for name in told.objects),
-        task_objects=tuple(name for name in objects if name in told.objects),
-        relations=told.relations,
+        task=text or sentences(draft.text),
+        goal=tuple(sentences(goal) for goal in draft.goal),
+        action_sequence=draft.actions,
+        objects_cluster=tuple(type_name(objects[name].category) or "Object" for name in draft.objects),
+        task_objects=tuple(name for name in objects if name in draft.objects),
+        relations=draft.relations,
         origin="template",
     )
 
 
 def _fallback(scene: Scene, steady: list[str], namer: ObjectNamer) -> TaskDraft:
-    """Where no kind applies: the object best picked up is, steady, with a name, small."""
+    """The task if no kind is feasible: pick up the best object (prefers supported, then nameable, then small objects)."""
     best = min(scene.objects, key=lambda o: (o.instance not in steady, not namer.names(o.instance), max(o.size), o.instance))
     noun = namer.own_noun(best.instance) or "object"
     names = namer.names(best.instance)
     words = next((name.words for name in names if name.anchor is None), f"one {noun}" if noun != "object" else "the object")
-    verb = "are" if is_plural(noun) else "is"
-    goal = f"{words} {verb} held above the table"
+    goal = f"{words} {'are' if is_plural(noun) else 'is'} held above the table"
     return TaskDraft(
         f"pick up {words}", (goal,), (f"Pick({type_name(best.category) or 'Object'})",), (best.instance,), (noun,), ()
     )

@@ -1,9 +1,10 @@
-"""Kinds of task around a meal: the table set and cleared, drinks poured, food served and made ready to be cut."""
+"""Kinds of task about meals: set and clear the table, pour drinks, serve food, prepare food for cutting."""
 
 import itertools
 from collections.abc import Iterator
 
-from stable_data.instructions.kind import MOST_LISTED, Roles, TaskKind
+from stable_data.instructions.containing import some_into
+from stable_data.instructions.kind import MAX_LISTED, Finder, Roles, TaskKind
 from stable_data.instructions.situation import TaskContext
 from stable_data.instructions.wording.vocabulary import classes_of
 from stable_data.instructions.wording.words import type_words
@@ -12,20 +13,19 @@ from stable_data.scene import RelationKind
 LEFT, RIGHT, BEHIND = RelationKind.LEFT_OF, RelationKind.RIGHT_OF, RelationKind.BEHIND
 
 
-def _lies(s: TaskContext, x: str, y: str, side: RelationKind) -> bool:
-    return s.is_beside(x, y, side, reach=0.06)
+_NEAR = 0.06  # largest distance of cutlery or a drink from its plate, metres
 
 
 def _plate_fork_knife(s: TaskContext) -> Iterator[Roles]:
-    for x in s.mixed(s.of("plate", s.loose)):
+    for x in s.shuffled(s.of("plate", s.loose)):
         for y, z in s.pairs(s.of("fork", s.loose), s.of("knife", s.loose)):
-            done = _lies(s, y, x, LEFT) and _lies(s, z, x, RIGHT)
+            done = s.is_beside(y, x, LEFT, _NEAR) and s.is_beside(z, x, RIGHT, _NEAR)
             if not done and s.has_room(y, x, LEFT, (z,)) and s.has_room(z, x, RIGHT, (y,)):
                 yield {"x": x, "y": y, "z": z}
 
 
 def _with_drink(s: TaskContext) -> Iterator[Roles]:
-    for roles, w in itertools.product(_plate_fork_knife(s), s.mixed(s.of("drinkware", s.loose))):
+    for roles, w in itertools.product(_plate_fork_knife(s), s.shuffled(s.of("drinkware", s.loose))):
         x, y, z = str(roles["x"]), str(roles["y"]), str(roles["z"])
         if s.has_room(w, x, BEHIND, (y, z)):
             yield {**roles, "w": w}
@@ -34,29 +34,28 @@ def _with_drink(s: TaskContext) -> Iterator[Roles]:
 def _plate_cutlery(s: TaskContext) -> Iterator[Roles]:
     for x, y in s.pairs(s.of("plate", s.loose), s.of("cutlery", s.loose)):
         side = LEFT if "fork" in classes_of(s.objects[y].category) else RIGHT
-        if not _lies(s, y, x, side) and s.has_room(y, x, side):
+        if not s.is_beside(y, x, side, _NEAR) and s.has_room(y, x, side):
             yield {"x": x, "y": y, "side": str(side)}
 
 
-def _bowl_spoon(s: TaskContext) -> Iterator[Roles]:
-    for x, y in s.pairs(s.of("bowl", s.standing), s.of("spoon", s.loose)):
-        if not _lies(s, y, x, RIGHT) and s.has_room(y, x, RIGHT):
-            yield {"x": x, "y": y}
+def _beside(base: str, item: str, side: RelationKind) -> Finder:
+    """Returns a finder of a standing object of one class and a loose object of another class to put at its side."""
 
+    def find(s: TaskContext) -> Iterator[Roles]:
+        for x, y in s.pairs(s.of(base, s.standing), s.of(item, s.loose)):
+            if not s.is_beside(y, x, side, _NEAR) and s.has_room(y, x, side):
+                yield {"x": x, "y": y}
 
-def _plate_drink(s: TaskContext) -> Iterator[Roles]:
-    for x, y in s.pairs(s.of("plate", s.standing), s.of("drinkware", s.loose)):
-        if not _lies(s, y, x, BEHIND) and s.has_room(y, x, BEHIND):
-            yield {"x": x, "y": y}
+    return find
 
 
 def _for_several(s: TaskContext) -> Iterator[Roles]:
-    """As many plates as there are of one kind of cutlery or cup, two to four of each."""
+    """Two to four plates, and as many objects of one category of cutlery or drinkware."""
     plates = s.of("plate", s.every_loose)
-    things = s.kinds(s.of("cutlery", s.every_loose)) + s.kinds(s.of("drinkware", s.every_loose))
-    for zs in s.mixed(things):
-        is_set = all(any(s.gap(z, x) < 0.06 for x in plates) for z in zs)
-        if 2 <= len(plates) == len(zs) <= MOST_LISTED and s.is_every(zs) and s.is_every(plates) and not is_set:
+    kinds = s.kinds(s.of("cutlery", s.every_loose)) + s.kinds(s.of("drinkware", s.every_loose))
+    for zs in s.shuffled(kinds):
+        is_set = all(any(s.gap(z, x) < _NEAR for x in plates) for z in zs)
+        if 2 <= len(plates) == len(zs) <= MAX_LISTED and s.is_every(zs) and s.is_every(plates) and not is_set:
             yield {"xs": tuple(plates), "zs": tuple(zs), "thing": " ".join(type_words(s.objects[zs[0]].category))}
 
 
@@ -66,37 +65,23 @@ def _servings(s: TaskContext) -> Iterator[Roles]:
             yield {"x": x, "y": y}
 
 
-def _used(s: TaskContext) -> list[str]:
-    return s.of("tableware", s.loose)
-
-
-def _cleared_away(s: TaskContext) -> Iterator[Roles]:
-    """Tableware into something to carry it away in."""
-    places = [n for n in s.containers if "tidy_place" in classes_of(s.objects[n].category)]
-    for y in s.mixed(places):
-        for count in (4, 3, 2):
-            xs = tuple(s.mixed(n for n in _used(s) if s.fits(n, y))[:count])
-            if len(xs) == count and s.all_fit(xs, y):
-                yield {"xs": xs, "y": y}
-
-
 def _to_one_side(s: TaskContext) -> Iterator[Roles]:
     for count in (4, 3, 2):
-        xs = tuple(s.mixed(_used(s))[:count])
+        xs = tuple(s.shuffled(s.of("tableware", s.loose))[:count])
         if len(xs) == count and all("back" not in s.graph.nodes[n]["cell"] for n in xs):
             yield {"xs": xs}
 
 
 def _all_of_a_kind(s: TaskContext) -> Iterator[Roles]:
-    """Every thing of a category, none of them at the back."""
-    for xs in s.mixed(s.kinds(s.of("tableware", s.every_loose))):
-        if 2 <= len(xs) <= 6 and s.is_every(xs) and not any("back" in s.graph.nodes[n]["cell"] for n in xs):
-            yield {"xs": tuple(xs)}
+    """All objects of a category, none of them at the back."""
+    for xs in s.whole_kinds(2, 6, "tableware"):
+        if not any("back" in s.graph.nodes[n]["cell"] for n in xs):
+            yield {"xs": xs}
 
 
 def _all_cutlery(s: TaskContext) -> Iterator[Roles]:
     every = s.all_of("cutlery")
-    for y in s.mixed(s.containers):
+    for y in s.shuffled(s.containers):
         if len(every) > 1 and set(every) <= set(s.every_loose) and s.all_fit(every, y):
             yield {"xs": tuple(every), "y": y}
 
@@ -120,7 +105,7 @@ def _cuttings(s: TaskContext) -> Iterator[Roles]:
 
 
 def _cuttings_with_knife(s: TaskContext) -> Iterator[Roles]:
-    for roles, z in itertools.product(_cuttings(s), s.mixed(s.of("blade", s.loose))):
+    for roles, z in itertools.product(_cuttings(s), s.shuffled(s.of("blade", s.loose))):
         if s.has_room(z, str(roles["y"]), RIGHT):
             yield {**roles, "z": z}
 
@@ -165,7 +150,7 @@ KINDS = (
     ),
     TaskKind(
         "set_soup",
-        _bowl_spoon,
+        _beside("bowl", "spoon", RIGHT),
         (
             "lay {y:short} to the right of {x}",
             "there is soup today. Lay {y:short} to the right of {x}.",
@@ -177,7 +162,7 @@ KINDS = (
     ),
     TaskKind(
         "set_drink",
-        _plate_drink,
+        _beside("plate", "drinkware", BEHIND),
         (
             "set {y} behind {x} for the drinks",
             "[put] {y} behind {x}, where a drink belongs",
@@ -214,7 +199,7 @@ KINDS = (
     ),
     TaskKind(
         "clear_table",
-        _cleared_away,
+        some_into("tableware", "tidy_place", counts=(4, 3, 2)),
         (
             "clear the table: put {xs} into {y}.",
             "collect {xs} in {y} to clear the table",

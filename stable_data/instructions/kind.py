@@ -1,8 +1,8 @@
-"""What a kind of task is, and how one of its texts is told of a scene.
+"""Kinds of task, and how a template of a kind becomes a task of a scene.
 
-A text names its roles in braces, ``put {x} into {y}``. ``{x}`` is a name with its article, ``{x:short}`` one without a clause
-after its noun; ``{x:it}`` and the other words of ``_GRAMMAR`` agree with it in number; ``{xs:=everything}`` stands for a role
-in words that the text gives itself.
+A template has its roles in braces, ``put {x} into {y}``. ``{x}`` is a name with its article, ``{x:short}`` a name without a
+clause after its noun. ``{x:it}`` and the other words of ``_GRAMMAR`` agree with the name in number. ``{xs:=everything}`` is a
+role for which the template itself gives the words.
 """
 
 import itertools
@@ -19,16 +19,16 @@ from stable_data.instructions.wording.words import is_plural, join_words, number
 from stable_data.scene import Relation, RelationKind
 
 Roles: TypeAlias = Mapping[str, str | tuple[str, ...]]
-"""Instances by role: ``x``, ``y``, ``z``, ``w``; several in ``xs`` and ``zs``; other keys hold words of the text."""
+"""Instances by role: one in ``x``, ``y``, ``z``, ``w``; several in ``xs``, ``zs``; other keys hold words of the template."""
 
 Finder: TypeAlias = Callable[[TaskContext], Iterator[Roles]]
 
 SINGLE, SEVERAL = ("x", "y", "z", "w"), ("xs", "zs")
-MOST_LISTED = 4
-"""Objects that are named one by one in a text."""
+MAX_LISTED = 4
+"""Largest number of objects of one role that a text names one by one."""
 
-_ATTEMPTS = 8  # role fillings that a kind may try before it gives up
-_GRAMMAR = {  # of one thing, of several
+_ATTEMPTS = 8  # assignments of objects to roles that a kind tries before it returns None
+_GRAMMAR = {  # singular, plural
     "it": ("it", "them"),
     "they": ("it", "they"),
     "its": ("its", "their"),
@@ -46,13 +46,13 @@ class TaskKind:
 
     Attributes:
         name: Unique.
-        find: What may fill its roles, in drawn order.
-        texts: Clauses without a full stop, or whole sentences; every text names every role.
-        goal: Sentences that hold when it is done.
-        actions: Primitives, with types in place of names; what mentions several objects is repeated for each.
-        links: Roles of which the words say that the first is in or on the second (kind None), or in some other relation to it:
-            a :class:`RelationKind`, or a key of the roles that holds one.
-        theme: What reasons it may be given (see ``paraphrase``).
+        find: Yields feasible assignments of objects to its roles, in random order.
+        texts: Templates: clauses without a full stop, or whole sentences; each contains all roles.
+        goal: Templates of sentences that hold when the task is done.
+        actions: Templates of primitives, filled with types instead of names; a line with several objects is repeated for each.
+        links: Relations that the words state: first role, kind, second role. The kind is None (in or on), a
+            :class:`RelationKind`, or a key of the roles whose value is one.
+        theme: The topic of the reasons that the request may give (see ``paraphrase``).
     """
 
     name: str
@@ -63,27 +63,27 @@ class TaskKind:
     links: tuple[tuple[str, str | None, str], ...] = ()
     theme: str = ""
 
-    def tell(self, situation: TaskContext, namer: ObjectNamer) -> "TaskDraft | None":
-        """A task of this kind, or None where the scene has none."""
-        for roles in itertools.islice(self.find(situation), _ATTEMPTS):
-            text = situation.pick(self.texts)
-            names = _names_for(self, roles, text, situation, namer)
+    def draft(self, context: TaskContext, namer: ObjectNamer) -> "TaskDraft | None":
+        """Returns a task of this kind, or None if none was found in the scene."""
+        for roles in itertools.islice(self.find(context), _ATTEMPTS):
+            text = context.pick(self.texts)
+            names = _names_for(self, roles, text, context, namer)
             if names is not None:
-                return _told(self, roles, text, names, situation, namer)
+                return _draft_of(self, roles, text, names, context, namer)
         return None
 
 
 @dataclass(frozen=True, slots=True)
 class TaskDraft:
-    """A task told of a scene.
+    """A task of a scene, before the request is framed.
 
     Attributes:
         text: A clause or sentences.
         goal: Sentences.
         actions: Primitives.
-        objects: Every object that the words name or mean, in the order of the roles, anchors last.
-        nouns: What the objects are called.
-        relations: What the words say of the start.
+        objects: All objects that the words refer to, in the order of the roles, then the anchors.
+        nouns: The nouns of the objects.
+        relations: The relations that the words state about the initial scene.
         theme: See :class:`TaskKind`.
     """
 
@@ -98,7 +98,7 @@ class TaskDraft:
 
 @dataclass(frozen=True, slots=True)
 class _Phrase:
-    """What stands for a role."""
+    """The words for a role, as a value of :meth:`str.format_map`."""
 
     words: str
     is_plural: bool
@@ -110,7 +110,7 @@ class _Phrase:
 
 
 def members(roles: Roles) -> dict[str, tuple[str, ...]]:
-    """The instances of every role."""
+    """Returns the instances of each role."""
     found = {role: roles[role] for role in (*SINGLE, *SEVERAL) if role in roles}
     return {role: (names,) if isinstance(names, str) else names for role, names in found.items()}
 
@@ -119,39 +119,37 @@ def members(roles: Roles) -> dict[str, tuple[str, ...]]:
 
 
 def _names_for(
-    kind: TaskKind, roles: Roles, text: str, situation: TaskContext, namer: ObjectNamer
+    kind: TaskKind, roles: Roles, text: str, context: TaskContext, namer: ObjectNamer
 ) -> dict[str, ObjectName] | None:
-    """A name for each object that the text names one by one; None where the words could not tell them apart."""
-    spoken = members(roles)
-    every = [n for names in spoken.values() for n in names]
+    """A name for each object that the text names one by one; None if the words would be ambiguous."""
+    by_role = members(roles)
+    every = [n for names in by_role.values() for n in names]
     if len(set(every)) < len(every):
         return None
     names: dict[str, ObjectName] = {}
     nouns = set()
-    for role, objects in spoken.items():
-        said_as = set(re.findall(rf"\{{{role}(?::(\w+))?\}}", text))
-        if said_as & {"", "short"}:
-            alone = [n for n in objects if n not in _as_kinds(objects, situation, namer)]
-            if len(alone) > MOST_LISTED:
+    for role, objects in by_role.items():
+        formats = set(re.findall(rf"\{{{role}(?::(\w+))?\}}", text))
+        if formats & {"", "short"}:
+            alone = [n for n in objects if n not in _whole_kinds(objects, context, namer)]
+            if len(alone) > MAX_LISTED:
                 return None
             for n in alone:
                 options = _options(kind, role, n, names, every, roles, namer)
-                name = _drawn([o for o in options if o.is_short or "short" not in said_as], situation)
+                name = _draw_name([o for o in options if o.is_short or "short" not in formats], context)
                 if name is None:
                     return None
                 names[n] = name
             nouns |= {namer.own_noun(n) for n in objects if n not in alone}
-    if not _can_be_told_apart(list(names.values()), nouns, namer):
-        return None
-    return names
+    return names if _are_distinguishable(list(names.values()), nouns, namer) else None
 
 
-def _as_kinds(objects: Sequence[str], situation: TaskContext, namer: ObjectNamer) -> dict[str, str]:
-    """Of several objects those that are all of their kind in the scene, with the words for their kind."""
+def _whole_kinds(objects: Sequence[str], context: TaskContext, namer: ObjectNamer) -> dict[str, str]:
+    """The objects whose whole category is among ``objects``, with its noun: the text can say ``all mugs``."""
     found: dict[str, str] = {}
-    for alike in situation.kinds(objects):
+    for alike in context.kinds(objects):
         noun = namer.own_noun(alike[0])
-        if len(alike) > 1 and is_counted(noun) and not is_plural(noun) and set(namer.answering(noun)) == set(alike):
+        if len(alike) > 1 and is_counted(noun) and not is_plural(noun) and set(namer.matching(noun)) == set(alike):
             found |= dict.fromkeys(alike, noun)
     return found
 
@@ -165,35 +163,38 @@ def _options(
     roles: Roles,
     namer: ObjectNamer,
 ) -> list[ObjectName]:
-    """Names for one object; no other object of the task is its anchor, and only one name of a task has an anchor."""
+    """Names for one object. Another object of the task is never its anchor, and only one name of a task has an anchor."""
     places = [roles[b] for a, kind_of_link, b in kind.links if a == role and kind_of_link is None]
     options = [name for name in namer.names(instance) if name.anchor not in every]
-    if places and not any(name.telling is Distinction.NOUN for name in options):
+    if places and not any(name.distinction is Distinction.NOUN for name in options):
         options += namer.linked_names(instance, str(places[0]))
     if any(name.anchor for name in names.values()):
         options = [name for name in options if name.anchor is None]
-    if places:  # what it is in is said anyway
-        options = [name for name in options if name.telling is not Distinction.CARRIER]
+    if places:  # the template states the container already
+        options = [name for name in options if name.distinction is not Distinction.CARRIER]
     return options
 
 
-def _drawn(options: Sequence[ObjectName], situation: TaskContext) -> ObjectName | None:
-    tellings = sorted({name.telling for name in options})
-    if not tellings:
+def _draw_name(options: Sequence[ObjectName], context: TaskContext) -> ObjectName | None:
+    # The kind of distinction is drawn first: an object with many names of one kind does not use that kind more often.
+    distinctions = sorted({name.distinction for name in options})
+    if not distinctions:
         return None
-    weights = [WEIGHTS[telling] for telling in tellings]
+    weights = [WEIGHTS[distinction] for distinction in distinctions]
     shares = [w / sum(weights) for w in weights]
-    telling = tellings[int(situation.rng.choice(len(tellings), p=shares))]
-    return situation.pick([name for name in options if name.telling is telling])
+    distinction = distinctions[int(context.rng.choice(len(distinctions), p=shares))]
+    return context.pick([name for name in options if name.distinction is distinction])
 
 
-def _can_be_told_apart(names: Sequence[ObjectName], kinds: set[str], namer: ObjectNamer) -> bool:
-    """Do no two names read the same, or differ by nothing but a word that another leaves out?"""
+def _are_distinguishable(names: Sequence[ObjectName], kinds: set[str], namer: ObjectNamer) -> bool:
+    """Whether no name equals another name or its end: "the mug" is ambiguous beside "the coffee mug"."""
     if len({name.words for name in names}) < len(names):
         return False
     nouns = [name.noun for name in names] + sorted(kinds)
     nouns += [namer.own_noun(name.anchor) for name in names if name.anchor]
-    bare = {name.noun for name in names if name.telling in (Distinction.LINK, Distinction.NOUN, Distinction.SYNONYM)} | kinds
+    bare = {
+        name.noun for name in names if name.distinction in (Distinction.LINK, Distinction.NOUN, Distinction.SYNONYM)
+    } | kinds
     for a, b in itertools.combinations(nouns, 2):
         if a == b and a in bare:
             return False
@@ -202,26 +203,26 @@ def _can_be_told_apart(names: Sequence[ObjectName], kinds: set[str], namer: Obje
     return True
 
 
-# --- telling ------------------------------------------------------------------------------------------------------------------
+# --- drafts -------------------------------------------------------------------------------------------------------------------
 
 
-def _told(
-    kind: TaskKind, roles: Roles, text: str, names: Mapping[str, ObjectName], situation: TaskContext, namer: ObjectNamer
+def _draft_of(
+    kind: TaskKind, roles: Roles, text: str, names: Mapping[str, ObjectName], context: TaskContext, namer: ObjectNamer
 ) -> TaskDraft:
-    spoken = members(roles)
-    words = {key: value for key, value in roles.items() if key not in spoken}
-    said = {role: _phrase(objects, names, situation, namer) for role, objects in spoken.items()}
-    later = {n: _afterwards(n, name, names, namer) for n, name in names.items()}
-    done = {role: _phrase(objects, later, situation, namer) for role, objects in spoken.items()}
-    objects = [n for of_role in spoken.values() for n in of_role]
+    by_role = members(roles)
+    words = {key: value for key, value in roles.items() if key not in by_role}
+    before = {role: _phrase(objects, names, context, namer) for role, objects in by_role.items()}
+    later = {n: _name_afterwards(n, name, names, namer) for n, name in names.items()}
+    after = {role: _phrase(objects, later, context, namer) for role, objects in by_role.items()}
+    objects = [n for of_role in by_role.values() for n in of_role]
     anchors = [name.anchor for name in names.values() if name.anchor and name.anchor not in objects]
     relations = {name.relation for name in names.values() if name.relation}
-    relations |= set(_linked(kind, spoken, words, situation))
+    relations |= set(_stated_relations(kind, by_role, words, context))
     nouns = [name.noun for name in names.values()] + [namer.own_noun(n) for n in [*objects, *anchors]]
     return TaskDraft(
-        reword(text, situation.rng).format_map({**words, **said}),
-        tuple(goal.format_map({**words, **done}) for goal in kind.goal),
-        tuple(action for line in kind.actions for action in _acted(line, spoken, words, situation)),
+        reword(text, context.rng).format_map({**words, **before}),
+        tuple(goal.format_map({**words, **after}) for goal in kind.goal),
+        tuple(action for line in kind.actions for action in _actions_of(line, by_role, words, context)),
         tuple(dict.fromkeys([*objects, *anchors])),
         tuple(dict.fromkeys(nouns)),
         tuple(sorted(relations)),
@@ -229,9 +230,9 @@ def _told(
     )
 
 
-def _phrase(objects: Sequence[str], names: Mapping[str, ObjectName], situation: TaskContext, namer: ObjectNamer) -> _Phrase:
-    """Words for the objects of a role: names one by one, and ``both mugs`` for all of a kind."""
-    kinds = _as_kinds(objects, situation, namer) if len(objects) > 1 else {}
+def _phrase(objects: Sequence[str], names: Mapping[str, ObjectName], context: TaskContext, namer: ObjectNamer) -> _Phrase:
+    """Words for the objects of a role: single names, and ``both mugs`` for a whole category."""
+    kinds = _whole_kinds(objects, context, namer) if len(objects) > 1 else {}
     parts = []
     for n in objects:
         if n in kinds:
@@ -251,8 +252,8 @@ def _all_of(noun: str, count: int, *, is_only: bool) -> str:
     return f"all {number_word(count)} {plural(noun)}" if is_only else f"the {number_word(count)} {plural(noun)}"
 
 
-def _afterwards(instance: str, name: ObjectName, names: Mapping[str, ObjectName], namer: ObjectNamer) -> ObjectName:
-    """A name that still holds when things have been moved: the bare noun where no other named object answers to it."""
+def _name_afterwards(instance: str, name: ObjectName, names: Mapping[str, ObjectName], namer: ObjectNamer) -> ObjectName:
+    """A name that is true after the task: the bare noun if no other named object matches it."""
     noun = namer.own_noun(instance)
     others = (n for n in names if n != instance)
     if name.is_lasting or not noun or any(answers_to(namer.objects[n].category, noun) for n in others):
@@ -260,26 +261,26 @@ def _afterwards(instance: str, name: ObjectName, names: Mapping[str, ObjectName]
     return replace(name, words=f"the {noun}", noun=noun)
 
 
-def _acted(
-    line: str, spoken: Mapping[str, Sequence[str]], words: Mapping[str, str | tuple[str, ...]], situation: TaskContext
+def _actions_of(
+    line: str, by_role: Mapping[str, Sequence[str]], words: Mapping[str, str | tuple[str, ...]], context: TaskContext
 ) -> Iterator[str]:
-    """The primitives of a line, once for each of several objects that it mentions."""
+    """The primitives of a line, repeated for each object of a role with several."""
     group = next((role for role in SEVERAL if f"{{{role}}}" in line), None)
-    for member in spoken[group] if group else (None,):
+    for member in by_role[group] if group else (None,):
         types = {
-            role: type_name(situation.objects[member if role == group and member else objects[0]].category) or "Object"
-            for role, objects in spoken.items()
+            role: type_name(context.objects[member if role == group and member else objects[0]].category) or "Object"
+            for role, objects in by_role.items()
         }
         yield from line.format_map({**words, **types}).split("; ")
 
 
-def _linked(
-    kind: TaskKind, spoken: Mapping[str, Sequence[str]], words: Mapping[str, str | tuple[str, ...]], situation: TaskContext
+def _stated_relations(
+    kind: TaskKind, by_role: Mapping[str, Sequence[str]], words: Mapping[str, str | tuple[str, ...]], context: TaskContext
 ) -> Iterator[Relation]:
     for one, link, other in kind.links:
-        said = (RelationKind.IN, RelationKind.ON) if link is None else (RelationKind(str(words.get(link, link))),)
-        for a, b in itertools.product(spoken[one], spoken[other]):
-            for k in said:
-                relation = holds_relation(situation.graph, a, k, b)
+        stated = (RelationKind.IN, RelationKind.ON) if link is None else (RelationKind(str(words.get(link, link))),)
+        for a, b in itertools.product(by_role[one], by_role[other]):
+            for k in stated:
+                relation = holds_relation(context.graph, a, k, b)
                 if relation is not None:
                     yield relation

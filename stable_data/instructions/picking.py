@@ -1,4 +1,4 @@
-"""Kinds of task about one object: picked up, shown, handed over, moved about the table, turned, set upright."""
+"""Kinds of task about one object: pick up, show, hand over, move on the table, turn, set upright."""
 
 import itertools
 from collections.abc import Iterator
@@ -8,9 +8,9 @@ from stable_data.instructions.situation import OPPOSITE, SIDES, TaskContext
 from stable_data.instructions.wording.vocabulary import classes_of
 from stable_data.scene import RelationKind
 
-_AT_EDGE = 0.03  # what is this close to an edge may be moved away from it, metres
-_INWARDS = 0.08  # and by this much
-_LYING = 0.6  # an upright thing whose height is less than this share of its length has fallen over
+_AT_EDGE = 0.03  # an object closer to an edge than this may be moved away from it, metres
+_INWARDS = 0.08  # how far it is moved, metres
+_LYING = 0.6  # an upright object has fallen over if its height is less than this share of its length
 
 TOWARDS = {
     RelationKind.LEFT_OF: "to the left",
@@ -33,46 +33,46 @@ _PARTS = {
 
 
 def _any(s: TaskContext) -> Iterator[Roles]:
-    return ({"x": x} for x in s.mixed(s.free) if x in s.named)
+    return ({"x": x} for x in s.shuffled(s.free) if x in s.named)
 
 
 def _far(s: TaskContext) -> Iterator[Roles]:
     depth = s.scene.table.size_xy[1]
-    return ({"x": x} for x in s.mixed(s.loose) if s.objects[x].position[1] > 0.5 * depth)
+    return ({"x": x} for x in s.shuffled(s.loose) if s.objects[x].position[1] > 0.5 * depth)
 
 
 def _corners(s: TaskContext) -> Iterator[Roles]:
-    for x, row, column in itertools.product(s.mixed(s.loose), s.mixed(("front", "back")), s.mixed(("left", "right"))):
+    for x, row, column in itertools.product(s.shuffled(s.loose), s.shuffled(("front", "back")), s.shuffled(("left", "right"))):
         if s.graph.nodes[x]["cell"] != f"{row}_{column}" and s.has_room_in(x, f"{row}_{column}"):
             yield {"x": x, "corner": f"{row} {column}"}
 
 
 def _centres(s: TaskContext) -> Iterator[Roles]:
-    away = (x for x in s.mixed(s.loose) if s.graph.nodes[x]["cell"] != "middle_middle")
+    away = (x for x in s.shuffled(s.loose) if s.graph.nodes[x]["cell"] != "middle_middle")
     return ({"x": x} for x in away if s.has_room_in(x, "middle_middle"))
 
 
 def _parts(s: TaskContext) -> Iterator[Roles]:
-    for x, side in itertools.product(s.mixed(s.loose), s.mixed(SIDES)):
+    for x, side in itertools.product(s.shuffled(s.loose), s.shuffled(SIDES)):
         part, cells = _PARTS[side]
         if s.graph.nodes[x]["cell"] not in cells and any(s.has_room_in(x, cell) for cell in cells):
             yield {"x": x, "part": part}
 
 
 def _at_edges(s: TaskContext) -> Iterator[Roles]:
-    for x, side in itertools.product(s.mixed(s.loose), SIDES):
+    for x, side in itertools.product(s.shuffled(s.loose), SIDES):
         if s.margin(x, side) < _AT_EDGE and s.can_slide(x, OPPOSITE[side], _INWARDS):
             yield {"x": x, "edge": DIRECTION[side], "inwards": DIRECTION[OPPOSITE[side]]}
 
 
 def _pushes(s: TaskContext) -> Iterator[Roles]:
-    for x, side, cm in itertools.product(s.mixed(s.loose), s.mixed(SIDES), s.mixed((5, 8, 10, 15))):
+    for x, side, cm in itertools.product(s.shuffled(s.loose), s.shuffled(SIDES), s.shuffled((5, 8, 10, 15))):
         if s.can_slide(x, side, cm / 100):
             yield {"x": x, "towards": TOWARDS[side], "direction": DIRECTION[side], "cm": str(cm)}
 
 
 def _with_front(s: TaskContext) -> list[str]:
-    return s.mixed(s.of("with_front", s.loose))
+    return s.shuffled(s.of("with_front", s.loose))
 
 
 def _turned_away(s: TaskContext) -> Iterator[Roles]:
@@ -86,9 +86,9 @@ def _turned_from(s: TaskContext) -> Iterator[Roles]:
 
 
 def _fallen(s: TaskContext) -> Iterator[Roles]:
-    for x in s.mixed(s.of("upright", s.loose)):
+    for x in s.shuffled(s.of("upright", s.loose)):
         size = s.objects[x].size
-        low = classes_of(s.objects[x].category) & {"cup", "bowl"}  # a cup may be wider than high
+        low = classes_of(s.objects[x].category) & {"cup", "bowl"}  # an upright cup may be wider than high
         if size[2] < (0.45 if low else _LYING) * max(size[:2]) and s.objects[x].tilt_angle > 1.0:
             yield {"x": x}
 

@@ -1,41 +1,36 @@
-"""Kinds of task about where things stand relative to each other on the table."""
+"""Kinds of task about positions of objects relative to each other on the table."""
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from stable_data.instructions.kind import Roles, TaskKind
-from stable_data.instructions.naming import holds_relation
+from stable_data.instructions.naming import SIDE_WORDS, holds_relation
 from stable_data.instructions.picking import DIRECTION
 from stable_data.instructions.situation import OPPOSITE, SIDES, TaskContext
 from stable_data.scene import RelationKind
 
-_FAR = 0.12  # what is put next to a thing was at least this far from it, metres
-_CLOSE = 0.05  # what is moved away from a thing was at most this far from it, metres
-_ROOM = 0.02  # between a thing and its two neighbours, metres
-
-_WORDS = {
-    RelationKind.LEFT_OF: "to the left of",
-    RelationKind.RIGHT_OF: "to the right of",
-    RelationKind.IN_FRONT_OF: "in front of",
-    RelationKind.BEHIND: "behind",
-}
+_FAR = 0.12  # an object is put next to another only if it is farther away than this, metres
+_CLOSE = 0.05  # an object is moved away from another only if it is closer than this, metres
+_ROOM = 0.02  # distance between an object and its two neighbours, metres
 
 
 def _sides(s: TaskContext) -> Iterator[Roles]:
-    for x, y in s.pairs(s.loose, s.standing):
-        for side in s.mixed(SIDES):
-            if not s.is_beyond(x, y, side) and s.has_room(x, y, side):
-                yield {"x": x, "y": y, "side": _WORDS[side], "at": str(side)}
+    """An object to another side of a second object."""
+    return _free_sides(s, lambda x, y, side: not s.is_beyond(x, y, side))
 
 
 def _near_sides(s: TaskContext) -> Iterator[Roles]:
-    """The same close by, wherever the object was before, as long as it was not there."""
+    """A distant object close to a second object, maybe on the same side as before."""
+    return _free_sides(s, lambda x, y, _: s.gap(x, y) > _FAR)
+
+
+def _free_sides(s: TaskContext, is_allowed: Callable[[str, str, RelationKind], bool]) -> Iterator[Roles]:
     for x, y in s.pairs(s.loose, s.standing):
-        for side in s.mixed(SIDES):
-            if s.gap(x, y) > _FAR and s.has_room(x, y, side):
-                yield {"x": x, "y": y, "side": _WORDS[side], "at": str(side)}
+        for side in s.shuffled(SIDES):
+            if is_allowed(x, y, side) and s.has_room(x, y, side):
+                yield {"x": x, "y": y, "side": SIDE_WORDS[side], "at": str(side)}
 
 
 def _nexts(s: TaskContext) -> Iterator[Roles]:
@@ -45,14 +40,15 @@ def _nexts(s: TaskContext) -> Iterator[Roles]:
 
 
 def _betweens(s: TaskContext) -> Iterator[Roles]:
-    standing = s.mixed(s.standing)
-    for (y, z), x in itertools.islice(itertools.product(itertools.combinations(standing, 2), s.mixed(s.loose)), 600):
+    standing = s.shuffled(s.standing)
+    # The bound limits the time in a crowded scene, where the triples grow with the cube of the number of objects.
+    for (y, z), x in itertools.islice(itertools.product(itertools.combinations(standing, 2), s.shuffled(s.loose)), 600):
         if x not in (y, z) and _has_gap_for(s, x, y, z):
             yield {"x": x, "y": y, "z": z}
 
 
 def _has_gap_for(s: TaskContext, x: str, y: str, z: str) -> bool:
-    """Can one be put into the middle between two others that stand side by side, and is it not there yet?"""
+    """Whether ``x`` fits into the middle between ``y`` and ``z`` and is not there yet."""
     one, other = (np.array(s.objects[n].position[:2]) for n in (y, z))
     gap = s.gap(y, z)
     if not max(s.objects[x].size[:2]) + 2 * _ROOM <= gap <= 0.5:
@@ -75,24 +71,24 @@ def _too_close(s: TaskContext) -> Iterator[Roles]:
 
 
 def _in_the_way(s: TaskContext) -> Iterator[Roles]:
-    """What stands close in front of something, where nothing else does."""
-    for y in s.mixed(s.standing):
+    """The only object close in front of another object."""
+    for y in s.shuffled(s.standing):
         before = [n for n in s.standing if n != y and s.is_beside(n, y, RelationKind.IN_FRONT_OF, 0.2)]
         if len(before) == 1 and before[0] in s.loose and holds_relation(s.graph, before[0], RelationKind.IN_FRONT_OF, y):
-            for side in s.mixed((RelationKind.LEFT_OF, RelationKind.RIGHT_OF)):
-                cm = int(np.ceil(100 * s.way_past(before[0], y, side))) + 1
+            for side in s.shuffled((RelationKind.LEFT_OF, RelationKind.RIGHT_OF)):
+                cm = int(np.ceil(100 * s.clearing_distance(before[0], y, side))) + 1
                 if s.can_slide(before[0], side, cm / 100):
                     yield {"x": before[0], "y": y, "direction": DIRECTION[side], "cm": str(cm)}
 
 
 def _crossings(s: TaskContext) -> Iterator[Roles]:
-    """What stands close on one side of something and has room on the other."""
+    """An object close to a side of another object, with room at the opposite side."""
     for x, y in s.pairs(s.loose, s.standing):
         for side in SIDES:
             is_there = s.is_beside(x, y, side) and holds_relation(s.graph, x, side, y)
             if is_there and s.has_room(x, y, OPPOSITE[side]):
                 after = OPPOSITE[side]
-                yield {"x": x, "y": y, "here": _WORDS[side], "link": str(side), "side": _WORDS[after], "at": str(after)}
+                yield {"x": x, "y": y, "here": SIDE_WORDS[side], "link": str(side), "side": SIDE_WORDS[after], "at": str(after)}
 
 
 KINDS = (

@@ -1,4 +1,4 @@
-"""Kinds of task about several objects at once: rows, order by size, spacing, groups."""
+"""Kinds of task about several objects together: rows, order by size, spacing, groups."""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -9,9 +9,10 @@ from stable_data.instructions.kind import Roles, TaskKind
 from stable_data.instructions.situation import SIDES, TaskContext
 from stable_data.scene import FloatArray, RelationKind
 
-_CLEARLY = 1.2  # sizes differ by at least this factor to be put in order
-_SCATTERED = 0.25  # things of a kind are scattered if they are at least this far apart, metres
-_UNEVEN = 0.25  # a row is uneven if its steps differ by this share of their mean
+_CLEARLY = 1.2  # least ratio of two sizes that are put in order
+_SCATTERED = 0.25  # objects of a kind are scattered if two of them are at least this far apart, metres
+_UNEVEN = 0.25  # a row is uneven if a step differs from the mean by this share of it
+_MAX_ROW = 8  # largest number of objects in a row or a group
 
 LEFT, RIGHT = RelationKind.LEFT_OF, RelationKind.RIGHT_OF
 
@@ -21,19 +22,19 @@ def _places(s: TaskContext, xs: Sequence[str]) -> FloatArray:
 
 
 def _is_row(s: TaskContext, xs: Sequence[str]) -> bool:
-    """Do things stand in one row already, along either side of the table?"""
+    """Whether objects are in one row already, parallel to an edge of the table."""
     spread = np.ptp(_places(s, xs), axis=0)
     return bool(spread.min() < 0.03)
 
 
 def _goes_into_a_row(s: TaskContext, xs: Sequence[str]) -> bool:
-    """Is the table wide enough for a row of them?"""
+    """Whether the table is wide enough for a row of the objects."""
     return sum(max(s.objects[n].size[:2]) + 0.04 for n in xs) < s.scene.table.size_xy[0]
 
 
 def _threes(s: TaskContext) -> Iterator[tuple[str, ...]]:
     for _ in range(6):
-        xs = tuple(s.mixed(s.loose)[:3])
+        xs = tuple(s.shuffled(s.loose)[:3])
         if len(xs) == 3 and _goes_into_a_row(s, xs):
             yield xs
 
@@ -42,21 +43,15 @@ def _line_ups(s: TaskContext) -> Iterator[Roles]:
     return ({"xs": xs} for xs in _threes(s) if not _is_row(s, xs))
 
 
-def _kinds(s: TaskContext, least: int) -> Iterator[tuple[str, ...]]:
-    """All objects of a category, all of them loose."""
-    for xs in s.mixed(s.kinds(s.every_loose)):
-        if least <= len(xs) <= 8 and s.is_every(xs):
-            yield tuple(xs)
-
-
 def _line_up_kinds(s: TaskContext) -> Iterator[Roles]:
-    return ({"xs": xs} for xs in _kinds(s, 3) if not _is_row(s, xs) and _goes_into_a_row(s, xs))
+    return ({"xs": xs} for xs in s.whole_kinds(3, _MAX_ROW) if not _is_row(s, xs) and _goes_into_a_row(s, xs))
 
 
 def _by_size(s: TaskContext) -> Iterator[Roles]:
     for xs in _threes(s):
         volume = [float(np.prod(s.objects[n].size)) for n in xs]
         ordered = sorted(volume)
+        # All three sides may grow by the factor, so volumes differ by its cube.
         clear = all(b > _CLEARLY**3 * a for a, b in itertools.pairwise(ordered))
         small = [n for _, n in sorted(zip(volume, xs, strict=True))]
         at_x = [s.objects[n].position[0] for n in small]
@@ -74,10 +69,10 @@ def _by_height(s: TaskContext) -> Iterator[Roles]:
 
 
 def _crowded(s: TaskContext) -> Iterator[Roles]:
-    """Three or four things, the outer two of which leave room for even steps."""
-    for count in s.mixed((3, 4)):
+    """Three or four unevenly spaced objects; the outer two leave room for even steps."""
+    for count in s.shuffled((3, 4)):
         for _ in range(4):
-            xs = sorted(s.mixed(s.loose)[:count], key=lambda n: s.objects[n].position[0])
+            xs = sorted(s.shuffled(s.loose)[:count], key=lambda n: s.objects[n].position[0])
             steps = np.diff(_places(s, xs)[:, 0]) if len(xs) == count else np.zeros(1)
             mean = float(steps.mean())
             widest = max((max(s.objects[n].size[:2]) for n in xs), default=0.0)
@@ -86,13 +81,13 @@ def _crowded(s: TaskContext) -> Iterator[Roles]:
 
 
 def _scattered(s: TaskContext) -> Iterator[Roles]:
-    for xs in _kinds(s, 2):
+    for xs in s.whole_kinds(2, _MAX_ROW):
         if max(s.gap(a, b) for a, b in itertools.combinations(xs, 2)) > _SCATTERED:
             yield {"xs": xs}
 
 
 def _two_kinds(s: TaskContext) -> Iterator[tuple[tuple[str, ...], tuple[str, ...]]]:
-    yield from itertools.permutations(itertools.islice(_kinds(s, 2), 6), 2)
+    yield from itertools.permutations(itertools.islice(s.whole_kinds(2, _MAX_ROW), 6), 2)
 
 
 def _two_rows(s: TaskContext) -> Iterator[Roles]:
@@ -102,23 +97,23 @@ def _two_rows(s: TaskContext) -> Iterator[Roles]:
 
 
 def _two_sides(s: TaskContext) -> Iterator[Roles]:
-    """Two kinds of things, some of which are on the wrong half of the table."""
+    """Two kinds of objects, some of them on the wrong half of the table."""
     half = s.scene.table.size_xy[0] / 2
     for xs, zs in _two_kinds(s):
         misplaced = [n for n in xs if s.objects[n].position[0] > half] + [n for n in zs if s.objects[n].position[0] < half]
-        if misplaced and len(xs) + len(zs) <= 8:
+        if misplaced and len(xs) + len(zs) <= _MAX_ROW:
             yield {"xs": xs, "zs": zs}
 
 
 def _two_containers(s: TaskContext) -> Iterator[Roles]:
     for xs, zs in _two_kinds(s):
-        for y, w in itertools.permutations(s.mixed(s.containers)[:4], 2):
+        for y, w in itertools.permutations(s.shuffled(s.containers)[:4], 2):
             if s.all_fit(xs, y) and s.all_fit(zs, w) and not {y, w} & {*xs, *zs}:
                 yield {"xs": xs, "zs": zs, "y": y, "w": w}
 
 
 def _pairs_to_side(s: TaskContext) -> Iterator[Roles]:
-    """Two things that stand on different halves of the table, both to one side."""
+    """Two objects on one half of the table, both to the other side."""
     half = s.scene.table.size_xy[0] / 2
     for x, z in s.pairs(s.loose, s.loose):
         side = s.pick((LEFT, RIGHT))

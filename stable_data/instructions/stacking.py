@@ -1,9 +1,9 @@
-"""Kinds of task about what is on what: put on, stacked, taken off, restacked, cleared."""
+"""Kinds of task about objects on objects: put on, stack, take off, restack, clear."""
 
 import itertools
 from collections.abc import Iterator
 
-from stable_data.instructions.kind import MOST_LISTED, Roles, TaskKind
+from stable_data.instructions.kind import MAX_LISTED, Roles, TaskKind
 from stable_data.instructions.situation import TaskContext
 from stable_data.instructions.wording.vocabulary import classes_of
 from stable_data.scene import RelationKind
@@ -16,7 +16,7 @@ def _put_ons(s: TaskContext) -> Iterator[Roles]:
 
 
 def _can_stack(s: TaskContext, x: str, y: str) -> bool:
-    """Do two things of a kind make a stack?"""
+    """Whether ``x`` and ``y`` are of one kind, and ``x`` can be stacked on ``y``."""
     a, b = s.objects[x], s.objects[y]
     common = classes_of(a.category) & classes_of(b.category)
     alike = a.category == b.category or common & {"plate", "bowl", "book"}
@@ -29,12 +29,12 @@ def _stacks(s: TaskContext) -> Iterator[Roles]:
 
 
 def _piles(s: TaskContext) -> Iterator[Roles]:
-    """Three or four things of a kind, the largest first."""
+    """Three or four objects of a kind, the largest first."""
     loose = s.of("stackable", s.loose)
-    for seed in s.mixed(loose):
+    for seed in s.shuffled(loose):
         like = [n for n in loose if n == seed or _can_stack(s, n, seed) or _can_stack(s, seed, n)]
         like.sort(key=lambda n: (-s.objects[n].size[0] * s.objects[n].size[1], n))
-        if 3 <= len(like) <= MOST_LISTED and all(_can_stack(s, b, a) for a, b in itertools.pairwise(like)):
+        if 3 <= len(like) <= MAX_LISTED and all(_can_stack(s, b, a) for a, b in itertools.pairwise(like)):
             yield {"x": like[0], "xs": tuple(like[1:])}
 
 
@@ -43,13 +43,13 @@ def _take_offs(s: TaskContext) -> Iterator[Roles]:
 
 
 def _restacks(s: TaskContext) -> Iterator[Roles]:
-    for (x, y), z in itertools.product(s.linked(ON), s.mixed(s.standing)):
+    for (x, y), z in itertools.product(s.linked(ON), s.shuffled(s.standing)):
         if z != y and s.can_carry(x, z):
             yield {"x": x, "y": y, "z": z}
 
 
 def _turned_over(s: TaskContext) -> Iterator[Roles]:
-    """Two things, one on the other, that can as well stand the other way round."""
+    """Two objects, one on the other, that can be stacked in the opposite order."""
     for x, y in s.linked(ON):
         base = s.objects[y]
         if y in s.standing and len(s.load[y]) == 1 and max(base.size[:2]) <= 0.4 and _can_stack(s, y, x):
@@ -57,21 +57,15 @@ def _turned_over(s: TaskContext) -> Iterator[Roles]:
 
 
 def _cleared(s: TaskContext) -> Iterator[Roles]:
-    for y in s.mixed(n for n in s.objects if n in s.steady & s.named and n in s.load):
-        xs = s.parts(y, ON)
-        if 2 <= len(xs) <= MOST_LISTED and set(xs) <= set(s.free):
-            yield {"y": y, "xs": tuple(xs)}
+    return ({"y": y, "xs": xs} for y, xs in s.filled(ON, 2) if len(xs) <= MAX_LISTED)
 
 
 def _cleared_at_once(s: TaskContext) -> Iterator[Roles]:
-    for y in s.mixed(n for n in s.objects if n in s.steady & s.named and n in s.load):
-        xs = s.parts(y, ON)
-        if xs and set(xs) <= set(s.free) and not s.parts(y, RelationKind.IN):
-            yield {"y": y, "xs": tuple(xs)}
+    return ({"y": y, "xs": xs} for y, xs in s.filled(ON, 1) if not s.parts(y, RelationKind.IN))
 
 
 def _replaced(s: TaskContext) -> Iterator[Roles]:
-    for (x, y), z in itertools.product(s.linked(ON), s.mixed(s.loose)):
+    for (x, y), z in itertools.product(s.linked(ON), s.shuffled(s.loose)):
         if s.load[y] == [x] and z != y and s.can_carry(z, y, besides=x):
             yield {"x": x, "y": y, "z": z}
 
@@ -84,7 +78,7 @@ def _lids(s: TaskContext) -> Iterator[Roles]:
 
 
 def _freed(s: TaskContext) -> Iterator[Roles]:
-    """What is under one thing alone and can be picked up once that is gone."""
+    """An object that can be picked up after the only object on it is removed."""
     for x, y in s.linked(ON):
         size = s.objects[y].size
         if y in s.standing and s.load[y] == [x] and max(size[:2]) <= 0.4 and min(size) <= 0.15:

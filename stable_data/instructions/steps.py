@@ -1,4 +1,4 @@
-"""Tasks of several steps: tasks of other kinds about different objects, joined as one would say them."""
+"""Tasks of several steps: joins tasks of simple kinds about different objects."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,18 +9,18 @@ from stable_data.instructions.situation import TaskContext
 from stable_data.instructions.wording.paraphrase import is_clause, reword
 from stable_data.instructions.wording.vocabulary import answers_to
 
-_MOST_TRIED = 24  # kinds of task that a step may be sought among
+_MAX_TRIED = 24  # kinds of task that are tried for the steps
 
 
 @dataclass(frozen=True, slots=True)
 class MultiStepKind:
-    """A kind of task that joins others.
+    """A kind of task that joins tasks of other kinds.
 
     Attributes:
         name: Unique.
-        kinds: What may be joined.
-        texts: With ``{a}``, ``{b}`` and so on for the steps, each a clause.
-        order: In which order the steps of a text are done.
+        kinds: The kinds of its steps.
+        texts: Templates with ``{a}``, ``{b}`` and so on for the steps, each a clause.
+        order: The order in which the steps of a text are done.
     """
 
     name: str
@@ -28,22 +28,22 @@ class MultiStepKind:
     texts: tuple[str, ...]
     order: tuple[int, ...]
 
-    def tell(self, situation: TaskContext, namer: ObjectNamer) -> TaskDraft | None:
-        """A task of so many steps, or None where the scene has none."""
-        told: list[TaskDraft] = []
-        for kind in situation.mixed(self.kinds)[:_MOST_TRIED]:
-            step = kind.tell(situation, namer)
-            if step is not None and is_clause(step.text) and all(_are_apart(step, other, namer) for other in told):
-                told.append(step)
-            if len(told) == len(self.order):
-                return self._joined(told, situation)
+    def draft(self, context: TaskContext, namer: ObjectNamer) -> TaskDraft | None:
+        """Returns a task with one step for each entry of ``order``, or None if none was found in the scene."""
+        steps: list[TaskDraft] = []
+        for kind in context.shuffled(self.kinds)[:_MAX_TRIED]:
+            step = kind.draft(context, namer)
+            if step is not None and is_clause(step.text) and all(_are_apart(step, other, namer) for other in steps):
+                steps.append(step)
+            if len(steps) == len(self.order):
+                return self._joined(steps, context)
         return None
 
-    def _joined(self, told: Sequence[TaskDraft], situation: TaskContext) -> TaskDraft:
-        text = reword(situation.pick(self.texts), situation.rng)
-        done = [told[k] for k in self.order]
+    def _joined(self, steps: Sequence[TaskDraft], context: TaskContext) -> TaskDraft:
+        text = reword(context.pick(self.texts), context.rng)
+        done = [steps[k] for k in self.order]
         return TaskDraft(
-            text.format_map({letter: step.text for letter, step in zip("abc", told, strict=False)}),
+            text.format_map({letter: step.text for letter, step in zip("abc", steps, strict=False)}),
             tuple(goal for step in done for goal in step.goal),
             tuple(action for step in done for action in step.actions),
             tuple(name for step in done for name in step.objects),
@@ -53,17 +53,13 @@ class MultiStepKind:
 
 
 def _are_apart(one: TaskDraft, other: TaskDraft, namer: ObjectNamer) -> bool:
-    """Does neither step speak of what the other moves, or of a thing that the other's words could mean?"""
+    """Whether no noun of one step matches an object of the other step."""
     pairs = ((a, noun) for step, rest in ((one, other), (other, one)) for a in step.objects for noun in rest.nouns)
     return not any(answers_to(namer.objects[a].category, noun) for a, noun in pairs)
 
 
 def steps_of(kinds: Sequence[TaskKind]) -> tuple[MultiStepKind, ...]:
-    """The kinds of task that join others.
-
-    Args:
-        kinds: What may be joined.
-    """
+    """Returns the kinds of task that join tasks of ``kinds``."""
     return (
         MultiStepKind(
             "two_steps",

@@ -1,9 +1,9 @@
-"""Kinds of task that bring things where such things belong: pens, fruit, toys, books, soap, toothbrushes, cosmetics, cups."""
+"""Kinds of task that put objects where they belong: pens, fruit, toys, books, soap, toothbrushes, cosmetics, cups."""
 
-import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
-from stable_data.instructions.kind import MOST_LISTED, Roles, TaskKind
+from stable_data.instructions.containing import some_into
+from stable_data.instructions.kind import MAX_LISTED, Finder, Roles, TaskKind
 from stable_data.instructions.situation import TaskContext
 
 _BELONGS_IN = (
@@ -17,48 +17,36 @@ _BELONGS_ON = (("soap", "soap_place"), ("cup", "saucer"))
 
 
 def _belongings_in(s: TaskContext) -> Iterator[Roles]:
-    for thing, place in s.mixed(_BELONGS_IN):
-        for x, y in s.pairs(s.of(thing, s.loose), s.of(place, s.containers)):
+    for item_class, place_class in s.shuffled(_BELONGS_IN):
+        for x, y in s.pairs(s.of(item_class, s.loose), s.of(place_class, s.containers)):
             if s.fits(x, y):
                 yield {"x": x, "y": y}
 
 
 def _belongings_on(s: TaskContext) -> Iterator[Roles]:
-    for thing, place in s.mixed(_BELONGS_ON):
-        for x, y in s.pairs(s.of(thing, s.loose), s.of(place, s.standing)):
+    for item_class, place_class in s.shuffled(_BELONGS_ON):
+        for x, y in s.pairs(s.of(item_class, s.loose), s.of(place_class, s.standing)):
             item, base = s.objects[x].size, s.objects[y].size
             if y not in s.load and max(item[:2]) <= 1.3 * max(base[:2]) and base[2] < 0.06:
                 yield {"x": x, "y": y}
 
 
-def _all_into(thing: str, place: str, least: int = 2) -> Callable[[TaskContext], Iterator[Roles]]:
-    """Everything of a class that the scene has, into one container; none of it is in or on anything yet."""
+def _all_into(item_class: str, place_class: str) -> Finder:
+    """Returns a finder of all objects of a class, none of them in or on another object, and a container for them."""
 
     def find(s: TaskContext) -> Iterator[Roles]:
-        every = s.all_of(thing)
-        if len(every) < least or not set(every) <= set(s.every_loose):
+        every = s.all_of(item_class)
+        if len(every) < 2 or not set(every) <= set(s.every_loose):
             return
-        for y in s.mixed(s.of(place, s.containers)):
+        for y in s.shuffled(s.of(place_class, s.containers)):
             if s.all_fit(every, y):
                 yield {"xs": tuple(every), "y": y}
 
     return find
 
 
-def _some_into(thing: str, place: str) -> Callable[[TaskContext], Iterator[Roles]]:
-    """Some things of a class, named one by one."""
-
-    def find(s: TaskContext) -> Iterator[Roles]:
-        for y, count in itertools.product(s.mixed(s.of(place, s.containers)), (3, 2)):
-            xs = tuple(s.mixed(n for n in s.of(thing, s.loose) if s.fits(n, y))[:count])
-            if len(xs) == count and s.all_fit(xs, y):
-                yield {"xs": xs, "y": y}
-
-    return find
-
-
 def _books(s: TaskContext) -> Iterator[Roles]:
-    """All books, none on another one yet, flat on the table."""
+    """All books, if each of them lies flat on the table."""
     books = s.all_of("book")
     flat = all(n in s.every_loose and s.objects[n].size[2] < 0.5 * min(s.objects[n].size[:2]) for n in books)
     if 2 <= len(books) <= 6 and flat:
@@ -66,9 +54,9 @@ def _books(s: TaskContext) -> Iterator[Roles]:
 
 
 def _clutter(s: TaskContext) -> Iterator[Roles]:
-    """All that is in the middle of the front edge, where the work is done."""
+    """All objects at the middle of the front edge, the working area."""
     here = [n for n in s.objects if s.graph.nodes[n]["cell"] == "front_middle"]
-    if 2 <= len(here) <= MOST_LISTED and set(here) <= set(s.loose):
+    if 2 <= len(here) <= MAX_LISTED and set(here) <= set(s.loose):
         yield {"xs": tuple(here)}
 
 
@@ -126,7 +114,7 @@ KINDS = (
     ),
     TaskKind(
         "fruit_by_name",
-        _some_into("fruit", "fruit_place"),
+        some_into("fruit", "fruit_place", counts=(3, 2)),
         (
             "arrange {xs} in {y}",
             "fill {y} with {xs}",
@@ -150,7 +138,7 @@ KINDS = (
     ),
     TaskKind(
         "toys_by_name",
-        _some_into("toy", "toy_place"),
+        some_into("toy", "toy_place", counts=(3, 2)),
         (
             "put {xs} back into {y} after playing",
             "{xs} are toys and belong in {y}. Put them there.",

@@ -1,4 +1,4 @@
-"""Kinds of task in which a thing is worked where it stands: pressed, switched, opened, closed."""
+"""Kinds of task that operate an object in place: press, switch on, open, close."""
 
 from collections.abc import Iterator
 
@@ -6,44 +6,44 @@ from stable_data.instructions.kind import Roles, TaskKind
 from stable_data.instructions.situation import TaskContext
 from stable_data.instructions.wording.vocabulary import classes_of, control_part
 
-_OPEN, _CLOSED = 0.3, 0.15  # height of an open and of a closed laptop, as shares of its longer side
+_OPEN, _CLOSED = 0.3, 0.15  # least height of an open and largest height of a closed laptop, as shares of its longer side
 
 
 def _pressed(s: TaskContext) -> Iterator[Roles]:
-    for x in s.mixed(n for n in s.standing if n not in s.load):
+    for x in s.shuffled(n for n in s.standing if n not in s.load):
         part = control_part(s.objects[x].category)
         if part is not None:
             yield {"x": x, "part": part}
 
 
 def _switched(s: TaskContext) -> Iterator[Roles]:
-    return ({"x": x} for x in s.mixed(s.of("switched", s.standing)))
+    return ({"x": x} for x in s.shuffled(s.of("switched", s.standing)))
 
 
 def _dispensers(s: TaskContext) -> Iterator[Roles]:
-    return ({"x": x} for x in s.mixed(s.standing) if control_part(s.objects[x].category) == "the pump")
+    return ({"x": x} for x in s.shuffled(s.standing) if control_part(s.objects[x].category) == "the pump")
 
 
-def _share(s: TaskContext, x: str) -> float:
+def _height_share(s: TaskContext, x: str) -> float:
     size = s.objects[x].size
     return size[2] / max(size[:2])
 
 
 def _closed(s: TaskContext) -> Iterator[Roles]:
-    laptops = [n for n in s.of("laptop", s.standing) if _share(s, n) < _CLOSED]
+    laptops = [n for n in s.of("laptop", s.standing) if _height_share(s, n) < _CLOSED]
     boxes = [n for n in s.of("hinged", s.standing) if not s.graph.nodes[n]["container"]]
-    return ({"x": x} for x in s.mixed(n for n in [*laptops, *boxes] if n not in s.load))
+    return ({"x": x} for x in s.shuffled(n for n in [*laptops, *boxes] if n not in s.load))
 
 
 def _opened(s: TaskContext) -> Iterator[Roles]:
-    return ({"x": x} for x in s.mixed(s.of("laptop", s.standing)) if _share(s, x) > _OPEN and x not in s.load)
+    return ({"x": x} for x in s.shuffled(s.of("laptop", s.standing)) if _height_share(s, x) > _OPEN and x not in s.load)
 
 
 def _cleared_and_opened(s: TaskContext) -> Iterator[Roles]:
-    """A closed laptop or box with one thing on it."""
-    for x in s.mixed(s.of("laptop", s.standing) + s.of("hinged", s.standing)):
+    """A closed laptop or box with one object on it."""
+    for x in s.shuffled(s.of("laptop", s.standing) + s.of("hinged", s.standing)):
         on_it = s.load.get(x, [])
-        is_closed = _share(s, x) < _CLOSED if "laptop" in classes_of(s.objects[x].category) else True
+        is_closed = _height_share(s, x) < _CLOSED if "laptop" in classes_of(s.objects[x].category) else True
         if len(on_it) == 1 and on_it[0] in s.free and is_closed and not s.graph.nodes[x]["container"]:
             yield {"x": on_it[0], "y": x}
 

@@ -1,1 +1,1 @@
-"""Reading of instructions: nouns, phrases, required objects, relations."""
+"""Analysis of instructions: nouns, noun phrases, required objects, stated relations."""

@@ -1,6 +1,6 @@
-"""What is known of categories and words from the split train: sizes, what carries things, which words speak of what.
+"""Statistics of categories and words from the split train: sizes, share of supporting objects, doubtful nouns.
 
-It is measured once, beside the training, and kept beside the model as ``categories.json``.
+The training measures them once and stores them in the folder of the model as ``categories.json``.
 """
 
 import json
@@ -23,30 +23,30 @@ from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import Row
 
 FILE = "categories.json"
-"""Name of the statistics in a model's folder."""
+"""File name of the statistics in the folder of a model."""
 
 VERSION = 1
 
 LEVELS = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
 """Levels of the size quantiles."""
 
-_MOST_WORDS = 64  # description words kept of a category
-_LEAST_SEEN = 10  # a word seen less often is judged by its noun, and a noun seen less often is believed
-_LEAST_RIGHT = 0.98  # share of its mentions in which a word must have meant a thing on the table to be believed
+_MAX_WORDS = 64  # description words that are stored for a category
+_MIN_SEEN = 10  # a context with fewer mentions is judged by its noun, and a noun with fewer mentions is trusted
+_MIN_RIGHT = 0.98  # share of the mentions of a trusted noun for which the layout has a matching object
 
 Quantiles: TypeAlias = tuple[Vec3, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Category:
-    """What is known of a category.
+    """Statistics of a category.
 
     Attributes:
-        count: Objects that it was measured on.
+        count: Number of measured objects.
         extents: Quantiles, at :data:`LEVELS`, of the shortest, middle and longest side of the box, metres.
-        sizes: The same of width, depth and height.
-        carrying: Share of the objects on or in which something stands.
-        words: How often each word is in its descriptions, the most frequent ones.
+        sizes: Quantiles, at :data:`LEVELS`, of width, depth and height, metres.
+        carrying: Share of the objects that support another object.
+        words: Counts of the most frequent words in its descriptions.
     """
 
     count: int
@@ -57,25 +57,25 @@ class Category:
 
     @property
     def least(self) -> Vec3:
-        """Sides that hardly any such thing is below, shortest first, metres."""
+        """The 1 % quantiles of the sides, shortest side first, metres."""
         return self.extents[1]
 
     @property
     def most(self) -> Vec3:
-        """Sides that hardly any such thing is above, shortest first, metres."""
+        """The 99 % quantiles of the sides, shortest side first, metres."""
         return self.extents[-2]
 
 
 @dataclass(frozen=True)
 class CategoryStatistics:
-    """What is known of all categories.
+    """Statistics of all categories.
 
     Attributes:
-        categories: By name, as layouts write it.
-        words: How often each word is in the instructions.
-        doubts: Of nouns that often speak of something else (``up to the camera``): whether they do, by the word before their
-            phrase; under ``*`` for other words.
-        tables: How many scenes there are of each kind of table.
+        categories: Statistics by category name, as layouts write it.
+        words: Count of each word in the instructions.
+        doubts: For nouns that often mean no object of the layout (``up to the camera``): whether they are doubtful, by the word
+            before their phrase; ``*`` is for other words.
+        tables: Number of scenes of each kind of table.
     """
 
     categories: Mapping[str, Category]
@@ -85,30 +85,30 @@ class CategoryStatistics:
 
     @cached_property
     def nouns(self) -> NounLookup:
-        """What the categories may be called."""
+        """The nouns of the categories."""
         return NounLookup(self.categories)
 
     def is_doubtful(self, phrase: NounPhrase) -> bool:
-        """Do such words often speak of something that is not on the table?"""
+        """Whether a phrase often means something that is not on the table."""
         doubts = self.doubts.get(phrase.mention.noun, {})
         return doubts.get(phrase.before, doubts.get("*", False))
 
     @classmethod
     def of_names(cls, categories: Iterable[str]) -> "CategoryStatistics":
-        """Categories of which nothing but the names is known, so that no size of theirs is judged."""
+        """Returns statistics that contain only category names, so that no size is judged."""
         nothing = Category(0, (), (), 0.0, {})
         return cls(dict.fromkeys(categories, nothing), {})
 
     # --- files ---
 
     def save(self, folder: Path) -> None:
-        """Puts the statistics beside a model.
+        """Writes the statistics into the folder of a model.
 
         Args:
-            folder: The model's folder; made where it is missing.
+            folder: The folder; created if it is missing.
 
         Raises:
-            ConfigError: It cannot be written.
+            ConfigError: The file cannot be written.
         """
         content = {"version": VERSION, "levels": LEVELS, **asdict(self)}
         text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
@@ -116,13 +116,13 @@ class CategoryStatistics:
 
     @classmethod
     def load(cls, folder: Path) -> "CategoryStatistics":
-        """The statistics beside a model.
+        """Reads the statistics from the folder of a model.
 
         Args:
-            folder: The model's folder.
+            folder: The folder.
 
         Raises:
-            ConfigError: They are not there (``statistics_missing``), or are not what :meth:`save` writes
+            ConfigError: The file cannot be read (``statistics_missing``), or its content is not valid
                 (``statistics_invalid``).
         """
         path = folder / FILE
@@ -131,25 +131,27 @@ class CategoryStatistics:
         except OSError as error:
             raise ConfigError(
                 f"{path}: cannot be read ({error.strerror or error}), expected the statistics of categories; "
-                "make them with the reasoner's training",
+                "create them by training the reasoner",
                 "statistics_missing",
             ) from error
         except ValueError as error:
-            raise ConfigError(f"{path}: no JSON ({error}); make the statistics again", "statistics_invalid") from error
+            raise ConfigError(
+                f"{path}: not a JSON file ({error}); create the statistics again", "statistics_invalid"
+            ) from error
         if not isinstance(data, dict) or (data.get("version"), tuple(data.get("levels", ()))) != (VERSION, LEVELS):
-            raise ConfigError(f"{path}: expected statistics of version {VERSION}; make them again", "statistics_invalid")
+            raise ConfigError(f"{path}: expected statistics of version {VERSION}; create them again", "statistics_invalid")
         try:
             categories = {name: _category(entry) for name, entry in data["categories"].items()}
             doubts = {n: dict(d) for n, d in data["doubts"].items()}
             return cls(categories, dict(data["words"]), doubts, dict(data["tables"]))
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise ConfigError(f"{path}: {error!r}; make the statistics again", "statistics_invalid") from error
+            raise ConfigError(f"{path}: {error!r}; create the statistics again", "statistics_invalid") from error
 
     # --- measuring ---
 
     @classmethod
     def of_run(cls, uri: str) -> "CategoryStatistics":
-        """The statistics of the split train of a preprocess run.
+        """Computes the statistics of the split train of a preprocess run.
 
         Args:
             uri: The run folder, with the table ``samples``.
@@ -165,15 +167,15 @@ class CategoryStatistics:
 
     @classmethod
     def of_rows(cls, rows: Iterable[Row]) -> "CategoryStatistics":
-        """The statistics of rows of ``samples``; those of the stage ``important`` add nothing."""
-        found = _Counting()
+        """Computes the statistics of rows of ``samples``; rows of the stage ``important`` are not used."""
+        counts = _RowCounts()
         for row in rows:
-            found.add(row)
-        return found.statistics()
+            counts.add(row)
+        return counts.statistics()
 
 
 def _rows(files: TableFiles, group: int, seen: set[str]) -> list[Row]:
-    """Rows of a group that the statistics look at: every first stage, and of each scene one last stage."""
+    """The rows of a row group that are counted: all first stages, and one last stage of each scene."""
     table = files.read([group])
     stages = zip(table["scene_id"].to_pylist(), table["stage"].to_pylist(), strict=True)
     chosen = []
@@ -199,13 +201,13 @@ def _vec3(values: Iterable[float]) -> Vec3:
 
 @cache
 def _as_written(category: str) -> str:
-    """A category as the instances of layouts have it."""
-    thing = SceneObject("thing", category, (0.0, 0.0, 0.0), 0.0, (1.0, 1.0, 1.0))
-    return layout_names([thing])["thing"].rpartition("_")[0]
+    """A category as it appears in the instances of layouts."""
+    item = SceneObject("item", category, (0.0, 0.0, 0.0), 0.0, (1.0, 1.0, 1.0))
+    return layout_names([item])["item"].rpartition("_")[0]
 
 
-class _Counting:
-    """What has been seen of the rows so far."""
+class _RowCounts:
+    """Counts over rows of ``samples``."""
 
     def __init__(self) -> None:
         self._scenes: set[str] = set()
@@ -213,17 +215,17 @@ class _Counting:
         self._carrying: Counter[str] = Counter()
         self._described: dict[str, Counter[str]] = {}
         self._words: Counter[str] = Counter()
-        self._told: Counter[tuple[str, frozenset[str]]] = Counter()
+        self._instructions: Counter[tuple[str, frozenset[str]]] = Counter()
         self._tables: Counter[str] = Counter()
 
     def add(self, row: Row) -> None:
-        """Counts a row: the instruction of a first stage, the whole layout of a last one."""
+        """Counts the instruction of a first stage, or the whole layout of a last stage."""
         if row["stage"] == Stage.TASK:
             text = row["task"]["task"]
             self._words.update(w.text for w in words_of(text))
-            self._told[text, frozenset(_as_written(o["category"]) for o in row["objects_out"])] += 1
+            self._instructions[text, frozenset(_as_written(o["category"]) for o in row["objects_out"])] += 1
         elif row["stage"] == Stage.SECONDARY and row["scene_id"] not in self._scenes:
-            self._scenes.add(row["scene_id"])  # its other tasks have the same layout
+            self._scenes.add(row["scene_id"])  # other tasks of the scene have the same layout
             self._tables[row["table_type"]] += 1
             self._add_layout([*row["objects_in"], *row["objects_out"]])
 
@@ -245,21 +247,21 @@ class _Counting:
             tuple(_vec3(row) for row in np.quantile(values, LEVELS, axis=0).round(5).tolist())
             for values in (np.sort(sizes, axis=1), sizes)
         )
-        words = dict(self._described[name].most_common(_MOST_WORDS))
+        words = dict(self._described[name].most_common(_MAX_WORDS))
         return Category(len(sizes), extents, sides, round(self._carrying[name] / len(sizes), 4), words)
 
     def _doubts(self, nouns: NounLookup) -> dict[str, dict[str, bool]]:
-        """Which words were said of things that were not there."""
+        """For each noun and the word before it: whether layouts too often lack an object that the noun can mean."""
         seen: dict[str, Counter[str]] = {}
         right: dict[str, Counter[str]] = {}
-        for (text, there), count in self._told.items():
+        for (text, present), count in self._instructions.items():
             for phrase in find_noun_phrases(words_of(text), nouns):
                 noun = phrase.mention.noun
                 for context in (phrase.before, "*"):
                     seen.setdefault(noun, Counter())[context] += count
-                    right.setdefault(noun, Counter())[context] += count * bool(there & set(nouns.categories_of(noun)))
+                    right.setdefault(noun, Counter())[context] += count * bool(present & set(nouns.categories_of(noun)))
         doubts = {
-            noun: {c: right[noun][c] < _LEAST_RIGHT * n for c, n in contexts.items() if n >= _LEAST_SEEN}
+            noun: {c: right[noun][c] < _MIN_RIGHT * n for c, n in contexts.items() if n >= _MIN_SEEN}
             for noun, contexts in sorted(seen.items())
         }
         return {noun: dict(sorted(of_noun.items())) for noun, of_noun in doubts.items() if any(of_noun.values())}

@@ -1,4 +1,4 @@
-"""The nouns of an instruction: which words call which of the known categories, found by the longest match."""
+"""Finds the nouns of known categories in an instruction, by the longest match."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -7,13 +7,13 @@ from functools import cached_property
 
 from models.semantic_reasoner.language.stop_words import OFF_THE_TABLE, VERBS
 from stable_data.instructions.wording.vocabulary import answers_to, classes_of, nouns_of
-from stable_data.instructions.wording.words import is_plural, plural, singular, type_words
+from stable_data.instructions.wording.words import is_plural, plural, singular, singular_noun, type_words
 
 _LOOKS = frozenset({"wooden", "large", "small", "big", "tall"})
-"""Words that are part of some category's name and may as well only describe: a ``wooden spoon`` may be a spoon of wood."""
+"""Adjectives that are also part of category names: a ``wooden spoon`` may be any spoon made of wood."""
 
 _CLASS_NOUNS = frozenset({"fruit", "toy", "cutlery", "cosmetics", "food", "tableware"})
-"""Classes of the vocabulary whose names are said of things."""
+"""Classes of the vocabulary whose names are nouns of objects."""
 
 _WORD = re.compile(r"[^\W\d_]+|\d+")
 
@@ -23,11 +23,11 @@ class TextWord:
     """A word of a text.
 
     Attributes:
-        text: In lower case.
-        start: Where it starts in the text.
-        end: Where it ends.
-        is_first: Whether a mark, a line or the text's start stands between it and the word before.
-        is_name: Whether it starts with a capital where no sentence starts.
+        text: The word in lower case.
+        start: Index of its first character.
+        end: Index after its last character.
+        is_first: Whether it is the first word of the text or a punctuation mark is before it.
+        is_name: Whether only its first letter is a capital and it is not at the start of a sentence.
     """
 
     text: str
@@ -38,7 +38,7 @@ class TextWord:
 
 
 def words_of(text: str) -> tuple[TextWord, ...]:
-    """The words of a text; ``mug's`` is two, ``make-up`` too."""
+    """Splits a text into words; ``mug's`` and ``make-up`` give two words each."""
     found: list[TextWord] = []
     last = 0
     for m in _WORD.finditer(text):
@@ -61,8 +61,8 @@ class NounMention:
     Attributes:
         first: Index of its first word.
         last: Index of its last word.
-        noun: What it is, in the singular.
-        is_plural: Whether the words speak of several.
+        noun: The noun in the singular.
+        is_plural: Whether the words are a plural of it.
     """
 
     first: int
@@ -72,10 +72,10 @@ class NounMention:
 
 
 class NounLookup:
-    """What the known categories may be called.
+    """Maps nouns to the known categories.
 
-    A category is called by its own words, by the vocabulary's other names for it and by the ends of either (a ``cooking_pot``
-    is a pot); a class of the vocabulary is called by its name (``fruit``).
+    The nouns of a category are its own words, its other names in the vocabulary, and the ends of both (``pot`` for a
+    ``cooking_pot``). The noun of a class of the vocabulary is its name (``fruit``).
 
     Args:
         categories: The known categories.
@@ -86,13 +86,14 @@ class NounLookup:
         self._by_words: dict[tuple[str, ...], tuple[str, bool]] = {}
         self._meant: dict[str, tuple[str, ...]] = {}
         own = sorted({noun for c in self.categories for noun in nouns_of(c)})
+        # "bottle of perfume" has its head at the start, so its ends are not names of it.
         ends = sorted(
             {" ".join(noun.split(" ")[k:]) for noun in own for k in range(1, len(noun.split(" "))) if " of " not in noun}
         )
         classes = sorted({name for c in self.categories for name in classes_of(c)} & _CLASS_NOUNS)
         self.names = frozenset(own)
         for noun in own:
-            self._add(noun, singular(tuple(noun.split(" "))))  # one of ``nesting_cups``
+            self._add(noun, singular(tuple(noun.split(" "))))  # the singular of ``nesting_cups``
         for noun in (*classes, *(end for end in ends if end not in OFF_THE_TABLE | VERBS)):
             self._add(noun)
         self._longest = max(map(len, self._by_words), default=0)
@@ -107,25 +108,26 @@ class NounLookup:
 
     @cached_property
     def words(self) -> frozenset[str]:
-        """Every word of a noun."""
+        """All words that occur in nouns."""
         return frozenset(word for spelt in self._by_words for word in spelt)
 
     def categories_of(self, noun: str) -> tuple[str, ...]:
-        """The categories that a noun may mean, possibly none: those that it names, or else those whose name it ends or is the class of.
+        """Returns the categories that a noun may mean, possibly none.
 
-        A bottle is a ``bottle`` where there are such, and no ``sauce_bottle``.
+        These are the categories that it names; if there are none, the categories whose name ends with it or whose class it is.
+        For example ``bottle`` means a ``sauce_bottle`` only if the category ``bottle`` is not known.
         """
         if noun not in self._meant:
-            asked = _one_of(noun)
+            asked = singular_noun(noun)
             head, _, rest = noun.partition(" ")
             nouns = (noun, rest) if head in _LOOKS and rest else (noun,)
-            named = tuple(c for c in self.categories if {*nouns, asked} & {*nouns_of(c), _one_of(own_noun(c))})
+            named = tuple(c for c in self.categories if {*nouns, asked} & {*nouns_of(c), singular_noun(own_noun(c))})
             meant = (c for c in self.categories if asked in classes_of(c) or any(answers_to(c, n) for n in nouns))
             self._meant[noun] = named or tuple(meant)
         return self._meant[noun]
 
     def read(self, words: Sequence[TextWord]) -> list[NounMention]:
-        """The nouns of a text, the longest that fit, in its order; of ``orange pitcher`` the pitcher alone."""
+        """Finds the nouns of a text in its order, by the longest match; of ``orange pitcher`` only the pitcher."""
         found: list[NounMention] = []
         k = 0
         while k < len(words):
@@ -134,7 +136,7 @@ class NounLookup:
                 k += 1
                 continue
             if found and found[-1].last == k - 1 and not words[k].is_first:
-                found[-1] = mention  # what comes before the head only tells its kind
+                found[-1] = mention  # a noun before the head of a phrase describes the head
             else:
                 found.append(mention)
             k = mention.last + 1
@@ -145,18 +147,13 @@ class NounLookup:
             part = words[k : k + size]
             spelt = tuple(w.text for w in part)
             if spelt[0] == "hand" and k and words[k - 1].text in ("left", "right"):
-                continue  # "the right-hand mirror" is no hand mirror
+                continue  # "the right-hand mirror" is not a hand mirror
             if spelt in self._by_words and not any(w.is_first for w in part[1:]):
                 noun, is_many = self._by_words[spelt]
                 return NounMention(k, k + size - 1, noun, is_many)
         return None
 
 
-def _one_of(noun: str) -> str:
-    """One thing of a noun that may be a plural."""
-    return " ".join(singular(tuple(noun.split(" "))))
-
-
 def own_noun(category: str) -> str:
-    """A category in words, such as ``spice jar``."""
+    """Returns a category in words, such as ``spice jar``."""
     return " ".join(type_words(category))

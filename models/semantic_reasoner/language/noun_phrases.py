@@ -1,4 +1,4 @@
-"""Noun phrases of an instruction: a noun of a known category with what is said before and after it."""
+"""Noun phrases of an instruction: nouns of known categories with the words around them."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -9,10 +9,10 @@ from stable_data.instructions import naming
 from stable_data.instructions.claims import number_mentions
 
 MOST = 20
-"""A larger number before a noun is no count of objects."""
+"""Largest count of objects; a larger number before a noun is not a count."""
 
-_REACH = 6  # words between a determiner and its noun, at most
-_CLAUSE = 7  # words of a clause after a noun that tell things apart
+_REACH = 6  # largest number of words between a determiner and its noun
+_CLAUSE = 7  # largest number of words of a clause of place after a noun
 
 _PLACES = word_set(
     "left right front rear middle leftmost rightmost nearer nearest farther farthest other second first third last"
@@ -22,7 +22,7 @@ _PLACES = word_set(
 
 _CLAUSE_OPENS = word_set("that which standing lying resting sitting closer nearer closest nearest farther on")
 _CLAUSE_ENDS = word_set("left right back front me edge corner")
-_ON_SIDE = 3
+_ON_SIDE = 3  # the same for a clause that starts with "on", such as "on the left"
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,11 +32,11 @@ class NounPhrase:
     Attributes:
         first: Index of its first word, determiner and count included.
         mention: Its noun.
-        before: The word before it, possibly nothing.
-        modifiers: Words between its determiner and its noun, and those of a clause after it that tell it apart.
-        count: How many of the thing it speaks of.
-        is_denied: Whether it speaks of none.
-        clause: Words of a clause after the noun that says where the thing is, possibly none.
+        before: The word before it, or empty.
+        modifiers: Words between its determiner and its noun, and the words of ``clause``.
+        count: Number of objects that it means.
+        is_denied: Whether it means no object, as in ``without a mug``.
+        clause: Words of a clause after the noun that gives the place of the object, possibly none.
     """
 
     first: int
@@ -49,17 +49,17 @@ class NounPhrase:
 
 
 def find_noun_phrases(words: Sequence[TextWord], nouns: NounLookup) -> Iterator[NounPhrase]:
-    """The noun phrases of a text that speak of things of known categories, in its order.
+    """Yields the noun phrases of a text whose nouns are known, in its order.
 
     Args:
         words: The text.
-        nouns: What the known categories are called.
+        nouns: The known nouns.
     """
     for mention in nouns.read(words):
         first, counts = _opening(words, mention)
         is_open = first is not None
         if not is_open and (mention.noun in HOMOGRAPHS or mention.noun not in nouns.names):
-            continue  # "so that it can stand"
+            continue  # without a determiner, "can" in "so that it can stand" is a verb
         k = mention.first if first is None else first
         lead = [w.text for w in words[k : mention.first]]
         before = words[k - 1].text if k > 0 and not words[k].is_first else ""
@@ -71,7 +71,7 @@ def find_noun_phrases(words: Sequence[TextWord], nouns: NounLookup) -> Iterator[
 
 
 def _opening(words: Sequence[TextWord], mention: NounMention) -> tuple[int | None, list[int]]:
-    """Where the phrase of a noun starts, None where nothing opens it; and its numbers."""
+    """Index of the first word of the phrase of a noun, or None if no determiner or count opens it; and its counts."""
     counts: list[int] = []
     first = None
     k = mention.first
@@ -89,37 +89,37 @@ def _opening(words: Sequence[TextWord], mention: NounMention) -> tuple[int | Non
 
 
 def _clause(words: Sequence[TextWord], mention: NounMention) -> tuple[str, ...]:
-    """What a clause after a noun says of its place to tell it apart: ``that is on the left``; empty where there is none."""
+    """The words of a clause of place after a noun, such as ``that is on the left``; empty if there is none."""
     k = mention.last + 1
     if k >= len(words) or words[k].is_first or words[k].text not in _CLAUSE_OPENS:
         return ()
-    said: list[str] = []
+    clause: list[str] = []
     for word in words[k : k + (_ON_SIDE if words[k].text == "on" else _CLAUSE)]:
-        if word.is_first or (said and said[-1] in _CLAUSE_ENDS and word.text not in _CLAUSE_ENDS):
+        if word.is_first or (clause and clause[-1] in _CLAUSE_ENDS and word.text not in _CLAUSE_ENDS):
             break
-        said.append(word.text)
-    return tuple(said) if said[-1] in _CLAUSE_ENDS else ()
+        clause.append(word.text)
+    return tuple(clause) if clause[-1] in _CLAUSE_ENDS else ()
 
 
-def number_phrases(text: str, words: Sequence[TextWord], spoken: Sequence[NounPhrase]) -> str:
-    """A text with each phrase as its number, its clause included, as :mod:`stable_data.instructions.claims` reads it.
+def number_phrases(text: str, words: Sequence[TextWord], phrases: Sequence[NounPhrase]) -> str:
+    """Replaces each phrase with its clause by its number, the format of :mod:`stable_data.instructions.claims`.
 
     Args:
         text: The text.
         words: Its words.
-        spoken: Phrases in it, in its order.
+        phrases: Phrases in it, in its order.
     """
-    names = [str(k) for k in range(len(spoken))]
+    names = [str(k) for k in range(len(phrases))]
     unnamed = naming.ObjectName("", "", naming.Distinction.NOUN)
-    said = [
+    mentioned = [
         naming.ObjectMention(words[p.first].start, words[_last(words, p)].end, name, unnamed)
-        for name, p in zip(names, spoken, strict=True)
+        for name, p in zip(names, phrases, strict=True)
     ]
-    return number_mentions(text, (), said, names)
+    return number_mentions(text, (), mentioned, names)
 
 
 def _last(words: Sequence[TextWord], phrase: NounPhrase) -> int:
-    """Index of a phrase's last word; ``that is to the left of the jar`` is no clause of its own."""
+    """Index of the last word of a phrase; ``that is to the left of the jar`` is not part of the phrase."""
     last = phrase.mention.last + len(phrase.clause)
     goes_on = last + 1 < len(words) and words[last + 1].text == "of" and not words[last + 1].is_first
     return phrase.mention.last if goes_on else last

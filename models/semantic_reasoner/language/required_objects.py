@@ -1,6 +1,6 @@
-"""Which objects an instruction asks for, read from its words and the known categories.
+"""Finds the objects that an instruction requires, from its words and the known categories.
 
-What is asked for here is refused where it is missing, so a doubtful word asks for nothing.
+A layout without a required object is rejected, so a doubtful word requires nothing.
 """
 
 import re
@@ -16,17 +16,17 @@ from stable_data.instructions.wording.words import is_plural
 
 _EVERYTHING = re.compile(r"\b(?:everything|all|whatever|what)(?: else)?(?: that)?(?:'s| is| lies| stands)? (?:on|in|inside) <")
 _HEADS = word_set("opener handle lid rim cap button cover drawer spot place corner")
-"""Words after a noun that are the head of its phrase, such as ``can opener``."""
+"""Words after a noun that are the true head of its phrase, such as ``can opener``."""
 
 
 @dataclass(frozen=True, slots=True)
 class ObjectRequirement:
-    """Objects that an instruction asks for.
+    """Objects that an instruction requires.
 
     Attributes:
-        words: The words that ask for them.
-        categories: What may be meant; empty: anything at all, beside the thing that it is in or on.
-        at_least: How many.
+        words: The words that mention them.
+        categories: Categories that they may have; empty: any, in addition to the object that they are in or on.
+        at_least: Least number of objects.
     """
 
     words: str
@@ -34,10 +34,10 @@ class ObjectRequirement:
     at_least: int = 1
 
     def is_met_by(self, categories: Sequence[str]) -> bool:
-        """Are there enough of these? One thing of a category that is called by a plural (``wooden_blocks``) is enough of its kind.
+        """Whether a layout has enough of these objects; one object of a plural category (``wooden_blocks``) is enough.
 
         Args:
-            categories: Of every object of a layout.
+            categories: Categories of all objects of the layout.
         """
         if not self.categories:
             return len(categories) > self.at_least
@@ -46,46 +46,46 @@ class ObjectRequirement:
 
 
 def required_objects(instruction: str, statistics: CategoryStatistics) -> tuple[ObjectRequirement, ...]:
-    """What an instruction asks for.
+    """Finds the objects that an instruction requires.
 
-    Mentions of one noun are the same thing, unless words tell them apart (``the red mug ... the blue mug``) or one of them is
-    said to be another. Nouns that are denied, doubtful or followed by what could be the true head (``the can opener``) ask for
-    nothing.
+    Mentions of one noun mean the same object unless their modifiers differ (``the red mug ... the blue mug``) or one of them
+    has ``other`` or ``another``. Nouns that are denied, doubtful, or followed by a possible true head (``the can opener``)
+    require nothing.
 
     Args:
         instruction: The instruction.
-        statistics: Of the known categories.
+        statistics: Statistics of the known categories.
 
     Returns:
-        In the order of their first mention; empty where nothing known is named.
+        Requirements in the order of their first mention; empty if the instruction mentions no known object.
     """
     words = words_of(instruction)
     found: dict[str, list[NounPhrase]] = {}
-    spoken = []
+    phrases = []
     for phrase in find_noun_phrases(words, statistics.nouns):
         if (
             phrase.is_denied
-            or _is_wanted(words, phrase)
+            or _is_future(words, phrase)
             or statistics.is_doubtful(phrase)
             or _is_part_of_other(words, phrase, statistics)
         ):
             continue
-        spoken.append(phrase)
+        phrases.append(phrase)
         found.setdefault(phrase.mention.noun, []).append(phrase)
-    asked = [_asked(instruction, words, same, statistics) for same in found.values()]
-    text = number_phrases(instruction, words, spoken)
+    required = [_requirement(instruction, words, same, statistics) for same in found.values()]
+    text = number_phrases(instruction, words, phrases)
     if emptied_numbers(text) or _EVERYTHING.search(text):
-        asked.append(ObjectRequirement("what is in or on it", ()))
-    return tuple(asked)
+        required.append(ObjectRequirement("what is in or on it", ()))
+    return tuple(required)
 
 
-def _is_wanted(words: Sequence[TextWord], phrase: NounPhrase) -> bool:
-    """Is it something that is not there yet: ``make room for a laptop``?"""
+def _is_future(words: Sequence[TextWord], phrase: NounPhrase) -> bool:
+    """Whether a phrase means a future object: ``make room for a laptop``."""
     return phrase.before == "for" and words[phrase.first].text in ("a", "an", "another", "some")
 
 
 def _is_part_of_other(words: Sequence[TextWord], phrase: NounPhrase, statistics: CategoryStatistics) -> bool:
-    """Could the noun be but a part of the name of something else: ``the can opener``, ``a block of paper``, ``cotton pads``?"""
+    """Whether a noun may be part of another name: ``the can opener``, ``a block of paper``, ``cotton pads``."""
     mention, nouns = phrase.mention, statistics.nouns
     k = mention.last + 1
     after = words[k].text if k < len(words) and not words[k].is_first else ""
@@ -97,15 +97,15 @@ def _is_part_of_other(words: Sequence[TextWord], phrase: NounPhrase, statistics:
     )
 
 
-def _asked(
+def _requirement(
     instruction: str, words: Sequence[TextWord], same: Sequence[NounPhrase], statistics: CategoryStatistics
 ) -> ObjectRequirement:
-    """What the mentions of one noun ask for."""
+    """The requirement of all mentions of one noun."""
     others = [p for p in same if {"other", "another"} & {*p.modifiers, words[p.first].text}]
-    told = {p.modifiers for p in same if p not in others and p.count == 1 and p.modifiers}
-    count = max(len(told), *(p.count for p in same))
+    modifiers = {p.modifiers for p in same if p not in others and p.count == 1 and p.modifiers}
+    count = max(len(modifiers), *(p.count for p in same))
     if others and len(others) < len(same):
-        count = max(count, len(told) + 1, 2)
+        count = max(count, len(modifiers) + 1, 2)
     first = same[0]
     spelt = instruction[words[first.mention.first].start : words[first.mention.last].end]
     return ObjectRequirement(spelt, statistics.nouns.categories_of(first.mention.noun), count)

@@ -1,10 +1,10 @@
-"""Common English words that name no thing on a table, for readers of instructions that know no grammar but word order."""
+"""Common English words that do not name an object on a table, for parsers that know no grammar except word order."""
 
 from collections.abc import Iterator
 
 
 def word_set(text: str) -> frozenset[str]:
-    """The words of a text."""
+    """Splits a text at white space into a set of words."""
     return frozenset(text.split())
 
 
@@ -21,10 +21,10 @@ COUNTS = {
     "pair": 2,
     "couple": 2,
 }
-"""Words that say how many."""
+"""Words that give a number of objects, with the number."""
 
 NONE_OF = frozenset({"no", "any", "without", "neither"})
-"""Words before a noun that ask for none of it."""
+"""Words before a noun that deny it."""
 
 PREPOSITIONS = word_set(
     """about above across after against along among around at before behind below beneath beside besides between beyond by
@@ -55,7 +55,7 @@ FUNCTION_WORDS = (
         oh ah wow oops pls ones"""
     )
 )
-"""Words of grammar, place and number, which a thing is never called."""
+"""Words of grammar, place and number, which are never the noun of an object."""
 
 VERBS = word_set(
     """accept add adjust align allow appear arrange ask attach avoid belong bring build bump call care carry catch change check
@@ -93,16 +93,16 @@ OFF_THE_TABLE = word_set(
     handle rim edge lid cap tip point base stand surface underside inside outside
     button buttons key keys pump switch lever arm shutter bar"""
 )
-"""Nouns that a request may use of people, rooms, times and places; nothing to be laid out on a table."""
+"""Nouns of people, rooms, times and places in requests, not of objects on a table."""
 
 HOMOGRAPHS = word_set(
     "can set watch plant light lock block box brush drill file iron stamp rest bin fan pan ruler marker train orange"
 )
-"""Things whose word is as often another part of speech: only after a determiner are they things."""
+"""Nouns that are often another part of speech: they mean an object only after a determiner."""
 
 
 def is_verb(word: str) -> bool:
-    """Is a word a form of a common verb: ``wipes``, ``wiping``, ``grabbed``?"""
+    """Whether a word is a form of a common verb: ``wipes``, ``wiping``, ``grabbed``."""
     return any(stem in VERBS for stem in _stems(word))
 
 

@@ -1,8 +1,8 @@
-"""Words that a model with a closed vocabulary does not know, read as what it knows, and said so.
+"""Replaces unknown nouns of an instruction by known ones, for a model with a closed vocabulary, and reports this in notices.
 
-The embedded reasoner has learned the words of its training instructions. A thing that it never heard of is found by its place
-in the sentence, and replaced by the nearest noun of a known category where a text encoder finds one near enough. Nothing but
-things is looked for: unknown adjectives, names, people and places are left as they are.
+The embedded reasoner knows only the words of its training instructions. The noun of an unknown object is found by its position
+in the sentence. It is replaced by the most similar noun of a known category if a text encoder finds one that is similar enough.
+Unknown adjectives, names, people and places are not changed.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -26,24 +26,24 @@ from models.semantic_reasoner.language.stop_words import (
 from models.semantic_reasoner.text.prompt import ANY_TABLE
 from stable_data.errors import Notice
 from stable_data.instructions.wording.vocabulary import classes_of
-from stable_data.instructions.wording.words import is_plural, plural, singular
+from stable_data.instructions.wording.words import is_plural, plural, singular_noun
 
 TextEncoder: TypeAlias = Callable[[Sequence[str]], npt.NDArray[np.float32]]
-"""Texts to unit rows, (N, D)."""
+"""Maps texts to rows of unit length, (N, D)."""
 
 STEP = "grounding"
-"""The step that this module's notices name."""
+"""The step in the notices of this module."""
 
 NEAR = 0.7
-"""Least cosine similarity at which an unknown thing is read as a known one (all-MiniLM-L6-v2, ``a doughnut`` with ``a donut``)."""
+"""Least cosine similarity for replacing an unknown noun by a known one (all-MiniLM-L6-v2, ``a doughnut`` with ``a donut``)."""
 
 NEAR_IN_CLASS = 0.4
-"""The same where the vocabulary says that both are of one kind."""
+"""Least cosine similarity if both nouns belong to one class of the vocabulary."""
 
 LANGUAGE = 0.5
-"""From this share of unknown words on, a text is taken for another language."""
+"""Share of unknown words above which a text counts as another language than English."""
 
-_FEWEST = 3  # unknown words of another language
+_MIN_FOREIGN = 3  # least number of unknown words in a text of another language
 
 _KINDS = frozenset(
     {
@@ -52,7 +52,7 @@ _KINDS = frozenset(
         "cosmetics", "laptop", "rubbish_place",
     }
 )  # fmt: skip
-"""Classes of the vocabulary that say what a thing is, not what shape it has or what can be done with it."""
+"""Classes of the vocabulary that state the kind of an object, not its shape or use."""
 
 _ALSO_CALLED = MappingProxyType(
     {
@@ -66,12 +66,12 @@ _ALSO_CALLED = MappingProxyType(
         "sofa pillow": "cushion",
     }
 )  # fmt: skip
-"""Everyday names that a small encoder does not know."""
+"""Everyday nouns that a small text encoder does not know."""
 
 
 @dataclass(frozen=True, slots=True)
 class GroundedInstruction:
-    """An instruction in words that are known.
+    """An instruction in known words.
 
     Attributes:
         instruction: The instruction.
@@ -84,12 +84,12 @@ class GroundedInstruction:
 
 @dataclass(frozen=True, slots=True)
 class UnknownSpan:
-    """Words of an instruction that name something unknown.
+    """Words of an instruction that are the noun of an unknown object.
 
     Attributes:
         first: Index of the first word.
-        last: Index of the last one.
-        is_opened: Whether a determiner or a number opens the phrase, so that it is a thing for sure.
+        last: Index of the last word.
+        is_opened: Whether a determiner or a number opens the phrase, so that it certainly is an object.
     """
 
     first: int
@@ -99,11 +99,11 @@ class UnknownSpan:
 
 @dataclass(eq=False)
 class WordGrounding:
-    """Reads instructions for an engine with a closed vocabulary.
+    """Replaces unknown nouns in instructions for an engine with a closed vocabulary.
 
     Args:
-        statistics: What is known of categories and words.
-        encode: Texts to unit rows; None reads nothing, so that every unknown thing stays unknown.
+        statistics: Statistics of categories and words.
+        encode: Maps texts to rows of unit length; without it, only common other names are replaced.
         near: See :data:`NEAR`.
         near_in_class: See :data:`NEAR_IN_CLASS`.
     """
@@ -115,59 +115,59 @@ class WordGrounding:
     _rows: npt.NDArray[np.float32] | None = field(default=None, init=False, repr=False)
 
     def ground(self, instruction: str, item_id: str = "instruction") -> GroundedInstruction:
-        """An instruction with what is unknown read as what is known.
+        """Replaces the unknown nouns of an instruction.
 
         Args:
             instruction: The instruction.
-            item_id: Under which its notices go.
+            item_id: The item of the notices.
 
         Returns:
-            The instruction, changed only where a thing was read as another, and what there is to say.
+            The instruction, in which only unknown nouns with a replacement are changed, and notices.
         """
         words = words_of(instruction)
         if self._is_foreign(words):
-            message = f"{item_id}: most words of {_shown(instruction)} are unknown, expected English; say it in English"
+            message = f"{item_id}: most words of {_shown(instruction)} are unknown, expected English; write it in English"
             return GroundedInstruction(instruction, (Notice(item_id, STEP, "language_unknown", message),))
         notices, changes = [], []
         for span in self.unknown(words):
             start, end = words[span.first].start, words[span.last].end
             phrase = " ".join(w.text for w in words[span.first : span.last + 1])
             noun = self.nearest(phrase)
-            said = instruction[start:end]
+            original = _shown(instruction[start:end])
             if noun is not None:
                 is_many = words[span.last].text.endswith("s") and not words[span.last].text.endswith("ss")
                 changes.append((start, end, plural(noun) if is_many and not is_plural(noun) else noun))
-                notices.append(Notice(item_id, STEP, "word_read_as", f"{item_id}: {_shown(said)} is unknown, read as {noun}"))
+                notices.append(Notice(item_id, STEP, "word_read_as", f"{item_id}: {original} is unknown, read as {noun}"))
             elif span.is_opened:
-                message = f"{item_id}: {_shown(said)} is unknown, nothing like it can be laid out; name a known thing"
+                message = f"{item_id}: {original} is unknown and no known object is similar; name a known object"
                 notices.append(Notice(item_id, STEP, "word_unknown", message))
         for start, end, noun in reversed(changes):
             instruction = f"{instruction[:start]}{noun}{instruction[end:]}"
         return GroundedInstruction(instruction, tuple(dict.fromkeys(notices)))
 
     def table_type(self, table_type: str, item_id: str = "table") -> tuple[str, tuple[Notice, ...]]:
-        """A kind of table as it is to be said: itself where it is known, else none, so that its size alone tells.
+        """Returns a kind of table if it is known, else the kind for any table, so that the engine sees only its size.
 
         Args:
             table_type: The kind of table.
-            item_id: Under which a notice goes.
+            item_id: The item of the notice.
 
         Returns:
-            The kind, and the notice ``table_unknown`` where it is unknown.
+            The kind, and the notice ``table_unknown`` if it is unknown.
         """
         known = self.statistics.tables
         if not known or table_type in (*known, ANY_TABLE):
             return table_type, ()
-        message = f"{item_id}: {_shown(table_type)} is an unknown kind of table, its size alone is gone by; known are "
+        message = f"{item_id}: {_shown(table_type)} is an unknown kind of table, only its size is used; known kinds: "
         return ANY_TABLE, (Notice(item_id, STEP, "table_unknown", message + ", ".join(sorted(known))),)
 
-    # --- what is unknown ---
+    # --- unknown words ---
 
     def _is_foreign(self, words: Sequence[TextWord]) -> bool:
         unknown = [w.text for w in words if not self._is_known(w) and not w.is_name]
         if 0 < len(unknown) == len(words) and not all(map(str.isascii, unknown)):
-            return True  # a text without spaces between its words is one
-        return len(unknown) >= _FEWEST and len(unknown) > LANGUAGE * len(words)
+            return True  # a script without spaces between words gives few words
+        return len(unknown) >= _MIN_FOREIGN and len(unknown) > LANGUAGE * len(words)
 
     def _is_known(self, word: TextWord) -> bool:
         text = word.text
@@ -182,7 +182,7 @@ class WordGrounding:
         )
 
     def unknown(self, words: Sequence[TextWord]) -> Iterator[UnknownSpan]:
-        """The phrases of a text that name a thing that nobody knows, in its order."""
+        """Yields the nouns of unknown objects in a text, in its order."""
         mentions = self.statistics.nouns.read(words)
         heads = {m.last: m for m in mentions}
         k = 0
@@ -197,7 +197,7 @@ class WordGrounding:
             k = last + 1
 
     def _chunk(self, words: Sequence[TextWord], k: int) -> tuple[int, int]:
-        """The words around an unknown one that no word of grammar interrupts."""
+        """First and last index of the content words around an unknown word."""
         first = last = k
         while first > 0 and not words[first].is_first and _is_content(words[first - 1]):
             first -= 1
@@ -208,15 +208,15 @@ class WordGrounding:
     def _thing(
         self, words: Sequence[TextWord], k: int, first: int, last: int, heads: dict[int, NounMention]
     ) -> UnknownSpan | None:
-        """What of a chunk names an unknown thing, if anything does."""
+        """The part of a chunk that is the noun of an unknown object, or None."""
         head, following = words[last].text, words[last + 1].text if last + 1 < len(words) else ""
         known = heads.get(last)
         if known is not None and (known.noun in self.statistics.nouns.names or known.first <= k):
-            return None  # an adjective of a known thing
+            return None  # the unknown word is an adjective of a known noun
         is_adjective = head.endswith(("est", "ing", "ed", "ly")) or (
             following in ("one", "ones") and not words[last + 1].is_first
         )
-        if head in OFF_THE_TABLE or singular((head,))[0] in OFF_THE_TABLE or is_adjective or words[last].is_name:
+        if head in OFF_THE_TABLE or singular_noun(head) in OFF_THE_TABLE or is_adjective or words[last].is_name:
             return None
         if any(first <= m.first and m.last < k for m in heads.values()):
             return None  # "the mug wobbles": the unknown word may be a verb
@@ -231,19 +231,15 @@ class WordGrounding:
         return None
 
     def _only_describes(self, word: TextWord) -> bool:
-        """Is it a word of the training instructions that is part of no noun, such as ``red``?"""
+        """Whether a known word is part of no noun, such as ``red``."""
         return (word.text in self.statistics.words or is_verb(word.text)) and word.text not in self.statistics.nouns.words
 
-    # --- what it is like ---
+    # --- similar nouns ---
 
     def nearest(self, phrase: str) -> str | None:
-        """The known noun that is most like a thing, or None where none is near enough.
-
-        Args:
-            phrase: Its words, in lower case.
-        """
+        """Returns the known noun that is most similar to a noun in lower case, or None if none is similar enough."""
         names = sorted(self.statistics.nouns.names)
-        one = " ".join(singular(tuple(phrase.split(" "))))
+        one = singular_noun(phrase)
         for spelt in (phrase, one):
             if _ALSO_CALLED.get(spelt) in self.statistics.nouns.names:
                 return _ALSO_CALLED[spelt]
@@ -251,15 +247,15 @@ class WordGrounding:
             return None
         if self._rows is None:
             self._rows = np.asarray(self.encode([f"a {name}" for name in names]))
-        likeness = self._rows @ np.asarray(self.encode([f"a {one}"]))[0]
+        similarity = self._rows @ np.asarray(self.encode([f"a {one}"]))[0]
         kinds = classes_of(one) & _KINDS
         if kinds:
             shared = [len(kinds & classes_of(name)) for name in names]
-            of_kind = max((k for k, n in enumerate(shared) if n == max(shared) > 0), key=lambda k: likeness[k], default=None)
-            if of_kind is not None and likeness[of_kind] >= self.near_in_class:
+            of_kind = max((k for k, n in enumerate(shared) if n == max(shared) > 0), key=lambda k: similarity[k], default=None)
+            if of_kind is not None and similarity[of_kind] >= self.near_in_class:
                 return names[of_kind]
-        best = int(likeness.argmax())
-        return names[best] if likeness[best] >= self.near else None
+        best = int(similarity.argmax())
+        return names[best] if similarity[best] >= self.near else None
 
 
 _ORDINALS = frozenset({"other", "another", "first", "second", "third", "last", "next", "left", "right"})
@@ -267,7 +263,7 @@ _NEXT = frozenset({"next", "close", "on", "in", "closer", "nearer", "nearest", "
 
 
 def _is_content(word: TextWord, after: bool = False) -> bool:
-    """Could it be part of a noun phrase? Before its noun ``chipped`` is, after it no form of a verb."""
+    """Whether a word can be part of a noun phrase; a participle such as ``chipped`` can be so only before the noun."""
     if word.text in FUNCTION_WORDS or word.text.isdecimal() or word.text.endswith("ly"):
         return False
     is_participle = word.text.endswith(("ed", "ing"))

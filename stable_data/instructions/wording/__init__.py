@@ -1,1 +1,1 @@
-"""The words of instructions: one and many, what things are called, paraphrases. Nothing here knows a scene."""
+"""Words of instructions, independent of a scene: singular and plural, nouns of categories, paraphrases."""

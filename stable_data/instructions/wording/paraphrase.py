@@ -1,7 +1,8 @@
-"""The same request in other words: verbs and prepositions exchanged, polite frames, reasons. No object is named here.
+"""Paraphrases of requests: other verbs and prepositions, polite frames, reasons.
 
-A text holds its choices in brackets: ``[put] {x} [into|inside] {y}``. A bracket with bars lists the words; one without is a key
-of ``SYNONYMS``. A text without a mark at its end is a clause, an imperative that frames and further steps can be put around.
+A template has its choices in brackets: ``[put] {x} [into|inside] {y}``. A bracket with bars lists the words; a bracket without
+bars is a key of ``SYNONYMS``. A text without punctuation marks is a clause: an imperative that fits into a frame or a task of
+several steps.
 """
 
 import re
@@ -36,7 +37,7 @@ SYNONYMS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "then": ("then", "and then", "and after that"),
     }
 )
-"""What may stand in place of a word; a word named twice is drawn twice as often."""
+"""Alternatives of each word; a word that is listed twice has twice the probability."""
 
 _FRAMES = (
     "please {}",
@@ -55,7 +56,7 @@ _FRAMES = (
     "your next job is to {}.",
     "it would help me if you could {}.",
 )
-_FRAMED = 0.5  # share of clauses that get a frame
+_FRAMED = 0.5  # probability that a clause gets a frame
 
 _REASONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -76,16 +77,11 @@ _REASONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "look": ("I am looking for something.", "I want to check something."),
     }
 )
-_REASONED = 0.3  # share of tasks with a theme that give a reason
+_REASONED = 0.3  # probability that a task with a theme gets a reason
 
 
 def reword(text: str, rng: np.random.Generator) -> str:
-    """The text with its choices made.
-
-    Args:
-        text: With brackets.
-        rng: Where the choices come from.
-    """
+    """Replaces each bracket of a template by a random alternative."""
 
     def choose(match: re.Match[str]) -> str:
         options = tuple(match[1].split("|")) if "|" in match[1] else SYNONYMS[match[1].lower()]
@@ -96,17 +92,17 @@ def reword(text: str, rng: np.random.Generator) -> str:
 
 
 def is_clause(text: str) -> bool:
-    """Is a text an imperative that words can be put around?"""
+    """Whether a text is an imperative that fits into a frame."""
     return re.search(r"[.!?:;]", text) is None
 
 
 def request(text: str, theme: str, rng: np.random.Generator) -> str:
-    """Whole sentences of a text, maybe in a frame, maybe with a reason in front.
+    """Returns a text as sentences, with a random frame or without, with a random reason in front or without.
 
     Args:
-        text: A clause, or sentences already.
-        theme: What the request is about, a key of the reasons, or nothing.
-        rng: Where the choices come from.
+        text: A clause or sentences.
+        theme: The topic of the reasons, or empty.
+        rng: The random generator.
     """
     if is_clause(text) and rng.random() < _FRAMED:
         text = _FRAMES[int(rng.integers(len(_FRAMES)))].format(text)

@@ -1,15 +1,14 @@
-"""What things are and what they are called, by the words of their categories.
+"""Classes and nouns of categories.
 
-A category belongs to the classes of the longest entry that it ends with: a ``coffee_mug`` is a mug, while a ``toothbrush_cup``
-is no cup to drink from. What no entry names has no class, and only kinds of task in which any object can play a part speak of
-it.
+A category belongs to the classes of the longest entry that it ends with: a ``coffee_mug`` is a mug, but a ``toothbrush_cup`` is
+not a drinking cup. A category without an entry has no class; only kinds of task for any object use it.
 """
 
 from collections.abc import Mapping
 from functools import cache, lru_cache
 from types import MappingProxyType
 
-from stable_data.instructions.wording.words import singular, type_words
+from stable_data.instructions.wording.words import singular, singular_noun, type_words
 
 _CLASSES: Mapping[str, str] = MappingProxyType(
     {
@@ -210,7 +209,7 @@ def _by_words() -> dict[tuple[str, ...], frozenset[str]]:
 
 @cache
 def classes_of(category: str) -> frozenset[str]:
-    """The classes of a category, possibly none."""
+    """Returns the classes of a category, possibly none."""
     words = singular(type_words(category))
     ends = (words[start:] for start in range(len(words)))
     return next((_by_words()[end] for end in ends if end in _by_words()), frozenset())
@@ -218,7 +217,7 @@ def classes_of(category: str) -> frozenset[str]:
 
 @cache
 def control_part(category: str) -> str | None:
-    """What one presses on such a thing, such as ``the pump``; None where there is nothing to press."""
+    """Returns the part of a category that can be pressed, such as ``the pump``; None if there is none."""
     words = type_words(category)
     ends = (" ".join(words[start:]) for start in range(len(words)))
     return next((_PRESSED[end] for end in ends if end in _PRESSED), None)
@@ -226,20 +225,19 @@ def control_part(category: str) -> str | None:
 
 @cache
 def nouns_of(category: str) -> tuple[str, ...]:
-    """What such a thing may be called, its own words first; empty where the category has none."""
+    """Returns the nouns of a category, its own words first; empty if it has no words."""
     noun = " ".join(type_words(category))
     others = _CALLED.get(noun, "")
     return tuple(n for n in (noun, *others.split(", ")) if n)
 
 
 def is_counted(noun: str) -> bool:
-    """Can one say ``two`` of them?"""
+    """Whether a noun is countable."""
     return noun.split(" ")[-1] not in _UNCOUNTED
 
 
 @lru_cache(maxsize=65536)
 def answers_to(category: str, noun: str) -> bool:
-    """Would one look at such a thing when asked for the noun? A ``wine_glass`` answers to ``glass``, a mug to ``cup``."""
-    asked = " ".join(singular(tuple(noun.split(" "))))
-    own = (" ".join(singular(tuple(n.split(" ")))) for n in nouns_of(category))
-    return any(n == asked or n.endswith(asked) for n in own)
+    """Whether a noun can mean an object of a category: ``glass`` can mean a ``wine_glass``, ``cup`` a mug."""
+    asked = singular_noun(noun)
+    return any(singular_noun(own).endswith(asked) for own in nouns_of(category))

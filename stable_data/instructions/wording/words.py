@@ -1,4 +1,4 @@
-"""Words as such: types and categories, one and many, lists and sentences. Knows no scene."""
+"""Operations on words: types and categories, singular and plural, lists and sentences."""
 
 import re
 from collections.abc import Sequence
@@ -8,29 +8,34 @@ _NUMBERS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "seven", 8:
 
 
 def type_words(name: str) -> tuple[str, ...]:
-    """Lower-case words of a type or category: ``NestingCup``, ``nesting_cup`` and ``nesting cup`` are the same two."""
+    """Splits a type or category into lower-case words: ``NestingCup``, ``nesting_cup`` and ``nesting cup`` give the same two."""
     words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", name)
     return tuple(word.lower() for word in words)
 
 
 def type_name(category: str) -> str:
-    """A category as a type: ``nesting_cup`` is ``NestingCup``."""
+    """Returns a category as a type: ``nesting_cup`` gives ``NestingCup``."""
     return "".join(word.capitalize() for word in type_words(category))
 
 
 def singular(words: tuple[str, ...]) -> tuple[str, ...]:
-    """Words without the s of a plural, so that ``mugs`` and ``mug`` compare equal; not always good English."""
+    """Removes the plural s of each word, so that ``mugs`` equals ``mug``; the result is not always an English word."""
     return tuple(w[:-1] if w.endswith("s") and not w.endswith("ss") and len(w) > 3 else w for w in words)
 
 
+def singular_noun(noun: str) -> str:
+    """Applies :func:`singular` to the words of a noun."""
+    return " ".join(singular(tuple(noun.split(" "))))
+
+
 def is_plural(noun: str) -> bool:
-    """Does one say ``they`` of a thing with this name, such as scissors?"""
+    """Whether a noun is a plural, also of a single object such as scissors."""
     head = noun.split(" of ")[0]
     return head.endswith("s") and not head.endswith(("ss", "us", "is"))
 
 
 def plural(noun: str) -> str:
-    """The name of several things of a kind: ``table knife`` gives ``table knives``."""
+    """Returns the plural of a noun: ``table knife`` gives ``table knives``."""
     *lead, last = noun.split(" ")
     if last in _IRREGULAR:
         last = _IRREGULAR[last]
@@ -44,16 +49,16 @@ def plural(noun: str) -> str:
 
 
 def number_word(count: int) -> str:
-    """``three``; digits from eleven on."""
+    """Returns a number in words, such as ``three``; digits from eleven on."""
     return _NUMBERS.get(count, str(count))
 
 
 def join_words(phrases: Sequence[str]) -> str:
-    """``a``, ``a and b``, ``a, b and c``."""
+    """Joins phrases: ``a``, ``a and b``, ``a, b and c``."""
     return " and ".join([", ".join(phrases[:-1]), phrases[-1]]) if len(phrases) > 1 else phrases[0]
 
 
 def sentences(text: str) -> str:
-    """The text with a capital at the start of every sentence and a mark at its end."""
+    """Capitalizes the start of each sentence and adds a full stop at the end if no punctuation mark is there."""
     capital = re.sub(r"(^|[.!?] )([a-z])", lambda m: m[1] + m[2].upper(), text)
     return capital if capital.endswith((".", "!", "?")) else f"{capital}."

@@ -201,5 +201,5 @@ def told_somewhere(kind_name: str) -> list[tuple[Table, TaskDraft]]:
     from stable_data.instructions import KINDS
 
     kind = next(k for k in KINDS if k.name == kind_name)
-    draws = ((t, kind.tell(t.situation(np.random.default_rng(seed)), t.namer)) for t in TABLES for seed in range(8))
+    draws = ((t, kind.draft(t.situation(np.random.default_rng(seed)), t.namer)) for t in TABLES for seed in range(8))
     return [(t, told) for t, told in draws if told is not None]
